@@ -37,10 +37,10 @@ from mcspectra.studies import (
 )
 from mcspectra.studies.executors import Cluster, Dask, Threads
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote, scalars_of
-from mcspectra.studies.plan import Cell, Plan
+from mcspectra.studies.plan import StudyCell, StudyPlan
 from mcspectra.studies.run import MakeExecutor, Progress, drive
 from mcspectra.studies.schedule import Schedule
-from mcspectra.studies.tasks import Task
+from mcspectra.studies.tasks import StudyTask
 
 _NAP = 0.2  # seconds of a calibrated task
 _STUDY = """
@@ -124,7 +124,9 @@ def million(count: int = 10**6) -> None:
             assert len(result_scalars(folder)) == count
 
 
-def _record(plan: Plan, folder: Path, payloads: Iterable[tuple[bytes, dict[str, float]]]) -> None:
+def _record(
+    plan: StudyPlan, folder: Path, payloads: Iterable[tuple[bytes, dict[str, float]]]
+) -> None:
     """Write a ledger of finished cells."""
     count = len(plan.cells)
     paths = [cell.path for cell in plan.cells]
@@ -217,7 +219,9 @@ class _Nothing:
 
 
 def _drive_many(count: int) -> None:
-    cell = Cell("a/s/k", _Blocks(blocks=count), "a", "s", Subject(None, None), Need(cost=count))
+    cell = StudyCell(
+        "a/s/k", _Blocks(blocks=count), "a", "s", Subject(None, None), Need(cost=count)
+    )
     schedule = Schedule([cell], 0, _Nothing(), 1e-12)  # type: ignore[arg-type]
     threads = Threads(1)
     (settled,) = drive(schedule, threads)
@@ -234,7 +238,7 @@ class Napping:
         self.workers = workers
         self.outcomes, self.close = self._threads.outcomes, self._threads.close
 
-    def submit(self, task: Task, compute: Callable[[], Any]) -> None:
+    def submit(self, task: StudyTask, compute: Callable[[], Any]) -> None:
         def nap() -> Any:
             start = time.perf_counter()
             state = compute()

@@ -240,8 +240,8 @@ MUTATIONS = [
     ("reproduction", "_VERDICT_Z = 3.7125862298839247", "_VERDICT_Z = 37.125862298839247"),
     (
         "cli",
-        'code, sentence = 2, "Not enough memory; ask for fewer points, dims or frequencies."',
-        'code, sentence = 1, "Not enough memory; ask for fewer points, dims or frequencies."',
+        'code, sentence = 2, "Not enough memory; use fewer points, dims or frequencies."',
+        'code, sentence = 1, "Not enough memory; use fewer points, dims or frequencies."',
     ),
     ("cli", "        return 130", "        return 1"),
     (

@@ -1,4 +1,4 @@
-"""Boards without a page: figures come, go and turn gray as their results do."""
+"""Boards without a page: figures appear, disappear and turn gray with their results."""
 
 from dataclasses import replace
 from queue import SimpleQueue
@@ -8,14 +8,14 @@ from bokeh.models import InlineStyleSheet
 
 from mcspectra.app.board import Board
 from mcspectra.app.figures import FIGURES
-from mcspectra.app.state import Setup
+from mcspectra.app.state import ExplorerSetup
 from mcspectra.plots.backend_bokeh import Drawn
 
-SMALL = Setup(n=16, half_width=4, realizations=16)
+SMALL = ExplorerSetup(n=16, half_width=4, realizations=16)
 
 
 class Page:
-    """A page as a board sees it: what a job hands over runs in the page's own thread."""
+    """A page as seen by a board: functions from a job run in the page's own thread."""
 
     def __init__(self):
         self.acts = SimpleQueue()
@@ -37,7 +37,7 @@ def board(page):
 
 @pytest.fixture
 def shown(page):
-    """Run a set-up to its end; the kinds of its figures."""
+    """Run a set-up to its end; return the kinds of its figures."""
 
     def run(board, setup):
         board.run(setup)
@@ -48,25 +48,25 @@ def shown(page):
     return run
 
 
-def is_grey(board, kind):
+def is_gray(board, kind):
     return board.cards[kind].layout.styles["opacity"] != "1"
 
 
-def test_figures_of_another_number_of_dims_take_the_place_of_those_before(board, shown):
+def test_figures_of_another_number_of_dims_replace_earlier_ones(board, shown):
     assert shown(board, SMALL) == set(FIGURES) - {"lines"}
     assert shown(board, replace(SMALL, dims=1)) == set(FIGURES) - {"spectrum"}
 
 
-def test_figures_turn_grey_and_back(board, shown):
+def test_figures_turn_gray_and_back(board, shown):
     shown(board, SMALL)
     shown(board, replace(SMALL, sampler="no-such"))
     assert board.latest == {}
-    assert all(is_grey(board, kind) for kind in board.cards)
+    assert all(is_gray(board, kind) for kind in board.cards)
     shown(board, SMALL)
-    assert not any(is_grey(board, kind) for kind in board.cards)
+    assert not any(is_gray(board, kind) for kind in board.cards)
 
 
-def test_what_stays_as_it_is_is_not_drawn_again(board, shown, monkeypatch):
+def test_unchanged_figures_are_not_drawn_again(board, shown, monkeypatch):
     shown(board, SMALL)
     updated = []
     monkeypatch.setattr(Drawn, "update", lambda _, plot: updated.append(plot.kind))
@@ -96,8 +96,8 @@ def test_panels_of_the_integrand_are_smaller_in_a_pair(board, shown):
     assert all(panel.left[0].visible for panel in panels)
 
 
-def test_what_is_refused_leaves_grey_figures_and_no_numbers(board, shown):
+def test_a_refused_entry_leaves_gray_figures_and_no_numbers(board, shown):
     shown(board, SMALL)
     board.refuse("n is -5; give another.")
     assert board.latest == {}
-    assert all(is_grey(board, kind) for kind in board.cards)
+    assert all(is_gray(board, kind) for kind in board.cards)

@@ -1,4 +1,4 @@
-"""The explorer in a real browser: what a user does, without a request to anywhere else."""
+"""The explorer in a real browser, without requests to other machines."""
 
 import contextlib
 import io
@@ -16,23 +16,23 @@ import pytest
 from PIL import Image
 from playwright.sync_api import expect
 
-from mcspectra.app.state import State
+from mcspectra.app.state import ExplorerState
 from mcspectra.plots.text import number
 
 pytestmark = pytest.mark.browser
-_PATIENCE = 90_000  # milliseconds: what is waited for comes within one on a quiet machine
+_PATIENCE = 90_000  # Milliseconds; a quiet machine needs less than one second
 _SMALL = "half_width=4&realizations=16&n=16"
 
 
 @pytest.fixture(scope="module")
 def terminal(tmp_path_factory):
-    """What the explorer writes on standard error."""
+    """Standard error of the explorer."""
     return tmp_path_factory.mktemp("terminal") / "stderr"
 
 
 @pytest.fixture(scope="module")
 def address(tmp_path_factory, terminal):
-    """Address of a running explorer with a cache of its own."""
+    """Address of a running explorer with its own cache."""
     cache = str(tmp_path_factory.mktemp("cache"))
     with terminal.open("wb") as stderr:
         process = subprocess.Popen(
@@ -53,13 +53,13 @@ def address(tmp_path_factory, terminal):
 
 @pytest.fixture(scope="module")
 def seen():
-    """Requests to elsewhere and errors of the page, over all tests."""
+    """Requests to other machines and errors of the page, over all tests."""
     return {"elsewhere": [], "errors": []}
 
 
 @pytest.fixture(scope="module")
 def page(browser, address, seen):
-    """A tab that can reach nothing but the explorer."""
+    """A tab that can reach only the explorer."""
 
     def only_here(route):
         if route.request.url.startswith((address, "data:", "blob:")):
@@ -82,7 +82,7 @@ def page(browser, address, seen):
 
 
 def open_state(page, address, query):
-    """Load a state, unless it is on the page and done, and wait for its job to end."""
+    """Load a state, unless the page shows it already, and wait for its job to end."""
     here = parse_qs(urlsplit(page.url).query) == parse_qs(query)
     if not (here and page.get_by_text("A: Done.").is_visible()):
         page.goto(f"{address}?{query}")
@@ -90,13 +90,13 @@ def open_state(page, address, query):
 
 
 def any_state(page, address):
-    """Have some state on the page; a page costs seconds to load."""
+    """Show any state on the page; loading a page costs seconds."""
     if not (page.url.startswith(address) and page.get_by_text("A: Done.").is_visible()):
         open_state(page, address, _SMALL)
 
 
 def done(page, side="A"):
-    """Wait for the end of a side's job."""
+    """Wait for a side's job to end."""
     expect(page.get_by_text(f"{side}: Done.")).to_be_visible()
 
 
@@ -106,11 +106,11 @@ def wait_for(page, key, value):
 
 
 def state_of(page):
-    """The state that the address says."""
-    return State.from_query(urlsplit(page.url).query)
+    """Return the state in the address."""
+    return ExplorerState.from_query(urlsplit(page.url).query)
 
 
-def test_all_that_can_be_operated_has_a_name(page, address):
+def test_all_widgets_have_names(page, address):
     open_state(page, address, _SMALL)
     expect(page.get_by_role("slider", name="Points n, A", exact=True)).to_be_visible()
     name = "Compare with a second set-up, B"
@@ -121,7 +121,7 @@ def test_all_that_can_be_operated_has_a_name(page, address):
         assert all('"' in line for line in own), own
 
 
-def test_python_that_is_copied_gives_the_figures_shown(page, address):
+def test_copied_python_gives_the_displayed_figures(page, address):
     open_state(page, address, _SMALL)
     program = page.get_by_role("textbox", name="As Python").input_value()
     with contextlib.redirect_stdout(io.StringIO()) as printed:
@@ -133,7 +133,7 @@ def test_python_that_is_copied_gives_the_figures_shown(page, address):
     assert shown == pytest.approx(float(found["rate"]), abs=5e-3)
 
 
-def test_what_cannot_be_made_leaves_grey_figures_and_no_numbers(page, address):
+def test_an_invalid_entry_leaves_gray_figures_and_no_numbers(page, address):
     open_state(page, address, _SMALL)
     height = page.evaluate("document.documentElement.scrollHeight")
     field = page.get_by_label("Sampler spec, A", exact=True)
@@ -153,7 +153,7 @@ def test_what_cannot_be_made_leaves_grey_figures_and_no_numbers(page, address):
     expect(card).to_have_css("opacity", "1")
 
 
-def test_another_sampler_and_a_randomisation(page, address):
+def test_another_sampler_and_a_randomization(page, address):
     any_state(page, address)
     page.get_by_label("Sampler, A").first.select_option("sobol")
     wait_for(page, "sampler", "sobol")
@@ -194,14 +194,14 @@ def test_a_pixel_of_the_scene(page, address):
     place = picture.bounding_box()
     assert place is not None
     x, y = place["x"] + 0.6 * place["width"], place["y"] + 0.5 * place["height"]
-    # The picture is there: the plates are lit
+    # The picture is shown: the plates are lit
     image = Image.open(io.BytesIO(page.screenshot())).convert("L")
     box = (int(x) - 60, int(y) - 40, int(x) + 60, int(y) + 40)
     assert np.ptp(np.asarray(image.crop(box), float)) > 100
     page.mouse.click(x, y)
     page.wait_for_url("**integrand=pixel**")
     assert "veach" in state_of(page).a.integrand
-    # The wheel scrolls the page, also above the picture that was clicked
+    # The mouse wheel scrolls the page, also over the clicked picture
     before = page.evaluate("window.scrollY")
     page.mouse.wheel(0, 200)
     page.wait_for_function("before => window.scrollY > before", arg=before)
@@ -220,7 +220,7 @@ def test_two_set_ups_and_the_address_restores_them(page, address):
             card = page.get_by_role("group", name=f"{side}: {title}", exact=True)
             expect(card.get_by_role("heading", name=f"{side}: {title}")).to_be_visible()
             places.append(card.bounding_box())
-        # Side by side, A at the left
+        # The figures of A and B are side by side, with A on the left
         assert places[0]["y"] == places[1]["y"]
         assert places[0]["x"] + places[0]["width"] <= places[1]["x"]
     expect(page.get_by_role("group", name=re.compile("^[AB]: "))).to_have_count(18)
@@ -258,7 +258,7 @@ def test_a_narrow_page_does_not_scroll_sideways(page, address):
     assert width <= 390
 
 
-def test_the_integrand_stands_beside_its_density(page, address):
+def test_the_integrand_is_next_to_its_density(page, address):
     open_state(page, address, f"{_SMALL}&density=linear(slope=0.5)")
     card = page.get_by_role("group", name=re.compile("^A: Integrand f"))
     expect(card.get_by_text("f/p from")).to_be_visible()
@@ -280,7 +280,7 @@ def test_a_tab_that_closes_leaves_no_traceback(page, address, terminal):
     other.goto(f"{address}?n=1024&realizations=4096&half_width=32")
     other.get_by_text("% done.").wait_for()
     other.close()
-    # What the explorer does next ends after what it has left
+    # The next job ends after the abandoned one, so a traceback would be printed by then
     any_state(page, address)
     field = page.get_by_label("Sampler spec, A", exact=True)
     field.fill("n-rooks")
@@ -313,8 +313,8 @@ def test_other_hosts_and_origins_are_refused(address, header, value, path):
         urllib.request.urlopen(request)
     with caught.value as answer:
         assert answer.code == 403
-        assert b"its own pages only" in answer.read()
+        assert b"only its own pages" in answer.read()
 
 
-def test_nothing_was_asked_of_the_network_and_no_error_was_logged(page, seen):
+def test_no_network_request_was_made_and_no_error_was_logged(page, seen):
     assert seen == {"elsewhere": [], "errors": []}

@@ -1,4 +1,4 @@
-"""Jobs: rounds, canceling, and what is refused."""
+"""Jobs: rounds, canceling, and refused set-ups."""
 
 import threading
 import time
@@ -9,8 +9,8 @@ import pytest
 
 from mcspectra.app import compute as module
 from mcspectra.app.compute import (
-    KINDS,
     MOST_AT_ONCE,
+    UPDATE_KINDS,
     Job,
     Update,
     analyses_of,
@@ -19,15 +19,15 @@ from mcspectra.app.compute import (
     make_parts,
     rounds,
 )
-from mcspectra.app.state import Setup
+from mcspectra.app.state import ExplorerSetup
 from mcspectra.core.progress import report
 
-SMALL = Setup(n=16, half_width=4, realizations=64)
+SMALL = ExplorerSetup(n=16, half_width=4, realizations=64)
 
 
 @pytest.fixture(autouse=True)
 def _no_hurry(monkeypatch):
-    """A slow machine must not end a job early."""
+    """Keep a slow machine from ending a job early."""
     monkeypatch.setattr(module, "_LONGEST_ROUND", 1e9)
 
 
@@ -52,15 +52,15 @@ def test_rounds_end_at_the_target(target, expected):
 def test_a_job_sends_all_kinds_in_each_round():
     updates, sentence = finished(SMALL)
     assert sentence == ""
-    assert [u.kind for u in updates] == [*KINDS, *KINDS]
+    assert [u.kind for u in updates] == [*UPDATE_KINDS, *UPDATE_KINDS]
     assert [u.realizations for u in updates] == [16] * 6 + [64] * 6
     assert updates[-1].fraction == 1.0
     assert all(0 < u.fraction <= 1 for u in updates)
-    terms = updates[KINDS.index("terms") - len(KINDS)]
+    terms = updates[UPDATE_KINDS.index("terms") - len(UPDATE_KINDS)]
     assert terms.value.attrs["realizations"] == 64
 
 
-def test_points_are_the_first_realisation_with_its_weights():
+def test_points_are_the_first_realization_with_its_weights():
     setup = replace(SMALL, density="linear(slope=1)", seed=3)
     found = compute("points", setup, 16)
     parts = make_parts(setup)
@@ -84,7 +84,7 @@ def test_the_integrand_is_shown_with_its_density(dims):
     assert float(at["p"]) == float(parts.density.pdf(x)[0])
     assert float(found["p"].mean()) == pytest.approx(1.0, rel=1e-4)
     assert float((found["f/p"] * found["p"]).mean()) == pytest.approx(float(found["f"].mean()))
-    # The sampler does not matter
+    # The result does not depend on the sampler
     assert compute("integrand", replace(setup, sampler="random", n=8, seed=1), 64) is found
 
 
@@ -142,14 +142,14 @@ def test_cancelling_ends_an_analysis_between_its_blocks(monkeypatch):
     assert sentences == []
 
 
-def test_a_job_does_not_hear_of_another_that_was_cancelled():
+def test_canceling_a_job_does_not_stop_another_job():
     cancelled = Job(replace(SMALL, seed=6), lambda _: None, lambda _: None)
     cancelled.cancel()
     cancelled.start().join(30)
     assert finished(replace(SMALL, seed=6, realizations=16))[1] == ""
 
 
-def test_a_cancelled_job_says_nothing_more(monkeypatch):
+def test_a_canceled_job_sends_no_more_updates(monkeypatch):
     entered, go = threading.Event(), threading.Event()
 
     def slow(kind, setup, realizations):
@@ -190,7 +190,7 @@ def test_rounds_that_would_take_long_are_not_begun(monkeypatch):
         ({"basis": "walsh", "integrand": "disk", "half_width": 3}, ""),
     ],
 )
-def test_what_cannot_be_made_is_a_sentence(changes, said):
+def test_an_invalid_set_up_gives_a_sentence(changes, said):
     updates, sentence = finished(replace(SMALL, realizations=2, **changes))
     assert said in sentence
     assert not updates or said == ""
@@ -204,8 +204,13 @@ def test_faults_of_components_end_the_job_with_a_sentence(monkeypatch):
     assert finished(SMALL)[1] == "Unexpected ZeroDivisionError: by zero."
 
 
-def test_the_ladder_has_counts_that_the_sampler_can_do():
-    for setup in (SMALL, replace(SMALL, sampler="sobol"), replace(SMALL, n=1), Setup(n=2**16)):
+def test_the_ladder_has_counts_that_the_sampler_supports():
+    for setup in (
+        SMALL,
+        replace(SMALL, sampler="sobol"),
+        replace(SMALL, n=1),
+        ExplorerSetup(n=2**16),
+    ):
         source = make_parts(setup).sampler
         counts = ladder(setup)
         assert counts == sorted(set(counts))
@@ -219,7 +224,7 @@ def test_warnings_of_counts_are_notes():
 
 
 def test_jobs_of_all_pages_take_turns(monkeypatch):
-    """Twenty pages computed at once, and the first waited for all."""
+    """Twenty pages used to compute at once, and the first page waited for all."""
     lock, now, most, done = threading.Lock(), [0], [0], threading.Semaphore(0)
 
     def slow(kind, setup, realizations):
@@ -239,7 +244,7 @@ def test_jobs_of_all_pages_take_turns(monkeypatch):
     assert all(done.acquire(timeout=30) for _ in jobs)
     assert most[0] == MOST_AT_ONCE
 
-    # One that waits is canceled
+    # A waiting job is canceled
     for _ in range(MOST_AT_ONCE):
         module._TURNS.acquire()
     try:

@@ -1,4 +1,4 @@
-"""What is copied runs as it is and gives the numbers that the explorer shows."""
+"""Exported programs and studies run unchanged and give the numbers of the explorer."""
 
 import contextlib
 import io
@@ -9,26 +9,32 @@ import pytest
 
 from mcspectra.app.compute import analyses_of, compute, integrand_specs
 from mcspectra.app.page import as_python, as_toml
-from mcspectra.app.state import Setup, State
+from mcspectra.app.state import ExplorerSetup, ExplorerState
 from mcspectra.app.uploads import keep_upload
 from mcspectra.core.fits import is_resolved
 from mcspectra.studies import open_results, read_study, run_study
 
 SMALL = {"n": 16, "half_width": 6, "realizations": 8}
 SETUPS = [
-    Setup(**SMALL),
-    Setup(sampler="jittered | shift", density="linear(slope=0.5)", strata_shift=0.25, **SMALL),
-    Setup(integrand="disk", smoothing=0.125, basis="cosine", seed=5, **SMALL),
-    Setup(dims=1, mirror="integrand", density="power(exponent=1)", integrand="polynomial", **SMALL),
-    Setup(sampler="sobol | owen", frequency_step=0.25, **SMALL),
-    Setup(bands="dyadic", engine="direct", counts=(4, 16, 64), fit_last="auto", eps=1e-6, **SMALL),
-    Setup(integrand="technique-sum(integrands=['gaussian', 'disk'])", **SMALL),
-    Setup(integrand="environment(values=[[[1, 2, 3], [0, 5, 1]]])", channel="1", **SMALL),
+    ExplorerSetup(**SMALL),
+    ExplorerSetup(
+        sampler="jittered | shift", density="linear(slope=0.5)", strata_shift=0.25, **SMALL
+    ),
+    ExplorerSetup(integrand="disk", smoothing=0.125, basis="cosine", seed=5, **SMALL),
+    ExplorerSetup(
+        dims=1, mirror="integrand", density="power(exponent=1)", integrand="polynomial", **SMALL
+    ),
+    ExplorerSetup(sampler="sobol | owen", frequency_step=0.25, **SMALL),
+    ExplorerSetup(
+        bands="dyadic", engine="direct", counts=(4, 16, 64), fit_last="auto", eps=1e-6, **SMALL
+    ),
+    ExplorerSetup(integrand="technique-sum(integrands=['gaussian', 'disk'])", **SMALL),
+    ExplorerSetup(integrand="environment(values=[[[1, 2, 3], [0, 5, 1]]])", channel="1", **SMALL),
 ]
 
 
 def ran(program):
-    """Run a program; return its names and what it printed."""
+    """Run a program; return its names and its output."""
     names: dict[str, object] = {}
     with contextlib.redirect_stdout(io.StringIO()) as printed:
         exec(compile(program, "copied", "exec"), names)  # noqa: S102
@@ -38,7 +44,7 @@ def ran(program):
 @pytest.mark.filterwarnings("ignore:∫1/p diverges")
 @pytest.mark.parametrize("setup", SETUPS)
 def test_python_gives_the_numbers_shown(setup):
-    names, printed = ran(as_python(State(a=setup)))
+    names, printed = ran(as_python(ExplorerState(a=setup)))
     for kind in ("predict", "spectrum", "terms", "convergence"):
         shown = compute(kind, setup, setup.realizations)
         for variable in shown:
@@ -48,7 +54,7 @@ def test_python_gives_the_numbers_shown(setup):
 
 
 def test_python_of_two_set_ups_has_both():
-    names, printed = ran(as_python(State(a=SETUPS[0], b=SETUPS[2])))
+    names, printed = ran(as_python(ExplorerState(a=SETUPS[0], b=SETUPS[2])))
     assert printed.count("measured_variance") == 2
     assert names["sampler"].spec == "jittered"
 
@@ -56,7 +62,7 @@ def test_python_of_two_set_ups_has_both():
 @pytest.mark.parametrize("setup", SETUPS)
 def test_toml_is_a_study_of_the_same(setup, tmp_path):
     file = tmp_path / "copied.toml"
-    file.write_text(as_toml(State(a=setup, b=SETUPS[0])), encoding="utf-8")
+    file.write_text(as_toml(ExplorerState(a=setup, b=SETUPS[0])), encoding="utf-8")
     study = read_study(file)
     first, second = study.estimators
     assert (first.name, second.name) == ("A", "B")
@@ -74,20 +80,20 @@ def test_toml_is_a_study_of_the_same(setup, tmp_path):
 def test_toml_runs_and_gives_the_numbers_shown(tmp_path):
     setup = SETUPS[1]
     file = tmp_path / "copied.toml"
-    file.write_text(as_toml(State(a=setup)), encoding="utf-8")
+    file.write_text(as_toml(ExplorerState(a=setup)), encoding="utf-8")
     run_study(read_study(file), tmp_path / "out", workers=1)
     shown = compute("terms", setup, setup.realizations)
     tree = open_results(tmp_path / "out")
     found = [node["power_term"] for node in tree.subtree if "power_term" in node]
     assert len(found) == 1
     assert found[0].size == 1
-    # The study draws from a stream of its own for each cell: the same law, not the same bits
+    # The study uses another random stream per cell: the same distribution, not the same bits
     assert float(found[0].squeeze()) == pytest.approx(float(shown["power_term"]), rel=1.0)
 
 
 def test_specs_with_quotes_survive(tmp_path):
     spec = "mixture(parts=['linear(slope=1)', \"tent\"], weights=[0.5, 0.5])"
-    state = State(a=Setup(density=spec, **SMALL))
+    state = ExplorerState(a=ExplorerSetup(density=spec, **SMALL))
     assert tomllib.loads(as_toml(state))["estimators"][0]["density"] == spec
     assert repr(spec) in as_python(state)
 
@@ -97,7 +103,7 @@ def test_uploads_are_written_as_files(tmp_path, monkeypatch):
     data = io.BytesIO()
     np.save(data, np.eye(4))
     digest = keep_upload(data.getvalue(), "picture.npy")
-    state = State(a=Setup(integrand=f"upload(digest='{digest}')", **SMALL))
+    state = ExplorerState(a=ExplorerSetup(integrand=f"upload(digest='{digest}')", **SMALL))
     names, _ = ran(as_python(state))
     assert names["integrand"].integral == 0.25
     assert "--allow-path" in as_toml(state)

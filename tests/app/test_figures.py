@@ -1,20 +1,20 @@
-"""Figures of a set-up: further results change their data only, and words hold what was measured."""
+"""Figures of a set-up: new results change only data, and texts contain the measured values."""
 
 import pytest
 from bokeh.document import Document
 
-from mcspectra.app.compute import KINDS, compute
+from mcspectra.app.compute import UPDATE_KINDS, compute
 from mcspectra.app.figures import FIGURES, figures_of
-from mcspectra.app.state import Setup
+from mcspectra.app.state import ExplorerSetup
 from mcspectra.plots.backend_bokeh import Drawn, draw
 from mcspectra.plots.text import number
 
 SETUPS = {
-    "two dims": Setup(n=16, half_width=4),
-    "one dim": Setup(n=16, half_width=8, dims=1, sampler="jittered | shift"),
-    "weights": Setup(n=16, half_width=4, density="linear(slope=1.0)"),
-    "real frequencies": Setup(n=16, half_width=4, frequency_step=0.25),
-    "techniques": Setup(
+    "two dims": ExplorerSetup(n=16, half_width=4),
+    "one dim": ExplorerSetup(n=16, half_width=8, dims=1, sampler="jittered | shift"),
+    "weights": ExplorerSetup(n=16, half_width=4, density="linear(slope=1.0)"),
+    "real frequencies": ExplorerSetup(n=16, half_width=4, frequency_step=0.25),
+    "techniques": ExplorerSetup(
         n=16, half_width=4, integrand="technique-sum(integrands=['gaussian', 'disk'])"
     ),
 }
@@ -25,25 +25,25 @@ def test_new_results_bring_no_new_models(name):
     setup = SETUPS[name]
     drawn: dict[str, Drawn] = {}
     document = Document()
-    for kind in KINDS:
+    for kind in UPDATE_KINDS:
         for plot in figures_of(kind, compute(kind, setup, 8), "s"):
             drawn[plot.kind] = draw(plot)
             document.add_root(drawn[plot.kind].model)
     assert set(drawn) <= set(FIGURES)
     assert len(drawn) == 9
     before = set(document.models)
-    for kind in KINDS:
+    for kind in UPDATE_KINDS:
         for plot in figures_of(kind, compute(kind, setup, 16), "s"):
             assert drawn[plot.kind].fits(plot), plot.kind
             drawn[plot.kind].update(plot)
     assert set(document.models) == before
 
 
-def test_words_hold_what_was_measured():
+def test_texts_contain_the_measured_values():
     setup = SETUPS["two dims"]
     said = {
         plot.kind: plot.words
-        for kind in KINDS
+        for kind in UPDATE_KINDS
         for plot in figures_of(kind, compute(kind, setup, 16), "s")
     }
     terms = compute("terms", setup, 16)

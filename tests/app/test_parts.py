@@ -9,12 +9,12 @@ import mcspectra as mcs
 from mcspectra.app.compute import compute, integrand_specs, make_parts
 from mcspectra.app.scene import STRATEGIES, pixel_spec
 from mcspectra.app.specs import techniques
-from mcspectra.app.state import Setup
+from mcspectra.app.state import ExplorerSetup
 from mcspectra.core.errors import McspectraError
 from mcspectra.integrands import base
 from mcspectra.integrands.base import Estimate
 
-SMALL = Setup(n=16, half_width=4, realizations=64)
+SMALL = ExplorerSetup(n=16, half_width=4, realizations=64)
 SUM = "technique-sum(integrands=['gaussian', 'disk'])"
 COLORS = "environment(values=[[[1, 2, 3], [0, 5, 1]]])"
 
@@ -71,7 +71,7 @@ def test_odd_sums_are_refused(spec):
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
 def test_every_strategy_of_a_pixel_is_a_state(strategy):
-    setup = Setup(integrand=pixel_spec(3, 100, strategy))
+    setup = ExplorerSetup(integrand=pixel_spec(3, 100, strategy))
     combined = strategy in ("balance", "power")
     specs = techniques(setup.integrand)
     assert len(specs) == 1 + combined
@@ -103,13 +103,13 @@ def test_one_of_several_channels_is_shown(channel):
     )
     estimator = make_parts(setup).estimator
     assert estimator.channels == 0
-    # Cells are the left and the right half of the square
+    # The two cells are the left and the right half of the square
     u = np.array([[0.25, 0.5], [0.75, 0.5]])
     sines = mcs.integrand("environment(values=[[1, 1]])", dims=2)(u)
     np.testing.assert_allclose(estimator.primary_values(0, u), values @ weights * sines, rtol=1e-3)
 
 
-def test_a_channel_that_was_written_stays():
+def test_an_explicit_channel_is_kept():
     spec = "environment(values=[[[1, 2, 3]]], channel=1)"
     assert integrand_specs(replace(SMALL, integrand=spec, channel="2")) == (spec,)
 

@@ -1,4 +1,4 @@
-"""The server answers pages of its own, on this machine, and nobody else."""
+"""The server answers only its own pages on this machine."""
 
 import asyncio
 import contextlib
@@ -69,7 +69,7 @@ def test_own_pages_are_answered(headers):
         [OWN, ("Origin", f"http://127.0.0.1:{PORT}"), ("Origin", "http://evil.example")],
     ],
 )
-def test_others_are_refused(headers):
+def test_foreign_requests_are_refused(headers):
     assert not answers(*headers)
 
 
@@ -115,7 +115,7 @@ def test_links_and_own_requests_are_answered(path, headers):
     ],
 )
 def test_other_sites_without_origin_are_refused(path, headers):
-    """They were given a session and its token."""
+    """Such sites used to get a session and its token."""
     assert not answers(*headers, path=path)
 
 
@@ -146,7 +146,7 @@ def running():
 
 @pytest.fixture(scope="module")
 def port():
-    """Port of a server of all tests."""
+    """Port of a server shared by all tests."""
     with running() as found:
         yield found
 
@@ -159,7 +159,7 @@ def empty_port():
 
 
 def get(port, path="/", **headers):
-    """Status, headers and text of an answer."""
+    """Return status, headers and text of an answer."""
     given = {name.replace("_", "-"): value for name, value in headers.items()}
     connection = http.client.HTTPConnection(ADDRESS, port, timeout=60)
     connection.request("GET", path, headers=given)
@@ -169,7 +169,7 @@ def get(port, path="/", **headers):
     return answer.status, answer.headers, text
 
 
-def test_no_page_may_hold_this_one(port):
+def test_no_page_may_embed_this_one(port):
     for path, code in (("/", 200), ("/static/js/bokeh.min.js", 200), ("/autoload.js", 403)):
         status, headers, text = get(port, path)
         assert status == code
@@ -188,29 +188,29 @@ def test_a_request_alone_computes_nothing(port, monkeypatch):
     assert computed == []
 
 
-def test_more_pages_than_are_served_are_a_sentence(port, monkeypatch):
+def test_too_many_pages_give_a_sentence(port, monkeypatch):
     monkeypatch.setattr(server, "MOST_SESSIONS", 1)
     get(port)
     status, _, text = get(port)
     assert status == 503
     assert text == (
-        "1 pages of the explorer are open, as many as it serves; close some and reload this one in "
+        "1 pages of the explorer are open, which is the limit; close some and reload this one in "
         "half a minute.\n"
     )
     assert get(port, "/static/js/bokeh.min.js")[0] == 200
 
 
 def test_pages_that_are_asked_for_at_once_count(empty_port, monkeypatch):
-    """Fifty requests at once were all let in before the first page was open."""
+    """Fifty simultaneous requests used to be accepted before the first page was open."""
     monkeypatch.setattr(server, "MOST_SESSIONS", 3)
     with ThreadPoolExecutor(12) as pool:
         codes = Counter(status for status, *_ in pool.map(lambda _: get(empty_port), range(12)))
-    # A page that is just open may count twice for a moment
+    # A page that has just opened may count twice for a moment
     assert 1 <= codes[200] <= 3
     assert codes[200] + codes[503] == 12
 
 
-def test_connections_that_end_early_take_no_place(empty_port, monkeypatch):
+def test_closed_connections_do_not_count_as_pages(empty_port, monkeypatch):
     monkeypatch.setattr(server, "MOST_SESSIONS", 1)
     with socket.create_connection((ADDRESS, empty_port)) as client:
         client.sendall(
@@ -226,7 +226,7 @@ def test_connections_that_end_early_take_no_place(empty_port, monkeypatch):
 
 
 def test_requests_write_nothing_on_the_terminal(port, caplog):
-    """A local program could print controls of the terminal, or a traceback, by asking for a page."""
+    """A local program could print terminal controls, or a traceback, by requesting a page."""
     own = logging.getLogger("tornado.application")
     own.addFilter(server._is_own_error)
     try:

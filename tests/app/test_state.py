@@ -1,4 +1,4 @@
-"""States to and from query strings, and what they refuse."""
+"""Conversion of states to and from query strings, and refused values."""
 
 import contextlib
 import dataclasses
@@ -7,7 +7,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from mcspectra.app.state import MIRRORS, MOST_HALF_WIDTH, MOST_POINTS, OPTIONS, THEMES, Setup, State
+from mcspectra.app.state import (
+    MIRRORS,
+    MOST_HALF_WIDTH,
+    MOST_POINTS,
+    OPTIONS,
+    THEMES,
+    ExplorerSetup,
+    ExplorerState,
+)
 from mcspectra.core.errors import ConfigError, ParameterError, SpecError
 from mcspectra.core.trust import allow
 from mcspectra.samplers import allow_code
@@ -22,7 +30,7 @@ densities = st.sampled_from(["uniform", "linear(slope=-1.25)", "mixture(parts=['
 @st.composite
 def setups(draw):
     dims = draw(st.integers(1, 2))
-    return Setup(
+    return ExplorerSetup(
         sampler=draw(samplers),
         n=draw(st.integers(1, MOST_POINTS)),
         density=draw(densities),
@@ -48,25 +56,25 @@ def setups(draw):
 @settings(max_examples=150, deadline=None)
 @given(setups(), st.none() | setups(), st.sampled_from(THEMES))
 def test_a_query_is_its_state(a, b, theme):
-    state = State(a=a, b=b, theme=theme)
-    assert State.from_query(state.query()) == state
-    assert State.from_query("?" + state.query()) == state
+    state = ExplorerState(a=a, b=b, theme=theme)
+    assert ExplorerState.from_query(state.query()) == state
+    assert ExplorerState.from_query("?" + state.query()) == state
 
 
 def test_the_defaults_need_no_query():
-    assert State().query() == ""
-    assert State.from_query("") == State()
+    assert ExplorerState().query() == ""
+    assert ExplorerState.from_query("") == ExplorerState()
 
 
 def test_a_second_set_up_of_defaults_is_kept():
-    assert State.from_query(State(b=Setup()).query()).b == Setup()
+    assert ExplorerState.from_query(ExplorerState(b=ExplorerSetup()).query()).b == ExplorerSetup()
 
 
 @settings(max_examples=200, deadline=None)
 @given(st.text(max_size=80))
-def test_any_text_is_a_state_or_an_error_of_ours(query):
+def test_any_query_is_a_state_or_a_package_error(query):
     with contextlib.suppress(ParameterError):
-        assert isinstance(State.from_query(query), State)
+        assert isinstance(ExplorerState.from_query(query), ExplorerState)
 
 
 @pytest.mark.parametrize(
@@ -82,7 +90,7 @@ def test_any_text_is_a_state_or_an_error_of_ours(query):
         ("sampler=", "give a spec"),
         ("sampler=jittered%00", "control"),
         ("sampler=jittered%0A", "control"),
-        (f"sampler={'a' * 3000}", "2000 at most"),
+        (f"sampler={'a' * 3000}", "at most 2000"),
         (f"sampler={'a' * 9000}", "longer than"),
         ("density=a|b", "chains"),
         ("smoothing=nan", "finite"),
@@ -113,7 +121,7 @@ def test_any_text_is_a_state_or_an_error_of_ours(query):
 )
 def test_odd_addresses_get_a_sentence(query, said):
     with pytest.raises(ParameterError, match=said) as caught:
-        State.from_query(query)
+        ExplorerState.from_query(query)
     assert len(str(caught.value)) < 400
 
 
@@ -134,10 +142,10 @@ def test_odd_addresses_get_a_sentence(query, said):
 )
 def test_addresses_open_no_files(query):
     with pytest.raises(ParameterError, match=r"file|brackets"):
-        State.from_query(query)
+        ExplorerState.from_query(query)
 
 
-def test_code_and_folders_are_allowed_by_who_starts_it(tmp_path):
+def test_the_user_who_starts_it_may_allow_code_and_folders(tmp_path):
     (tmp_path / "in").mkdir()
     inside, outside = tmp_path / "in" / "a.dat", tmp_path / "b.dat"
     for file in (inside, outside):
@@ -145,46 +153,51 @@ def test_code_and_folders_are_allowed_by_who_starts_it(tmp_path):
     (tmp_path / "in" / "link.dat").symlink_to(outside)
     for text in ("command('./mine {n} {seed}')", "python('os:getcwd')"):
         with pytest.raises(ConfigError, match="--allow-code"):
-            Setup(sampler=text)
+            ExplorerSetup(sampler=text)
     with pytest.raises(SpecError, match="--allow-path"):
-        Setup(sampler=f"points(path={str(inside)!r}) | shift")
+        ExplorerSetup(sampler=f"points(path={str(inside)!r}) | shift")
     allow(folders=[tmp_path / "in"])
     for name in ("a.dat", "a*"):
-        Setup(sampler=f"points(path={str(tmp_path / 'in' / name)!r}) | shift")
+        ExplorerSetup(sampler=f"points(path={str(tmp_path / 'in' / name)!r}) | shift")
     for path in (outside, tmp_path / "in" / "link.dat", tmp_path / "in" / "*", tmp_path / "*"):
         with pytest.raises(SpecError, match="names a file"):
-            Setup(sampler=f"points(path={str(path)!r})")
+            ExplorerSetup(sampler=f"points(path={str(path)!r})")
     allow_code("./explored {n} {seed}")
-    Setup(sampler="command('./explored {n} {seed}', name='mine')")
+    ExplorerSetup(sampler="command('./explored {n} {seed}', name='mine')")
     with pytest.raises(ConfigError, match="--allow-code"):
-        Setup(sampler="command('./explored {n} {seed}; rm')")
+        ExplorerSetup(sampler="command('./explored {n} {seed}; rm')")
 
 
-@pytest.mark.parametrize("field", [each.name for each in dataclasses.fields(Setup)])
+@pytest.mark.parametrize("field", [each.name for each in dataclasses.fields(ExplorerSetup)])
 @pytest.mark.parametrize("value", [None, [], True, float("nan"), b"x"])
 def test_fields_of_a_wrong_type_are_refused(field, value):
-    if value is None and getattr(Setup(), field) is None:
-        return  # the explorer's own choice
+    if value is None and getattr(ExplorerSetup(), field) is None:
+        return  # The explorer chooses this value itself
     with pytest.raises(ParameterError):
-        Setup(**{field: value})
+        ExplorerSetup(**{field: value})
 
 
-def test_what_is_no_set_up_is_refused():
-    with pytest.raises(ParameterError, match="Setup"):
-        State(a="jittered")
-    with pytest.raises(ParameterError, match="Setup"):
-        State(b="jittered")
+def test_an_invalid_set_up_is_refused():
+    with pytest.raises(ParameterError, match="ExplorerSetup"):
+        ExplorerState(a="jittered")
+    with pytest.raises(ParameterError, match="ExplorerSetup"):
+        ExplorerState(b="jittered")
 
 
 def test_the_strata_shift_is_a_step_of_the_sampler():
-    assert Setup(strata_shift=0.25).displaced_sampler == "jittered | strata-shift(offset=0.25)"
-    assert Setup().displaced_sampler == "jittered"
+    assert (
+        ExplorerSetup(strata_shift=0.25).displaced_sampler == "jittered | strata-shift(offset=0.25)"
+    )
+    assert ExplorerSetup().displaced_sampler == "jittered"
 
 
 def test_formulas_have_slashes_and_dots():
     spec = "formula(expression='exp(-x/2.5)*y.real')"
-    assert State.from_query(State(a=Setup(integrand=spec)).query()).a.integrand == spec
+    assert (
+        ExplorerState.from_query(ExplorerState(a=ExplorerSetup(integrand=spec)).query()).a.integrand
+        == spec
+    )
     with pytest.raises(ParameterError, match="looks like a file"):
-        Setup(integrand="formula(expression='x', other='/etc/passwd')")
+        ExplorerSetup(integrand="formula(expression='x', other='/etc/passwd')")
     with pytest.raises(ParameterError, match="looks like a file"):
-        Setup(integrand="gaussian(expression='x/2')")
+        ExplorerSetup(integrand="gaussian(expression='x/2')")

@@ -1,4 +1,4 @@
-"""Uploads: kept under their digest, broken ones refused."""
+"""Uploads are stored under their digest, and broken ones are refused."""
 
 import hashlib
 import io
@@ -53,10 +53,10 @@ def test_broken_pictures_are_refused(data, name, said, tmp_path):
 
 def test_pictures_of_too_many_pixels_are_refused():
     with pytest.raises(FileFormatError, match="^The picture, of .* make a smaller version"):
-        keep_upload(png(5000, 4000), "a.png")  # before it is unpacked
+        keep_upload(png(5000, 4000), "a.png")  # Refused before it is decompressed
     data = io.BytesIO()
     np.savez_compressed(data, image=np.zeros((4200, 4000), np.uint8))
-    with pytest.raises(FileFormatError, match="16777216 at most"):
+    with pytest.raises(FileFormatError, match="at most 16777216"):
         keep_upload(data.getvalue(), "a.npz")
 
 

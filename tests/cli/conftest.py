@@ -1,4 +1,4 @@
-"""The command, run in this process."""
+"""Fixtures that run the command in this process."""
 
 import json
 
@@ -23,7 +23,7 @@ def run(capsys):
 
 @pytest.fixture
 def run_json(run):
-    """Run the command with ``--json``; return what it printed."""
+    """Run the command with ``--json``; return its parsed output."""
 
     def call(*arguments):
         code, out, err = run(*arguments, "--json")

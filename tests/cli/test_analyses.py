@@ -1,4 +1,4 @@
-"""The verbs predict and variance with its splits, and the views of spectrum, against their functions."""
+"""The verbs predict and variance, its splits, and views of spectrum equal their functions."""
 
 import io
 import re
@@ -11,7 +11,7 @@ from mcspectra.core.analysis import ANALYSES
 
 
 def test_exact_variance_of_a_line(run, run_json):
-    """Jittered and linear: 1/(12 n³), so that the local rate is −3."""
+    """Jittered points and a linear function: 1/(12 n³), so the local rate is −3."""
     arguments = (
         "predict",
         "linear",
@@ -48,7 +48,7 @@ def test_quiet_keeps_the_result(run):
     assert quiet[2] == ""
 
 
-def test_anova_is_that_of_the_function(run, run_json):
+def test_anova_equals_the_function(run, run_json):
     arguments = ("variance", "gaussian", "--split", "axes", "-d", 3, "-m", 300, "--seed", 2)
     data = run_json(*arguments)
     estimator = mcs.Estimator("gaussian", dims=3)
@@ -79,7 +79,7 @@ def test_anova_of_points_and_order(run_json):
     assert len(data["anova_variance"]) == 2
 
 
-def test_modes_are_those_of_the_function(run, run_json, tmp_path):
+def test_modes_equal_the_function(run, run_json, tmp_path):
     file = tmp_path / "modes.npz"
     arguments = ("variance", "gaussian", "-d", 2, "--sampler", "jittered", "-n", 16, "-m", 60)
     options = (
@@ -146,7 +146,7 @@ def test_modes_without_variance_say_so(run):
     assert out.splitlines()[-1] == "no mode: the coefficients do not vary"
     arguments = ("variance", "linear", "-d", 1, "--sampler", "regular | shift", "-n", 4, "-m", 50)
     _, out, _ = run(*arguments, "--split", "modes", "--half-width", 4, "--modes", 4)
-    assert "2 more of rounding size" in out  # S_4 has a phase: two modes
+    assert "2 more at rounding level" in out  # S_4 has a phase, so there are two modes
     assert "nan" not in out
 
 
@@ -182,7 +182,7 @@ def test_views_of_a_spectrum(run, run_json, spectrum, view, function, names):
         "radial": lambda: f"{16 * float(expected['radial_power'][-1]):.5g}",
         "slices": lambda: f"{16 * float(expected['slice_power'][-1, -1]):.5g}",
         "wedges": lambda: f"{16 * float(expected['wedge_power'][-1]):.5g}",
-        "exponent": lambda: f"{first:.3g} … ",  # and that it is not resolved
+        "exponent": lambda: f"{first:.3g} … ",  # The interval shows that it is not resolved
     }[view]()
     assert last_power in out.splitlines()[-1]
     assert "nan" not in out
@@ -192,7 +192,7 @@ def test_a_spectrum_shows_radial_power_by_default(run):
     assert run(*SPECTRUM)[1] == run(*SPECTRUM, "--show", "power")[1]
 
 
-def test_no_exponent_has_its_reason(run, run_json):
+def test_a_missing_exponent_has_a_reason(run, run_json):
     arguments = ("spectrum", "regular", "-n", 64, "--half-width", 6, "-m", 2, "--show", "exponent")
     code, out, _ = run(*arguments)
     assert code == 0
@@ -200,7 +200,7 @@ def test_no_exponent_has_its_reason(run, run_json):
     assert run_json(*arguments)["low_frequency_exponent"] is None
 
 
-def test_exact_says_infinite(run):
+def test_an_infinite_exact_variance_is_printed(run):
     given = ("cosine", "-d", 1, "--density", "power", "--sampler", "random", "--counts", "4,8")
     code, out, _ = run("predict", *given, "--method", "exact")
     assert code == 0
@@ -238,7 +238,7 @@ AXES = ("variance", "--split", "axes")
 
 
 def test_effective_dimensions_beyond_the_order(run):
-    """Π(1 + 3(x − ½))-like in 3 dims: subsets of three axes have more than 1 %."""
+    """Similar to Π(1 + 3(x − ½)) in 3 dims: subsets of three axes have more than 1 %."""
     code, out, _ = run(*AXES, "polynomial(coefficients=[0, 1])", "-d", 3, "-m", "2e4")
     assert code == 0
     assert "effective dimension superposition: more than 2" in out
@@ -248,7 +248,7 @@ def test_effective_dimensions_beyond_the_order(run):
     assert "nan" not in out
 
 
-def test_shares_of_rounding_are_0(run):
+def test_shares_at_rounding_level_are_zero(run):
     _, out, _ = run(*AXES, "linear", "-d", 3, "-m", 200)
     shares = {line.split()[0]: line.split()[3] for line in out.splitlines()[3:9]}
     assert shares["x1"] == shares["x2"] == shares["x1x2"] == "0"
@@ -264,7 +264,7 @@ SEVERAL = {
 
 
 def test_several_samplers_wherever_the_analysis_takes_them(run, run_json):
-    """The doors follow from the declaration: two samplers are a dim, one is none."""
+    """Options follow from the declaration: two samplers are a dim, one sampler is not."""
     verbs = {
         cls.verb
         for name in ANALYSES
@@ -292,7 +292,7 @@ def test_several_samplers_wherever_the_analysis_takes_them(run, run_json):
     assert "--sampler is given twice; give it once" in err
 
 
-def test_several_predictions_are_those_of_each(run_json):
+def test_several_predictions_equal_single_predictions(run_json):
     two = ("--sampler", "jittered", "--sampler", "random")
     data = run_json("predict", "gaussian", *two, "--counts", "16,64")
     expected = mcs.predict("gaussian", ["jittered", "random"], [16, 64])
@@ -305,7 +305,7 @@ def test_all_methods_are_rows_and_those_without_a_value_say_why(run, run_json):
     options = ("--method", "all", "-m", 50, "--half-width", 4)
     code, out, _ = run(*given, *options)
     assert code == 0
-    rows, reasons = out.split("no value by\n")
+    rows, reasons = out.split("no value from\n")
     for n in (16, 64):
         assert re.search(rf"^{n} .* exact \(quadrature\)$", rows, re.MULTILINE)
         assert re.search(rf"^{n} .* measured \(50 realizations\)$", rows, re.MULTILINE)
@@ -318,7 +318,7 @@ def test_all_methods_are_rows_and_those_without_a_value_say_why(run, run_json):
 
 
 def test_a_plan_without_an_answer_says_why(run):
-    """As `predict` does; beside others such a sampler is a note."""
+    """The same holds for `predict`; among other samplers, such a sampler is a note."""
     sampler = ("--sampler", "sobol", "--target-error")
     why = "a deterministic sampler has no variance: add owen or shift, or look at |bias|"
     code, out, err = run("plan", "gaussian", *sampler, 0.1)
@@ -333,7 +333,7 @@ def test_a_plan_without_an_answer_says_why(run):
     assert out.splitlines()[-1].startswith("sobol: a deterministic sampler has no variance")
 
 
-def test_variance_prints_what_is_beyond_its_half_width(run, run_json):
+def test_variance_prints_the_variance_beyond_its_half_width(run, run_json):
     arguments = ("variance", "disk", "--sampler", "random", "-n", 16, "--half-width", 4, "-m", 50)
     data = run_json(*arguments)
     _, out, _ = run(*arguments)
@@ -372,7 +372,7 @@ OF_SPLITS = {
 
 
 @pytest.mark.parametrize("split", OF_SPLITS)
-def test_a_split_has_its_options_and_refuses_those_of_others(run, split):
+def test_a_split_refuses_options_of_other_splits(run, split):
     subject = ("linear", "-d", 1, "--sampler", "random", "-n", 4, "--split", split)
     own = set(OF_SPLITS[split])
     flags = ("--cross-matrix", "--points-only")

@@ -1,4 +1,4 @@
-"""Each verb as a user types it: text, JSON, seeds, pipes, exit codes."""
+"""Each verb as a user runs it: text, JSON, seeds, pipes, exit codes."""
 
 import io
 import re
@@ -112,7 +112,7 @@ def test_version(run):
     assert run("--version")[1].strip() == mcs.__version__
 
 
-def test_closed_pipe_is_no_error():
+def test_a_closed_pipe_is_not_an_error():
     command = f"{sys.executable} -m mcspectra points random -n 200000 | head -n 1"
     done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
     assert done.stderr == ""
@@ -142,7 +142,7 @@ def test_closed_standard_input_is_a_sentence():
     assert "closed" in done.stderr
 
 
-def test_a_pipe_is_no_study_file(tmp_path):
+def test_a_pipe_is_not_a_study_file(tmp_path):
     import os
 
     os.mkfifo(tmp_path / "pipe.toml")
@@ -191,7 +191,7 @@ def test_converge_stops_at_a_precision_and_chooses_its_window(run, run_json):
 
 
 def test_converge_prints_an_infinite_upper_end(run, run_json):
-    """Nothing was printed; JSON had null, as for numbers that are not known."""
+    """It was not printed before, and JSON had null, as for unknown numbers."""
     arguments = ("converge", "disk(center=0.4, radius=0.006)", "-d", 1, "--sampler", "random")
     arguments = (*arguments, "--counts", "4,16", "-m", 300)
     curve = run_json(*arguments)["curves"][0]
@@ -206,7 +206,7 @@ def test_converge_prints_an_infinite_upper_end(run, run_json):
     assert "tails not resolved at n = 4: few estimates make the variance, tail index k̂ = " in out
 
 
-def test_techniques_print_no_rate_that_is_no_finding(run):
+def test_techniques_print_no_unresolved_rate(run):
     given = ("-d", 1, "--density", "uniform", "--density", "tent", "--sampler", "random")
     _, out, _ = run(
         "variance", "--split", "techniques", "gaussian", *given, "--counts", "4,8", "-m", 20
@@ -216,7 +216,7 @@ def test_techniques_print_no_rate_that_is_no_finding(run):
 
 
 def test_converge_finds_no_rate_in_noise_or_in_rounding(run, run_json):
-    """-1.03 ± 1.34 of five realizations, and a rate of 1e-34."""
+    """The rate of five realizations is −1.03 ± 1.34; a rate of 1e-34 is rounding."""
     arguments = (
         "converge",
         "gaussian",
@@ -296,7 +296,7 @@ def test_options_of_all_verbs_stand_before_or_after_the_verb(run):
     assert run("--json", "--seed=3", "points", "random", "-n", 4, "--quiet") == after
 
 
-def test_what_is_no_option_before_the_verb_is_a_sentence(run):
+def test_an_unknown_option_before_the_verb_gives_a_sentence(run):
     for given, lack in (
         (("--frob", "doctor"), "no option '--frob' before the verb"),
         (("--json",), "no verb"),
@@ -308,7 +308,7 @@ def test_what_is_no_option_before_the_verb_is_a_sentence(run):
 
 
 def test_errors_name_what_was_typed(run, tmp_path):
-    """Options as flags, positional arguments as in the help."""
+    """Options appear as flags, and positional arguments as in the help."""
     for given, start in (
         (("design", "density", "gaussian", "-n", 16, "--family", "vegas"), "--family is 'vegas'; "),
         (("design", "magic", "gaussian", "-n", 16), "KIND is 'magic'; "),
@@ -346,7 +346,7 @@ def test_frames_are_listed_alike_in_the_help_and_in_errors(run, tmp_path):
         assert {*re.findall(r" (\.\w+)", text.partition("options:")[0])} == endings
 
 
-def test_messages_quote_little_of_what_is_long(run, tmp_path, monkeypatch):
+def test_messages_shorten_long_values(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     long = 5000 * "k"
     (tmp_path / "study.toml").write_text(f"{long} = 1\n")
@@ -377,10 +377,10 @@ def test_messages_quote_little_of_what_is_long(run, tmp_path, monkeypatch):
     ("raised", "code", "words"),
     [
         (KeyboardInterrupt, 130, "Interrupted."),
-        (MemoryError, 2, "Not enough memory; ask for fewer"),
+        (MemoryError, 2, "Not enough memory; use fewer"),
     ],
 )
-def test_what_ends_a_command_is_a_code_and_a_line(run, monkeypatch, raised, code, words):
+def test_every_error_gives_an_exit_code_and_a_line(run, monkeypatch, raised, code, words):
     def ended(arguments):
         raise raised
 
@@ -391,8 +391,8 @@ def test_what_ends_a_command_is_a_code_and_a_line(run, monkeypatch, raised, code
     assert err.count("\n") == 1
 
 
-def test_an_interrupted_command_does_not_wait_for_tasks_that_go_on():
-    """Nothing of Python's end is run, which waits for native code, and may abort."""
+def test_an_interrupted_command_does_not_wait_for_running_tasks():
+    """Python's normal exit is skipped: it waits for native code, and may abort."""
     code = """
 import atexit, sys, time
 from mcspectra.cli import main as module
@@ -401,13 +401,11 @@ from mcspectra.studies.executors import Threads
 def ended(arguments):
     Threads(1).submit(None, lambda: time.sleep(100))
     atexit.register(print, "Python has ended")
-    raise KeyboardInterrupt("what was finished is in out, --resume continues")
+    raise KeyboardInterrupt("finished work is in out; --resume continues")
 
 module._dispatch = ended
 sys.exit(module.main())
 """
     done = python("-c", code)
     assert (done.returncode, done.stdout) == (130, "")
-    assert done.stderr == (
-        "mcspectra: Interrupted; what was finished is in out, --resume continues.\n"
-    )
+    assert done.stderr == ("mcspectra: Interrupted; finished work is in out; --resume continues.\n")

@@ -1,4 +1,4 @@
-"""What `doctor` says of the renderer: what works, what was refused, and what to install."""
+"""The renderer in `doctor`: working variants, refused libraries, and missing packages."""
 
 import importlib.util
 import shutil
@@ -22,14 +22,14 @@ def own_cache(monkeypatch, tmp_path):
 
 
 def only(monkeypatch, library):
-    """Let there be no other library than the one that the variable names."""
+    """Hide all libraries except the one that the variable names."""
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(library))
     monkeypatch.setattr(backend, "_wheel_library", list)
     monkeypatch.setattr(backend, "_system_libraries", list)
 
 
 def aborting_library(folder, monkeypatch):
-    """A library that ends the process when it is loaded; without a compiler, a probe that does."""
+    """Build a library that ends the process when loaded; without a compiler, a failing probe."""
     library = folder / "libLLVM-99.so"
     compiler = shutil.which("cc")
     if compiler is None:
@@ -58,7 +58,7 @@ def test_version_of_a_kept_verdict_is_the_one_found():
     assert first.version
 
 
-def test_library_that_is_none_is_passed_over(monkeypatch, tmp_path, capsys):
+def test_an_invalid_library_is_skipped(monkeypatch, tmp_path, capsys):
     library = tmp_path / "libLLVM-99.so"
     library.write_text("no library")
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(library))

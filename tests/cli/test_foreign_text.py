@@ -1,4 +1,4 @@
-"""Titles, names, specs and paths of strangers: no verb prints what steers a terminal or moves a line."""
+"""Untrusted titles, names, specs and paths: no verb prints control characters or extra lines."""
 
 import csv
 import shutil
@@ -77,7 +77,7 @@ def test_verbs_of_studies(run, here):
     shutil.copytree(here / SHORT, here / "other")
     assert_harmless(*run("report", here / SHORT, "--compare", here / "other")[1:])
 
-    # Pages and tables, too
+    # Check pages and tables as well
     for page in (here / SHORT / "report.html", here / "other" / "comparison.html"):
         text = page.read_text("utf-8")
         assert SEEN in Parsed(text).text
@@ -103,7 +103,7 @@ def test_failures_and_what_is_missing(run, here):
 
 
 @pytest.mark.parametrize("verb", sorted(VERBS))
-def test_every_verb_refuses_what_is_written_so(run, here, verb):
+def test_every_verb_escapes_control_characters(run, here, verb):
     for arguments in (
         [EVIL],
         [f"--{EVIL}"],
@@ -118,7 +118,7 @@ def test_every_verb_refuses_what_is_written_so(run, here, verb):
         ["--out", EVIL],
     ):
         if verb in ("bench", "doctor", "reproduce") and arguments[0] == "--out":
-            continue  # works without arguments
+            continue  # This verb works without arguments
         _, out, err = run(verb, *arguments, "--seed", "1")
         assert_harmless(out, err)
 
@@ -160,8 +160,8 @@ def test_layers_of_frames(run, here):
 )
 @pytest.mark.parametrize("verb", ["render", "pixel"])
 def test_names_of_scenes(here, capfd, verb, inside):
-    """What native code prints counts, too."""
-    name = "a\u202e\u200b\x7f\x9b2Jb"  # XML has no others
+    """This includes the output of native code."""
+    name = "a\u202e\u200b\x7f\x9b2Jb"  # XML allows no other control characters
     text = f"<scene version='3.0.0'>{inside.format(name)}</scene>"
     (here / "scene.xml").write_text(text, encoding="utf-8")
     more = ["-n", "4"] if verb == "pixel" else []
@@ -176,7 +176,7 @@ def test_names_of_scenes(here, capfd, verb, inside):
     "verb", ["status", "report", "export", "run", "frames", "render", "profile"]
 )
 def test_a_name_that_is_too_long_is_bad_input(run, here, verb, length):
-    """``status`` ended with an unexpected OSError, and code 1."""
+    """``status`` used to end with an unexpected OSError and code 1."""
     code, _, err = run(verb, "x" * length, *(["-o", "a.csv"] if verb == "export" else []))
     assert code == 2
     assert "Unexpected" not in err

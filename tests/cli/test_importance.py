@@ -23,8 +23,9 @@ def test_mirroring(run_json, mode):
     )
     assert f"mirrored: {mode}" in found["estimator"]
     (curve,) = found["curves"]
-    # folded or in all images, the wrap-around of the shift is continuous: toward −2, −1.8 at these
-    # counts, not −1.5; coins are random, −1. The slope's SE is 0.04: √(2/200) over ln 16, 0.1 · 1.4/2.8
+    # Folding or all images make the wrap-around of the shift continuous: the rate tends to −2 (−1.8
+    # at these counts) instead of −1.5. Random mirroring has rate −1. The standard error of the
+    # slope is 0.04: √(2/200) over ln 16, 0.1 · 1.4/2.8
     rate = curve["rate"]
     assert abs(rate + 1) < 0.2 if mode == "random" else rate < -1.65
 
@@ -39,7 +40,7 @@ def test_remedies_as_table_and_as_json(run, run_json):
     )
     code, out, err = run(*given)
     assert (code, err) == (0, "")
-    # The answer first, then a table in the same order
+    # The answer comes first, followed by a table in the same order
     lines = out.splitlines()
     assert found["answer"].startswith(lines[0])
     first = next(k for k, line in enumerate(lines) if line.startswith("---")) + 1

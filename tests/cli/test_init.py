@@ -1,4 +1,4 @@
-"""The verb init, and what run does with --set, --dry-run and its allowances."""
+"""The verb init, and the options --set, --dry-run and allowances of run."""
 
 import json
 import re
@@ -27,14 +27,14 @@ def test_init_writes_a_study_that_runs(run, file, tmp_path):
     assert [row["sampler"] for row in json.loads(out)["rows"]] == ["jittered"] * 3
 
 
-def test_all_that_the_template_offers_in_comments_is_valid():
-    """Every commented line of TOML that follows a table can be taken in."""
+def test_commented_lines_of_the_template_are_valid():
+    """Every commented line of TOML after a table can be used."""
     offered = [
         line.removeprefix("# ") if line.startswith("# [") or " = " in line[:24] else line
         for line in template().splitlines()
     ]
     text = "\n".join(offered).replace("one_sample = true", "# one_sample = true")
-    text = re.sub(r"\[anova-spectrum\].*\nn = 64", "", text)  # not for weighted estimators
+    text = re.sub(r"\[anova-spectrum\].*\nn = 64", "", text)  # Not valid for weighted estimators
     plan = make_plan(decode_study(text, overrides=["terms.bands='radial'"]), ".")
     assert [cell.error for cell in plan.cells if cell.error] == []
     assert {cell.path.rpartition("/")[2] for cell in plan.cells} == {*ANALYSES} - {"anova-spectrum"}
@@ -49,20 +49,20 @@ def test_init_refuses_to_overwrite(run, file):
     file.write_text("mine")
     code, out, err = run("init", file)
     assert (code, out) == (2, "")
-    assert "is there already; give another name" in err
+    assert "already exists; give another name" in err
     assert file.read_text() == "mine"
 
 
 @pytest.mark.parametrize(
     ("name", "words"), [("no/folder/x.toml", "cannot be written"), ("x.txt", "must end in .toml")]
 )
-def test_init_where_no_file_can_be(run, tmp_path, name, words):
+def test_init_reports_an_unwritable_file(run, tmp_path, name, words):
     code, _, err = run("init", tmp_path / name)
     assert code == 2
     assert words in err
 
 
-def test_init_says_what_it_wrote(run, tmp_path, monkeypatch):
+def test_init_prints_the_written_file(run, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert json.loads(run("init", "--json")[1]) == {"file": "study.toml"}
     assert run("init", "b.toml", "--quiet") == (
@@ -77,12 +77,12 @@ def test_schema_prints_the_schema(run, tmp_path, monkeypatch):
     assert json.loads(run("init", "--schema")[1]) == study_schema()
     assert "| `counts` |" in run("init", "--schema", "--markdown")[1]
     assert list(tmp_path.iterdir()) == []
-    assert "--markdown is for --schema; give that too." in run("init", "--markdown")[2]
+    assert "--markdown is for --schema; also give --schema." in run("init", "--markdown")[2]
     assert "--schema writes no file; leave s.toml out." in run("init", "s.toml", "--schema")[2]
 
 
 def test_whole_numbers_of_a_study_may_be_floats(run, file, tmp_path):
-    """1e3 is a float in TOML; it was refused where an integer was asked."""
+    """1e3 is a float in TOML, which used to be refused for an integer."""
     few = ("--dry-run", "--json", "--set", "convergence.counts=[1.6e1, 6.4e1]", "--set", "seed=1e0")
     assert run("run", file, *few)[0] == 0
     code, _, err = run("run", file, "--dry-run", "--set", "convergence.realizations=1.5e0")
@@ -94,7 +94,7 @@ def test_dry_run_writes_nothing(run, file, tmp_path):
     code, out, _ = run("run", file, "--dry-run", "--out", tmp_path / "o", "--workers", 2)
     assert code == 0
     assert not (tmp_path / "o").exists()
-    assert re.search(r"with 2 workers; \d\d tasks", out)  # 18, more on a slow machine
+    assert re.search(r"with 2 workers; \d\d tasks", out)  # 18, or more on a slow machine
     rows = [line for line in out.splitlines() if " convergence " in line]
     assert [row.split()[0] for row in rows] == ["plain", "importance-sampled", "multiple"]
     found = json.loads(run("run", file, "--dry-run", "--json")[1])

@@ -25,7 +25,7 @@ def run(capsys, *arguments):
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """A map on disk, and what the function returns."""
+    """A map on disk, and the result of the function."""
     from mcspectra.rendering import variance_map
 
     folder = tmp_path_factory.mktemp("map") / "out"
@@ -81,7 +81,7 @@ def test_json_is_strict_and_complete(made, capsys):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_text_has_a_row_a_strategy(tmp_path, capsys):
+def test_text_has_a_row_per_strategy(tmp_path, capsys):
     options = ("--strategies", "bsdf,light", "--predict-every", 0, "--out", tmp_path)
     code, out, _ = run(capsys, "veach", *SMALL, *options)
     assert code == 0
@@ -139,11 +139,11 @@ def test_bad_input_is_one_sentence(options, sentence, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
-def test_folders_that_cannot_take_a_map(made, tmp_path, capsys):
+def test_invalid_folders_for_a_map_are_refused(made, tmp_path, capsys):
     folder, _ = made
     (tmp_path / "file").write_text("")
     for target, more, sentence in (
-        (folder, (), "holds results already"),
+        (folder, (), "already holds results"),
         (folder, ("--resume", "--seed", 4), "belongs to another study"),
         (tmp_path / "file", (), "is a file"),
     ):
@@ -153,7 +153,7 @@ def test_folders_that_cannot_take_a_map(made, tmp_path, capsys):
 
 
 def synthetic(**changes):
-    """A map whose numbers need no renderer."""
+    """A map of made-up numbers, which needs no renderer."""
     shape = (2, 2, 3, 5)
     values = np.geomspace(1e-9, 1e3, 60).reshape(shape)
     return xr.Dataset(
@@ -181,8 +181,8 @@ def test_maps_of_any_numbers_can_be_drawn(fill):
         draw(describe(kind, result)).canvas.draw()
 
 
-def test_the_answer_is_what_has_the_least_variance_at_most_pixels():
-    """Four pixels: light, BSDF and MIS are best at one each; at the last light misses half of what is there."""
+def test_the_answer_has_the_least_variance_at_most_pixels():
+    """Light, BSDF and MIS are each best at one of four pixels; at the last, light misses half."""
     single = np.array([[1.0, 4.0, 4.0, 0.1], [4.0, 1.0, 4.0, 4.0], [2.0, 2.0, 2.0, 2.0]])
     means = np.ones((3, 1, 4))
     means[0, 0, 3] = 0.5
@@ -236,7 +236,7 @@ def test_a_map_of_whole_paths_names_its_worst_pixels_and_resumes(capsys, tmp_pat
     page = (folder / "report.html").read_text(encoding="utf-8")
     assert f" {worst[0]['x']} {worst[0]['y']} --integrator" in page
     assert "mcspectra pixel &#39;penumbra(width=12, height=8)&#39; " in page
-    request.getfixturevalue("undrawn")  # what was drawn stays
+    request.getfixturevalue("undrawn")  # Pictures that exist stay
     before = (folder / "maps.exr").read_bytes()
     code, _, err = run(capsys, *asked, "--resume")
     assert code == 0, err

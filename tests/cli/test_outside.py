@@ -1,4 +1,4 @@
-"""Verbs of analyses are derived: an outsider's options, help, text and JSON, and our own table of verbs."""
+"""Verbs derived from analyses of other packages (options, help, text, JSON), and our own verbs."""
 
 import argparse
 import json
@@ -68,7 +68,7 @@ class Gaps(Analysis, frozen=True, kw_only=True):
 
 @pytest.fixture
 def run(tmp_path, monkeypatch, capsys):
-    """Run the command beside an installed package that registers two analyses, one of them broken."""
+    """Run the command with an installed package of two analyses, one of which is broken."""
     (tmp_path / "their_gaps.py").write_text(MODULE, encoding="utf-8")
     about = tmp_path / "their_gaps-1.0.dist-info"
     about.mkdir()
@@ -107,7 +107,7 @@ def test_its_help_is_derived_from_its_options(run):
     lines = " ".join(out.split())
     assert "-n N points of each technique" in lines
     assert "-m R, --realizations R independent realizations" in lines
-    assert "default 10, or all sets of points that are given" in lines
+    assert "default 10, or all given sets of points" in lines
     assert "--ends ENDS what happens at 100 %: open, wrap; default open" in lines
     assert "--names NAMES names of gaps; repeatable" in lines
     assert "--weights W weights of gaps; default 1,0.5" in lines
@@ -150,7 +150,7 @@ def test_its_result_is_shown_without_code_for_it(run, tmp_path):
         (("-n", 4, "--out", "no/such/gaps.npz"), "cannot be written"),
     ],
 )
-def test_what_its_options_refuse_is_one_sentence(run, options, words):
+def test_invalid_options_give_one_sentence(run, options, words):
     code, out, err = run("gaps", "random", "-d", 1, *options)
     assert (code, out) == (2, "")
     assert words in err
@@ -165,7 +165,9 @@ def test_what_its_options_refuse_is_one_sentence(run, options, words):
         ("other-gaps", "function", "power_spectrum", "spectrum"),
     ],
 )
-def test_two_analyses_with_one_door_are_named(run, tmp_path, name, door, word, owner):
+def test_two_analyses_with_the_same_verb_or_function_are_named(
+    run, tmp_path, name, door, word, owner
+):
     other = MODULE.replace('verb = "gaps"', f'verb = "other"\n    {door} = "{word}"')
     (tmp_path / "other_gaps.py").write_text(other, encoding="utf-8")
     entries = tmp_path / "their_gaps-1.0.dist-info" / "entry_points.txt"
@@ -192,13 +194,13 @@ def test_two_analyses_with_one_door_are_named(run, tmp_path, name, door, word, o
 def test_a_verb_of_the_package_itself_is_refused(run, tmp_path):
     module = tmp_path / "their_gaps.py"
     module.write_text(MODULE.replace('verb = "gaps"', 'verb = "run"'), encoding="utf-8")
-    sentence = "The analysis 'gap-widths' has the verb 'run', which is one of mcspectra itself"
+    sentence = "The analysis 'gap-widths' has the verb 'run', which belongs to mcspectra itself"
     code, out, _ = run("--help")
     assert code == 0
     assert f"left out: gap-widths: {sentence}" in out
     code, _, err = run("gap-widths")
     assert (code, sentence in err) == (2, True)
-    assert "all that a study file asks for" in run("--help")[1]
+    assert "every estimator of a study file" in run("--help")[1]
     assert run("run", "--help")[0] == 0
 
 
@@ -230,7 +232,7 @@ def test_what_verbs_declare_is_taken():
         assert declared <= _TAKEN | _TAKEN_BY_SUBJECTS
 
 
-def test_our_table_of_verbs_is_that_of_the_analyses():
+def test_the_table_of_verbs_agrees_with_the_analyses():
     own = {name for name, target in ANALYSES.items() if target.startswith("mcspectra.")}
     verbs: dict[str, set[str]] = {}
     for name in own:
@@ -258,7 +260,7 @@ def test_an_analysis_of_another_package_is_a_split_of_ours(run, tmp_path):
     assert "largest gap" in out
     assert "--ends is for --split gaps; give that" in run(*subject, "--ends", "wrap")[2]
     assert "mcspectra variance --split gaps" in run("list", "analyses")[1]
-    # Of two that are called alike ours stays
+    # If two analyses have the same name, the one of this package is used
     module.write_text(ours.replace('split = "gaps"', 'split = "modes"'), encoding="utf-8")
     sys.modules.pop("their_gaps", None)
     assert "have the same verb 'variance --split modes'" in run("gap-widths")[2]

@@ -1,4 +1,4 @@
-"""The verb ``pcf``: the library's g(r) as text and JSON, of specs and of point sets."""
+"""The verb ``pcf``: the library's g(r) as text and JSON, for specs and for point sets."""
 
 import io
 import json
@@ -29,7 +29,7 @@ def test_json_is_what_the_function_returns(run):
     assert (data["boundary"], data["seed"]) == ("border", 3)
 
 
-def test_text_has_a_row_a_bin(run):
+def test_text_has_a_row_per_bin(run):
     code, out, _ = run("pcf", "jittered", "-n", 64, "--bins", 4, "-m", 2)
     assert code == 0
     header, _, *rows = out.splitlines()
@@ -44,7 +44,7 @@ def test_text_has_a_row_a_bin(run):
 
 
 @pytest.mark.parametrize("piped", [True, False])
-def test_point_sets_are_taken_where_a_sampler_goes(run, monkeypatch, tmp_path, piped):
+def test_point_sets_may_replace_a_sampler(run, monkeypatch, tmp_path, piped):
     _, text, _ = run("points", "jittered", "-n", 64, "--seed", 4)
     (tmp_path / "set.dat").write_text(text)
     monkeypatch.setattr(sys, "stdin", io.StringIO(text))
@@ -54,4 +54,4 @@ def test_point_sets_are_taken_where_a_sampler_goes(run, monkeypatch, tmp_path, p
     data = json.loads(out)
     expected = mcs.pair_correlation("jittered", 64, realizations=1, rng=4)
     assert np.allclose(data["pair_correlation"], expected["pair_correlation"])
-    assert set(data["pair_correlation_se"]) == {None}  # of one realization there is none
+    assert set(data["pair_correlation_se"]) == {None}  # One realization has no standard error

@@ -52,7 +52,7 @@ def run(capsys, *arguments):
 
 @pytest.fixture(scope="module", autouse=True)
 def small_effort():
-    """Little work, and none twice: the same arguments get the tree that was made for them."""
+    """Reduce the work; equal arguments return the same tree."""
     small = replace(EFFORTS["quick"], half_width={2: 6, 3: 2}, resolution=16)
     made: dict[str, Any] = {}
 
@@ -64,7 +64,9 @@ def small_effort():
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pixel, "predict", predicted_bell)
-        patch.setattr("mcspectra.rendering.pixel._POINTS", 2**12)  # of means: 2**17 take seconds
+        patch.setattr(
+            "mcspectra.rendering.pixel._POINTS", 2**12
+        )  # Points for means; 2**17 would take seconds
         patch.setattr(pixel, "variance_terms", of_a_bell(variance_terms))
         patch.setitem(EFFORTS, "quick", small)
         patch.setattr(pixel, "analyse_pixel", kept)
@@ -106,7 +108,7 @@ def test_text_has_rows_and_sentences(capsys):
         for sampler in SAMPLERS:
             found = [line for line in lines if line.split("  ")[0] == name and sampler in line]
             assert found
-            assert re.search(r"∫g²|exact|strata|torus|gains", found[0])  # how it was predicted
+            assert re.search(r"∫g²|exact|strata|torus|gains", found[0])  # Method of the prediction
         assert any(line.startswith(f"{name}: ") for line in lines)
     assert any("bottleneck of MIS" in line for line in lines)
     assert "of all lines through the cube meet a jump of g" in " ".join(out.split())

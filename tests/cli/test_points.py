@@ -42,7 +42,7 @@ def test_pictures_by_extension(run, tmp_path, extension, start):
     assert file.read_bytes().startswith(start)
 
 
-def test_pictures_say_sampler_count_seed_and_density(run, tmp_path):
+def test_pictures_name_sampler_count_seed_and_density(run, tmp_path):
     file = tmp_path / "p.svg"
     density = ("--density", "linear(slope=0.5)")
     code, out, _ = run("points", "random", "-n", 9, "--seed", 7, *density, "-o", file, "--json")
@@ -51,7 +51,7 @@ def test_pictures_say_sampler_count_seed_and_density(run, tmp_path):
     assert "<!-- random, n = 9, seed 7, density linear(slope=0.5) -->" in file.read_text()
 
 
-def test_quality_is_the_librarys_with_16_sets(run):
+def test_quality_equals_the_library_with_16_sets(run):
     code, out, _ = run("points", "sobol | owen", "-n", 16, "--quality", "--json")
     assert code == 0
     found = json.loads(out)
@@ -64,14 +64,14 @@ def test_quality_is_the_librarys_with_16_sets(run):
         assert entry["standard_error"] == pytest.approx(figure.standard_error)
 
 
-def test_quality_as_a_table_with_reasons_for_what_is_missing(run, tmp_path):
+def test_quality_table_has_reasons_for_missing_figures(run, tmp_path):
     file = tmp_path / "p.csv"
     arguments = ("points", "random", "-n", 10, "-m", 1, "--quality", "-o", file)
     code, out, _ = run(*arguments)
     assert code == 0
     assert out.startswith("random, n = 10, 1 set\n")
     row = next(line for line in out.splitlines() if line.startswith("diaphony"))
-    assert row.endswith(" -")  # one set has no standard error
+    assert row.endswith(" -")  # One set has no standard error
     assert "no t_value: 10 is not a power of 2." in out
     assert len(read_points(file)) == 1
     assert run(*arguments, "--quiet") == (0, out, "")

@@ -1,4 +1,4 @@
-"""The verb `profile` of files of draws: their formats, its answer, its figure and its refusals."""
+"""The verb `profile` for files of draws: formats, text, figures and errors."""
 
 import numpy as np
 import pytest
@@ -94,7 +94,7 @@ def test_weights_of_a_file(run_json, files):
     ("names", "words"),
     [
         (("none.npy",), "none.npy cannot be read as .npy: No such file"),
-        (("draws.txt",), "is not a file of draws; these end in .npy, .csv, .nc or .zarr. Give"),
+        (("draws.txt",), "is not a file of draws, which ends in .npy, .csv, .nc or .zarr. Give"),
         (("both.npy", "gaussian"), "'gaussian' is not a file of draws"),
         (("both.npy", "--budget", "512"), "--budget is for integrands; leave it out with files"),
         (("both.npy", "--sampler", "random"), "--sampler is for integrands"),

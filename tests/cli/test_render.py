@@ -1,4 +1,4 @@
-"""The verb `render`: what it prints and writes, and one sentence for each mistake."""
+"""The verb `render`: its output and files, and one sentence per mistake."""
 
 import json
 
@@ -81,7 +81,7 @@ def test_whole_paths_of_a_built_in_scene(command, tmp_path):
     assert (code, err) == (0, "")
     image = render_file(SCENE, integrator="path(max_depth=3)", sampler="sobol | owen", spp=16)
     np.testing.assert_allclose(json.loads(out)["mean"], image.mean((0, 1)), rtol=1e-12)
-    np.testing.assert_allclose(read_image(files[0]), image, rtol=1e-3)  # half floats
+    np.testing.assert_allclose(read_image(files[0]), image, rtol=1e-3)  # Half floats
     assert files[0].read_bytes() == files[1].read_bytes()
     assert read_image(files[2]).shape == (16, 24, 3)
 

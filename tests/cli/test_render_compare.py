@@ -46,7 +46,7 @@ def test_files_and_figures(tmp_path, capsys):
     assert told["files"] == [str(png), str(exr)]
 
 
-def test_text_has_a_row_an_image(capsys):
+def test_text_has_a_row_per_image(capsys):
     code, out, _ = run(capsys, *SMALL)
     header, _, *rows = out.splitlines()
     assert code == 0

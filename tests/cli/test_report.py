@@ -1,4 +1,4 @@
-"""The verb report: page again, comparison, one sentence for bad input."""
+"""The verb report: the page again, a comparison, and one sentence for bad input."""
 
 import json
 from pathlib import Path
@@ -53,7 +53,11 @@ def test_bad_input(folders, tmp_path, capsys):
         [folders[0], "--compare", str(tmp_path)],
         [folders[0], "--compare", folders[0]],
         [folders[0], "--out", str(tmp_path / "nowhere" / "x.html")],
-        [folders[0], "--out", str(tmp_path / "x")],  # a device, say, which a page would replace
+        [
+            folders[0],
+            "--out",
+            str(tmp_path / "x"),
+        ],  # Any path, such as a device
         [],
     ):
         assert main(["report", *arguments]) == 2
@@ -72,7 +76,7 @@ def test_a_run_of_very_many_cells_writes_no_report(tmp_path, monkeypatch, capsys
 
 
 def test_no_page_is_written_into_a_store(folders, capsys):
-    """A store has a digest of all its files; from Python, and as a comparison, a page ended it."""
+    """A store has a digest of all its files, so a page in it would invalidate the store."""
     store = f"{folders[0]}/results.zarr"
     for arguments in (["report", store], ["report", str(folders[0]), "--compare", store]):
         assert main(arguments) == 2

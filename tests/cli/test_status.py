@@ -56,7 +56,7 @@ def damage(folder, content):
     file.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
 
 
-def test_status_says_what_is_done_failed_and_missing(folder, capsys):
+def test_status_lists_done_failed_and_missing_cells(folder, capsys):
     code, found = status(folder, capsys)
     assert code == 1
     assert found["state"] == "unfinished"
@@ -102,7 +102,7 @@ def test_verify_finds_damage_and_names_it(folder, capsys):
     assert found["analyses"]["terms"] == {"done": 1, "failed": 1, "missing": 0, "damaged": 1}
 
 
-def test_a_lock_that_is_no_lock_is_counted_and_fails(folder, capsys):
+def test_an_invalid_lock_is_counted_and_fails(folder, capsys):
     (folder / "study.lock").write_bytes(b"junk")
     for verify in ((), ("--verify",)):
         assert main(["status", str(folder), *verify]) == 1
@@ -112,7 +112,7 @@ def test_a_lock_that_is_no_lock_is_counted_and_fails(folder, capsys):
         assert not any("--resume" in line for line in lines)
 
 
-def test_damage_of_the_file_is_said_in_our_words(folder, capsys):
+def test_damage_of_the_file_is_reported_in_plain_words(folder, capsys):
     file = folder / LEDGER_NAME
     page = 8192
     content = bytearray(file.read_bytes())
@@ -139,7 +139,7 @@ def test_a_finished_study_is_finished(folder, capsys):
     assert ", finished 20" in capsys.readouterr().out
 
 
-def test_status_names_who_did_not_end_in_good_order(folder, capsys):
+def test_status_names_a_process_that_did_not_end_normally(folder, capsys):
     with Ledger.resume(folder, NOTE, PATHS):
         left = (folder / LEDGER_NAME).read_bytes()
     (folder / LEDGER_NAME).write_bytes(left)

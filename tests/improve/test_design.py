@@ -436,7 +436,7 @@ def test_the_verb_saves_the_rival_that_its_certificate_prefers(tmp_path, monkeyp
     out = tmp_path / "mine.json"
     for n, rival, told in (
         ("64", "rank1-lattice | shift | mirror(mode='fold')", "it is saved instead"),
-        ("16", "pmj02-blue-noise", "its points are not uniform, so that this design is kept"),
+        ("16", "pmj02-blue-noise", "its points are not uniform, so this design is kept"),
     ):
         words = ["design", "lattice", GAUSSIANS, "-n", n, "--members", "40", "-o", str(out)]
         assert main(words) == 0

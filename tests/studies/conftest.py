@@ -1,4 +1,4 @@
-"""Integrands of tests that misbehave, in a module that study files can name."""
+"""Integrands that misbehave, in a module that study files can name."""
 
 import textwrap
 
@@ -13,7 +13,7 @@ __all__ = ["of_a_bell", "predicted_bell", "undrawn"]
 
 
 def of_a_bell(analysis):
-    """The analysis of a bell in place of an estimator of a pixel, which takes seconds, and named by it."""
+    """Run the analysis on a bell, under the name of a slow estimator of a pixel."""
 
     def call(estimator, *given, **options):
         bell = mcs.integrand("gaussian", dims=estimator.dims)
@@ -154,7 +154,7 @@ def dies_once(x):
 
 @pytest.fixture
 def misbehaving(tmp_path, monkeypatch):
-    """The module's functions by the names that studies give them; its folder holds the marks."""
+    """Return the module's functions by their names in studies; its folder holds the mark files."""
     import sys
 
     folder = tmp_path / "modules"
@@ -167,7 +167,7 @@ def misbehaving(tmp_path, monkeypatch):
 
 @pytest.fixture(scope="session")
 def stored_values():
-    """Every array of a store, by path, as bytes."""
+    """Return every array of a store as bytes, by path."""
 
     def values(folder):
         tree = open_results(folder)

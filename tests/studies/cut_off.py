@@ -1,9 +1,9 @@
-"""A run on two workers, one of which is cut off; prints what came of it as JSON.
+"""Run a study on two workers, cut one of them off, and print the result as JSON.
 
-``namespace``: each worker is a host of its own, a network namespace joined to the scheduler's by a
-pair of virtual Ethernet devices; one pair is taken down. To be run in a network namespace of its own
-too, which ends with it (``unshare --net``). ``stopped``: both workers share this host, and one is
-stopped, so that it keeps its connections and answers nothing.
+``namespace``: each worker is its own host, a network namespace connected to the scheduler's by a
+pair of virtual Ethernet devices, of which one is taken down. The program itself must run in its own
+network namespace, which ends with it (``unshare --net``). ``stopped``: both workers share this
+host, and one is stopped, so that it keeps its connections and answers nothing.
 """
 
 import itertools
@@ -17,15 +17,15 @@ import time
 from pathlib import Path
 
 from mcspectra.studies.executors import Cluster, Dask
-from mcspectra.studies.tasks import Outcome, StudyText, Task
+from mcspectra.studies.tasks import Outcome, StudyTask, StudyText
 from mcspectra.version import __version__
 
-LONGEST = 100  # seconds; then all processes end
-HOST = "10.77.9.1"  # the scheduler's, where each worker has a network of its own
-AFTERWARDS = 20  # tasks that begin when one worker is alone
+LONGEST = 100  # Seconds after which all processes end
+HOST = "10.77.9.1"  # The scheduler's address in the network of each worker
+AFTERWARDS = 20  # Number of tasks that begin when only one worker is left
 TIMEOUTS = {
     "DASK_DISTRIBUTED__COMM__TIMEOUTS__TCP": "12s",
-    "DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL": "1s",  # dask waits at least ten beats of a heart, 5 s
+    "DASK_DISTRIBUTED__SCHEDULER__WORKER_TTL": "1s",  # Dask waits at least ten heartbeats, 5 s
     "OMP_NUM_THREADS": "1",
 }
 
@@ -40,7 +40,7 @@ PORT = free_port()
 
 
 def started(*command, **options):
-    """A process whose log nobody reads."""
+    """Start a process and discard its log."""
     environment = os.environ | TIMEOUTS
     null = subprocess.DEVNULL
     return subprocess.Popen(command, env=environment, stdout=null, stderr=null, **options)
@@ -72,7 +72,7 @@ def namespace(process):
 
 
 def isolated_worker(index):
-    """A worker in a network namespace of its own, reached through the device ``near<index>``."""
+    """Start a worker in its own network namespace, connected by the device ``near<index>``."""
     near, far, net = f"near{index}", f"far{index}", f"10.77.{index}"
     up = (
         f"read go; ip link set lo up; ip addr add {net}.2/24 dev {far}; ip link set {far} up; "
@@ -92,7 +92,7 @@ def isolated_worker(index):
 
 
 def computation():
-    """A task of 50 ms that says which worker computed it, sent by value."""
+    """Return a task of 50 ms that returns the name of its worker; it is sent by value."""
 
     def compute(text, task):
         import time
@@ -107,7 +107,7 @@ def computation():
 
 
 def run(address, cut):
-    """Run tasks until worker 0 has computed one, cut it off, run more."""
+    """Run tasks until worker 0 has computed one, cut it off, and run more tasks."""
     text = StudyText(config_json="{}", folder="/", seed=0, version=__version__)
     engine = Dask(text, Cluster(address=address), computation())
     engine._client.wait_for_workers(2, timeout=30)
@@ -116,7 +116,7 @@ def run(address, cut):
 
     def submit(count):
         for _ in range(count):
-            engine.submit(Task(path=str(next(serials)), run=None))
+            engine.submit(StudyTask(path=str(next(serials)), run=None))
 
     submit(4)
     for outcome in engine.outcomes():

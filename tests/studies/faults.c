@@ -1,9 +1,9 @@
-/* What the system may do to a run, for tests: to be loaded before the C library, by LD_PRELOAD.
+/* Causes system faults in a run, for tests; load it before the C library with LD_PRELOAD.
 
-FAULTS_LOG     file to which every change of a file "study.*" or ".study.*" is noted, in order
-FAULTS_CLOCK   seed: the clock of the day jumps by years, both ways, every few looks at it
-FAULTS_NOLOCK  locks of files fail, as on a network file system without them
-faults_memory  function: after so many allocations the next ones fail */
+FAULTS_LOG     file that receives every change of files "study.*" and ".study.*", in order
+FAULTS_CLOCK   seed: the wall clock jumps by years, both ways, every few reads
+FAULTS_NOLOCK  file locks fail, as on a network file system without locks
+faults_memory  function: allocations fail after the given number of allocations */
 
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -173,7 +173,7 @@ void *malloc(size_t size) { return lacking() ? NULL : __libc_malloc(size); }
 void *calloc(size_t count, size_t size) { return lacking() ? NULL : __libc_calloc(count, size); }
 void *realloc(void *old, size_t size) { return lacking() ? NULL : __libc_realloc(old, size); }
 
-/* Clocks: that of the day only, as the others never go back */
+/* Clocks: only the wall clock, because the other clocks never go back */
 
 static time_t jumped(void) {
     static atomic_ulong state = 0;

@@ -1,9 +1,9 @@
-"""Run a study again and again, killed at any moment: ``killed_runs STUDY FOLDER KILLS SEED``.
+"""Kill runs of a study at any moment and resume them: ``killed_runs STUDY FOLDER KILLS SEED``.
 
-The first run, which nothing stops, goes to FOLDER/straight; the others are killed at moments spread
-over its duration, resumed, half of them killed again on the way, and resumed to the end. All are
-``mcspectra run``, in forks of this process, which have all modules imported. Prints a line of JSON for
-each: what the killed ones came to, and what the last one did.
+The first run is not killed and goes to FOLDER/straight. The others are killed at moments spread
+over its duration and resumed; half of them are killed again, and all are resumed to the end. All
+runs are ``mcspectra run`` in forks of this process, which has imported all modules. The program
+prints one line of JSON per trial: the state of the killed run, and the result of the last run.
 """
 
 import contextlib
@@ -23,14 +23,14 @@ from mcspectra.studies import ledger, schedule
 
 
 def run(study, out, moment=None, resume=False):
-    """Run the command in a fork, in tasks of one block, and kill it after `moment` seconds."""
+    """Run the command in a fork with tasks of one block, and kill it after `moment` seconds."""
     child = os.fork()
     if child == 0:
         silent = os.open(os.devnull, os.O_WRONLY)
         os.dup2(silent, 1)
         schedule._TARGET, schedule._RECORDED_AFTER = 1e-9, 0.0
         ledger._COMMIT_SECONDS = 0.005
-        page._drawn = words_alone  # pictures would take longer than all that is stored
+        page._drawn = words_alone  # Pictures would take longer than all the rest
         arguments = ["run", str(study), "--out", str(out), "--workers", "1", "--quiet"]
         os._exit(main(arguments + ["--resume"] * resume))
     if moment is not None:
@@ -40,9 +40,9 @@ def run(study, out, moment=None, resume=False):
 
 
 def all_trials(study, folder, kills, seed):
-    """Print what came of each trial."""
+    """Print the result of each trial."""
     chosen = random.Random(seed)
-    # Also imports all modules, before anything is forked.
+    # This also imports all modules before the first fork.
     with contextlib.redirect_stdout(None):
         main(["run", str(study), "--out", str(folder / "straight"), "--workers", "1", "--quiet"])
     begun = time.monotonic()

@@ -1,4 +1,4 @@
-"""Clusters of the tests; their processes are forked from one that has imported what they need."""
+"""Clusters for tests; their processes are forked from one that has imported the packages."""
 
 import contextlib
 import importlib
@@ -11,7 +11,7 @@ from distributed.utils import get_mp_context
 
 @contextlib.contextmanager
 def _forking():
-    """Dask forks its processes; this is what does so."""
+    """Return dask's context for forking processes."""
     with dask.config.set({"distributed.worker.multiprocessing-method": "forkserver"}):
         context = get_mp_context()
         context.set_forkserver_preload(["distributed", "mcspectra.studies.executors"])
@@ -20,7 +20,7 @@ def _forking():
 
 @contextlib.contextmanager
 def local_cluster(workers):
-    """Worker processes of one thread each, with nannies; their end is waited for half a minute."""
+    """Start worker processes of one thread each, with nannies; wait half a minute for their end."""
     with _forking():
         cluster = distributed.LocalCluster(
             n_workers=workers,
@@ -31,18 +31,18 @@ def local_cluster(workers):
         try:
             yield cluster
         finally:
-            # dask waits for good for a nanny whose worker dies while it is being started
+            # dask waits for ever for a nanny whose worker dies while it is being started
             with contextlib.suppress(TimeoutError):
                 cluster.close(timeout=30)
 
 
 def scheduler(*options):
-    """Start what ``dask scheduler`` is."""
+    """Start the program ``dask scheduler``."""
     return _forked("scheduler", "--dashboard-address", "127.0.0.1:0", *options)
 
 
 def worker(*options):
-    """Start what ``dask worker`` is, of one thread and without a nanny."""
+    """Start the program ``dask worker`` with one thread and without a nanny."""
     return _forked("worker", "--nthreads", "1", "--no-nanny", *options)
 
 
@@ -55,7 +55,7 @@ def _forked(what, *options):
 
 
 def _run(what, arguments):
-    """A program of dask's whose log nobody reads."""
+    """Run a program of dask and discard its log."""
     silent = os.open(os.devnull, os.O_WRONLY)
     os.dup2(silent, 1)
     os.dup2(silent, 2)

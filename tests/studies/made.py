@@ -1,4 +1,4 @@
-"""Texts of studies that have the cells that a test wants, for ledgers that no run has written."""
+"""Texts of studies with given cells, for ledgers that no run has written."""
 
 import json
 
@@ -7,7 +7,7 @@ from mcspectra.core.results import Variable
 
 
 def text_of(paths, title="t", samplers=("random",)):
-    """The text of a study, as ledgers have it; names of estimators and samplers are parts of paths."""
+    """Return the text of a study, as in ledgers, with names taken from the parts of paths."""
     entries: dict[str, dict] = {}
     for estimator, sampler, analysis in (path.split("/") for path in paths):
         entry = entries.setdefault(estimator, {"name": estimator, "samplers": []})
@@ -19,7 +19,7 @@ def text_of(paths, title="t", samplers=("random",)):
 
 
 def admit(patch, *names, analyses=("convergence", "terms")):
-    """Have analyses declare variables that tests make up, as those of other packages might."""
+    """Let analyses declare the variables of tests, as analyses of other packages could."""
     for analysis in analyses:
         kind = ANALYSES.load(analysis)
         made = (Variable("made up", "1", None, "biufc", name) for name in names)

@@ -1,4 +1,4 @@
-"""Further analyses in a study are what the functions return, stored without text."""
+"""Cells of a study equal the results of the functions and are stored without text."""
 
 import numpy as np
 import pytest
@@ -102,7 +102,7 @@ def test_exact_variances(finished):
     assert "note" not in found.attrs
 
 
-def test_no_closed_form_is_a_note_and_no_failure(finished):
+def test_a_missing_closed_form_is_a_note_not_a_failure(finished):
     found = open_results(finished)["none/poisson-disk/predict"]
     assert np.isnan(found["predicted_variance"].values).all()
     with pytest.raises(mcs.NoClosedForm) as caught:
@@ -111,8 +111,8 @@ def test_no_closed_form_is_a_note_and_no_failure(finished):
     assert found.attrs["labels_method"] == ["none"]
 
 
-def test_methods_side_by_side_have_their_labels_again(finished):
-    """Texts along two dims are attributes of a store; plots and tables read them."""
+def test_results_of_several_methods_keep_their_labels(finished):
+    """Texts along two dims become attributes of a store; plots and tables read them."""
     stored = open_results(finished)["wave/jittered-shift/predict"].to_dataset()
     again, expected = labelled(stored), _expected()["wave/jittered-shift/predict"]
     assert again["how"].dims == ("method", "n")
@@ -127,7 +127,7 @@ def test_methods_side_by_side_have_their_labels_again(finished):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_the_report_has_their_tables(finished):
+def test_the_report_has_tables_of_all_analyses(finished):
     text = write_report(finished).read_text(encoding="utf-8")
     tree = open_results(finished)
     remedies = tree["edge/jittered-shift/remedies"]
@@ -140,7 +140,7 @@ def test_the_report_has_their_tables(finished):
     assert summarize(tree) == []
 
 
-def test_the_study_in_the_report_is_the_study(finished):
+def test_the_report_contains_the_study(finished):
     from mcspectra.report.study import study_toml
 
     config = decode_study(STUDY)

@@ -1,4 +1,4 @@
-"""Dask as an engine: every task has one outcome, whatever dies; nothing grows, nobody listens in."""
+"""Dask as an executor: every task has one outcome after any failure, within bounded memory."""
 
 import contextlib
 import gc
@@ -19,18 +19,18 @@ from tests.studies.local_cluster import local_cluster, scheduler, worker
 
 from mcspectra.core.errors import ParameterError
 from mcspectra.studies.executors import Cluster, ClusterError, ClusterLost, Dask, Threads
-from mcspectra.studies.tasks import Outcome, StudyText, Task
+from mcspectra.studies.tasks import Outcome, StudyTask, StudyText
 from mcspectra.version import __version__
 
 TEXT = StudyText(config_json="{}", folder="/", seed=0, version=__version__)
 
 
 def task(name):
-    return Task(path=str(name), run=None)
+    return StudyTask(path=str(name), run=None)
 
 
 def squares():
-    """What workers compute, here and below a function inside one, which is sent by value."""
+    """Task for workers with a nested function, which is sent by value."""
 
     def compute(text, task):
         number = int(task.key)
@@ -52,7 +52,7 @@ def cluster():
     """Two worker processes with nannies; the scheduler gives up a task whose worker dies."""
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 0}),
-        dask.config.set({"distributed.deploy.lost-worker-timeout": 1e9}),  # nannies stay
+        dask.config.set({"distributed.deploy.lost-worker-timeout": 1e9}),  # Nannies stay
         local_cluster(2) as cluster,
     ):
         yield cluster
@@ -60,7 +60,7 @@ def cluster():
 
 @pytest.fixture
 def engine_on(cluster):
-    """Make engines on that cluster, closed at the end."""
+    """Make executors on that cluster, closed at the end."""
     engines = []
 
     def make(compute, **options):
@@ -83,7 +83,7 @@ def test_every_task_has_one_outcome_as_computed(engine_on):
         for i in range(20)
     }
     assert list(engine.outcomes()) == []
-    assert set(all_outcomes(engine, [task(3)])) == {"3"}  # the same key again, later
+    assert set(all_outcomes(engine, [task(3)])) == {"3"}  # The same key is computed again later
 
 
 def test_tasks_may_follow_from_outcomes(engine_on):
@@ -105,7 +105,7 @@ def marking(folder, size):
     return compute
 
 
-def test_workers_run_no_further_ahead_than_two_tasks_a_thread(engine_on, tmp_path):
+def test_at_most_two_tasks_per_thread_are_submitted(engine_on, tmp_path):
     engine = engine_on(marking(tmp_path, 8))
     for index in range(50):
         engine.submit(task(index))
@@ -117,7 +117,7 @@ def test_workers_run_no_further_ahead_than_two_tasks_a_thread(engine_on, tmp_pat
     assert len(list(engine.outcomes())) == 50
 
 
-def test_nothing_is_kept_of_outcomes(engine_on, cluster, tmp_path):
+def test_memory_of_outcomes_is_released(engine_on, cluster, tmp_path):
     engine = engine_on(marking(tmp_path, 500_000))
     sizes = []
     for index in range(100):
@@ -125,18 +125,20 @@ def test_nothing_is_kept_of_outcomes(engine_on, cluster, tmp_path):
     for outcome in engine.outcomes():
         assert len(outcome.payload) == 500_000
         sizes.append(sum(state.nbytes for state in cluster.scheduler.workers.values()))
-    # 50 MB went through; at most two tasks a thread and those just released are held at once.
+    # 50 MB went through; at most two tasks per thread and the last released ones are in memory.
     assert max(sizes) <= 10 * 510_000
     deadline = time.monotonic() + 10
     while cluster.scheduler.tasks and time.monotonic() < deadline:
         time.sleep(0.02)
     assert not cluster.scheduler.tasks
-    assert len(cluster.scheduler.task_prefixes) == 1  # kept for ever by dask, one for all studies
+    assert (
+        len(cluster.scheduler.task_prefixes) == 1
+    )  # Dask keeps prefixes for ever, so all studies share one
     assert not engine._client.futures
 
 
 def suicidal(folder, always):
-    """Task 0 kills its worker, `always` or the first time only."""
+    """Task 0 kills its worker, either always or only the first time."""
 
     def compute(text, task):
         import os
@@ -161,10 +163,10 @@ def test_a_task_that_kills_every_worker_fails_alone(engine_on, tmp_path):
     failed = found.pop("0")
     assert failed.payload is None
     assert failed.error == (
-        "2 workers died while computing it; it may need more memory than a worker has (the worker's "
-        "log says more)."
+        "2 workers died while computing it; it may need more memory than a worker has (see the "
+        "worker's log)."
     )
-    assert {outcome.payload for outcome in found.values()} == {b"done"}  # bystanders too
+    assert {outcome.payload for outcome in found.values()} == {b"done"}  # Including other tasks
 
 
 def hanging():
@@ -180,7 +182,7 @@ def hanging():
 
 
 def both(cluster):
-    """Addresses of its workers, once both are there."""
+    """Return the addresses of both workers, once both are connected."""
     deadline = time.monotonic() + 30
     while len(cluster.scheduler.workers) < 2 and time.monotonic() < deadline:
         time.sleep(0.02)
@@ -212,8 +214,8 @@ def holding():
     return compute
 
 
-def test_code_that_never_gives_python_back_fails_alone(engine_on):
-    """The worker cannot notice that its time is over: it is ended from within, and replaced."""
+def test_code_that_holds_the_interpreter_lock_fails_alone(engine_on):
+    """The worker cannot notice its time limit; it ends itself and is replaced."""
     found = all_outcomes(engine_on(holding(), time_limit=0.2), [task(i) for i in range(6)])
     assert found.pop("0").error.startswith("2 workers died while computing it")
     assert {outcome.payload for outcome in found.values()} == {b"done"}
@@ -226,7 +228,7 @@ def raising():
     return compute
 
 
-def test_what_escapes_a_task_is_its_error(engine_on):
+def test_an_exception_of_a_task_is_its_error(engine_on):
     found = all_outcomes(engine_on(raising()), [task(0)])
     assert found["0"].error == "It raised ValueError: no number."
 
@@ -264,10 +266,10 @@ def test_workers_of_another_version_are_refused_by_name_before_anything_runs(clu
         process.kill()
         process.wait()
     message = str(caught.value)
-    assert message.startswith(f"The study is run by mcspectra {__version__}, but of its workers ")
+    assert message.startswith(f"The study is run by mcspectra {__version__}, but ")
     assert f"{socket.gethostname()} (tcp://127.0.0.1:" in message
-    assert message.endswith(" has 99.0; install the same version there.")
-    assert message.count("has") == 1  # the two others are not named
+    assert message.endswith(" has 99.0; install the same version on every worker.")
+    assert message.count("has") == 1  # The two other workers are not named
 
 
 def free_port():
@@ -308,7 +310,7 @@ def test_a_scheduler_that_dies_may_come_back_or_ends_the_run():
         for index in range(5):
             engine.submit(task(index))
         start = time.monotonic()
-        with pytest.raises(ClusterLost, match=f"The dask scheduler at {address} has gone and did"):
+        with pytest.raises(ClusterLost, match=f"The dask scheduler at {address} went away and did"):
             list(engine.outcomes())
         assert time.monotonic() - start < 15
     finally:
@@ -320,7 +322,7 @@ def test_a_scheduler_that_dies_may_come_back_or_ends_the_run():
 
 @pytest.fixture
 def encrypted(tmp_path):
-    """Dask's own configuration of TLS: an authority, which is the certificate itself, and its key."""
+    """Dask's TLS configuration: a certificate that is its own authority, and its key."""
     made = distributed.Security.temporary()
     names = {"ca": made.tls_ca_file, "cert": made.tls_ca_file, "key": made.tls_client_key}
     for name, text in names.items():
@@ -335,7 +337,7 @@ def encrypted(tmp_path):
 
 
 def listening():
-    """Addresses at which this process and those it started listen."""
+    """Return the addresses at which this process and its children listen."""
     here = psutil.Process()
     family = [here, *here.children(recursive=True)]
     sockets = [each for process in family for each in process.net_connections()]
@@ -343,7 +345,7 @@ def listening():
 
 
 def workers_here():
-    """Processes that Python's own server forked for work, which itself stays."""
+    """Return the worker processes forked by Python's fork server, without the server itself."""
     family = psutil.Process().children(recursive=True)
     return {each.pid for each in family if each.ppid() != os.getpid()}
 
@@ -366,7 +368,7 @@ def test_a_cluster_of_this_machine_is_on_loopback_encrypted_and_gone_afterwards(
     assert workers_here() == before
 
 
-def test_a_cluster_is_left_with_tasks_under_way(engine_on, cluster):
+def test_a_cluster_can_be_left_while_tasks_run(engine_on, cluster):
     engine = engine_on(slow())
     for index in range(100):
         engine.submit(task(index))
@@ -384,7 +386,7 @@ ISOLATED = ["unshare", "--user", "--map-root-user", "--net"]
 
 
 def _can_make_networks():
-    """Whether this user may make network namespaces, as root or by user namespaces."""
+    """Whether this user may create network namespaces, as root or through user namespaces."""
     command = [*ISOLATED, "ip", "link", "add", "near", "type", "veth", "peer", "name", "far"]
     try:
         return subprocess.run(command, capture_output=True, check=False).returncode == 0
@@ -397,7 +399,7 @@ WAYS = {"stopped": []} | ({"namespace": ISOLATED} if _can_make_networks() else {
 
 @pytest.fixture(scope="module")
 def cut_off():
-    """A run for each way to cut a worker off; they wait at the same time."""
+    """Start a run for each way to cut a worker off; they run at the same time."""
     script = str(Path(__file__).with_name("cut_off.py"))
     pipe = subprocess.PIPE
     return {
@@ -419,7 +421,7 @@ def test_a_run_completes_without_a_worker_that_is_cut_off(cut_off, way):
     hosts = [host for _, _, _, host in outcomes]
     first = hosts.index("worker0")
     assert len(hosts) >= first + 21
-    # One more result may have been on its way when the worker was cut off.
+    # One more result may have been in transit when the worker was cut off.
     assert hosts[first + 1 :].count("worker0") <= 1
 
 
@@ -428,7 +430,7 @@ ADDRESSES += ["tcp://a b:1", "pickle://x:1", "tcp://host:123456", "\x00:1"]
 
 
 @pytest.mark.parametrize("address", ADDRESSES)
-def test_addresses_that_are_none(address):
+def test_invalid_addresses_are_refused(address):
     with pytest.raises(ParameterError, match="give tcp://HOST:PORT"):
         Cluster(address=address)
 
@@ -449,17 +451,17 @@ def test_addresses_that_are_none(address):
         ({"address": "tcp://host:1", "dashboard": 80}, "has its own workers"),
     ],
 )
-def test_options_that_do_not_go(options, match):
+def test_contradicting_options_are_refused(options, match):
     with pytest.raises(ParameterError, match=match):
         Cluster(**options)
 
 
-def test_an_address_with_tls_needs_dasks_configuration_of_it():
+def test_a_tls_address_needs_dasks_tls_configuration():
     with pytest.raises(ClusterError, match="No dask scheduler answers at tls://.*TLS"):
         Dask(TEXT, Cluster(address="tls://127.0.0.1:1", patience=0.5), squares())
 
 
-def test_nobody_answers():
+def test_an_address_without_a_server_is_an_error():
     options = Cluster(address=f"127.0.0.1:{free_port()}", patience=0.5)
     start = time.monotonic()
     with pytest.raises(ClusterError, match="No dask scheduler answers at 127.0.0.1:"):
@@ -468,8 +470,8 @@ def test_nobody_answers():
 
 
 @pytest.mark.parametrize("answer", [None, bytes, lambda data: data])
-def test_what_answers_is_no_scheduler(answer):
-    """A server that says nothing, one that hangs up, and an echo, as a port connected to itself is."""
+def test_a_server_that_is_not_a_scheduler_is_refused(answer):
+    """Servers that send nothing, hang up, or echo, as a port connected to itself does."""
 
     def serve(connection):
         with connection:
@@ -492,22 +494,22 @@ def test_what_answers_is_no_scheduler(answer):
             Dask(TEXT, options, squares())
 
 
-def test_a_worker_is_no_scheduler(cluster):
+def test_the_address_of_a_worker_is_refused(cluster):
     options = Cluster(address=next(iter(cluster.scheduler_info["workers"])), patience=5.0)
-    with pytest.raises(ClusterError, match="what answers is no scheduler"):
+    with pytest.raises(ClusterError, match="another program answers, not a scheduler"):
         Dask(TEXT, options, squares())
 
 
 @pytest.mark.parametrize("content", [None, "", "{}", "[1]", "\x00", '{"address": 3}'])
-def test_scheduler_files_that_are_none(tmp_path, content):
+def test_invalid_scheduler_files_are_refused(tmp_path, content):
     file = tmp_path / "scheduler.json"
     if content is not None:
         file.write_text(content)
-    with pytest.raises(ParameterError, match="is not a file that a dask scheduler wrote"):
+    with pytest.raises(ParameterError, match="is not a file written by a dask scheduler"):
         Dask(TEXT, Cluster(address=str(file)), squares())
 
 
-def test_a_scheduler_file_is_followed(cluster, tmp_path):
+def test_a_scheduler_file_gives_the_address(cluster, tmp_path):
     file = tmp_path / "scheduler.json"
     file.write_text(json.dumps({"address": cluster.scheduler_address}))
     engine = Dask(TEXT, Cluster(address=str(file)), squares())
@@ -518,7 +520,7 @@ def test_a_scheduler_file_is_followed(cluster, tmp_path):
 
 
 def pipes():
-    """Number of pipes that this process has open."""
+    """Return the number of pipes that this process has open."""
     count = 0
     for file in Path("/proc/self/fd").iterdir():
         with contextlib.suppress(OSError):
@@ -536,7 +538,7 @@ def test_all_executors_close_their_pipes_at_the_end(cluster, kind, cancel):
         "cluster": lambda: Dask(TEXT, Cluster(address=cluster.scheduler_address), squares()),
     }[kind]
     seen = []
-    for _ in range(3):  # what the first one opens for all may stay
+    for _ in range(3):  # Pipes opened once for all executors may stay
         engine = made()
         for number in range(4):
             engine.submit(task(number), lambda: None)

@@ -1,4 +1,4 @@
-"""Whole studies on dask: the same bits as on one thread, and resumed after the scheduler's death."""
+"""Whole studies on dask: the same bits as on one thread, and resumed after a scheduler dies."""
 
 import contextlib
 import json
@@ -96,7 +96,7 @@ def test_the_scheduler_is_killed_and_the_store_resumed(expected, tmp_path, store
 
 
 def _impatient(make):
-    """An engine that waits long for the first connection, and a second when it is lost."""
+    """Make an executor that waits long for the first connection, but 1 s for a lost one."""
 
     def engine(text):
         made = make(text)
@@ -136,7 +136,7 @@ def test_ctrl_c_leaves_a_resumable_store_and_no_cluster(tmp_path, hear_interrupt
     end = time.monotonic() + 120
     while not _some_are_done(tmp_path / "out") and time.monotonic() < end:
         time.sleep(0.02)
-    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: the command and its workers
+    os.killpg(process.pid, signal.SIGINT)  # Like a terminal: signals the command and its workers
     _, err = process.communicate(timeout=120)
     assert process.returncode == 130, err
     assert "Interrupted" in err
@@ -158,14 +158,14 @@ def _some_are_done(out):
 
 
 def _wait_for_group(group):
-    """Raise ProcessLookupError as soon as no process of a group is left, within 10 s."""
+    """Raise ProcessLookupError when a process group is empty; wait up to 10 s."""
     for _ in range(100):
         os.killpg(group, 0)
         time.sleep(0.1)
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_json_says_nothing_of_dask(cluster, tmp_path, capsys):
+def test_json_output_does_not_mention_dask(cluster, tmp_path, capsys):
     study = tmp_path / "small.toml"
     study.write_text(STUDY)
     arguments = ["run", str(study), "--out", str(tmp_path / "out"), "--json"]

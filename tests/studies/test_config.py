@@ -1,4 +1,4 @@
-"""Keys of a study: what they build, and which contradict each other."""
+"""Keys of a study: the estimators they build, and contradictions between them."""
 
 import numpy as np
 import pytest
@@ -70,7 +70,7 @@ def colour(tmp_path):
 
 
 @pytest.mark.parametrize("way", ["own", "shared", "combined"])
-def test_channels_are_those_of_channel_estimators(colour, way):
+def test_channels_make_channel_estimators(colour, way):
     specs = [f"image(path='{{folder}}c.png', channel={c})" for c in range(3)]
     listed = ", ".join(f'"{s.format(folder="")}"' for s in specs)
     keys = f'integrand = "image(path=\'c.png\')"\ndensities = [{listed}]\nchannels = "{way}"\n'
@@ -127,7 +127,7 @@ def test_channels_are_those_of_channel_estimators(colour, way):
         ('integrand = "linear"\ndims = 65\nanova = {}\nsamplers = ["random"]', "from 1 to 64"),
     ],
 )  # fmt: skip
-def test_keys_that_contradict_or_are_wrong(tmp_path, keys, words):
+def test_contradicting_or_invalid_keys_are_refused(tmp_path, keys, words):
     with pytest.raises(ConfigError, match=words):
         _estimator(keys, tmp_path)
 
@@ -139,8 +139,8 @@ def test_keys_that_contradict_or_are_wrong(tmp_path, keys, words):
         ("title = 't'\n[[maps]]\nname = 'm'\nscene = 'veach'", "has no samplers"),
         (HEAD + STEP + "[[maps]]\nname = 'a'\nscene = 'veach'", "names must differ"),
         ("title = 't'\n[[maps]]\nname = 'm'\nscene = 'x'\nspam = 1", "'spam'"),
-        ("title = 't'\nseed = " + "9" * 5000, "number that is too long"),
-        # tomllib took the square of the parts of a key: hours for a megabyte
+        ("title = 't'\nseed = " + "9" * 5000, "number with too many digits"),
+        # The time of tomllib grew with the square of the parts of a key: hours for a megabyte
         ("a." * 500_000 + "b = 1", "nested too deeply"),
         ("x = { " + '"a" . ' * 100_000 + "b = 1 }", "nested too deeply"),
         (
@@ -156,7 +156,7 @@ def test_keys_that_contradict_or_are_wrong(tmp_path, keys, words):
         ("title = 't'\nsamplers = 'random'", "samplers is 'random'; give one flat list"),
     ],
 )
-def test_studies_that_are_none(text, words):
+def test_invalid_studies_are_refused(text, words):
     with pytest.raises(ConfigError, match=words):
         decode_study(text)
 
@@ -187,7 +187,7 @@ def test_long_values_are_shown_in_part(key, value):
         ("counts = [4, 1073741824]", "memory"),
     ],
 )
-def test_maps_that_cannot_be_made(tmp_path, keys, words):
+def test_invalid_maps_are_refused(tmp_path, keys, words):
     scene = "" if "scene" in keys else "scene = 'veach'\n"
     text = f"title = 't'\nsamplers = ['jittered']\n[[maps]]\nname = 'm'\n{scene}{keys}"
     with pytest.raises(ConfigError, match=words):

@@ -1,4 +1,4 @@
-"""What a study would take: checked against what it does take, refused where it is too much."""
+"""Estimates of a study: compared with real costs, and refused if too large."""
 
 import math
 import tracemalloc
@@ -52,7 +52,7 @@ def test_every_cell_has_an_estimate_and_storage_is_near_the_truth(tmp_path):
     assert stored / 3 < sum(each.storage for each in tried) < 3 * stored
 
 
-def test_tries_are_few_and_can_be_left_out(tmp_path):
+def test_trial_runs_are_few_and_optional(tmp_path):
     plan = _plan(tmp_path, STUDY.replace("= 2000", "= 1000000000"))
     estimates = estimate_study(plan, probe_seconds=0.2)
     assert sum(each.seconds for each in estimates) > 1000
@@ -62,7 +62,7 @@ def test_tries_are_few_and_can_be_left_out(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["interrupts", "hangs"])
-def test_a_try_that_fails_or_hangs_is_no_try(misbehaving, tmp_path, monkeypatch, name):
+def test_a_trial_run_that_fails_or_hangs_is_ignored(misbehaving, tmp_path, monkeypatch, name):
     (misbehaving / "hang").touch()
     monkeypatch.setattr(estimate, "_PATIENCE", 0.1)
     text = f"\"python(function='misbehaving:{name}')\""
@@ -81,7 +81,7 @@ def test_a_try_that_fails_or_hangs_is_no_try(misbehaving, tmp_path, monkeypatch,
     assert [each.error for each in estimates] == [None] * 3
 
 
-def test_what_will_fail_is_said_and_not_tried(misbehaving, tmp_path):
+def test_known_failures_are_reported_without_a_trial_run(misbehaving, tmp_path):
     text = "\"python(function='misbehaving:nan_at_once')\""
     config = decode_study(STUDY.replace('"gaussian"', text) + "[spectrum]\nn = 4\n")
     estimates = estimate_study(make_plan(config, tmp_path, Trust(("misbehaving:nan_at_once",))))
@@ -93,8 +93,8 @@ def test_what_will_fail_is_said_and_not_tried(misbehaving, tmp_path):
     assert misbehaving.exists()
 
 
-def test_tasks_are_about_a_second_each_where_they_can_be_cut(tmp_path):
-    """10⁹ realizations in tasks of a second; with a time limit of 1 s, in tasks of a fifth of it."""
+def test_divisible_cells_have_tasks_of_about_a_second(tmp_path):
+    """10⁹ realizations make tasks of 1 s, and of 0.2 s with a time limit of 1 s."""
     text = STUDY.replace("= 2000", "= 1000000000")
     counted = {}
     for limit in ("", "time_limit = 1.0\n"):

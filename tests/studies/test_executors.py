@@ -1,10 +1,10 @@
-"""Executors hand back every task once, hold few, and survive what tasks do."""
+"""Executors return every task once, hold few tasks, and survive failing tasks."""
 
 import threading
 import time
 from pathlib import Path
 
-import distributed  # noqa: F401 - whose configuration must be there before it is changed
+import distributed  # noqa: F401 - its configuration must be loaded before it is changed
 import msgspec
 import pytest
 from tests.processes import python
@@ -21,7 +21,7 @@ from mcspectra.studies.executors import (
 )
 from mcspectra.studies.files import decode_study
 from mcspectra.studies.plan import make_plan
-from mcspectra.studies.tasks import StudyText, Task
+from mcspectra.studies.tasks import StudyTask, StudyText
 from mcspectra.studies.vetting import Trust
 
 STUDY = """
@@ -38,7 +38,7 @@ dims = 1
 
 
 def _task(estimator="a"):
-    return Task(path=f"{estimator}/random/convergence", run=None)
+    return StudyTask(path=f"{estimator}/random/convergence", run=None)
 
 
 def _text(name):
@@ -47,7 +47,7 @@ def _text(name):
 
 
 def _end_after(seconds, executor):
-    """Take the scheduler from an executor that hangs."""
+    """Remove the scheduler of an executor that hangs."""
     timer = threading.Timer(seconds, executor._client.close)
     timer.daemon = True
     timer.start()
@@ -69,7 +69,7 @@ def test_every_task_comes_back_once(workers):
         executor.submit(_task(str(i)), compute)
     found = []
     for outcome in executor.outcomes():
-        assert outcome.state is threads  # an object, no bytes
+        assert outcome.state is threads  # An object instead of bytes
         assert outcome.payload is None
         found.append(outcome.task)
         if len(found) == 5:
@@ -98,20 +98,20 @@ def test_cancelled_tasks_do_not_begin():
 
 
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnhandledThreadExceptionWarning")
-def test_a_thread_that_ends_without_an_outcome_is_no_wait_for_ever(monkeypatch):
+def test_a_thread_that_ends_without_an_outcome_raises_an_error(monkeypatch):
     def without_memory(*_):
         raise MemoryError
 
     monkeypatch.setattr(executors, "timed", without_memory)
     executor = Threads(1)
     executor.submit(_task(), lambda: None)
-    with pytest.raises(ClusterLost, match="A thread of this run has ended .*--resume continues"):
+    with pytest.raises(ClusterLost, match="A thread of this run ended .*--resume continues"):
         next(executor.outcomes())
     executor.close(cancel=True)
 
 
 @pytest.mark.parametrize("value", [0, -1.0, float("nan"), float("inf"), "3", True, 1e10])
-def test_time_limits_that_are_none(value):
+def test_invalid_time_limits_are_refused(value):
     with pytest.raises(ParameterError, match="time_limit"):
         check_time_limit(value)
 
@@ -154,8 +154,8 @@ if __name__ == "__main__":
 """
 
 
-def test_processes_begin_deaf_to_ctrl_c(tmp_path):
-    """The first one too: before it, multiprocessing starts a process, and then unblocks Ctrl-C."""
+def test_worker_processes_ignore_ctrl_c(tmp_path):
+    """This includes the first process: multiprocessing starts its tracker and unblocks Ctrl-C."""
     (tmp_path / "masks.py").write_text(MASKS)
     found = python("masks.py", cwd=tmp_path, check=True)
     assert found.stdout.splitlines() == ["True", "True", "False"]
@@ -167,17 +167,17 @@ def test_processes_do_not_repeat_the_warnings_of_planning(capfd):
     with pytest.warns(NotPowerOfTwoWarning):
         make_plan(study, Path())
     executor = Dask(StudyText.of(study, Path()), Cluster(workers=1))
-    executor.submit(Task(path="a/sobol-owen/convergence", run=None))
+    executor.submit(StudyTask(path="a/sobol-owen/convergence", run=None))
     assert next(executor.outcomes()).error is None
     executor.close(cancel=False)
     assert capfd.readouterr().err == ""
 
 
-def test_a_cluster_of_this_machine_that_loses_its_workers_is_lost(monkeypatch):
+def test_a_local_cluster_without_workers_raises_cluster_lost(monkeypatch):
     monkeypatch.setattr(executors, "_DESERTED", 1.0)
     executor = Dask(_text("good"), Cluster(workers=1))
     _end_after(60.0, executor)
-    executor._client.retire_workers()  # with its nanny, as when that cannot start a process
+    executor._client.retire_workers()  # Also retires the nanny, as if it could not start a process
     executor.submit(_task())
     try:
         with pytest.raises(ClusterLost, match="within 1 s.*--resume"):

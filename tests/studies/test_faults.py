@@ -1,6 +1,6 @@
-"""Runs that are killed, run out of disk, are damaged or doubled: resumed, they end as if nothing was.
+"""Runs that are killed, run out of disk space, are damaged or run twice end like undisturbed runs.
 
-Stores are compared file by file: names, metadata, attributes and chunks, byte for byte.
+Stores are compared file by file, byte for byte: names, metadata, attributes and chunks.
 """
 
 import contextlib
@@ -48,7 +48,7 @@ ONE_THREAD = {**os.environ, "OMP_NUM_THREADS": "1"}
 
 
 def stored(folder):
-    """Every file of a store."""
+    """Return every file of a store."""
     tree = folder / "results.zarr"
     files = (path for path in tree.rglob("*") if path.is_file())
     return {str(path.relative_to(tree)): path.read_bytes() for path in files}
@@ -63,7 +63,7 @@ def study(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def straight(tmp_path_factory):
-    """The store of a run that nothing stopped."""
+    """The store of an undisturbed run."""
     out = tmp_path_factory.mktemp("straight")
     run_study(CONFIG, out, workers=1)
     return stored(out)
@@ -77,7 +77,7 @@ def command(study, out, *more):
 
 
 def assert_finished(out, straight):
-    """Everything is there, is as it should be, and nothing else is left."""
+    """Check that the store is complete and correct, and that no other files are left."""
     found = stored(out)
     assert found.keys() == straight.keys()
     assert [name for name in found if found[name] != straight[name]] == []
@@ -92,14 +92,14 @@ def assert_finished(out, straight):
 
 @pytest.mark.parametrize("kills", [3, pytest.param(150, marks=pytest.mark.endurance)])
 def test_killed_at_any_moment_and_resumed(study, tmp_path, straight, kills):
-    """Forks that have everything imported: see killed_runs.py."""
+    """Uses forks with imported modules: see killed_runs.py."""
     program = ("-m", "tests.studies.killed_runs", study, tmp_path, kills, 1)
     done = python(*program, cwd=Path(__file__).parents[2], env=ONE_THREAD, check=True)
     trials = list(map(json.loads, done.stdout.splitlines()))
     assert len(trials) == kills
     ends = [end for trial in trials for end in trial["ends"]]
     assert ends.count(-signal.SIGKILL) >= kills // 2
-    # A resumed run takes less time, so that it may have ended before the chosen moment.
+    # A resumed run is shorter, so it may end before the chosen moment.
     assert set(ends) <= {-signal.SIGKILL, 0}
     for trial in trials:
         assert trial["last"] == 0
@@ -112,7 +112,7 @@ def test_a_time_limit_changes_no_byte(tmp_path, straight):
 
 
 class Interrupted:
-    """Threads that are interrupted after some outcomes."""
+    """Threads that raise KeyboardInterrupt after some outcomes."""
 
     def __init__(self, outcomes):
         self._inner = Threads(1)
@@ -129,7 +129,7 @@ class Interrupted:
 
 
 def interrupted_run(out, outcomes=22, **options):
-    """Compute some tasks of one block each, and stop."""
+    """Compute some tasks of one block each, then stop."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(schedule, "_TARGET", 1e-9)
         with pytest.raises(KeyboardInterrupt):
@@ -138,7 +138,7 @@ def interrupted_run(out, outcomes=22, **options):
 
 @pytest.fixture(scope="module")
 def half(tmp_path_factory):
-    """A run that was interrupted with one cell stored and some tasks recorded."""
+    """An interrupted run with one stored cell and some recorded tasks."""
     out = tmp_path_factory.mktemp("half")
     interrupted_run(out)
     status = study_status(out, verify=True)
@@ -148,7 +148,7 @@ def half(tmp_path_factory):
 
 
 def damaged(out, query, at=100):
-    """Change a byte of the payloads that a query finds in the ledger."""
+    """Change one byte of the payloads that a query finds in the ledger."""
     with contextlib.closing(sqlite3.connect(out / LEDGER_NAME)) as connection:
         payloads = [payload for (payload,) in connection.execute(query)]
     content = bytearray((out / LEDGER_NAME).read_bytes())
@@ -177,7 +177,7 @@ def test_a_damaged_record_is_named_and_computed_again(half, tmp_path, straight):
     assert_finished(out, straight)
 
 
-def test_of_a_ledger_cut_in_half_the_rest_is_kept(half, tmp_path, straight):
+def test_the_sound_half_of_a_truncated_ledger_is_kept(half, tmp_path, straight):
     out = shutil.copytree(half, tmp_path / "out")
     size = (out / LEDGER_NAME).stat().st_size
     os.truncate(out / LEDGER_NAME, size // 2)
@@ -186,17 +186,17 @@ def test_of_a_ledger_cut_in_half_the_rest_is_kept(half, tmp_path, straight):
     said = study_status(out, verify=True)
     assert said.damaged["file"] == "pages of the file are damaged or missing"
     with pytest.warns(
-        DamagedResultsWarning, match="(is|are) damaged, and what is lost is computed"
+        DamagedResultsWarning, match="(is|are) damaged, and lost results are computed"
     ):
         run_study(CONFIG, out, resume=True, workers=1)
     assert_finished(out, straight)
     os.truncate(out / LEDGER_NAME, 8192)
     for look in (study_status, lambda out, **_: run_study(CONFIG, out, resume=True)):
-        with pytest.raises(StoreError, match="damaged where it says of which study it is"):
+        with pytest.raises(StoreError, match="does not identify its study"):
             look(out, verify=True)
 
 
-def test_damage_of_much_is_named_in_part(half, tmp_path, straight, monkeypatch):
+def test_only_the_first_damaged_parts_are_named(half, tmp_path, straight, monkeypatch):
     monkeypatch.setattr(run_module, "_NAMED", 1)
     out = shutil.copytree(half, tmp_path / "out")
     run_study(CONFIG, out, resume=True, workers=1)
@@ -206,8 +206,8 @@ def test_damage_of_much_is_named_in_part(half, tmp_path, straight, monkeypatch):
     assert_finished(out, straight)
 
 
-def test_clocks_and_names_of_hosts_do_not_matter(tmp_path, straight, monkeypatch):
-    """Begun on host a in 2091, continued on b in 1999, each with a clock that runs backwards."""
+def test_results_do_not_depend_on_clocks_and_host_names(tmp_path, straight, monkeypatch):
+    """Begin on host a in 2091 and continue on host b in 1999, with clocks that run backwards."""
     clock = {"now": 3.8e9}
 
     def backwards():
@@ -230,7 +230,7 @@ def test_clocks_and_names_of_hosts_do_not_matter(tmp_path, straight, monkeypatch
 
 
 def test_the_folder_is_locked_from_the_first_change_to_the_last(tmp_path, straight, monkeypatch):
-    """Two runs that start at once cannot both look at the results before one of them has the lock."""
+    """Two runs started at once cannot both read the results before one of them has the lock."""
     seen = []
 
     def noted(name, function):
@@ -250,9 +250,9 @@ def test_the_folder_is_locked_from_the_first_change_to_the_last(tmp_path, straig
     assert_finished(tmp_path, straight)
 
 
-def test_a_refused_run_gives_the_folder_free(half, tmp_path):
+def test_a_refused_run_releases_the_lock(half, tmp_path):
     out = shutil.copytree(half, tmp_path / "out")
-    with pytest.raises(StoreError, match="holds results already"):
+    with pytest.raises(StoreError, match="already holds results"):
         run_study(CONFIG, out)
     assert not is_held(out)
 
@@ -271,7 +271,7 @@ dims = 1
 
 
 def waiting_run(misbehaving, folder, limit=""):
-    """A command whose integrand hangs while a file is there; with a time limit in a process of its own."""
+    """Start a command whose integrand hangs while a file exists; a time limit adds a process."""
     study = folder / "study.toml"
     study.write_text(limit + FUNCTION)
     (misbehaving / "hang").touch()
@@ -314,11 +314,11 @@ def process_env(misbehaving):
 
 
 def children(pid):
-    """Processes that a process began, from /proc."""
+    """Return the child processes of a process, from /proc."""
     found = []
     for file in Path("/proc").glob("[0-9]*/stat"):
         try:
-            # The second field is the name in brackets, which may hold blanks.
+            # The second field is the name in parentheses, which may contain blanks.
             fields = file.read_text().rpartition(")")[2].split()
         except (FileNotFoundError, ProcessLookupError):
             continue
@@ -328,7 +328,7 @@ def children(pid):
 
 
 def test_no_worker_outlives_a_run_that_is_killed(misbehaving, tmp_path):
-    """Even one whose task hangs; the store can be resumed at once."""
+    """This holds even if a worker's task hangs; the store can be resumed at once."""
     process, arguments = waiting_run(misbehaving, tmp_path, "time_limit = 1000\n")
     try:
         wait_for((misbehaving / "begun").exists, process)
@@ -377,7 +377,7 @@ def _can_mount():
 
 
 def on_small_disk(study, size, folder):
-    """Run on a file system of `size` bytes, resume on a larger one: exit codes and what was said."""
+    """Run on a file system of `size` bytes and resume on a larger one; return codes and output."""
     out, kept = folder / "disk", folder / "kept"
     out.mkdir()
     (folder / "kept-after").mkdir()
@@ -411,6 +411,6 @@ def test_a_full_disk_is_one_sentence_and_loses_nothing(study, tmp_path, straight
     assert "cannot be written: " in said
     assert re.search("disk is full|No space left|its file system failed", said)
     assert said.count("\n") == 1
-    if (kept / LEDGER_NAME).exists():  # what it says is there is there, unharmed
+    if (kept / LEDGER_NAME).exists():  # Everything that the ledger lists is present and sound
         assert study_status(kept, verify=True).damaged == {}
     assert_finished(tmp_path / "kept-after", straight)

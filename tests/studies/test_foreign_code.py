@@ -1,4 +1,4 @@
-"""Code of others fails in words, in time, and in a thread of its own."""
+"""User code runs in its own thread with a time limit, and its failures become sentences."""
 
 import threading
 import time
@@ -22,7 +22,7 @@ def test_a_job_runs_in_another_thread_and_gives_its_result():
 
 
 @pytest.mark.parametrize("raised", [KeyboardInterrupt, SystemExit, GeneratorExit, TimeoutError])
-def test_what_a_job_raises_is_raised(raised):
+def test_an_exception_of_a_job_is_raised_again(raised):
     def job():
         raise raised("mine")
 
@@ -30,7 +30,7 @@ def test_what_a_job_raises_is_raised(raised):
         within(60.0, job)
 
 
-def test_a_job_that_takes_too_long_is_left_behind():
+def test_a_job_beyond_its_time_limit_is_abandoned():
     gate = threading.Event()
     start = time.perf_counter()
     with pytest.raises(TookTooLong):
@@ -55,13 +55,13 @@ def test_a_function_that_works_is_an_integrand():
         (_raiser(SystemExit(3)), "It raised SystemExit: 3."),
     ],
 )
-def test_a_function_that_fails_is_a_sentence(function, sentence):
+def test_a_failing_function_gives_a_sentence(function, sentence):
     with pytest.raises(FunctionFailed) as caught:
         probed(function, dims=1)
     assert str(caught.value).startswith(sentence)
 
 
-def test_a_function_has_the_limit_or_less(monkeypatch):
+def test_a_function_gets_at_most_the_time_limit(monkeypatch):
     gate = threading.Event()
     for patience, limit, said in ((60.0, 0.1, "0.1 s"), (0.2, 60.0, "0.2 s"), (0.2, None, "0.2 s")):
         monkeypatch.setattr(foreign_code, "_PATIENCE", patience)

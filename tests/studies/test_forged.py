@@ -1,6 +1,7 @@
-"""Ledgers that strangers have made, with digests that are valid: what is read is right, or a sentence.
+"""Forged ledgers with valid digests: results are read correctly or refused with a sentence.
 
-``python -m tests.studies.test_forged`` prints how many of each kind were refused, and how many shown.
+``python -m tests.studies.test_forged`` prints the numbers of refused and shown ledgers of each
+kind.
 """
 
 import contextlib
@@ -60,7 +61,7 @@ PATHS = tuple(cell.path for cell in make_plan(CONFIG, ".").cells)
 
 @pytest.fixture(scope="module")
 def honest(tmp_path_factory):
-    """Results of a run, by their paths."""
+    """Results of a real run, by path."""
     return honest_results(tmp_path_factory.mktemp("honest"))
 
 
@@ -71,7 +72,7 @@ def honest_results(folder):
 
 
 def forged_ledger(folder, results, names=None, study=None):
-    """A ledger with these results under other names."""
+    """Write a ledger with these results under other names."""
     note = StudyNote.of(CONFIG, {})
     if study is not None:
         note = msgspec.structs.replace(note, config=json.dumps(study))
@@ -86,7 +87,7 @@ def forged_ledger(folder, results, names=None, study=None):
 
 
 def with_other_paths(honest):
-    """Cells that are none of the study's."""
+    """Yield cells that the study does not have."""
     names = (
         *("../../evil/terms", "..", "", "a//terms", "/etc/passwd", "smooth/random/terms/"),
         *("smooth/random/\x1b]52;c;aGk=\x07", "smooth/\u202eran/terms", "smooth/random/terms\n"),
@@ -110,7 +111,7 @@ def with_other_paths(honest):
 
 
 def with_other_studies(honest):
-    """Texts that are no study, or not of these cells."""
+    """Yield texts that are not a study, or not the study of these cells."""
     plain = plain_study(CONFIG)
     for text in (
         [],
@@ -135,7 +136,7 @@ def with_other_studies(honest):
 
 
 def with_other_payloads(honest):
-    """Results that no analysis gives."""
+    """Yield results that no analysis produces."""
     for path, other in itertools.islice(itertools.permutations(PATHS, 2), 0, 60, 3):
         yield "result of another cell", honest | {path: honest[other]}, None, None
     for path, data in honest.items():
@@ -164,7 +165,7 @@ def with_other_payloads(honest):
 
 
 def changed(data):
-    """A dataset with each of its variables in turn gone, renamed, or with other numbers or dims."""
+    """Yield a dataset with each variable in turn removed, renamed, or with other values or dims."""
     for name, variable in data.variables.items():
         yield data.drop_vars(name)
         if name not in data.dims:
@@ -194,7 +195,7 @@ def all_forgeries(honest):
 
 
 def shown(folder):
-    """The table that `mcspectra run` prints."""
+    """Return the table that `mcspectra run` prints."""
     with showing(folder):
         return summarize(open_results(folder))
 
@@ -216,12 +217,12 @@ VERBS = {
 
 
 def tried(forgery, folder, verbs=VERBS):
-    """What verbs make of it: number of those that give something, and of sentences."""
+    """Count the verbs that show something, and the verbs that refuse with a sentence."""
     kind, results, names, study = forgery
     found = Counter()
     try:
         forged_ledger(folder, results, names, study)
-    except (McspectraError, UnicodeError, OverflowError):  # the forger's own trouble
+    except (McspectraError, UnicodeError, OverflowError):  # The forgery itself is not possible
         return Counter()
     for verb in verbs.values():
         try:
@@ -274,13 +275,13 @@ def test_paths_of_the_plan_are_those_of_the_study(text):
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_what_is_honest_is_read(place, honest):
+def test_real_results_are_read(place, honest):
     assert set(tried(("honest", honest, None, None), place)) == {"honest read"}
 
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("name", ["../../evil/terms", "e/x/terms", "smooth/random/\x1b[2J", ""])
-def test_a_cell_that_is_none_of_the_study_is_refused(place, honest, name):
+def test_a_cell_outside_the_study_is_refused(place, honest, name):
     forged_ledger(place, honest, {PATHS[1]: name})
     for verb in ("open", "report", ".csv"):
         with pytest.raises(
@@ -294,7 +295,7 @@ def test_a_cell_that_is_none_of_the_study_is_refused(place, honest, name):
 
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize("kind", ["missing", "undeclared", "dims", "numbers", "attribute"])
-def test_a_result_that_no_analysis_gives_is_a_sentence(place, honest, kind):
+def test_an_impossible_result_gives_a_sentence(place, honest, kind):
     path = next(path for path in PATHS if path.endswith("terms"))
     data = honest[path]
     made = {
@@ -313,7 +314,7 @@ def test_a_result_that_no_analysis_gives_is_a_sentence(place, honest, kind):
 
 
 @pytest.mark.parametrize("text", ["", "3", "{", "[" * 10**5, '{"rate": "x"}', '{"rate": []}'])
-def test_texts_that_no_run_writes_are_sentences(place, honest, text, monkeypatch):
+def test_forged_study_texts_give_sentences(place, honest, text, monkeypatch):
     monkeypatch.setattr("mcspectra.studies.ledger.json.dumps", lambda _: text)
     forged_ledger(place, honest)
     monkeypatch.undo()
@@ -321,7 +322,7 @@ def test_texts_that_no_run_writes_are_sentences(place, honest, text, monkeypatch
         result_scalars(place)
     note = msgspec.structs.replace(StudyNote.of(CONFIG, {}), config=text)
     Ledger.create(place.parent / "other", note, PATHS).close()
-    for verb in (open_results, write_report):  # of no cells at all
+    for verb in (open_results, write_report):  # The ledger has no cells
         with contextlib.suppress(StoreError):
             verb(place.parent / "other")
     study_status(place.parent / "other", verify=True)

@@ -1,4 +1,4 @@
-"""Grids: every combination, once, with its values as text or as numbers."""
+"""Grids: every combination occurs once, with values as text or as numbers."""
 
 import itertools
 
@@ -42,7 +42,7 @@ def test_a_placeholder_alone_is_the_value_itself():
     assert made["estimators"][0]["terms"] == {"n": 4, "space": "domain"}
 
 
-def test_tables_at_the_top_are_repeated_in_the_estimators_that_take_them():
+def test_tables_at_the_top_are_copied_into_estimators():
     table = _study(integrand="f")
     table["estimators"].append({"name": "b {n}", "terms": {"n": 3}, "integrand": "g(n={n})"})
     table |= {"terms": {"n": "{n}", "bands": "radial"}, "predict": {"counts": [4]}}
@@ -81,12 +81,12 @@ def test_the_list_of_samplers_may_be_a_value():
     assert "samplers" not in made
 
 
-def test_what_nobody_takes_stays_for_the_types_of_a_study_to_report():
+def test_wrong_types_are_left_for_the_type_check():
     for table in ({"terms": {"n": "{n}"}}, {"samplers": "{s}"}, {"samplers": "{s}", "maps": 3}):
         assert expand_grids(table) == table
 
 
-def test_a_grid_of_counts_is_a_study_of_as_many_estimators(tmp_path):
+def test_a_grid_of_counts_makes_one_estimator_per_count(tmp_path):
     study = """
 title = "x"
 samplers = ["random"]
@@ -139,14 +139,14 @@ def test_an_estimators_grid_comes_before_the_studys():
     assert [each["integrand"] for each in made] == ["f(s=9)", "f(s=1)", "f(s=2)"]
 
 
-def test_maps_are_repeated_too():
+def test_maps_are_also_repeated():
     made = expand_grids({"maps": [{"name": "m", "scene": "{s}"}], "grid": {"s": ["a", "b"]}})[
         "maps"
     ]
     assert [each["scene"] for each in made] == ["a", "b"]
 
 
-def test_the_given_table_is_left_alone():
+def test_the_given_table_is_not_modified():
     table = _study(integrand="f(s={s})", grid={"s": [1, 2]})
     before = repr(table)
     expand_grids(table)
@@ -172,7 +172,7 @@ def test_the_given_table_is_left_alone():
         ),
         (
             {**_study(integrand="f"), "seed": "{s}", "grid": {"s": [1]}},
-            "seed is '{s}', and a study",
+            "seed is '{s}', but a study",
         ),
         ({**_study(integrand="f"), "terms": {"n": "{n}"}}, "needs a grid"),
         ({"terms": {"n": "{n}"}, "grid": {"n": [1]}}, "nothing uses grid.n"),
@@ -184,12 +184,12 @@ def test_the_given_table_is_left_alone():
         ({**_study(integrand="f"), "grid": "s"}, "give a table of lists"),
     ],
 )
-def test_grids_that_are_none(table, words):
+def test_invalid_grids_are_refused(table, words):
     with pytest.raises(ConfigError, match=words):
         expand_grids(table)
 
 
-def test_a_grid_that_explodes_is_refused_with_its_number():
+def test_a_too_large_grid_is_refused_with_its_size():
     grid = {f"k{i}": list(range(100)) for i in range(6)}
     spec = "f(" + ", ".join(f"k{i}={{k{i}}}" for i in range(6)) + ")"
     with pytest.raises(ConfigError, match="1,000,000,000,000 entries"):
@@ -211,5 +211,5 @@ def test_a_grid_that_explodes_is_refused_with_its_number():
 
 def test_a_grid_that_makes_too_much_text_is_refused_before_it_is_made():
     values = {"a": ["x" * 15_000] * 100, "b": list(range(100))}
-    with pytest.raises(ConfigError, match=r"10,000 entries with .* characters; at most"):
+    with pytest.raises(ConfigError, match=r"10,000 entries with .* characters, but at most"):
         expand_grids(_study(integrand="f(a={a}, b={b})", grid=values))

@@ -1,4 +1,4 @@
-"""Results of two different inputs are never mixed: files that change are named, and refused or renewed."""
+"""Changed input files: results are never mixed; they are refused or computed again."""
 
 import hashlib
 import os
@@ -41,7 +41,7 @@ class _Stop(Exception):
 
 @pytest.fixture
 def folder(tmp_path):
-    """A study's folder with two images."""
+    """The folder of a study with two images."""
     (tmp_path / "data").mkdir()
     for seed, name in enumerate("ab"):
         _image(tmp_path, name, seed)
@@ -58,7 +58,7 @@ def _run(folder, out="out", text=STUDY, **options):
 
 
 def _stopped(folder, cells):
-    """A run that ended after some cells."""
+    """Run some cells of the study, then stop."""
 
     def report(progress):
         if progress.done == cells:
@@ -83,10 +83,10 @@ def test_a_changed_file_is_refused_by_name_and_nothing_is_touched(folder):
     _stopped(folder, 3)
     before = _files(folder / "out")
     _image(folder, "b", 7)
-    with pytest.raises(StoreError, match=r"not of the file 'data/b\.npy' as found now.*--retry"):
+    with pytest.raises(StoreError, match=r"another version of the file 'data/b\.npy'.*--retry"):
         _run(folder, resume=True)
     assert _files(folder / "out") == before
-    _image(folder, "b", 1)  # put back, at another time
+    _image(folder, "b", 1)  # Restore the file with another time stamp
     _run(folder, resume=True)
     status = study_status(folder / "out")
     assert (status.state, status.recorded) == ("finished", 0)
@@ -104,13 +104,14 @@ def test_retry_computes_again_what_depends_on_a_changed_file_and_nothing_else(
     assert set(seen) == CELLS - kept
     _run(folder, "straight")
     assert stored_values(folder / "out") == stored_values(folder / "straight")
-    _run(folder, resume=True)  # the new file is the one that is known now
+    _run(folder, resume=True)  # The ledger now has the new file
     assert study_status(folder / "out", verify=True).state == "finished"
 
 
 def test_a_changed_source_of_a_function_is_refused(misbehaving, tmp_path):
     text = STUDY.split("[[estimators]]")[0] + (
-        "[[estimators]]\nname = 'a'\ndims = 1\nintegrand = \"python(function='misbehaving:good')\"\n"
+        "[[estimators]]\nname = 'a'\ndims = 1\nintegrand = "
+        "\"python(function='misbehaving:good')\"\n"
     )
     trust = Trust(("misbehaving:good",))
     _run(tmp_path, text=text, trust=trust)
@@ -119,11 +120,11 @@ def test_a_changed_source_of_a_function_is_refused(misbehaving, tmp_path):
     with (misbehaving / "misbehaving.py").open("a") as stream:
         stream.write("\n# changed\n")
     sys.modules.pop("misbehaving")
-    with pytest.raises(StoreError, match="'module misbehaving' as found now"):
+    with pytest.raises(StoreError, match="another version of the file 'module misbehaving'"):
         _run(tmp_path, text=text, trust=trust, resume=True)
 
 
-def test_what_a_scene_refers_to_belongs_to_it(tmp_path):
+def test_files_of_a_scene_are_inputs(tmp_path):
     (tmp_path / "scene.xml").write_text(
         '<scene version="3.0.0"><bsdf type="diffuse"><texture type="bitmap" name="reflectance">'
         '<string name="filename" value="wood.png"/></texture></bsdf></scene>'
@@ -167,13 +168,13 @@ def test_a_cell_depends_on_its_own_sampler_and_no_other(folder):
     }
 
 
-def test_files_that_changed_came_or_went():
+def test_changed_added_and_removed_files_are_listed():
     before, now = {"a": "1", "b": "2", "c": "3"}, {"a": "1", "b": "0", "d": "4"}
     assert changed_inputs(before, now) == ("b", "c", "d")
     assert changed_inputs(now, now) == ()
     check_inputs(now, dict(now), "It is", "do")
     with pytest.raises(
-        StoreError, match="It is not of the files '0', '1', '2' and 7 more as found"
+        StoreError, match="It is from another version of the files '0', '1', '2' and 7 more"
     ):
         check_inputs({}, {str(i): "" for i in range(10)}, "It is", "do")
 
@@ -184,7 +185,7 @@ def test_a_worker_with_another_file_refuses(folder):
     text = StudyText.of(config, folder, inputs=plan.inputs)
     assert text.cells().keys() == {cell.path for cell in plan.cells}
     _image(folder, "a", 5)
-    with pytest.raises(StoreError, match=r"not of the file 'data/a\.npy' as found now.*on host"):
+    with pytest.raises(StoreError, match=r"another version of the file 'data/a\.npy'.*on host"):
         text.cells()
     assert StudyText.of(config, folder).cells()
 
@@ -205,9 +206,10 @@ def _no_engine(text):
 
 
 def test_a_study_is_not_finished_when_a_changed_function_fails(misbehaving, tmp_path):
-    """Its cell was there once, and has a line in the manifest: it is removed, and fails now."""
+    """The cell was finished once and is listed in the ledger; it is removed and now fails."""
     text = STUDY.split("[[estimators]]")[0] + (
-        "[[estimators]]\nname = 'a'\ndims = 1\nintegrand = \"python(function='misbehaving:good')\"\n"
+        "[[estimators]]\nname = 'a'\ndims = 1\nintegrand = "
+        "\"python(function='misbehaving:good')\"\n"
     )
     trust = Trust(("misbehaving:good",))
     _run(tmp_path, text=text, trust=trust)

@@ -1,4 +1,4 @@
-"""The ledger: what is told is kept, whatever ends the process; no damage gives a wrong value."""
+"""The ledger keeps committed data after any interruption; damage never gives a wrong value."""
 
 import contextlib
 import os
@@ -35,23 +35,23 @@ RUN = "0-0-10"
 
 
 def payload(path, size=3000):
-    """Bytes that stand for the result of a cell."""
+    """Return stand-in bytes for a cell's result."""
     return random.Random(path).randbytes(size)
 
 
 def state_of(block):
-    """Bytes that stand for the state of a task."""
+    """Return stand-in bytes for a task's state."""
     return payload(str(block), 500)
 
 
 def scalars(path):
-    """Numbers that stand for the scalars of a cell."""
+    """Return stand-in numbers for a cell's scalars."""
     return {"rate": random.Random(path).random(), "none": float("inf")}
 
 
 @pytest.fixture
 def running(tmp_path):
-    """A ledger of which half is finished, a cell has failed, and tasks are recorded."""
+    """A ledger with half of its cells finished, one failed cell, and recorded tasks."""
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
         for path in PATHS[:12]:
             ledger.finish(path, payload(path), scalars(path))
@@ -69,7 +69,7 @@ def finished(tmp_path):
     return tmp_path
 
 
-def test_what_is_told_is_read(running):
+def test_recorded_data_is_read_back(running):
     with Ledger.read(running) as ledger:
         assert ledger.study == msgspec.structs.replace(NOTE, config="")
         assert ledger.config == NOTE.config
@@ -95,7 +95,7 @@ def test_what_is_told_is_read(running):
         assert (ledger.tally.holder, ledger.tally.finished) == (None, None)
 
 
-def test_what_is_not_yet_committed_can_be_read_by_its_writer(tmp_path):
+def test_the_writer_can_read_uncommitted_data(tmp_path):
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
         ledger.record(PATHS[0], RUN, (0, 2), b"state")
         assert ledger.state(PATHS[0], RUN, (0, 2)) == b"state"
@@ -118,7 +118,7 @@ def test_a_cell_is_finished_without_reading_the_text_of_its_study(tmp_path):
         assert psutil.Process().io_counters().read_chars - before < 2**22
 
 
-def test_a_resumed_ledger_goes_on(running):
+def test_a_resumed_ledger_continues(running):
     with Ledger.resume(running, NOTE, PATHS) as ledger:
         assert ledger.damaged == {}
         assert tuple(ledger.done) == PATHS[:12]
@@ -136,7 +136,7 @@ def test_a_resumed_ledger_goes_on(running):
         assert not ledger.done
 
 
-def test_scalars_and_the_text_of_a_study_that_are_damaged_are_noticed(running):
+def test_damaged_scalars_and_study_texts_are_detected(running):
     import sqlite3
 
     with contextlib.closing(sqlite3.connect(running / LEDGER_NAME)) as connection, connection:
@@ -153,7 +153,7 @@ def test_scalars_and_the_text_of_a_study_that_are_damaged_are_noticed(running):
         assert PATHS[3] not in ledger.done
 
 
-def test_the_last_sentence_and_state_count_and_are_bounded(tmp_path):
+def test_the_last_sentence_and_state_are_kept_and_bounded(tmp_path):
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
         for text in ("first", "\ud800" + "much " * 10**5):
             ledger.fail(PATHS[0], text)
@@ -163,7 +163,7 @@ def test_the_last_sentence_and_state_count_and_are_bounded(tmp_path):
         assert ledger.state(PATHS[1], RUN, (0, 1)) == b"?mu"
 
 
-def test_commits_come_by_themselves(tmp_path, monkeypatch):
+def test_commits_happen_automatically(tmp_path, monkeypatch):
     monkeypatch.setattr(ledger_module, "_COMMIT_SECONDS", 0.02)
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
         ledger.finish(PATHS[0], b"first")
@@ -175,17 +175,17 @@ def test_commits_come_by_themselves(tmp_path, monkeypatch):
             assert reader.result(PATHS[0]) == b"first"
 
 
-def test_much_is_committed_at_once(tmp_path, monkeypatch):
+def test_large_amounts_of_data_are_committed_at_once(tmp_path, monkeypatch):
     monkeypatch.setattr(ledger_module, "_COMMIT_SECONDS", 1000.0)
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
         ledger.finish(PATHS[0], bytes(2**25 + 1))
         assert ledger.tally.done == 1
 
 
-def test_results_are_not_written_over(running):
-    with pytest.raises(StoreError, match="holds results already; give another --out, or --resume"):
+def test_results_are_not_overwritten(running):
+    with pytest.raises(StoreError, match="already holds results; give another --out, or --resume"):
         Ledger.create(running, NOTE, PATHS)
-    Ledger.resume(running, NOTE, PATHS).close()  # it has been given free
+    Ledger.resume(running, NOTE, PATHS).close()  # The refused run has released the lock
 
 
 def test_another_study_is_refused(running):
@@ -195,7 +195,7 @@ def test_another_study_is_refused(running):
             Ledger.resume(running, note, paths)
 
 
-def test_another_version_is_refused_and_of_other_packages_is_said(running):
+def test_another_version_is_refused_and_other_packages_give_a_warning(running):
     for name, refused in (("mcspectra", True), ("scipy", False)):
         other = msgspec.structs.replace(NOTE, versions=NOTE.versions | {f"version_{name}": "0.0.1"})
         context = pytest.raises(StoreError, match=r"this is 0\.0\.1, whose numbers may differ")
@@ -207,7 +207,7 @@ def test_another_version_is_refused_and_of_other_packages_is_said(running):
 
 def test_changed_inputs_are_refused_or_their_cells_forgotten(running):
     other = msgspec.structs.replace(NOTE, inputs={"data/a.npy": "1" * 64})
-    with pytest.raises(StoreError, match=r"not of the file 'data/a.npy' as found now: .*--retry"):
+    with pytest.raises(StoreError, match=r"another version of the file 'data/a.npy': .*--retry"):
         Ledger.resume(running, other, PATHS)
     outdated = {PATHS[0], PATHS[12], PATHS[13]}
     with Ledger.resume(running, other, PATHS, outdated=outdated) as ledger:
@@ -221,7 +221,7 @@ def test_changed_inputs_are_refused_or_their_cells_forgotten(running):
         assert ledger.verify().damaged == {}
 
 
-def test_a_second_writer_is_refused_and_told_of_the_first(running):
+def test_a_second_writer_is_refused_and_the_first_is_named(running):
     with Ledger.resume(running, NOTE, PATHS) as first:
         assert is_held(running)
         with pytest.raises(StoreError, match=f"written by process {os.getpid()} on host"):
@@ -231,7 +231,7 @@ def test_a_second_writer_is_refused_and_told_of_the_first(running):
     Ledger.resume(running, NOTE, PATHS).close()
 
 
-def test_a_note_of_a_holder_is_no_lock(running):
+def test_a_noted_holder_is_not_a_lock(running):
     code = (
         "import os, sys\nfrom tests.studies.test_ledger import *\n"
         f"ledger = Ledger.resume(Path({str(running)!r}), NOTE, PATHS)\nos.kill(os.getpid(), 9)\n"
@@ -281,7 +281,7 @@ def test_readers_see_whole_commits_while_it_is_written(tmp_path):
     assert len(set(seen)) > 2
 
 
-def test_a_commit_while_a_reader_verifies_is_no_damage(tmp_path, monkeypatch):
+def test_a_commit_during_verification_is_not_damage(tmp_path, monkeypatch):
     committed = []
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger, Ledger.read(tmp_path) as reader:
         rows = reader._rows
@@ -294,7 +294,7 @@ def test_a_commit_while_a_reader_verifies_is_no_damage(tmp_path, monkeypatch):
             if "FROM results" in statement and not committed:
                 committed.append(threading.Thread(target=finish))
                 committed[0].start()
-                committed[0].join(0.3)  # it goes on when the reader is through with this cell
+                committed[0].join(0.3)  # It continues when the reader has finished this cell
             return rows(statement, values)
 
         monkeypatch.setattr(reader, "_rows", between)
@@ -331,8 +331,8 @@ with Ledger.resume(out, NOTE, PATHS) as ledger:
 
 
 @pytest.mark.parametrize("kills", [6, pytest.param(150, marks=pytest.mark.endurance)])
-def test_killed_at_any_moment_it_is_sound(tmp_path, kills):
-    """And grows."""
+def test_a_ledger_killed_at_any_moment_is_sound(tmp_path, kills):
+    """Each killed run leaves a sound ledger, and together they finish all cells."""
     folder, killed, done = tmp_path / "out", 0, 0
     while killed < kills:
         ended = python("-c", KILLED, folder, killed, cwd=Path(__file__).parents[2])
@@ -370,7 +370,7 @@ def mutated(file, chosen):
 
 
 def check_mutation(folder, note=NOTE, paths=PATHS, payload=payload, scalars=scalars):
-    """What came of a damaged ledger: each value is right, or is said not to be; both verbs agree."""
+    """Check that each value of a damaged ledger is right or reported, and that both verbs agree."""
     noticed = False
     try:
         with Ledger.read(folder) as ledger:
@@ -442,7 +442,7 @@ def test_no_damage_gives_a_wrong_value(request, tmp_path, kind, number, seed):
         shutil.copy(folder / LEDGER_NAME, work)
         change = mutated(work / LEDGER_NAME, chosen)
         came = check_mutation(work)
-        assert came != "refused" or change == "cut"  # off, both copies of the notes
+        assert came != "refused" or change == "cut"  # This cuts off both copies of the notes
         found[came] += 1
     print(kind, found)
     assert found["noticed"] > 5
@@ -480,7 +480,7 @@ def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path):
         begun = (out / LEDGER_NAME).exists()
         assert begun or limit == 10_000
         assert ("nothing is finished yet" in ended.stdout) == (not begun)
-        assert ("what was finished is kept" in ended.stdout) == (begun and limit < 10**6)
+        assert ("finished work is stored" in ended.stdout) == (begun and limit < 10**6)
         if begun:
             with Ledger.read(out) as ledger:
                 assert ledger.verify().damaged == {}
@@ -491,7 +491,7 @@ def test_a_full_disk_is_one_sentence_and_loses_nothing(tmp_path):
     assert done == len(PATHS)
 
 
-def test_what_a_commit_of_the_thread_meets_ends_the_run(tmp_path, monkeypatch):
+def test_an_error_of_a_background_commit_ends_the_run(tmp_path, monkeypatch):
     monkeypatch.setattr(ledger_module, "_COMMIT_SECONDS", 0.01)
 
     def finish_all(ledger):
@@ -502,7 +502,7 @@ def test_what_a_commit_of_the_thread_meets_ends_the_run(tmp_path, monkeypatch):
 
     with (
         pytest.raises(
-            StorageError, match=r"cannot be written: no such table.*is kept, and --resume"
+            StorageError, match=r"cannot be written: no such table.*is stored, and --resume"
         ),
         Ledger.create(tmp_path, NOTE, PATHS) as ledger,
     ):
@@ -512,8 +512,8 @@ def test_what_a_commit_of_the_thread_meets_ends_the_run(tmp_path, monkeypatch):
     Ledger.resume(tmp_path, NOTE, PATHS).close()
 
 
-def test_an_interrupted_commit_is_made_again(tmp_path, monkeypatch):
-    """Ctrl-C while it is being written: nothing of it is there, and closing writes it."""
+def test_an_interrupted_commit_is_repeated(tmp_path, monkeypatch):
+    """Ctrl-C during a write rolls the commit back; closing the ledger writes it."""
     monkeypatch.setattr(ledger_module, "_COMMIT_SECONDS", 1000.0)
     write = Ledger._write
 
@@ -539,7 +539,7 @@ def test_an_interrupted_commit_is_made_again(tmp_path, monkeypatch):
         assert ledger.tally.holder is None
 
 
-def test_folders_that_cannot_be_written_are_a_sentence(tmp_path):
+def test_unwritable_folders_give_a_sentence(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(StoreError, match="cannot be written: Not a directory; give another") as met:
         Ledger.create(tmp_path / "file" / "out", NOTE, PATHS)
@@ -558,8 +558,8 @@ for folder in sys.argv[1:]:
 """
 
 
-def test_folders_that_are_shut_are_a_sentence():
-    """Of a user without root's rights, who does not reach pytest's folders."""
+def test_folders_without_permission_give_a_sentence():
+    """Uses a user without root's rights, who has no access to pytest's folders."""
     with tempfile.TemporaryDirectory() as name:
         for part, mode in (("", 0o755), ("closed", 0o000), ("read-only", 0o555)):
             Path(name, part).mkdir(exist_ok=True)
@@ -600,7 +600,7 @@ def test_a_ledger_or_a_lock_that_is_a_link_is_refused(running, tmp_path_factory,
     assert {file.name: file.read_text() for file in secret.iterdir()} == {"key": "mine"}
 
 
-def test_a_link_where_the_ledger_is_written_anew_is_not_followed(running, tmp_path_factory):
+def test_a_link_at_the_temporary_file_is_not_followed(running, tmp_path_factory):
     (tmp_path_factory.mktemp("secret") / "key").write_text("mine")
     key = tmp_path_factory.mktemp("other") / "key"
     key.write_text("mine")
@@ -610,8 +610,8 @@ def test_a_link_where_the_ledger_is_written_anew_is_not_followed(running, tmp_pa
     assert key.read_text() == "mine"
 
 
-def test_a_journal_of_a_stranger_deletes_no_file(running, tmp_path_factory):
-    """SQLite deletes the file that a journal names as that of a transaction over several files."""
+def test_a_forged_journal_deletes_no_file(running, tmp_path_factory):
+    """SQLite deletes the file that a journal names as part of a transaction over several files."""
     key = tmp_path_factory.mktemp("secret") / "key"
     key.write_bytes(b"mine\0")
     name, magic = str(key).encode(), bytes.fromhex("d9d505f920a163d7")
@@ -622,13 +622,15 @@ def test_a_journal_of_a_stranger_deletes_no_file(running, tmp_path_factory):
     journal = running / f"{LEDGER_NAME}-journal"
     journal.write_bytes(head.ljust(512, b"\0") + lock_page + name + sums + magic)
     for look in (Ledger.read, lambda folder: Ledger.resume(folder, NOTE, PATHS)):
-        with pytest.raises(StoreError, match="-journal' names another file, which no run writes"):
+        with pytest.raises(
+            StoreError, match="-journal' names another file, which a run never writes"
+        ):
             look(running)
     assert key.read_bytes() == b"mine\0"
 
 
 def test_a_ledger_with_another_kind_of_journal_is_not_opened_by_sqlite(running):
-    """It would make, and write, two files beside it; its rows are read anyway."""
+    """SQLite would write two other files; the rows are read without it."""
     content = bytearray((running / LEDGER_NAME).read_bytes())
     content[18:20] = b"\2\2"
     (running / LEDGER_NAME).write_bytes(content)
@@ -647,8 +649,8 @@ def zeroed(file, page):
 
 
 @pytest.mark.parametrize("kind", ["running", "finished"])
-def test_with_any_page_zeroed_both_verbs_keep_what_is_not_on_it(request, tmp_path, kind):
-    """Of each result that is not on the page itself; see tests/studies/zeroed_pages.py."""
+def test_both_verbs_keep_results_outside_a_zeroed_page(request, tmp_path, kind):
+    """All results outside of the zeroed page are kept; see tests/studies/trials.py."""
     folder, work = request.getfixturevalue(kind), tmp_path / "work"
     content = (folder / LEDGER_NAME).read_bytes()
     work.mkdir()
@@ -659,7 +661,7 @@ def test_with_any_page_zeroed_both_verbs_keep_what_is_not_on_it(request, tmp_pat
             found = ledger.verify(PATHS)
         on_page = content[8192 * page : 8192 * (page + 1)]
         for path in PATHS[: 12 if kind == "running" else None]:
-            # Bytes that stand for a result have no scalars in them
+            # Stand-in bytes contain no scalars
             pieces = (payload(path)[:16], payload(path)[-16:], f"scalars{path}".encode())
             assert path in found.done or any(each in on_page for each in pieces), (page, path)
         assert found.damaged
@@ -667,7 +669,7 @@ def test_with_any_page_zeroed_both_verbs_keep_what_is_not_on_it(request, tmp_pat
 
 
 @pytest.mark.parametrize("kind", ["text", "folder", "database"])
-def test_junk_in_the_place_of_the_lock_is_a_sentence(running, kind):
+def test_an_invalid_lock_file_gives_a_sentence(running, kind):
     lock = running / "study.lock"
     assert lock_damage(running) is None
     lock.unlink()
@@ -678,42 +680,44 @@ def test_junk_in_the_place_of_the_lock_is_a_sentence(running, kind):
     else:
         shutil.copy(running / LEDGER_NAME, lock)
     assert "not the empty file that a run locks; remove it" in lock_damage(running)
-    with pytest.raises(StoreError, match=r"study.lock' (cannot be locked: .*|is no file); remove"):
+    with pytest.raises(
+        StoreError, match=r"study.lock' (cannot be locked: .*|is not a file); remove"
+    ):
         Ledger.resume(running, NOTE, PATHS)
     assert not is_held(running)
     shutil.rmtree(lock) if kind == "folder" else lock.unlink()
-    (running / "study.lock-journal").write_text("junk")  # SQLite drops that of an empty file
+    (running / "study.lock-journal").write_text("junk")  # SQLite drops the journal of an empty file
     Ledger.resume(running, NOTE, PATHS).close()
 
 
-def test_what_whoever_runs_it_has_linked_is_fine(running, tmp_path):
-    """The output folder itself, and other files in the folder."""
+def test_links_made_by_the_user_are_allowed(running, tmp_path):
+    """Links to the output folder itself and to other files in it are allowed."""
     (tmp_path / "scratch").symlink_to(running)
     (running / "notes").symlink_to(tmp_path)
     with Ledger.resume(tmp_path / "scratch", NOTE, PATHS) as ledger:
         assert PATHS[0] in ledger.done
 
 
-def test_a_stranger_is_no_ledger(tmp_path):
+def test_other_files_are_not_ledgers(tmp_path):
     import sqlite3
 
     for content in (b"text", b"", bytes(8192 * 3), random.Random(1).randbytes(8192 * 3)):
         (tmp_path / LEDGER_NAME).write_bytes(content)
-        with pytest.raises(StoreError, match="or it is no ledger: give another folder"):
+        with pytest.raises(StoreError, match="or it is not a ledger; give another folder"):
             Ledger.read(tmp_path)
-        with pytest.raises(StoreError, match="or it is no ledger: give another folder"):
+        with pytest.raises(StoreError, match="or it is not a ledger; give another folder"):
             Ledger.resume(tmp_path, NOTE, PATHS)
     (tmp_path / LEDGER_NAME).unlink()
     with sqlite3.connect(tmp_path / LEDGER_NAME) as connection:
         connection.execute("CREATE VIEW cells AS SELECT 1 AS place, zeroblob(10) AS path")
         connection.execute(f"PRAGMA user_version = {FORMAT}")
     connection.close()
-    with pytest.raises(StoreError, match="or it is no ledger: give another folder"):
+    with pytest.raises(StoreError, match="or it is not a ledger; give another folder"):
         Ledger.read(tmp_path)
     connection = sqlite3.connect(tmp_path / LEDGER_NAME)
     connection.execute("PRAGMA user_version = 3")
     connection.close()
     with pytest.raises(
-        StoreError, match=f"has store format 3; this version reads {FORMAT}: export it"
+        StoreError, match=f"has store format 3, but this version reads {FORMAT}: export it"
     ):
         Ledger.read(tmp_path)

@@ -1,4 +1,4 @@
-"""``--set``: values as in TOML, at places that are there."""
+"""``--set``: values as in TOML, at existing places."""
 
 import pytest
 
@@ -39,7 +39,7 @@ def test_values_keep_their_types():
     assert config.analyses["terms"].n == 8
 
 
-def test_later_changes_win_and_grids_see_them():
+def test_later_changes_win_and_apply_to_grids():
     config = decode_study(
         STUDY, overrides=["seed=1", "seed=2", 'estimators[0].integrand="linear(gradient={g})"',
                           "grid={g = [1, 2]}"],
@@ -48,7 +48,7 @@ def test_later_changes_win_and_grids_see_them():
     assert [e.name for e in config.estimators] == ["a (g=1)", "a (g=2)"]
 
 
-def test_the_given_table_is_left_alone():
+def test_the_given_table_is_not_modified():
     table = {"a": {"b": [1, 2]}}
     assert apply_overrides(table, ["a.b[0]=5"]) == {"a": {"b": [5, 2]}}
     assert table == {"a": {"b": [1, 2]}}
@@ -73,15 +73,15 @@ def test_the_given_table_is_left_alone():
         ("__class__.x=1", "not a place"),
         ("estimators[-1].name='x'", "not a place"),
         ("title=plain", "strings need quotes"),
-        ("title=", "not a value"),
-        ("seed=1\ntitle='two'", "not a value"),
-        ("seed=1\n[terms]\nn=3", "not a value"),
-        ("seed=" + "[" * 5000, "not a value"),
+        ("title=", "not a TOML value"),
+        ("seed=1\ntitle='two'", "not a TOML value"),
+        ("seed=1\n[terms]\nn=3", "not a TOML value"),
+        ("seed=" + "[" * 5000, "not a TOML value"),
         ("seed='x'", "seed is 'x'; give a whole number"),
         ("seed=nan", "seed is nan; give a whole number"),
-        ("convergence.realizations=" + "9" * 5000, "not a value"),
+        ("convergence.realizations=" + "9" * 5000, "not a TOML value"),
     ],
 )
-def test_changes_that_are_none(text, words):
+def test_invalid_changes_are_refused(text, words):
     with pytest.raises(ConfigError, match=words):
         decode_study(STUDY, overrides=[text])

@@ -1,4 +1,4 @@
-"""The noise of whole paths: parts that sum to the variance, padding, the verb and its page."""
+"""The noise of whole paths: variance components, padding, the verb and its page."""
 
 import json
 from typing import Any
@@ -37,7 +37,7 @@ def test_shares_by_bounce_sum_to_the_variance_of_a_path(tree):
     assert parts["axis_label"].values.tolist() == ["camera", "bounce 1", "bounce 2", "bounce 3"]
     whole = parts["anova_share"].sum() + parts["higher_order_share"]
     assert float(whole) == pytest.approx(1.0, abs=1e-12)
-    # The same variance by the values of other random paths, 5 standard errors of both
+    # Compare with the variance of other random paths, within 5 standard errors of both
     f = path_pixel(SCENE, X, Y, integrator=PATH)
     values = f(np.random.default_rng(17).random((2**17, f.dims)))
     deviation = (values - values.mean()) ** 2
@@ -45,13 +45,13 @@ def test_shares_by_bounce_sum_to_the_variance_of_a_path(tree):
     count = parts.attrs["realizations"]
     error = deviation.std() * np.hypot(len(values) ** -0.5, count**-0.5)
     assert abs(float(total) - deviation.mean()) < 5 * error
-    # What a path of three turns draws in the last one is not used
+    # The integrand does not use the numbers drawn in the last iteration of a path of three
     assert float(parts["total_share"][3]) == 0.0
     assert float(parts["total_share"][1]) > 0.5
 
 
 def test_groupings_agree(tree):
-    # Up to the end of each bounce: the same numbers kept, however they are grouped
+    # Subsets up to the end of a bounce keep the same numbers in every grouping
     bounce, request = (tree[f"anova/{kind}"].to_dataset() for kind in ("bounce", "request"))
     names = request["axis_label"].values.tolist()
     last = [
@@ -70,7 +70,7 @@ def test_padding_ends_at_all_coordinates_and_starts_near_random_points(tree):
     assert set(found["remedy"].values[kinds == "padding"]) == {
         f"{k} good coordinates" for k in (2, 8, 14)
     }
-    # The last turn's numbers are not used; the film alone makes little of the noise, as random points, within intervals
+    # The last numbers are unused; the film coordinates alone give the variance of random points
     one = {str(name): found.sel(remedy=name) for name in found["remedy"].values}
     assert float(one["14 good coordinates"]["error_ratio"]) == 1.0
     low, high = one["2 good coordinates"]["error_ci"].values
@@ -79,7 +79,7 @@ def test_padding_ends_at_all_coordinates_and_starts_near_random_points(tree):
     assert one["8 good coordinates"]["verdict"] != "worse"
 
 
-def test_a_sampler_with_a_count_it_lacks_is_refused_first():
+def test_an_unsupported_count_is_refused_first():
     with pytest.raises(mcs.McspectraError, match="jittered"):
         analyse_path(SCENE, X, Y, integrator=PATH, samplers=["jittered"], counts=(64, 256))
     with pytest.raises(ParameterError, match="at a time"):
@@ -97,7 +97,7 @@ def test_the_verb_prints_writes_and_refuses(tmp_path, capsys, tree, monkeypatch)
     assert {"by bounce", "by decision", "sampler", "padding", "remedies"} <= printed[
         "sentences"
     ].keys()
-    # The answer is the first change that is surely better, as the remedies and their sentence have it
+    # The answer is the first change that is significantly better, as in the remedies
     ranked = printed["remedies"]["ranked"]
     first = next(each for each in ranked if each["verdict"] == "better")
     assert printed["answer"].startswith(f"Use sobol | owen with {first['remedy']}: RMSE")
@@ -113,40 +113,42 @@ def test_the_verb_prints_writes_and_refuses(tmp_path, capsys, tree, monkeypatch)
     assert "bounce 1 light" in page
     assert main(asked) == 0
     told = capsys.readouterr().out
-    assert "20 random numbers a path" in told
+    assert "20 random numbers per path" in told
     assert "roulette from depth 1" in told
     assert main([*asked, "--light", "lamp"]) == 2
     assert "--light is for direct light" in capsys.readouterr().err
 
 
-def test_remedies_and_rates_are_of_the_same_realisations(tree):
+def test_remedies_and_rates_use_the_same_realizations(tree):
     curves, found = tree["convergence"].to_dataset().isel(n=-1), tree["remedies"].to_dataset()
     for sampler, remedy in (("random", "random"), ("sobol | owen", "as given")):
         variance = float(curves["variance"].sel(sampler=sampler))
         assert float(found["error"].sel(remedy=remedy)) == pytest.approx(variance, rel=1e-9)
 
 
-def test_remedies_are_at_equal_cost_and_say_what_could_not_be_tried(tree):
+def test_remedies_have_equal_cost_and_list_untried_changes(tree):
     found = tree["remedies"].to_dataset()
     kinds = dict(zip(found["remedy"].values, found["kind"].values, strict=True))
     assert {"given", "sampler", "padding", "order", "roulette"} <= set(kinds.values())
     one = {str(name): found.sel(remedy=name) for name in found["remedy"].values}
-    # Random numbers are worse than the net; after the film alone hardly anything is good
+    # Random points are worse than the net; film coordinates alone hardly gain
     assert one["random"]["verdict"] == "worse"
     assert one["2 good coordinates"]["verdict"] == "worse"
-    # Costs of roulette are those of the numbers that its paths ask for
+    # The cost of roulette is the number of random numbers that its paths use
     f = path_pixel(SCENE, X, Y, integrator=PATH)
     other = path_pixel(SCENE, X, Y, integrator="path(max_depth=3, rr_depth=1)")
     cost = one["roulette from depth 1"]["cost"].values[-1] / found.attrs["budget"]
     assert cost == pytest.approx(other.numbers_per_path / f.numbers_per_path, rel=1e-12)
     assert cost < 1.0
-    # A pilot counts: the order of coordinates took more paths than the budget
+    # The pilot counts: finding the order of coordinates took more paths than the budget
     assert one["coordinates by share"]["verdict"] == "worse"
     assert "Its pilot takes" in one["coordinates by share"]["reason"].item()
     reasons = json.loads(found.attrs["not_tried"])
-    assert any(r.startswith("heuristic of MIS: PathIntegrator has no property") for r in reasons)
+    assert any(
+        r.startswith("heuristic of MIS: PathIntegrator has no such property") for r in reasons
+    )
     assert any(r.endswith("the scene has 1.") for r in reasons)
-    # What is said of padding does not contradict them
+    # The sentence on padding agrees with these results
     said = dict(path_sentences(tree))["padding"]
     for name, each in one.items():
         if kinds[name] == "padding" and each["verdict"] == "worse":
@@ -160,7 +162,7 @@ def lamps():
     return scene | {"sensor": scene["sensor"] | {"film": film}}
 
 
-def test_lights_that_are_chosen_better_pay_as_soon_as_it_is_said(lamps):
+def test_the_improved_light_selection_pays_from_the_stated_count(lamps):
     f = path_pixel(lamps, 24, 26, integrator="path(max_depth=3)")
     lights = shares_by_light(f, 2**13, Stream.from_rng(5))
     assert lights is not None
@@ -168,7 +170,7 @@ def test_lights_that_are_chosen_better_pay_as_soon_as_it_is_said(lamps):
     assert float(lights["light_share"].sum()) == pytest.approx(1.0, abs=1e-4)  # float32
     for name in ("light_probability", "light_selection"):
         assert float(lights[name].sum()) == pytest.approx(1.0, abs=1e-12)
-    # The variance of other paths, within 5 standard errors of both ratios
+    # Compare with the variance of other paths, within 5 standard errors of both ratios
     chosen = path_pixel(
         lamps, 24, 26, integrator="path(max_depth=3)", selection=lights["light_selection"].values
     )
@@ -178,7 +180,7 @@ def test_lights_that_are_chosen_better_pay_as_soon_as_it_is_said(lamps):
     error = (squares[0] / after - squares[1] / before).std() * (2**-14 + 2**-13) ** 0.5
     assert abs(np.log(float(lights["selection_ratio"])) - np.log(after / before)) < 5 * error
 
-    # With its pilot it is compared with as many paths more; from where it pays, the ratio is 1
+    # The pilot's paths count as additional samples; at the break-even count the ratio is 1
     random = as_sampler("random", f.dims)
     found = path_remedies(
         f, random, (64, 256), Stream.from_rng(7), realizations=400, samplers=(), ends=(), lights=lights

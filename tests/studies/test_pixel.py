@@ -1,4 +1,4 @@
-"""Everything about a pixel: each part is what its own analysis gives, and the words follow the numbers."""
+"""The analysis of a pixel: parts equal single analyses; sentences follow the numbers."""
 
 import re
 from typing import Any
@@ -25,13 +25,13 @@ from mcspectra.report.pixel_page import (
     write_pixel,
 )
 from mcspectra.studies import pixel as module
-from mcspectra.studies.pixel import EFFORTS, PIXEL_STRATEGIES, Effort, analyse_pixel
+from mcspectra.studies.pixel import EFFORTS, PIXEL_STRATEGIES, PixelEffort, analyse_pixel
 
 pytestmark = pytest.mark.render
 
 SAMPLERS = ("random", "jittered | shift", "sobol | owen")
 COUNTS = (4, 16, 64)
-SMALL = Effort(
+SMALL = PixelEffort(
     counts={2: COUNTS, 3: (8, 64)},
     realizations=100,
     half_width={2: 6, 3: 2},
@@ -44,7 +44,7 @@ OPTIONS: dict[str, Any] = {"realizations": 100, "rng": 3}
 
 @pytest.fixture(scope="module", autouse=True)
 def small_effort():
-    """Little work; predictions are those of a bell. What each was asked and has said."""
+    """Reduce the work and predict a bell; record the arguments and output of each call."""
     calls = []
 
     def predicted(estimator, *given, **options):
@@ -54,7 +54,9 @@ def small_effort():
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(EFFORTS, "quick", SMALL)
         patch.setattr(module, "predict", predicted)
-        patch.setattr("mcspectra.rendering.pixel._POINTS", 2**12)  # of means: 2**17 take seconds
+        patch.setattr(
+            "mcspectra.rendering.pixel._POINTS", 2**12
+        )  # Points for means; 2**17 would take seconds
         yield calls
 
 
@@ -76,8 +78,8 @@ def same(found, expected, *names):
         assert np.array_equal(found[name].values, expected[name].values, equal_nan=True), name
 
 
-def test_the_cause_is_that_of_the_sampler_that_is_named(monkeypatch):
-    """A shift carries a jump into strata: of plain strata nothing like it is said, whoever else shifts."""
+def test_the_cause_belongs_to_the_named_sampler(monkeypatch):
+    """Only a shift carries a jump into strata, so plain strata must not report that cause."""
     monkeypatch.setattr(module, "variance_terms", of_a_bell(mcs.variance_terms))
     found = analyse_pixel(
         "figure1",
@@ -160,8 +162,8 @@ def test_remedies_are_direct_calls(tree):
     assert found.attrs["answer"] == direct.attrs["answer"]
 
 
-def test_steps_of_float32_are_no_jumps(tree):
-    """From P the light is seen whole, and g of its samples is smooth; from Q it is cut."""
+def test_steps_of_float32_are_not_jumps(tree):
+    """From P the whole light is visible, so g of its samples is smooth; from Q it is cut."""
     assert float(tree["pictures/light"]["primary_jump_length"].sel(kind="interior")) > 0
     x, y = named_pixels("veach")["wall"]
     smooth = mcs.Estimator(Pixel(scene="veach", x=x, y=y, light="light-3"))
@@ -175,7 +177,7 @@ def test_steps_of_float32_are_no_jumps(tree):
     assert np.array_equal(kept, np.where(raw["face_jump"] > floor, raw["face_jump"], 0.0))
 
 
-def test_a_picture_without_rounding_is_left_as_it_is(tree):
+def test_a_picture_without_rounding_is_unchanged(tree):
     raw = mcs.explain.primary_picture(
         mcs.Estimator(mcs.integrand("step(at=0.3)", dims=2)), resolution=32
     )
@@ -189,7 +191,7 @@ def test_rows_for_all_pairs_and_terms(tree):
     rates = tree["convergence"]["rate"].values.ravel().tolist()
     assert [row.rate for row in rows] == rates
     assert [row.captured is not None for row in rows] == [s == SAMPLERS[1] for _, s in pairs]
-    # The fitting basis of shifted points is Fourier's: one row, not two.
+    # The fitting basis of shifted points is Fourier: one row instead of two.
     assert [row.sampler for row in term_rows(tree)] == [
         f"{name}; Fourier" for name in STRATEGY_NAMES.values()
     ]
@@ -230,13 +232,13 @@ def test_the_bottleneck_in_words(tree, slow, words):
         assert (shown if high - low <= 1 else "a rate that more realizations would resolve") in text
 
 
-def test_a_bottleneck_says_from_which_n_on(tree):
+def test_a_bottleneck_names_the_smallest_n(tree):
     changed = tree.copy(deep=True)
     found = changed["techniques"]
     found["bottleneck"] = 1
     found["technique_rate"].values[:] = [-2.0, -1.0]
     found["technique_variance"].values[-1] = [0.9, 0.1]
-    n = int(found["n"][-1])  # lines of ratio 9 here, one power of n apart
+    n = int(found["n"][-1])  # The curves have ratio 9 here, and their exponents differ by 1
     expected = rf"more than half beyond n ≈ {number(9.0 * n, 2)} by the fitted lines\.$"
     assert re.search(expected, bottleneck_sentence(changed))
 
@@ -254,7 +256,7 @@ def test_a_bottleneck_that_does_not_show_yet(tree, part, words):
         assert text.endswith("determines the rate of the sum.")
 
 
-def test_a_camera_with_a_lens_is_said(tree):
+def test_a_camera_with_a_lens_is_mentioned(tree):
     assert tree.attrs["camera"] == "pinhole"
     assert "camera" not in dict(about_pixel(tree))
     changed = tree.copy()
@@ -274,7 +276,7 @@ def test_sentences_name_jumps_bottleneck_and_remedy(tree):
     assert f": {best[0]} with {best[1]}. The least variance" in said["fastest"]
 
 
-def test_what_a_strategy_did_not_meet_is_said(tree):
+def test_light_missed_by_a_strategy_is_mentioned(tree):
     changed = tree.copy()
     curves = tree["convergence"].to_dataset()
     spec = str(curves["spec"].sel(strategy="bsdf").values)
@@ -284,8 +286,8 @@ def test_what_a_strategy_did_not_meet_is_said(tree):
     assert said["not met"] == "bsdf with random: none of the estimates varies at n = 4"
 
 
-def test_a_steepest_rate_that_is_not_resolved_is_no_finding(tree):
-    """The page said: the steepest rate is −1.70 ± 2.68."""
+def test_an_unresolved_steepest_rate_is_not_a_finding(tree):
+    """The page used to report a steepest rate of −1.70 ± 2.68."""
     wide = tree.copy()
     curves = tree["convergence"].to_dataset()
     ends = curves["rate"] + xr.DataArray([-2.68, 2.68], dims="bound")

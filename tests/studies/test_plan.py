@@ -22,7 +22,7 @@ FEW = 5.0  # seconds
 
 
 def _planned(text, folder, **options):
-    """A plan, or the sentence that refuses the study: in time, and in little memory."""
+    """Return a plan or the refusal; check its time and memory."""
     start, before = time.process_time(), resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     try:
         return make_plan(decode_study(text), folder, **options)
@@ -79,9 +79,7 @@ def _jitters(number):
     ],
     ids=["grid", "pairs", "densities", "counts", "terms", "spectrum", "pcf"],
 )  # fmt: skip
-def test_what_takes_too_long_or_too_much_is_refused_with_an_estimate(
-    tmp_path, monkeypatch, text, words
-):
+def test_too_large_studies_are_refused_with_an_estimate(tmp_path, monkeypatch, text, words):
     monkeypatch.setattr(plan_module, "MOST_SECONDS", plan_module.NOTED_SECONDS)
     assert re.search(words, _planned(text, tmp_path))
 
@@ -100,7 +98,7 @@ def test_large_studies_are_planned_within_seconds(tmp_path, text):
 
 
 def test_planning_of_some_seconds_is_announced(tmp_path, monkeypatch):
-    """It needed --force."""
+    """This used to need --force."""
     assert plan_module.NOTED_SECONDS == 5 < plan_module.MOST_SECONDS
     monkeypatch.setattr(plan_module, "NOTED_SECONDS", 1e-9)
     with pytest.warns(LargeStudyWarning, match=r"has 1 estimators .* s to plan, before the first"):
@@ -108,9 +106,11 @@ def test_planning_of_some_seconds_is_announced(tmp_path, monkeypatch):
     assert len(plan.cells) == 1
 
 
-def test_force_plans_what_takes_long(tmp_path, monkeypatch):
+def test_force_allows_long_planning(tmp_path, monkeypatch):
     text = f'title = "t"\nsamplers = [{_jitters(3000)}]\n{POINTS}{_estimators(3000)}'
-    with pytest.raises(ConfigError, match="s to plan; take several studies, or give --force"):
+    with pytest.raises(
+        ConfigError, match="s to plan; split it into several studies, or give --force"
+    ):
         make_plan(decode_study(text), tmp_path)
     monkeypatch.setattr(plan_module, "NOTED_SECONDS", 1e-9)
     monkeypatch.setattr(plan_module, "MOST_SECONDS", 1e-9)
@@ -136,7 +136,7 @@ print(1024 * (many[1] - few[1]) / 160_000)
 
 @pytest.mark.slow
 def test_a_cell_takes_little_memory():
-    """A million take 700 MB with the program: 600 bytes each."""
+    """A million cells take 700 MB with the program: 600 bytes each."""
     command = [sys.executable, "-c", MANY_CELLS]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert float(done.stdout) < 600
@@ -151,7 +151,7 @@ def test_samplers_and_estimators_are_built_once(tmp_path):
     assert len({id(cell.analysis) for cell in cells}) == 2
 
 
-def test_a_companion_stands_beside_its_leader_and_its_own_table_before_it(tmp_path):
+def test_a_companion_joins_its_analysis_and_its_own_table_has_priority(tmp_path):
     text = HEAD + "[spectrum]\nn = 16\nhalf_width = 4\n" + ESTIMATOR
     cells = make_plan(decode_study(text), tmp_path).cells
     assert [(cell.analysis_name, cell.analysis.n) for cell in cells] == [
@@ -188,6 +188,6 @@ def test_a_study_as_plain_values_is_the_same_study(tmp_path):
         lambda: Trust(folders="a"),
     ],
 )
-def test_arguments_of_a_wrong_type_are_answered_by_a_sentence(call):
+def test_wrong_argument_types_give_a_sentence(call):
     with pytest.raises(ConfigError, match=r"\.$"):
         call()

@@ -1,4 +1,4 @@
-"""Results as they are opened, counted and exported: the numbers of the ledger, or a sentence."""
+"""Results are opened, counted and exported as in the ledger, or refused with a sentence."""
 
 import csv
 import json
@@ -79,7 +79,7 @@ def terms():
 
 
 def numbers(seed=0):
-    """Numbers of all kinds that results have."""
+    """Return numbers of all types that results have."""
     rng = np.random.default_rng(seed)
     found = dataset({"variance": (("n",), rng.random(3))}, {"n": [4, 16, 64]}, seed=seed)
     return found.assign(
@@ -126,7 +126,7 @@ def declared():
 
 
 def written(folder, cells, paths=()):
-    """A study's folder with these cells, and its store."""
+    """Write a study's folder with these cells, and its store."""
     note = msgspec.structs.replace(NOTE, config=text_of(paths or cells, "t ü"))
     with Ledger.create(folder, note, paths or tuple(cells)) as ledger:
         for path, cell in cells.items():
@@ -143,7 +143,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture
 def copy(folder, tmp_path):
-    """The study's folder, to be damaged."""
+    """A copy of the study's folder, which tests may damage."""
     return Path(shutil.copytree(folder, tmp_path / "out"))
 
 
@@ -174,7 +174,7 @@ def test_numbers_are_read_bit_for_bit_from_the_ledger_and_from_the_store(tmp_pat
             identical(tree[path].to_dataset(), cell)
     assert result_paths(out) == tuple(cells)
     plain = xr.open_datatree(out / "results.zarr", mask_and_scale=False, decode_times=False)
-    for path, cell in cells.items():  # of one form
+    for path, cell in cells.items():  # Each cell has the same form
         xr.testing.assert_identical(plain[path].to_dataset().load(), cell)
 
 
@@ -213,7 +213,7 @@ def test_files_are_those_that_xarray_and_zarr_write(tmp_path):
         chunks = tuple(max(1, size) for size in variable.shape)
         variable.encoding = {"compressors": None, "chunks": chunks, "_FillValue": None}
     theirs: dict[str, Any] = {}
-    with warnings.catch_warnings(action="ignore"):  # of types that Zarr has not specified
+    with warnings.catch_warnings(action="ignore"):  # Zarr does not specify some types
         store = zarr.storage.MemoryStore(theirs)
         cell.to_zarr(
             store, group="a/b/terms", zarr_format=3, consolidated=False, write_empty_chunks=True
@@ -272,7 +272,7 @@ def test_results_of_a_running_study_are_read(tmp_path):
         assert study_status(tmp_path).state == "running"
 
 
-def test_a_damaged_ledger_is_not_opened_in_silence(copy):
+def test_opening_a_damaged_ledger_reports_the_damage(copy):
     content = (copy / LEDGER_NAME).read_bytes()
     at = content.index(np.float64(1 / 3).tobytes())
     (copy / LEDGER_NAME).write_bytes(content[:at] + b"!" + content[at + 1 :])
@@ -287,7 +287,7 @@ def test_a_damaged_ledger_is_not_opened_in_silence(copy):
 
 
 def changed(tree, chosen):
-    """Change, remove, add or exchange a file of a store; what was done."""
+    """Change, remove, add or exchange a file of a store; return the kind of change."""
     files = sorted(file for file in tree.rglob("*") if file.is_file())
     file, other = chosen.sample(files, 2)
     content, kind = (
@@ -297,7 +297,7 @@ def changed(tree, chosen):
     if kind == "change":
         at = chosen.randrange(len(content))
         content[at] ^= 1 << chosen.randrange(8)
-        if file == tree / "zarr.json":  # blanks, and the case of \u00fc, say nothing
+        if file == tree / "zarr.json":  # Blanks, and the case of \u00fc, carry no information
             old = json.loads(file.read_bytes())
             try:
                 if json.loads(bytes(content)) == old:
@@ -320,7 +320,7 @@ def changed(tree, chosen):
 
 
 @pytest.mark.parametrize("number", [30, pytest.param(1000, marks=pytest.mark.endurance)])
-def test_every_change_of_a_store_is_noticed(folder, tmp_path, number):
+def test_every_change_of_a_store_is_detected(folder, tmp_path, number):
     work, chosen = tmp_path / "x.zarr", random.Random(number)
     for _ in range(number):
         shutil.rmtree(work, ignore_errors=True)
@@ -334,27 +334,27 @@ def test_every_change_of_a_store_is_noticed(folder, tmp_path, number):
             pytest.fail(done)
 
 
-def test_a_flipped_number_is_noticed_and_written_anew(copy):
+def test_a_flipped_number_is_detected_and_written_again(copy):
     chunk = copy / "results.zarr" / PATHS[0] / "variance" / "c" / "0" / "0"
     content = chunk.read_bytes()
     chunk.write_bytes(b"!" + content[1:])
-    with pytest.raises(StoreError, match="is not as it was written"):
+    with pytest.raises(StoreError, match="was changed after it was written"):
         open_results(copy / "results.zarr")
     assert study_status(copy).damaged == {}
     assert list(study_status(copy, verify=True).damaged) == ["the store results.zarr"]
-    write_zarr(copy)  # from the ledger
+    write_zarr(copy)  # Writes the store again from the ledger
     assert chunk.read_bytes() == content
     assert study_status(copy, verify=True).damaged == {}
 
 
 def files_of(folder):
-    """The files of a store by their names in it."""
+    """Return the files of a store by name."""
     inside = (path for path in folder.rglob("*") if path.is_file())
     return {path.relative_to(folder).as_posix(): path.read_bytes() for path in inside}
 
 
 def stranger(folder, change):
-    """A store of one array that somebody has made, with a digest, after `change` of its files."""
+    """Return a forged store of one array with a digest, after `change` of its files."""
     cell = xr.Dataset({"x": ("n", np.arange(30.0))})
     results._write_store({"format": FORMAT}, [("a/b/terms", cell)], folder)
     files = files_of(folder)
@@ -388,41 +388,46 @@ ZSTD = {"name": "zstd", "configuration": {"level": 0, "checksum": True}}
 @pytest.mark.parametrize(
     ("changes", "sentence"),
     [
-        ({"shape": [10**13]}, "not one chunk of 80 TB"),
-        ({"shape": [10**13], "chunk_grid": GRID}, "not one chunk of 80 TB"),
-        ({"chunk_grid": GRID}, "damaged|not one chunk"),
-        ({"codecs": [PLAIN, ZSTD]}, "not one chunk of 240 B without compression"),
-        ({"codecs": [PLAIN, {"name": "pickle"}]}, "not one chunk"),
-        ({"codecs": 3}, "not one chunk"),
-        ({"codecs": [{"name": "bytes", "configuration": {"endian": "big"}}]}, "not one chunk"),
-        ({"data_type": "object"}, "damaged|not one chunk"),
-        ({"data_type": "string"}, "damaged|not one chunk"),
-        ({"shape": [-1]}, "damaged|not one chunk"),
-        ({"shape": [31]}, "not one chunk"),
+        ({"shape": [10**13]}, "not one uncompressed chunk of 80 TB"),
+        ({"shape": [10**13], "chunk_grid": GRID}, "not one uncompressed chunk of 80 TB"),
+        ({"chunk_grid": GRID}, "damaged|not one uncompressed chunk"),
+        ({"codecs": [PLAIN, ZSTD]}, "not one uncompressed chunk of 240 B"),
+        ({"codecs": [PLAIN, {"name": "pickle"}]}, "not one uncompressed chunk"),
+        ({"codecs": 3}, "not one uncompressed chunk"),
+        (
+            {"codecs": [{"name": "bytes", "configuration": {"endian": "big"}}]},
+            "not one uncompressed chunk",
+        ),
+        ({"data_type": "object"}, "damaged|not one uncompressed chunk"),
+        ({"data_type": "string"}, "damaged|not one uncompressed chunk"),
+        ({"shape": [-1]}, "damaged|not one uncompressed chunk"),
+        ({"shape": [31]}, "not one uncompressed chunk"),
         ({"dimension_names": 3}, "is damaged"),
     ],
 )
-def test_arrays_that_results_never_hold_are_refused(tmp_path, changes, sentence):
+def test_unexpected_arrays_are_refused(tmp_path, changes, sentence):
     open_results(stranger(tmp_path / "sound.zarr", lambda _: None))
     with pytest.raises(StoreError, match=sentence):
         open_results(stranger(tmp_path / "x.zarr", with_metadata(**changes)))
 
 
 @pytest.mark.parametrize("number", [3, "4", None, [2]])
-def test_other_formats_are_refused_and_earlier_ones_told_how_to_read(copy, number):
+def test_other_formats_are_refused_with_advice(copy, number):
     file = copy / "results.zarr" / "zarr.json"
     document = json.loads(file.read_text())
     document["attributes"]["format"] = number
     file.write_text(json.dumps(document))
     (copy / LEDGER_NAME).unlink()
     for look in (open_results, study_status, result_paths):
-        with pytest.raises(StoreError, match=f"has store format .*; this version reads {FORMAT}"):
+        with pytest.raises(
+            StoreError, match=f"has store format .*, but this version reads {FORMAT}"
+        ):
             look(copy)
-    with pytest.raises(StoreError, match="of an earlier version, which alone can continue"):
+    with pytest.raises(StoreError, match="only the earlier version that wrote them can continue"):
         Ledger.resume(copy, NOTE, PATHS)
 
 
-def test_what_is_no_store_is_a_sentence(tmp_path):
+def test_an_invalid_store_gives_a_sentence(tmp_path):
     (tmp_path / "bad.zarr").mkdir()
     (tmp_path / "bad.zarr" / "zarr.json").write_text("[")
     (tmp_path / "x.zip").write_bytes(b"PK")
@@ -437,7 +442,7 @@ def test_what_is_no_store_is_a_sentence(tmp_path):
             open_results(source)
 
 
-def test_what_is_larger_than_memory_is_refused(folder, monkeypatch):
+def test_results_larger_than_memory_are_refused(folder, monkeypatch):
     monkeypatch.setattr(results, "available_memory", lambda: 100)
     for source in (folder, folder / "results.zarr"):
         with pytest.raises(StoreError, match="more than the memory of this machine"):
@@ -448,11 +453,11 @@ def test_what_is_larger_than_memory_is_refused(folder, monkeypatch):
 @pytest.mark.parametrize("link", ["a", "b/random/terms", "b/random/terms/m/c/0", "zarr.json"])
 def test_links_inside_a_store_are_not_read(copy, tmp_path, link):
     inside = copy / "results.zarr" / link
-    inside.rename(tmp_path / "elsewhere")  # the same bytes: nothing but the link can be the reason
+    inside.rename(tmp_path / "elsewhere")  # The bytes are equal: only the link can be the reason
     inside.symlink_to(tmp_path / "elsewhere")
     with pytest.raises(StoreError, match=rf"{link}' is a symbolic link"):
         open_results(copy / "results.zarr")
-    (tmp_path / "some.zarr").symlink_to(copy / "results.zarr")  # whoever opens it has named it
+    (tmp_path / "some.zarr").symlink_to(copy / "results.zarr")  # The user names this link
     with pytest.raises(StoreError, match=rf"{link}' is a symbolic link"):
         open_results(tmp_path / "some.zarr")
 
@@ -535,10 +540,10 @@ def test_texts_that_a_spreadsheet_would_run_are_quoted(tmp_path, first):
         for row in csv.DictReader(stream):
             assert (row["estimator"], row["sampler"]) == (shown, shown)
             assert row["channel"] in (shown, "b", "c", "")
-            assert row["value"] != "'-1.5"  # numbers stay numbers
+            assert row["value"] != "'-1.5"  # Numbers stay numbers
 
 
-def test_results_without_scalars_are_no_table(folder, tmp_path):
+def test_results_without_scalars_make_no_table(folder, tmp_path):
     with pytest.raises(StoreError, match="have no scalars for a table; export to a .zarr store"):
         export_results(folder, tmp_path / "x.csv", PATHS[1])
     assert not (tmp_path / "x.csv").exists()
@@ -552,7 +557,7 @@ def test_a_table_is_the_same_from_the_ledger_and_from_a_store(folder, tmp_path):
 
 @pytest.mark.parametrize("select", ["", 5, b"a/*", ["a/*"]])
 @pytest.mark.parametrize("inside", ["", "results.zarr"])
-def test_what_selects_nothing_is_refused(folder, tmp_path, inside, select):
+def test_a_selection_without_cells_is_refused(folder, tmp_path, inside, select):
     for call in (
         lambda: open_results(folder / inside, select),
         lambda: result_scalars(folder / inside, select),
@@ -578,10 +583,10 @@ def test_other_extensions_are_refused(folder, tmp_path, name):
         export_results(folder, name if "://" in name else tmp_path / name)
 
 
-def test_what_cannot_be_written_is_a_sentence_and_leaves_nothing(folder, tmp_path, monkeypatch):
-    with pytest.raises(ParameterError, match="cannot be written: there is no such folder"):
+def test_a_write_error_gives_a_sentence_and_leaves_nothing(folder, tmp_path, monkeypatch):
+    with pytest.raises(ParameterError, match="cannot be written: its folder does not exist"):
         export_results(folder, tmp_path / "none" / "out.csv")
-    with pytest.raises(ParameterError, match="cannot be written: there is no such folder"):
+    with pytest.raises(ParameterError, match="cannot be written: its folder does not exist"):
         export_results(folder, "s3://bucket/x.zarr")
     with pytest.raises(StoreError, match="no results"):
         export_results(tmp_path, tmp_path / "out.csv")
@@ -607,7 +612,7 @@ def test_a_store_goes_to_a_folder_and_back(folder, tmp_path):
 
 
 def test_a_store_is_the_same_bytes_each_time(folder, tmp_path):
-    """In processes of other hashes too."""
+    """Also in processes with other hash seeds."""
     write = (
         "import sys, pytest; from tests.studies.made import admit; "
         f"admit(pytest.MonkeyPatch(), *{DECLARED!r}); "
@@ -619,9 +624,9 @@ def test_a_store_is_the_same_bytes_each_time(folder, tmp_path):
         assert files_of(tmp_path / f"{seed}.zarr") == files_of(folder / "results.zarr")
 
 
-def test_a_store_that_is_there_is_not_written_over(folder, tmp_path):
+def test_an_existing_store_is_not_overwritten(folder, tmp_path):
     (tmp_path / "x.zarr").mkdir()
-    with pytest.raises(ParameterError, match="exists already"):
+    with pytest.raises(ParameterError, match="already exists"):
         export_results(folder, tmp_path / "x.zarr")
 
 
@@ -637,7 +642,9 @@ def test_names_that_lead_out_of_a_store_are_not_followed(tmp_path, path):
     with Ledger.create(tmp_path / "out", NOTE, (path,)) as ledger:
         ledger.finish(path, pack(terms()))
     for look in (write_zarr, open_results, lambda out: open_results(out, path)):
-        with pytest.raises(StoreError, match="list of cells: it is not as|none that a run writes"):
+        with pytest.raises(
+            StoreError, match="list of cells: it was changed|was not written by a run"
+        ):
             look(tmp_path / "out")
     assert sorted(file.name for file in tmp_path.rglob("*")) == ["out", "study.lock", LEDGER_NAME]
 
@@ -655,7 +662,7 @@ def test_a_link_in_the_place_of_the_store_is_not_followed(copy, tmp_path):
     assert open_results(copy / "results.zarr").leaves
 
 
-def test_the_status_says_what_is_done_failed_and_missing(tmp_path):
+def test_the_status_lists_done_failed_and_missing_cells(tmp_path):
     with Ledger.create(tmp_path, NOTE, PATHS) as ledger:
         ledger.finish(PATHS[0], pack(convergence()))
         ledger.fail(PATHS[1], "It gave NaN.")
@@ -683,7 +690,7 @@ def test_the_status_says_what_is_done_failed_and_missing(tmp_path):
     assert status.finished is not None
 
 
-def test_damage_is_counted_when_it_is_looked_for(copy):
+def test_damage_is_counted_by_verification(copy):
     content = (copy / LEDGER_NAME).read_bytes()
     at = content.index(np.float64(1 / 3).tobytes())
     (copy / LEDGER_NAME).write_bytes(content[:at] + b"!" + content[at + 1 :])
@@ -745,7 +752,7 @@ def test_a_million_cells_are_listed_and_opened_by_one(tmp_path):
     with Ledger.create(tmp_path, NOTE, paths) as ledger:
         for path in paths:
             ledger.finish(path, content)
-    # A process of its own, since the peak of this one includes other tests
+    # Use a new process, because the peak of this one includes other tests
     command = [sys.executable, "-c", _MILLION, str(tmp_path), *DECLARED]
     printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     done, opened, listed, peak = map(float, printed.split())

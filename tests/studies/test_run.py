@@ -1,4 +1,4 @@
-"""The same bits whatever computes a study, in whatever chunks, interrupted or not; failures stay local."""
+"""A study has the same bits for any executor, chunks and interruptions; failures stay local."""
 
 import contextlib
 import os
@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import dask
-import distributed  # noqa: F401 - whose configuration must be there before it is changed
+import distributed  # noqa: F401 - its configuration must be loaded before it is changed
 import msgspec
 import numpy as np
 import psutil
@@ -92,7 +92,7 @@ def finished(folder, stored_values):
 
 
 def test_the_same_study_and_seed_give_the_same_store(folder, tmp_path):
-    """Values, attributes and the order of everything, for another number of workers too."""
+    """Values, attributes and order agree, also for another number of workers."""
     run_study(decode_study(STUDY), tmp_path, workers=2)
     trees = [folder / "results.zarr", tmp_path / "results.zarr"]
     one, two = (
@@ -105,8 +105,8 @@ def test_the_same_study_and_seed_give_the_same_store(folder, tmp_path):
     assert not other["variance"].equals(open_results(folder)[other.path]["variance"])
 
 
-def test_a_seed_of_128_bits_comes_back(tmp_path):
-    """As numpy's SeedSequence gives them, larger than stores and ledgers hold as numbers."""
+def test_a_seed_of_128_bits_is_stored(tmp_path):
+    """Such seeds come from numpy's SeedSequence and exceed the numbers of stores and ledgers."""
     seed = 2**127 + 1
     config = msgspec.structs.replace(
         decode_study(FUNCTIONS + "[[estimators]]\nname = 'a'\nintegrand = 'disk'\n"), seed=seed
@@ -117,7 +117,7 @@ def test_a_seed_of_128_bits_comes_back(tmp_path):
     assert export_results(tmp_path, tmp_path / "x.zarr").is_dir()
 
 
-def test_stored_is_what_the_functions_return(finished):
+def test_stored_results_equal_the_functions(finished):
     smooth, mis = (
         mcs.Estimator("gaussian", dims=2),
         mcs.MultipleImportance("linear", ["uniform", "linear(slope=1)"], dims=1),
@@ -139,7 +139,7 @@ def test_stored_is_what_the_functions_return(finished):
 
 
 def test_chunks_of_one_block_give_the_same_bits(finished, tmp_path, stored_values, monkeypatch):
-    """Each of which is recorded here for a while; else threads record no state of short work."""
+    """Each chunk is recorded here for a while; normally threads record no state of short work."""
     keys = []
     record = Ledger.record
 
@@ -166,14 +166,14 @@ def test_processes_give_the_same_bits(finished, tmp_path, stored_values):
 
 @pytest.mark.endurance  # a run of kills at moments that the machine's load decides
 def test_workers_that_are_killed_one_after_another_fail_nothing(finished, tmp_path, stored_values):
-    """After each cell one is killed: with what it computes and what waits there."""
+    """After each cell, kill one worker with its running and waiting tasks."""
     killed = set()
 
     def kill(progress):
         workers = []
         for child in psutil.Process().children(recursive=True):
-            with contextlib.suppress(psutil.Error):  # it has just ended
-                if child.parent().pid != os.getpid():  # the server that forks them, and the tracker
+            with contextlib.suppress(psutil.Error):  # The process has just ended
+                if child.parent().pid != os.getpid():  # Skip the fork server and the tracker
                     workers.append(child.pid)
         if progress.done < progress.cells and workers:
             killed.add(workers[progress.done % len(workers)])
@@ -188,7 +188,7 @@ def test_workers_that_are_killed_one_after_another_fail_nothing(finished, tmp_pa
 def test_interrupted_and_resumed_in_other_chunks_gives_the_same_bits(
     finished, tmp_path, stored_values, monkeypatch
 ):
-    """Stopped after every few tasks, each time with other chunks; no block is computed twice."""
+    """Stop after every few tasks, each time with other chunks; no block is computed twice."""
     tasks = []
 
     class Stopping:
@@ -236,7 +236,7 @@ def test_interrupted_and_resumed_in_other_chunks_gives_the_same_bits(
 
 
 def test_failures_stay_in_their_cells(misbehaving, tmp_path, stored_values):
-    """And stay failed on resume, without anything being computed, until they are retried."""
+    """And stay failed on resume, without being computed, until they are retried."""
     text, trust = _functions("good", "raises", "nan", "hangs")
     study = decode_study(text)
     with pytest.raises(CellFailed, match="2 of 4 cells failed.*--retry") as caught:
@@ -264,7 +264,7 @@ def test_failures_stay_in_their_cells(misbehaving, tmp_path, stored_values):
 def test_integrands_that_interrupt_cancel_or_leave_do_not_hold_up_the_run(
     misbehaving, tmp_path, capfd, limit
 ):
-    """Threads and processes alike: an interrupt that is not the user's is a failure like others."""
+    """For threads and processes: an interrupt that does not come from the user is a failure."""
     text, trust = _functions("interrupts", "cancels", "leaves", "good")
     with pytest.raises(CellFailed) as caught:
         run_study(decode_study(text), tmp_path / "out", trust=trust, workers=2, time_limit=limit)
@@ -302,7 +302,7 @@ def test_integrands_that_fail_while_the_study_is_planned_fail_their_cells_only(
     with pytest.raises(CellFailed) as again:
         run_study(study, tmp_path / "out", trust=trust, resume=True, engine=_no_engine)
     assert again.value.failures == caught.value.failures
-    (misbehaving / "hang").unlink()  # nothing else has changed: now it answers
+    (misbehaving / "hang").unlink()  # Only this has changed: now the function returns
     with pytest.raises(CellFailed, match="4 of 6 cells failed"):
         run_study(study, tmp_path / "out", trust=trust, resume=True, retry=True, workers=1)
     assert set(open_results(tmp_path / "out").children) == {"good", "hangs-at-once"}
@@ -313,11 +313,11 @@ def _no_engine(text):
 
 
 def test_a_process_that_is_stopped_or_dies_is_replaced(misbehaving, tmp_path, stored_values):
-    """A task that hangs, one whose worker dies once, one that just works, and one that kills all."""
+    """A task that hangs, one whose worker dies once, one that works, and one that kills all."""
     (misbehaving / "hang").touch()
     text, trust = _functions("hangs", "dies_once", "good", "dies")
     study = decode_study("time_limit = 5\n" + text)
-    # dask's own patience with a worker that starts is over at once, as under load
+    # dask's own patience with a starting worker ends at once, as under load
     impatient = {"distributed.deploy.lost-worker-timeout": 0}
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 1} | impatient),
@@ -329,7 +329,7 @@ def test_a_process_that_is_stopped_or_dies_is_replaced(misbehaving, tmp_path, st
         _path(
             "dies"
         ): "4 workers died while computing it; it may need more memory than a worker has "
-        "(the worker's log says more).",
+        "(see the worker's log).",
     }
     assert (misbehaving / "died").exists()
     values = stored_values(tmp_path)
@@ -345,7 +345,7 @@ def _is_done(out, path):
 def test_interrupting_the_command_exits_130_and_loses_nothing(
     misbehaving, tmp_path, stored_values, hear_interrupts
 ):
-    """Ctrl-C while a slow cell runs: the fast one is stored, and --resume completes the rest."""
+    """Ctrl-C while a slow cell runs: the fast cell is stored, and --resume completes the rest."""
     text, trust = _functions("good", "slow")
     study = tmp_path / "study.toml"
     study.write_text(text.replace("[4, 16]", "[4, 8, 16, 32]").replace("= 10", "= 200"))
@@ -377,7 +377,7 @@ def test_interrupting_the_command_exits_130_and_loses_nothing(
 
 @dataclass
 class Numbers:
-    """A state of 8 kB that adds up."""
+    """A state of 8 kB that is merged by addition."""
 
     total: SUM
 
@@ -397,7 +397,7 @@ class Sums(Analysis, frozen=True, kw_only=True):
 
 @dataclass
 class OneCell:
-    """As of a plan, and no more."""
+    """The part of a plan's cell that the schedule uses."""
 
     path: str
     analysis: Analysis
@@ -410,7 +410,7 @@ class OneCell:
 
 
 def test_memory_is_flat_over_thousands_of_tasks():
-    """4,000 tasks of 8 kB each: at most 2 × workers are under way, and states merge at once."""
+    """4,000 tasks of 8 kB each: at most 2 × workers are running, and states merge at once."""
     under_way = []
 
     class Empty:
@@ -428,7 +428,7 @@ def test_memory_is_flat_over_thousands_of_tasks():
             under_way.append(schedule.under_way)
             self._inner.submit(task, compute)
 
-    for _ in range(2):  # what the first one imports is not its own
+    for _ in range(2):  # The first run includes imports
         under_way.clear()
         schedule = Schedule([OneCell("a/s/k", Sums(), Need())], 0, Empty(), 1e-12)
         executor = Watched()
@@ -440,7 +440,7 @@ def test_memory_is_flat_over_thousands_of_tasks():
     assert unpack(xr.Dataset, settled.payload)["x"][0] == 4_000 * 3_999 / 2
     assert len(under_way) == 4_000
     assert max(under_way) <= 6
-    # log2(4,000) states, six tasks under way and what each holds, a list of 4,000 numbers.
+    # At most log2(4,000) states, six running tasks with their data, and a list of 4,000 numbers.
     assert peak < 2e6
 
 

@@ -1,4 +1,4 @@
-"""Chunks in any sizes and order merge in the tree of `MergeTree`; what is next is what is largest."""
+"""Chunks of any sizes and order merge in the tree of `MergeTree`; the largest work comes first."""
 
 import dataclasses
 import itertools
@@ -20,7 +20,7 @@ from mcspectra.studies.tasks import Outcome
 
 @dataclass
 class Word:
-    """The tree itself, written with brackets: any other order shows."""
+    """The tree itself, written with brackets, which shows any other order."""
 
     text: str
 
@@ -35,7 +35,7 @@ def reduction(key, blocks, cost=1.0):
 
 
 class Words(Analysis, frozen=True, kw_only=True):
-    """A reduction in each step, whose trees are the result."""
+    """An analysis with one reduction per step, whose trees are the result."""
 
     blocks: tuple[int, ...] = (5,)
     relative_error: float | None = None
@@ -64,7 +64,7 @@ def straight(words):
 
 @dataclass(frozen=True)
 class Cell:
-    """As of a plan, and no more."""
+    """The part of a plan's cell that the schedule uses."""
 
     path: str
     analysis: Analysis
@@ -111,7 +111,7 @@ def trees(settled):
 
 
 def random_chunks(run, part, chance):
-    """All chunks of a run in sizes drawn at random, shuffled."""
+    """Return all chunks of a run in random sizes, shuffled."""
     found = []
     while (chunk := part.next_chunk(1 << chance.randrange(5))) is not None:
         found.append(chunk)
@@ -162,8 +162,8 @@ def test_recorded_chunks_of_other_sizes_are_used_and_only_the_rest_is_left(block
 
 
 @pytest.mark.parametrize("blocks", [1, 7, 16, 37])
-def test_what_is_recorded_on_the_way_restores_all_of_it(blocks):
-    """Recorded at random moments: merged chunks, and nothing twice that was recorded before."""
+def test_states_recorded_during_a_run_restore_all_of_it(blocks):
+    """Record at random moments: merged chunks are recorded, and nothing is recorded twice."""
     run = reduction("r", blocks)
     chance = random.Random(blocks)
     for _ in range(30):
@@ -191,19 +191,19 @@ def test_chunks_that_are_not_nodes_of_the_tree_are_left_out():
     assert asked == [(8, 2)]
 
 
-def test_tasks_are_short_beside_a_time_limit():
+def test_tasks_are_short_compared_with_the_time_limit():
     assert task_seconds(None) == task_seconds(100.0) == 1.0
     assert task_seconds(2.0) == 0.4
 
 
 def test_sizes_follow_the_measured_pace():
-    """Of the cell first, else of the analysis; a first task that compiles is soon forgotten."""
+    """Use the pace of the cell, otherwise of the analysis; compilation is soon forgotten."""
     words = Words(blocks=(10**6,), relative_error=0.1)
     schedule = Schedule([cell("a", words, 1.0), cell("b", words, 0.5)], 0, Recorded(), 1.0)
     first = schedule.next_work()
     assert first[0].chunk == (0, 1)
     schedule.take(outcome(first, 2.0**-3))
-    assert schedule.next_work()[0].chunk[1] == 1  # (1, 8) would be no node of the tree
+    assert schedule.next_work()[0].chunk[1] == 1  # (1, 8) would not be a node of the tree
     assert [schedule.next_work()[0].chunk for _ in range(3)] == [(2, 2), (4, 4), (8, 8)]
     slow = schedule.next_work()
     assert slow[0].chunk == (16, 8)
@@ -266,7 +266,7 @@ def test_a_failing_task_fails_its_cell_and_no_other():
     assert schedule.under_way == 0
 
 
-def test_what_fails_outside_of_tasks_fails_its_cell_too():
+def test_an_error_outside_of_tasks_fails_its_cell():
     one = Words(blocks=(1,))
     words = {
         "a": Words(blocks=(1,), fails="last"),
@@ -287,7 +287,7 @@ def test_what_fails_outside_of_tasks_fails_its_cell_too():
     assert errors["d"] == "It raised SystemExit: 3."
 
 
-def test_what_cannot_be_recorded_ends_the_run_and_fails_no_cell(monkeypatch):
+def test_a_recording_error_ends_the_run_and_fails_no_cell(monkeypatch):
     class Full(Recorded):
         def record(self, *_):
             raise StorageError("The disk is full.")
@@ -299,7 +299,7 @@ def test_what_cannot_be_recorded_ends_the_run_and_fails_no_cell(monkeypatch):
     assert list(schedule.settled()) == []
 
 
-def test_what_is_recorded_is_not_computed_again():
+def test_recorded_chunks_are_not_computed_again():
     words = Words(blocks=(4, 3))
     runs = words.reductions()
     known = [(runs[0], (0, 4)), (runs[1], (0, 2))]
@@ -314,7 +314,7 @@ def test_what_is_recorded_is_not_computed_again():
 
 
 def test_states_are_recorded_once_in_a_second_of_work():
-    """And at the end of a run what is left; a cell that is finished leaves none."""
+    """At the end of a run the rest is recorded; a finished cell leaves no states."""
     records = Recorded()
     schedule = Schedule([cell("a", Words(blocks=(16,)))], 0, records)
     works = [schedule.next_work() for _ in range(16)]
@@ -339,7 +339,7 @@ def test_cells_known_to_be_short_are_one_task():
     works = [schedule.next_work() for _ in range(4)]
     for work in works:
         schedule.take(outcome(work, 0.05))
-    schedule.take(outcome(schedule.next_work(), 0.05))  # the second step of m, in one task
+    schedule.take(outcome(schedule.next_work(), 0.05))  # The second step of m as one task
     works = [schedule.next_work() for _ in range(4)]
     assert [work and work[0].key for work in works] == ["a", "b/r0/0+4", "c/r0/2+2", None]
     list(schedule.settled())
@@ -349,7 +349,7 @@ def test_cells_known_to_be_short_are_one_task():
     assert unpack(xr.Dataset, settled.payload).identical(result)
 
 
-def test_results_of_whole_cells_that_are_damaged_fail_them():
+def test_a_damaged_result_of_a_whole_cell_fails_it():
     schedule = Schedule([cell("m", Words(blocks=(1,)), 9.0), cell("a")], 0, Recorded())
     schedule.take(outcome(schedule.next_work(), 0.1))
     work = schedule.next_work()
@@ -358,8 +358,8 @@ def test_results_of_whole_cells_that_are_damaged_fail_them():
     assert [s.error is None for s in schedule.settled()] == [True, False]
 
 
-def test_of_cells_that_are_all_recorded_one_result_at_a_time_is_held():
-    """A resumed run may find thousands; a cell that has tasks and one that fails come between."""
+def test_fully_recorded_cells_are_restored_one_at_a_time():
+    """A resumed run may find thousands; a cell with tasks and a failing cell come in between."""
     words = Words(blocks=(4,))
     state = pack(compute_chunk(words.reductions()[0], (0, 4)))
     records = Recorded({(name, "r0", (0, 4)): state for name in "abd"})

@@ -1,4 +1,4 @@
-"""The schema says what the reader accepts; the page on study files says what the schema says."""
+"""The schema agrees with the reader, and the page on study files agrees with the schema."""
 
 import re
 import tomllib
@@ -23,7 +23,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def _errors(schema, value, root, place="$"):
-    """Complaints of a small validator of those JSON Schema words that msgspec writes."""
+    """Return the errors of a small validator for the JSON Schema keywords that msgspec writes."""
     if "$ref" in schema:
         schema = root["$defs"][schema["$ref"].rpartition("/")[2]]
     if "anyOf" in schema:
@@ -127,7 +127,7 @@ def test_placeholders_may_stand_for_numbers():
     assert _complaints(text.replace('"{d}"', '"d"'))
 
 
-def test_placeholders_may_stand_for_lists_and_not_for_what_a_study_has_once():
+def test_placeholders_may_replace_lists_but_not_single_values():
     text = STUDY.replace("n = 4", 'n = "{n}"\n[predict]\ncounts = "{c}"')
     text = text.replace('["random"]', '"{s}"')
     text += 'grid = { n = [4, 8], c = [[4, 8], [16]], s = [["random"], ["jittered"]] }\n'
@@ -136,12 +136,12 @@ def test_placeholders_may_stand_for_lists_and_not_for_what_a_study_has_once():
     for key in ("seed", "time_limit"):
         varied = f'{key} = "{{n}}"\n{text}'
         assert _complaints(varied)
-        with pytest.raises(ConfigError, match=f"{key} is '{{n}}', and a study has one"):
+        with pytest.raises(ConfigError, match=f"{key} is '{{n}}', but a study has a single value"):
             decode_study(varied)
     assert _complaints(f'maps = "{{n}}"\n{text}')
 
 
-def test_schema_says_what_it_is_and_what_keys_mean():
+def test_the_schema_describes_itself_and_its_keys():
     schema = study_schema()
     assert schema["$id"] == SCHEMA_ID
     for own in schema["$defs"].values():

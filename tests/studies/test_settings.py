@@ -1,4 +1,4 @@
-"""Settings of a study's analyses: basis, bands, fit window, wanted precision; how they reach cells."""
+"""Settings of a study's analyses reach its cells: basis, bands, fit window, precision."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Analyses of other packages: a table of their name, in study files and in all that describes them."""
+"""Analyses of other packages have a table in study files and in all their descriptions."""
 
 import sys
 import textwrap
@@ -129,7 +129,7 @@ def test_its_options_are_checked_and_its_refusals_name_the_place(tmp_path):
             make_plan(decode_study(STUDY.replace("{ n = 8 }", table)), tmp_path)
 
 
-def test_it_stands_in_schema_key_tables_and_template():
+def test_it_appears_in_schema_key_tables_and_template():
     schema = study_schema()
     assert schema["$defs"]["StudyConfig"]["properties"]["centre"]["$ref"] == "#/$defs/Centre"
     assert schema["$defs"]["Centre"]["properties"]["axis"]["description"] == "Which coordinate."
@@ -138,7 +138,7 @@ def test_it_stands_in_schema_key_tables_and_template():
     assert "# [centre] " in template()
 
 
-def test_one_of_scenes_is_a_list_of_tables(tmp_path):
+def test_an_analysis_of_scenes_is_a_list_of_tables(tmp_path):
     text = "title = 't'\n[[frames]]\nname = 'f'\nscene = 'veach'\nsamplers = ['random']\n"
     (cell,) = make_plan(decode_study(text), tmp_path).cells
     assert (cell.path, cell.analysis.scene, cell.subject.estimator) == (
@@ -148,20 +148,20 @@ def test_one_of_scenes_is_a_list_of_tables(tmp_path):
     )
     with pytest.raises(ConfigError, match="outside the study's folder"):
         make_plan(decode_study(text.replace("veach", "../x.xml")), tmp_path)
-    with pytest.raises(ConfigError, match=r"list tables \[\[frames\]\]"):
+    with pytest.raises(ConfigError, match=r"add tables \[\[frames\]\]"):
         decode_study(STUDY.replace("centre = { n = 8 }", "frame = { scene = 'veach' }"))
 
 
 @pytest.mark.parametrize(
     ("name", "words"), [("broken", "cannot be loaded"), ("number", "not a class")]
 )
-def test_one_that_is_broken_harms_only_studies_that_name_it(tmp_path, name, words):
+def test_a_broken_analysis_affects_only_studies_that_name_it(tmp_path, name, words):
     assert make_plan(decode_study(STUDY), tmp_path).cells
     with pytest.raises(ConfigError, match=words):
         decode_study(f"{STUDY}{name} = {{ n = 3 }}")
 
 
-def test_none_hides_a_key_or_leads_out_of_the_results(tmp_path):
+def test_no_analysis_hides_a_key_or_leaves_the_results(tmp_path):
     assert decode_study(STUDY).samplers == ("random",)
     with pytest.raises(ConfigError, match="no key 'Bad/../Name'"):
         decode_study(f"{STUDY}'Bad/../Name' = {{ n = 3 }}")

@@ -1,4 +1,4 @@
-"""Studies end to end: same bits for any number of workers, resumable, honest about failures."""
+"""Studies end to end: same bits for any number of workers, resumable, failures reported."""
 
 import pytest
 
@@ -61,7 +61,7 @@ def finished(tmp_path_factory):
     return folder
 
 
-def test_resume_computes_only_what_is_missing(finished, tmp_path, stored_values):
+def test_resume_computes_only_missing_cells(finished, tmp_path, stored_values):
     import shutil
 
     shutil.copytree(finished, tmp_path / "copy")
@@ -70,7 +70,7 @@ def test_resume_computes_only_what_is_missing(finished, tmp_path, stored_values)
     paths = [cell.path for cell in plan.cells]
     note = StudyNote.of(plan.config, plan.inputs)
     Ledger.resume(tmp_path / "copy", note, paths, outdated=["mis/random/terms"]).close()
-    (tmp_path / "copy/.results.zarr.partial").mkdir()  # what a killed run leaves
+    (tmp_path / "copy/.results.zarr.partial").mkdir()  # Left by a killed run
     seen = []
     run_study(
         decode_study(STUDY),
@@ -83,8 +83,8 @@ def test_resume_computes_only_what_is_missing(finished, tmp_path, stored_values)
     assert not list((tmp_path / "copy").glob(".*.partial"))
 
 
-def test_resume_mends_damaged_cells_and_the_store(finished, tmp_path, stored_values):
-    """Garbage in the ledger; a chunk that is gone, which zarr would read as fill values."""
+def test_resume_repairs_damaged_cells_and_the_store(finished, tmp_path, stored_values):
+    """Garbage in the ledger; a missing chunk, which zarr would read as fill values."""
     import shutil
 
     shutil.copytree(finished, tmp_path / "copy")
@@ -118,7 +118,7 @@ def test_summary_has_a_row_for_every_pair(finished):
     assert smooth.captured == pytest.approx(smooth.predicted / smooth.measured)
 
 
-def test_names_that_meet_in_one_group_name_stay_apart(tmp_path):
+def test_names_with_equal_slugs_get_different_groups(tmp_path):
     text = STUDY[: STUDY.index("[[")] + "".join(
         f'[[estimators]]\nname = "{name}"\nintegrand = "gaussian"\n' for name in ("a b", "a-b", "ä")
     )
@@ -126,7 +126,7 @@ def test_names_that_meet_in_one_group_name_stay_apart(tmp_path):
     assert len({cell.path for cell in plan.cells}) == len(plan.cells) == 3 * 2 * 4
 
 
-def test_thousands_of_names_that_begin_alike_are_named_at_once():
+def test_thousands_of_similar_names_are_fast():
     from mcspectra.studies.files import Slugs
 
     slugs = Slugs()

@@ -1,4 +1,4 @@
-"""The row of a pair: predicted over measured, and by which method."""
+"""The row of a pair: predicted over measured variance, and the method of the prediction."""
 
 import numpy as np
 import pytest
@@ -53,7 +53,7 @@ def row(**found):
     return only
 
 
-def test_a_basis_where_nothing_better_is_known():
+def test_without_a_prediction_the_method_is_the_basis():
     found = row(convergence=CURVE, terms=TERMS)
     assert (found.ratio, found.ratio_low, found.ratio_high) == (0.8, 0.7, 0.9)
     assert found.method == "walsh"
@@ -67,7 +67,7 @@ def test_exact_variances_at_the_last_count_that_has_one():
     assert found.captured == 0.8
 
 
-def test_predictions_before_all_with_both_errors():
+def test_predictions_come_first_with_both_errors():
     found = row(convergence=CURVE, terms=TERMS, predict=PREDICTED)
     assert found.ratio == pytest.approx(1.2)
     low = np.hypot(np.log(12.5 / 10), np.log(12 / 10))
@@ -77,8 +77,8 @@ def test_predictions_before_all_with_both_errors():
     assert found.method == "torus"
 
 
-def test_of_all_methods_the_most_trusted_one_that_predicts_counts():
-    """Their names are a coordinate, or the labels of a store; the measurement is no prediction."""
+def test_the_most_trusted_predicting_method_is_used():
+    """Method names are a coordinate or labels of a store; the measurement is not a prediction."""
     names = ["exact", "torus", "measured"]
     value = [[np.nan, np.nan], [0.2, 0.012], [0.1, 0.01]]
     found = xr.Dataset(
@@ -95,15 +95,15 @@ def test_of_all_methods_the_most_trusted_one_that_predicts_counts():
     assert row(convergence=CURVE, predict=found.isel(method=[0, 2])).ratio is None
 
 
-def test_nothing_measured_is_divided_by():
+def test_a_measured_variance_of_zero_gives_no_ratio():
     silent = CURVE.assign(variance=0.0 * CURVE["variance"])
     assert row(convergence=silent, predict=PREDICTED).ratio is None
     tree = xr.DataTree.from_dict({"/e/s/predict": PREDICTED})
     assert summarize(tree) == []
 
 
-def test_ends_that_are_not_known_are_infinite():
-    """A rate whose interval is infinite is no bare number."""
+def test_unknown_ends_of_intervals_are_infinite():
+    """A rate with an infinite interval is not shown without it."""
     variance_ci = CURVE["variance_ci"].copy(data=[[0.9, np.inf], [0.09, np.inf], [0.008, np.inf]])
     blind = CURVE.assign(variance_ci=variance_ci, rate_ci=("bound", [-np.inf, np.inf]))
     found = row(convergence=blind, predict=PREDICTED)

@@ -1,4 +1,4 @@
-"""Tasks are computed from text alone, within their time, and their results are plain numbers."""
+"""Tasks are computed from text alone within a time limit, and return plain numbers."""
 
 import pickle
 import threading
@@ -17,8 +17,8 @@ from mcspectra.studies.files import decode_study
 from mcspectra.studies.foreign_code import explain
 from mcspectra.studies.tasks import (
     Outcome,
+    StudyTask,
     StudyText,
-    Task,
     WorkerRefused,
     attempt,
     compute_elsewhere,
@@ -40,7 +40,7 @@ dims = 1
 """
 PATH = "a/jittered-shift/pcf"
 TEXT = StudyText(config_json="{}", folder="/", seed=0, version=__version__)
-TASK = Task(path="a", run="r")
+TASK = StudyTask(path="a", run="r")
 
 
 def _text(study=STUDY, **changes):
@@ -48,18 +48,18 @@ def _text(study=STUDY, **changes):
     return msgspec.structs.replace(text, **changes)
 
 
-def test_keys_say_what_the_task_is():
-    task = Task(path="a/b/convergence", run="2-100-25", chunk=(4, 2))
+def test_keys_identify_tasks():
+    task = StudyTask(path="a/b/convergence", run="2-100-25", chunk=(4, 2))
     assert task.key == "a/b/convergence/2-100-25/4+2"
-    assert Task(path="a/b/exact", run=None).key == "a/b/exact"
+    assert StudyTask(path="a/b/exact", run=None).key == "a/b/exact"
     assert pickle.loads(pickle.dumps(task)) == task
 
 
-def test_a_worker_needs_text_alone():
-    """The text goes to JSON and back, as to another machine; the result is what the function gives."""
+def test_a_worker_needs_only_text():
+    """The text is converted to JSON and back; the result equals that of the function."""
     text = msgspec.json.decode(msgspec.json.encode(_text()), type=StudyText)
     wanted = mcs.pair_correlation(mcs.sampler("jittered | shift", 1), 4096, realizations=64, rng=5)
-    outcome = attempt(text, Task(path=PATH, run=None))
+    outcome = attempt(text, StudyTask(path=PATH, run=None))
     found = unpack(xr.Dataset, outcome.payload)
     assert found["pair_correlation"].identical(wanted["pair_correlation"])
     assert found.attrs["estimator_name"] == "a"
@@ -67,10 +67,10 @@ def test_a_worker_needs_text_alone():
     assert outcome.host
     assert outcome.seconds > 0
 
-    # The same from chunks of its reduction, which the worker knows by its key
+    # The chunks of the reduction, which the worker finds by its key, give the same result
     cell = text.cells()[PATH]
     run = cell.analysis.reduction(cell.subject, Stream.from_rng(5))
-    tasks = [Task(path=PATH, run=run.key, chunk=chunk) for chunk in chunks(run.blocks, 1)]
+    tasks = [StudyTask(path=PATH, run=run.key, chunk=chunk) for chunk in chunks(run.blocks, 1)]
     tree = MergeTree()
     for task in tasks:
         tree.add(unpack(run.kind, attempt(text, task).payload))
@@ -78,10 +78,10 @@ def test_a_worker_needs_text_alone():
 
 
 def test_unknown_cells_are_refused():
-    assert "no cell 'a/b'" in attempt(_text(), Task(path="a/b", run=None)).error
+    assert "no cell 'a/b'" in attempt(_text(), StudyTask(path="a/b", run=None)).error
 
 
-def test_trust_goes_along():
+def test_trust_is_sent_with_the_text():
     study = STUDY.replace('"linear"', "\"python(function='strangers:f')\"")
     trust = Trust(("a:b",), (Path("elsewhere"),))
     text = StudyText.of(decode_study(study), Path(), trust)
@@ -117,7 +117,7 @@ def _misbehaving(name):
     ],
 )
 def test_whatever_an_integrand_does_becomes_a_sentence(misbehaving, name, sentence):
-    outcome = attempt(_misbehaving(name), Task(path="a/jittered-shift/convergence", run=None))
+    outcome = attempt(_misbehaving(name), StudyTask(path="a/jittered-shift/convergence", run=None))
     assert outcome.payload is None
     assert sentence in outcome.error
     assert len(outcome.error) < 1000
@@ -146,7 +146,7 @@ def test_an_outcome_leaves_the_worker_free(limit):
     assert compute_elsewhere(_done, TEXT, TASK, limit) == (_done(TEXT, TASK), False)
 
 
-def test_what_takes_too_long_is_left_behind():
+def test_a_task_beyond_its_time_limit_is_abandoned():
     gate = threading.Event()
 
     def waits(_, task):

@@ -1,4 +1,4 @@
-"""Lost pages, power, memory, clocks and locks: see trials.py, whose counts these print."""
+"""Lost pages, power, memory, clocks and locks: see trials.py, which prints the counts."""
 
 import pytest
 from tests.studies import trials

@@ -1,4 +1,4 @@
-"""A study from a stranger: no code, no files elsewhere, no names that lead out of the store."""
+"""An untrusted study runs no code, reads no files elsewhere, and cannot leave the store."""
 
 import hashlib
 import sys
@@ -29,7 +29,7 @@ CODE = "\"python(function='strangers:f')\""
 
 @pytest.fixture
 def module(tmp_path, monkeypatch):
-    """A module that leaves a mark when it is imported."""
+    """A module that writes a mark file when it is imported."""
     folder = tmp_path / "modules"
     folder.mkdir()
     (folder / "strangers.py").write_text(
@@ -59,7 +59,7 @@ def test_code_is_imported_only_if_allowed(module, tmp_path):
     assert estimator.dims == 1
 
 
-def test_a_module_beside_the_study_is_not_found(tmp_path):
+def test_a_module_next_to_the_study_is_not_found(tmp_path):
     (tmp_path / "beside.py").write_text("def f(x): return x[..., 0]\n")
     config = _with('"linear"', "\"python(function='beside:f')\"")
     with pytest.raises(ConfigError, match="cannot be imported"):
@@ -78,13 +78,13 @@ def test_a_module_beside_the_study_is_not_found(tmp_path):
         ("python", "function='module:function'"),
     ],
 )
-def test_functions_that_are_none(module, tmp_path, spec, words):
+def test_invalid_functions_are_refused(module, tmp_path, spec, words):
     trust = Trust(code=("strangers:value", "strangers:none"))
     with pytest.raises(ConfigError, match=words):
         make_plan(_with('"linear"', f'"{spec}"'), tmp_path, trust)
 
 
-def test_densities_and_samplers_are_no_functions(module, tmp_path):
+def test_densities_and_samplers_cannot_be_functions(module, tmp_path):
     trust = Trust(code=("strangers:f",))
     with pytest.raises(ConfigError, match="only integrands"):
         make_plan(_with("dims = 1", f"dims = 1\ndensity = {CODE}"), tmp_path, trust)
@@ -111,7 +111,7 @@ def test_samplers_of_code_are_allowed_by_name(tmp_path, monkeypatch):
         with pytest.raises(ConfigError, match="--allow-code"):
             make_plan(config, folder, Trust(code=code))
     plan = make_plan(config, folder, Trust(code=("my_points:draw", "./mine")))
-    # The program lies in the study's folder, wherever the study is run from; both are inputs
+    # The program lies in the study's folder, independent of the working folder; both are inputs
     assert plan.inputs["mine"] == hashlib.sha256(program.read_bytes()).hexdigest()
     assert "module my_points" in plan.inputs
     by_inputs = {cell.inputs: cell.subject.sampler for cell in plan.cells}
@@ -120,7 +120,7 @@ def test_samplers_of_code_are_allowed_by_name(tmp_path, monkeypatch):
     np.testing.assert_allclose(offsets, offsets[:, :1].repeat(4, axis=1))
 
 
-def test_a_program_is_not_looked_for_where_the_study_is_run_from(tmp_path, monkeypatch):
+def test_a_program_is_not_searched_in_the_working_folder(tmp_path, monkeypatch):
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     program = elsewhere / "mine"
@@ -141,7 +141,7 @@ def test_allowances_are_checked(name):
 
 @pytest.fixture
 def places(tmp_path):
-    """A study's folder with a set inside, one outside, and links to the latter."""
+    """A study's folder with a point set inside, one outside, and links to the latter."""
     folder, outside = tmp_path / "study", tmp_path / "outside"
     (folder / "sub").mkdir(parents=True)
     outside.mkdir()
@@ -225,7 +225,7 @@ def test_options_that_are_scenes_are_names_or_files(places, scene, expected):
     assert found == _Scene(scene=expected.format(folder=places[0]))
 
 
-def test_options_that_are_specs_are_vetted_as_specs(places):
+def test_options_that_are_specs_are_checked_as_specs(places):
     vetting = Vetting(places[0], Trust())
     given = _Scene(scene="veach", proposals=("uniform", "image(path='sub/in.dat')"))
     found, names = vetting.options(given)

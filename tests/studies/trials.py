@@ -1,10 +1,10 @@
-"""What may befall the files of a study: pages, power, memory, clocks and locks that are lost.
+"""Faults of the files of a study: lost pages, power, memory, clocks and locks.
 
-``python -m tests.studies.trials KIND [TRIALS [SEED]]`` prints how many trials of a kind held, and how many
-broke: ``pages`` zeroes each page of a ledger, ``power`` drops writes that were not synced, ``memory`` fails
-allocations, ``clocks`` has the clock of the day jump, ``locks`` takes them from the file system. A trial
-holds if the run, resumed, ends with the very results of one that nothing disturbed. All but the first
-need a C compiler and Linux: see faults.c.
+``python -m tests.studies.trials KIND [TRIALS [SEED]]`` prints the numbers of passed and failed
+trials. The kinds are: ``pages`` zeroes each page of a ledger, ``power`` drops writes that were not
+synced, ``memory`` makes allocations fail, ``clocks`` makes the clock jump, ``locks`` removes locks
+from the file system. A trial passes if the resumed run has exactly the results of an undisturbed
+run. All kinds except the first need a C compiler and Linux: see faults.c.
 """
 
 import contextlib
@@ -40,7 +40,7 @@ from mcspectra.studies.results import open_results
 
 ROOT = Path(__file__).parents[2]
 PAGE, SECTOR = 8192, 4096
-LONGEST = 60  # seconds of a run
+LONGEST = 60  # Maximum duration of a run in seconds
 MANY = """
 title = "pages"
 seed = 11
@@ -79,7 +79,7 @@ dims = 2
 
 
 def values_of(folder):
-    """All results of a folder, as bytes, by the names of cells and variables."""
+    """Return all results of a folder as bytes, by names of cells and variables."""
     tree = open_results(folder)
     found = {}
     for node in tree.leaves:
@@ -90,18 +90,18 @@ def values_of(folder):
 
 
 def digest_of(folder):
-    """SHA-256 of the store, file by file."""
+    """Return the SHA-256 of the store, file by file."""
     digest, tree = hashlib.sha256(), folder / "results.zarr"
     for path in sorted(path for path in tree.rglob("*") if path.is_file()):
         digest.update(f"{path.relative_to(tree)}".encode() + path.read_bytes())
     return digest.hexdigest()
 
 
-# Each page of a ledger zeroed
+# Zeroed pages of a ledger
 
 
 def pages(folder, step=1):
-    """Zero each page of a ledger of real results: what of the cells off the page is not recovered."""
+    """Zero each page of a ledger of real results; count cells outside the page that are lost."""
     config = decode_study(MANY)
     paths = [cell.path for cell in make_plan(config, ".").cells]
     out, work = folder / "whole", folder / "work"
@@ -129,7 +129,7 @@ def pages(folder, step=1):
         found["recovered"] += len(set(off) & set(kept))
         good = set(off) <= set(kept) == set(said.done) and sound and scalars and said.damaged
         found["held" if good else "broken"] += 1
-        if number % 16 == 0:  # the rest is computed again, by the run itself
+        if number % 16 == 0:  # The run itself computes the rest again
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 run_study(config, work, resume=True, workers=1)
@@ -138,7 +138,7 @@ def pages(folder, step=1):
 
 
 def pages_of(content, payload):
-    """The pages that a payload is on: where those of its pieces are that no other has."""
+    """Return the pages of a payload: where the pieces lie that no other payload has."""
     pieces = (payload[i : i + 64] for i in range(0, len(payload) - 63, 8))
     places = [content.find(piece) for piece in pieces if content.count(piece) == 1]
     assert places
@@ -150,7 +150,7 @@ def pages_of(content, payload):
 
 @functools.cache
 def shim():
-    """The library that brings faults, compiled; None where that cannot be."""
+    """Compile the library that causes faults; None if that is not possible."""
     compiler = shutil.which("cc")
     if compiler is None or sys.platform != "linux":
         return None
@@ -162,14 +162,14 @@ def shim():
 
 
 def with_faults(*arguments, **faults):
-    """A process of Python with the faults of these environment variables."""
+    """Start a Python process with the faults given as environment variables."""
     names = {f"FAULTS_{name.upper()}": str(value) for name, value in faults.items()}
     environment = os.environ | {"LD_PRELOAD": str(shim()), "OMP_NUM_THREADS": "1", **names}
     return python(*arguments, cwd=ROOT, env=environment)
 
 
 def command(study, out, *more):
-    """The command line of a run that records much, commits often and draws no pictures."""
+    """Return the command line of a run that records and commits often and draws no pictures."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(schedule, "_TARGET", 1e-9)
         patch.setattr(schedule, "_RECORDED_AFTER", 0.0)
@@ -179,10 +179,10 @@ def command(study, out, *more):
 
 
 def straight_run(study, out):
-    """The digest of a run that nothing disturbs.
+    """Return the digest of an undisturbed run.
 
-    The run loads all modules and kernels, which takes four times as long as the run: forks need not
-    load them again.
+    The run loads all modules and kernels, which takes four times as long as the run itself. Forks
+    of this process need not load them again.
     """
     with contextlib.redirect_stdout(None):
         assert command(study, out) == 0
@@ -190,13 +190,13 @@ def straight_run(study, out):
 
 
 def forked(*arguments, begin=lambda: None):
-    """The exit code of the command in a fork of this process."""
+    """Return the exit code of the command in a fork of this process."""
     child = os.fork()
     if child == 0:
         silent = os.open(os.devnull, os.O_WRONLY)
         for stream in (1, 2):
             os.dup2(silent, stream)
-        signal.alarm(LONGEST)  # ends a run that waits for ever
+        signal.alarm(LONGEST)  # Ends a run that waits for ever
         begin()
         os._exit(command(*arguments))
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
@@ -206,10 +206,10 @@ def forked(*arguments, begin=lambda: None):
 
 
 class Disk:
-    """Files of a folder as a log of their changes has them, of which a power loss keeps what was synced.
+    """Files of a folder rebuilt from a log of their changes; a power loss keeps synced changes.
 
-    A write that was not synced is kept or lost, each sector of it; changes of names that were not synced
-    are lost from one of them on, as file systems keep their order.
+    Each sector of a write that was not synced is kept or lost. Of the changes of names that were
+    not synced, all after a random one are lost, because file systems keep their order.
     """
 
     def __init__(self, log):
@@ -221,7 +221,7 @@ class Disk:
             at += 32 + size
 
     def lost_at(self, change, chosen):
-        """What is in the folder after power was lost before a change: contents by name."""
+        """Return the contents by name after power was lost before a change."""
         synced, waiting, files, folders = {}, {}, {}, set()
         names, kept_names, renames = {}, {}, []
         count = 0
@@ -269,7 +269,7 @@ class Disk:
 
 
 def applied(content, changes):
-    """A file's content after changes of it."""
+    """Return a file's content after changes."""
     found = bytearray(content)
     for kind, place, data in changes:
         if kind == "T":
@@ -281,7 +281,7 @@ def applied(content, changes):
 
 
 def partly(changes, chosen):
-    """Changes that were not synced, each sector of which may be lost: all, some or none of them."""
+    """Return unsynced changes of which all, some or no sectors are lost."""
     share = chosen.choice((0.0, 0.5, 0.5, 1.0))
     for kind, place, data in changes:
         if kind == "T":
@@ -294,7 +294,7 @@ def partly(changes, chosen):
 
 
 def power(folder, trials, seed=1):
-    """Lose power between any two changes of a run's files, and resume; of twice as many, twice."""
+    """Lose power once or twice between changes of a run's files, then resume."""
     study, chosen = folder / "study.toml", random.Random(seed)
     study.write_text(FEW)
     log, out = folder / "log", folder / "logged"
@@ -306,7 +306,7 @@ def power(folder, trials, seed=1):
     for number in range(trials):
         work = folder / f"power{number}"
         work.mkdir()
-        # Spread over the changes: every one of them is tried where there are as many trials
+        # Spread the trials over the changes: enough trials cover every change
         change = (number * len(disk.changes)) // trials + chosen.randrange(2)
         for name, content in disk.lost_at(change, chosen).items():
             (work / name).write_bytes(content)
@@ -322,7 +322,7 @@ def power(folder, trials, seed=1):
 
 
 def memory(folder, trials, seed=1):
-    """Fail random allocations of a run, in forks of a process that has the shim; resume without."""
+    """Make random allocations of a run fail, in forks of a process with the shim; then resume."""
     ended = with_faults("-m", "tests.studies.trials", "memory-inside", folder, trials, seed)
     assert ended.returncode == 0, ended.stderr[-2000:]
     return Counter(json.loads(ended.stdout.splitlines()[-1]))
@@ -337,7 +337,7 @@ def memory_inside(folder, trials, seed):
     found = Counter(held=0, broken=0)
     for number in range(trials):
         out = folder / f"memory{number}"
-        # From the start, or from one of the commits on
+        # Start at the beginning, or at one of the commits
         commit = chosen.choice((None, *range(1, 12)))
         after = int(10 ** chosen.uniform(0.0, 4.0 if commit else 6.0))
         count = chosen.choice((1, 1, 10, 1000))
@@ -368,7 +368,7 @@ def memory_inside(folder, trials, seed):
 
 
 def clocks(folder, trials, seed=1):
-    """Have the clock of the day jump by years while a run is killed, and while it is resumed."""
+    """Let the clock jump by years while a run is killed and resumed."""
     study = folder / "study.toml"
     study.write_text(FEW)
     program = ("-m", "tests.studies.killed_runs", study, folder / "runs")
@@ -386,7 +386,7 @@ def clocks(folder, trials, seed=1):
 
 
 def locks(folder, trials=1, seed=1):
-    """On a file system without locks a run says so, in a sentence, and writes nothing."""
+    """Check that a run on a file system without locks reports a sentence and writes nothing."""
     study = folder / "study.toml"
     study.write_text(FEW)
     found = Counter(held=0, broken=0)

@@ -1,1 +1,1 @@
-"""The explorer, a page of bokeh's server; all modules but `mcspectra.app.specs` need the extra ``report``."""
+"""The explorer: a page on bokeh's server. All modules except `specs` need the extra ``report``."""

@@ -1,4 +1,4 @@
-"""The figures of one set-up on the page, and the job that fills them."""
+"""The figures of one set-up on the page, and the job that computes them."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from bokeh.models import Column, InlineStyleSheet, Row
 from bokeh.models.widgets.buttons import Button
 from bokeh.models.widgets.markups import Div
 
-from mcspectra.app.compute import KINDS, Job, Update, make_parts
+from mcspectra.app.compute import UPDATE_KINDS, Job, Update, make_parts
 from mcspectra.app.figures import FIGURES, figures_of
-from mcspectra.app.state import Setup
+from mcspectra.app.state import ExplorerSetup
 from mcspectra.core.display import escape_html
 from mcspectra.plots.backend_bokeh import Drawn, draw
 from mcspectra.plots.description import Plot
@@ -21,14 +21,14 @@ from mcspectra.plots.description import Plot
 __all__ = ["Board"]
 
 _FRESH: Any = {"opacity": "1", "filter": "none"}
-_FRAMES = {False: 216, True: 100}  # pixels: of panels abreast, alone and in a pair
+_FRAMES = {False: 216, True: 100}  # Size of a panel in pixels: single set-up, two set-ups
 _STALE: Any = {"opacity": "0.35", "filter": "grayscale(1)"}
 
 
 @final
 @dataclass
 class _Card:
-    """A figure on the page with its heading and its words."""
+    """A figure on the page with its heading and text."""
 
     drawn: Drawn
     layout: Any
@@ -36,22 +36,22 @@ class _Card:
 
 @final
 class Board:
-    """Figures with their sentences, progress, and a button that cancels.
+    """Figures with texts, a progress bar and a cancel button for one set-up.
 
     Parameters
     ----------
     side
         ``"A"`` or ``"B"``.
     sheet
-        Style of the widgets.
+        Style sheet of the widgets.
     later
-        Has a function of no arguments called in the page's own thread, holding its lock.
+        Schedules a function without arguments in the page's thread, holding the page's lock.
     on_update
-        Called in the job's thread before its first part is shown, or with a sentence where nothing
-        can be computed.
+        Called in the job's thread: with an empty text before its first part is shown, or with a
+        sentence if nothing can be computed.
     on_shown
-        Called in the page's thread after a part was, or when the job has ended; with True where
-        figures came or went.
+        Called in the page's thread after a part was shown or the job has ended; with True if
+        figures were added or removed.
     """
 
     def __init__(
@@ -69,8 +69,10 @@ class Board:
         self._later, self._on_update, self._on_shown = later, on_update, on_shown
         self._job: Job | None = None
         self._inbox: SimpleQueue[tuple[Job, Update | str]] = SimpleQueue()
-        self._fresh: set[str] = set()  # kinds of figures that the present job has shown
-        self._drawn: dict[str, tuple[Any, list[str]]] = {}  # what is shown of each part, and where
+        self._fresh: set[str] = set()  # Kinds of figures that the current job has shown
+        self._drawn: dict[
+            str, tuple[Any, list[str]]
+        ] = {}  # Displayed value and figures of each part
         self._paired = False
         self._fraction = 0.0
         self._status = Div(sizing_mode="stretch_width", stylesheets=[sheet])
@@ -78,8 +80,8 @@ class Board:
         self._cancel.on_click(lambda: self.cancel())
         self.header = Row(children=[self._status, self._cancel], sizing_mode="stretch_width")
 
-    def run(self, setup: Setup) -> None:
-        """Show another set-up."""
+    def run(self, setup: ExplorerSetup) -> None:
+        """Compute and show another set-up."""
         self.cancel(quiet=True)
         self.latest.clear()
         self._fresh.clear()
@@ -94,34 +96,34 @@ class Board:
         job.start()
 
     def cancel(self, *, quiet: bool = False) -> None:
-        """Drop the job that is under way."""
+        """Cancel the running job."""
         if self._job is not None:
             self._job.cancel()
             self._job = None
             if not quiet:
-                self._end("Canceled; the figures show what was done by then.")
+                self._end("Canceled; the figures show the results so far.")
 
     @property
     def busy(self) -> bool:
-        """Whether a job is under way."""
+        """Whether a job is running."""
         return self._job is not None
 
     def refuse(self, sentence: str) -> None:
-        """Say why what was entered is not computed; the figures of before stay, in gray."""
+        """Report why an entry is not computed; the earlier figures stay and turn gray."""
         self.cancel(quiet=True)
         self.latest.clear()
         self._fresh.clear()
         self._end(sentence, alert=True)
 
     def pair(self, paired: bool) -> None:
-        """Name the side in the figures' headings, or not."""
+        """Set whether headings of figures name the side."""
         self._paired = paired
         for kind, card in self.cards.items():
             card.layout.children[0].text = self._heading(kind)
             self._size(kind, card.drawn)
 
     def _size(self, kind: str, drawn: Drawn) -> None:
-        """Have the panels of the integrand stand abreast in half of the page as well."""
+        """Shrink the panels of the integrand so that they fit side by side in half of the page."""
         panels: list[Any] = getattr(drawn.model, "children", [])
         if kind != "integrand" or not panels:
             return
@@ -139,7 +141,7 @@ class Board:
         return f"<h2>{side}{FIGURES[kind]}</h2>"
 
     def _hear(self, job: Job, update: Update) -> None:
-        if update.kind == KINDS[0]:
+        if update.kind == UPDATE_KINDS[0]:
             self._on_update("")
         self._post(job, update)
 
@@ -148,13 +150,13 @@ class Board:
         self._later(self._read)
 
     def _read(self) -> None:
-        """Take what has come in, in its order, which the page's callbacks do not keep."""
+        """Process updates in the order of arrival, which the page's callbacks do not keep."""
         while not self._inbox.empty():
             job, news = self._inbox.get()
-            if job is not self._job:  # what a job of the past still sends
+            if job is not self._job:  # An earlier job sent this update
                 continue
             if isinstance(news, Update):
-                # Show a part; one that is as before is neither described nor sent again
+                # Show a part; an unchanged value is neither described nor sent again
                 self.latest[news.kind] = news.value
                 before, kinds = self._drawn.get(news.kind, (None, []))
                 new = False
@@ -176,7 +178,7 @@ class Board:
                 self._end(news or "Done.", alert=bool(news) and not self.latest)
 
     def _place(self, plot: Plot) -> bool:
-        """Show a plot in its card; True if the card is new."""
+        """Show a plot in its card; return True if the card is new."""
         words = f'<p>{escape_html(plot.words)}</p><p class="soft">{escape_html(plot.caption)}</p>'
         card = self.cards.get(plot.kind)
         if card is not None and card.drawn.fits(plot):
@@ -186,8 +188,10 @@ class Board:
             return False
         drawn = draw(plot)
         self._size(plot.kind, drawn)
-        texts = [Div(text=t, sizing_mode="stretch_width", stylesheets=[self._sheet], disable_math=True)
-                 for t in (self._heading(plot.kind), words)]  # fmt: skip
+        texts = [
+            Div(text=t, sizing_mode="stretch_width", stylesheets=[self._sheet], disable_math=True)
+            for t in (self._heading(plot.kind), words)
+        ]
         layout = Column(
             children=[texts[0], drawn.model, texts[1]],
             sizing_mode="stretch_width",
@@ -199,7 +203,7 @@ class Board:
         return True
 
     def _end(self, sentence: str, *, alert: bool = False) -> None:
-        """Say how the job ended; figures that it did not reach leave, or are gray where they are old."""
+        """Report the end of the job; remove figures without results, or turn old figures gray."""
         self._cancel.disabled = True
         old = [kind for kind in self.cards if kind not in self._fresh]
         if len(self.latest) > 0 and sentence == "Done.":
@@ -223,6 +227,7 @@ class Board:
     def _say(self, sentence: str, *, alert: bool = False) -> None:
         role = "alert" if alert else "status"
         self._status.text = (
-            f'<p role="{role}" class="{role}"><strong>{self._side}:</strong> {escape_html(sentence)}</p>'
+            f'<p role="{role}" class="{role}"><strong>{self._side}:</strong> '
+            f"{escape_html(sentence)}</p>"
             f'<progress value="{self._fraction:.3f}"></progress>'
         )

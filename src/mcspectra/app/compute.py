@@ -1,8 +1,8 @@
-"""From a set-up to datasets, in rounds of more and more realizations that can be canceled.
+"""Compute the datasets of a set-up in rounds with more and more realizations, until canceled.
 
-Round r computes everything anew with four times the realizations of round r − 1: a third more work
-in all, and the last round is, to the bit, what the calls of "copy as Python" return. Estimators are
-kept, so that they keep what was computed for them.
+Round r repeats all work with four times the realizations of round r − 1, which costs a third more
+in total. The last round has the same bits as the program of "Copy as Python". Estimators are
+cached, so that their integrands keep computed coefficients.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ import numpy as np
 import xarray as xr
 
 from mcspectra.app.specs import UPLOAD, changed, techniques
-from mcspectra.app.state import ANALYSES, MOST_POINTS, Setup
+from mcspectra.app.state import ANALYSES, MOST_POINTS, ExplorerSetup
 from mcspectra.app.uploads import upload_path
 from mcspectra.core import analysis
 from mcspectra.core.analysis import Analysis, Subject
@@ -37,10 +37,10 @@ from mcspectra.prediction.prediction import Prediction
 from mcspectra.samplers import Sampler, sampler
 
 __all__ = [
-    "KINDS",
     "MOST_AT_ONCE",
+    "UPDATE_KINDS",
+    "EstimatorParts",
     "Job",
-    "Parts",
     "Update",
     "analyses_of",
     "compute",
@@ -50,38 +50,41 @@ __all__ = [
     "rounds",
 ]
 
-KINDS = ("points", "integrand", "spectrum", "convergence", "terms", "predict")
-"""What is computed in each round, in this order; points, integrand and predictions once."""
+UPDATE_KINDS = ("points", "integrand", "spectrum", "convergence", "terms", "predict")
+"""Parts that every round computes, in this order; points, integrand and predictions only once."""
 
 MOST_AT_ONCE = 2
-"""Parts that all pages compute at a time: each uses all processors, and a second fills their gaps."""
+"""Parts that all pages compute at once: each uses all processors, and a second fills gaps."""
 
-_PATIENCE = 0.2  # seconds between two looks whether a job that waits was canceled
+_PATIENCE = 0.2  # Seconds between checks whether a waiting job was canceled
 _INTEGRAND = ("integrand", "density", "dims", "mirror", "channel", "smoothing")
-_OWN = {  # what alone decides on it
+_OWN = {  # Fields of the set-up that a part depends on
     "integrand": _INTEGRAND,
     "predict": (*_INTEGRAND, "sampler", "n", "strata_shift", "seed", "counts"),
 }
 
 _FIRST_ROUND, _GROWTH = 16, 4
-_LONGEST_ROUND = 30.0  # seconds that a round may be expected to take; longer ones are not begun
-_KEPT = 64  # datasets of about 1 MB each
-_GRID = {1: 1024, 2: 128}  # places along an axis at which the integrand is drawn, by dims
-_FILTERS = threading.Lock()  # warning filters are the process's, not a thread's
+_LONGEST_ROUND = 30.0  # Longest expected duration of a round in seconds; longer ones are not begun
+_KEPT = 64  # Cached datasets of about 1 MB each
+_GRID = {1: 1024, 2: 128}  # Grid points per axis for plots of the integrand, by dims
+_FILTERS = threading.Lock()  # Warning filters belong to the process, not to a thread
 
 
 @final
 @dataclass(frozen=True)
 class Update:
-    """A part of what is shown: its kind, of `KINDS`, its value, and how far the job is.
+    """A newly computed part of the figures.
 
     Attributes
     ----------
+    kind
+        Kind of the part, one of `UPDATE_KINDS`.
     value
-        The dataset of the analysis; of ``integrand`` f, p and f/p on a grid.
+        Dataset of the analysis; for ``integrand``, f, p and f/p on a grid.
     realizations
-        Of this value.
+        Number of realizations of this value.
     fraction
+        Share of the job's work that is done, 0 to 1.
         Share of the job's work that is done, 0 to 1.
     """
 
@@ -91,8 +94,8 @@ class Update:
     fraction: float
 
 
-def rounds(setup: Setup) -> Iterator[int]:
-    """Yield the realizations of each round; the last are those of the set-up."""
+def rounds(setup: ExplorerSetup) -> Iterator[int]:
+    """Yield the number of realizations of each round; the last is that of the set-up."""
     count = _FIRST_ROUND
     while count < setup.realizations:
         yield count
@@ -100,27 +103,27 @@ def rounds(setup: Setup) -> Iterator[int]:
     yield setup.realizations
 
 
-def compute(kind: str, setup: Setup, realizations: int) -> xr.Dataset:
-    """Compute one of `KINDS`; what does not depend on a part of the set-up is kept for all of them.
+def compute(kind: str, setup: ExplorerSetup, realizations: int) -> xr.Dataset:
+    """Compute one of `UPDATE_KINDS`; results are cached by the fields they depend on.
 
     Raises
     ------
     McspectraError
-        The parts do not fit, or an analysis refuses them.
+        If the parts do not fit together, or an analysis refuses them.
     """
     if kind in ("points", "spectrum"):
         setup = replace(setup, integrand="constant", mirror="none", smoothing=0.0, basis="fourier")
     if kind in _OWN:
-        setup = Setup(**{name: getattr(setup, name) for name in _OWN[kind]})
+        setup = ExplorerSetup(**{name: getattr(setup, name) for name in _OWN[kind]})
     once = kind in ("points", "integrand", "predict")
     return _computed(kind, replace(setup, realizations=2 if once else realizations))
 
 
 @lru_cache(_KEPT)
-def _computed(kind: str, setup: Setup) -> xr.Dataset:
+def _computed(kind: str, setup: ExplorerSetup) -> xr.Dataset:
     parts = make_parts(setup)
     if kind == "integrand":
-        # f, p and f/p on the grid of the unit square; of techniques their f/p, where x is primary
+        # Tabulate f, p and f/p on the unit square; for techniques f/p, where x is in primary space
         dims, f = parts.sampler.dims, parts.estimator.domain_integrand
         size = _GRID[dims]
         middles = (np.arange(size) + 0.5) / size
@@ -147,15 +150,15 @@ def _computed(kind: str, setup: Setup) -> xr.Dataset:
 
 
 class _Cancelled(Exception):
-    """Ends the analysis of a job that was canceled."""
+    """Stops the analysis of a canceled job."""
 
 
 _TURNS = threading.BoundedSemaphore(MOST_AT_ONCE)
-_own = threading.local()  # the job of this thread
+_own = threading.local()  # Holds the job of this thread
 
 
 def _stop_if_cancelled(what: str, fraction: float) -> None:
-    """A listener to progress, which is told in the job's own thread between blocks."""
+    """Progress listener that stops a canceled job; called in the job's thread between blocks."""
     del what, fraction
     job: Job | None = getattr(_own, "job", None)
     if job is not None and job.cancelled:
@@ -164,28 +167,28 @@ def _stop_if_cancelled(what: str, fraction: float) -> None:
 
 @final
 class Job:
-    """One set-up under way in a thread of its own, round by round.
+    """Computes one set-up round by round in its own thread.
 
     Parameters
     ----------
     setup
-        What is computed.
+        Set-up to compute.
     on_update
-        Called with each part as it is done, from the job's thread.
+        Called in the job's thread with each finished part.
     on_end
-        Called once, with a sentence when something was refused or refinement stopped early, else
-        with an empty text; not called after `cancel`.
+        Called once at the end: with a sentence if something was refused or refinement stopped
+        early, otherwise with an empty text. It is not called after `cancel`.
 
     Notes
     -----
-    Jobs of all pages take turns for each part, so that `MOST_AT_ONCE` are computed at a time. `cancel`
-    returns at once. The analysis that is running ends where it next reports progress, after
-    a block of realizations, and no other begins.
+    Jobs of all pages take turns, so that `MOST_AT_ONCE` parts are computed at once. `cancel`
+    returns at once. The running analysis stops at its next progress report, after a block of
+    realizations, and no other analysis begins.
     """
 
     def __init__(
         self,
-        setup: Setup,
+        setup: ExplorerSetup,
         on_update: Callable[[Update], object],
         on_end: Callable[[str], object],
     ) -> None:
@@ -195,16 +198,16 @@ class Job:
         self._thread = threading.Thread(target=self._run, name="explorer", daemon=True)
 
     def start(self) -> Job:
-        """Begin; returns itself."""
+        """Start the job and return it."""
         self._thread.start()
         return self
 
     def cancel(self) -> None:
-        """Drop what is running and begin nothing more."""
+        """Stop the running analysis and begin no other."""
         self._cancelled.set()
 
     def join(self, timeout: float | None = None) -> None:
-        """Wait for the thread."""
+        """Wait for the job's thread to end."""
         self._thread.join(timeout)
 
     def _run(self) -> None:
@@ -218,8 +221,8 @@ class Job:
         except McspectraError as error:
             sentence = str(error)
         except MemoryError:
-            sentence = "Not enough memory; ask for fewer points or frequencies."
-        except Exception as error:  # noqa: BLE001 - a page must outlive what components raise
+            sentence = "Not enough memory; use fewer points or frequencies."
+        except Exception as error:  # noqa: BLE001 - the page must survive errors of components
             text = " ".join(str(error).split()) or "no message"
             sentence = f"Unexpected {type(error).__name__}: {text}."
         if not self._cancelled.is_set():
@@ -227,7 +230,7 @@ class Job:
 
     @contextmanager
     def _turn(self) -> Iterator[None]:
-        """Wait until fewer than `MOST_AT_ONCE` others compute."""
+        """Wait until fewer than `MOST_AT_ONCE` parts are being computed."""
         while not _TURNS.acquire(timeout=_PATIENCE):
             if self._cancelled.is_set():
                 raise _Cancelled
@@ -243,26 +246,26 @@ class Job:
 
     def _refine(self) -> str:
         with self._turn():
-            make_parts(self.setup)  # refuse what cannot be made before anything is shown
+            make_parts(self.setup)  # Refuse an invalid set-up before anything is shown
         planned = list(rounds(self.setup))
         spent, last = 0.0, 0
         for number, count in enumerate(planned):
-            # The first round also loads and compiles what the later ones only use
+            # The first round includes loading and compilation, so it does not predict later ones
             expected = spent * count / last if number > 1 else 0.0
             if expected > _LONGEST_ROUND:
                 return (
                     f"Stopped at {last} realizations: {count} would take about {expected:.0f} s; "
-                    "ask for fewer points or frequencies."
+                    "use fewer points or frequencies."
                 )
             spent = 0.0
-            for done, kind in enumerate(KINDS, start=1):
+            for done, kind in enumerate(UPDATE_KINDS, start=1):
                 with self._turn():
                     start = time.perf_counter()
                     value = compute(kind, self.setup, count)
                     spent += time.perf_counter() - start
                 if self._cancelled.is_set():
                     return ""
-                fraction = count / planned[-1] * done / len(KINDS)
+                fraction = count / planned[-1] * done / len(UPDATE_KINDS)
                 self._on_update(Update(kind, value, count, fraction))
             last = count
         return ""
@@ -270,8 +273,8 @@ class Job:
 
 @final
 @dataclass(frozen=True)
-class Parts:
-    """What a set-up describes, made; `notes` are what it was warned of."""
+class EstimatorParts:
+    """Density, estimator, sampler and space of a set-up; `notes` holds the warnings about it."""
 
     density: Density | None
     estimator: AbstractEstimator
@@ -280,16 +283,16 @@ class Parts:
     notes: tuple[str, ...]
 
 
-def integrand_specs(setup: Setup) -> tuple[str, ...]:
-    """Specs of the integrands, one for each technique, as `mcspectra.integrand` reads them.
+def integrand_specs(setup: ExplorerSetup) -> tuple[str, ...]:
+    """Return specs of the integrands for `mcspectra.integrand`, one per technique.
 
-    A file stands in the place of an upload's digest, and those of several channels have the one that
-    is shown.
+    The file replaces the digest of an upload. Integrands with several channels get the chosen
+    channel.
 
     Raises
     ------
     McspectraError
-        A spec cannot be made, or an upload is not here.
+        If a spec cannot be made, or an upload is not on this machine.
     """
     channel = setup.channel if setup.channel == "luminance" else int(setup.channel)
     found = []
@@ -304,19 +307,19 @@ def integrand_specs(setup: Setup) -> tuple[str, ...]:
     return tuple(found)
 
 
-def make_parts(setup: Setup) -> Parts:
-    """Make density, estimator and sampler; the same ones for all rounds of realizations.
+def make_parts(setup: ExplorerSetup) -> EstimatorParts:
+    """Make density, estimator and sampler; all rounds share them.
 
     Raises
     ------
     McspectraError
-        A spec cannot be made, or the parts do not fit one another.
+        If a spec cannot be made, or the parts do not fit together.
     """
     return _parts(replace(setup, realizations=2))
 
 
 @lru_cache(_KEPT)
-def _parts(setup: Setup) -> Parts:
+def _parts(setup: ExplorerSetup) -> EstimatorParts:
     specs = integrand_specs(setup)
     p = _density(setup.density, setup.dims)
     estimator = _estimator(specs, setup.density, setup.mirror, setup.smoothing, setup.dims)
@@ -326,27 +329,27 @@ def _parts(setup: Setup) -> Parts:
         estimator.check_sampler(source, source.check_count(setup.n))
     notes = tuple(dict.fromkeys(str(each.message) for each in heard))
     infinite = estimator.domain_integrand is None or estimator.infinite_weights
-    return Parts(p, estimator, source, "primary" if infinite else "domain", notes)
+    return EstimatorParts(p, estimator, source, "primary" if infinite else "domain", notes)
 
 
 @lru_cache(_KEPT)
 def _estimator(
     specs: tuple[str, ...], density_spec: str, mirror: str, smoothing: float, dims: int
 ) -> AbstractEstimator:
-    """An estimator; kept, because its integrands remember their coefficients."""
+    """Make an estimator; it is cached because its integrands cache their coefficients."""
     p = _density(density_spec, dims)
     integrands = [_integrand(spec, dims) for spec in specs]
     several = next((f for f in integrands if f.channels), None)
     if several is not None:
         raise ParameterError(
-            f"{several.spec} has {several.channels} channels; the explorer shows one: choose it "
-            "with channel=."
+            f"{several.spec} has {several.channels} channels, and the explorer shows one; choose "
+            "it with channel=."
         )
     if len(integrands) > 1:
         if p is not None or smoothing:
             raise ParameterError(
-                "Techniques that are summed have their densities and edges inside; choose the "
-                "uniform density and no smoothing."
+                "Summed techniques contain their own densities and edges; choose the uniform "
+                "density and no smoothing."
             )
         estimator: AbstractEstimator = TechniqueSum(integrands)
     else:
@@ -365,13 +368,13 @@ def _integrand(spec: str, dims: int, width: float = 0.0) -> Integrand:
     return smoothed(_integrand(spec, dims), width) if width else integrand(spec, dims)
 
 
-def analyses_of(setup: Setup) -> dict[str, Analysis]:
-    """The analyses that are shown of a set-up, with its options.
+def analyses_of(setup: ExplorerSetup) -> dict[str, Analysis]:
+    """Return the displayed analyses of a set-up, with its options.
 
     Raises
     ------
     McspectraError
-        The set-up cannot be made.
+        If the set-up cannot be made.
     """
     given = {each.name: getattr(setup, each.name) for each in dataclasses.fields(setup)}
     given["counts"] = setup.counts or tuple(ladder(setup))
@@ -380,13 +383,13 @@ def analyses_of(setup: Setup) -> dict[str, Analysis]:
         name: kind(**{o.name: given[o.name] for o in options_of(kind) if o.name in given})
         for name, kind in ANALYSES.items()
     }
-    # Predict at the n of the terms, too
+    # Also predict at the n of the terms
     made["predict"] = Prediction(counts=tuple(sorted({*given["counts"], setup.n})))
     return made
 
 
-def ladder(setup: Setup) -> list[int]:
-    """Numbers of points of the convergence plot: ones that the sampler can do, about 4n at most."""
+def ladder(setup: ExplorerSetup) -> list[int]:
+    """Return supported numbers of points for the convergence plot, up to about 4n."""
     source = make_parts(setup).sampler
     top = min(4 * setup.n, MOST_POINTS, source.max_count)
     asked = [round(top / 4**k) for k in range(6) if top >= 4 ** (k + 1)]

@@ -1,4 +1,4 @@
-"""The widgets that choose one set-up; those of the analyses' options are made from these options."""
+"""The widgets of one set-up; widgets of analysis options are derived from these options."""
 
 from __future__ import annotations
 
@@ -15,7 +15,14 @@ from bokeh.models.widgets.markups import Div
 from bokeh.models.widgets.sliders import CategoricalSlider, Slider
 
 from mcspectra.app.specs import FORMULA, UPLOAD, base_and_steps, chain, changed
-from mcspectra.app.state import CHANNELS, MIRRORS, MOST_HALF_WIDTH, MOST_POINTS, OPTIONS, Setup
+from mcspectra.app.state import (
+    CHANNELS,
+    MIRRORS,
+    MOST_HALF_WIDTH,
+    MOST_POINTS,
+    OPTIONS,
+    ExplorerSetup,
+)
 from mcspectra.app.uploads import keep_upload
 from mcspectra.core.errors import McspectraError
 from mcspectra.core.spec import parse
@@ -27,12 +34,13 @@ __all__ = ["Controls"]
 
 _STEPS = ["shift", "owen", "digital-shift", "random-rotation", "mirror", "shuffle"]
 _NEEDS_MORE = {
-    # Components that mean nothing without parameters, or with files
-    "command", "python", "points", "digital-net", "aligned-strata", "bilinear", "defensive", "environment", "formula", "grid",
-    "image", "mixture", "piecewise-constant", "piecewise-linear", "pixel", "product",
+    # Components that need parameters or files
+    "command", "python", "points", "digital-net", "aligned-strata", "bilinear", "defensive",
+    "environment", "formula", "grid", "image", "mixture", "piecewise-constant",
+    "piecewise-linear", "pixel", "product",
 }  # fmt: skip
-_OTHER = "as written below"
-_EXPONENTS = range(2, 13)  # of 2: the counts on the slider
+_OTHER = "use the spec below"
+_EXPONENTS = range(2, 13)  # Exponents of 2 for the counts on the slider
 _EXAMPLE = "exp(-x**2 - y**2)"
 _PICTURES = ".png,.jpg,.jpeg,.exr,.npy"
 _TEXTS = {
@@ -51,38 +59,38 @@ _SLIDERS: dict[str, tuple[tuple[str, float, float, float], ...]] = {
     "exponential": (("rate", 0.1, 8.0, 1.0),),
     "truncated-normal": (("mean", 0.0, 1.0, 0.5), ("sigma", 0.05, 1.0, 0.2)),
     "tent": (("peak", 0.05, 0.95, 0.5),),
-}  # parameters of densities: name, least, most, default
+}  # Parameters of densities: name, smallest, largest and default value
 
 
 @final
 class Controls:
-    """Widgets that show a set-up and call back when the user has changed it.
+    """Widgets that show a set-up and report changes by the user.
 
     Parameters
     ----------
     setup
-        What they show at first.
+        Set-up shown at first.
     side
-        ``"A"`` or ``"B"``, part of all labels, so that screen readers tell them apart.
+        ``"A"`` or ``"B"``; it is part of all labels, so that screen readers can distinguish them.
     sheet
-        Style of the widgets.
+        Style sheet of the widgets.
     on_change
         Called with the new set-up.
     on_error
-        Called with a sentence when what was entered is refused; the set-up stays, and so does the text.
+        Called with a sentence if an entry is refused; the set-up and the entered text stay.
     on_scene
-        Called when Veach's scene is asked for.
+        Called when the user opens Veach's scene.
     later
-        Has a function called in the page's thread, after all events that came together.
+        Schedules a function in the page's thread, after all events that arrived together.
     """
 
     def __init__(
         self,
-        setup: Setup,
+        setup: ExplorerSetup,
         side: str,
         sheet: InlineStyleSheet,
         *,
-        on_change: Callable[[Setup], object],
+        on_change: Callable[[ExplorerSetup], object],
         on_error: Callable[[str], object],
         on_scene: Callable[[], None],
         later: Callable[[Callable[[], None]], object],
@@ -92,7 +100,7 @@ class Controls:
         self._on_change, self._on_error, self._later = on_change, on_error, later
         self._filling = self._refused = False
         self._density_sliders: Any = Column(sizing_mode="stretch_width")
-        # What is chosen beside its spec
+        # Choices in addition to the specs
         make, density, integrand = self._make, self._named("density"), self._named("integrand")
         steps = CheckboxGroup(labels=_STEPS, stylesheets=[self._sheet])
         self._watch(steps, "active", self._choose_sampler)
@@ -124,14 +132,14 @@ class Controls:
         for name, option in OPTIONS.items():
             label = name.replace("_", " ").capitalize()
             free = option.required or option.default is None
-            if option.choices and option.choices != ("auto",):  # which stands for numbers too
+            if option.choices and option.choices != ("auto",):  # "auto" also allows numbers
                 choices = [
                     *([("", "by default")] if free else []),
                     *((c, c) for c in option.choices),
                 ]
                 widget = make(Select, label, self._entered(name), options=choices)
             else:
-                shown = "chosen to fit" if free else str(option.default)
+                shown = "chosen automatically" if free else str(option.default)
                 widget = make(TextInput, label, self._entered(name), placeholder=shown)
             widget.description = option.meaning
             w[name] = widget
@@ -147,27 +155,30 @@ class Controls:
                 heading("Sampler"), w["base"], heading("Randomizations", "h3"), w["steps"],
                 w["sampler"], w["count"], w["n"], w["strata_shift"],
                 heading("Density"), w["density_name"], self._density_sliders, w["density"],
-                heading("Integrand"), w["integrand_name"], w["formula"], w["integrand"], w["upload"], scene,
+                heading("Integrand"), w["integrand_name"], w["formula"], w["integrand"],
+                w["upload"], scene,
                 w["channel"], w["dims"], w["smoothing"], w["mirror"],
                 heading("Analysis"), w["realizations"], w["seed"], *(w[name] for name in OPTIONS),
             ],
             sizing_mode="stretch_width",
         )  # fmt: skip
 
-    def show(self, setup: Setup) -> None:
-        """Show another set-up without calling back."""
+    def show(self, setup: ExplorerSetup) -> None:
+        """Show another set-up without a callback."""
         self.setup, self._refused = setup, False
         self._fill()
 
     def refuse(self, sentence: str) -> None:
-        """Say why an entry is refused, which stays where it was typed."""
+        """Report why an entry is refused; the entry stays for correction."""
         self._refused = True
         self._on_error(sentence)
 
     def change(self, **values: Any) -> None:
-        """Change fields of the set-up as if by hand; texts are read as those of an address."""
+        """Change fields of the set-up like a user; texts are parsed like those of an address."""
         try:
-            read = {k: Setup.read(k, v) if isinstance(v, str) else v for k, v in values.items()}
+            read = {
+                k: ExplorerSetup.read(k, v) if isinstance(v, str) else v for k, v in values.items()
+            }
             setup = replace(self.setup, **read)
         except McspectraError as error:
             self.refuse(str(error))
@@ -189,7 +200,7 @@ class Controls:
         return widget
 
     def _watch(self, widget: Any, name: str, act: Callable[[Any], object]) -> None:
-        """Have `act` called with what the user enters, not with what `_fill` does."""
+        """Call `act` with entries by the user, but not with changes by `_fill`."""
         widget.sizing_mode = "stretch_width"
 
         def heard(attribute: str, old: Any, new: Any) -> None:
@@ -197,7 +208,7 @@ class Controls:
             if not self._filling:
                 act(new)
                 if not self._refused:
-                    self._fill()  # what cannot be entered goes back to what holds
+                    self._fill()  # Replace an invalid entry by the current value
 
         widget.on_change(name, heard)
 
@@ -211,7 +222,7 @@ class Controls:
         w = self._widgets
         if w["base"].value == _OTHER:
             return
-        # Keep the randomizations of before in their order, then add new ones
+        # Keep the earlier randomizations in their order, then add new ones
         _, before = base_and_steps(self.setup.sampler)
         ticked = [w["steps"].labels[k] for k in w["steps"].active]
         steps = [*(s for s in before if s in ticked), *(s for s in ticked if s not in before)]
@@ -236,7 +247,7 @@ class Controls:
         self.change(integrand=f"{UPLOAD}(digest='{digest}')", dims=2)
 
     def _fill(self) -> None:
-        """Have all widgets show the set-up."""
+        """Show the set-up in all widgets."""
         w, setup = self._widgets, self.setup
         self._filling = True
         try:
@@ -260,7 +271,7 @@ class Controls:
                 w[name].value = setup.text(name)
             for name in _PARTS:
                 w[name].value = getattr(setup, name)
-            # Sliders for the numbers of the density; made anew when it is another one
+            # Sliders for the parameters of the density; they are replaced for another density
             call = parse(self.setup.density)
             ranges = _SLIDERS.get(call.name, ())
             sliders = self._density_sliders
@@ -289,8 +300,8 @@ def _offered(registry: Any) -> list[str]:
 
 
 def _nearest(text: str, dims: int, n: int) -> int:
-    """The count nearest to n that a sampler can do; n itself where there is no such sampler."""
+    """Return the supported count nearest to n; n itself for an invalid sampler."""
     try:
         return min(sampler(text, dims).nearest_count(n), MOST_POINTS)
-    except Exception:  # noqa: BLE001 - the job says what is wrong with the sampler
+    except Exception:  # noqa: BLE001 - the job reports the error of the sampler
         return n

@@ -1,4 +1,4 @@
-"""The figures that show what a set-up gives: the plots of its results, and of its integrand."""
+"""Figures of a set-up: the plots of its results and of its integrand."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from mcspectra.plots.text import number
 __all__ = ["FIGURES", "figures_of"]
 
 FIGURES = {
-    "integrand": "Integrand f, density p, and what is sampled, f/p",
+    "integrand": "Integrand f, density p, and sampled function f/p",
     "points": "Points",
     "terms": "Terms of the variance",
     "convergence": "Convergence",
@@ -25,7 +25,7 @@ FIGURES = {
     "contributions": "Contributions by frequency",
     "bands": "Covariance of bands",
 }
-"""Kinds of plots in the order they stand on the page, and their titles."""
+"""Kinds of plots in the order on the page, and their titles."""
 
 
 def figures_of(kind: str, value: xr.Dataset, name: str) -> list[Plot]:
@@ -34,12 +34,12 @@ def figures_of(kind: str, value: xr.Dataset, name: str) -> list[Plot]:
     Parameters
     ----------
     kind
-        What was computed, of `mcspectra.app.compute.KINDS`.
+        Kind of the result, one of `mcspectra.app.compute.UPDATE_KINDS`.
     value, name
-        The result, and what it is called.
+        The result and its name in the figures.
     """
     if kind == "integrand":
-        # f, p and f/p beside each other: a constant f/p would have no variance
+        # Show f, p and f/p side by side: a constant f/p would have no variance
         flat = len(value.dims) == 1
         panels = tuple(_panel(str(name), each, flat) for name, each in value.items())
         values = {name: each.to_numpy() for name, each in value.items()}

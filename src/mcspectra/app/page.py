@@ -1,4 +1,4 @@
-"""The page: controls at the side, figures in a grid, a program of the same; one session for each browser tab."""
+"""The explorer's page: controls, figures in a grid, and exports; one session per browser tab."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from mcspectra.app.controls import Controls
 from mcspectra.app.figures import FIGURES
 from mcspectra.app.scene import SceneView, pixel_spec
 from mcspectra.app.specs import UPLOAD, techniques
-from mcspectra.app.state import THEMES, Setup, State
+from mcspectra.app.state import THEMES, ExplorerSetup, ExplorerState
 from mcspectra.core.analysis import Analysis
 from mcspectra.core.display import escape_html
 from mcspectra.core.errors import McspectraError
@@ -44,12 +44,14 @@ _WIDGETS = """
   --hover-color: var(--raised); --placeholder-color: var(--soft); --icon-color: var(--soft);
   --disabled-color: var(--soft); --disabled-background-color: var(--raised);
   --font-size: 13px; }
-.bk-btn, input[type=file]::file-selector-button { color: var(--ink); background: var(--raised); border-color: var(--line); }
+.bk-btn, input[type=file]::file-selector-button {
+  color: var(--ink); background: var(--raised); border-color: var(--line); }
 .bk-btn[disabled] { color: var(--soft); background: var(--raised); opacity: 1; }
 h2 { font-size: 15px; margin: 8px 0 0; } h3 { font-size: 13px; margin: 4px 0 0; font-weight: 500; }
 p { margin: 0 0 4px; } .soft { color: var(--soft); } a { color: var(--link); }
 .alert { border-left: 4px solid #D55E00; padding-left: 8px; font-weight: 600; }
-.bk-clearfix { width: 100%; } progress { width: 100%; height: 6px; } td, th { padding: 2px 16px 2px 0; text-align: left; }
+.bk-clearfix { width: 100%; } progress { width: 100%; height: 6px; }
+td, th { padding: 2px 16px 2px 0; text-align: left; }
 """
 _GRID = ":host {{ display: grid !important; gap: 14px; grid-template-columns: {columns}; }}"
 _SPAN = ":host > .wide { grid-column: 1 / -1; }"
@@ -67,7 +69,7 @@ _PROGRAM = "import mcspectra as mcs\n"
 
 @final
 class Explorer:
-    """Controls, boards and texts of one session.
+    """Controls, figures and exports of one session.
 
     Parameters
     ----------
@@ -80,9 +82,9 @@ class Explorer:
     def __init__(self, document: Any, query: str) -> None:
         refused = ""
         try:
-            self.state = State.from_query(query)
+            self.state = ExplorerState.from_query(query)
         except McspectraError as error:
-            self.state, refused = State(), f"{error} The defaults are shown."
+            self.state, refused = ExplorerState(), f"{error} The defaults are shown."
         self._document, self._loop = document, IOLoop.current(instance=False)
         self._started = self._closed = False
         self._sheet = InlineStyleSheet(css=_WIDGETS)
@@ -90,10 +92,18 @@ class Explorer:
         self._controls: dict[str, Controls] = {}
 
         def block(**options: Any) -> Any:
-            return Div(sizing_mode="stretch_width", stylesheets=[self._sheet], disable_math=True, **options)  # fmt: skip
+            return Div(
+                sizing_mode="stretch_width",
+                stylesheets=[self._sheet],
+                disable_math=True,
+                **options,
+            )
 
         self._sides = Column(sizing_mode="stretch_width")
-        self._headers, self._grid = (Row(sizing_mode="stretch_width"), Column(sizing_mode="stretch_width"))  # fmt: skip
+        self._headers, self._grid = (
+            Row(sizing_mode="stretch_width"),
+            Column(sizing_mode="stretch_width"),
+        )
         self._summary = block()
         self._refused = block(
             text=f'<p role="alert" class="alert">{escape_html(refused)}</p>', visible=bool(refused)
@@ -104,7 +114,7 @@ class Explorer:
         )  # fmt: skip
         self._compare.on_change("active", self._choose_comparison)
         self._scene = SceneView(self._sheet, self._choose_pixel, self._later)
-        # Texts, each with a button that puts it on the clipboard
+        # Exported texts, each with a button that copies it to the clipboard
         self._texts: dict[str, Any] = {}
         texts = Column(stylesheets=[_GRID.format(columns=_ALONE)], sizing_mode="stretch_width")
         for name in ("Python", "TOML"):
@@ -115,7 +125,7 @@ class Explorer:
             button = Button(label=f"Copy as {name}", width=140, stylesheets=[self._sheet])
             button.js_on_click(CustomJS(args={"text": area}, code=_COPY))
             texts.children.append(Column(children=[button, area], sizing_mode="stretch_width"))
-        # Roots are laid out apart: a text that changes leaves the figures where they are
+        # Separate roots: a changed text does not move the figures
         self.roots: dict[str, Any] = {
             "side": Column(children=[self._compare, self._sides], sizing_mode="stretch_width"),
             "head": Column(
@@ -129,20 +139,20 @@ class Explorer:
         self._arrange()
 
     def start(self) -> None:
-        """Begin to compute, once a browser shows the page: a request alone costs a page only."""
-        if not self._started:  # again when a browser has been away
+        """Start computing when a browser shows the page; a request alone computes nothing."""
+        if not self._started:  # The event comes again when a browser reconnects
             self._started = True
             for side, setup in self.state.setups():
                 self._boards[side].run(setup)
 
     def close(self) -> None:
-        """Drop all jobs; for a tab that was closed."""
+        """Cancel all jobs when the tab is closed."""
         self._closed = True
         for board in self._boards.values():
             board.cancel(quiet=True)
 
     def _arrange(self) -> None:
-        """Make controls and boards for the set-ups there are, and lay them out."""
+        """Make and lay out controls and boards for the current set-ups."""
         setups = dict(self.state.setups())
         for side in [side for side in self._boards if side not in setups]:
             self._boards.pop(side).cancel(quiet=True)
@@ -173,7 +183,7 @@ class Explorer:
         self._tell_address()
 
     def _lay_out(self) -> None:
-        """Figures in the order of their kinds; those of A and B are pairs."""
+        """Lay out figures in the order of their kinds; figures of A and B form pairs."""
         boards = list(self._boards.values())
         columns = _ABREAST if len(boards) > 1 else _ALONE
         self._grid.stylesheets = [
@@ -189,7 +199,7 @@ class Explorer:
         ]
 
     def _later(self, act: Any) -> None:
-        """Have `act` called in the session's thread, holding the document's lock, from any thread."""
+        """Schedule `act` in the session's thread with the document's lock, from any thread."""
 
         def add() -> None:
             if not self._closed:
@@ -198,7 +208,7 @@ class Explorer:
         if self._loop is not None:
             self._loop.add_callback(add)
 
-    def _change(self, side: str, setup: Setup) -> None:
+    def _change(self, side: str, setup: ExplorerSetup) -> None:
         here = self.state
         self.state = replace(here, a=setup) if side == "A" else replace(here, b=setup)
         self._refused.visible = False
@@ -228,7 +238,7 @@ class Explorer:
         self.roots["head"].tags = [self.state.query()]
 
     def _write_texts(self, refused: str) -> None:
-        """Write the exports, whose parts are made; runs in a job's thread as well."""
+        """Write the exports, using cached parts; this may run in a job's thread."""
         try:
             texts = (
                 (f"# {refused}",) * 2 if refused else (as_python(self.state), as_toml(self.state))
@@ -243,7 +253,7 @@ class Explorer:
         self._later(show)
 
     def _shown(self, moved: bool) -> None:
-        """Lay figures out where some came or went; a table has the numbers that matter."""
+        """Update the table of results, and lay out figures again if some were added or removed."""
         if moved:
             self._lay_out()
         rows = [_row(side, setup, self._boards[side]) for side, setup in self.state.setups()]
@@ -255,7 +265,7 @@ class Explorer:
 
 
 def build_page(document: Any) -> None:
-    """Make the page of a new session from its address."""
+    """Make the page of a new session from the query of its address."""
     arguments = document.session_context.request.arguments
     query = urlencode([(key, value) for key, values in arguments.items() for value in values])
     explorer = Explorer(document, query)
@@ -269,11 +279,11 @@ def build_page(document: Any) -> None:
     document.template_variables.update(theme=explorer.state.theme, themes=THEMES)
 
 
-def _row(side: str, setup: Setup, board: Board) -> str:
+def _row(side: str, setup: ExplorerSetup, board: Board) -> str:
     terms, curve = board.latest.get("terms"), board.latest.get("convergence")
     missing = "…" if board.busy else "–"
 
-    # Measured at n, as the terms are, and predicted there, as in a report's summary
+    # Show the variance measured and predicted at the n of the terms, as in a report's summary
     parts = {k: v for k, v in board.latest.items() if k in ("terms", "predict")}
     ratio = missing
     if len(parts) == 2:
@@ -291,18 +301,18 @@ def _row(side: str, setup: Setup, board: Board) -> str:
     return f'<tr><th scope="row">{side}</th>{inside}</tr>'
 
 
-def as_python(state: State) -> str:
-    """Return a program that computes, and prints, what the explorer shows at the end of a job.
+def as_python(state: ExplorerState) -> str:
+    """Return a program that computes and prints the results that the explorer shows.
 
     Raises
     ------
     McspectraError
-        A set-up cannot be made.
+        If a set-up cannot be made.
     """
     parts = [_PROGRAM]
     several = state.b is not None
     for name, setup in state.setups():
-        # Lines that make density and estimator
+        # Make density and estimator
         specs, lines = integrand_specs(setup), []
         density = "None"
         if setup.density != "uniform":
@@ -346,13 +356,13 @@ def as_python(state: State) -> str:
     return "\n".join(parts)
 
 
-def _exported(setup: Setup) -> dict[str, Analysis]:
-    """The analyses with numbers to print; points are drawn by each of them."""
+def _exported(setup: ExplorerSetup) -> dict[str, Analysis]:
+    """Return the analyses with numbers to print; each of them draws its own points."""
     return {name: each for name, each in analyses_of(setup).items() if name != "points"}
 
 
 def _chosen(analysis: Analysis) -> dict[str, Any]:
-    """Options of an analysis that are not as by default; tuples as lists, which people write."""
+    """Return the options of an analysis that differ from the defaults; tuples become lists."""
     given = {o.name: getattr(analysis, o.name) for o in options_of(type(analysis))}
     defaults = {o.name: o.default for o in options_of(type(analysis))}
     return {
@@ -362,13 +372,13 @@ def _chosen(analysis: Analysis) -> dict[str, Any]:
     }
 
 
-def as_toml(state: State) -> str:
-    """Return a study file of the same analyses, for ``mcspectra run``.
+def as_toml(state: ExplorerState) -> str:
+    """Return a study file with the same analyses, for ``mcspectra run``.
 
     Raises
     ------
     McspectraError
-        A set-up cannot be made.
+        If a set-up cannot be made.
     """
     entries: list[dict[str, Any]] = []
     for name, setup in state.setups():
@@ -388,6 +398,6 @@ def as_toml(state: State) -> str:
     study = {"title": "From the explorer", "seed": state.a.seed, "estimators": entries}
     specs = [spec for _, setup in state.setups() for spec in techniques(setup.integrand)]
     uploaded = any(parse(spec).name == UPLOAD for spec in specs)
-    # A study reads files from its own folder only, unless it is told of another
+    # A study reads files only from its own folder, unless another one is allowed
     note = "# Run with --allow-path and the folder of the picture below.\n" if uploaded else ""
     return note + study_toml(study)

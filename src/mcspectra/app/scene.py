@@ -26,23 +26,24 @@ __all__ = ["HEIGHT", "STRATEGIES", "WIDTH", "SceneView", "pixel_spec", "veach_pi
 
 WIDTH, HEIGHT = 192, 128
 STRATEGIES = ("light", "bsdf", "balance", "power", "mis-light", "mis-bsdf")
-_HEURISTICS = ("balance", "power")  # of the sum of light and BSDF sampling
+_HEURISTICS = ("balance", "power")  # Heuristics for the sum of light and BSDF sampling
 _SCENE = f"veach(width={WIDTH}, height={HEIGHT})"
 _SPP = 64
 _LABELS = {"balance": "light + bsdf, balance", "power": "light + bsdf, power"}
-_ADVICE = "Click a point of the picture, or give its pixel, to analyze what is seen there."
+_ADVICE = "Click a point of the picture, or enter its pixel, to analyze the light there."
 
 
 def pixel_spec(x: int, y: int, strategy: str = "light") -> str:
     """Return the spec of the integrand of a pixel, counted from the left and from the top.
 
-    With ``"balance"`` or ``"power"`` it is the sum of light and BSDF sampling, weighted by that
-    heuristic; ``"mis-light"`` and ``"mis-bsdf"`` are its terms for the balance heuristic.
+    ``"balance"`` and ``"power"`` give the sum of light and BSDF sampling, weighted by that
+    heuristic.
+    ``"mis-light"`` and ``"mis-bsdf"`` are the two terms of the sum with the balance heuristic.
 
     Raises
     ------
     ParameterError
-        It lies outside the picture, or there is no such strategy.
+        If the pixel lies outside the picture, or the strategy does not exist.
     """
     x = as_integer("x of the pixel", x, least=0, most=WIDTH - 1)
     y = as_integer("y of the pixel", y, least=0, most=HEIGHT - 1)
@@ -58,12 +59,12 @@ def pixel_spec(x: int, y: int, strategy: str = "light") -> str:
 
 
 def veach_picture() -> Array:
-    """Return the scene in 8-bit sRGB, (HEIGHT, WIDTH, 3), the first row on top.
+    """Return the scene in 8-bit sRGB, (HEIGHT, WIDTH, 3), with the first row at the top.
 
     Raises
     ------
     MissingDependency
-        Mitsuba or LLVM is missing.
+        If Mitsuba or LLVM is missing.
     """
     linear = cached_array(f"explorer {_SCENE} {_SPP} 1", _rendered)
     return np.rint(255.0 * encode_srgb(linear)).astype(np.uint8)
@@ -77,16 +78,16 @@ def _rendered() -> Array:
 
 @final
 class SceneView:
-    """Picture, numbers and strategy; the picture is rendered when it is asked for.
+    """Picture, pixel and strategy; the picture is rendered when the user opens it.
 
     Parameters
     ----------
     sheet
-        Style of the widgets.
+        Style sheet of the widgets.
     on_pixel
         Called with x, y and the strategy.
     later
-        Has a function called in the page's thread.
+        Schedules a function in the page's thread.
     """
 
     def __init__(
@@ -120,14 +121,14 @@ class SceneView:
         self._said.text = f'<p role="status">{escape_html(sentence)}</p>'
 
     def open(self) -> None:
-        """Render the picture and show it, once."""
+        """Render and show the picture, once."""
         if self._said.visible:
             return
         self._say("Rendering Veach's scene …")
         threading.Thread(target=self._work, name="explorer scene", daemon=True).start()
 
     def _work(self) -> None:
-        """Render in a thread of its own: Mitsuba compiles for seconds."""
+        """Render in a separate thread, because Mitsuba compiles for seconds."""
         try:
             image = veach_picture()
         except McspectraError as error:

@@ -1,11 +1,13 @@
-"""The explorer's server: this machine only, and only for pages that it served itself.
+"""The explorer's server, which answers only this machine and only its own pages.
 
-It listens on the loopback interface. That keeps other machines out, but not pages of other hosts in
-the user's own browser: these may send requests here, or point a name of theirs to 127.0.0.1. So
-every request must name this server as its Host, and as its Origin where it has one; a link to the page
-is the only request of another site that is answered. No page may hold this one in a frame.
+It listens on the loopback interface. This excludes other machines, but not pages of other hosts in
+the user's browser: they may send requests here, or point their domain name to 127.0.0.1. Every
+request must therefore name this server as its Host, and as its Origin if it has one. The only
+accepted request from another site is a link to the page. No other page may embed this page in a
+frame.
 
-The number of open pages is bounded, and so is the number of their computations (`mcspectra.app.compute`).
+The number of open pages is bounded, and so is the number of their computations
+(`mcspectra.app.compute`).
 """
 
 from __future__ import annotations
@@ -28,10 +30,10 @@ from mcspectra.core.errors import ParameterError
 __all__ = ["ADDRESS", "MOST_SESSIONS", "Guard", "make_server", "serve"]
 
 ADDRESS = "127.0.0.1"
-"""Where the server listens."""
+"""Address where the server listens."""
 
 MOST_SESSIONS = 32
-"""Pages that may be open at once: each holds some 50 MB of figures, and takes the server 0.2 s to make."""
+"""Maximum number of open pages: each holds 50 MB of figures, and takes 0.2 s to make."""
 
 _HEADERS = {
     "Content-Security-Policy": "frame-ancestors 'none'",
@@ -40,21 +42,21 @@ _HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "X-Content-Type-Options": "nosniff",
 }
-_MOST_SENT = 64 * 2**20  # bytes: pictures come in as text
+_MOST_SENT = 64 * 2**20  # Largest message in bytes: pictures arrive as text
 
 
 @final
 class Guard(routing.Router):
-    """Hands requests on to an application if they are from its own pages, else answers 403.
+    """Forwards requests of the server's own pages to an application, and answers others with 403.
 
     Parameters
     ----------
     application
-        What answers.
+        Application that answers trusted requests.
     port
         Port of the server.
     sessions
-        Returns how many pages are open.
+        Returns the number of open pages.
     """
 
     def __init__(
@@ -64,10 +66,10 @@ class Guard(routing.Router):
         self._sessions = sessions
         self._hosts = {f"{name}:{port}" for name in (ADDRESS, "localhost")}
         self._origins = {f"http://{host}" for host in self._hosts}
-        # Pages that are asked for and not open yet; a request is forgotten with its connection
+        # Requested pages that are not open yet; a request is dropped with its connection
         self._awaited: weakref.WeakSet[httputil.HTTPServerRequest] = weakref.WeakSet()
         application.add_transform(_Headers)
-        # Called at the end of each request instead of a line on the terminal
+        # Called at the end of each request; it replaces the log line on the terminal
         application.settings["log_function"] = self._ended
         others: dict[str, Any] = {"transforms": [_Headers], "log_function": self._ended}
         self._refusal = web.Application([(".*", _Refusal)], **others)
@@ -76,7 +78,7 @@ class Guard(routing.Router):
     def find_handler(
         self, request: httputil.HTTPServerRequest, **kwargs: Any
     ) -> httputil.HTTPMessageDelegate | None:
-        """Return who answers `request`."""
+        """Return the handler of a request."""
         if not self._is_trusted(request):
             chosen = self._refusal
         elif request.path == "/" and self._sessions() + len(self._awaited) >= MOST_SESSIONS:
@@ -91,7 +93,7 @@ class Guard(routing.Router):
         self._awaited.discard(handler.request)
 
     def _is_trusted(self, request: httputil.HTTPServerRequest) -> bool:
-        """Whether a request is of this server's page, typed by the user, or a link to the page."""
+        """Whether a request comes from this server's page, the user, or a link to the page."""
         headers = request.headers
         hosts, origins = headers.get_list("Host"), headers.get_list("Origin")
         if len(hosts) != 1 or hosts[0].lower() not in self._hosts:
@@ -100,7 +102,7 @@ class Guard(routing.Router):
             return False
         if request.path.endswith(
             "/autoload.js"
-        ):  # is for pages of others, and gives them a session
+        ):  # This script would give pages of other sites a session
             return False
         is_page = request.path == "/" and request.method in ("GET", "HEAD")
         sites = headers.get_list("Sec-Fetch-Site")
@@ -114,12 +116,12 @@ class Guard(routing.Router):
 
 
 class _Headers(web.OutputTransform):
-    """Headers of every answer: the page is shown in no frame, and to no other site."""
+    """Headers of every answer: no frame and no other site may show the page."""
 
     def transform_first_chunk(
         self, status_code: int, headers: httputil.HTTPHeaders, chunk: bytes, finishing: bool
     ) -> tuple[int, httputil.HTTPHeaders, bytes]:
-        """Add them, and take out what bokeh allows all sites."""
+        """Add the headers, and remove bokeh's permission for all sites."""
         del finishing
         for name in [name for name in headers if name.startswith("Access-Control-")]:
             del headers[name]
@@ -128,25 +130,25 @@ class _Headers(web.OutputTransform):
 
 
 class _Refusal(web.RequestHandler):
-    """403 with a sentence, whatever is asked."""
+    """Answers every request with 403 and a sentence."""
 
     def prepare(self) -> Awaitable[None] | None:
-        """Answer before any method is looked at."""
+        """Answer before a method is called."""
         self.set_status(403)
         self.set_header("Content-Type", "text/plain; charset=utf-8")
-        self.finish("The explorer answers its own pages only; open the address that it printed.\n")
+        self.finish("The explorer answers only its own pages; open the address that it printed.\n")
         return None
 
 
 class _Busy(web.RequestHandler):
-    """503 with a sentence: too many pages are open."""
+    """Answers with 503 and a sentence: too many pages are open."""
 
     def prepare(self) -> Awaitable[None] | None:
-        """Answer before any method is looked at."""
+        """Answer before a method is called."""
         self.set_status(503)
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish(
-            f"{MOST_SESSIONS} pages of the explorer are open, as many as it serves; close some and "
+            f"{MOST_SESSIONS} pages of the explorer are open, which is the limit; close some and "
             "reload this one in half a minute.\n"
         )
         return None
@@ -158,12 +160,12 @@ def make_server(port: int = 0) -> Any:
     Parameters
     ----------
     port
-        Port on the loopback interface; 0 for any free one.
+        Port on the loopback interface; 0 for any free port.
 
     Raises
     ------
     ParameterError
-        The port is out of range or taken.
+        If the port is out of range or taken.
     """
     from bokeh.core.validation import silence
     from bokeh.core.validation.warnings import EMPTY_LAYOUT
@@ -171,7 +173,7 @@ def make_server(port: int = 0) -> Any:
 
     from mcspectra.app.page import build_page
 
-    silence(EMPTY_LAYOUT)  # which figures fill later
+    silence(EMPTY_LAYOUT)  # Figures fill the layout later
     if as_integer("port", port, least=0, most=65535) == 0:
         with socket.socket() as probe:
             probe.bind((ADDRESS, 0))
@@ -187,7 +189,7 @@ def make_server(port: int = 0) -> Any:
         )
     except OSError as error:
         reason = error.strerror or "it is taken"
-        raise ParameterError(f"Port {port} cannot be used: {reason}; give another.") from None
+        raise ParameterError(f"Port {port} cannot be used: {reason}; give another port.") from None
     server._http.request_callback = Guard(
         server._tornado, port, lambda: len(server.get_sessions("/"))
     )
@@ -200,28 +202,29 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
     Parameters
     ----------
     port
-        As of `make_server`.
+        Same as in `make_server`.
     open_browser
         Whether to open the page.
     quiet
-        Do not print the address.
+        Whether to suppress printing the address.
 
     Raises
     ------
     ParameterError
-        The port cannot be used.
+        If the port cannot be used.
     """
     import webbrowser
 
     server = make_server(port)
-    # Components repeat, on standard error, what the page says in its own words.
+    # The page shows warnings itself; do not repeat them on standard error.
     warnings.simplefilter("ignore")
-    # A tab that closes early is not an error; bokeh warns of it, and asserts that its session is made
+    # A tab that closes early is not an error; bokeh warns about it, and asserts that a session
+    # exists
     logging.getLogger("bokeh.server.views.ws").setLevel(logging.ERROR)
     logging.getLogger("tornado.application").addFilter(_is_own_error)
     address = f"http://{ADDRESS}:{server.port}/"
     if not quiet:
-        print(f"The explorer is at {address}; stop it by Ctrl-C.", flush=True)
+        print(f"The explorer is at {address}; stop it with Ctrl-C.", flush=True)
     server.start()
     threading.Thread(target=_warm_up, name="explorer warm-up", daemon=True).start()
     if open_browser:
@@ -230,16 +233,16 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
 
 
 def _is_own_error(record: logging.LogRecord) -> bool:
-    """Whether an error is the explorer's, not that of a request for a socket or a file; shown safely."""
+    """Whether an error comes from the explorer, not from a request; make its text printable."""
     text = record.getMessage()
     record.msg, record.args = printable(text, lines=True), ()
     return "GET /ws" not in text and "GET /static" not in text
 
 
 def _warm_up() -> None:
-    """Load and compile what the first page needs while the browser loads it: half of its wait."""
-    from mcspectra.app.compute import KINDS, compute
-    from mcspectra.app.state import Setup
+    """Load and compile code for the first page while the browser loads it: it halves the wait."""
+    from mcspectra.app.compute import UPDATE_KINDS, compute
+    from mcspectra.app.state import ExplorerSetup
 
-    for kind in KINDS:
-        compute(kind, Setup(half_width=4), 2)
+    for kind in UPDATE_KINDS:
+        compute(kind, ExplorerSetup(half_width=4), 2)

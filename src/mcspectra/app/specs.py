@@ -1,8 +1,8 @@
-"""Specs as the explorer takes and changes them: text that is bounded, plain, and names no file.
+"""Check and change specs in the explorer: bounded plain text that names no files.
 
-A page of somebody else can link to the explorer. What such a link holds may make it compute, but it
-must not make it open files or run code: pictures come in by an upload, which is named by its digest.
-Who starts the explorer may allow folders (``--allow-path``) and code (``--allow-code``):
+Any page can link to the explorer. Such a link may cause computation, but it must not open files or
+run code. Pictures are therefore uploaded, and named by their digest. The user who starts the
+explorer may allow folders (``--allow-path``) and code (``--allow-code``): see
 `mcspectra.core.trust`.
 """
 
@@ -32,23 +32,24 @@ __all__ = [
 ]
 
 UPLOAD = "upload"
-"""Name of the integrand ``upload(digest='…')``: a picture that the user gave to the explorer."""
+"""Name of the integrand ``upload(digest='…')``: a picture uploaded to the explorer."""
 
 FORMULA = "formula"
-"""Name of the integrand that is a formula."""
+"""Name of the integrand that evaluates a formula."""
 
 TECHNIQUES = "technique-sum"
-"""Name of ``technique-sum(integrands=['…', '…'])``: a `mcspectra.estimators.TechniqueSum` of these specs."""
+"""Name of ``technique-sum(integrands=['…', '…'])``, a `mcspectra.estimators.TechniqueSum`."""
 
 _MOST_TECHNIQUES = 8
-_MOST_TEXT = 2000  # characters of a spec: browsers and servers cut URLs off at about 8000
+# Maximum length of a spec in characters: browsers and servers cut URLs at about 8000
+_MOST_TEXT = 2000
 _DIGEST = re.compile(r"[0-9a-f]{64}")
 _FILE = re.compile(r"[/\\]|\.[A-Za-z]\w*\Z")
 _CONTROL = re.compile(r"[\x00-\x1f\x7f\ud800-\udfff]")
 
 
 def _allowed(given: object) -> bool:
-    """Whether all files of a path, a pattern or a list of them lie in folders that are allowed."""
+    """Whether all files of a path, a pattern or a list of them lie in allowed folders."""
     if isinstance(given, list | tuple):
         return all(map(_allowed, given))
 
@@ -63,13 +64,13 @@ def _allowed(given: object) -> bool:
 def check_spec(name: str, text: object) -> None:
     """Check the spec of a sampler, a density or an integrand.
 
-    That of a sampler may chain parts by ``|``; an integrand may be ``upload(digest='…')`` with a
-    SHA-256 digest, or a sum of `TECHNIQUES`.
+    The spec of a sampler may chain parts with ``|``. An integrand may be ``upload(digest='…')``
+    with a SHA-256 digest, or a sum of `TECHNIQUES`.
 
     Raises
     ------
     SpecError
-        Not text, too long, not a spec, or one that names a file.
+        If `text` is not a text, too long, not a spec, or names a file.
     """
     plain = _plain(name, text)
     if name == "sampler":
@@ -91,12 +92,12 @@ def check_spec(name: str, text: object) -> None:
 
 
 def techniques(text: str) -> list[str]:
-    """Return the specs of the integrands that a spec sums, most often itself alone.
+    """Return the specs of the integrands that a spec sums; usually only the spec itself.
 
     Raises
     ------
     SpecError
-        A sum of something else than 2 to 8 specs.
+        If a sum does not consist of 2 to 8 specs.
     """
     call = parse(text)
     if call.name != TECHNIQUES:
@@ -112,19 +113,19 @@ def techniques(text: str) -> list[str]:
 
 
 def base_and_steps(text: str) -> tuple[str, list[str]]:
-    """Return the names of a chain's sampler and of its randomizations.
+    """Return the name of a chain's sampler and the names of its randomizations.
 
     Raises
     ------
     SpecError
-        Not a chain.
+        If `text` is not a chain.
     """
     first, *rest = parse_chain(text)
     return first.name, [call.name for call in rest]
 
 
 def chain(base: str, steps: Sequence[str], text: str) -> str:
-    """Write a chain of these names; those that `text` has already keep their parameters."""
+    """Write a chain of these names; names that occur in `text` keep their parameters."""
     try:
         known = {call.name: str(call) for call in parse_chain(text)}
     except McspectraError:
@@ -133,7 +134,7 @@ def chain(base: str, steps: Sequence[str], text: str) -> str:
 
 
 def changed(text: str, key: str, value: float | str) -> str:
-    """Return the spec with one parameter changed."""
+    """Return the spec with one changed parameter."""
     call = parse(text)
     return str(Call(call.name, {**call.arguments, key: value}))
 
@@ -143,7 +144,7 @@ def _plain(name: str, text: object) -> str:
         raise SpecError(f"{name} is {text!r}; give a spec such as name(key=value).")
     if len(text) > _MOST_TEXT:
         raise SpecError(
-            f"{name} has {len(text)} characters; the explorer takes {_MOST_TEXT} at most."
+            f"{name} has {len(text)} characters; the explorer accepts at most {_MOST_TEXT}."
         )
     if _CONTROL.search(text):
         raise SpecError(f"{name} holds a control character; write it on one line of plain text.")
@@ -153,22 +154,22 @@ def _plain(name: str, text: object) -> str:
 def _check_call(call: Call) -> None:
     arguments = dict(call.arguments)
     if call.name in RUN_CODE:
-        check_code(call)  # which a link cannot allow
+        check_code(call)  # A link cannot allow code
         arguments = {k: v for k, v in arguments.items() if k not in ("run", "function")}
     if call.name == FORMULA:
-        arguments.pop("expression", None)  # has slashes and dots, and never names a file
+        arguments.pop("expression", None)  # A formula has slashes and dots, but names no file
     for key, value in arguments.items():
         _check_value(call.name, key, value)
 
 
 def _check_value(name: str, key: Any, value: object) -> None:
-    """Refuse file names, also within the lists and specs that a value may hold."""
+    """Refuse file names, also inside lists and nested specs."""
     if key in FILE_KEYS and isinstance(value, str | list | tuple):
         if process_trust().folders and _allowed(value):
             return
         raise SpecError(
-            f"{name} names a file, which the explorer does not read; upload a picture, start it with "
-            "--allow-path DIR, or use the command line."
+            f"{name} names a file, which the explorer does not read; upload a picture, start the "
+            "explorer with --allow-path DIR, or use the command line."
         )
     if isinstance(value, dict):
         for inner, each in value.items():
@@ -185,5 +186,6 @@ def _check_value(name: str, key: Any, value: object) -> None:
             _check_call(call)
         if not calls and _FILE.search(value):
             raise SpecError(
-                f"{name} was given {value[:40]!r}, which looks like a file; the explorer reads none."
+                f"{name} was given {value[:40]!r}, which looks like a file; the explorer reads no "
+                "files."
             )

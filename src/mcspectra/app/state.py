@@ -1,8 +1,8 @@
-"""Everything the user chose, as a frozen value: to and from the query string of a URL.
+"""Immutable state of the explorer, converted to and from the query string of a URL.
 
-A state is one set-up, A, or two side by side, A and B. The query holds what differs from the
-defaults, the keys of B with the prefix ``b.``; so a bookmark is a state and a state is a bookmark.
-What comes from a URL was written by anybody: sizes are bounded, and specs must not name files.
+A state has one set-up A, or two set-ups A and B to compare. The query lists the fields that differ
+from the defaults; keys of B have the prefix ``b.``. A bookmark therefore restores the state.
+Anybody may have written a URL, so sizes are bounded, and specs must not name files.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ __all__ = [
     "MOST_POINTS",
     "OPTIONS",
     "THEMES",
-    "Setup",
-    "State",
+    "ExplorerSetup",
+    "ExplorerState",
 ]
 
 ANALYSES = {
@@ -42,12 +42,12 @@ ANALYSES = {
     "terms": Terms,
     "predict": Prediction,
 }
-"""What is shown of a set-up, by the names of tables in study files."""
+"""Displayed analyses of a set-up, by the names of their tables in study files."""
 
 _KNOWN = {
     option.name: option
     for name, kind in ANALYSES.items()
-    if name != "predict"  # its half width and realizations are of methods that are not shown
+    if name != "predict"  # Its half width and realizations belong to methods that are not shown
     for option in options_of(kind)
 }
 
@@ -56,7 +56,7 @@ CHANNELS = ("luminance", "0", "1", "2")
 THEMES = ("auto", "light", "dark")
 
 MOST_POINTS = 2**16
-"""Most points of a set in the explorer; studies take more."""
+"""Maximum number of points of a set in the explorer; studies accept more."""
 
 MOST_HALF_WIDTH = {1: 1024, 2: 128}
 """Largest half width of the frequencies by the number of dims."""
@@ -68,7 +68,7 @@ _PREFIX = "b."
 
 
 def _option(name: str) -> Any:
-    """Declare a field of an option; None where the explorer chooses, as it does counts of points."""
+    """Declare a field of an option; if it is None, the explorer chooses the value."""
     option = _KNOWN[name]
     return checked(
         lambda _, given: option.check(given), None if option.required else option.default
@@ -81,37 +81,37 @@ def _as_half_width(name: str, given: object, dims: int) -> int:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Setup:
+class ExplorerSetup:
     """An estimator, a sampler, a number of points, and how they are analyzed.
 
-    Fields that are named as options of the analyses mean what these say.
+    Fields named like options of the analyses have the same meaning.
 
     Parameters
     ----------
     sampler, density, integrand
-        Specs; they name no files. The integrand may be ``upload(digest='…')``, or a sum of
+        Specs, which name no files. The integrand may be ``upload(digest='…')``, or a sum of
         techniques, ``technique-sum(integrands=['…', '…'])``.
     n
-        Points of a set.
+        Points per set.
     dims
-        1 or 2.
+        Number of dims, 1 or 2.
     strata_shift
-        Part of a stratum by which all points are moved, in [0, 1); 0 moves nothing.
+        Shift of all points as a fraction of a stratum, in [0, 1); 0 for no shift.
     mirror
         ``"none"`` or a mode of `mcspectra.Mirrored`.
     channel
-        The one that is shown of an integrand with several: ``"luminance"`` or a number as text.
+        Displayed channel of an integrand with several: ``"luminance"``, or a number as text.
     smoothing
-        Width of the ramps that edges are made, 0 for none.
+        Width of the ramps that replace edges; 0 for no ramps.
     realizations
-        Where refinement ends.
+        Number of realizations at which refinement ends.
     seed
         Seed of all draws.
 
     Raises
     ------
     ParameterError, SpecError
-        A value has the wrong type or range, a spec cannot be read or names a file.
+        If a value has the wrong type or range, or a spec cannot be read or names a file.
     """
 
     sampler: str = "jittered"
@@ -141,19 +141,19 @@ class Setup:
         check_fields(self)
         if self.counts and max(self.counts) > MOST_POINTS:
             raise ParameterError(
-                f"counts go up to {MOST_POINTS} in the explorer; give smaller ones."
+                f"counts may be at most {MOST_POINTS} in the explorer; give smaller ones."
             )
         as_instance("bands", self.bands, str, ", ".join(_KNOWN["bands"].choices))
 
     @property
     def displaced_sampler(self) -> str:
-        """The sampler's spec with the shift of the strata."""
+        """Spec of the sampler, including the shift of the strata."""
         if not self.strata_shift:
             return self.sampler
         return f"{self.sampler} | strata-shift(offset={self.strata_shift!r})"
 
     def differences(self) -> dict[str, str]:
-        """What is not as by default, as text."""
+        """Return the fields that differ from their defaults, as text."""
         return {
             each.name: self.text(each.name)
             for each in dataclasses.fields(self)
@@ -161,30 +161,32 @@ class Setup:
         }
 
     @staticmethod
-    def from_texts(texts: Mapping[str, str]) -> Setup:
-        """Read the values that are given; the others are the defaults.
+    def from_texts(texts: Mapping[str, str]) -> ExplorerSetup:
+        """Make a set-up from texts by field; the other fields get their defaults.
 
         Raises
         ------
         ParameterError
-            An unknown key, text that is no number where one is needed, or a value that a
-            `Setup` refuses.
+            If a key is unknown, a text is not a number where one is needed, or `ExplorerSetup`
+            refuses a value.
         """
-        return Setup(**{name: Setup.read(name, text) for name, text in texts.items()})
+        return ExplorerSetup(
+            **{name: ExplorerSetup.read(name, text) for name, text in texts.items()}
+        )
 
     @staticmethod
     def read(name: str, text: str) -> Any:
-        """Return what a text means as the value of a field; an empty one of an option, its default.
+        """Convert a text to the value of a field; an empty text gives the default of an option.
 
         Raises
         ------
         ParameterError
-            No such field, or no number where one is needed.
+            If the field does not exist, or a number is needed and `text` is not one.
         """
-        defaults = {each.name: each.default for each in dataclasses.fields(Setup)}
+        defaults = {each.name: each.default for each in dataclasses.fields(ExplorerSetup)}
         if name not in defaults:
             hint, close = close_match_hint(name, defaults)
-            known = hint if close else f" Known are {', '.join(defaults)}."
+            known = hint if close else f" Known keys are {', '.join(defaults)}."
             raise ParameterError(f"The address has an unknown key {name[:40]!r}.{known}")
         kind: Any = type(defaults[name])
         if name in OPTIONS:
@@ -198,7 +200,7 @@ class Setup:
             raise ParameterError(f"{name} is {text[:40]!r}; give a {what}.") from None
 
     def text(self, name: str) -> str:
-        """Return the text of a field that `read` reads."""
+        """Return the value of a field as text that `read` accepts."""
         value = getattr(self, name)
         if value is None:
             return ""
@@ -207,59 +209,66 @@ class Setup:
 
 OPTIONS = {
     name: _KNOWN[name]
-    for name in (each.name for each in dataclasses.fields(Setup))
+    for name in (each.name for each in dataclasses.fields(ExplorerSetup))
     if name in _KNOWN and name not in ("n", "realizations")
 }
-"""Options of the analyses that can be chosen here."""
+"""Options of the analyses that the page offers."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class State:
-    """What the explorer shows: set-up A, perhaps B beside it, and the theme, by default the browser's.
+class ExplorerState:
+    """State of the explorer: set-up A, an optional set-up B, and the theme.
+
+    The default theme is that of the browser.
 
     Examples
     --------
-    >>> state = State(a=Setup(n=64), b=Setup(sampler="sobol | owen"))
+    >>> state = ExplorerState(a=ExplorerSetup(n=64), b=ExplorerSetup(sampler="sobol | owen"))
     >>> state.query()
     'n=64&b.sampler=sobol+%7C+owen'
-    >>> State.from_query(state.query()) == state
+    >>> ExplorerState.from_query(state.query()) == state
     True
     """
 
-    a: Setup = field(default_factory=Setup)
-    b: Setup | None = None
+    a: ExplorerSetup = field(default_factory=ExplorerSetup)
+    b: ExplorerSetup | None = None
     theme: str = THEMES[0]
 
     def __post_init__(self) -> None:
-        for name, setup, kinds in (("a", self.a, Setup), ("b", self.b, Setup | None)):
-            as_instance(name, setup, kinds, "a Setup")
+        for name, setup, kinds in (
+            ("a", self.a, ExplorerSetup),
+            ("b", self.b, ExplorerSetup | None),
+        ):
+            as_instance(name, setup, kinds, "an ExplorerSetup")
         as_choice("theme", self.theme, THEMES)
 
-    def setups(self) -> Iterator[tuple[str, Setup]]:
-        """Yield ``"A"`` and its set-up, and ``"B"`` with its own where there is one."""
+    def setups(self) -> Iterator[tuple[str, ExplorerSetup]]:
+        """Yield ``"A"`` and its set-up, and ``"B"`` and its set-up if there is one."""
         yield "A", self.a
         if self.b is not None:
             yield "B", self.b
 
     def query(self) -> str:
-        """The query string, without question mark, that `from_query` reads."""
+        """Return the query string for `from_query`, without a question mark."""
         pairs = list(self.a.differences().items())
         if self.b is not None:
-            own = self.b.differences() or {"n": str(self.b.n)}  # one key says that B is there
+            own = self.b.differences() or {
+                "n": str(self.b.n)
+            }  # At least one key shows that B exists
             pairs += [(_PREFIX + key, text) for key, text in own.items()]
         if self.theme != THEMES[0]:
             pairs.append(("theme", self.theme))
         return urlencode(pairs)
 
     @staticmethod
-    def from_query(query: str) -> State:
-        """Read a query string, with or without its question mark.
+    def from_query(query: str) -> ExplorerState:
+        """Read a query string, with or without a question mark.
 
         Raises
         ------
         ParameterError, SpecError
-            The query is too long, holds a key twice or an unknown one, or a value that is refused.
+            If the query is too long, repeats a key, or has an unknown key or an invalid value.
         """
         if len(query) > _MOST_QUERY:
             raise ParameterError(
@@ -272,13 +281,13 @@ class State:
             )
         except ValueError:  # UnicodeDecodeError is one
             raise ParameterError(
-                "The address cannot be read; its part after '?' is key=value pairs joined by '&'."
+                "The address cannot be read; after '?' it needs key=value pairs joined by '&'."
             ) from None
         given = dict(pairs)
         if len(given) < len(pairs):
-            raise ParameterError("The address holds a key twice; give each once.")
+            raise ParameterError("The address holds a key twice; give each key once.")
         theme = given.pop("theme", THEMES[0])
         b = {key[len(_PREFIX) :]: t for key, t in given.items() if key.startswith(_PREFIX)}
         a = {key: text for key, text in given.items() if not key.startswith(_PREFIX)}
-        other = Setup.from_texts(b) if b else None
-        return State(a=Setup.from_texts(a), b=other, theme=theme)
+        other = ExplorerSetup.from_texts(b) if b else None
+        return ExplorerState(a=ExplorerSetup.from_texts(a), b=other, theme=theme)

@@ -1,6 +1,6 @@
-"""Pictures that the user gave to the explorer, kept in the cache folder under their digest.
+"""Pictures uploaded to the explorer, stored in the cache folder under their digest.
 
-The digest is part of the state, so that a URL means the same picture after a restart.
+The digest is part of the state, so a URL shows the same picture after a restart.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ from mcspectra.core.images import IMAGE_EXTENSIONS, read_image
 __all__ = ["MOST_BYTES", "keep_upload", "upload_path"]
 
 MOST_BYTES = 16 * 2**20
-"""Largest file that is taken."""
+"""Largest accepted file in bytes."""
 
 _MOST_PIXELS = 2**24
 _FOLDER = "uploads"
 
 
 def keep_upload(data: bytes, name: str) -> str:
-    """Keep a picture and return its SHA-256 digest.
+    """Store a picture and return its SHA-256 digest.
 
     Parameters
     ----------
     data
         Content of the file.
     name
-        Its name, of which the ending says the format.
+        Name of the file; its extension sets the format.
 
     Raises
     ------
     FileFormatError
-        Too large, of an unknown format, broken, or the cache folder cannot be written.
+        If the picture is too large, damaged or of an unknown format, or cannot be stored.
     """
     suffix = Path(name).suffix.lower()
     if suffix not in IMAGE_EXTENSIONS:
@@ -56,12 +56,12 @@ def keep_upload(data: bytes, name: str) -> str:
             raise FileFormatError(str(error).replace(str(part), "The picture")) from None
         if pixels > _MOST_PIXELS:
             raise FileFormatError(
-                f"The picture has {pixels} pixels; the explorer takes {_MOST_PIXELS} at most."
+                f"The picture has {pixels} pixels; the explorer accepts at most {_MOST_PIXELS}."
             )
         part.replace(file)
     except OSError as error:
         raise FileFormatError(
-            f"The picture cannot be kept in {file.parent}: {error.strerror}."
+            f"The picture cannot be stored in {file.parent}: {error.strerror}."
         ) from None
     finally:
         part.unlink(missing_ok=True)
@@ -74,11 +74,13 @@ def upload_path(digest: str) -> Path:
     Raises
     ------
     FileFormatError
-        There is none on this machine.
+        If the upload is not on this machine.
     """
     folder = cache_folder() / _FOLDER
     for suffix in IMAGE_EXTENSIONS:
         file = folder / f"{digest}{suffix}"
         if file.is_file():
             return file
-    raise FileFormatError("The uploaded picture of this address is not here; upload it again.")
+    raise FileFormatError(
+        "The uploaded picture of this address is not on this machine; upload it again."
+    )

@@ -1,11 +1,12 @@
-"""The verb of any analysis: its options and their help are derived from the analysis itself.
+"""Verbs of analyses: options and help are derived from the analysis itself.
 
-An analysis of `mcspectra.core.analysis.ANALYSES` that has a verb is one, those of other packages too.
-What is analyzed comes first (an integrand with densities and a sampler, or a sampler alone), then the
-options of `mcspectra.core.options.options_of`. `mcspectra.cli.texts` shows the result.
+Every analysis of `mcspectra.core.analysis.ANALYSES` with a verb becomes a verb, including analyses
+of other packages. The subject comes first: an integrand with densities and a sampler, or only a
+sampler. The options of `mcspectra.core.options.options_of` follow. `mcspectra.cli.texts` shows the
+result.
 
-Several analyses may share a verb: ``--split`` chooses one. The parser then has the options of this analysis,
-and refuses the options of the other analyses by name.
+Several analyses may share a verb; ``--split`` chooses one. The parser then has the options of this
+analysis, and refuses options of the others by name.
 """
 
 from __future__ import annotations
@@ -19,10 +20,10 @@ from typing import TYPE_CHECKING, Any
 
 import mcspectra as mcs
 from mcspectra.cli.common import (
-    Answer,
     Declaration,
     Read,
     Verb,
+    VerbOutput,
     given_of,
     group,
     option,
@@ -48,12 +49,14 @@ _ESTIMATOR = (
     option("-d, --dims D", "number of dims, unless the specs fix it", whole()),
     option(
         "--density SPEC",
-        "importance density; several are combined by multiple importance sampling (MIS); repeatable",
+        "importance density; several are combined by multiple importance sampling (MIS); "
+        "repeatable",
         repeated="all",
     ),
     option(
         "--heuristic SPEC",
-        "heuristic of MIS: balance (default), power(beta=2), cutoff, maximum, optimal or variance-aware",
+        "heuristic of MIS: balance (default), power(beta=2), cutoff, maximum, optimal or "
+        "variance-aware",
         repeated="once",
     ),
     option(
@@ -69,29 +72,30 @@ _ESTIMATOR = (
     ),
     option(
         "--plus SPEC",
-        "add the estimate of another integrand, on points of its own; repeatable",
+        "add the estimate of another integrand with its own points; repeatable",
         repeated="all",
     ),
 )
-"""Options of what is estimated; the sampler's depends on the analysis."""
+"""Options of the estimator; the option of the sampler depends on the analysis."""
 
 
 def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
-    """Make the verb of the analyses of these names in the registry, for these arguments.
+    """Make the verb of one or several analyses for these arguments.
 
     Parameters
     ----------
     names
-        One analysis, or several, of which the arguments choose one by ``--split``; else it is the first.
+        Names in the registry. If there are several, ``--split`` chooses one; the default is the
+        first.
     given
         Arguments after the verb.
 
     Raises
     ------
     AnalysisError
-        An option has a name that is taken (`mcspectra.core.analysis.check_names`).
+        If the name of an option is taken (`mcspectra.core.analysis.check_names`).
     ParameterError
-        No analysis has this split.
+        If no analysis has the given split.
     """
     splits: dict[str, tuple[str, type[Analysis]]] = {}
     for each in names:
@@ -111,7 +115,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
     views = VIEWS.get(name, {"": table_of_anything})
     usual, *others = views
 
-    # What the public function takes says what its verb does
+    # Derive defaults of the verb from the signature of the public function
     door: Any = mcs
     for part in analysis.function.split("."):
         door = getattr(door, part, None)
@@ -120,7 +124,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
     if not isinstance(default_sampler, str):
         default_sampler = None
 
-    # Declare what is analyzed
+    # Declare the subject of the analysis
     all_sets = False
     declarations: list[Declaration]
     if analysis.about == "estimator":
@@ -133,7 +137,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
             option("--sampler SPEC", about, repeated=repeated, required=required),
         ]
     else:
-        # An analysis of point sets takes all that are given, unless it is told how many
+        # An analysis of point sets uses all given sets, unless their number is an option
         all_sets = any(each.name == "realizations" for each in own)
         declarations = [
             option("SAMPLER", "sampler spec; - reads point sets from standard input"),
@@ -142,7 +146,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
         if not takes or "density" in takes:
             declarations.append(option("--density SPEC", "importance density"))
 
-    # Declare the options of the analysis, of its views, and the files
+    # Declare the options of the analysis and its views, and the output files
     if len(splits) > 1:
         shown: list[str] = []
         for split, (_, kind) in splits.items():
@@ -151,7 +155,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
             shown.append(f"{split}{usual}: {text[:1].lower()}{text[1:]}")
         declarations.append(option("--split SPLIT", "; ".join(shown), default=chosen))
     if all_sets:
-        notes = {"realizations": ", or all sets of points that are given"}
+        notes = {"realizations": ", or all given sets of points"}
         declarations += [declared(each, notes.get(each.name, "")) for each in own]
     else:
         of_splits = {split: options_of(kind) for split, (_, kind) in splits.items()}
@@ -162,14 +166,15 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
         declarations.append(option("--show VIEW", offer, default=usual))
     declarations.append(
         out(
-            ".npz: all values; .csv, .tex: the curve; .png, .svg, .pdf, .pgf: a picture; .html: a page"
+            ".npz: all values; .csv, .tex: the curve; .png, .svg, .pdf, .pgf: a picture; .html: "
+            "a page"
         )
     )
 
-    def run(options: argparse.Namespace) -> Answer:
+    def run(options: argparse.Namespace) -> VerbOutput:
         view = as_choice("--show", getattr(options, "show", usual), tuple(views))
 
-        # Refuse files that cannot be made before anything is computed
+        # Refuse invalid output files before computing
         if options.out:
             from mcspectra.report.result_files import check_result_file, write_result_file
 
@@ -186,7 +191,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
         for file in options.out:
             write_result_file(result, file, f"mcspectra {analysis.command()}", view)
         shown = views[view](result)
-        return Answer(shown.text, {**data_of(result), **shown.data})
+        return VerbOutput(shown.text, {**data_of(result), **shown.data})
 
     about = inspect.cleandoc(analysis.__doc__ or "").partition("\n\n")[0]
     if len(splits) > 1:
@@ -199,7 +204,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
 def _subject(
     options: argparse.Namespace, analysis: type[Analysis], default_sampler: str | None
 ) -> Subject:
-    """Make what the options describe: a sampler with its density, or an estimator with samplers."""
+    """Make the subject: a sampler with its density, or an estimator with samplers."""
     if analysis.about == "sampler":
         from mcspectra.densities.registry import as_warp
 
@@ -214,15 +219,15 @@ def _subject(
         as_subject,
     )
 
-    # Refuse options that do not go together
+    # Refuse options that exclude each other
     densities = options.density or []
     for name, given in (("--heuristic", options.heuristic), ("--shares", options.shares)):
         if given is not None and len(densities) < 2:
-            raise ParameterError(f"{name} is about several --density options; give two or more.")
+            raise ParameterError(f"{name} needs several --density options; give two or more.")
     if options.shares is not None and len(options.shares) != len(densities):
         raise ParameterError(
-            f"--shares is {','.join(map(str, options.shares))}; give {len(densities)} numbers, one for "
-            "each --density."
+            f"--shares is {','.join(map(str, options.shares))}; give {len(densities)} numbers, one "
+            "for each --density."
         )
     if options.plus and densities:
         raise ParameterError("--plus adds whole techniques; it cannot be used with --density.")
@@ -244,7 +249,7 @@ def _subject(
     if options.mirror is not None:
         estimator = Mirrored(estimator, as_choice("--mirror", options.mirror, MIRRORINGS))
 
-    # Let it meet its samplers
+    # Combine it with its samplers
     given = default_sampler if options.sampler is None else options.sampler
     texts = given if isinstance(given, list) else [str(given)]
     samplers = [read_sampler(text, estimator.dims) for text in texts]
@@ -252,9 +257,9 @@ def _subject(
 
 
 def _of_splits(chosen: str, options: dict[str, tuple[Option, ...]]) -> list[Declaration]:
-    """Declare the options of all splits: those of the chosen one are read, others are refused.
+    """Declare the options of all splits; only those of the chosen split may be given.
 
-    Options that all have come first, then a group for each set of splits that have the others.
+    Options common to all splits come first, followed by one group per set of splits.
     """
     owners: dict[str, list[str]] = {}
     for split, its in options.items():
@@ -299,7 +304,7 @@ def _of_splits(chosen: str, options: dict[str, tuple[Option, ...]]) -> list[Decl
 
 
 def _flags(given: Option) -> list[str]:
-    """Flags of an option: one letter and the name, or ``-n`` alone for ``n``."""
+    """Return the flags of an option: a letter and the name, or only ``-n`` for ``n``."""
     own = given.extra.get("flag", given.flag)
     if given.is_flag:
         return [own if "flag" in given.extra or not given.default else f"--no-{own[2:]}"]
@@ -308,7 +313,7 @@ def _flags(given: Option) -> list[str]:
 
 
 def _default(given: Option) -> str:
-    """The default as the help shows it; empty without a default."""
+    """Format the default for the help; empty without a default."""
     if given.required or given.default is None or given.is_flag:
         return ""
     values = given.default if isinstance(given.default, tuple) else (given.default,)
@@ -322,18 +327,18 @@ def declared(
     flags: Sequence[str] | None = None,
     refuse: Callable[[str, Any], Any] | None = None,
 ) -> Declaration:
-    """Declare an option of an analysis, which has its default.
+    """Declare an option of an analysis with its default.
 
     Parameters
     ----------
     given
-        The option.
+        The option of the analysis.
     default_note
         Text after the default in the help.
     flags
-        Flags of the option; by default all that it has.
+        Flags of the option; by default all of its flags.
     refuse
-        Raises the error of an option that belongs to another split.
+        Function that raises an error, for an option that belongs to another split.
     """
     flags = _flags(given) if flags is None else flags
     text = given.extra.get("help", given.meaning).rstrip(".")
@@ -355,7 +360,7 @@ def declared(
     def read(name: str, text: str) -> Any:
         if not listed:
             return given.read(text, name)
-        # Names have no commas, other texts may: those are given one by one
+        # Names have no commas and may be listed; other texts are given one by one
         texts = text.split(",") if given.item_choices else [text]
         return given.check(tuple(each.strip() for each in texts), name)
 

@@ -1,4 +1,4 @@
-"""What verbs are made of: options that read their texts, answers, tables and JSON."""
+"""Building blocks of verbs: options that parse their values, output, tables and JSON."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from mcspectra.samplers import Sampler
 
 __all__ = [
-    "Answer",
     "Declaration",
     "Read",
     "Verb",
+    "VerbOutput",
     "given_of",
     "group",
     "index_or_name",
@@ -40,14 +40,14 @@ __all__ = [
     "wholes",
 ]
 
-_LONGEST = 2000  # characters of a warning
+_LONGEST = 2000  # Maximum length in characters of a printed warning
 _PAGES = frozenset({".html", ".md", ".json", ".csv", ".png", ".svg", ".pdf", ".exr"})
 
 
-class Answer(NamedTuple):
-    """What a verb says: a text, data for --json, and the exit code.
+class VerbOutput(NamedTuple):
+    """Output of a verb: a text, data for --json, and the exit code.
 
-    Without data the text is the result itself, such as a schema, and printed in any case.
+    Without data, the text is the result itself, such as a schema, and is also printed with --json.
     """
 
     text: str = ""
@@ -56,15 +56,15 @@ class Answer(NamedTuple):
 
 
 class Read(argparse.Action):
-    """An option that reads its text where it stands, so that its error names it.
+    """Parse the value of an option at once, so that an error can name the option.
 
     Parameters
     ----------
     read
-        Makes the value of the option's name and its text; the text itself by default.
+        Function of the option's name and text that returns the value; by default the text.
     repeated
-        What a second one does: ``"last"`` counts, it is refused (``"once"``), or ``"all"`` are listed, and
-        the items of tuples.
+        Effect of a repeated option: ``"last"`` keeps the last value, ``"once"`` raises an error,
+        and ``"all"`` collects all values in a list, including the items of tuples.
     """
 
     def __init__(
@@ -87,8 +87,8 @@ class Read(argparse.Action):
         values: Any,
         option_string: str | None = None,
     ) -> None:
-        """Store the value, or refuse it."""
-        if values is None:  # a positional argument that may be missing
+        """Parse and store the value, or exit with an error."""
+        if values is None:  # An optional positional argument is missing
             return
         value = values if self._read is None else self._read(self._label, values)
         before = getattr(namespace, self.dest)
@@ -100,17 +100,17 @@ class Read(argparse.Action):
 
 
 Declaration = Callable[[Any], Any]
-"""What adds options to a parser, or to a group of one."""
+"""A function that adds options to a parser, or to a group of a parser."""
 
 
 def option(
     usage: str, help: str, read: Callable[[str, str], Any] | None = None, **further: Any
 ) -> Declaration:
-    """Declare an option as its usage is written.
+    """Declare an option from its usage text.
 
-    ``option("-m, --realizations R", "help", whole())`` reads a number, ``option("--quick", "help")`` is a
-    switch and ``option("SCENE", "help")`` a positional argument. What else it is given goes to `Read` or
-    argparse.
+    ``option("-m, --realizations R", "help", whole())`` reads a number, ``option("--quick",
+    "help")`` is a switch and ``option("SCENE", "help")`` is a positional argument. Other arguments
+    are passed to `Read` or to argparse.
     """
     *names, last = (word.rstrip(",") for word in usage.split())
     if names and last == "DIR":
@@ -123,7 +123,7 @@ def option(
 
 
 def out(help: str, **further: Any) -> Declaration:
-    """Declare ``-o, --out``, which lists files that are written from one run: none by default."""
+    """Declare ``-o, --out``, a list of output files of one run; empty by default."""
     return option(
         "-o, --out FILE", f"{help}; repeatable", repeated="all", **{"default": [], **further}
     )
@@ -142,26 +142,26 @@ def group(make: Callable[[Any], Any], *options: Declaration) -> Declaration:
 
 @final
 class Verb(NamedTuple):
-    """What the command line knows of a verb: the text of its help, its options and what it does."""
+    """A verb of the command line: its help text, its options and its function."""
 
     text: str
     options: tuple[Declaration, ...]
-    run: Callable[[argparse.Namespace], Answer]
+    run: Callable[[argparse.Namespace], VerbOutput]
 
 
-def verb(*options: Declaration) -> Callable[[Callable[[argparse.Namespace], Answer]], Verb]:
-    """Make a verb of a function whose docstring is the text of its help."""
+def verb(*options: Declaration) -> Callable[[Callable[[argparse.Namespace], VerbOutput]], Verb]:
+    """Make a verb from a function; the docstring becomes the help text."""
     return lambda run: Verb(inspect.cleandoc(run.__doc__ or ""), options, run)
 
 
 def whole(least: int = 1, most: int | None = None) -> Callable[[str, str], int]:
-    """Return what reads a whole number within limits."""
+    """Return a parser of whole numbers within limits."""
 
     return lambda name, text: as_integer(name, whole_number(text), least=least, most=most)
 
 
 def wholes(form: str = "", least: int = 1) -> Callable[[str, str], list[int]]:
-    """Return what reads whole numbers with commas between: those of a form such as W,H, or any."""
+    """Return a parser of whole numbers with commas; `form`, such as W,H, fixes their count."""
 
     def read(name: str, text: str) -> list[int]:
         parts = text.split(",")
@@ -173,7 +173,7 @@ def wholes(form: str = "", least: int = 1) -> Callable[[str, str], list[int]]:
 
 
 def real(**limits: float) -> Callable[[str, str], float]:
-    """Return what reads a number within the limits of `as_real`."""
+    """Return a parser of numbers within the limits of `as_real`."""
 
     def read(name: str, text: str) -> float:
         try:
@@ -186,22 +186,22 @@ def real(**limits: float) -> Callable[[str, str], float]:
 
 
 def _folder(name: str, text: str) -> str:
-    """Read the name of a folder, which no page or picture has."""
+    """Read the name of a folder; refuse an extension of a page or picture."""
     if Path(text).suffix.lower() in _PAGES and not Path(text).is_dir():
         raise ParameterError(
-            f"{name} is {shown(text)}, the name of a file; give a folder, which gets several."
+            f"{name} is {shown(text)}, the name of a file; give a folder for several files."
         )
     return text
 
 
 def given_of(options: argparse.Namespace, *names: str) -> dict[str, Any]:
-    """Return those options of these names that were given."""
+    """Return the options of these names that the user gave."""
     found = ((name, getattr(options, name, None)) for name in names)
     return {name: value for name, value in found if value is not None}
 
 
 def index_or_name(name: str, text: str) -> int | str:
-    """Read what is a number or a name: whole numbers as such, also negative ones."""
+    """Read an integer, possibly negative, or else a name."""
     del name
     digits = text.removeprefix("-")
     return int(text) if digits.isdecimal() and len(digits) < 20 else text
@@ -228,7 +228,7 @@ def read_sampler(text: str, dims: int | None) -> Sampler:
 
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], words: int = 2) -> str:
-    """Align columns with two blanks between; all but the first, which are words, to the right."""
+    """Align columns two blanks apart: the first `words` columns left, all others right."""
     table = [[printable(cell) for cell in row] for row in (header, *rows)]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines = []
@@ -243,7 +243,10 @@ def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], words: int 
 
 
 def page_table(table: Table, first: str = "", words: int = 0) -> str:
-    """Align a table of a report; its first column may have another name, and more than one be of words."""
+    """Align a table of a report.
+
+    `first` renames its first column, and at least `words` columns are left-aligned.
+    """
     header = [first or table.columns[0], *table.columns[1:]]
     first_row = table.rows[0] if table.rows else ()
     numbers = next((k for k, cell in enumerate(first_row) if k and cell.numeric), len(header))
@@ -258,7 +261,7 @@ def one_sentence_warnings(quiet: bool) -> Iterator[None]:
 
     def show(message: Warning | str, *_: Any) -> None:
         text = printable(message, _LONGEST)
-        if text in seen:  # The same warning from another line of the code
+        if text in seen:  # Another line of code issued the same warning
             return
         seen.add(text)
         print(f"mcspectra: Warning: {text}", file=sys.stderr)

@@ -9,7 +9,17 @@ from pathlib import Path
 from typing import Any, Literal
 
 import mcspectra as mcs
-from mcspectra.cli.common import Answer, given_of, group, option, out, real, text_table, verb, whole
+from mcspectra.cli.common import (
+    VerbOutput,
+    given_of,
+    group,
+    option,
+    out,
+    real,
+    text_table,
+    verb,
+    whole,
+)
 from mcspectra.core.decoding import path_to_write
 from mcspectra.core.errors import ParameterError, writing
 from mcspectra.improve.designs.searches import KINDS
@@ -35,39 +45,38 @@ _OF_SAMPLERS = ("members",)
         lambda parser: parser.add_argument_group("samplers"),
         option(
             "--members M",
-            "integrands of the class over which the result is measured (default 2000)",
+            "integrands of the class used to measure the result (default 2000)",
             whole(20),
         ),
     ),
     group(
         lambda parser: parser.add_argument_group("density"),
         option("--family FAMILY", f"{', '.join(LEARNED)} (default mixture)"),
-        option("--sampler SPEC", "a random sampler (default 'sobol | owen')"),
+        option("--sampler SPEC", "a randomized sampler (default 'sobol | owen')"),
         option(
             "--budget B",
-            "evaluations to learn from (default 16 n + 8192, 24576 at least)",
+            "evaluations to learn from (default 16 n + 8192, at least 24576)",
             whole(1),
         ),
         option(
             "--defensive SHARE",
-            "share of the uniform density that is mixed in (default 0.05)",
+            "share of the uniform density in the mixture (default 0.05)",
             real(above=0.0, below=1.0),
         ),
-        option(
-            "-m, --realizations R", "point sets for each measured variance (default 1000)", whole(2)
-        ),
+        option("-m, --realizations R", "point sets per measured variance (default 1000)", whole(2)),
     ),
     out(".json: the density, or the sampler with its certificate"),
 )
-def design_(options: argparse.Namespace) -> Answer:
-    """Search for a sampler or a density of small variance, and measure the gain.
+def design_(options: argparse.Namespace) -> VerbOutput:
+    """Search for a sampler or a density with small variance, and measure the gain.
 
-    A sampler is searched for a class of integrands. The table compares its mean variance with that of usual
-    samplers, over other integrands of the class. A usual sampler that has less variance is saved instead.
-    Ctrl-C ends the search and keeps its best sampler.
+    A sampler is searched for a class of integrands. The table compares its mean variance with usual
+    samplers, over other integrands of the class. If a usual sampler has less variance, it is saved
+    instead. Ctrl-C ends the search and keeps the best sampler found.
 
-    A density is learned for one integrand and one sampler. The table compares the variances with and without
-    it, at points that it was not learned from. The density is uniform if it does not lower the variance.
+    A density is learned for one integrand and one sampler. The table compares the variances with
+    and without it, at points that were not used for learning. If the density does not lower the
+    variance, the result is uniform.
     """
     density = options.kind == _DENSITY
     other = "samplers" if density else "densities"
@@ -81,11 +90,11 @@ def design_(options: argparse.Namespace) -> Answer:
     for file in copies:
         with writing(file):
             shutil.copyfile(first, file)
-    return Answer(text, data)
+    return VerbOutput(text, data)
 
 
 def _sampler(options: argparse.Namespace, path: str | None) -> tuple[str, dict[str, Any]]:
-    """Search a sampler, and certify it; the file has both."""
+    """Search for a sampler and certify it; the file holds both."""
     seed = options.seed or 0
     sampler = mcs.design(
         options.kind, options.objective, options.n, dims=options.dims, rng=seed, path=path
@@ -108,7 +117,7 @@ def _sampler(options: argparse.Namespace, path: str | None) -> tuple[str, dict[s
     spec, saved = sampler.spec, ""
     if low > 1.0:
         rival = mcs.sampler(found.attrs["best_rival"], sampler.dims)
-        kept = "its points are not uniform, so that this design is kept"
+        kept = "its points are not uniform, so this design is kept"
         saved = (
             f"\n{rival.spec} has less variance than this design; "
             f"{'it is saved instead' if rival.unbiased else kept}"
@@ -116,8 +125,8 @@ def _sampler(options: argparse.Namespace, path: str | None) -> tuple[str, dict[s
         spec = rival.spec if rival.unbiased else spec
     text = (
         f"{spec}\n{text_table(['sampler', 'mean variance', '95 %'], rows)}\n"
-        f"{float(found['design_ratio']):.3g} times (95 %: {low:.3g} to {high:.3g}) the mean variance of "
-        f"{found.attrs['best_rival']}{saved}"
+        f"{float(found['design_ratio']):.3g} times (95 %: {low:.3g} to {high:.3g}) "
+        f"the mean variance of {found.attrs['best_rival']}{saved}"
     )
     data = {
         "spec": spec,
@@ -139,7 +148,7 @@ def _sampler(options: argparse.Namespace, path: str | None) -> tuple[str, dict[s
 
 
 def _density(options: argparse.Namespace, path: str | None) -> tuple[str, dict[str, Any]]:
-    """Learn a density, which the file holds, and measure the variances without and with it."""
+    """Learn a density, write it to the file, and measure the variances with and without it."""
     n, seed = options.n, options.seed or 0
     sampler = options.sampler or "sobol | owen"
     f = mcs.integrand(options.objective, dims=options.dims)

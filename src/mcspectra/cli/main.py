@@ -1,8 +1,9 @@
-"""The command ``mcspectra``: verbs in lazy modules, one sentence an error.
+"""The command ``mcspectra``: verbs in lazily imported modules, one sentence per error.
 
-Exit codes: 0 done; 1 the run failed; 2 bad input; 130 interrupted. Verbs are bound by name, so that
-``--help`` imports none of them (docs/decisions/0002): the verb ``run`` is the `Verb` called ``run_`` of
-its module, whose `Answer` is printed here; those of analyses are made by `mcspectra.cli.analysis`.
+Exit codes: 0 success; 1 the run failed; 2 bad input; 130 interrupted. Verbs are bound by name, so
+``--help`` imports none of them (docs/decisions/0002). The verb ``run`` is the `Verb` named ``run_``
+in its module, and its `VerbOutput` is printed here. `mcspectra.cli.analysis` makes the verbs of
+analyses.
 """
 
 from __future__ import annotations
@@ -31,45 +32,48 @@ __all__ = ["GROUPS", "VERBS", "main"]
 
 GROUPS: dict[str, dict[str, tuple[str, str]]] = {
     "study": {
-        "run": ("studies", "measure, predict and explain all that a study file asks for"),
+        "run": ("studies", "measure, predict and explain every estimator of a study file"),
         "init": ("studies", "write a study file to start from, or print the schema of such files"),
         "status": ("studies", "count the done, failed, missing and damaged cells of a study"),
         "report": ("studies", "write the report of a study again, or compare two studies"),
         "export": ("studies", "write the results of a study as files"),
     },
     "measure": {
-        "points": ("samplers", "draw point sets: text, files, pictures, figures of quality"),
+        "points": ("samplers", "draw point sets: text, files, pictures, quality figures"),
         "spectrum": ("analysis", "expected power spectrum of a sampler"),
-        "pcf": ("analysis", "pair correlation of a sampler"),
-        "converge": ("analysis", "variance against n, and the rate that is fitted to it"),
-        "variance": ("analysis", "split a variance: into terms, techniques, axes or modes"),
+        "pcf": ("analysis", "pair correlation function of a sampler"),
+        "converge": ("analysis", "variance against n, and the fitted rate"),
+        "variance": ("analysis", "split a variance into terms, techniques, axes or modes"),
         "bench": ("samplers", "measure samplers side by side: rates, spectra, quality, speed"),
     },
     "predict": {
-        "predict": ("analysis", "variance and rate at every n, before anything is measured"),
-        "plan": ("analysis", "the smallest n that reaches an error"),
+        "predict": ("analysis", "predict variance and rate at every n without measuring"),
+        "plan": ("analysis", "find the smallest n that reaches an error"),
     },
     "explain and improve": {
         "profile": ("profiling", "find the causes of the noise, and the best remedy at a budget"),
-        "remedies": ("analysis", "measure changes that would lower the noise, and rank them"),
-        "design": ("designs", "search a sampler or a density for a class of integrands"),
+        "remedies": ("analysis", "measure changes that may lower the noise, and rank them"),
+        "design": ("designs", "search for a sampler or a density for a class of integrands"),
         "integrate": ("samplers", "integrate a function: value and 95 % interval"),
     },
     "render": {
         "pixel": ("scenes", "rates, terms, bottleneck and remedies of one pixel of a scene"),
         "map": ("scenes", "variance, rate and bottleneck at every pixel of a scene"),
-        "render": ("scenes", "render a scene with one of our samplers"),
-        "frames": ("scenes", "noise of frames of any renderer: variance, rate, bias, spectrum"),
+        "render": ("scenes", "render a scene with a sampler of this package"),
+        "frames": ("scenes", "noise of frames from any renderer: variance, rate, bias, spectrum"),
     },
     "more": {
         "app": ("package", "explore samplers, densities and integrands in the browser"),
-        "reproduce": ("package", "make the figures and statements of the slides again"),
+        "reproduce": (
+            "package",
+            "make the figures of the slides again, and check the statements",
+        ),
         "list": ("samplers", "list samplers, densities, integrands, scenes or analyses"),
         "doctor": ("package", "show what is installed and whether it works"),
         "cite": ("package", "print how to cite the package and its methods"),
     },
 }
-"""Verbs by group, in the order of the help: the module of each, and its summary."""
+"""Verbs by group in the order of the help, with the module and the summary of each verb."""
 
 VERBS = {verb: text for verbs in GROUPS.values() for verb, (_, text) in verbs.items()}
 """Summary of each verb."""
@@ -87,9 +91,9 @@ _ANALYSES: dict[str, tuple[str, ...]] = {
     "remedies": ("remedies",),
     "map": ("map",),
 }
-"""Verbs of our analyses, to their names in the registry; the help needs no import of the analyses.
+"""Names in the registry of the analyses of each verb, so that the help need not import them.
 
-Where several share a verb, ``--split`` chooses one, the first by default.
+If several analyses share a verb, ``--split`` chooses one; the first is the default.
 """
 
 _NOW = {
@@ -104,16 +108,16 @@ _NOW = {
     "mitsuba": "render SCENE --sampler …",
     "schema": "init --schema",
 }
-"""Verbs of earlier versions, and their replacements."""
+"""Verbs of earlier versions and their replacements."""
 
 _FAILED_RUNS = ("CellFailed", "ClusterLost", "StorageError")
-"""Errors that are nobody's input."""
+"""Errors that are not caused by the input."""
 
-_LONGEST = 1000  # characters of an unexpected error's own text
-_LONGEST_USAGE = 250  # characters of an error of the argument parser
+_LONGEST = 1000  # Maximum length in characters of an unexpected error's message
+_LONGEST_USAGE = 250  # Maximum length in characters of an error of the argument parser
 
 _BEFORE = {"--json": 0, "--quiet": 0, "--debug": 0, "--seed": 1, "--allow-code": 1}
-"""Options of all verbs, which may stand before the verb, and the number of their values."""
+"""Options of all verbs that may also precede the verb, and the number of their values."""
 
 _HELP = """\
 usage: mcspectra VERB ...     mcspectra VERB --help     mcspectra --version
@@ -122,13 +126,13 @@ Measure, predict and explain the variance of Monte Carlo estimators.
 
 {groups}
 
-All verbs take --json, --seed and --quiet, also before the verb.
-Specs chain names by bars: mcspectra points 'jittered | shift' -n 16
+All verbs accept --json, --seed and --quiet, also before the verb.
+Specs chain names with bars: mcspectra points 'jittered | shift' -n 16
 """
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose errors are one sentence, without the usage block."""
+    """An argument parser that reports an error in one sentence, without the usage block."""
 
     def error(self, message: str) -> NoReturn:
         sentence = message[:1].upper() + message[1:]
@@ -138,12 +142,12 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line; returns the exit code."""
+    """Run the command line and return the exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    # Threads are over realizations and cells; those of BLAS beside them wait for one another.
+    # Threads compute realizations and cells in parallel; BLAS threads would compete with them.
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):
-        # A terminal that lacks a character such as ² shows '?' instead of losing the result.
+        # On a terminal without a character such as ², print '?' and keep the rest of the result.
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
@@ -155,12 +159,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"mcspectra: {said}.", file=sys.stderr)
         tasks = (each.name == "mcspectra-tasks" for each in threading.enumerate())
         if arguments is None and any(tasks):
-            # Native code that still computes would keep the process for a minute, or abort it
+            # Running native code would keep the process alive for a minute, or abort it
             sys.stderr.flush()
             os._exit(130)
         return 130
     except BrokenPipeError:
-        # The reader has gone (… | head): nothing is wrong. Keep Python from flushing at exit.
+        # The reader closed the pipe (… | head), which is normal. Keep Python from flushing at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:
@@ -168,14 +172,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise
         from mcspectra.core.errors import McspectraError
 
-        # The exit code, 2 for what the user can mend, and the sentence
+        # Exit code 2 marks errors that the user can correct
         kind, full = type(error).__name__, (errno.ENOSPC, errno.EDQUOT, errno.EIO)
         if isinstance(error, McspectraError):
             code, sentence = 1 if kind in _FAILED_RUNS else 2, str(error)
         elif isinstance(error, MemoryError):
-            code, sentence = 2, "Not enough memory; ask for fewer points, dims or frequencies."
+            code, sentence = 2, "Not enough memory; use fewer points, dims or frequencies."
         elif isinstance(error, OSError) and error.errno in (errno.ENAMETOOLONG, errno.ELOOP):
-            code, sentence = 2, f"{shown(error.filename)} is no path: {error.strerror}."
+            code, sentence = 2, f"{shown(error.filename)} is not a path: {error.strerror}."
         elif isinstance(error, OSError) and error.errno in full:
             code, sentence = 1, f"The output cannot be written: {error.strerror}."
         else:
@@ -187,8 +191,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _dispatch(given: list[str]) -> int:
-    """Find the verb, read its options, run it and print its answer."""
-    # Options of all verbs that stand before the verb follow it from here on
+    """Find the verb, read its options, run it and print its output."""
+    # Move options before the verb behind it
     first = 0
     while first < len(given) and (name := given[first].partition("=")[0]) in _BEFORE:
         first += 1 if "=" in given[first] else 1 + _BEFORE[name]
@@ -200,12 +204,12 @@ def _dispatch(given: list[str]) -> int:
     from mcspectra.core.progress import progress_bars
     from mcspectra.core.results import strict_json
 
-    # The verb: of its module, or made of the analyses that share it
+    # Find the verb in its module, or make it from the analyses that share it
     name, module = given[0], _MODULES.get(given[0], "analysis")
     verb: Verb
     if module == "analysis":
         analyses = _ANALYSES.get(name, ())
-        if len(analyses) != 1:  # other packages have verbs, and splits of ours
+        if len(analyses) != 1:  # Other packages may add verbs and splits
             analyses = (*analyses, *_outside_analyses(name))
         if not analyses and name in _NOW:
             raise UnknownName(f"The verb {shown(name)} is now 'mcspectra {_NOW[name]}'.")
@@ -218,19 +222,19 @@ def _dispatch(given: list[str]) -> int:
     else:
         verb = getattr(importlib.import_module(f"mcspectra.cli.{module}"), f"{name}_")
 
-    # Its own options, and those that all verbs have
+    # Declare the verb's own options and the options of all verbs
     parser = _Parser(
         prog=f"mcspectra {name}",
         description=verb.text,
         formatter_class=argparse.RawDescriptionHelpFormatter,
         allow_abbrev=False,
     )
-    allowed = "code that specs may name: a command or its program, or module:function"
+    allowed = "code that specs may run: a command or its program, or module:function; repeatable"
     for declare in (
         *verb.options,
         option("--json", "print JSON instead of text"),
-        option("--seed S", "seed, a whole number from 0", whole(0)),
-        option("--quiet", "print the result only: no progress, warnings or notes"),
+        option("--seed S", "seed, a whole number of at least 0", whole(0)),
+        option("--quiet", "print only the result: no progress, warnings or notes"),
         option("--allow-code CODE", allowed, repeated="all", default=[]),
         option("--debug", "show the traceback of an error"),
     ):
@@ -239,7 +243,7 @@ def _dispatch(given: list[str]) -> int:
     if unknown:
         parser.error(f"unrecognized arguments: {printable(' '.join(unknown), QUOTED)}")
 
-    # Files and code that specs may name, for all verbs
+    # Allow the files and code that specs may name, for all verbs
     folders = getattr(options, "allow_path", ())
     if options.allow_code or folders:
         from mcspectra.core.trust import allow
@@ -259,7 +263,7 @@ def _dispatch(given: list[str]) -> int:
 
 
 def _writer(parser: argparse.ArgumentParser) -> Callable[[Parameter | Function], str]:
-    """Return what writes options in a sentence as they are typed, and functions as their verbs."""
+    """Return a function that formats parameters as typed options, and functions as verbs."""
     import shlex
 
     from mcspectra.core.analysis import ANALYSES
@@ -280,7 +284,7 @@ def _writer(parser: argparse.ArgumentParser) -> Callable[[Parameter | Function],
             for name in names:
                 analysis = ANALYSES.load(name)
                 if analysis.function == part.name:
-                    # The first of a verb needs no --split
+                    # The first analysis of a verb needs no --split
                     word = analysis.verb if name == names[0] else analysis.command()
                     return f"'mcspectra {word}'"
         return str(part)
@@ -289,7 +293,7 @@ def _writer(parser: argparse.ArgumentParser) -> Callable[[Parameter | Function],
 
 
 def _without_verb(given: list[str]) -> int:
-    """Print the help, or the version."""
+    """Print the help or the version."""
     if given[:1] == ["--version"]:
         from mcspectra.version import __version__
 
@@ -321,14 +325,14 @@ def _without_verb(given: list[str]) -> int:
 
 
 def _outside_analyses(word: str) -> list[str]:
-    """The analyses of other packages that have a verb.
+    """Return the analyses of other packages that have this verb.
 
     Raises
     ------
     SpecError
-        One is left out, for the reason of `_outside_verbs`.
+        If the analysis is left out for a reason of `_outside_verbs`.
     MissingDependency
-        This is an analysis's name, which cannot be loaded.
+        If this is the name of an analysis that cannot be loaded.
     """
     outside, left_out = _outside_verbs()
     if word in outside or word in VERBS:
@@ -345,10 +349,11 @@ def _outside_analyses(word: str) -> list[str]:
 
 
 def _outside_verbs() -> tuple[dict[str, list[str]], dict[str, str]]:
-    """Verbs of other packages' analyses, to the names of these; names of those left out, to the reason.
+    """Return verbs of other packages' analyses with their names, and left-out names with reasons.
 
-    One is left out if its verb and split, or its function, are those of another: ours keep theirs.
-    Those that cannot be loaded are in neither: `mcspectra list analyses` says why.
+    An analysis is left out if its verb and split, or its function, belong to another analysis; this
+    package has priority. Analyses that cannot be loaded appear in neither: `mcspectra list
+    analyses` gives the reason.
     """
     if not entry_points(group="mcspectra.analyses"):
         return {}, {}
@@ -369,12 +374,12 @@ def _outside_verbs() -> tuple[dict[str, list[str]], dict[str, str]]:
         if word and len(names) > 1:
             sentence = (
                 f"The analyses {' and '.join(map(repr, names))} have the same {door} {word!r}; "
-                "uninstall the package of one, or have its author rename it."
+                "uninstall the package of one, or ask its author to rename it."
             )
         elif door == "verb" and verb in VERBS and not shared:
             sentence = (
-                f"The analysis {names[0]!r} has the verb {verb!r}, which is one of mcspectra itself; "
-                "uninstall its package, or have its author rename the verb."
+                f"The analysis {names[0]!r} has the verb {verb!r}, which belongs to mcspectra "
+                "itself; uninstall its package, or ask its author to rename the verb."
             )
         else:
             continue

@@ -1,4 +1,4 @@
-"""The verbs of the package itself: the slides' figures, the explorer, what is installed, how to cite it."""
+"""The verbs of the package itself: the slides' figures, the explorer, a check, and citations."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import sys
 from importlib import metadata
 from typing import TYPE_CHECKING, Any
 
-from mcspectra.cli.common import Answer, option, verb, whole
+from mcspectra.cli.common import VerbOutput, option, verb, whole
 from mcspectra.core.display import counted, printable
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.references import bibtex
@@ -51,12 +51,12 @@ _ITSELF = f"""@software{{mcspectra,
     option("--quick", "fewer realizations: 3 minutes at most"),
     option("-o, --out DIR", "output folder (default out/reproduce)", repeated="once"),
 )
-def reproduce_(options: argparse.Namespace) -> Answer:
-    """Make the figures and statements of the slides again, and say which of them agree.
+def reproduce_(options: argparse.Namespace) -> VerbOutput:
+    """Make the figures of the slides again, and report which statements agree.
 
-    Writes DIR/index.html (one page that stands alone), DIR/reproduce.pdf, DIR/findings.json and
-    DIR/figures/*.png. Without a FIGURE, all of them; --list names them. A figure that fails does not stop
-    the others; the exit code is then 1.
+    Writes DIR/index.html (a single self-contained page), DIR/reproduce.pdf, DIR/findings.json and
+    DIR/figures/*.png. Without FIGURE it makes all figures; --list names them. A figure that fails
+    does not stop the others; the exit code is then 1.
     """
     from mcspectra.reproduction.gallery import (
         FINDINGS_NAME,
@@ -71,7 +71,7 @@ def reproduce_(options: argparse.Namespace) -> Answer:
         shown = {name: slides()[name].summary for name in exhibit_names(options.figures)}
         width = max(map(len, shown))
         lines = [f"{name.ljust(width)}  {text}" for name, text in shown.items()]
-        return Answer(
+        return VerbOutput(
             "\n".join(lines), [{"name": name, "summary": text} for name, text in shown.items()]
         )
 
@@ -82,7 +82,7 @@ def reproduce_(options: argparse.Namespace) -> Answer:
                 why = f": {finding.note}" if finding.note else ""
                 print(f"  does not agree: {finding.statement}{why}", flush=True)
 
-    # The command that makes the same gallery; the folder is the reader's own matter
+    # Store the command that makes the same gallery, without the folder
     seed = options.seed or 0
     words = ["mcspectra", "reproduce", *options.figures, *(["--quick"] if options.quick else [])]
     made = reproduce(
@@ -112,25 +112,25 @@ def reproduce_(options: argparse.Namespace) -> Answer:
         "judged": len(judged),
         "failed": list(made.failed),
     }
-    return Answer(
+    return VerbOutput(
         f"{tally(made.entries)}\npage: {printable(made.page)}", data, 1 if made.failed else 0
     )
 
 
 @verb(
-    option("--port N", "port on this machine; any free one by default", whole(0, 65535), default=0),
-    option("--no-browser", "print the address, open no browser"),
+    option("--port N", "port on this machine (default: any free port)", whole(0, 65535), default=0),
+    option("--no-browser", "print the address and open no browser"),
     option(
         "--allow-path DIR",
-        "a folder that specs may read files from",
+        "a folder that specs may read files from; repeatable",
         repeated="all",
         default=[],
     ),
 )
-def app_(options: argparse.Namespace) -> Answer:
-    """Explore in the browser: choose a sampler, a density and an integrand, and see what they make.
+def app_(options: argparse.Namespace) -> VerbOutput:
+    """Explore in the browser: choose a sampler, a density and an integrand, and see the results.
 
-    Serves a page on this machine alone, without any use of the network.
+    Serves a page on this machine only, without access to the network.
     """
     if options.json or options.seed is not None:
         raise ParameterError("app takes neither --json nor --seed; choose the seed on the page.")
@@ -138,11 +138,11 @@ def app_(options: argparse.Namespace) -> Answer:
     from mcspectra.app.server import serve
 
     serve(options.port, open_browser=not options.no_browser, quiet=options.quiet)
-    return Answer()
+    return VerbOutput()
 
 
 @verb()
-def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
+def doctor_(options: argparse.Namespace) -> VerbOutput:  # noqa: ARG001
     """Show what is installed and whether it works: versions, kernels, NUFFT, renderer, extras."""
     import numpy as np
 
@@ -152,7 +152,7 @@ def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
     from mcspectra.rendering.backend import describe
     from mcspectra.spectra.transforms import FrequencyGrid, Transform, direct_sum
 
-    # Compare one NUFFT with the direct sum: the part that is always needed
+    # Compare one NUFFT with the direct sum, because every analysis needs it
     grid = FrequencyGrid(2, 8)
     points = np.random.default_rng(0).random((2, 256, 2))
     try:
@@ -183,8 +183,10 @@ def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
         "platform": platform.platform(),
         "processors": available_workers(),
         **package_versions(),
-        "cache of point sets": f"{counted(entries, 'set')}, {size / 2**20:.1f} MiB in {cache_folder()}",
-        "numba cache": os.environ.get("NUMBA_CACHE_DIR", "beside the package"),
+        "cache of point sets": (
+            f"{counted(entries, 'set')}, {size / 2**20:.1f} MiB in {cache_folder()}"
+        ),
+        "numba cache": os.environ.get("NUMBA_CACHE_DIR", "next to the package"),
         "transforms": transforms,
         "renderer": describe(),
     }
@@ -195,14 +197,14 @@ def doctor_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
             texts = {k: ", ".join(v) if isinstance(v, list) else v for k, v in value.items()}
             value = "; ".join(f"{key} {text}" for key, text in texts.items() if text)
         lines.append(f"{name.replace('_', ' ').ljust(width)}  {value}")
-    return Answer(
+    return VerbOutput(
         "\n".join(lines), {**found, "extras": optional, "works": works}, 0 if works else 1
     )
 
 
 @verb()
-def cite_(options: argparse.Namespace) -> Answer:  # noqa: ARG001
+def cite_(options: argparse.Namespace) -> VerbOutput:  # noqa: ARG001
     """Print how to cite the package, the paper it implements and the methods it uses (BibTeX)."""
     cited = {"mcspectra": _ITSELF, **{what: bibtex(key) for what, key in _CITED.items()}}
     listed = [{"for": what, "bibtex": entry} for what, entry in cited.items()]
-    return Answer("\n\n".join(f"% {what}\n{entry}" for what, entry in cited.items()), listed)
+    return VerbOutput("\n\n".join(f"% {what}\n{entry}" for what, entry in cited.items()), listed)

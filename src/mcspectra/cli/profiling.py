@@ -1,4 +1,4 @@
-"""The verb `profile`: the noise of an integrand, or of draws of Markov chains, and its causes."""
+"""The verb `profile`: causes of the noise of an integrand, or of draws of Markov chains."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mcspectra.cli.analysis import analysis_verb
-from mcspectra.cli.common import Answer, Verb, option
+from mcspectra.cli.common import Verb, VerbOutput, option
 from mcspectra.cli.texts import data_of, table_of_anything
 from mcspectra.core.analysis import ANALYSES
 from mcspectra.core.display import QUOTED, printable, shown
@@ -34,7 +34,7 @@ _SUFFIXES = (".npy", ".csv", ".nc", ".zarr")
 _PROFILE = analysis_verb(["profile"])
 
 
-def _profile(options: argparse.Namespace) -> Answer:
+def _profile(options: argparse.Namespace) -> VerbOutput:
     """Profile an integrand, or draws of Markov chains."""
     subjects: list[str] = options.integrand
     files = [text for text in subjects if Path(text).suffix.lower() in _SUFFIXES]
@@ -46,7 +46,7 @@ def _profile(options: argparse.Namespace) -> Answer:
     if len(files) < len(subjects):
         (other, *_) = (text for text in subjects if text not in files)
         raise FileFormatError(
-            f"{shown(other)} is not a file of draws; these end in {', '.join(_SUFFIXES[:-1])} or "
+            f"{shown(other)} is not a file of draws, which ends in {', '.join(_SUFFIXES[:-1])} or "
             f"{_SUFFIXES[-1]}. Give one integrand, or files of draws."
         )
     profiling: Any = ANALYSES.load("profile")
@@ -61,15 +61,15 @@ def _profile(options: argparse.Namespace) -> Answer:
     return _of_draws(options, files)
 
 
-def _of_draws(options: argparse.Namespace, files: list[str]) -> Answer:
-    """Error of the means of Markov chains, the frequencies that cause it, and problems of the chains."""
+def _of_draws(options: argparse.Namespace, files: list[str]) -> VerbOutput:
+    """Analyze Markov chains: errors of their means, frequencies that cause them, and problems."""
     from mcspectra.measure.chains import chain_error
     from mcspectra.report.result_files import check_result_file, write_result_file
 
     for file in options.out:
         check_result_file(file)
 
-    # Read the draws, files of one chain each side by side, and take the weights out of them
+    # Read the draws, with one chain per file, and separate the weights
     found = [_draws(file) for file in files]
     draws, weights, named = found[0], None, options.weights
     if len(found) > 1:
@@ -80,8 +80,8 @@ def _of_draws(options: argparse.Namespace, files: list[str]) -> Answer:
         held = {x.shape if arrays else (*x, *x.sizes.values()) for x in found if arrays or tables}
         if len(held) != 1:
             raise FileFormatError(
-                f"The {len(found)} files do not hold one chain each, of the same length and quantities; "
-                "give files that do, or one file of all."
+                f"The {len(found)} files do not hold one chain each with the same length and "
+                "quantities; give such files, or one file with all chains."
             )
         draws = np.stack(found) if arrays else xr.concat(found, "chain")
     if named is not None and named.endswith(".npy"):
@@ -102,12 +102,12 @@ def _of_draws(options: argparse.Namespace, files: list[str]) -> Answer:
     plain = result.drop_dims("band") if several else result
     names, said = (np.atleast_1d(result[key].values) for key in ("cause", "evidence"))
     lines = [f"{result.attrs['chains']} × {result.attrs['draws']} draws"]
-    if not np.isnan(result["mcse"]).all():  # else no chain moves, and sentences alone say so
+    if not np.isnan(result["mcse"]).all():  # Otherwise no chain moves: print sentences only
         lines.append(table_of_anything(plain).text)
     for k, name in enumerate(names):
         start = f"{result['quantity'].values[k]}: " if several else ""
         lines.append(f"{start}{said[k] or f'cause: {name}'}.")
-    return Answer("\n".join(lines), data_of(result))
+    return VerbOutput("\n".join(lines), data_of(result))
 
 
 profile_ = Verb(
@@ -115,15 +115,16 @@ profile_ = Verb(
 
 {_PROFILE.text.partition(chr(10) * 2)[2]}
 
-For files of draws of Markov chains it prints the standard error of each mean, its frequencies, and problems
-of the chains. A .npy file holds one chain (n,), or (chain, draw), or (chain, draw, quantity). A .csv file has a column
-for each quantity, a row for each draw, and names in the first line; each chain is a file, as
-Stan writes them, or a column 'chain' numbers the chains. A .nc or .zarr store has the dims chain and draw, at
-its root or in the group posterior, as ArviZ writes it.""",
+For files of draws of Markov chains it prints the standard error of each mean, its frequencies, and
+problems of the chains. A .npy file holds one chain (n,), or (chain, draw), or (chain, draw,
+quantity). A .csv file has one column per quantity, one row per draw, and names in the first line.
+Each chain is a file, as written by Stan, or a column 'chain' numbers the chains. A .nc or .zarr
+store has the dims chain and draw, at its root or in the group posterior, as written by ArviZ.""",
     (
         option(
             "SUBJECT",
-            "integrand spec, e.g. 'gaussian(width=0.25)', or files of draws: .npy, .csv, .nc or .zarr",
+            "integrand spec, e.g. 'gaussian(width=0.25)', or files of draws: .npy, .csv, .nc or "
+            ".zarr",
             dest="integrand",
             nargs="+",
         ),
@@ -135,7 +136,7 @@ its root or in the group posterior, as ArviZ writes it.""",
 
 
 def _draws(name: str) -> Any:
-    """An array or a dataset of what a file holds."""
+    """Read an array or a dataset from a file."""
     import xarray as xr
 
     file = Path(name)
@@ -152,7 +153,7 @@ def _draws(name: str) -> Any:
                 return getattr(tree, "posterior", tree).to_dataset()
     except MissingDependency:
         raise
-    except Exception as error:  # noqa: BLE001 - readers of formats raise anything
+    except Exception as error:  # noqa: BLE001 - readers of formats may raise anything
         reason = getattr(error, "strerror", None) or reason_of(error)
         raise FileFormatError(
             f"{printable(file, QUOTED)} cannot be read as {file.suffix}: {reason}."
@@ -160,15 +161,13 @@ def _draws(name: str) -> Any:
 
 
 def _table(file: Path) -> xr.Dataset:
-    """Columns of a .csv file as quantities, but Stan's diagnostics, which end in __, and counters."""
+    """Read the quantities of a .csv file, without Stan's diagnostics (names ending in __)."""
     import xarray as xr
 
     lines = [line for line in file.read_text("utf-8-sig").splitlines() if line.strip()]
     lines = [line.replace('"', "") for line in lines if line[0] != "#"]
     if len(lines) < 2:
-        raise ValueError(
-            "it holds no draws; give a line of names and a line of numbers for each draw"
-        )
+        raise ValueError("it holds no draws; give a line of names and a line of numbers per draw")
     table = np.genfromtxt(lines, delimiter=",", names=True, deletechars="", ndmin=1)
     columns = {name: ("draw", table[name]) for name in table.dtype.names or ()}
     _, chain = columns.pop("chain", ("", np.zeros(table.size)))

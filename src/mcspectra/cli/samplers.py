@@ -1,4 +1,4 @@
-"""The verbs of samplers: what can be named in specs, points drawn, samplers side by side."""
+"""The verbs of samplers: list spec names, draw points, compare samplers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 
 import mcspectra as mcs
 from mcspectra.cli.common import (
-    Answer,
+    VerbOutput,
     given_of,
     one_sentence_warnings,
     option,
@@ -44,13 +44,13 @@ _REGISTRIES = {
 
 
 @verb(option("KIND", f"one of {', '.join(_REGISTRIES)}"))
-def list_(options: argparse.Namespace) -> Answer:
-    """List what can be named in specs, and the analyses."""
+def list_(options: argparse.Namespace) -> VerbOutput:
+    """List the names that specs may use, and the analyses."""
     kind = as_choice("kind", options.kind, tuple(_REGISTRIES))
     module, attribute = _REGISTRIES[kind]
     registry = getattr(importlib.import_module(module), attribute)
 
-    # Describe each; one that cannot be loaded says why in its summary
+    # Describe each entry; an entry that cannot be loaded gets the reason as its summary
     rows: list[dict[str, Any]] = []
     for name in registry:
         try:
@@ -70,14 +70,14 @@ def list_(options: argparse.Namespace) -> Answer:
                 row |= {"dims": facts.dims, "counts": facts.counts, "sources": facts.sources}
             if kind == "analyses":
                 row |= {"verb": cls.command(), "function": cls.function, "about": cls.about}
-        except Exception as error:  # noqa: BLE001 - components from elsewhere may raise anything
-            reason = f"{registry[name]} is no {registry.kind} ({type(error).__name__})"
+        except Exception as error:  # noqa: BLE001 - components of other packages may raise anything
+            reason = f"{registry[name]} is not a {registry.kind} ({type(error).__name__})"
             if isinstance(error, MissingDependency):
                 reason = str(error)
             row = {"name": name, "summary": f"not available: {reason}", "parameters": []}
         rows.append(row)
 
-    # Show the summary of each, its parameters, and its verb or its dims, counts and sources
+    # Show each summary, its parameters, and its verb or its dims, counts and sources
     widest, lines = max(len(row["name"]) for row in rows), []
     for row in rows:
         lines.append(f"{row['name'].ljust(widest)}  {row['summary']}")
@@ -87,31 +87,31 @@ def list_(options: argparse.Namespace) -> Answer:
         elif "dims" in row:
             more += [f"dims: {row['dims']}; n: {row['counts']}", row["sources"]]
         lines += [f"{'':{widest}}    {line}" for line in more if line]
-    return Answer("\n".join(lines), rows)
+    return VerbOutput("\n".join(lines), rows)
 
 
 @verb(
     option("SAMPLER", "sampler spec, e.g. 'jittered | shift'; - reads points from standard input"),
-    option("-n N", "points in a set", whole(), required=True),
+    option("-n N", "points per set", whole(), required=True),
     option("-d, --dims D", "number of dims (default 2)", whole()),
     option("-m, --realizations R", "number of sets (default 1)", whole()),
     option("--density SPEC", "warp the points to this density"),
     out("points or a picture, see above; - is standard output"),
-    option("--quality", "print quality figures, not points"),
+    option("--quality", "print quality figures instead of points"),
 )
-def points_(options: argparse.Namespace) -> Answer:
+def points_(options: argparse.Namespace) -> VerbOutput:
     """Draw point sets, and print, write, plot or measure them.
 
     Without -o, points are printed as text in UTK's format: one point per line, '#' between sets.
     Files .dat, .bin, .npz, .npy and .csv hold points; .svg, .png, .pdf and .pgf are pictures.
-    With --quality a table of distances, discrepancies and so on is printed, by default over 16 sets.
+    --quality prints a table of distances, discrepancies and other figures, by default over 16 sets.
     """
     from mcspectra.core.pointfiles import EXTENSIONS, format_dat, write_points
     from mcspectra.densities import as_density
     from mcspectra.plots.backend_matplotlib import FORMATS, write
     from mcspectra.plots.points import point_sets
 
-    # Refuse files that cannot be written
+    # Refuse files that cannot be written before drawing
     sampler = read_sampler(options.sampler, options.dims)
     density = as_density(options.density, sampler.dims)
     seed, n = options.seed or 0, options.n
@@ -122,12 +122,12 @@ def points_(options: argparse.Namespace) -> Answer:
         if extension not in (*EXTENSIONS, *FORMATS):
             given = f"the extension {shown(Path(file).suffix)}" if extension else "no extension"
             raise FileFormatError(
-                f"{printable(file, QUOTED)} has {given}; points are {', '.join(EXTENSIONS)} files, pictures "
-                f"{', '.join(FORMATS)}."
+                f"{printable(file, QUOTED)} has {given}; points need {', '.join(EXTENSIONS)}, and "
+                f"pictures {', '.join(FORMATS)}."
             )
         path_to_write(file, "a file", (extension,))
 
-    # Draw as many sets as are asked for, or as quality figures need
+    # Draw the requested number of sets, or the number that quality figures need
     count = options.realizations
     if count is None and options.quality:
         from mcspectra.core.streams import Stream
@@ -154,7 +154,7 @@ def points_(options: argparse.Namespace) -> Answer:
 
         source: Any = sampler if density is None else points
         count, n, _ = points.shape
-        with one_sentence_warnings(quiet=True):  # said when the points were drawn
+        with one_sentence_warnings(quiet=True):  # Already shown while drawing
             figures = summarize(quality_figures(source, n, realizations=count, rng=seed))
         rows: list[list[str]] = []
         missing: list[str] = []
@@ -172,7 +172,7 @@ def points_(options: argparse.Namespace) -> Answer:
                 rows.append([each.name, each.long_name, f"{each.mean:.5g}", error])
                 figures_of[each.name] = {"mean": each.mean, "standard_error": each.standard_error}
         title = f"{sampler.spec}, n = {n}, {count} set{'s' if count > 1 else ''}"
-        table = text_table(["figure", "what it is", "mean", "± standard error"], rows)
+        table = text_table(["figure", "meaning", "mean", "± standard error"], rows)
         parts, data = (
             [title, table, *missing],
             {**meta, "realizations": count, "quality": figures_of},
@@ -184,13 +184,13 @@ def points_(options: argparse.Namespace) -> Answer:
         data["points"] = points
     elif printed:
         parts.insert(0, format_dat(list(points)).rstrip("\n"))
-    return Answer("\n".join(parts), data)
+    return VerbOutput("\n".join(parts), data)
 
 
 @verb(
     option("INTEGRAND", "integrand spec, e.g. 'gaussian(width=0.25)'"),
     option("--budget B", "most evaluations of the integrand", whole(), required=True),
-    option("-d, --dims D", "number of dims, where the spec leaves it open", whole()),
+    option("-d, --dims D", "number of dims, if the spec does not fix it", whole()),
     option("--density SPEC", "importance density"),
     option(
         "--sampler SPEC",
@@ -198,15 +198,16 @@ def points_(options: argparse.Namespace) -> Answer:
     ),
     option(
         "--combine HOW",
-        "mean of the replicates (default), or median, which is for linear scrambles",
+        "mean of the replicates (default), or median, which needs linear scrambles",
     ),
-    option("--tolerance W", "half width of the interval at which evaluations end", real(above=0.0)),
-    option("--cache FILE", "file of values by point, from which a later run continues"),
+    option("--tolerance W", "stop at this half width of the interval", real(above=0.0)),
+    option("--cache FILE", "file of values by point; a later run reuses them"),
 )
-def integrate_(options: argparse.Namespace) -> Answer:
+def integrate_(options: argparse.Namespace) -> VerbOutput:
     """Integrate a function within a budget of evaluations.
 
-    Prints the value, its 95 % interval, the evaluations made, and the replicates with their number of points.
+    Prints the value, its 95 % interval, the number of evaluations, and the number and size of the
+    replicates.
     """
     found = mcs.integrate(
         mcs.Estimator(options.integrand, options.density, dims=options.dims),
@@ -220,35 +221,38 @@ def integrate_(options: argparse.Namespace) -> Answer:
     data: dict[str, Any] = {str(name): found[name].values.tolist() for name in found}
     low, high = data["interval"]
     text = (
-        f"{data['value']:.10g}, 95 %: {low:.10g} to {high:.10g}\n{counted(data['calls'], 'evaluation')} made, of "
-        f"{data['replicates']} replicates of {data['n']} points of {found.attrs['sampler']}"
+        f"{data['value']:.10g}, 95 %: {low:.10g} to {high:.10g}\n"
+        f"{counted(data['calls'], 'evaluation')} for {data['replicates']} replicates of "
+        f"{data['n']} points of {found.attrs['sampler']}"
     )
     note = found.attrs.get("note")
-    return Answer(f"{text}\n{note}" if note else text, data | ({"note": note} if note else {}))
+    return VerbOutput(f"{text}\n{note}" if note else text, data | ({"note": note} if note else {}))
 
 
 @verb(
     option(
         "SPEC",
-        "samplers, e.g. jittered \"points(path='mine.dat') | shift\"; by default all that need no file",
+        "samplers, e.g. jittered \"points(path='mine.dat') | shift\"; by default all that need "
+        "no file",
         dest="specs",
         nargs="*",
     ),
     option("-n, --counts N,N,…", "numbers of points (default 16,64,256,1024)", wholes()),
     option("-d, --dims D,D,…", "numbers of dims of the integrands (default 2)", wholes()),
-    option("-m, --realizations R", "point sets for each variance (default 400)", whole(2)),
+    option("-m, --realizations R", "point sets per variance (default 400)", whole(2)),
     out(
-        ".html, or a folder: the page; .pdf: its tables and pictures; .csv, .tex: rates; .pgf: convergence"
+        ".html, or a folder: the page; .pdf: its tables and pictures; .csv, .tex: rates; .pgf: "
+        "convergence"
     ),
 )
-def bench_(options: argparse.Namespace) -> Answer:
-    """Measure samplers side by side: rates, ranks, points, spectra, projections, quality, speed.
+def bench_(options: argparse.Namespace) -> VerbOutput:
+    """Compare samplers: rates, ranks, points, spectra, projections, quality, speed.
 
-    Prints a table of rates on standard integrands, with ranks in brackets; their 95 % intervals are simultaneous.
-    A sampler is left out for the dims that it does not support.
+    Prints a table of rates on standard integrands, with ranks in brackets and simultaneous 95 %
+    intervals. A sampler is left out for dims that it does not support.
 
-    The page, FILE.html or DIR/index.html, is one file with a section for each sampler: its points and
-    spectrum in 2-D, its dims, counts and sources. DIR/bench.csv has the numbers.
+    The page, FILE.html or DIR/index.html, has a section for each sampler: its points and spectrum
+    in 2-D, its dims, counts and sources. DIR/bench.csv has the numbers.
     """
     from mcspectra.report.bench_page import bench_table, check_bench_file, is_folder, write_bench
     from mcspectra.report.sampler_cards import CardEffort, all_samplers, measure_card
@@ -259,7 +263,7 @@ def bench_(options: argparse.Namespace) -> Answer:
     given = given_of(options, "counts", "dims", "realizations")
     bench = mcs.sampler_bench(specs, **given, rng=seed)
 
-    # Cards are for pages alone, of the largest count and without rates, which the bench has
+    # Measure cards only for pages, at the largest count; the bench already has the rates
     cards = []
     if any(is_folder(file) or file.endswith(".html") for file in options.out):
         spectra = min(200, options.realizations or 200)
@@ -273,4 +277,4 @@ def bench_(options: argparse.Namespace) -> Answer:
     written = [write_bench(bench, file, cards) for file in options.out]
     lines += [f"bench: {path}" for path in written]
     data = data_of(bench) | ({"files": written} if written else {})
-    return Answer("\n".join(filter(None, lines)), data)
+    return VerbOutput("\n".join(filter(None, lines)), data)

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mcspectra.cli.common import (
-    Answer,
+    VerbOutput,
     given_of,
     group,
     index_or_name,
@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 __all__ = ["frames_", "map_", "pixel_", "render_"]
 
-_WIDTH = 100  # of sentences
+_WIDTH = 100  # Columns of wrapped sentences
 _SPP, _COMPARED_SPP, _REFERENCE_SPP = 16, 4, 1024
 
 
@@ -59,16 +59,17 @@ _WHOLE = ("variant", "sensor", "define")
     option("SCENE", "name of a scene, or a Mitsuba XML file"),
     option(
         "--integrator SPEC",
-        "whole paths by an integrator of Mitsuba, e.g. 'path(max_depth=5)', or scene for the scene's own; "
-        "without it direct light",
+        "render whole paths with an integrator of Mitsuba, e.g. 'path(max_depth=5)', or scene "
+        "for the scene's own (default: direct light)",
     ),
     option(
         "--sampler SPEC",
-        "sampler of all pixels (default 'sobol | owen', with --integrator the scene's own)",
+        "sampler of all pixels (default 'sobol | owen'; with --integrator the scene's own)",
     ),
     option(
         "--spp N",
-        f"samples per pixel (default {_SPP}, with --reference {_REFERENCE_SPP}, with --integrator the scene's)",
+        f"samples per pixel (default {_SPP}; with --reference {_REFERENCE_SPP}; with --integrator "
+        "the scene's)",
         whole(),
     ),
     option("--width W", "width of a built-in scene's film", whole()),
@@ -79,24 +80,25 @@ _WHOLE = ("variant", "sensor", "define")
         real(least=-64.0, most=64.0),
         default=0.0,
     ),
-    out(".exr: radiance as it is; .png: the image in sRGB"),
+    out(".exr: linear radiance; .png: the image in sRGB"),
     group(
         lambda parser: parser.add_argument_group("direct light"),
         option("--strategy STRATEGY", "light, bsdf, mis (default), mis-light or mis-bsdf"),
         option("-m, --realizations R", "independent images (default 1; reference 16)", whole()),
         option(
             "--reference",
-            "render a reference from independent images; --spp is then the samples of all of them",
+            "render a reference from independent images; --spp is then the sum of their samples",
         ),
         option(
             "--compare",
-            f"render a reference and all strategies, each with --spp samples (default {_COMPARED_SPP})",
+            "render a reference and all strategies with --spp samples each (default "
+            f"{_COMPARED_SPP})",
         ),
         option(
             "--reference-spp N", "samples of the reference of --compare (default 1024)", whole()
         ),
         option("--crop X,Y,W,H", "part of the film, in pixels", wholes("X,Y,W,H", least=0)),
-        option("--film FILM", "where samples lie in a pixel: sampled (default) or center"),
+        option("--film FILM", "position of samples in a pixel: sampled (default) or center"),
         option("--light NAME", "use only the light of this name or number", index_or_name),
         option("--heuristic HEURISTIC", "heuristic of MIS: balance (default) or power"),
     ),
@@ -104,26 +106,28 @@ _WHOLE = ("variant", "sensor", "define")
         lambda parser: parser.add_argument_group("with --integrator"),
         option(
             "--variant VARIANT",
-            "variant of Mitsuba, e.g. scalar_rgb (default llvm_ad_rgb, without LLVM scalar_rgb)",
+            "variant of Mitsuba, e.g. scalar_rgb (default llvm_ad_rgb; without LLVM scalar_rgb)",
         ),
         option("--sensor I", "index of the camera (default 0)", whole(0)),
         option("-D, --define KEY=VALUE", "value of $KEY in the file; repeatable", repeated="all"),
     ),
 )
-def render_(options: argparse.Namespace) -> Answer:
-    """Render a scene with one of our samplers.
+def render_(options: argparse.Namespace) -> VerbOutput:
+    """Render a scene with a sampler of this package.
 
-    SCENE is the name of a built-in scene, e.g. 'veach' or "veach(lights=['light-3'])", or a Mitsuba XML
-    file, which is never changed.
+    SCENE is the name of a built-in scene, e.g. 'veach' or "veach(lights=['light-3'])", or a Mitsuba
+    XML file, which is never changed.
 
-    Without --integrator the image is direct light by one strategy. The verb prints the mean radiance and the
-    samples per second, with the time that kernels take to compile. With several images (-m) or a --reference it
-    also prints the root mean square of the pixels' standard errors. --compare renders a reference, and light,
-    BSDF and multiple importance sampling with equal samples: a .png shows them side by side, an .exr has a
-    layer of each, and their distance to the reference is printed.
+    Without --integrator the image is direct light by one strategy. The verb prints the mean
+    radiance and the samples per second, including the time to compile kernels. With several images
+    (-m) or a --reference it also prints the root mean square of the pixels' standard errors.
+    --compare renders a reference, and light, BSDF and multiple importance sampling with equal
+    samples. A .png shows them side by side, an .exr has one layer each, and the verb prints their
+    errors.
 
-    With --integrator Mitsuba renders whole paths, and --sampler replaces the scene's own sampler. A scene file
-    can also name one of our samplers: <sampler type="mcspectra"> with <string name="spec" value="sobol | owen"/>.
+    With --integrator Mitsuba renders whole paths, and --sampler replaces the scene's own sampler. A
+    scene file can also name a sampler of this package: <sampler type="mcspectra"> with <string
+    name="spec" value="sobol | owen"/>.
     """
     from mcspectra.rendering.files import check_image_path, write_render
     from mcspectra.rendering.image import reference, render
@@ -147,7 +151,7 @@ def render_(options: argparse.Namespace) -> Answer:
         "rng": options.seed or 0,
     }
 
-    # Put the size of the film among the scene's parameters
+    # Add the size of the film to the scene's parameters
     scene = str(options.scene)
     sizes = given_of(options, "width", "height")
     if sizes:
@@ -162,7 +166,7 @@ def render_(options: argparse.Namespace) -> Answer:
     if options.compare:
         return _compare(options, scene, settings, files)
 
-    # Render, and time it
+    # Render the image and measure the time
     if options.reference_spp is not None:
         raise ParameterError("--reference-spp is for --compare; with --reference give --spp.")
     settings["strategy"] = options.strategy or "mis"
@@ -180,7 +184,7 @@ def render_(options: argparse.Namespace) -> Answer:
     for file in files:
         write_render(file, result, exposure=options.exposure)
 
-    # Say how noisy it is
+    # Report the noise
     told, errors = result.attrs, result.get("image_se")
     width, height = result.sizes["x"], result.sizes["y"]
     samples = _samples(told) * width * height
@@ -201,14 +205,14 @@ def render_(options: argparse.Namespace) -> Answer:
         f"{told['spp']} samples each" + (f", {told['realizations']} images" if many else ""),
         f"mean radiance (R G B)  {_colour(data['mean'])}",
         *([f"rms standard error     {data['rms_se']:.3g}"] if many else []),
-        f"samples a second       {data['samples_per_second']:.3g}",
+        f"samples per second     {data['samples_per_second']:.3g}",
         *(f"wrote {file}" for file in files),
     ]
-    return Answer("\n".join(lines), data)
+    return VerbOutput("\n".join(lines), data)
 
 
 def _samples(told: Mapping[Any, Any]) -> int:
-    """Samples of a pixel in all images: multiple importance sampling takes each twice."""
+    """Return the samples of a pixel in all images; MIS counts both techniques."""
     return int(told["spp"] * told["realizations"] * (2 if told["strategy"] == "mis" else 1))
 
 
@@ -218,8 +222,8 @@ def _colour(values: Any) -> str:
 
 def _compare(
     options: argparse.Namespace, scene: str, settings: Mapping[str, Any], files: list[Path]
-) -> Answer:
-    """Render a reference and all strategies, write them side by side, say how far each is off."""
+) -> VerbOutput:
+    """Render a reference and all strategies, write them side by side, and print their errors."""
     from mcspectra.plots.backend_matplotlib import draw, encode
     from mcspectra.plots.maps import rms_error, strategy_images
     from mcspectra.rendering.files import write_comparison
@@ -229,9 +233,9 @@ def _compare(
         if getattr(options, name) is not None:
             raise ParameterError(f"--compare renders all strategies once; leave out --{name}.")
     if options.reference:
-        raise ParameterError("--compare renders a reference too; leave out --reference.")
+        raise ParameterError("--compare also renders a reference; leave out --reference.")
 
-    # Render, and write
+    # Render and write the images
     spp = options.spp or _COMPARED_SPP
     count = options.reference_spp or _REFERENCE_SPP
     images = compare_strategies(scene, spp, reference_spp=count, **settings)
@@ -243,7 +247,7 @@ def _compare(
                 plot = strategy_images(images, exposure=options.exposure)
                 file.write_bytes(encode(draw(plot))[0])
 
-    # Say how far each is off
+    # Report the error of each image
     data, table = {}, []
     for name, image in images.items():
         mean = image["image"].mean(("y", "x")).values
@@ -251,13 +255,15 @@ def _compare(
         data[name] = {"samples": _samples(image.attrs), "mean": mean, "rms_error": error}
         shown = "" if error is None else f"{error:.3g}"
         table.append([name, _colour(mean), str(data[name]["samples"]), shown])
-    header = ["image", "mean radiance (R G B)", "samples a pixel", "rms error"]
+    header = ["image", "mean radiance (R G B)", "samples per pixel", "rms error"]
     lines = [text_table(header, table), *(f"wrote {file}" for file in files)]
-    return Answer("\n".join(lines), {"scene": scene, "spp": spp, "images": data, "files": files})
+    return VerbOutput(
+        "\n".join(lines), {"scene": scene, "spp": spp, "images": data, "files": files}
+    )
 
 
-def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> Answer:
-    """Render a scene by one of Mitsuba's integrators, and write the film."""
+def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> VerbOutput:
+    """Render a scene with one of Mitsuba's integrators, and write the film."""
     from mcspectra.rendering.files import write_png
     from mcspectra.rendering.scenes import render_file
 
@@ -307,7 +313,7 @@ def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> 
         "seconds": seconds,
         "files": files,
     }
-    return Answer("\n".join(lines), data)
+    return VerbOutput("\n".join(lines), data)
 
 
 @verb(
@@ -316,8 +322,8 @@ def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> 
     option("Y", "row of the pixel", whole(0), nargs="?"),
     option(
         "--integrator SPEC",
-        "whole paths by this integrator, e.g. 'path(max_depth=5)', or scene for the scene's own; "
-        "without it the pixel's direct light",
+        "measure whole paths of this integrator, e.g. 'path(max_depth=5)', or scene for the "
+        "scene's own (default: direct light)",
     ),
     option(
         "--light NAME", "use only the light of this name or number (default: all)", index_or_name
@@ -325,13 +331,14 @@ def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> 
     option("--channel CHANNEL", "luminance (default), 0, 1 or 2", index_or_name),
     option(
         "-d, --dims D",
-        "2, or 3 with a third coordinate that selects lobes; with --integrator: number of coordinates that take the sampler's points",
+        "2, or 3 with a third coordinate that selects lobes; with --integrator: number of "
+        "coordinates that use the sampler's points",
         whole(),
     ),
     option(
         "--sampler SPEC",
-        "sampler to compare; repeatable (default random, jittered, 'jittered | shift' and 'sobol | owen'). "
-        "The first sampler that is not random gets terms, bottleneck and remedies",
+        "sampler to compare; repeatable (default random, jittered, 'jittered | shift' and 'sobol "
+        "| owen'). The first sampler that is not random gets terms, bottleneck and remedies",
         repeated="all",
         dest="samplers",
     ),
@@ -342,34 +349,35 @@ def _whole_paths(options: argparse.Namespace, scene: str, files: list[Path]) -> 
         "evaluations per estimate at which remedies are compared (default twice the largest n)",
         whole(),
     ),
-    option("--no-remedies", "do not look for remedies"),
+    option("--no-remedies", "do not search for remedies"),
     group(
         lambda parser: parser.add_mutually_exclusive_group(),
         option("--quick", "about a minute (default)"),
-        option("--full", "some minutes: larger counts, more realizations, all remedies"),
+        option("--full", "several minutes: larger counts, more realizations, all remedies"),
     ),
     option("-o, --out DIR", "folder for report.html, pixel.json and figures", repeated="once"),
 )
-def pixel_(options: argparse.Namespace) -> Answer:
+def pixel_(options: argparse.Namespace) -> VerbOutput:
     """Measure and explain the noise of one pixel of a scene: rates, terms, bottleneck, remedies.
 
     The pixel is X Y, counted from the left and from the top, or its name (figure1 has P and Q).
 
-    Without --integrator this measures direct light. With --integrator it measures whole paths: rates of samplers,
-    the variance by bounce, decision and light, and the number of coordinates at which good points help.
+    Without --integrator this measures direct light. With --integrator it measures whole paths:
+    rates of samplers, the variance by bounce, decision and light, and the number of coordinates in
+    which good points reduce it.
     """
     x: int | str = options.x
     if options.y is not None:
         x = whole(0)("X", options.x)
     elif options.x.lstrip("-").isdecimal():
-        raise ParameterError(f"The pixel has a column, {x}, and no row; give X and Y.")
+        raise ParameterError(f"The pixel has a column, {x}, but no row; give X and Y.")
 
     if options.out is not None:
         from mcspectra.report.page import check_page_packages
 
         check_page_packages("render,report")
 
-    # Options that are not given are left to the function
+    # Pass only the given options, so that the function sets the defaults
     passed = ("light", "channel", "dims", "samplers", "counts", "realizations", "budget")
     asked = {
         "remedies": not options.no_remedies,
@@ -383,7 +391,7 @@ def pixel_(options: argparse.Namespace) -> Answer:
         from mcspectra.report.tables import summary_table, terms_table
         from mcspectra.studies.pixel import analyse_pixel
 
-        # What it sees, rates and terms
+        # Describe the pixel, and show rates and terms
         tree = analyse_pixel(options.scene, x, options.y, **asked)
         head = [f"pixel ({tree.attrs['x']}, {tree.attrs['y']}) of {tree.attrs['scene']}"]
         head += [f"  {name}: {text}" for name, text in pixel_page.about_pixel(tree)]
@@ -406,8 +414,8 @@ def pixel_(options: argparse.Namespace) -> Answer:
         tree = analyse_path(options.scene, x, options.y, integrator=options.integrator, **asked)
         known, answer = tree.attrs, textwrap.fill(path_page.path_answer(tree), _WIDTH)
         title = (
-            f"pixel ({known['x']}, {known['y']}) of {known['scene']}, integrator {known['integrator']}: "
-            f"{known['dims']} random numbers a path"
+            f"pixel ({known['x']}, {known['y']}) of {known['scene']}, integrator "
+            f"{known['integrator']}: {known['dims']} random numbers per path"
         )
         parts = [f"{title}\n{answer}"]
         parts += map(page_table, path_page.path_tables(tree).values())
@@ -415,7 +423,7 @@ def pixel_(options: argparse.Namespace) -> Answer:
         write = path_page.write_path
     written = None if options.out is None else write(tree, options.out)
 
-    # The changes that were tried, sentences by name, and the page if there is one
+    # Show the tried changes, named sentences, and the page if it was written
     def filled(named: list[tuple[str, str]]) -> list[str]:
         return [textwrap.fill(f"{k}: {v}", _WIDTH, subsequent_indent="  ") for k, v in named]
 
@@ -432,11 +440,11 @@ def pixel_(options: argparse.Namespace) -> Answer:
     if written is not None:
         data["report"] = written
         parts.append(f"report: {printable(written)}")
-    return Answer("\n\n".join(parts), data)
+    return VerbOutput("\n\n".join(parts), data)
 
 
 def _map_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options of the analysis, which are loaded when they are asked for."""
+    """Declare the options of the map analysis, which is imported only when needed."""
     from mcspectra.cli.analysis import declared
     from mcspectra.core.options import options_of
     from mcspectra.rendering.maps import Map
@@ -452,18 +460,20 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
     option("--resume", "continue the map in the output folder"),
     option(
         "--sampler SPEC",
-        "sampler (default jittered, with --integrator 'sobol | owen'); several are compared at each pixel; repeatable",
+        "sampler (default jittered; with --integrator 'sobol | owen'); several are compared at "
+        "each pixel; repeatable",
         repeated="all",
     ),
     option("--workers N", "threads (default: all processors)", whole()),
     _map_options,
 )
-def map_(options: argparse.Namespace) -> Answer:
+def map_(options: argparse.Namespace) -> VerbOutput:
     """Map the variance, its rate and the bottleneck over an image of a scene.
 
-    Without --integrator the map compares strategies for direct light. With --integrator it measures whole paths,
-    and the shares of bounces and decisions. Writes DIR/report.html, DIR/maps.exr (all layers), DIR/map.json
-    and pictures; DIR/study.sqlite keeps finished tiles, from which --resume continues.
+    Without --integrator the map compares strategies for direct light. With --integrator it measures
+    whole paths and the shares of bounces and decisions. Writes DIR/report.html, DIR/maps.exr (all
+    layers), DIR/map.json and pictures. DIR/study.sqlite keeps finished tiles, so that --resume can
+    continue.
     """
     from mcspectra.core.analysis import Subject
     from mcspectra.core.options import checked, options_of
@@ -475,20 +485,20 @@ def map_(options: argparse.Namespace) -> Answer:
     from mcspectra.studies import StudyConfig, open_results, run_study
     from mcspectra.studies.files import SceneConfig
 
-    # Refuse what cannot be before there is a folder
+    # Refuse invalid options before the folder is created
     check_page_packages("render,report")
     analysis = checked(Map(**given_of(options, *(each.name for each in options_of(Map)))))
     samplers = options.sampler or [analysis.default_sampler]
     subjects = [Subject(None, read_sampler(each, analysis.points_dims)) for each in samplers]
     parts = analysis.of_samplers(subjects)
 
-    # Measure as a study of a map for each sampler, and write
+    # Run a study with one map per sampler, and write the results
     entries = tuple(
         SceneConfig(name=f"map-{k}" if k else "map", samplers=(each,), kind="map", analysis=part)
         for k, (each, part) in enumerate(zip(samplers, parts, strict=True))
     )
     study = StudyConfig(title=f"Map of {options.scene}", seed=options.seed or 0, scenes=entries)
-    trust = process_trust().widened(folders=(Path(Path.cwd().anchor),))  # who gives it may read it
+    trust = process_trust().widened(folders=(Path(Path.cwd().anchor),))  # The user chose the files
     folder = options.out or "out/map"
     run_study(study, folder, resume=options.resume, workers=options.workers, trust=trust)
     tree = open_results(folder)
@@ -498,24 +508,24 @@ def map_(options: argparse.Namespace) -> Answer:
     page, summary = write_map(result, folder), map_summary(result)
     table = map_table(summary)
     text = f"{page_table(table)}\n{table.caption}\nmap: {printable(page)}"
-    return Answer(text, {**summary, "report": page})
+    return VerbOutput(text, {**summary, "report": page})
 
 
 @verb(
     option(
         "FILES",
-        f"a folder, a pattern in quotes, or files: {', '.join(LINEAR_EXTENSIONS)}; with --tone-mapped "
-        f"also {', '.join(ENCODED_EXTENSIONS)}",
+        f"a folder, a pattern in quotes, or files: {', '.join(LINEAR_EXTENSIONS)}; with "
+        f"--tone-mapped also {', '.join(ENCODED_EXTENSIONS)}",
         nargs="+",
     ),
     option("--spp N", "samples per pixel (default: from names and headers)", whole()),
     option("--against PATH", "frames of another renderer or setting of the same view"),
     option("--target E", "relative error, σ / mean, that pixels should reach", real(above=0.0)),
-    option("--seconds S", "time of a frame (default: from headers)", real(above=0.0)),
-    option("--seconds-against S", "time of a frame of --against", real(above=0.0)),
+    option("--seconds S", "render time per frame (default: from headers)", real(above=0.0)),
+    option("--seconds-against S", "render time per frame of --against", real(above=0.0)),
     option("--layer NAME", "layer or channel of EXR files"),
-    option("--tone-mapped", "also take PNG and JPEG"),
-    option("--no-flip", "leave out FLIP, which takes most of the time"),
+    option("--tone-mapped", "also accept PNG and JPEG"),
+    option("--no-flip", "skip FLIP, which takes most of the time"),
     option("--tev HOST:PORT", "show the layers in the viewer tev, e.g. at localhost:14158"),
     option(
         "-o, --out DIR",
@@ -523,11 +533,12 @@ def map_(options: argparse.Namespace) -> Answer:
         repeated="once",
     ),
 )
-def frames_(options: argparse.Namespace) -> Answer:
-    """Measure the noise of independent renders of one view, by any renderer: variance, bias, error spectrum.
+def frames_(options: argparse.Namespace) -> VerbOutput:
+    """Measure the noise of independent renders of one view by any renderer.
 
-    Frames with different numbers of samples per pixel give rates. --against compares two sets of frames: bias,
-    variance, and variance at equal time.
+    The results are variance, bias and error spectrum. Frames with different numbers of samples per
+    pixel also give rates. --against compares two sets of frames: bias, variance, and variance at
+    equal time.
     """
     from mcspectra.rendering.frame_statistics import frames
     from mcspectra.report import frames_page
@@ -554,18 +565,18 @@ def frames_(options: argparse.Namespace) -> Answer:
     if options.out:
         data["report"] = frames_page.write_frames(result, options.out)
         lines.append(f"report: {data['report']}")
-    return Answer("\n".join(lines), data)
+    return VerbOutput("\n".join(lines), data)
 
 
 def _show(result: xr.Dataset, address: str) -> None:
-    """Send every layer to tev, a picture each."""
+    """Send every layer to tev as a separate picture."""
     import numpy as np
 
     from mcspectra.report.frames_page import frame_layers
 
     host, _, port = address.rpartition(":")
     if not port.isdecimal():
-        raise ParameterError(f"--tev is {address!r}; give HOST:PORT, as tev --hostname takes it.")
+        raise ParameterError(f"--tev is {address!r}; give HOST:PORT, as for tev --hostname.")
     tev = optional_package("tevclient", "frames", "--tev needs").Ipc(host or "localhost", int(port))
     try:
         with tev:
@@ -576,5 +587,5 @@ def _show(result: xr.Dataset, address: str) -> None:
                 tev.create_image(title, width, height, channels)
                 tev.update_image(title, values, channel_names=channels)
     except OSError as error:
-        tev.__exit__(None, None, None)  # it keeps a socket that could not be connected
+        tev.__exit__(None, None, None)  # Closes the socket that could not be connected
         raise ParameterError(f"No tev answers at {address}: {error.strerror or error}.") from None

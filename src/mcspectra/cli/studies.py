@@ -1,4 +1,4 @@
-"""The verbs of studies: run a study file, and what can be done with its folder."""
+"""The verbs of studies: run a study file, and inspect, report or export its results."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from mcspectra.cli.common import (
-    Answer,
+    VerbOutput,
     group,
     one_sentence_warnings,
     option,
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 __all__ = ["estimate_text", "export_", "init_", "report_", "run_", "status_"]
 
-_LISTED = 10  # paths of cells that are not done
+_LISTED = 10  # Maximum number of unfinished cells listed per state
 
 
 @verb(
@@ -45,7 +45,7 @@ _LISTED = 10  # paths of cells that are not done
     option("--workers N", "threads (default: all processors)", whole()),
     option(
         "--time-limit SECONDS",
-        "stop tasks that take longer; their analyses fail; workers are then processes",
+        "time limit of each task; longer tasks are stopped and their analyses fail; uses processes",
         real(least=0.01),
     ),
     option(
@@ -54,8 +54,8 @@ _LISTED = 10  # paths of cells that are not done
         repeated="all",
         default=[],
     ),
-    option("--dry-run", "estimate time, memory and storage, and stop"),
-    option("--force", "run a study that is larger than the usual limits"),
+    option("--dry-run", "estimate time, memory and storage, then stop"),
+    option("--force", "run a study that exceeds the usual limits"),
     option(
         "--allow-path DIR",
         "a folder that the study may read files from, in addition to its own; repeatable",
@@ -63,28 +63,31 @@ _LISTED = 10  # paths of cells that are not done
         default=[],
     ),
     group(
-        lambda parser: parser.add_argument_group("dask", "TLS is set in dask's own configuration"),
+        lambda parser: parser.add_argument_group(
+            "dask", "configure TLS in dask's own configuration"
+        ),
         option(
             "--cluster ADDRESS",
-            "compute on dask: tcp://HOST:PORT or tls://HOST:PORT of a scheduler, the .json file that it "
-            "wrote, or 'local' for --workers N processes of this machine",
+            "compute on dask: tcp://HOST:PORT or tls://HOST:PORT of a scheduler, its .json file, "
+            "or 'local' for --workers N processes of this machine",
         ),
         option(
             "--listen HOST",
-            "with --cluster local: address at which the scheduler listens (default: 127.0.0.1, this machine)",
+            "with --cluster local: address where the scheduler listens (default 127.0.0.1, this "
+            "machine)",
         ),
         option(
             "--dashboard PORT",
-            "with --cluster local: port of dask's dashboard (default: any that is free)",
+            "with --cluster local: port of dask's dashboard (default: any free port)",
             whole(0),
         ),
     ),
 )
-def run_(options: argparse.Namespace) -> Answer:
+def run_(options: argparse.Namespace) -> VerbOutput:
     """Run a study file: measure, predict and explain every estimator with every sampler.
 
-    Writes DIR/study.sqlite, DIR/results.zarr, DIR/report.html and DIR/figures/. The page
-    and its figures need the extra report (pip install 'mcspectra[report]').
+    Writes DIR/study.sqlite, DIR/results.zarr, DIR/report.html and DIR/figures/. The page and its
+    figures need the extra report (pip install 'mcspectra[report]').
     """
     import msgspec
 
@@ -116,7 +119,7 @@ def run_(options: argparse.Namespace) -> Answer:
     engine = _cluster_engine(options, limit)
     trust = process_trust()
 
-    # Say what it would take
+    # Print an estimate and stop
     if options.dry_run:
         with one_sentence_warnings(quiet=True):
             plan = make_plan(config, study.parent, trust, force=options.force)
@@ -125,20 +128,21 @@ def run_(options: argparse.Namespace) -> Answer:
         wall = wall_time(estimates, count)
         cells = [msgspec.to_builtins(each) for each in estimates]
         data = {"seconds": wall, "workers": count, "cells": cells}
-        return Answer(estimate_text(estimates, wall, count), data)
+        return VerbOutput(estimate_text(estimates, wall, count), data)
 
-    # Say before the run that it cannot write the report
+    # Warn before the run if the report cannot be written
     reported = True
     try:
         check_page_packages()
     except MissingDependency as missing:
         reported = False
         warn(
-            f"{missing}, then 'mcspectra report {out}' writes the report; this run leaves it out.",
+            f"{missing}, then write the report with 'mcspectra report {out}'; this run leaves it "
+            "out.",
             MissingPackageWarning,
         )
 
-    # Run the cells; the report is written of what is there, even if some fail
+    # Run the cells; the report shows the finished ones, even if others fail
     code = 0
     try:
         run_study(
@@ -159,31 +163,32 @@ def run_(options: argparse.Namespace) -> Answer:
     stored = len(results.result_paths(target))
     if stored > results.MOST_STORED:
         text = (
-            f"{stored:,} results are in {printable(target)}; a report is for {results.MOST_STORED:,} at most: "
-            f"'mcspectra export {printable(target)} --select PATTERN -o FILE' writes a part of them"
+            f"{stored:,} results are in {printable(target)}, but a report shows at most "
+            f"{results.MOST_STORED:,}; 'mcspectra export {printable(target)} --select PATTERN -o "
+            "FILE' writes a part of them"
         )
-        return Answer(text, {"report": None, "rows": []}, code)
+        return VerbOutput(text, {"report": None, "rows": []}, code)
     with results.showing(target):
         rows = summarize(open_results(target))
     page = write_report(target) if reported else None
     data = {"report": page, "rows": [msgspec.to_builtins(row) for row in rows]}
-    # Show the first columns of its first table: rates, variances, predictions
+    # Show the first columns of the report's first table: rates, variances, predictions
     summary = summary_table(rows)
     shown = page_table(columns_of(summary, summary.columns[:5]))
     if "unresolved" in shown:
         shown += f"\nunresolved: the rate is {UNRESOLVED}"
     place = f"report: {printable(page)}" if page else f"results: {printable(target)}"
-    return Answer(f"{shown}\n\n{place}" if rows else place, data, code)
+    return VerbOutput(f"{shown}\n\n{place}" if rows else place, data, code)
 
 
 def _cluster_engine(options: argparse.Namespace, time_limit: float | None) -> MakeExecutor | None:
-    """What makes the engine that the options ask for; None without --cluster."""
+    """Return a function that makes the executor chosen by the options; None without --cluster."""
     if options.cluster is not None or time_limit is not None:
         optional_package("distributed", "cluster", "Processes and clusters of dask need")
     if options.cluster is None:
         for name in ("listen", "dashboard"):
             if getattr(options, name) is not None:
-                raise ParameterError(f"--{name} is for clusters; give --cluster too.")
+                raise ParameterError(f"--{name} is for clusters; also give --cluster.")
         return None
     from mcspectra.studies.executors import Cluster, Dask
 
@@ -206,7 +211,7 @@ def _cluster_engine(options: argparse.Namespace, time_limit: float | None) -> Ma
 
 
 def estimate_text(estimates: Sequence[CellEstimate], wall: float, workers: int) -> str:
-    """A row for each analysis of each estimator, all samplers together, and the sums."""
+    """Return a table with one row per estimator and analysis, and the sums over all samplers."""
     from mcspectra.core.memory import shown_bytes
 
     groups: dict[tuple[str, str], list[CellEstimate]] = {}
@@ -229,8 +234,8 @@ def estimate_text(estimates: Sequence[CellEstimate], wall: float, workers: int) 
     failing = {each.estimator: each.error for each in estimates if each.error is not None}
     known = "".join(f"estimator {name!r} will fail: {error}\n" for name, error in failing.items())
     return (
-        f"{table}\n\n{known}about {wall:.3g} s with {counted(workers, 'worker')}; {counted(tasks, 'task')}, {memory} of memory "
-        f"at most, {storage} of storage"
+        f"{table}\n\n{known}about {wall:.3g} s with {counted(workers, 'worker')}; "
+        f"{counted(tasks, 'task')}, {memory} of memory at most, {storage} of storage"
     )
 
 
@@ -239,11 +244,11 @@ def estimate_text(estimates: Sequence[CellEstimate], wall: float, workers: int) 
     option("--compare DIR2", "output folder of another study"),
     out(".html: the page (default: in the folder)"),
 )
-def report_(options: argparse.Namespace) -> Answer:
-    """Write the report of a finished (or interrupted) study again, or compare two studies.
+def report_(options: argparse.Namespace) -> VerbOutput:
+    """Write the report of a finished or interrupted study again, or compare two studies.
 
-    Writes DIR/report.html and DIR/figures/. With --compare writes DIR2/comparison.html: ratios of variances,
-    differences of rates, curves of both. Nothing is measured again.
+    Writes DIR/report.html and DIR/figures/. With --compare it writes DIR2/comparison.html: ratios
+    of variances, differences of rates, and the curves of both. Nothing is measured again.
     """
     from mcspectra.report import write_comparison, write_report
     from mcspectra.report.result_files import check_result_file
@@ -257,18 +262,18 @@ def report_(options: argparse.Namespace) -> Answer:
         for file in options.out or [None]
     ]
     data = {"report": pages[0]} | ({"files": pages} if len(pages) > 1 else {})
-    return Answer("\n".join(f"report: {printable(page)}" for page in pages), data)
+    return VerbOutput("\n".join(f"report: {printable(page)}" for page in pages), data)
 
 
 @verb(
     option("DIR", "output folder of a study", dest="folder"),
     option("--verify", "check the digests of all stored results"),
 )
-def status_(options: argparse.Namespace) -> Answer:
+def status_(options: argparse.Namespace) -> VerbOutput:
     """Count the done, failed, missing and damaged cells in the folder of a study.
 
-    A cell is one analysis of one estimator with one sampler. The exit code is 1 if a cell failed, is missing
-    or is damaged; it is 0 if all cells are done, or the study is running.
+    A cell is one analysis of one estimator with one sampler. The exit code is 1 if a cell failed,
+    is missing or is damaged; it is 0 if all cells are done, or the study is running.
     """
     import msgspec
 
@@ -278,7 +283,7 @@ def status_(options: argparse.Namespace) -> Answer:
     status = study_status(options.folder, verify=options.verify)
     lines = [f"{printable(status.title)}: {status.state}"]
 
-    # Say when, where and by whom it was written
+    # Report when, where and by which process the folder was written
     if status.started is not None:
         ended = "" if status.finished is None else f", finished {status.finished}"
         lines.append(f"started {status.started} on {status.hosts[0]!r}{ended}")
@@ -304,7 +309,7 @@ def status_(options: argparse.Namespace) -> Answer:
     )
     lines += ["", table, "", held]
 
-    # List the first few cells that are not done, with the reasons
+    # List the first few unfinished cells with the reasons
     missing = dict.fromkeys(status.missing, "")
     listed = {"damaged": status.damaged, "failed": status.failed, "missing": missing}
     for kind, reasons in listed.items():
@@ -315,12 +320,12 @@ def status_(options: argparse.Namespace) -> Answer:
     if any(not name.startswith("the ") for name in status.damaged):
         kept = counted(len(status.done), "cell")
         lines.append(
-            f"'mcspectra run STUDY --out {printable(options.folder)} --resume' keeps the results of "
-            f"{kept}, and computes the others again"
+            f"'mcspectra run STUDY --out {printable(options.folder)} --resume' keeps the results "
+            f"of {kept} and computes the others again"
         )
     good = status.state in ("running", "finished") and not status.damaged
     data = msgspec.to_builtins(status) | {"analyses": msgspec.to_builtins(status.analyses)}
-    return Answer("\n".join(lines), data, 0 if good else 1)
+    return VerbOutput("\n".join(lines), data, 0 if good else 1)
 
 
 @verb(
@@ -332,11 +337,12 @@ def status_(options: argparse.Namespace) -> Answer:
     ),
     option("--select PATTERN", "cells to export, e.g. 'estimator/*' (default: all)"),
 )
-def export_(options: argparse.Namespace) -> Answer:
-    """Write the results of a study as files; the extension of each chooses its format.
+def export_(options: argparse.Namespace) -> VerbOutput:
+    """Write the results of a study to files; the extension of a file sets its format.
 
-    A table has a row for each number: estimator, sampler, analysis, n, variable, value, 95 % interval
-    (low, high), standard error (se) and unit. Spreadsheets and pandas read it; xarray reads a store.
+    A table has one row per number: estimator, sampler, analysis, n, variable, value, 95 % interval
+    (low, high), standard error (se) and unit. Spreadsheets and pandas can read it; xarray reads a
+    store.
     """
     from mcspectra.core.memory import shown_bytes
     from mcspectra.studies.results import check_export, export_results
@@ -350,27 +356,27 @@ def export_(options: argparse.Namespace) -> Answer:
         size = sum(each.stat().st_size for each in files if each.is_file())
         written.append({"file": file, "bytes": size})
         lines.append(f"{printable(file)}: {shown_bytes(size)}")
-    return Answer("\n".join(lines), written)
+    return VerbOutput("\n".join(lines), written)
 
 
 @verb(
-    option("FILE", "the study file (default study.toml)", nargs="?"),
-    option("--schema", "print the JSON Schema of study files, for editors, and write no file"),
+    option("FILE", "name of the study file (default study.toml)", nargs="?"),
+    option("--schema", "print the JSON Schema of study files for editors; write no file"),
     option("--markdown", "with --schema: print the keys as the tables of docs/studies.md"),
 )
-def init_(options: argparse.Namespace) -> Answer:
-    """Write a study file to start from: it is commented, and runs as it is."""
+def init_(options: argparse.Namespace) -> VerbOutput:
+    """Write a study file to start from; it has comments and runs as it is."""
     from mcspectra.studies.schema import key_tables, study_schema, write_template
 
     if options.markdown and not options.schema:
-        raise ParameterError("--markdown is for --schema; give that too.")
+        raise ParameterError("--markdown is for --schema; also give --schema.")
     if options.schema:
         if options.file is not None:
             raise ParameterError(f"--schema writes no file; leave {options.file} out.")
         if options.markdown:
-            return Answer(key_tables())
-        return Answer(json.dumps(study_schema(), indent=2, ensure_ascii=False))
+            return VerbOutput(key_tables())
+        return VerbOutput(json.dumps(study_schema(), indent=2, ensure_ascii=False))
     file = write_template(options.file or "study.toml")
-    return Answer(
+    return VerbOutput(
         f"{printable(file)}: run it with 'mcspectra run {printable(file)}'.", {"file": file}
     )

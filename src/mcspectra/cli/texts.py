@@ -1,7 +1,7 @@
-"""What a person reads of the result of an analysis, and what --json has besides all its variables.
+"""Text and extra --json data of the result of an analysis.
 
-Analyses with tables of their own are in `VIEWS`; `table_of_anything` shows all others: the single
-numbers with their meanings and intervals, then a table for each dim.
+Analyses with their own tables are in `VIEWS`. `table_of_anything` shows all others: the scalars
+with their meanings and intervals, then one table per dim.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mcspectra.cli.common import Answer, page_table, text_table
+from mcspectra.cli.common import VerbOutput, page_table, text_table
 from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.fits import UNRESOLVED, is_resolved
 from mcspectra.plots.groups import along, method_of
@@ -26,16 +26,16 @@ if TYPE_CHECKING:
 __all__ = ["VIEWS", "View", "data_of", "remedies_table", "table_of_anything"]
 
 _WIDTH = 100
-_CERTAIN = 2e-6  # width of an interval, relative to the value, that is not printed
-_ROUNDING = 1e-14  # of the variance: sums of terms that cancel
-_MANY = 10_000  # numbers of a variable that --json leaves out
+_CERTAIN = 2e-6  # Relative width below which an interval is not printed
+_ROUNDING = 1e-14  # Share of the variance below which a sum of canceling terms is rounding error
+_MANY = 10_000  # Size of a variable above which --json leaves it out
 
 
-View = Callable[["xr.Dataset"], Answer]
-"""A text, and entries of the JSON object that `data_of` does not have or has otherwise."""
+View = Callable[["xr.Dataset"], VerbOutput]
+"""A text, and JSON entries that replace or extend those of `data_of`."""
 
 VIEWS: dict[str, dict[str, View]] = {}
-"""Views of analyses by their names, the one that is shown by default first; --show names several."""
+"""Views by analysis and name; the first view is the default, and --show selects another."""
 
 
 def _view(analysis: str, name: str = "") -> Callable[[View], View]:
@@ -48,24 +48,24 @@ def _view(analysis: str, name: str = "") -> Callable[[View], View]:
     return register
 
 
-def _shown(*parts: str, **data: Any) -> Answer:
-    """The parts that say something, each on lines of its own."""
-    return Answer("\n".join(filter(None, parts)), data)
+def _shown(*parts: str, **data: Any) -> VerbOutput:
+    """Join the non-empty parts, each on its own lines."""
+    return VerbOutput("\n".join(filter(None, parts)), data)
 
 
 def _columns(result: xr.Dataset, *names: str) -> Iterator[tuple[Any, ...]]:
-    """The values of variables of one shape, place by place."""
+    """Iterate over the values of variables of one shape, place by place."""
     return zip(*(result[name].values.ravel() for name in names), strict=True)
 
 
 def data_of(result: xr.Dataset) -> dict[str, Any]:
-    """All attributes, and all variables of a size that one reads."""
+    """Return all attributes, and all variables of a readable size."""
     small = {str(name): v.values for name, v in result.variables.items() if v.size <= _MANY}
     return {**{str(key): value for key, value in result.attrs.items()}, **small}
 
 
-def table_of_anything(result: xr.Dataset) -> Answer:
-    """Prints single numbers with their meanings and 95 % intervals, then a table for each dim."""
+def table_of_anything(result: xr.Dataset) -> VerbOutput:
+    """Prints scalars with their meanings and 95 % intervals, then one table per dim."""
     partners = {f"{name}{end}" for name in result.data_vars for end in ("_ci", "_se")}
     shown = {str(k): v for k, v in result.data_vars.items() if k not in partners}
     rows, columns, large = [], dict[str, list[str]](), []
@@ -94,7 +94,7 @@ def table_of_anything(result: xr.Dataset) -> Answer:
 
 
 def _title(result: xr.Dataset) -> str:
-    """The estimator with the sampler, and n or the budget."""
+    """Return the estimator with the sampler, and n."""
     known = result.attrs
     names = [str(known[key]) for key in ("estimator", "sampler") if key in known]
     counts = f",  n = {known['n']}" if "n" in known else ""
@@ -106,7 +106,7 @@ def _note(result: xr.Dataset) -> str:
 
 
 def _number(value: float, digits: int = 5, missing: str = "–") -> str:
-    """A number in so many digits; an infinite one in words."""
+    """Format a number with `digits` digits; infinity as a word."""
     if math.isinf(value):
         return "infinite"
     return missing if math.isnan(value) else f"{value:.{digits}g}"
@@ -117,7 +117,7 @@ def _cell(value: Any) -> str:
 
 
 def _value(result: xr.Dataset, name: str, place: tuple[int, ...]) -> str:
-    """A number; of a rate that is no finding this word."""
+    """Format a number; an unresolved rate as this word."""
     if name.endswith("rate") and f"{name}_ci" in result:
         low, high = result[f"{name}_ci"].values[place]
         if high - low > 0 and not is_resolved(low, high):
@@ -126,14 +126,14 @@ def _value(result: xr.Dataset, name: str, place: tuple[int, ...]) -> str:
 
 
 def _interval(ends: Any, digits: int = 4) -> str:
-    """Both ends, the upper one may be infinite; nothing where they are unknown or say nothing."""
+    """Format an interval, whose upper end may be infinite; empty if an end is unknown."""
     low, high = ends
     known = math.isfinite(low) and not math.isnan(high)
     return f"{low:.{digits}g} … {_number(high, digits)}" if known else ""
 
 
 def _error(result: xr.Dataset, name: str, place: tuple[int, ...]) -> str:
-    """The interval of a number, else ± two standard errors, where there is one or the other."""
+    """Format the interval of a number, or ± two standard errors; empty if both are missing."""
     if f"{name}_ci" in result:
         return _interval(result[f"{name}_ci"].values[place])
     error = float(result[f"{name}_se"].values[place]) if f"{name}_se" in result else math.nan
@@ -141,7 +141,7 @@ def _error(result: xr.Dataset, name: str, place: tuple[int, ...]) -> str:
 
 
 @_view("convergence")
-def convergence(result: xr.Dataset) -> Answer:
+def convergence(result: xr.Dataset) -> VerbOutput:
     """Prints the variance at each n, the rate ± half its interval, and how well a line fits."""
     header = ["sampler", "", *(f"n = {n}" for n in result["n"].values), "rate", "±"]
     rows, curves, notes, unresolved = [], [], [], ""
@@ -153,14 +153,18 @@ def convergence(result: xr.Dataset) -> Answer:
             fit = ["–"] * 4
             if np.isfinite(rate := float(curve["rate"])):
                 low, high = curve["rate_ci"].values
-                fit = [f"{rate:+.3f}", f"{(high - low) / 2:.3f}", f"{float(curve['fit_first_n']):.0f}",
-                       _number(float(curve["fit_chi2"]), 3)]  # fmt: skip
+                fit = [
+                    f"{rate:+.3f}",
+                    f"{(high - low) / 2:.3f}",
+                    f"{float(curve['fit_first_n']):.0f}",
+                    _number(float(curve["fit_chi2"]), 3),
+                ]
                 if not is_resolved(low, high):
                     fit[:2], unresolved = (
                         ["unresolved", _number((high - low) / 2, 3)],
                         f"unresolved: the rate is {UNRESOLVED}",
                     )
-            # Where only the lower end is known it says more than the number
+            # If the interval has no upper end, print the lower end with the number
             variances = [
                 f"{v:.4g}" + (f" (≥ {low:.4g})" if math.isinf(high) else "")
                 for v, (low, high) in zip(
@@ -183,11 +187,12 @@ def convergence(result: xr.Dataset) -> Answer:
 
 
 @_view("terms")
-def terms(result: xr.Dataset) -> Answer:
-    """Prints the terms, their sum, the measured variance, the share of it that they capture, and the rest.
+def terms(result: xr.Dataset) -> VerbOutput:
+    """Prints the terms, their sum, the measured variance, the share that they capture, and the
+    rest.
 
-    Each sampler has a table. The energy share is the part of ∫f² at frequencies up to the half width. The tail
-    term estimates the variance at higher frequencies, as for random points.
+    Each sampler has a table. The energy share is the part of ∫f² at frequencies up to the half
+    width. The tail term estimates the variance at higher frequencies as if the points were random.
     """
     known = result.attrs
     about = (
@@ -214,7 +219,7 @@ def terms(result: xr.Dataset) -> Answer:
 
 
 @_view("spectrum", "power")
-def power(result: xr.Dataset) -> Answer:
+def power(result: xr.Dataset) -> VerbOutput:
     """Prints the radial mean of power times n, which is 1 for random points."""
     n, dims = result.attrs["n"], sum(str(d).startswith("m") for d in result["power"].dims)
     rows = [
@@ -225,7 +230,7 @@ def power(result: xr.Dataset) -> Answer:
 
 
 @_view("spectrum", "radial")
-def radial(result: xr.Dataset) -> Answer:
+def radial(result: xr.Dataset) -> VerbOutput:
     """with errors and anisotropy"""
     from mcspectra.spectra.shapes import radial_statistics
 
@@ -240,7 +245,7 @@ def radial(result: xr.Dataset) -> Answer:
 
 
 @_view("spectrum", "slices")
-def slices(result: xr.Dataset) -> Answer:
+def slices(result: xr.Dataset) -> VerbOutput:
     """along the axes and diagonals"""
     from mcspectra.spectra.shapes import slices
 
@@ -255,7 +260,7 @@ def slices(result: xr.Dataset) -> Answer:
 
 
 @_view("spectrum", "wedges")
-def wedges(result: xr.Dataset) -> Answer:
+def wedges(result: xr.Dataset) -> VerbOutput:
     """by direction"""
     from mcspectra.spectra.shapes import wedge_means
 
@@ -268,7 +273,7 @@ def wedges(result: xr.Dataset) -> Answer:
 
 
 @_view("spectrum", "exponent")
-def exponent(result: xr.Dataset) -> Answer:
+def exponent(result: xr.Dataset) -> VerbOutput:
     """b of power ∝ |m|^b"""
     from mcspectra.spectra.shapes import low_frequency_exponent
 
@@ -287,8 +292,8 @@ def exponent(result: xr.Dataset) -> Answer:
 
 
 @_view("pcf")
-def pcf(result: xr.Dataset) -> Answer:
-    """Prints the distance r, r / n^(-1/d) (the mean spacing), g(r) and its standard error."""
+def pcf(result: xr.Dataset) -> VerbOutput:
+    """Prints the distance r, r / n^(-1/d) (in mean spacings), g(r) and its standard error."""
     spacing = result.attrs["n"] ** (-1.0 / result.attrs["dims"])
     rows = [
         [f"{r:.5g}", f"{r / spacing:.3f}", f"{g:.5g}", _number(se, 2)]
@@ -299,16 +304,17 @@ def pcf(result: xr.Dataset) -> Answer:
 
 
 @_view("anova")
-def anova(result: xr.Dataset) -> Answer:
-    """Prints the variance of each subset of axes, the rest in larger subsets, and effective dimensions.
+def anova(result: xr.Dataset) -> VerbOutput:
+    """Prints the variance of each subset of axes, of larger subsets, and effective dimensions.
 
-    Shares and dimensions have 95 % intervals, which may reach beyond 0 and 1 or the number of axes.
+    Shares and dimensions have 95 % intervals, which may exceed the range 0 to 1 or the number of
+    axes.
     """
     lines = [_title(result)]
     labels, order = list(map(str, result["subset_label"].values)), result.attrs["order"]
 
     def part(values: Sequence[float], floor: float) -> list[str]:
-        # Variance, standard error and share; 0 below the floor of rounding
+        # Variance, standard error and share; 0 below the rounding level
         floors = (floor, floor, _ROUNDING)
         return [
             "0" if abs(value) < least else _number(value, missing="undefined")
@@ -347,15 +353,15 @@ def anova(result: xr.Dataset) -> Answer:
 
 
 @_view("profile")
-def profiled(result: xr.Dataset) -> Answer:
-    """Prints advice, the causes of the noise with their evidence, and the error and rate of each sampler."""
+def profiled(result: xr.Dataset) -> VerbOutput:
+    """Prints advice, the causes of the noise with evidence, and error and rate of each sampler."""
     plain = {name: json.loads(result.attrs[name]) for name in ("causes", "best")}
-    return Answer(result.attrs["text"], plain)
+    return VerbOutput(result.attrs["text"], plain)
 
 
 @_view("plan")
-def planned(result: xr.Dataset) -> Answer:
-    """Prints the least n for the error, and the predicted errors at other n."""
+def planned(result: xr.Dataset) -> VerbOutput:
+    """Prints the smallest n for the error, and the predicted errors at other n."""
     if np.isnan(result["planned_n"]).all() and np.isnan(result["predicted_variance"]).all():
         raise NoClosedForm(f"{_note(result)[:1].upper()}{_note(result)[1:]}.")
     variances = [one["predicted_variance"] for _, one in along(result, "sampler")]
@@ -378,8 +384,8 @@ def planned(result: xr.Dataset) -> Answer:
 
 
 @_view("predict")
-def prediction(result: xr.Dataset) -> Answer:
-    """Prints the predicted variance at each n with its interval, its local rate and its method."""
+def prediction(result: xr.Dataset) -> VerbOutput:
+    """Prints the predicted variance at each n with its interval, local rate and method."""
     if np.isnan(result["predicted_variance"]).all():
         raise NoClosedForm(f"{_note(result)[:1].upper()}{_note(result)[1:]}.")
     parts, several = [f"predicted variance of {_title(result)}"], "method" in result.dims
@@ -416,7 +422,7 @@ def prediction(result: xr.Dataset) -> Answer:
             f"\n{sampler}" if "sampler" in result.dims else "",
             text_table(header, rows),
             rates,
-            "no value by" if reasons else "",
+            "no value from" if reasons else "",
             *(textwrap.fill(each, _WIDTH, initial_indent="  ", subsequent_indent="    ")
               for each in dict.fromkeys(reasons)),
         ]  # fmt: skip
@@ -424,8 +430,8 @@ def prediction(result: xr.Dataset) -> Answer:
 
 
 @_view("remedies")
-def remedies(result: xr.Dataset) -> Answer:
-    """Prints advice with its reasons, then a table in the order of the variances."""
+def remedies(result: xr.Dataset) -> VerbOutput:
+    """Prints advice with its reasons, then the measured changes in the order of their variances."""
     known, listed = result.attrs, []
     for name in result["remedy"].values:
         one = result.sel(remedy=name)
@@ -443,21 +449,21 @@ def remedies(result: xr.Dataset) -> Answer:
 
 
 def remedies_table(result: xr.Dataset) -> str:
-    """The changes that were tried, as a report has them, on a line each."""
+    """Return the table of tried changes, in the same form as in a report."""
     from mcspectra.report.page import columns_of
     from mcspectra.report.tables import analysis_table
 
     made = analysis_table("remedies", {"": result})
     assert made is not None
     columns = ("Remedy", "Verdict", "Variance", "Ratio", "95 % interval", "Rate")
-    return page_table(columns_of(made[1], columns), words=2)  # a verdict, too
+    return page_table(columns_of(made[1], columns), words=2)  # The verdict is also left-aligned
 
 
 @_view("modes")
-def modes(result: xr.Dataset) -> Answer:
-    """Prints the eigenvalues, their share of the sum, and the variance of each mode."""
+def modes(result: xr.Dataset) -> VerbOutput:
+    """Prints the eigenvalues, their shares of the sum, and the variance of each mode."""
     trace, edge = float(result["band_trace"]), float(result["noise_edge"])
-    # Eigenvalues of zero come out as 1e-13 of the sum of all
+    # Numerically, zero eigenvalues are about 1e-13 of the sum
     there = int(np.count_nonzero(result["eigenvalue"].values > 1e-13 * trace))
     if not there:
         return _shown(f"{_title(result)}\nno mode: the coefficients do not vary")
@@ -469,7 +475,7 @@ def modes(result: xr.Dataset) -> Answer:
     return _shown(
         _title(result),
         text_table([*header, "part of variance"], rows),
-        f"{more} more of rounding size" if more else "",
+        f"{more} more at rounding level" if more else "",
         _note(result),
         f"largest eigenvalue of a flat spectrum with the same sum (noise edge): {edge:.6g}",
         f"sum of all eigenvalues: {trace:.6g}",

@@ -1,8 +1,7 @@
-"""What a study would take: time, memory and storage of every cell, from short tries of some.
+"""Estimate the time, memory and storage of every cell of a study from short trial runs.
 
-A cell that repeats realizations is computed with few of them, twice, and the difference gives the
-time of one more. Cells that are not tried, because the time for tries is over or they have no
-realizations, are scaled by their cost from those that were.
+A cell with repeated realizations is run twice with few of them and once with more; the difference
+gives the time per realization. The other cells are scaled by their cost.
 """
 
 from __future__ import annotations
@@ -23,27 +22,29 @@ from mcspectra.core.display import shown
 from mcspectra.core.errors import ConfigError
 from mcspectra.core.streams import Stream
 from mcspectra.studies.foreign_code import TookTooLong, within
-from mcspectra.studies.plan import Cell, Plan
+from mcspectra.studies.plan import StudyCell, StudyPlan
 from mcspectra.studies.schedule import task_seconds
 
 __all__ = ["CellEstimate", "estimate_study", "wall_time"]
 
-_FEW, _MORE = 4, (36, 324, 2916, 26_244)  # realizations of tries
-_PATIENCE = 20.0  # seconds that a try may take beyond its time, as for the compilation of a kernel
-_NOMINAL = 1e-7  # seconds for a unit of cost, where nothing was tried
-_ARRAY_BYTES = 1500  # of metadata for every stored array
-_CELL_BYTES = 30_000  # of a cell whose size is not known from a try
+_FEW, _MORE = 4, (36, 324, 2916, 26_244)  # Numbers of realizations in trial runs
+_PATIENCE = 20.0  # Extra seconds that a trial run may take, for example to compile a kernel
+_NOMINAL = 1e-7  # Seconds per unit of cost if no trial run was made
+_ARRAY_BYTES = 1500  # Bytes of metadata per stored array
+_CELL_BYTES = 30_000  # Stored bytes of a cell without a trial run
 
 
 class CellEstimate(msgspec.Struct, frozen=True, kw_only=True):
-    """Estimated seconds, bytes of memory and of storage of a cell; whether it was tried.
+    """Estimated seconds, bytes of memory and bytes of storage of a cell.
 
     Attributes
     ----------
+    tried
+        Whether the estimate comes from a trial run of this cell.
     tasks
-        Into how many tasks it will be cut, about: chunks of about a second, of the shortest cells one.
+        Approximate number of tasks: one per second of work, and one for a short cell.
     error
-        Why it will fail, if that is known already.
+        Reason why the cell will fail, if planning found one.
     """
 
     path: str
@@ -58,30 +59,30 @@ class CellEstimate(msgspec.Struct, frozen=True, kw_only=True):
     error: str | None = None
 
 
-def estimate_study(plan: Plan, *, probe_seconds: float = 10.0) -> list[CellEstimate]:
-    """Estimate every cell of a plan, in its order.
+def estimate_study(plan: StudyPlan, *, probe_seconds: float = 10.0) -> list[CellEstimate]:
+    """Estimate every cell of a plan, in the order of the plan.
 
     Parameters
     ----------
     plan
-        The study.
+        The plan of a study.
     probe_seconds
-        Time for tries, about; 0 tries nothing.
+        Approximate time for all trial runs in seconds; 0 makes none.
 
     Returns
     -------
     list of CellEstimate
-        Where an analysis may stop early, as at a precision, seconds are those of all realizations.
+        One estimate per cell. If an analysis may stop early, its seconds are for all realizations.
     """
-    if not isinstance(plan, Plan):
-        raise ConfigError(f"{shown(plan)} is not a plan; give what make_plan returns.")
+    if not isinstance(plan, StudyPlan):
+        raise ConfigError(f"{shown(plan)} is not a plan; pass the result of make_plan.")
     probe_seconds = as_real("probe_seconds", probe_seconds, least=0.0)
     seed = plan.config.seed
 
-    # Try as many cells as there is time for: first one of every analysis of every estimator
+    # Try as many cells as time allows, first one cell per analysis and estimator
     seen: set[tuple[str, str]] = set()
-    first: list[Cell] = []
-    later: list[Cell] = []
+    first: list[StudyCell] = []
+    later: list[StudyCell] = []
     for cell in plan.cells:
         if hasattr(cell.analysis, "realizations") and cell.error is None:
             kind = (cell.estimator_name, cell.analysis_name)
@@ -97,7 +98,7 @@ def estimate_study(plan: Plan, *, probe_seconds: float = 10.0) -> list[CellEstim
             found = within(left + _PATIENCE, functools.partial(_measured, cell, seed, left))
             tried |= {} if found is None else {cell.path: found}
 
-    # Scale the others by what they cost
+    # Scale the other cells by their cost
     known = [(cell, *tried[cell.path]) for cell in plan.cells if cell.path in tried]
     paces = _medians([(each.analysis_name, seconds / each.need.cost) for each, seconds, _ in known])
     sizes = _medians([(each.analysis_name, float(size)) for each, _, size in known])
@@ -111,7 +112,7 @@ def estimate_study(plan: Plan, *, probe_seconds: float = 10.0) -> list[CellEstim
         seconds, storage = tried.get(cell.path, guess)
         if seconds > target and name not in cut:
             cut[name] = False
-            with contextlib.suppress(Exception):  # then it fails in the run too, as one task
+            with contextlib.suppress(Exception):  # The run fails at the same place, as one task
                 steps = steps_of(cell.analysis, cell.subject, Stream.from_rng(seed))
                 cut[name] = sum(each.blocks for each in next(steps)) > 1
         estimates.append(
@@ -132,36 +133,36 @@ def estimate_study(plan: Plan, *, probe_seconds: float = 10.0) -> list[CellEstim
 
 
 def wall_time(estimates: Sequence[CellEstimate], workers: int) -> float:
-    """Seconds with so many workers: no less than the longest cell."""
+    """Return the estimated seconds with `workers` workers, at least those of the longest cell."""
     seconds = [each.seconds for each in estimates]
     return max(sum(seconds) / workers, max(seconds, default=0.0))
 
 
-def _measured(cell: Cell, seed: int, left: float) -> tuple[float, int] | None:
-    """Seconds of all realizations, bytes of storage; None if it fails or is too large to be tried."""
+def _measured(cell: StudyCell, seed: int, left: float) -> tuple[float, int] | None:
+    """Return seconds of all realizations and stored bytes; None if the cell fails or is large."""
     realizations: int = cell.analysis.realizations  # type: ignore[attr-defined]
     if cell.need.cost / realizations * _FEW * _NOMINAL > left:
         return None
     few = min(_FEW, realizations)
     try:
-        first, size = _timed(cell, few, seed)  # pays what is paid once
+        first, size = _timed(cell, few, seed)  # Includes one-time costs such as compilation
         again, _ = _timed(cell, few, seed)
         if 2 * again > left:
             return first + again * realizations / few, size
-        # As many realizations as it takes to see what they cost beside what is paid each time
+        # Add realizations until their time stands out from the fixed cost of a call
         for more in _MORE if _MORE[0] / _FEW * again < 0.1 * left else (2 * _FEW,):
             count = min(more, realizations)
             seconds, _ = _timed(cell, count, seed)
             if count == realizations or seconds > min(2 * again, 0.01 * left):
                 break
-    except BaseException:  # noqa: BLE001 - whatever the code of others does
+    except BaseException:  # noqa: BLE001 - user code may raise anything
         return None
     each = (seconds - again) / (count - few) if seconds > again and count > few else seconds / count
     return seconds + each * (realizations - count), size
 
 
-def _timed(cell: Cell, realizations: int, seed: int) -> tuple[float, int]:
-    """Seconds of so many realizations, and bytes of the result in storage."""
+def _timed(cell: StudyCell, realizations: int, seed: int) -> tuple[float, int]:
+    """Return the seconds of a run with `realizations`, and the stored bytes of its result."""
     analysis = msgspec.structs.replace(cell.analysis, realizations=realizations)
     start = time.perf_counter()
     result = replace(cell, analysis=analysis).compute(seed)
@@ -170,7 +171,7 @@ def _timed(cell: Cell, realizations: int, seed: int) -> tuple[float, int]:
 
 
 def _medians(values: list[tuple[str, float]]) -> dict[str, float]:
-    """Median of each analysis, and of all as ``""``."""
+    """Return the median of each analysis, and the median of all under the key ``""``."""
     groups: dict[str, list[float]] = {}
     for analysis, value in values:
         groups.setdefault(analysis, []).append(value)

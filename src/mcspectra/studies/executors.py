@@ -1,10 +1,11 @@
-"""Executors: where tasks are computed. Threads of this process, or workers of a dask cluster.
+"""Executors compute tasks in threads of this process or on workers of a dask cluster.
 
-An executor is given tasks and hands back outcomes in the order in which they finish. A failing task is
-an outcome like any other; what the executor itself cannot go on after is raised.
+An executor accepts tasks and yields outcomes in the order in which they finish. A failed task is an
+ordinary outcome. An executor raises an exception only if it cannot continue.
 
-Processes of this machine, which can be stopped (for time limits) and may crash, are a dask cluster too:
-one rule says everywhere what becomes of tasks whose workers die. dask is imported when it is needed.
+Worker processes on this machine also form a dask cluster. They can be stopped at a time limit, and
+they may crash. One rule for tasks of dead workers therefore covers all clusters. dask is imported
+only when it is needed.
 """
 
 from __future__ import annotations
@@ -43,8 +44,8 @@ from mcspectra.studies.tasks import (
     WARM,
     Compute,
     Outcome,
+    StudyTask,
     StudyText,
-    Task,
     WorkerRefused,
     attempt,
     compute_elsewhere,
@@ -61,18 +62,20 @@ __all__ = [
     "check_time_limit",
 ]
 
-_GRACE = 5.0  # seconds that canceled threads have to finish: most chunks take about 1 s
-_LONGEST_LIMIT = 1e9  # seconds, 30 years: clocks and waits take no more
+# Seconds that canceled threads get to finish: most chunks take about 1 s
+_GRACE = 5.0
+# Largest time limit, in seconds (30 years): clocks and waits overflow above it
+_LONGEST_LIMIT = 1e9
 _LOOPBACK = "127.0.0.1"
 _ADDRESS = re.compile(
     r"(?:(tcp|tls)://)?[\w.-]+:\d{1,5}|(?:(tcp|tls)://)?\[[0-9a-fA-F:]+\]:\d{1,5}"
 )
-_AHEAD = 2  # tasks with the scheduler for each worker thread
-_RESUBMISSIONS = 5  # of a task that is lost with the connection
-_POLL = 0.5  # seconds between looks at the connection, or at threads
-_FRESH = 2.0  # seconds for which the number of workers is believed
-_DESERTED = 300.0  # seconds to wait for a worker of this machine, or for a result to arrive
-_CLOSING = 5.0  # seconds to say goodbye
+_AHEAD = 2  # tasks submitted to the scheduler per worker thread
+_RESUBMISSIONS = 5  # Maximum number of resubmissions of a task lost with the connection
+_POLL = 0.5  # Seconds between checks of the connection or of the threads
+_FRESH = 2.0  # Seconds for which the counted number of workers is reused
+_DESERTED = 300.0  # Seconds to wait for a new local worker, or for a result to arrive
+_CLOSING = 5.0  # Seconds to wait for the cluster to close
 
 
 class Executor(Protocol):
@@ -80,20 +83,20 @@ class Executor(Protocol):
 
     @property
     def workers(self) -> int:
-        """How many tasks it computes at once."""
+        """Number of tasks computed at once."""
 
-    def submit(self, task: Task, compute: Callable[[], Any]) -> None:
-        """Have a task computed, now or later; `compute` does so in a thread of this process."""
+    def submit(self, task: StudyTask, compute: Callable[[], Any]) -> None:
+        """Queue a task; `compute` computes it in a thread of this process."""
 
     def outcomes(self) -> Iterator[Outcome]:
-        """Wait for the next task that finishes, in any order; ends when none is under way."""
+        """Yield outcomes of tasks in the order in which they finish, until no task is pending."""
 
     def close(self, cancel: bool) -> None:
-        """Stop the workers; with `cancel` without what has not begun."""
+        """Stop the workers; with `cancel`, drop the tasks that have not started."""
 
 
 def check_time_limit(value: float | None) -> float | None:
-    """Return a time limit in seconds after checking it; None is none."""
+    """Check a time limit in seconds and return it; None means no limit."""
     if value is None:
         return None
     return as_real("time_limit", value, above=0.0, most=_LONGEST_LIMIT)
@@ -101,13 +104,15 @@ def check_time_limit(value: float | None) -> float | None:
 
 @final
 class Threads:
-    """Threads of this process: states cross as objects."""
+    """Compute tasks in threads of this process; results need no serialization."""
 
     def __init__(self, workers: int) -> None:
-        self._tasks: queue.SimpleQueue[tuple[Task, Callable[[], Any]] | None] = queue.SimpleQueue()
+        self._tasks: queue.SimpleQueue[tuple[StudyTask, Callable[[], Any]] | None] = (
+            queue.SimpleQueue()
+        )
         self._finished: queue.SimpleQueue[Outcome] = queue.SimpleQueue()
         self._under_way = 0
-        # Daemons: an integrand that hangs does not keep the program from ending.
+        # Daemon threads: an integrand that hangs cannot keep the program from ending.
         self._threads = [
             threading.Thread(target=self._work, name="mcspectra-tasks", daemon=True)
             for _ in range(workers)
@@ -120,8 +125,8 @@ class Threads:
         """Number of threads."""
         return len(self._threads)
 
-    def submit(self, task: Task, compute: Callable[[], Any]) -> None:
-        """Have a task computed by the next thread that is free."""
+    def submit(self, task: StudyTask, compute: Callable[[], Any]) -> None:
+        """Queue a task for the next free thread."""
         self._under_way += 1
         self._tasks.put((task, compute))
 
@@ -131,7 +136,7 @@ class Threads:
         Raises
         ------
         ClusterLost
-            A thread has ended, as without memory, so that its task has no outcome.
+            If a thread ended, for example for lack of memory, and left its task without an outcome.
         """
         while self._under_way:
             try:
@@ -140,14 +145,14 @@ class Threads:
                 if all(thread.is_alive() for thread in self._threads):
                     continue
                 raise ClusterLost(
-                    "A thread of this run has ended before its task, as it may where memory is short; "
+                    "A thread of this run ended before its task, possibly for lack of memory; "
                     "finished work is stored, and --resume continues."
                 ) from None
             self._under_way -= 1
             yield outcome
 
     def close(self, cancel: bool) -> None:
-        """Stop the threads; with `cancel` drop tasks that wait, and wait for those that run 5 s."""
+        """Stop the threads; with `cancel`, drop waiting tasks and wait 5 s for running ones."""
         with contextlib.suppress(queue.Empty):
             while cancel:
                 self._tasks.get_nowait()
@@ -163,39 +168,40 @@ class Threads:
 
 
 class ClusterError(McspectraError, RuntimeError):
-    """A cluster cannot be reached, or its workers cannot run the study."""
+    """The cluster cannot be reached, or its workers cannot run the study."""
 
 
 class ClusterLost(ClusterError):
-    """The scheduler or all workers went away while a study ran; what was finished is stored."""
+    """The scheduler or all workers went away during a study; finished work is stored."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class Cluster:
-    """Where dask's workers are. TLS is dask's own: ``distributed.comm`` in its configuration.
+    """Address and options of a dask cluster. For TLS, configure dask's ``distributed.comm``.
 
     Attributes
     ----------
     address
-        ``local`` starts worker processes on this machine; ``tcp://HOST:PORT`` or ``tls://HOST:PORT``
-        is a scheduler that runs already, a path that ends in .json the file that it wrote.
+        ``local`` starts worker processes on this machine. ``tcp://HOST:PORT`` or
+        ``tls://HOST:PORT`` connects to a running scheduler. A path ending in .json is a scheduler
+        file written by dask.
     workers
-        Worker processes of one thread each, for ``local``; all processors by default.
+        Number of worker processes of one thread each, for ``local``; all processors by default.
     host
-        Where the scheduler of ``local`` listens: this machine alone can reach the default.
+        Address where the scheduler of ``local`` listens; by default only this machine can reach it.
     dashboard
-        Port of dask's dashboard, for ``local``; 0 takes a free one.
+        Port of dask's dashboard, for ``local``; 0 picks a free port.
     time_limit
-        Seconds after which a task has failed and its worker is restarted. The compilation of a kernel
-        that is used for the first time on a machine counts.
+        Seconds after which a task fails and its worker is restarted. The time includes compiling a
+        kernel at its first use on a machine.
     patience
-        Seconds to wait for the scheduler, at the start and when the connection is lost.
+        Seconds to wait for the scheduler, at the start and after a lost connection.
 
     Raises
     ------
     ParameterError
-        A value is out of range, or two do not go together.
+        If a value is out of range, or two values exclude each other.
     """
 
     address: str = "local"
@@ -214,13 +220,13 @@ class Cluster:
             return
         if self.workers is not None or self.host != _LOOPBACK or self.dashboard:
             raise ParameterError(
-                f"The cluster at {self.address} has its own workers, host and dashboard; give those "
-                "options with the cluster 'local' only."
+                f"The cluster at {self.address} has its own workers, host and dashboard; give "
+                "those options with the cluster 'local' only."
             )
         if not self.address.endswith(".json") and not _ADDRESS.fullmatch(self.address):
             raise ParameterError(
-                f"The cluster's address is {self.address!r}; give tcp://HOST:PORT, tls://HOST:PORT, "
-                "the .json file that the scheduler wrote, or 'local'."
+                f"The cluster's address is {self.address!r}; give tcp://HOST:PORT, "
+                "tls://HOST:PORT, the .json file that the scheduler wrote, or 'local'."
             )
 
     @property
@@ -230,44 +236,44 @@ class Cluster:
 
 
 class _Pending(NamedTuple):
-    """A task that has no outcome yet.
+    """A task without an outcome.
 
     Attributes
     ----------
     losses
-        How often it was lost with the connection.
+        Number of times that the task was lost with the connection.
     deaths
-        How many workers died while they had it, by the scheduler's count.
+        Number of workers that died while computing the task, counted by the scheduler.
     """
 
-    task: Task
+    task: StudyTask
     losses: int = 0
     deaths: int = 0
 
 
 @final
 class Dask:
-    """Computes tasks on the workers of a dask cluster.
+    """Compute tasks on the workers of a dask cluster.
 
-    The scheduler resubmits tasks whose worker dies; here those are resubmitted that were under way
-    when the connection to the scheduler was lost and found again. A worker that dies takes tasks with
-    it that are not to blame; those that the scheduler gives up come again, each alone. At most two
-    tasks a worker thread are with the scheduler, results that were not fetched yet among them, so that
-    nothing grows with the study.
+    The scheduler resubmits the tasks of a worker that dies. This class resubmits tasks that were
+    lost when the connection to the scheduler broke and came back. A dying worker also loses tasks
+    that did not kill it. Tasks that the scheduler gives up are therefore tried again, one at a
+    time. At most two tasks per worker thread are submitted at once, including results that were
+    not fetched yet, so memory does not grow with the study.
 
     Parameters
     ----------
     text
-        The study.
+        The study as sent to workers.
     cluster
-        Where the workers are.
+        Address and options of the cluster.
     compute
-        What computes a task on a worker: a function that workers can import.
+        Function that computes a task on a worker; workers must be able to import it.
 
     Raises
     ------
     ClusterError
-        The scheduler does not answer, or a worker has another version of this package.
+        If the scheduler does not answer, or a worker has another version of this package.
     """
 
     def __init__(self, text: StudyText, cluster: Cluster, compute: Compute = attempt) -> None:
@@ -282,7 +288,7 @@ class Dask:
         self._finished: queue.SimpleQueue[int] = queue.SimpleQueue()
         self._threads = (0, -_FRESH)
         self._deserted = 0.0
-        # Before its log is muted
+        # Report a missing package before dask's log is muted
         optional_package("distributed", "cluster", "Processes and clusters of dask need")
         with contextlib.ExitStack() as opened:
             self._levels = _muted(opened)
@@ -294,27 +300,27 @@ class Dask:
 
     @property
     def workers(self) -> int:
-        """Worker threads of the cluster; 1 while there are none, so that tasks wait for the first."""
+        """Number of worker threads; 1 if there are none, so that a task waits for the first one."""
         now = time.monotonic()
         if now - self._threads[1] >= _FRESH and self._ready:
             with contextlib.suppress(OSError):
                 self._threads = (sum(self._client.nthreads().values()), now)
         return max(1, self._threads[0])
 
-    def submit(self, task: Task, compute: Callable[[], Any] | None = None) -> None:  # noqa: ARG002
-        """Have a task computed; returns at once."""
+    def submit(self, task: StudyTask, compute: Callable[[], Any] | None = None) -> None:  # noqa: ARG002
+        """Queue a task and return at once."""
         self._waiting.append(_Pending(task))
         self._fill()
 
     def outcomes(self) -> Iterator[Outcome]:
-        """Yield outcomes as tasks finish, until none is left.
+        """Yield outcomes as tasks finish, until no task is left.
 
         Raises
         ------
         ClusterLost
-            The scheduler, or all workers on this machine, went away and did not come back in time.
+            If the scheduler or all local workers went away and did not come back in time.
         ClusterError
-            A worker that joined later has another version of this package, or cannot build the study.
+            If a worker that joined later has another package version or cannot build the study.
         """
         while self._waiting or self._suspects or self._sent:
             self._fill()
@@ -323,15 +329,18 @@ class Dask:
             except queue.Empty:
                 if self._client.status not in ("running", "connecting", "newly-created"):
                     raise ClusterLost(
-                        f"The dask scheduler at {self.address} has gone and did not answer again within "
-                        f"{self._options.patience:g} s; finished work is stored, and --resume continues."
+                        f"The dask scheduler at {self.address} went away and did not answer again "
+                        f"within {self._options.patience:g} s; finished work is stored, and "
+                        "--resume continues."
                     ) from None
-                # Give up a cluster of this machine that cannot start workers; others may get some later
+                # Give up a local cluster that cannot start workers; other clusters may gain workers
+                # later
                 self._deserted = 0.0 if self._threads[0] else self._deserted + _POLL
                 if self._options.local and self._deserted >= _DESERTED:
                     raise ClusterLost(
-                        "All worker processes on this machine have died, and none could be started again "
-                        f"within {_DESERTED:g} s; finished work is stored, and --resume continues."
+                        "All worker processes on this machine died, and none could be started "
+                        f"again within {_DESERTED:g} s; finished work is stored, and --resume "
+                        "continues."
                     ) from None
                 continue
             future, pending = self._sent.pop(serial)
@@ -346,7 +355,7 @@ class Dask:
                 yield outcome
 
     def close(self, cancel: bool) -> None:
-        """Leave the cluster; with `cancel` tasks under way are given up first."""
+        """Leave the cluster; with `cancel`, give up the running tasks first."""
         futures = [future for future, _ in self._sent.values()]
         if cancel and futures and self._ready:
             with contextlib.suppress(Exception):
@@ -360,11 +369,11 @@ class Dask:
 
     @property
     def _ready(self) -> bool:
-        """Whether the scheduler is there."""
+        """Whether the client is connected to the scheduler."""
         return bool(self._client.status == "running")
 
     def _fill(self) -> None:
-        """Send as many tasks as the cluster should have; a suspect while it has no other."""
+        """Submit tasks up to the limit; submit a suspected task only while no other is running."""
         most = _AHEAD * self.workers
         while len(self._sent) < most and self._ready:
             if self._suspects:
@@ -377,7 +386,7 @@ class Dask:
 
     def _send(self, pending: _Pending) -> None:
         serial = next(self._serials)
-        # Dask counts keys by the first entry for ever, so that it must be the same for all tasks.
+        # Dask keeps statistics by the first entry of a key, so all tasks share that entry.
         key = (self._name, pending.task.key, str(serial))
         arguments = (self._compute, self._text, pending.task, self._options.time_limit)
         future = self._client.submit(compute_elsewhere, *arguments, key=key, pure=False, retries=0)
@@ -385,39 +394,41 @@ class Dask:
         future.add_done_callback(lambda _: self._finished.put(serial))
 
     def _outcome(self, future: Any, pending: _Pending) -> Outcome | None:
-        """What became of a task that is done in dask's eyes; None if it was lost."""
+        """Return the outcome of a task that dask reports as done; None if the task was lost."""
         from distributed import KilledWorker
 
         try:
-            # May wait: if the worker has died since, the task is computed again.
+            # This may wait: if the worker has died meanwhile, the task is computed again.
             outcome, occupied = future.result(timeout=_DESERTED)
         except (concurrent.futures.CancelledError, asyncio.CancelledError):
             return self._resubmit(pending)
         except WorkerRefused as refusal:
             raise ClusterError(str(refusal)) from None
         except KilledWorker as error:
-            # Try a task whose workers died once more, alone; if they die again it is to blame
+            # Retry alone a task whose workers died; if they die again, the task fails
             total = pending.deaths + getattr(error, "allowed_failures", 0) + 1
             if not pending.deaths:
                 self._suspects.append(pending._replace(deaths=total))
                 return None
             reason = (
-                f"{total} workers died while computing it; it may need more memory than a worker has "
-                "(the worker's log says more)."
+                f"{total} workers died while computing it; it may need more memory than a worker "
+                "has (see the worker's log)."
             )
             return Outcome(task=pending.task, error=reason)
         except OSError as error:
             if future.status == "error":
                 return Outcome(task=pending.task, error=explain(error))
             return self._resubmit(pending)  # the connection broke while the result was fetched
-        except Exception as error:  # noqa: BLE001 - whatever kept dask from computing it
+        except Exception as error:  # noqa: BLE001 - dask may raise anything
             return Outcome(task=pending.task, error=explain(error))
-        if occupied:  # by the task that was given up: restart the worker that holds the result
+        if (
+            occupied
+        ):  # An abandoned task still occupies the worker that holds the result: restart it
             holders = self._client.who_has([future]).values()
             workers = [each for of in holders for each in of]
 
             def restart() -> None:
-                with contextlib.suppress(Exception):  # a worker without a nanny, or gone
+                with contextlib.suppress(Exception):  # The worker may have no nanny, or may be gone
                     self._client.restart_workers(workers, timeout=60, raise_for_error=False)
 
             threading.Thread(target=restart, daemon=True).start()
@@ -425,15 +436,15 @@ class Dask:
         return result
 
     def _resubmit(self, pending: _Pending) -> Outcome | None:
-        """Have a task computed again that was lost with the connection, unless it often was."""
+        """Resubmit a task that was lost with the connection; fail it after too many losses."""
         if pending.losses == _RESUBMISSIONS:
-            reason = f"It was lost {pending.losses + 1} times with the connection to the scheduler."
+            reason = f"It was lost with the connection to the scheduler {pending.losses + 1} times."
             return Outcome(task=pending.task, error=reason)
         self._waiting.appendleft(pending._replace(losses=pending.losses + 1))
         return None
 
     def _refuse_other_versions(self) -> None:
-        """Raise `ClusterError` that names each worker with another version of this package."""
+        """Raise `ClusterError` naming each worker that has another version of this package."""
         found = self._client.run(metadata.version, "mcspectra", on_error="return")
         others = {
             worker: "no version" if isinstance(version, Exception) else version
@@ -444,19 +455,19 @@ class Dask:
             hosts = self._client.run(socket.gethostname, workers=list(others))
             named = ", ".join(f"{hosts[each]} ({each}) has {has}" for each, has in others.items())
             raise ClusterError(
-                f"The study is run by mcspectra {self._text.version}, but of its workers {named}; "
-                "install the same version there."
+                f"The study is run by mcspectra {self._text.version}, but {named}; "
+                "install the same version on every worker."
             )
 
 
 class _SchedulerFile(msgspec.Struct):
-    """What a dask scheduler writes, as far as it matters here."""
+    """The part of a dask scheduler file that is used here."""
 
     address: str
 
 
 def _connected(options: Cluster, opened: contextlib.ExitStack) -> Any:
-    """A client of a cluster that is started here, or of one that runs; `opened` closes both."""
+    """Return a client of a new local cluster or of a running one; `opened` closes both."""
     import distributed
 
     make: Any = distributed.Client
@@ -465,14 +476,14 @@ def _connected(options: Cluster, opened: contextlib.ExitStack) -> Any:
             target: Any = _local_cluster(options, opened)
         else:
             target = options.address
-            if target.endswith(".json"):  # the file that the scheduler wrote
+            if target.endswith(".json"):
                 try:
                     found = msgspec.json.decode(Path(target).read_bytes(), type=_SchedulerFile)
                     target = found.address
                 except (OSError, msgspec.DecodeError) as error:
                     raise ParameterError(
-                        f"{shown(target)} is not a file that a dask scheduler wrote (--scheduler-file): "
-                        f"{error}."
+                        f"{shown(target)} is not a file written by a dask scheduler "
+                        f"(--scheduler-file): {error}."
                     ) from error
             _greet_scheduler(target, options.patience)
         client = make(target, timeout=options.patience, set_as_default=False)
@@ -484,7 +495,7 @@ def _connected(options: Cluster, opened: contextlib.ExitStack) -> Any:
             f"No cluster can be started on {options.host}: {reason}."
             if options.local
             else f"No dask scheduler answers at {options.address} within {options.patience:g} s "
-            f"({reason}); check the address, dask's configuration of TLS, and that it runs."
+            f"({reason}); check the address, dask's TLS configuration, and that the scheduler runs."
         ) from error
 
     def close() -> None:
@@ -496,7 +507,7 @@ def _connected(options: Cluster, opened: contextlib.ExitStack) -> Any:
 
 
 def _greet_scheduler(address: str, patience: float) -> None:
-    """Raise OSError where nothing, or no scheduler, answers: dask's client would wait there for ever."""
+    """Raise OSError if no scheduler answers: dask's own client would wait for ever."""
     from distributed import security, utils
     from distributed.comm import core
 
@@ -513,31 +524,31 @@ def _greet_scheduler(address: str, patience: float) -> None:
 
     found = runner().run_sync(identity, callback_timeout=2 * patience)
     if not isinstance(found, dict) or found.get("type") != "Scheduler":
-        raise OSError("what answers is no scheduler")
+        raise OSError("another program answers, not a scheduler")
 
 
 def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
-    """Processes of one thread each, which are replaced when they die; `opened` closes them."""
+    """Start processes of one thread each; dead ones are replaced, and `opened` closes all."""
     import dask
     import distributed
     from distributed import utils
 
-    # As many threads of BLAS as in this process, whose number changes last digits; dask's own is 1.
-    # A worker that starts slowly is waited for; dask's own is to give its nanny up after 15 s.
+    # Workers use as many BLAS threads as this process: dask's default of 1 would change last
+    # digits. A slow worker is waited for: by default dask gives up its nanny after 15 s.
     configuration: dict[str, Any] = {
         "distributed.nanny.pre-spawn-environ": {"MALLOC_TRIM_THRESHOLD_": 65536},
         "distributed.deploy.lost-worker-timeout": _LONGEST_LIMIT,
     }
     make: Any = distributed.LocalCluster
     if sys.platform == "linux":
-        # Workers are forked from a process that has imported once what all of them need
+        # Fork workers from a process that has imported the common packages once
         configuration["distributed.worker.multiprocessing-method"] = "forkserver"
-    # For as long as the cluster lives, which starts workers that replace others
+    # The configuration stays while the cluster lives, because it starts replacement workers later
     opened.enter_context(dask.config.set(configuration))
     if sys.platform == "linux":
         context: Any = utils
         context.get_mp_context().set_forkserver_preload(["distributed", __name__, *WARM])
-    # The cluster's thread is deaf too, which starts workers that replace others.
+    # The cluster's thread also blocks Ctrl-C, because it starts replacement workers.
     with deaf():
         cluster = make(
             n_workers=available_workers(options.workers),
@@ -545,8 +556,8 @@ def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
             processes=True,
             host=options.host,
             dashboard_address=f"{options.host}:{options.dashboard}",
-            memory_limit=0,  # the plan has been held against the machine's
-            env=dict(os.environ),  # as it is now, not when the first cluster was started
+            memory_limit=0,  # The plan was already compared with the machine's memory
+            env=dict(os.environ),  # The current environment, not that of an earlier cluster
             silence_logs=logging.CRITICAL,
         )
         opened.callback(cluster.close, timeout=_CLOSING)
@@ -554,10 +565,10 @@ def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
 
 
 def _muted(opened: contextlib.ExitStack) -> dict[logging.Handler, int]:
-    """Keep dask's log off the terminal: what matters is said in sentences.
+    """Keep dask's log off the terminal: this package reports problems in its own messages.
 
-    `opened` gives back the levels that are left in what is returned. After an interruption it gives none
-    back: dask goes on closing, and logging, until the process ends.
+    `opened` restores the log levels that remain in the returned mapping. After an interruption it
+    restores none: dask keeps closing, and logging, until the process ends.
     """
     levels = {each: each.level for each in logging.getLogger("distributed").handlers}
 
@@ -574,11 +585,11 @@ def _muted(opened: contextlib.ExitStack) -> dict[logging.Handler, int]:
 
 @contextlib.contextmanager
 def deaf() -> Iterator[None]:
-    """Processes, and threads, that are started here do not hear Ctrl-C: it is for the command."""
+    """Make processes and threads started in this context ignore Ctrl-C, which stops the command."""
     if not hasattr(signal, "pthread_sigmask"):  # on Windows
         yield
         return
-    # Its start, which the first process would bring about, ends by unblocking Ctrl-C in its thread.
+    # Starting the tracker unblocks Ctrl-C in its thread, so start it before blocking Ctrl-C.
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

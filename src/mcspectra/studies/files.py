@@ -1,12 +1,12 @@
-"""Study files: TOML, typed and checked as a whole before anything runs.
+"""Read study files: TOML, typed and checked as a whole before anything runs.
 
-A study names samplers and estimators and, in tables named as analyses are (`mcspectra.core.analysis`),
-what is analyzed; an estimator may override any of them. Keys, types, defaults and meanings of a table
-are those of its analysis. Unknown keys, wrong types and values out of range are errors that name the
-place. Relative paths inside spec strings are relative to the file.
+A study names samplers, estimators and analyses. Each analysis has a table under its name
+(`mcspectra.core.analysis`), and an estimator may override any of these tables. The analysis defines
+the keys, types, defaults and meanings of its table. Unknown keys, wrong types and values out of
+range are errors that name the place. Relative paths in specs are relative to the file.
 
-Text goes through four steps: changes of the command line, grids, types, and what tables must keep among
-each other.
+A study is read in four steps: apply changes of the command line, expand grids, check types, and
+check rules that concern several keys.
 """
 
 from __future__ import annotations
@@ -60,19 +60,19 @@ __all__ = [
 ]
 
 BUILT_IN = {file.stem: file for file in sorted((Path(__file__).parent / "builtin").glob("*.toml"))}
-"""Studies that are part of the package: their names, to their files."""
+"""Files of the studies in this package, by name."""
 
 MOST_ENTRIES = 100_000
-"""Most estimators, maps or samplers of one table that grids may make."""
+"""Maximum number of estimators, maps or samplers that grids may generate in one table."""
 
 RESERVED = ("analyses", "scenes", "kind", "analysis")
-"""Fields of a study's, an estimator's and a scene's structs that no key of a file gives."""
+"""Fields of the structs of studies, estimators and scenes that a file cannot set."""
 
-_MOST_TEXT = 10**8  # characters of what a grid makes of a table
+_MOST_TEXT = 10**8  # Maximum number of characters that a grid may generate in one table
 _LARGEST_FILE = 4 * 2**20
 _RESERVED_SLUGS = frozenset({"zarr.json", "c"})
-_SINGLE = ("seed", "time_limit")  # a study has one
-# A key of 64 parts: the time that tomllib takes grows with their square, to hours for 10⁶
+_SINGLE = ("seed", "time_limit")  # Keys with a single value per study
+# A dotted key of 64 parts: the time of tomllib grows with their square, to hours for 10⁶ parts
 _DOTTED = re.compile(
     r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}""", re.ASCII
 )
@@ -87,41 +87,44 @@ Struct = TypeVar("Struct", bound=msgspec.Struct)
 Grid = dict[str, list[str | int | float | bool | list[Any]]]
 Values = Mapping[str, list[Any]]
 
-_NAME = Meta(description="Name in tables and figures; all names differ.")
-_SAMPLERS = Meta(description="Samplers; those of the study by default.")
+_NAME = Meta(description="Name in tables and figures; it must be unique.")
+_SAMPLERS = Meta(description="Samplers; by default those of the study.")
 
 
-class _Table(
+class _StudyTable(
     msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, omit_defaults=True
 ):
-    """Common flags of all tables."""
+    """Flags that all tables of a study file share."""
 
 
-class EstimatorConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
-    """An estimator: an integrand, how it is importance-sampled, and with which samplers."""
+class EstimatorConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True):
+    """An estimator: its integrand, its densities, and its samplers."""
 
     name: Annotated[Text, _NAME]
     dims: Annotated[
         Annotated[int, Meta(ge=1, le=1024)] | None,
-        Meta(description="Number of dims, where specs leave it open."),
+        Meta(description="Number of dims, if the specs do not fix it."),
     ] = None
     integrand: Annotated[
-        Text | None, Meta(description="Spec: `mcspectra list integrands`; or python(...).")
+        Text | None, Meta(description="Spec (`mcspectra list integrands`) or python(...).")
     ] = None
     integrands: Annotated[
         tuple[Text, ...] | None,
-        Meta(description="Techniques in primary space, each with points of its own, added."),
+        Meta(description="Techniques in primary space, each with its own points; they are added."),
     ] = None
     density: Annotated[
-        Text | None, Meta(description="Importance density: `mcspectra list densities`.")
+        Text | None, Meta(description="Importance density (`mcspectra list densities`).")
     ] = None
     densities: Annotated[
         tuple[Text, ...] | None,
-        Meta(description="Multiple importance sampling, or one density for each channel."),
+        Meta(description="Densities of multiple importance sampling, or one density per channel."),
     ] = None
     heuristic: Annotated[
         str | None,
-        Meta(description="balance, power(beta=2), cutoff, maximum, optimal, variance-aware."),
+        Meta(
+            description="Weights of densities: balance, power(beta=2), cutoff, maximum, optimal, "
+            "variance-aware."
+        ),
     ] = None
     technique_counts: Annotated[
         tuple[Positive, ...] | None,
@@ -129,24 +132,24 @@ class EstimatorConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
     ] = None
     sets: Annotated[
         Literal["independent", "shared", "joint"] | None,
-        Meta(description="How the techniques' points belong together; independent by default."),
+        Meta(description="Relation between the techniques' point sets; independent by default."),
     ] = None
     one_sample: Annotated[
-        bool, Meta(description="Each point chooses one of the densities at random.")
+        bool, Meta(description="Let each point choose one of the densities at random.")
     ] = False
     probabilities: Annotated[
         tuple[float, ...] | None,
-        Meta(description="Of the densities with one_sample; equal by default."),
+        Meta(description="Probabilities of the densities with one_sample; equal by default."),
     ] = None
     selection: Annotated[
         Literal["extra", "coordinate"] | None,
-        Meta(description="What chooses with one_sample: an extra coordinate, or the first."),
+        Meta(description="Coordinate that chooses with one_sample: an extra one, or the first."),
     ] = None
     channels: Annotated[
         Literal["own", "shared", "combined", "one"] | None,
         Meta(
-            description="Color: own or shared points for each channel's density, all densities "
-            "combined by MIS, or one density for all channels."
+            description="Densities of color channels: own or shared points for each channel's "
+            "density, all densities combined by MIS, or one density for all channels."
         ),
     ] = None
     mirror: Annotated[
@@ -155,7 +158,7 @@ class EstimatorConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
     ] = None
     smoothed: Annotated[
         Annotated[float, Meta(gt=0)] | None,
-        Meta(description="Width of the ramps that the integrand's edges are made."),
+        Meta(description="Width of the ramps that replace the integrand's edges."),
     ] = None
     samplers: Annotated[tuple[Text, ...] | None, _SAMPLERS] = None
     grid: Annotated[
@@ -165,25 +168,25 @@ class EstimatorConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
     analyses: dict[str, Analysis] = {}
 
 
-class SceneConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
-    """An analysis of a scene with samplers of its own: an entry of ``[[maps]]``.
+class SceneConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True):
+    """An analysis of a scene with its own samplers: an entry of ``[[maps]]``.
 
-    `kind` is the name of the analysis; the options of the entry are `analysis`.
+    `kind` is the name of the analysis, and `analysis` holds the options of the entry.
     """
 
     name: Annotated[Text, _NAME]
     samplers: Annotated[tuple[Text, ...] | None, _SAMPLERS] = None
     grid: Annotated[
-        Grid | None, Meta(description="Values of {placeholders}: one for each combination.")
+        Grid | None, Meta(description="Values of {placeholders}: one entry for each combination.")
     ] = None
     kind: str = ""
     analysis: Analysis = msgspec.field(default_factory=Analysis)
 
 
-class StudyConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
+class StudyConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True):
     """A whole study file.
 
-    `analyses` are the tables of analyses by their names, in the order of the file; `scenes` the
+    `analyses` holds the tables of analyses by name, in the order of the file. `scenes` holds the
     entries of ``[[maps]]``.
     """
 
@@ -191,11 +194,11 @@ class StudyConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
     seed: Annotated[Annotated[int, Meta(ge=0)], Meta(description="Seed of all realizations.")] = 0
     samplers: Annotated[
         tuple[Text, ...],
-        Meta(description="Samplers of all estimators: `mcspectra list samplers`, chained by |."),
+        Meta(description="Samplers of all estimators (`mcspectra list samplers`), chained by |."),
     ] = ()
     time_limit: Annotated[
         Annotated[float, Meta(ge=0.01, le=1e9)] | None,
-        Meta(description="Seconds a task may take; then it is stopped and its analysis fails."),
+        Meta(description="Time limit in seconds; a longer task is stopped and its analysis fails."),
     ] = None
     grid: Annotated[
         Grid | None, Meta(description="Values of {placeholders} anywhere in the study.")
@@ -208,18 +211,19 @@ class StudyConfig(_Table, frozen=True, kw_only=True, omit_defaults=True):
 
     @property
     def entries(self) -> tuple[EstimatorConfig | SceneConfig, ...]:
-        """Estimators, then scenes: all that has samplers, in the order of the file."""
+        """Estimators followed by scenes, in the order of the file."""
         return *self.estimators, *self.scenes
 
     def samplers_of(self, entry: EstimatorConfig | SceneConfig) -> tuple[str, ...]:
-        """The samplers of an entry: its own, or the study's."""
+        """Return the samplers of an entry: its own, or the study's."""
         return self.samplers if entry.samplers is None else entry.samplers
 
 
 def analysis_tables() -> dict[str, type[Analysis]]:
-    """Analyses by the keys of their tables: the name, and ``maps`` for ``map``, which is of a scene.
+    """Return the analyses by the keys of their tables.
 
-    Those of other packages that cannot be loaded are left out.
+    The key is the name of the analysis, but ``maps`` for ``map``, which analyzes a scene. Analyses
+    that cannot be loaded are left out.
     """
     found = {}
     for name in sorted(_names()):
@@ -230,13 +234,13 @@ def analysis_tables() -> dict[str, type[Analysis]]:
 
 
 def _names() -> frozenset[str]:
-    """Names of analyses that can be keys of a study: other packages' may not hide its own keys."""
+    """Return names of analyses that may be keys of a study; none may hide a key of the study."""
     own = {*StudyConfig.__struct_fields__, *EstimatorConfig.__struct_fields__}
     return frozenset(n for n in ANALYSES if _TABLE_NAME.fullmatch(n) and n not in own)
 
 
 def _scene_lists(table: Mapping[str, Any]) -> dict[str, str]:
-    """Keys of a study that list scenes, with the names of their analyses: ``maps`` with ``map``."""
+    """Return keys of a study that list scenes, and their analyses, such as ``maps`` and ``map``."""
     names, found = _names(), {}
     for key in table:
         name = key.removesuffix("s")
@@ -247,18 +251,18 @@ def _scene_lists(table: Mapping[str, Any]) -> dict[str, str]:
 
 
 def study_file(name: str | Path) -> Path:
-    """Return the file of a built-in study, such as ``"tour"``; any other name is the path itself.
+    """Return the file of a built-in study, such as ``"tour"``; another name is a path already.
 
-    The paths in a study start at its folder.
+    Paths in a study are relative to the folder of its file.
 
     Raises
     ------
     ConfigError
-        The name is no path.
+        If the name is not a path.
     """
     if not is_path(name):
         raise ConfigError(
-            f"{shown(name)} is not the path of a study file; give that of a .toml file."
+            f"{shown(name)} is not the path of a study file; give the path of a .toml file."
         )
     return BUILT_IN.get(str(name), Path(name))
 
@@ -269,21 +273,21 @@ def read_study(path: str | Path, overrides: Sequence[str] = ()) -> StudyConfig:
     Parameters
     ----------
     path
-        The file, or the name of a built-in study: `study_file`.
+        Path of the file, or name of a built-in study: see `study_file`.
     overrides
-        Changes ``key=value``, as of ``mcspectra run --set``: `apply_overrides`.
+        Changes ``key=value`` as in ``mcspectra run --set``: see `apply_overrides`.
 
     Raises
     ------
     ConfigError
-        Missing or unreadable file, not TOML, or not a study; the message names the place.
+        If the file is missing, unreadable, not TOML, or not a study. The message names the place.
     """
     file = study_file(path)
     try:
         if file.exists() and not file.is_file():
             raise ConfigError(f"{str(file)!r} is not a file; give the path of a .toml file.")
         if file.stat().st_size > _LARGEST_FILE:
-            raise ConfigError(f"{str(file)!r} is larger than a study file can be (4 MiB).")
+            raise ConfigError(f"{str(file)!r} is larger than a study file may be (4 MiB).")
         text = file.read_text(encoding="utf-8-sig")
     except FileNotFoundError:
         raise ConfigError(
@@ -297,12 +301,12 @@ def read_study(path: str | Path, overrides: Sequence[str] = ()) -> StudyConfig:
 
 
 def decode_study(text: str, source: str = "study", overrides: Sequence[str] = ()) -> StudyConfig:
-    """Check the text of a study file; `source` names it in messages. Grids are expanded.
+    """Check the text of a study file and expand its grids; messages call the file `source`.
 
     Raises
     ------
     ConfigError
-        As of `read_study`.
+        Same as in `read_study`.
     """
     if not isinstance(text, str):
         raise ConfigError(f"{source} is {type(text).__name__}, not the text of a study file.")
@@ -314,27 +318,27 @@ def decode_study(text: str, source: str = "study", overrides: Sequence[str] = ()
         raise ConfigError(f"{source} is not valid TOML: {error}.") from None
     except RecursionError:
         raise ConfigError(f"{source} is nested too deeply for a study.") from None
-    except ValueError:  # tomllib hands on what int() says of 5000 digits
-        raise ConfigError(f"{source} holds a number that is too long.") from None
+    except ValueError:  # int() refuses numbers of 5000 digits
+        raise ConfigError(f"{source} contains a number with too many digits.") from None
     return study_of(expand_grids(apply_overrides(table, overrides), source), source)
 
 
 def study_of(table: Mapping[str, Any], source: str = "study") -> StudyConfig:
-    """Return the study of a table without grids: the inverse of `plain_study`.
+    """Return the study of a table without grids; this is the inverse of `plain_study`.
 
     Raises
     ------
     ConfigError
-        It is none; the message names the place.
+        If the table is not a study. The message names the place.
     """
     try:
-        config = _Reader().study(table)
+        config = _StudyReader().study(table)
 
-        # What tables must keep among each other, beyond the types of their keys
+        # Check rules between tables, beyond the types of their keys
         if not config.entries:
             scenes = [key for key, each in analysis_tables().items() if each.about == "scene"]
             lists = " or ".join(f"[[{key}]]" for key in ("estimators", *scenes))
-            raise ConfigError(f"there is nothing to study; give {lists}.")
+            raise ConfigError(f"there is nothing to study; add {lists}.")
         (name, times), *_ = Counter(entry.name for entry in config.entries).most_common(1)
         if times > 1:
             raise ConfigError(f"two estimators are called {shown(name)}; names must differ.")
@@ -347,7 +351,7 @@ def study_of(table: Mapping[str, Any], source: str = "study") -> StudyConfig:
                 )
             if id(samplers) not in seen and len(set(samplers)) < len(samplers):
                 raise ConfigError(f"{shown(entry.name)} lists a sampler twice.")
-            seen.add(id(samplers))  # most share one list
+            seen.add(id(samplers))  # Most entries share one list
         for estimator in config.estimators:
             for complaint in _complaints(estimator):
                 raise ConfigError(f"the estimator {shown(estimator.name)} {complaint}")
@@ -357,23 +361,23 @@ def study_of(table: Mapping[str, Any], source: str = "study") -> StudyConfig:
 
 
 def as_study(config: StudyConfig) -> StudyConfig:
-    """Return a study as it is.
+    """Return a study unchanged.
 
     Raises
     ------
     ConfigError
-        It is something else.
+        If `config` is not a study.
     """
     if not isinstance(config, StudyConfig):
-        raise ConfigError(f"{config!r} is not a study; give what read_study returns.")
+        raise ConfigError(f"{config!r} is not a study; pass the result of read_study.")
     return config
 
 
 def plain_study(config: StudyConfig) -> dict[str, Any]:
-    """Return a study as plain values, with the keys of a file: grids are expanded.
+    """Return a study as plain values, with the keys of a file and expanded grids.
 
-    Keys of the study and of estimators that have their default are left out, options of analyses are
-    all there: what a study computes does not depend on which analyses are installed beside its own.
+    Keys of the study and of estimators are left out if they have their default, but all options of
+    analyses are kept. The values therefore do not depend on which other analyses are installed.
     """
     plain: dict[str, Any] = msgspec.to_builtins(as_study(config))
     for entry in (plain, *plain.get("estimators", ())):
@@ -386,9 +390,9 @@ def plain_study(config: StudyConfig) -> dict[str, Any]:
 
 @final
 class Slugs:
-    """Short group names of letters, digits, dots and hyphens, a different one for each text.
+    """Make a different group name for each text, of letters, digits, dots and hyphens.
 
-    They have no separator and no leading dot, so that no name leads out of the store, and differ
+    Names have no separator and no leading dot, so they cannot leave the store. They also differ
     from the names of the store's own files.
     """
 
@@ -397,11 +401,11 @@ class Slugs:
         self._next: dict[str, int] = {}
 
     def __call__(self, text: str) -> str:
-        """Return the name of another text."""
+        """Return the name for another text."""
         base = re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.")[:60].strip("-.") or "x"
         slug = base
         while slug in self._taken:
-            # Numbers go on where they were: thousands of texts may begin alike.
+            # Continue at the last number: thousands of texts may begin alike.
             number = self._next.get(base, 2)
             slug, self._next[base] = f"{base}-{number}", number + 1
         self._taken.add(slug)
@@ -409,22 +413,22 @@ class Slugs:
 
 
 Names: TypeAlias = dict[str, None]
-"""Texts in an order, each once, found at once."""
+"""Unique texts in order, with fast lookup."""
 
 
 def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[Names, Names]]:
-    """Return the parts of the paths of a study's cells in their order, without building anything.
+    """Return the parts of the paths of a study's cells in order, without building anything.
 
     Parameters
     ----------
     study
-        Plain values, as `plain_study` gives them.
+        Study as plain values, as returned by `plain_study`.
 
     Returns
     -------
     dict
-        By the first part, of an estimator or a scene: second parts, of its samplers, and third parts,
-        its analyses with their companions.
+        For each first part (estimator or scene): the second parts (its samplers) and the third
+        parts (its analyses with their companions).
     """
     found, slugs = dict[str, tuple[Names, Names]](), Slugs()
     known: dict[tuple[str, ...], Names] = {}
@@ -452,18 +456,18 @@ def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[Names, Names]]:
     return found
 
 
-# Types: each table is made the struct that it is.
+# Types: each table becomes its struct.
 
 
 @final
-class _Reader:
-    """Makes structs of the tables of one study."""
+class _StudyReader:
+    """Makes structs from the tables of one study."""
 
     def __init__(self) -> None:
         self._names = _names()
 
     def study(self, table: Mapping[str, Any]) -> StudyConfig:
-        """A whole study."""
+        """Read a whole study."""
         if not isinstance(table, dict):
             raise ConfigError(f"a study is a table, not {shown(table)}.")
         lists = _scene_lists(table)
@@ -485,7 +489,7 @@ class _Reader:
         return msgspec.structs.replace(config, estimators=estimators, scenes=tuple(scenes))
 
     def _with_analyses(self, table: Any, kind: type[Struct], place: str) -> Struct:
-        """A table that may have tables of analyses in it."""
+        """Read a table that may contain tables of analyses."""
         given = _table(table, place)
         made = _struct({k: v for k, v in given.items() if k not in self._names}, kind, place)
         analyses = {}
@@ -493,32 +497,32 @@ class _Reader:
             inside = f"{place}.{key}" if place else key
             analysis = ANALYSES.load(key)
             if analysis.about == "scene":
-                raise ConfigError(f"{inside} is an analysis of scenes; list tables [[{key}s]].")
+                raise ConfigError(f"{inside} is an analysis of scenes; add tables [[{key}s]].")
             analyses[key] = _struct(given[key], analysis, inside)
         return msgspec.structs.replace(made, analyses=analyses)
 
 
 def _entries(key: str, entries: Any) -> Iterator[tuple[Any, str]]:
-    """Entries of a list of tables, with their places."""
+    """Return the entries of a list of tables with their places."""
     if not isinstance(entries, list | tuple):
         raise ConfigError(f"{key} is {_shown(entries)}; give a list of tables, [[{key}]].")
     return ((entry, f"{key}[{i}]") for i, entry in enumerate(entries))
 
 
 def _table(table: Any, place: str) -> dict[str, Any]:
-    """A value of a study that must be a table."""
+    """Return a value of a study that must be a table."""
     if not isinstance(table, dict):
         raise ConfigError(f"{place} is {_shown(table)}; give a table.")
     return table
 
 
 def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] = ()) -> Struct:
-    """A table as a struct; `beside` are keys of its place that are not its own.
+    """Convert a table to a struct; `beside` lists further keys that its place allows.
 
     Raises
     ------
     ConfigError
-        A key is unknown or missing, or a value has the wrong type or breaks its limits.
+        If a key is unknown or missing, or a value has the wrong type or is out of range.
     """
     given, where = _table(table, place), f"{place}: " if place else ""
     known = _keys_of(kind)
@@ -545,24 +549,24 @@ def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] 
             raise ConfigError(f"{where}the key {shown(name)} is missing.")
     try:
         return msgspec.convert(clean, kind)
-    except msgspec.ValidationError as error:  # Types of options of other packages
+    except msgspec.ValidationError as error:  # Option types of other packages
         raise ConfigError(f"{where}{error}.") from None
 
 
 @functools.cache
 def _keys_of(kind: type[msgspec.Struct]) -> dict[str, Option]:
-    """Options of a table by their keys."""
-    hidden = RESERVED if issubclass(kind, _Table) else ()
+    """Return the options of a table by key."""
+    hidden = RESERVED if issubclass(kind, _StudyTable) else ()
     return {each.name: each for each in options_of(kind) if each.name not in hidden}
 
 
 def _shown(value: Any) -> str:
-    """What was given, for messages."""
+    """Format a given value for messages."""
     return "a table" if isinstance(value, dict) else shown(value)
 
 
 def _complaints(e: EstimatorConfig) -> Iterator[str]:
-    """What is wrong with the keys of an estimator, as the rest of a sentence."""
+    """Yield errors in the keys of an estimator, as the rest of a sentence."""
     several = e.densities is not None or e.integrands is not None
     if (e.integrand is None) == (e.integrands is None):
         yield "needs either integrand or integrands."
@@ -581,7 +585,7 @@ def _complaints(e: EstimatorConfig) -> Iterator[str]:
     if e.sets is not None and (not several or e.one_sample):
         yield "has sets, which belong to several techniques; leave it out."
 
-    # Choosing one of the techniques
+    # Choice of one technique
     if e.one_sample and e.densities is None:
         yield "has one_sample but no densities to choose from; give densities."
     if not e.one_sample and (e.probabilities is not None or e.selection is not None):
@@ -599,25 +603,25 @@ def _complaints(e: EstimatorConfig) -> Iterator[str]:
         yield f'has channels = "{e.channels}", which takes no heuristic, technique_counts or sets.'
 
 
-# Changes from the command line: ``estimators[0].dims=3``, values as in TOML.
+# Changes from the command line, such as ``estimators[0].dims=3``; values are TOML.
 
 
 def apply_overrides(table: dict[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
-    """Return a study's table with changes made to it, in their order.
+    """Return a study's table with changes applied in order.
 
     Parameters
     ----------
     table
-        The study as TOML gives it; left as it is.
+        The study as read from TOML; it is not modified.
     overrides
-        Texts ``path=value``: the path is keys between dots with indices from 0, such as
-        ``estimators[0].density``; the value is one of TOML. A table that is missing is made.
+        Texts ``path=value``. The path consists of keys between dots, with indices from 0, such as
+        ``estimators[0].density``. The value is TOML. Missing tables are created.
 
     Raises
     ------
     ConfigError
-        A path cannot be read or leads nowhere, or a value is not one of TOML. Whether a study has
-        such a key is checked later, with the study.
+        If a path cannot be read or leads nowhere, or a value is not TOML. Unknown keys are found
+        later, when the study is checked.
     """
     given: Any = overrides
     if not isinstance(given, list | tuple) or not all(isinstance(text, str) for text in given):
@@ -631,24 +635,24 @@ def apply_overrides(table: dict[str, Any], overrides: Sequence[str]) -> dict[str
         # Read the place: keys between dots, each with its indices
         if not _PLACE.fullmatch(path.strip()):
             raise ConfigError(
-                f"--set {shown(text)}: {shown(path.strip())} is not a place in a study; write for example "
-                "seed, samplers[0] or estimators[0].density."
+                f"--set {shown(text)}: {shown(path.strip())} is not a place in a study; write for "
+                "example seed, samplers[0] or estimators[0].density."
             )
         parts = re.findall(r"\[(\d+)\]|([\w-]+)", path)
         steps = [key or int(index) for index, key in parts]
 
-        # Read the value, one of TOML and nothing after it
+        # Read the value: exactly one TOML value
         try:
             found = tomllib.loads(f"value = {value}\n")
         except (ValueError, RecursionError):
             found = {}
         if list(found) != ["value"]:
             raise ConfigError(
-                f"--set {shown(text)}: {shown(value.strip())} is not a value of TOML; strings need quotes: "
-                "key='\"text\"'."
+                f"--set {shown(text)}: {shown(value.strip())} is not a TOML value; strings need "
+                "quotes: key='\"text\"'."
             )
 
-        # Put it there
+        # Store the value at the place
         place: Any = changed
         for i, step in enumerate(steps):
             lack = ""
@@ -668,31 +672,31 @@ def apply_overrides(table: dict[str, Any], overrides: Sequence[str]) -> dict[str
     return changed
 
 
-# Grids: ``{placeholders}`` in a study stand for lists of values, and every combination is made.
+# Grids: every combination of the listed values replaces the ``{placeholders}`` of a study.
 
 
 def expand_grids(table: dict[str, Any], source: str = "study") -> dict[str, Any]:
-    """Return a study's table without grids: all combinations written out.
+    """Return a study's table with all combinations of its grids written out.
 
-    Estimators, maps and samplers are repeated for each combination of the placeholders in them, and
-    in the study's tables of analyses that they take; a text that is nothing but a placeholder becomes
-    the value itself, a number for a number, a list for a list.
+    Estimators, maps and samplers are repeated for each combination of their placeholders, including
+    placeholders in the study's tables of analyses. A text that is only a placeholder becomes the
+    value itself: a number stays a number, a list stays a list.
 
     Parameters
     ----------
     table
-        The study as TOML gives it. A table ``grid`` at the top serves the whole study, one in an
-        estimator that estimator, before the one at the top. A table of an analysis with placeholders
-        at the top goes into each estimator that has none of its own.
+        The study as read from TOML. A table ``grid`` at the top applies to the whole study; a table
+        ``grid`` in an estimator applies to that estimator and takes precedence. A table of an
+        analysis with placeholders at the top is copied into each estimator without its own.
     source
-        What messages call the study.
+        Name of the study in messages.
 
     Raises
     ------
     ConfigError
-        A grid is no table of lists, a placeholder is not in it, or where there can be one value only,
-        or the grid has one that nothing uses, or there would be more than `MOST_ENTRIES` entries, or
-        more text than a study can have: both are counted before anything is made.
+        If a grid is not a table of lists, a placeholder has no values or stands where a study has
+        a single value, or a grid's values are unused; or if there would be more than `MOST_ENTRIES`
+        entries or too much text. Both are counted before anything is generated.
     """
     try:
         if not isinstance(table, dict):
@@ -703,16 +707,16 @@ def expand_grids(table: dict[str, Any], source: str = "study") -> dict[str, Any]
 
 
 def _expanded(table: Mapping[str, Any]) -> dict[str, Any]:
-    """The study without grids."""
+    """Expand the grids of a study."""
     shared = _grid_values(table.get("grid"), "grid")
-    all_used, counts = set[str](), Counter[str]()  # placeholders; entries of each list of tables
+    all_used, counts = set[str](), Counter[str]()  # Used placeholders; entries per list of tables
 
     def repeated(
         given: Any, more: Mapping[str, Any], key: str, place: str
     ) -> Iterator[dict[str, Any]]:
-        """An estimator or a map, repeated over the placeholders outside its list of samplers."""
+        """Repeat an estimator or map over the placeholders outside its list of samplers."""
         if not isinstance(given, dict):
-            yield given  # a wrong type, which the types of a study report
+            yield given  # Wrong type: the type check reports it
             return
         entry = {**more, **given}
         own = _grid_values(entry.get("grid"), f"{place}.grid")
@@ -743,8 +747,8 @@ def _expanded(table: Mapping[str, Any]) -> dict[str, Any]:
     lists = [key for key in ("estimators", *_scene_lists(made)) if isinstance(made.get(key), list)]
     takers = [key for key in lists if any(isinstance(entry, dict) for entry in made[key])]
 
-    # Tables of analyses with placeholders go into the estimators that have none of their own; a
-    # placeholder in place of the list of samplers goes into all entries
+    # Copy tables of analyses with placeholders into the estimators without their own; copy a
+    # placeholder for the whole list of samplers into all entries
     given: dict[str, Any] = {}
     if "estimators" in takers:
         tables = [key for key in made if key in names and isinstance(made[key], dict)]
@@ -755,8 +759,8 @@ def _expanded(table: Mapping[str, Any]) -> dict[str, Any]:
     for key in _SINGLE:
         if any(_placeholders(made.get(key))):
             raise ConfigError(
-                f"{key} is {shown(made[key])}, and a study has one; take a study for each value, as "
-                f"with --set {key}=..."
+                f"{key} is {shown(made[key])}, but a study has a single value; run one study per "
+                f"value, for example with --set {key}=..."
             )
     for key in lists:
         more = {**given, **listed} if key == "estimators" else listed
@@ -773,7 +777,7 @@ def _expanded(table: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _repeated(samplers: list[Any], values: Values, place: str) -> list[Any]:
-    """Samplers, each repeated over its own placeholders."""
+    """Repeat each sampler over its own placeholders."""
     if not any(_placeholders(samplers, values)):
         return samplers
     made: list[Any] = []
@@ -796,7 +800,7 @@ def _check_used(values: Values, used: Collection[str], place: str) -> None:
 
 
 def _choices(keys: list[str], values: Values, body: Any, place: str) -> Iterator[dict[str, Any]]:
-    """All combinations of values for a body, unless it makes too many or too long ones."""
+    """Yield all combinations of values for a body; refuse too many or too long combinations."""
     number = math.prod(len(values[key]) for key in keys)
     longest = sum(max(len(str(value)) for value in values[key]) for key in keys)
     size = len(repr(body)) + longest * (1 + len([*_placeholders(body, values)]))
@@ -811,13 +815,14 @@ def _check_size(number: int, size: int, place: str) -> None:
     if number > MOST_ENTRIES or size > _MOST_TEXT:
         long = f" with {size:.2g} characters" if size > _MOST_TEXT else ""
         raise ConfigError(
-            f"{place}: the grid makes {number:,} entries{long}; at most {MOST_ENTRIES:,} are made, with "
-            f"{_MOST_TEXT:.0e} characters, so take fewer values, or several studies."
+            f"{place}: the grid makes {number:,} entries{long}, but at most {MOST_ENTRIES:,} "
+            f"entries and {_MOST_TEXT:.0e} characters are allowed; use fewer values, or several "
+            "studies."
         )
 
 
 def _keys_in(value: Any, values: Values, place: str) -> list[str]:
-    """Placeholders in a value, in the order in which the grid lists them."""
+    """Return the placeholders in a value, in the order of the grid."""
     found = set(_placeholders(value, values))
     for key in sorted(found - set(values)):
         if values:
@@ -828,7 +833,7 @@ def _keys_in(value: Any, values: Values, place: str) -> list[str]:
 
 
 def _placeholders(value: Any, values: Collection[str] = ()) -> Iterator[str]:
-    """Names in braces; of programs and files of points those that `values` has, or that are no theirs."""
+    """Yield names in braces, except fields such as {n} that programs and files of points use."""
     if isinstance(value, str):
         own = _OWN if _HAS_OWN.search(value) else ()
         yield from (key for key in _PLACEHOLDER.findall(value) if key in values or key not in own)
@@ -838,7 +843,7 @@ def _placeholders(value: Any, values: Collection[str] = ()) -> Iterator[str]:
 
 
 def _filled(value: Any, choice: Mapping[str, Any]) -> Any:
-    """The value with its placeholders replaced."""
+    """Replace the placeholders in a value."""
     if isinstance(value, str) and "{" in value:
         whole = _PLACEHOLDER.fullmatch(value)
         if whole is not None and whole[1] in choice:
@@ -852,7 +857,7 @@ def _filled(value: Any, choice: Mapping[str, Any]) -> Any:
 
 
 def _grid_values(grid: Any, place: str) -> dict[str, list[Any]]:
-    """Check a table ``grid``."""
+    """Check a table ``grid`` and return its values."""
     if grid is None:
         return {}
     if not isinstance(grid, dict):

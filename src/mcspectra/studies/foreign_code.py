@@ -1,7 +1,8 @@
-"""Code of others, called while a study is planned: in a thread, within a time, its failures in words.
+"""Run a study's own Python functions while the study is planned.
 
-A Python function that a study names may raise anything, end the program or never come back. Tasks are
-guarded by their engines; here is what guards the rest.
+A function named by a study may raise anything, end the program or never return. It therefore runs
+in its own thread, within a time limit, and its failures become sentences. Executors protect
+themselves against failing tasks; this module protects the planning.
 """
 
 from __future__ import annotations
@@ -17,37 +18,37 @@ from mcspectra.integrands import Integrand
 __all__ = ["FunctionFailed", "TookTooLong", "explain", "probed", "within"]
 
 Result = TypeVar("Result")
-_LONGEST = 500  # characters of an exception's own text in a message
-_PATIENCE = 30.0  # seconds for a function's first values: one that compiles itself takes several
+_LONGEST = 500  # Maximum number of characters quoted from an exception
+_PATIENCE = 30.0  # Seconds for a function's first values: compiling the function takes several
 
 
 class TookTooLong(Exception):
-    """A job was not done in its time; its thread goes on, as threads cannot be stopped."""
+    """A job exceeded its time limit; its thread continues, because threads cannot be stopped."""
 
 
 class FunctionFailed(Exception):
-    """A Python function of a study fails at its first points: a sentence of why.
+    """A study's Python function fails at its first points; the message gives the reason.
 
-    Not one of this package's errors for bad input: it costs the cells of its estimator only.
+    This is not a `McspectraError`: it fails only the cells of its estimator.
     """
 
 
 def within(seconds: float, job: Callable[[], Result]) -> Result:
-    """Result of a job in a thread of its own.
+    """Run a job in its own thread and return its result.
 
     Raises
     ------
     TookTooLong
-        It is not done in so many seconds.
+        If the job does not finish within `seconds`.
     BaseException
-        Whatever the job raises.
+        If the job raises it.
     """
     result: concurrent.futures.Future[Result] = concurrent.futures.Future()
 
     def run() -> None:
         try:
             result.set_result(job())
-        except BaseException as error:  # noqa: BLE001 - raised again where it is waited for
+        except BaseException as error:  # noqa: BLE001 - raised again in the waiting thread
             result.set_exception(error)
 
     threading.Thread(target=run, daemon=True).start()
@@ -58,26 +59,26 @@ def within(seconds: float, job: Callable[[], Result]) -> Result:
 
 
 def probed(function: Callable[[Any], Any], *, dims: int, limit: float | None = None) -> Integrand:
-    """Make an integrand of a study's function: `Integrand.from_function`, whatever the function does.
+    """Make an integrand of a study's function with `Integrand.from_function`, safely.
 
     Parameters
     ----------
     function, dims
-        As of `Integrand.from_function`, which calls the function at a few points.
+        Same as in `Integrand.from_function`, which calls the function at a few points.
     limit
-        Seconds for these; 30 at most.
+        Seconds allowed for these calls; 30 at most.
 
     Raises
     ------
     FunctionFailed
-        It raises, gives something else than finite real numbers, or takes too long.
+        If the function raises, returns anything but finite real numbers, or takes too long.
     """
 
     def make() -> Integrand:
         try:
             return Integrand.from_function(function, dims=dims)
-        # Here, in the thread: an interrupt that reaches the main thread is the user's.
-        except BaseException as error:  # noqa: BLE001 - whatever the code of others does
+        # Catch here, in the thread: an interrupt in the main thread comes from the user.
+        except BaseException as error:  # noqa: BLE001 - user code may raise anything
             raise FunctionFailed(explain(error)) from None
 
     seconds = _PATIENCE if limit is None else min(limit, _PATIENCE)
@@ -90,8 +91,8 @@ def probed(function: Callable[[Any], Any], *, dims: int, limit: float | None = N
 
 
 def explain(error: BaseException) -> str:
-    """One sentence about why a task failed, which names exceptions that are not this package's."""
+    """Return one sentence on why a task failed; it names exceptions of other packages."""
     name, reason = type(error).__name__, reason_of(error, _LONGEST)
-    if reason == name:  # it says nothing
+    if reason == name:  # The exception has no text
         return f"It raised {name}."
     return f"{reason}." if isinstance(error, McspectraError) else f"It raised {name}: {reason}."

@@ -1,16 +1,17 @@
-"""The ledger of a study: ``DIR/study.sqlite``, for one writer and any number of readers.
+"""The ledger of a study: the database ``DIR/study.sqlite``, with one writer and any number of
+readers.
 
-All that a run knows is rows of one SQLite file: which study it is, its cells in their order, states of
-tasks whose cells are not finished, sentences of cells that failed, results and their scalars. SQLite gives atomic commits
-and recovery after a crash; ours are the schema, the commit interval and the digests. Each row has a
-SHA-256 over all that it says, which is checked whenever it is read, and the row ``tally`` has the
-number of finished cells and the exclusive or of their digests, so that a row that damage makes vanish
-is noticed too. Of a damaged file a resumed run keeps all rows that are sound, wherever pages can still be
-read; it names the rest, and computes it again. `Ledger.verify` finds the same rows.
+One SQLite file holds all rows of a run: the study, its cells in order, the states of tasks of
+unfinished cells, error sentences of failed cells, and results with their scalars. SQLite provides
+atomic commits and recovery after a crash. This module adds the schema, the commit interval and the
+digests. Each row has a SHA-256 of its contents, which is checked on every read. The row ``tally``
+has the number of finished cells and the exclusive or of their digests, so a missing row is also
+detected. If the file is damaged, a resumed run keeps all sound rows on readable pages; it names the
+others and computes them again. `Ledger.verify` finds the same rows.
 
-The file has a rollback journal, which network file systems support as well. The right to write is
-SQLite's lock on ``DIR/study.lock``, an empty file: it ends with its process, whatever the ledger notes
-of a holder.
+The file has a rollback journal, which network file systems support. A writer holds SQLite's lock on
+the empty file ``DIR/study.lock``. The lock ends with its process, regardless of the holder noted in
+the ledger.
 """
 
 from __future__ import annotations
@@ -59,8 +60,8 @@ __all__ = [
     "Holder",
     "Ledger",
     "StudyNote",
+    "StudyTally",
     "Survey",
-    "Tally",
     "are_paths",
     "is_held",
     "lock_damage",
@@ -69,22 +70,25 @@ __all__ = [
 ]
 
 FORMAT = 7
-"""Of ledgers and stores; 1 and 2 were stores of zarr that grew while their studies ran, 3 had no scalars, 4
-read the text of a study at every look for a failure, 5 had its notes once."""
+"""Format number of ledgers and stores.
+
+Formats 1 and 2 were zarr stores that grew during a run. Format 3 had no scalars, format 4 read the
+study's text for every query of failures, and format 5 stored its notes only once.
+"""
 
 LEDGER_NAME = "study.sqlite"
 STORE_NAME = "results.zarr"
 _LOCK_NAME = "study.lock"
-_BESIDE = ("", "-journal", "-wal", "-shm")  # ends of names of files that SQLite opens with one
-_PAGE = 8192  # bytes
+_BESIDE = ("", "-journal", "-wal", "-shm")  # Suffixes of the files that SQLite opens together
+_PAGE = 8192  # Page size in bytes
 
-_COMMIT_SECONDS = 1.0  # so much work is lost by a kill or a power failure, at most
+_COMMIT_SECONDS = 1.0  # Seconds between commits: a kill or a power failure loses at most these
 _COMMIT_BYTES = 2**25
-_BUSY_SECONDS = 60.0  # for which commits wait for readers, and readers for commits
-_NOTE_SECONDS = 0.5  # from a lock to the note of its holder, at most
-_MOST_SENTENCE = 10_000  # characters
+_BUSY_SECONDS = 60.0  # Seconds that commits wait for readers, and readers for commits
+_NOTE_SECONDS = 0.5  # Maximum seconds between taking the lock and noting its holder
+_MOST_SENTENCE = 10_000  # Maximum length in characters of a stored error sentence
 _PATH_LETTERS = b"abcdefghijklmnopqrstuvwxyz0123456789.-/"
-_NO_PATH = ("//", "/.", "\n.", "\n/", "/\n", "\n\n")  # between the parts of paths, one per line
+_NO_PATH = ("//", "/.", "\n.", "\n/", "/\n", "\n\n")  # Forbidden in paths, written one per line
 
 _SCHEMA = (
     "CREATE TABLE texts (kind TEXT, name TEXT, text TEXT, digest BLOB, PRIMARY KEY (kind, name))",
@@ -92,15 +96,18 @@ _SCHEMA = (
     "CREATE TABLE results (place INTEGER PRIMARY KEY, payload BLOB)",
     """CREATE TABLE tasks (path TEXT, run TEXT, first INTEGER, blocks INTEGER, digest BLOB,
     payload BLOB, PRIMARY KEY (path, run, first, blocks))""",
-    # The notes again, on a page of their own: without them nothing can be recovered
+    # A second copy of the notes on another page: without notes nothing can be recovered
     "CREATE TABLE notes (kind TEXT, name TEXT, text TEXT, digest BLOB, PRIMARY KEY (kind, name))",
 )
-# Rows of the pages of a damaged file, several of a key where pages contradict each other
+# Rows of a damaged file's pages; contradicting pages can give several rows per key
 _COPIED = (
     "CREATE TABLE cells (place INTEGER, path TEXT, digest BLOB)",
     "CREATE TABLE results (place INTEGER, payload BLOB)",
     "CREATE TABLE texts (kind TEXT, name TEXT, text TEXT, digest BLOB)",
-    "CREATE TABLE tasks (path TEXT, run TEXT, first INTEGER, blocks INTEGER, digest BLOB, payload BLOB)",
+    (
+        "CREATE TABLE tasks (path TEXT, run TEXT, first INTEGER, blocks INTEGER, digest BLOB, "
+        "payload BLOB)"
+    ),
     "CREATE VIEW notes AS SELECT * FROM texts",
     "CREATE INDEX cells_place ON cells (place)",
     "CREATE INDEX results_place ON results (place)",
@@ -112,7 +119,7 @@ _PUT_COPY = {
     4: "INSERT INTO texts VALUES (?, ?, ?, ?)",
     6: "INSERT INTO tasks VALUES (?, ?, ?, ?, ?, ?)",
 }
-"""Statements by the number of columns, which is different for each table."""
+"""Insert statements by number of columns, which differs between the tables."""
 
 _PUT_TEXT = "INSERT OR REPLACE INTO {} VALUES (?, ?, ?, ?)"
 _PUT_CELL = "INSERT INTO cells VALUES (?, ?, NULL)"
@@ -122,16 +129,16 @@ _PUT_TASK = "INSERT OR REPLACE INTO tasks VALUES (?, ?, ?, ?, ?, ?)"
 _RESULT = "SELECT path, digest, payload FROM cells LEFT JOIN results USING (place)"
 _PAYLOADS = "SELECT payload FROM results WHERE place = ?"
 _TEXTS = "SELECT name, text, digest FROM {} WHERE kind = ?"
-_NOTED = ("texts", "notes")  # tables that have the notes, each
+_NOTED = ("texts", "notes")  # Tables that each hold a copy of the notes
 _ONE_TASK = "SELECT * FROM tasks WHERE path = ? AND run = ? AND first = ? AND blocks = ?"
 
-# Codes of SQLite that are not about the contents of the file, in words
+# SQLite error codes that do not concern the contents of the file, in words
 _NOT_DAMAGE = {
-    3: "the rights do not allow it",
+    3: "permission is denied",
     5: "another process is using it",
     6: "another process is using it",
     7: "no memory is left",
-    8: "the rights do not allow it",
+    8: "permission is denied",
     9: "the reading was interrupted",
     10: "the device or its file system failed",
     13: "the disk is full",
@@ -139,36 +146,38 @@ _NOT_DAMAGE = {
     15: "its file system has no locks",
 }
 _BAD_PAGES = "pages of the file are damaged or missing"
-_SUPER_JOURNAL = bytes.fromhex("d9d505f920a163d7")  # how a journal ends that names another file
+_SUPER_JOURNAL = bytes.fromhex("d9d505f920a163d7")  # End of a journal that names another file
 
 _DAMAGE = "its digest does not match"
-_REMEDY = "`mcspectra run` with --resume keeps what is sound and computes the rest again"
-_REMEDY_NEW = "nothing is finished yet: make room or give another --out, and run it again"
+_REMEDY = "`mcspectra run` with --resume keeps the sound parts and computes the rest again"
+_REMEDY_NEW = "nothing is finished yet: free some space or give another --out, and run it again"
 _RENEW = (
-    "put back what was, give another --out, or --resume --retry to compute what depends on it again"
+    "restore the old files, give another --out, or use --resume --retry to compute the affected "
+    "results again"
 )
 
 _Step: TypeAlias = tuple[str, tuple[Any, ...]]
-"""A statement of SQL and its values."""
+"""An SQL statement and its values."""
 
 _Note = TypeVar("_Note", bound=msgspec.Struct)
 
 
 class StudyNote(msgspec.Struct, frozen=True, kw_only=True):
-    """Which study a ledger holds.
+    """Identification of the study that a ledger holds.
 
     Attributes
     ----------
     title, seed
-        Of the study.
+        Title and seed of the study.
     config
-        All of it but its time limit, as JSON; empty in a ledger that was opened, which has it as `Ledger.config`.
+        The study as JSON without its time limit; empty after opening a ledger: see `Ledger.config`.
     study_hash
-        SHA-256 of its canonical JSON, without what results do not depend on.
+        SHA-256 of the study's canonical JSON, without keys that do not affect results.
     versions
-        Of this package and of those that numbers depend on: `mcspectra.core.results.package_versions`.
+        Versions of this package and of the packages that results depend on:
+        `mcspectra.core.results.package_versions`.
     inputs
-        SHA-256 of the files that its results depend on, by names for people.
+        SHA-256 of the files that the results depend on, by name.
     """
 
     title: str
@@ -180,9 +189,9 @@ class StudyNote(msgspec.Struct, frozen=True, kw_only=True):
 
     @staticmethod
     def of(config: StudyConfig, inputs: Mapping[str, str]) -> StudyNote:
-        """The note of a study that this process computes, without its time limit.
+        """Make the note of a study computed by this process, without its time limit.
 
-        Results do not depend on that, so that they are the same files with it.
+        The time limit does not affect results, so the stored files do not depend on it either.
         """
         config = msgspec.structs.replace(config, time_limit=None)
         hashed = msgspec.json.encode(config, order="sorted")
@@ -197,7 +206,7 @@ class StudyNote(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Holder(msgspec.Struct, frozen=True):
-    """Who writes into a folder, or did when it ended without a word: host, process, since when."""
+    """The process that writes into a folder, or ended without a note: host, process id, start."""
 
     host: str
     pid: int
@@ -205,23 +214,24 @@ class Holder(msgspec.Struct, frozen=True):
 
     @property
     def in_words(self) -> str:
-        """For messages: ``process 12 on host 'a' since …``."""
+        """Description for messages: ``process 12 on host 'a' since …``."""
         return f"process {self.pid} on host {self.host!r} since {self.since}"
 
 
-class Tally(msgspec.Struct, frozen=True, kw_only=True):
-    """What changes with every commit.
+class StudyTally(msgspec.Struct, frozen=True, kw_only=True):
+    """Values that change with every commit.
 
     Attributes
     ----------
     done, size, digest
-        Finished cells: how many, bytes of their results, exclusive or of their digests.
+        Finished cells: their number, the bytes of their results, and the exclusive or of their
+        digests.
     started, finished
-        When the study was begun, and when its last cell was finished: UTC, ISO 8601.
+        Time when the study began and when its last cell finished: UTC, ISO 8601.
     hosts
-        Machines that began it, went on with it or computed for it.
+        Hosts that began or resumed the study, or computed for it.
     holder
-        The process that writes; None once it has ended in good order.
+        Process that is writing; None after it has ended normally.
     """
 
     done: int = 0
@@ -232,8 +242,8 @@ class Tally(msgspec.Struct, frozen=True, kw_only=True):
     hosts: tuple[str, ...] = ()
     holder: Holder | None = None
 
-    def plus(self, digest: bytes, size: int) -> Tally:
-        """With a finished cell more."""
+    def plus(self, digest: bytes, size: int) -> StudyTally:
+        """Return the tally with one more finished cell."""
         either = int(self.digest, 16) ^ int.from_bytes(digest, "big")
         return msgspec.structs.replace(
             self, done=self.done + 1, size=self.size + size, digest=f"{either:064x}"
@@ -241,7 +251,7 @@ class Tally(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _Header(msgspec.Struct, frozen=True, kw_only=True):
-    """What never changes but for inputs: the study, its number of cells, SHA-256 of their paths."""
+    """Fixed values of a ledger, except inputs: the study, its number of cells, a path digest."""
 
     study: StudyNote
     cells: int
@@ -249,7 +259,7 @@ class _Header(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _Change(NamedTuple):
-    """Statements that write what is known of a cell; digest and size of its result, or why it failed."""
+    """Statements that write a cell, with the digest and size of its result, or its failure."""
 
     path: str
     steps: Iterable[_Step]
@@ -259,20 +269,20 @@ class _Change(NamedTuple):
 
 
 class Survey(NamedTuple):
-    """Sound parts of a ledger, from which a resumed run continues, and damaged parts.
+    """Sound and damaged parts of a ledger; a resumed run continues from the sound ones.
 
     Attributes
     ----------
     done
-        Paths of finished cells, in their order.
+        Paths of finished cells, in order.
     failed
-        Sentences of cells that failed, by their paths.
+        Error sentences of failed cells, by path.
     recorded
-        Number of recorded states.
+        Number of recorded task states.
     missing
-        Paths of cells that are neither, nor damaged.
+        Paths of cells that are neither finished, failed nor damaged.
     damaged
-        Descriptions of damage by paths of cells, keys of tasks, or names of parts.
+        Descriptions of damage, by path of a cell, key of a task, or name of a part.
     """
 
     done: tuple[str, ...]
@@ -283,7 +293,7 @@ class Survey(NamedTuple):
 
 
 class _Damaged(StoreError):
-    """A sentence about a file that is damaged, and the reason in a few words."""
+    """Error about a damaged file, with the reason in a few words."""
 
     def __init__(self, sentence: str, reason: str = "") -> None:
         super().__init__(sentence)
@@ -292,49 +302,49 @@ class _Damaged(StoreError):
 
 @final
 class Ledger:
-    """What is known of a study: made by `create`, `resume` or `read`, a context manager.
+    """Database of a study, opened by `create`, `resume` or `read`; a context manager.
 
-    What a writer is told is committed once a second, by a thread of its own, and by `close`.
+    A background thread commits the writes once a second; `close` commits the rest.
 
     Attributes
     ----------
     folder
-        Where it lies.
+        Folder of the ledger.
     tally
-        How far it was at the last commit.
+        Tally at the last commit.
     damaged
-        What was found damaged, in words, by paths of cells, keys of tasks, or names of parts.
+        Descriptions of damage, by path of a cell, key of a task, or name of a part.
     """
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        self.tally = Tally()
+        self.tally = StudyTally()
         self.damaged: dict[str, str] = {}
         self._file = folder / LEDGER_NAME
         self._lock: sqlite3.Connection | None = None
         self._connection: sqlite3.Connection | None = None
         self._guard = threading.RLock()
-        self._pending: list[_Change] = []  # not committed
-        self._waiting = 0  # bytes of these
+        self._pending: list[_Change] = []  # Changes that are not committed
+        self._waiting = 0  # Bytes of these changes
         self._closed = threading.Event()
-        self._broken: StoreError | None = None  # what a commit of the thread has met
+        self._broken: StoreError | None = None  # Error of a commit in the background thread
         self._holds = False
-        self._salvaged = False  # whether rows are those of `_read_pages`
+        self._salvaged = False  # Whether the rows come from `_read_pages`
 
     @staticmethod
     def create(folder: Path, study: StudyNote, paths: Sequence[str]) -> Ledger:
-        """Begin the ledger of a study in a folder, which is made if it is not there.
+        """Begin the ledger of a study in a folder, which is created if necessary.
 
         Parameters
         ----------
         paths
-            Of all cells, in the order in which they are listed.
+            Paths of all cells, in order.
 
         Raises
         ------
         StoreError
-            There are results already, another process writes into the folder, it has symbolic links
-            where a run writes, or it cannot be written; while it is (StorageError).
+            If the folder already has results, another process writes into it, it contains symbolic
+            links, or it cannot be written. A later write error is a StorageError.
         """
         with _given_free_if_it_fails(Ledger(folder)) as ledger:
             ledger._begin(study, paths, None)
@@ -344,24 +354,24 @@ class Ledger:
     def resume(
         folder: Path, study: StudyNote, paths: Sequence[str], *, outdated: Collection[str] = ()
     ) -> Ledger:
-        """Go on with the ledger of a folder, all of which is verified; without one, begin it.
+        """Verify and continue the ledger of a folder; begin one if there is none.
 
         Parameters
         ----------
         outdated
-            Paths of cells to be computed again, as files that they depend on have changed; without
-            any, changed files are refused.
+            Paths of cells to compute again because their input files changed. Without any, changed
+            files are an error.
 
         Raises
         ------
         StoreError
-            As of `create`; the ledger is of another study, format or version of this package, or so
-            damaged that it does not say of which.
+            Same as in `create`; or if the ledger has another study, format or package version, or
+            is too damaged to identify its study.
 
         Warns
         -----
         OtherVersionsWarning
-            It was begun with other versions of packages that numbers depend on.
+            If the ledger was begun with other versions of packages that results depend on.
         """
         with _given_free_if_it_fails(Ledger(folder)) as ledger:
             ledger._begin(study, paths, outdated)
@@ -369,18 +379,18 @@ class Ledger:
 
     @staticmethod
     def read(folder: str | Path, *, salvage: bool = False) -> Ledger:
-        """Look into the ledger of a folder, which may be in use; nothing is changed.
+        """Open the ledger of a folder, which may be in use, without changing anything.
 
         Parameters
         ----------
         salvage
-            Look for damage of the file, and read its pages one by one if there is any: for `verify`.
+            Check the file for damage, and read it page by page if it is damaged: for `verify`.
 
         Raises
         ------
         StoreError
-            There is no ledger, it has another format, or its damage hides the study that it
-            belongs to; without `salvage` also if it is damaged otherwise.
+            If there is no ledger, it has another format, or it is too damaged to identify its
+            study; without `salvage`, also for any other damage.
         """
         with _given_free_if_it_fails(Ledger(Path(folder))) as ledger:
             ledger._open(salvage=salvage)
@@ -388,17 +398,17 @@ class Ledger:
 
     @property
     def study(self) -> StudyNote:
-        """The study, as it was when the ledger was begun, without its `config`."""
+        """The study as noted when the ledger was begun, without its `config`."""
         return self._header.study
 
     @property
     def config(self) -> str:
-        """All of the study as JSON, megabytes of a large one.
+        """The whole study as JSON; megabytes for a large study.
 
         Raises
         ------
         StoreError
-            It is damaged.
+            If the text is damaged.
         """
         for _, text in self._texts("config"):
             if text is not None:
@@ -407,16 +417,16 @@ class Ledger:
 
     @property
     def paths(self) -> Sequence[str]:
-        """Paths of all cells of the study, in their order."""
+        """Paths of all cells of the study, in order."""
         return self._listing[0]
 
     @property
     def done(self) -> KeysView[str]:
-        """Paths of the finished cells: those of earlier runs in their order, then new ones."""
+        """Paths of the finished cells: those of earlier runs in order, then new ones."""
         return self._listing[1].keys()
 
     def failures(self) -> dict[str, str]:
-        """Sentences of the cells that failed, by their paths in their order."""
+        """Return the error sentences of failed cells by path, in order."""
         self.commit()
         found = {}
         for path, text in self._texts("failure"):
@@ -427,20 +437,20 @@ class Ledger:
         return {path: found[path] for path in self.paths if path in found} if found else {}
 
     def tasks(self, path: str) -> list[tuple[str, Chunk]]:
-        """What is recorded, and committed, of a cell: keys of runs, and blocks of them."""
+        """Return the committed task states of a cell: keys of runs, and blocks."""
         with self._guard:
             rows = self._rows("SELECT run, first, blocks FROM tasks WHERE path = ?", (path,))
         return [(run, (first, blocks)) for run, first, blocks in rows]
 
     @property
     def recorded(self) -> int:
-        """Number of recorded states."""
+        """Number of recorded task states."""
         self.commit()
         ((count,),) = self._rows("SELECT count(*) FROM tasks")
         return int(count)
 
     def state(self, path: str, run: str, chunk: Chunk) -> bytes | None:
-        """The recorded state of a task; None if it was never recorded, or is `damaged`."""
+        """Return the recorded state of a task; None if it was never recorded, or is `damaged`."""
         with self._guard:
             self.commit()
             for row in self._rows(_ONE_TASK, (path, run, *chunk)):
@@ -451,12 +461,12 @@ class Ledger:
             return None
 
     def result(self, path: str) -> bytes:
-        """The result of a finished cell.
+        """Return the result of a finished cell.
 
         Raises
         ------
         StoreError
-            The study has no such cell, it is not finished, or its result is damaged.
+            If the study has no such cell, it is not finished, or its result is damaged.
         """
         self.commit()
         rows = self._rows(f"{_RESULT} WHERE path = ?", (path,))
@@ -473,44 +483,45 @@ class Ledger:
         return bytes(payload)
 
     def scalars(self) -> dict[str, dict[str, float]]:
-        """The scalars of all finished cells, by their paths in their order.
+        """Return the scalars of all finished cells by path, in order.
 
         Raises
         ------
         StoreError
-            Those of a cell are damaged.
+            If the scalars of a cell are damaged.
         """
         with self._guard:
             self.commit()
-            done = tuple(self.done)  # first: there may be a commit in between
+            done = tuple(self.done)  # Read this first, because a commit may follow
             texts = dict(self._texts("scalars"))
         found: dict[str, dict[str, float]] = {}
         for path in done:
             with contextlib.suppress(
                 ValueError, RecursionError
-            ):  # A stranger's text may be anything
+            ):  # An untrusted text may be anything
                 given = json.loads(texts.get(path) or "null")
                 found[path] = msgspec.convert(given, dict[str, float | int])
             if path not in found:
                 raise StoreError(
-                    f"The scalars of {path} in {str(self._file)!r} are damaged: {_DAMAGE}; {_REMEDY}."
+                    f"The scalars of {path} in {str(self._file)!r} are damaged: {_DAMAGE}; "
+                    f"{_REMEDY}."
                 )
         return found
 
     def record(self, path: str, run: str, chunk: Chunk, payload: bytes, host: str = "") -> None:
-        """Keep the state of a task of a cell that is not finished.
+        """Record the state of a task of an unfinished cell.
 
         Parameters
         ----------
         run, chunk
-            Key of the run, and which of its blocks.
+            Key of the run, and its blocks.
         host
-            Where it was computed.
+            Host that computed it.
 
         Raises
         ------
         StorageError
-            What was told cannot be written; so of all that write.
+            If pending changes cannot be written; this applies to all methods that write.
         """
         values = (path, run, *chunk)
         row = (*values, self._digest("task", values, payload), payload)
@@ -522,17 +533,17 @@ class Ledger:
     def finish(
         self, path: str, payload: bytes, scalars: Mapping[str, float] = MappingProxyType({})
     ) -> None:
-        """Keep the result of a cell; what was recorded of it goes in the same transaction.
+        """Store the result of a cell, and drop its task states in the same transaction.
 
         Parameters
         ----------
         payload, scalars
-            The result, and those numbers of it that stand alone, by their names.
+            The result as bytes, and its scalar values by name.
 
         Raises
         ------
         StoreError
-            It is finished already.
+            If the cell is already finished.
         """
         text, digest = json.dumps(dict(scalars)), self._digest("result", (path,), payload)
         with self._guard:
@@ -542,45 +553,46 @@ class Ledger:
             self._listing[1][path] = None
 
     def fail(self, path: str, sentence: str) -> None:
-        """Note why a cell has failed."""
+        """Store the reason why a cell failed."""
         text = sentence[:_MOST_SENTENCE].encode("utf-8", "replace").decode()
         with self._guard:
             self._tell(_Change(path, [self._text("failure", path, text)]))
 
     def forget(self, paths: Iterable[str]) -> None:
-        """Drop failures and recorded states of cells, which are to be tried again."""
+        """Drop failures and task states of cells so that they are tried again."""
         with self._guard:
             for path in paths:
                 self._tell(_Change(path, _forgetting(path)))
-            self.commit()  # before anybody asks for their states
+            self.commit()  # Before the schedule reads their states
 
     def commit(self) -> None:
-        """Write what was told since the last commit, all of it or nothing."""
+        """Write all pending changes, or none of them."""
         with self._guard:
             if self._broken is not None:
                 raise self._broken
             if self._pending:
                 tally = self._write(self._pending, self.tally)
-                # No call stands between these, so that no signal can come between them.
+                # No call stands between these assignments, so no signal can interrupt them.
                 self.tally, self._pending, self._waiting = tally, [], 0
 
     def verify(self, paths: Sequence[str] | None = None) -> Survey:
-        """Read everything, and return the sound and the `damaged` parts.
+        """Read everything, and return the sound and the damaged parts.
 
         Parameters
         ----------
         paths
-            Paths of all cells of the study, by default those in the ledger; other cells are refused.
+            Paths of all cells of the study; by default those in the ledger. Other cells are
+            refused.
         """
         self.commit()
         if paths is None or _plan_digest(paths) != self._header.plan:
             paths = self._listed_anyway() if self._salvaged else self.paths
         elif not self._salvaged:
-            _ = self.paths  # checked against the tally
+            _ = self.paths  # Checks the list against the tally
         return self._surveyed(paths)
 
     def close(self) -> None:
-        """Commit, note that this process has ended, give the folder free; again, do nothing."""
+        """Commit, note the end of this process and release the lock; repeated calls do nothing."""
         self._closed.set()
         try:
             if self._holds:
@@ -598,7 +610,7 @@ class Ledger:
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:
-        # What ended the run is what there is to say.
+        # The exception that ended the run matters more than an error while closing.
         with contextlib.nullcontext() if kind is None else contextlib.suppress(StoreError):
             self.close()
 
@@ -611,7 +623,7 @@ class Ledger:
             self.commit()
 
     def _result(self, path: str, payload: bytes, digest: bytes, text: str) -> _Change:
-        """The result of a cell with its scalars, in place of what was recorded of it."""
+        """Return the change that stores a result and scalars and drops the cell's task states."""
         put = (
             (_PUT_RESULT, (payload, path)),
             (_PUT_DIGEST, (digest, path)),
@@ -622,29 +634,29 @@ class Ledger:
     def _begin(
         self, study: StudyNote, paths: Sequence[str], outdated: Collection[str] | None
     ) -> None:
-        """Begin to write, into a new ledger alone if `outdated` is None."""
+        """Take the lock and begin to write; `outdated` is None to accept only a new ledger."""
         self._lock = _locked(self.folder)
         exists, old = self._file.exists(), (self.folder / STORE_NAME).exists()
         if (exists or old) and outdated is None:
             raise StoreError(
-                f"{str(self.folder)!r} holds results already; "
+                f"{str(self.folder)!r} already holds results; "
                 "give another --out, or --resume to continue them."
             )
         if exists:
             self._continue(study, paths, outdated or ())
         elif old:
             raise StoreError(
-                f"{str(self.folder)!r} holds results and no {LEDGER_NAME}: they are of an earlier "
-                "version, which alone can continue them; give another --out."
+                f"{str(self.folder)!r} holds results without {LEDGER_NAME}: only the earlier "
+                "version that wrote them can continue them; give another --out."
             )
         else:
             about = msgspec.structs.replace(study, config="")
             self._header = _Header(study=about, cells=len(paths), plan=_plan_digest(paths))
-            self.tally = Tally(started=_now())
+            self.tally = StudyTally(started=_now())
             self._replace(study.config, paths, ())
-            self.__dict__["_listing"] = list(paths), {}  # those of the plan: there may be a million
+            self.__dict__["_listing"] = list(paths), {}  # Avoid reading up to a million paths back
 
-        # Note who writes from now on, and commit once a second what is told.
+        # Note this process as the writer, and commit pending changes once a second
         host = socket.gethostname()
         hosts = tuple(dict.fromkeys((*self.tally.hosts, host)))
         holder = Holder(host, os.getpid(), _now())
@@ -654,7 +666,7 @@ class Ledger:
         threading.Thread(target=self._commit_in_time, daemon=True).start()
 
     def _continue(self, study: StudyNote, paths: Sequence[str], outdated: Collection[str]) -> None:
-        """Go on with the ledger of this study; without what is damaged or outdated."""
+        """Continue the ledger of this study without its damaged or outdated parts."""
         self._open(salvage=True)
         whose = f"The results in {str(self.folder)!r} are"
         if (study.study_hash, _plan_digest(paths)) != (self.study.study_hash, self._header.plan):
@@ -663,7 +675,7 @@ class Ledger:
                 "give another --out."
             )
 
-        # Refuse results of another version of this package, warn of others of those it uses.
+        # Refuse results of another version of this package; warn about other packages
         before = self.study.versions
         others = {
             name.removeprefix("version_"): (before[name], version)
@@ -673,14 +685,14 @@ class Ledger:
         if "mcspectra" in others:
             old, new = others["mcspectra"]
             raise StoreError(
-                f"{whose} of mcspectra {old}, and this is {new}, whose numbers may differ: resume "
-                "them with the version that began them, or give another --out."
+                f"{whose} from mcspectra {old}, but this is {new}, whose numbers may differ: "
+                "resume them with the version that began them, or give another --out."
             )
         if others:
             changes = ", ".join(f"{name} {old} (now {new})" for name, (old, new) in others.items())
             warn(
-                f"{whose} begun with {changes}: the last bits of those to come may differ from an "
-                "uninterrupted run's.",
+                f"{whose} from {changes}: the last bits of new results may differ from "
+                "those of an uninterrupted run.",
                 OtherVersionsWarning,
             )
         if not outdated:
@@ -702,9 +714,9 @@ class Ledger:
                 return
 
     def _write(
-        self, changes: Iterable[_Change], tally: Tally, into: sqlite3.Connection | None = None
-    ) -> Tally:
-        """Carry out changes and note the tally with them, all of it or nothing."""
+        self, changes: Iterable[_Change], tally: StudyTally, into: sqlite3.Connection | None = None
+    ) -> StudyTally:
+        """Apply changes together with the new tally in one transaction."""
         connection = into or self._opened
         with _writing(self._file):
             try:
@@ -727,10 +739,10 @@ class Ledger:
         return tally
 
     def _replace(self, config: str, paths: Sequence[str], changes: Iterable[_Change]) -> None:
-        """Write the ledger anew beside its place, with what there is of it, and put it there."""
+        """Write a new ledger with these changes next to the old one, then replace the old one."""
         partial = self.folder / f".{LEDGER_NAME}.partial"
         tally = msgspec.structs.replace(
-            self.tally, done=0, size=0, digest=Tally().digest, finished=None
+            self.tally, done=0, size=0, digest=StudyTally().digest, finished=None
         )
         tables = ((statement, ()) for statement in _SCHEMA)
         cells = ((_PUT_CELL, each) for each in enumerate(paths))
@@ -739,7 +751,7 @@ class Ledger:
         notes.append(self._text("config", "", config))
         first = _Change("", itertools.chain(tables, cells, notes))
         with _writing(self._file):
-            _remove_partial(partial)  # of a run that was killed
+            _remove_partial(partial)  # Left by a run that was killed
             try:
                 with contextlib.closing(_connected(partial, "rwc")) as new:
                     new.execute(f"PRAGMA page_size = {_PAGE}")
@@ -756,7 +768,7 @@ class Ledger:
         self.__dict__.pop("_listing", None)
 
     def _open(self, *, salvage: bool = False) -> None:
-        """Open the file, and read which study it holds; with `salvage` whatever damage it has."""
+        """Open the file and identify its study; with `salvage`, open a damaged file as well."""
         _refuse_strangers(self._file)
         if not self._file.is_file():
             raise StoreError(f"There are no results in {shown(str(self.folder))}.")
@@ -769,8 +781,8 @@ class Ledger:
         header = self._note("study", _Header)
         if header is None:
             raise StoreError(
-                f"{str(self._file)!r} is damaged where it says of which study it is, or it is no "
-                "ledger: give another folder."
+                f"{str(self._file)!r} does not identify its study: it is damaged, or it is not a "
+                "ledger; give another folder."
             )
         if broken and not salvage:
             raise StoreError(f"{str(self._file)!r} is damaged: {broken}; {_REMEDY}.")
@@ -778,20 +790,20 @@ class Ledger:
         self.tally = self._noted_tally()
 
     def _connect(self, *, thoroughly: bool) -> None:
-        """Have SQLite open the file.
+        """Open the file with SQLite.
 
         Raises
         ------
         _Damaged
-            It is no database of a ledger's tables, or not all of it can be read.
+            If it is not a ledger's database, or cannot be read completely.
         """
-        # SQLite would open, and write, two other files for a journal of another kind
+        # For a journal of another kind, SQLite would open and write two other files
         with _reading(self._file), self._file.open("rb") as stream:
             head = stream.read(20)
         if head[:16] != b"SQLite format 3\0" or head[18:] != b"\1\1":
             raise _Damaged("its first page is not that of a ledger")
         try:
-            # Without the right to write SQLite opens it for reading; what a crash left it undoes.
+            # Without write permission, SQLite opens it for reading. It rolls back after a crash.
             self._connection = _connected(self._file, "rw")
             if self._lock is None:
                 self._connection.execute("PRAGMA query_only = ON")
@@ -800,8 +812,9 @@ class Ledger:
         ((version,),) = self._rows("PRAGMA user_version")
         if version not in (0, FORMAT):
             raise StoreError(
-                f"{str(self._file)!r} has store format {version}; this version reads {FORMAT}: export "
-                "it with the version that wrote it, or run the study again with another --out."
+                f"{str(self._file)!r} has store format {version}, but this version reads "
+                f"{FORMAT}: export it with the version that wrote it, or run the study again with "
+                "another --out."
             )
         schema = self._rows("SELECT sql FROM sqlite_master WHERE sql IS NOT NULL ORDER BY rowid")
         if tuple(text for (text,) in schema) != _SCHEMA:
@@ -812,12 +825,12 @@ class Ledger:
                 raise _Damaged(_BAD_PAGES)
 
     def _read_pages(self, reason: str) -> None:
-        """Go on with a copy of those rows of the damaged file that can be read, page by page."""
+        """Copy the readable rows of a damaged file, page by page, and use the copy."""
         self.damaged["file"] = reason
         self._salvaged = True
         if self._connection is not None:
             self._connection.close()
-        # A private file, which is gone when it is closed
+        # A private file, which is deleted when it is closed
         self._connection = copy = sqlite3.connect("", isolation_level=None, check_same_thread=False)
         try:
             with contextlib.closing(Leaves(self._file, _PAGE)) as leaves:
@@ -838,7 +851,7 @@ class Ledger:
             raise StoreError(f"{str(self._file)!r} cannot be read: {reason}.") from None
 
     def _note(self, name: str, kind: type[_Note]) -> _Note | None:
-        """Contents of a note, which has two copies; None if both are damaged."""
+        """Return a note, which is stored twice; None if both copies are damaged."""
         for table in _NOTED:
             rows: list[tuple[Any, ...]] = []
             with contextlib.suppress(_Damaged):
@@ -851,20 +864,20 @@ class Ledger:
                         return note
         return None
 
-    def _noted_tally(self) -> Tally:
-        tally = self._note("tally", Tally)
+    def _noted_tally(self) -> StudyTally:
+        tally = self._note("tally", StudyTally)
         if tally is None:
             self.damaged["tally"] = _DAMAGE
-        return tally or Tally()
+        return tally or StudyTally()
 
     @functools.cached_property
     def _listing(self) -> tuple[list[str], dict[str, None]]:
-        """All paths, and those of finished cells, in their order: checked against the tally."""
+        """All paths and the paths of finished cells, in order, checked against the tally."""
         paths: list[str] = []
         done: dict[str, None] = {}
         digests, found = bytearray(), ("", "")
         with self._guard:
-            self._rows("BEGIN")  # else a commit might come between
+            self._rows("BEGIN")  # Prevents a commit between the reads
             try:
                 self.tally = self._noted_tally()
                 for path, digest in self._each("SELECT path, digest FROM cells ORDER BY place"):
@@ -876,22 +889,22 @@ class Ledger:
                     np.frombuffer(digests, np.uint64).reshape(len(done), 4), axis=0
                 )
                 found = either.tobytes().hex(), _plan_digest(paths)
-            except (TypeError, ValueError):  # values of other types than were written
+            except (TypeError, ValueError):  # Values have other types than a run writes
                 pass
             finally:
                 self._opened.rollback()
         if not are_paths(paths) or found != (self.tally.digest, self._header.plan):
-            self.damaged["list of cells"] = "it is not as it was written"
+            self.damaged["list of cells"] = "it was changed after it was written"
         return paths, done
 
     def _listed_anyway(self) -> list[str]:
-        """Paths of all cells by their places; a name for people where the list is damaged."""
+        """Return the paths of all cells by place; an unreadable path becomes ``cell PLACE``."""
         known = dict(self._each("SELECT place, path FROM cells"))
         return [str(known.get(place, f"cell {place}")) for place in range(self._header.cells)]
 
     def _surveyed(self, paths: Sequence[str]) -> Survey:
-        """Read everything; what is not sound goes to `damaged`."""
-        tally, before, recorded = Tally(), len(self.damaged), 0
+        """Read everything, and add unsound rows to `damaged`."""
+        tally, before, recorded = StudyTally(), len(self.damaged), 0
         done, failed = set[str](), dict[str, str]()
         for change in self._sound(paths):
             if change.digest is not None:
@@ -901,7 +914,7 @@ class Ledger:
                 failed[change.path] = change.failure
             else:
                 recorded += 1
-        # Of a reader's list it is known already; meanwhile there may have been a commit.
+        # A reader has already checked the list; a commit may have changed the tally since.
         still = self._lock is not None or self._salvaged
         if still and len(self.damaged) == before and tally.digest != self.tally.digest:
             self.damaged["list of cells"] = "finished cells are missing in it"
@@ -916,9 +929,9 @@ class Ledger:
         )
 
     def _sound(self, paths: Sequence[str]) -> Iterator[_Change]:
-        """Rows that are as they were written, to be written again; other rows go to `damaged`.
+        """Yield sound rows as changes that write them again; add other rows to `damaged`.
 
-        This alone decides what of a damaged ledger is kept.
+        This method alone decides which parts of a damaged ledger are kept.
         """
         try:
             _ = self.config
@@ -929,7 +942,7 @@ class Ledger:
                 if not any(text for _, text in self._texts("note", name, table)):
                     self.damaged[f"note of the {name}"] = _DAMAGE
 
-        # Results whose digests are sound; those whose digests are lost wait for the tally
+        # Results with sound digests; results whose digests are lost are decided by the tally
         left, unproven = int(self.tally.digest, 16), list[tuple[str, int, bytes]]()
         made = 0
         for place, path in enumerate(paths):
@@ -953,7 +966,7 @@ class Ledger:
                 self.damaged[path] = "its row cannot be read"
         for path, place, digest in unproven:
             change = None
-            if left == 0:  # the tally has the digests of all: that these are sound, too
+            if left == 0:  # The tally covers all digests, so these results are sound
                 payloads = [payload for (payload,) in self._rows(_PAYLOADS, (place,))]
                 sound = [
                     (p, digest) for p in payloads if self._digest("result", (path,), p) == digest
@@ -963,10 +976,10 @@ class Ledger:
             if change is None:
                 self.damaged[path] = "its row cannot be read"
             else:
-                self.damaged["list of cells"] = "rows of it cannot be read"
+                self.damaged["list of cells"] = "some of its rows cannot be read"
                 yield change
         if made:
-            self.damaged["scalars"] = f"those of {made} cells, which are taken from their results"
+            self.damaged["scalars"] = f"of {made} cells, recomputed from their results"
 
         # States of tasks, and failures
         states = set[tuple[Any, ...]]()
@@ -988,9 +1001,9 @@ class Ledger:
             self.damaged["recorded tasks and failures"] = error.reason
 
     def _cell_rows(self, place: int) -> tuple[list[tuple[Any, ...]], list[tuple[Any, ...]]]:
-        """Rows of one cell in the tables ``cells`` and ``results``; none of either if one is damaged."""
+        """Return the rows of a cell in ``cells`` and ``results``; both empty if one is damaged."""
         with self._guard, contextlib.suppress(_Damaged):
-            self._rows("BEGIN")  # a commit between the two reads would look like damage
+            self._rows("BEGIN")  # A commit between the two reads would look like damage
             try:
                 cells = self._rows("SELECT path, digest FROM cells WHERE place = ?", (place,))
                 return cells, self._rows(_PAYLOADS, (place,))
@@ -1001,7 +1014,7 @@ class Ledger:
     def _with_scalars(
         self, path: str, payload: bytes, digest: bytes
     ) -> tuple[_Change | None, bool]:
-        """A sound result with its scalars; whether these were damaged and are taken from it again."""
+        """Return a sound result with its scalars, and whether damaged scalars were recomputed."""
         text = None
         with contextlib.suppress(_Damaged):
             text = next((each for _, each in self._texts("scalars", path) if each), None)
@@ -1023,16 +1036,16 @@ class Ledger:
         return self._connection
 
     def _rows(self, statement: str, values: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-        """What a statement finds."""
+        """Return all rows of a statement."""
         return list(self._each(statement, values))
 
     def _each(self, statement: str, values: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
-        """What a statement finds, one by one: there may be a million.
+        """Yield the rows of a statement one by one, because there may be a million.
 
         Raises
         ------
         StoreError
-            The file cannot be read, or is damaged.
+            If the file cannot be read, or is damaged.
         """
         try:
             yield from self._opened.execute(statement, values)
@@ -1045,14 +1058,14 @@ class Ledger:
         return _Damaged(f"{str(self._file)!r} is damaged: {_BAD_PAGES}; {_REMEDY}.", _BAD_PAGES)
 
     def _text(self, kind: str, name: str, text: str, table: str = "texts") -> _Step:
-        """What keeps a text, with a digest."""
+        """Return the statement that stores a text with its digest."""
         row = kind, name, text, self._digest(kind, (name,), text.encode())
         return _PUT_TEXT.format(table), row
 
     def _texts(
         self, kind: str, name: str | None = None, table: str = "texts"
     ) -> Iterator[tuple[str, str | None]]:
-        """Texts of a kind, or that of a name, with their names; None where they are damaged."""
+        """Yield the texts of a kind with their names; None for a damaged text."""
         query = _TEXTS.format(table)
         chosen = (f"{query} AND name = ?", (kind, name)) if name else (query, (kind,))
         for found, text, digest in self._each(*chosen):
@@ -1067,7 +1080,7 @@ class Ledger:
 
 
 def _not_damage(error: BaseException) -> str:
-    """Why a file cannot be read or written, in words; empty if its contents are the reason."""
+    """Return why a file cannot be read or written; empty if its contents are damaged."""
     if isinstance(error, MemoryError):
         return _NOT_DAMAGE[7]
     if isinstance(error, OSError):
@@ -1076,7 +1089,7 @@ def _not_damage(error: BaseException) -> str:
 
 
 def _digest(study: StudyNote, kind: str, key: tuple[Any, ...], content: bytes) -> bytes:
-    """SHA-256 of a row of a study."""
+    """Return the SHA-256 of a row of a study."""
     digest = hashlib.sha256(study.study_hash.encode())
     digest.update(repr((kind, *key)).encode("utf-8", "surrogatepass"))
     digest.update(content)
@@ -1084,7 +1097,7 @@ def _digest(study: StudyNote, kind: str, key: tuple[Any, ...], content: bytes) -
 
 
 def scalars_of(result: xr.Dataset) -> dict[str, float]:
-    """Numbers of a result that stand alone: its real variables without dims."""
+    """Return the scalars of a result: its real variables without dims."""
     return {
         str(name): each.values.item()
         for name, each in result.variables.items()
@@ -1093,7 +1106,7 @@ def scalars_of(result: xr.Dataset) -> dict[str, float]:
 
 
 def are_paths(paths: Iterable[str]) -> bool:
-    """Whether texts can be paths of cells, as plans make them: none leads out of a folder."""
+    """Whether all texts are valid paths of cells, which never leave a folder."""
     try:
         text = "\n".join(["", *paths, ""])
         strange = text.encode().translate(None, _PATH_LETTERS + b"\n")
@@ -1103,7 +1116,7 @@ def are_paths(paths: Iterable[str]) -> bool:
 
 
 def is_held(folder: Path) -> bool:
-    """Whether a process writes into a folder: SQLite's lock says so, which ends with it."""
+    """Whether a process writes into a folder: it holds SQLite's lock, which ends with it."""
     lock = folder / _LOCK_NAME
     if not lock.is_file():
         return False
@@ -1118,23 +1131,23 @@ def is_held(folder: Path) -> bool:
 
 
 def lock_damage(folder: Path) -> str | None:
-    """Why no run can lock a folder, in words; None if one can."""
+    """Return why no run can lock a folder; None if a run can."""
     lock = folder / _LOCK_NAME
     if os.path.lexists(lock) and not (lock.is_file() and lock.stat().st_size == 0):
-        return "it is not the empty file that a run locks; remove it while no run writes there"
+        return "it is not the empty file that a run locks; remove it while no run is active"
     return None
 
 
 def _refuse_strangers(file: Path) -> None:
-    """Refuse what would lead SQLite, when it opens a file, to other files than its own."""
+    """Refuse files that would lead SQLite to open files other than its own."""
     for end in _BESIDE:
         beside = file.with_name(file.name + end)
         refuse_links(str(beside))
         if os.path.lexists(beside) and not beside.is_file():
-            raise StoreError(f"{str(beside)!r} is no file; remove it, or take another folder.")
+            raise StoreError(f"{str(beside)!r} is not a file; remove it, or use another folder.")
     journal = file.with_name(f"{file.name}-journal")
     if journal.exists():
-        tail = b""  # a writer that commits may delete the journal before it is opened
+        tail = b""  # A committing writer may delete the journal before it is opened
         with (
             _reading(journal),
             contextlib.suppress(FileNotFoundError),
@@ -1143,11 +1156,11 @@ def _refuse_strangers(file: Path) -> None:
             stream.seek(0, os.SEEK_END)
             stream.seek(max(0, stream.tell() - len(_SUPER_JOURNAL)))
             tail = stream.read()
-        # SQLite deletes the file that is named there
+        # SQLite would delete the named file
         if tail == _SUPER_JOURNAL:
             raise StoreError(
-                f"{str(journal)!r} names another file, which no run writes; remove it, or take another "
-                "folder."
+                f"{str(journal)!r} names another file, which a run never writes; remove it, or use "
+                "another folder."
             )
 
 
@@ -1160,23 +1173,23 @@ def _reading(file: Path) -> Iterator[None]:
 
 
 def refuse_links(place: str) -> None:
-    """Refuse a file that is a symbolic link, or a folder that is one or has one inside.
+    """Refuse a symbolic link, and a folder that contains one.
 
     Raises
     ------
     StoreError
-        It names the link.
+        If there is a link; the message names it.
     """
     inside = (
-        os.path.join(base, name)  # noqa: PTH118 - of many thousands
+        os.path.join(base, name)  # noqa: PTH118 - fast for many thousands of files
         for base, *names in os.walk(place)
         for name in itertools.chain(*names)
     )
     for each in itertools.chain([place], inside):
         if os.path.islink(each):  # noqa: PTH114
             raise StoreError(
-                f"{each!r} is a symbolic link, and might lead to files of others; results hold files "
-                "only: remove it, or take another folder."
+                f"{each!r} is a symbolic link, which might lead to other files; results hold files "
+                "only: remove it, or use another folder."
             )
 
 
@@ -1190,21 +1203,21 @@ def _given_free_if_it_fails(ledger: Ledger) -> Iterator[Ledger]:
 
 
 def _locked(folder: Path) -> sqlite3.Connection:
-    """The right to write into a folder: an exclusive transaction on an empty file, which never ends."""
+    """Lock a folder for writing with an exclusive transaction on an empty file."""
     with _writing(folder, StoreError, "give another --out"):
         folder.mkdir(parents=True, exist_ok=True)
         _refuse_strangers(folder / _LOCK_NAME)
         trouble = lock_damage(folder)
         if trouble is not None:
             raise StoreError(f"{str(folder / _LOCK_NAME)!r} cannot be locked: {trouble}.")
-        lock = _connected(folder / _LOCK_NAME, "rwc", 1.0)  # those who look hold it for a moment
+        lock = _connected(folder / _LOCK_NAME, "rwc", 1.0)  # `is_held` holds it for a moment
         try:
             lock.execute("BEGIN EXCLUSIVE")
         except sqlite3.Error as error:
             lock.close()
             if getattr(error, "sqlite_errorname", "") != "SQLITE_BUSY":
                 raise
-            # Say who has the lock: they may be about to note it
+            # Name the process with the lock; wait a moment until it has noted itself
             end, holder = time.monotonic() + _NOTE_SECONDS, None
             while holder is None and time.monotonic() < end:
                 with contextlib.suppress(StoreError), Ledger.read(folder) as ledger:
@@ -1229,7 +1242,7 @@ def _connected(file: Path, mode: str, patience: float = _BUSY_SECONDS) -> sqlite
         isolation_level=None,
         check_same_thread=False,
     )
-    # A schema is data; pages stay in memory until the commit, so that readers are not kept out.
+    # Treat a schema as data. Keep pages in memory until the commit, so readers are not blocked.
     for pragma in ("trusted_schema = OFF", "cell_size_check = ON", "cache_spill = OFF"):
         connection.execute(f"PRAGMA {pragma}")
     return connection
@@ -1241,13 +1254,13 @@ def _writing(
     kind: type[StoreError] = StorageError,
     remedy: str = "",
 ) -> Iterator[None]:
-    """Make one sentence of what keeps a place from being written; `remedy` is that of a ledger."""
+    """Turn an error that prevents writing into one sentence; by default advise on a ledger."""
     try:
         yield
     except (OSError, sqlite3.Error, MemoryError) as error:
         reason = _not_damage(error) or str(error)
         if not remedy and place.exists():
-            remedy = "what was finished is kept, and --resume continues it"
+            remedy = "finished work is stored, and --resume continues"
         raise kind(
             f"{str(place)!r} cannot be written: {reason}; {remedy or _REMEDY_NEW}."
         ) from None
@@ -1259,7 +1272,7 @@ def _remove_partial(partial: Path) -> None:
 
 
 def _forgetting(path: str) -> tuple[_Step, ...]:
-    """What drops the failure and the recorded states of a cell."""
+    """Return statements that drop the failure and the task states of a cell."""
     tables = ("tasks WHERE path = ?", "texts WHERE kind = 'failure' AND name = ?")
     return tuple((f"DELETE FROM {each}", (path,)) for each in tables)
 
@@ -1273,5 +1286,5 @@ def _task_name(path: str, run: str, first: int, blocks: int) -> str:
 
 
 def _now() -> str:
-    """The time, UTC, ISO 8601; for people, nothing depends on it."""
+    """Return the current time, UTC, ISO 8601; it is only for display."""
     return dt.datetime.now(dt.UTC).isoformat(timespec="seconds")

@@ -1,14 +1,16 @@
-"""The noise of whole paths at one pixel: how fast it falls, what makes it, and what would lower it.
+"""Analyze the noise of whole paths at one pixel: its rate, its causes, and remedies.
 
 Method
 ------
-All changes are measured at the same counts on the same random numbers as the path as given, and compared at
-its largest count by `mcspectra.improve.remedy.ranked`. A path of another roulette costs as many more or
-fewer as it asks for numbers, that is by the turns of the integrator's loop, each a ray and at most one
-shadow ray. What is chosen by a pilot is compared with a path as given that has the pilot's paths, too.
+All changes are measured at the same counts and with the same random numbers as the given path.
+`mcspectra.improve.remedy.ranked` compares them at the largest count. The cost of a path with
+another Russian roulette is the number of random numbers it uses, relative to the given path. This
+number grows with the iterations of the integrator's loop, each with one ray and at most one shadow
+ray. A change that needs a pilot is compared with the given path at an equal total of paths,
+including the pilot's.
 
-Lights are chosen best, as far as each path takes one light, in proportion to the root of the second moment
-of what they give when they are chosen, √(p_j E f_j²).
+If each path samples one light, the best probabilities are proportional to √(p_j E f_j²), the root
+of the second moment of each light's contribution when it is chosen.
 """
 
 from __future__ import annotations
@@ -56,10 +58,10 @@ from mcspectra.studies.pixel import check_compared, find_pixel
 __all__ = ["PATH_SAMPLERS", "analyse_path", "path_remedies", "shares_by_light"]
 
 PATH_SAMPLERS = ("random", "latin-hypercube", "rank1-lattice | shift", "sobol | owen")
-"""Samplers that are compared unless others are given: those that any number of dims leaves any count."""
+"""Samplers compared by default: those that support any count in any number of dims."""
 
 _EFFORTS = {
-    # counts, realizations, those of the ANOVA, paths for the shares of lights, whether variances are predicted
+    # Counts, realizations, realizations of the ANOVA, paths for the shares of lights, predictions
     "quick": ((16, 64, 256, 1024), 200, 10_000, 2**14, False),
     "full": ((16, 64, 256, 1024, 4096), 1000, 100_000, 2**17, True),
 }
@@ -68,19 +70,19 @@ _AXES = {
     "decision": "kind of decision, at all bounces together,",
     "request": "decision",
     "coordinate": "coordinate",
-}  # as captions call them
+}  # Names of the axes in captions
 _MOST_GROUPS = 64
 _MOST_SAMPLES = 2**20
-_FEWEST = 100  # realizations that tell one change from another
-_LIGHTS = 1  # stream label
+_FEWEST = 100  # Smallest number of realizations that separates one change from another
+_LIGHTS = 1  # Label of the random stream
 _MOST_LIGHTS = 64
-_PILOT = 2**10  # paths that lights are chosen by
-_LEAST = 0.05  # of all selections, alike for all lights
-_COUNTS = 5  # the largest
-_DEPTHS = (1, 2, 3, 5)  # from which paths end by roulette; and never
-_ENDLESS = 2**16  # depth: without roulette these paths may not end
+_PILOT = 2**10  # Pilot paths for the selection of lights
+_LEAST = 0.05  # Fraction of the selection spread uniformly over all lights
+_COUNTS = 5  # Number of largest counts that are measured
+_DEPTHS = (1, 2, 3, 5)  # Depths at which roulette may start; "no roulette" is also tried
+_ENDLESS = 2**16  # Largest max_depth without roulette: longer paths might not end
 _PLUGINS = {
-    # what an integrator calls itself: its plugin
+    # Class name of an integrator: name of its plugin
     "PathIntegrator": "path",
     "VolumetricSimplePathIntegrator": "volpath",
     "VolumetricMisPathIntegrator": "volpathmis",
@@ -104,44 +106,47 @@ def analyse_path(
     rng: int = 0,
     workers: int | None = None,
 ) -> xr.DataTree:
-    """Measure and explain the noise of a pixel by an integrator, over all random numbers of a path.
+    """Measure and explain the noise of one pixel over all random numbers of a path.
 
     Parameters
     ----------
     scene, integrator, channel, dims
-        As of `PathPixel`; one channel at a time.
+        Same as in `PathPixel`; one channel at a time.
     x, y
-        The pixel; or the name of one as ``x`` (`named_pixels`), without ``y``.
+        Coordinates of the pixel; or only ``x``, the name of a pixel (see `named_pixels`).
     samplers
-        Samplers or their spec strings, all different. The last is that of ``remedies``.
+        Samplers or their spec strings, all different. ``remedies`` uses the last one.
     counts, realizations
-        Paths n of an estimate, ascending, at least two; estimates for each.
+        Paths n per estimate, at least two counts, ascending; number of estimates for each n.
     remedies
-        Whether to look for what would lower the noise.
+        Whether to search for remedies that lower the noise.
     effort
-        ``"quick"``, or ``"full"``: more of everything, and predictions, in some minutes.
+        ``"quick"``; or ``"full"``, which measures more, predicts variances and takes minutes.
     rng
         Seed (SPEC 7).
     workers
-        Threads; all processors by default. Results do not depend on it.
+        Number of threads; all processors by default. Results do not depend on it.
 
     Returns
     -------
     xarray.DataTree
-        ``convergence``: `mcspectra.convergence` on (sampler, n). ``anova/KIND``:
-        `mcspectra.anova_variances` of one random path, its axes grouped by KIND: ``bounce``, ``decision``,
-        ``request`` (both together) or ``coordinate`` (not grouped), each of 64 groups at most.
-        ``lights``: `shares_by_light`, of 2 to 64 lights. ``remedies``: `path_remedies`, beside
-        the last sampler at the largest n. ``predict``, with ``effort="full"``: `mcspectra.predict` on (sampler, n).
-        Attributes of the root: the pixel, the integrator, what the coordinates are, and in ``lights_note`` why
-        parts of lights are unknown.
+        ``convergence``: `mcspectra.convergence` on (sampler, n).
+        ``anova/KIND``: `mcspectra.anova_variances` of one random path with its axes grouped by
+        KIND: ``bounce``, ``decision``, ``request`` (both together) or ``coordinate`` (not grouped),
+        each of 64 groups at most.
+        ``lights``: `shares_by_light`, for 2 to 64 lights.
+        ``remedies``: `path_remedies` of the last sampler at the largest n.
+        ``predict``, with ``effort="full"``: `mcspectra.predict` on (sampler, n).
+        Attributes of the root: the pixel, the integrator, and names of the coordinates.
+        ``lights_note`` gives the reason if shares of lights are unknown.
 
     Raises
     ------
     McspectraError
-        As of `PathPixel`; or no such named pixel; or a sampler cannot do a count.
+        Same as in `PathPixel`; or if the named pixel does not exist, or a sampler does not support
+        a count.
     """
-    # Check the plan before any work
+    # Check all arguments before any work
     x, y = find_pixel(scene, x, y)
     if channel == "rgb":
         raise ParameterError(
@@ -157,13 +162,13 @@ def analyse_path(
     }
     number = as_integer("realizations", realizations or repeats, least=4)
 
-    # Rates, then the parts of the variance of one random path
+    # Measure the rates, then the variance components of one random path
     report("path: rates", 0.0)
     curves = convergence(f, sources, ns, realizations=number, **options)
     parts: dict[str, xr.Dataset] = {"convergence": curves}
     report("path: parts", 0.4)
     dimensions = f.dimensions
-    kinds = {  # the group of each coordinate
+    kinds = {  # Group of each coordinate
         "bounce": [f"bounce {d.bounce}" if d.bounce else "camera" for d in dimensions],
         "decision": [d.decision for d in dimensions],
         "request": [str(Dimension(d.bounce, d.decision)) for d in dimensions],
@@ -181,7 +186,7 @@ def analyse_path(
                 subset_label=("subset", said), axis_label=("axis", labels)
             ).assign_attrs(axes=_AXES[kind])
 
-    # Which lights make the noise, and what would lower it
+    # Find the lights that cause the noise, and the remedies
     report("path: lights", 0.7)
     stream, lights, note = Stream.from_rng(options["rng"]), None, ""
     try:
@@ -229,30 +234,31 @@ def analyse_path(
 
 
 def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | None:
-    """Which lights make the variance of one random path, and how often each had better be chosen.
+    """Estimate each light's share of the variance of one random path, and the best selection.
 
     Parameters
     ----------
     f
         The pixel.
     paths
-        Random paths for the shares, each followed once for each light. The selection is from the first
-        1024, its pilot; as many others as `paths` show what it is worth.
+        Number of random paths, each followed once per light. The first 1024 are the pilot that sets
+        the selection. As many other paths measure its gain.
     stream
         Random numbers.
 
     Returns
     -------
     xarray.Dataset or None
-        On the dim ``light``: ``light_share``, Cov(f_j, f)/Var(f) of what a light gives to a path, which sum
-        to 1; ``light_mean``; ``light_probability``, how often it is chosen, and ``light_selection``, how
-        often it had better be; with intervals ``_ci``. ``selection_ratio``: variance of other random paths
-        with that selection over that as given. None for one light, over 64, or a pixel without noise.
+        On the dim ``light``: ``light_share``, Cov(f_j, f)/Var(f) of a light's contribution f_j,
+        with sum 1; ``light_mean``; ``light_probability``, its current selection probability; and
+        ``light_selection``, its improved one; with intervals ``_ci``. ``selection_ratio``: variance
+        of other random paths with the improved selection over that with the current one. None for
+        one light, for more than 64, or for a pixel without noise.
 
     Raises
     ------
     ParameterError
-        A light cannot be dimmed.
+        If a light cannot be dimmed.
     """
     names = emitter_names(f.scene)
     if not 1 < len(names) <= _MOST_LIGHTS:
@@ -267,7 +273,7 @@ def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | No
     influence = (off * whole - shares[:, None] * whole**2) / variance
     half = CONFIDENCE_Z * influence.std(axis=1) / math.sqrt(paths)
 
-    # Choose by second moments, none too rarely; and see on other paths what that is worth
+    # Choose lights by second moments, with a smallest probability; measure the gain on new paths
     known = light_selection(f.scene) if f.selection is None else np.array(f.selection)
     pilot = min(paths, _PILOT)
     wanted = np.sqrt(known * (parts[:, :pilot] ** 2).mean(axis=1))
@@ -310,28 +316,32 @@ def path_remedies(
     axes: tuple[Array, int] | None = None,
     lights: xr.Dataset | None = None,
 ) -> xr.Dataset:
-    """Try changes to how the paths of a pixel are sampled, at equal cost, and rank them.
+    """Try changes to the sampling of a pixel's paths at equal cost, and rank them.
 
     Parameters
     ----------
     f, sampler
-        The path as given.
+        The given path and its sampler.
     counts, realizations
-        Paths of an estimate, ascending; the last is the budget, and five at most are measured. Estimates of each.
+        Paths per estimate, ascending, and number of estimates. The last count is the budget; at
+        most the five largest counts are measured.
     stream
-        Random numbers, the same for all, and those of `mcspectra.convergence` with its seed.
+        Random numbers shared by all changes; the same as in `mcspectra.convergence` with its seed.
     samplers, ends
-        Others to try; numbers of first coordinates to leave good points to.
+        Other samplers to try; and numbers of first coordinates that keep QMC points, while the
+        others get random numbers.
     axes
-        Coordinates in the order in which they deserve good points, and the paths that it took to find out.
+        Coordinates in decreasing order of importance, and the number of paths that found this
+        order.
     lights
-        `shares_by_light`, if it is known.
+        Result of `shares_by_light`, if known.
 
     Returns
     -------
     xarray.Dataset
-        As of `mcspectra.remedies`; ``kind`` is ``sampler``, ``padding``, ``order``, ``roulette``
-        or ``selection``. ``error`` is that at the budget, beside a pilot, ``error_ratio`` with it.
+        Same as in `mcspectra.remedies`; ``kind`` is ``sampler``, ``padding``, ``order``,
+        ``roulette`` or ``selection``. ``error`` is the error at the budget without the cost of a
+        pilot; ``error_ratio`` includes it.
     """
     ns, budget = list(counts)[-_COUNTS:], int(counts[-1])
     tried: list[Measured] = []
@@ -361,26 +371,29 @@ def path_remedies(
         cost, note = 1.0, ""
         if kind == "roulette" and isinstance(g, PathPixel):
             cost = g.numbers_per_path / f.numbers_per_path
-            note = f"Each of its paths costs {cost:.3g} of those as given."
+            note = f"Each of its paths costs {cost:.3g} times as much as a given path."
         mean = np.concatenate(estimates).mean(axis=0)
         errors = Errors.of(np.multiply(cost, ns).tolist(), estimates, mean)
         setup = Setup(Estimator(g), points)
         candidate = Candidate(kind, name, change, setup, pilot=pilot, effort=cost, note=note)
         tried.append(Measured.of(candidate, errors))
 
-    attempt("given", "as given", "leave everything as it is")
+    attempt("given", "as given", "change nothing")
 
-    # Samplers; random numbers for the last coordinates; the best coordinates for the largest shares
+    # Samplers; random numbers in the last coordinates; best coordinates for the largest shares
     for spec in dict.fromkeys(samplers):
         if spec != sampler.spec:
             attempt("sampler", spec, f"sample with {spec}", spec=spec)
     for k in ends:
-        change = f"give points of {sampler.spec} to the first {k} coordinates, and random numbers to the others"
+        change = (
+            f"use points of {sampler.spec} in the first {k} coordinates, and random numbers in "
+            "the others"
+        )
         attempt("padding", f"{k} good coordinates", change, partial(replace, f, dims=k))
     if axes is not None:
-        place = np.argsort(axes[0])  # of each coordinate among those of the points
+        place = np.argsort(axes[0])  # Coordinate of the points that each coordinate of f receives
         ordered = Integrand.from_function(lambda u: f(u[..., place]), dims=f.dims)
-        change = "give the first coordinates of the points to what makes most of the variance"
+        change = "assign the first coordinates of the points to the largest shares of the variance"
         attempt("order", "coordinates by share", change, lambda: ordered, pilot=axes[1])
 
     # Roulette, lights, and the integrator's own heuristic
@@ -392,16 +405,19 @@ def path_remedies(
     name = "lights by second moment"
     if lights is None:
         number = len(emitter_names(f.scene))
-        reason = f"2 to {_MOST_LIGHTS} lights can be chosen among, if it is known what each gives: the scene has {number}."
+        reason = (
+            f"the selection needs 2 to {_MOST_LIGHTS} lights whose contributions are known; the "
+            f"scene has {number}."
+        )
         not_tried.append(f"{name}: {reason}")
     else:
         chosen = partial(replace, f, selection=lights["light_selection"].values)
-        change = "choose lights by the roots of the second moments of what they give"
+        change = "choose lights by the roots of the second moments of their contributions"
         attempt("selection", name, change, chosen, pilot=int(lights.attrs["pilot"]))
-    reason = f"{find_integrator(f.scene, f.integrator).class_name()} has no property that sets one."
+    reason = f"{find_integrator(f.scene, f.integrator).class_name()} has no such property."
     not_tried.append(f"heuristic of MIS: {reason}")
 
-    # Say of pilots what their changes are without them, and when they pay
+    # Note the gain of each change without its pilot, and the break-even count
     given, z = tried[0].errors, simultaneous_z(2 * (len(tried) - 1))
     for k, candidate in enumerate(tried):
         if candidate.pilot:
@@ -411,20 +427,23 @@ def path_remedies(
                 math.exp(found.log_ratio),
                 f"{math.exp(low):.3g} to {math.exp(high):.3g}",
             )
-            note = f"Its pilot takes {candidate.pilot} paths; beside it, variance × {ratio:.3g} ({bounds})"
+            note = (
+                f"Its pilot takes {candidate.pilot} paths; without the pilot's cost, variance × "
+                f"{ratio:.3g} ({bounds})"
+            )
             if high < 0.0 and rate < 0.0:
-                # As given, n and the pilot's paths have the variance of this one's n: ((n + P)/n)^rate = ratio
+                # Break-even n: n + P given paths have this variance, ((n + P)/n)^rate = ratio
                 pays = candidate.pilot / math.expm1(found.log_ratio / rate)
-                note += f": it pays from about {float(f'{pays:.2g}'):.0f} paths on."
+                note += f": it pays above about {float(f'{pays:.2g}'):.0f} paths."
             else:
-                note += ": it does not pay, as far as the interval tells."
+                note += ": no gain within the interval, so it does not pay."
             tried[k] = replace(candidate, note=note)
     ranking = ranked(tried, not_tried, budget, Diagnosis([]))
     return ranking.assign_attrs(estimator=f.spec, sampler=sampler.spec, budget=budget)
 
 
 def _other_roulettes(f: PathPixel) -> Iterator[tuple[str, str, str]]:
-    """Names, changes and integrators that end paths by roulette from another depth on, or never."""
+    """Yield names, changes and integrators with roulette from other depths, or without roulette."""
     own = find_integrator(f.scene, f.integrator)
     known = {k: int(v) for k, v in re.findall(r"(max_depth|rr_depth) = (\d+)", str(own))}
     last, first = known.get("max_depth", 0), known.get("rr_depth", 0)
@@ -440,6 +459,6 @@ def _other_roulettes(f: PathPixel) -> Iterator[tuple[str, str, str]]:
     for depth in sorted({*_DEPTHS, last}):
         if depth <= min(last, _ENDLESS) and depth != min(first, last):
             name = f"roulette from depth {depth}" if depth < last else "no roulette"
-            change = f"end paths by roulette from depth {depth} on"
-            change = change if depth < last else "end no path by roulette"
+            change = f"start Russian roulette at depth {depth}"
+            change = change if depth < last else "disable Russian roulette"
             yield name, change, f"{plugin}({', '.join([*properties, f'rr_depth={depth}'])})"

@@ -1,9 +1,9 @@
-"""Everything about one pixel: what it sees, how fast each strategy converges there, and why.
+"""Analyze one pixel: its contents, the rate of each strategy, and the causes.
 
 Strategies are light sampling, BSDF sampling, and both combined by the balance and by the power
-heuristic, with n samples of each technique. Variances are measured and predicted,
-for all of them with several samplers.
-Terms, the bottleneck and remedies are those of one sampler, the first that is not ``random``.
+heuristic, with n samples of each technique. Variances of all strategies are measured and predicted
+with several samplers. Terms, the bottleneck and remedies use one sampler, the first that is not
+``random``.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ __all__ = [
     "EFFORTS",
     "PIXEL_SAMPLERS",
     "PIXEL_STRATEGIES",
-    "Effort",
+    "PixelEffort",
     "analyse_pixel",
     "check_compared",
     "find_pixel",
@@ -65,37 +65,37 @@ PIXEL_STRATEGIES = ("light", "bsdf", "balance", "power")
 """Light and BSDF sampling, and multiple importance sampling of both by two heuristics."""
 
 PIXEL_SAMPLERS = ("random", "jittered", "jittered | shift", "sobol | owen")
-"""Samplers that are compared unless others are given."""
+"""Samplers compared by default."""
 
 _HEURISTICS = ("balance", "power")
 _TECHNIQUES = ("light", "bsdf")
 _BASES = ("auto", "fourier")
 _QUICK_REMEDIES = ("unshifted", "mirrored", "sampler", "heuristic", "techniques")
-_ROUNDING = 1e-5  # of the largest |g|: a hundred roundings of float32
+_ROUNDING = 1e-5  # Largest rounding step relative to the largest |g|: 100 roundings of float32
 _MOST_SAMPLES = 2**22
-_LEAST_BUDGET = 8  # of two techniques
-_FEWEST = 100  # realizations that remedies take
+_LEAST_BUDGET = 8  # Smallest budget in evaluations of two techniques
+_FEWEST = 100  # Smallest number of realizations for remedies
 
 Parts: TypeAlias = "dict[str, xr.Dataset]"
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Effort:
-    """How much is measured.
+class PixelEffort:
+    """Amount of measurement.
 
     Attributes
     ----------
     counts
         Numbers of samples n of each technique, by dims.
     realizations
-        Estimates of each.
+        Number of estimates for each n.
     half_width
-        Of the spectra, by dims.
+        Half width of the spectra, by dims.
     resolution
-        Of pictures.
+        Resolution of pictures in pixels per side.
     remedies
-        Kinds of changes to try; None: all.
+        Kinds of remedies to try; None tries all.
     """
 
     counts: dict[int, tuple[int, ...]]
@@ -106,14 +106,14 @@ class Effort:
 
 
 EFFORTS = {
-    "quick": Effort(
+    "quick": PixelEffort(
         counts={2: (16, 64, 256, 1024), 3: (8, 64, 512)},
         realizations=200,
         half_width={2: 32, 3: 8},
         resolution=128,
         remedies=_QUICK_REMEDIES,
     ),
-    "full": Effort(
+    "full": PixelEffort(
         counts={2: (16, 64, 256, 1024, 4096), 3: (8, 64, 512, 4096)},
         realizations=1000,
         half_width={2: 64, 3: 12},
@@ -121,7 +121,7 @@ EFFORTS = {
         remedies=None,
     ),
 }
-"""About a minute, or some."""
+"""Efforts: "quick" takes about a minute, "full" several minutes."""
 
 
 def analyse_pixel(
@@ -146,46 +146,50 @@ def analyse_pixel(
     Parameters
     ----------
     scene, light
-        As of `Pixel`.
+        Same as in `Pixel`.
     x, y
-        The pixel; or the name of one as ``x`` (`named_pixels`), without ``y``.
+        Coordinates of the pixel; or only ``x``, the name of a pixel (see `named_pixels`).
     channel
         ``"luminance"``, 0, 1 or 2.
     dims
-        2, or 3 to leave the choice of a light or of a lobe of the BSDF to a third coordinate.
+        2; or 3 to let a third coordinate choose a light or a lobe of the BSDF.
     samplers
         Samplers or their spec strings, all different.
     counts, realizations, budget
-        Samples n of each technique, ascending, at least two; estimates for each; evaluations of
-        the integrand for which remedies are ranked, by default twice the largest n. Defaults are
-        those of `effort`.
+        Samples n of each technique, at least two, ascending; number of estimates for each n;
+        evaluations of the integrand at which remedies are ranked, by default twice the largest n.
+        The other defaults come from `effort`.
     remedies
-        Whether to look for what would lower the noise.
+        Whether to search for remedies that lower the noise.
     effort
         ``"quick"`` or ``"full"``: see `EFFORTS`.
     rng
-        Seed (SPEC 7), the same for every analysis: each gives what it gives alone.
+        Seed (SPEC 7) shared by all analyses; each returns the same result as when called alone.
     workers
-        Threads; all processors by default. Results do not depend on it.
+        Number of threads; all processors by default. Results do not depend on it.
 
     Returns
     -------
     xarray.DataTree
         ``convergence``: `mcspectra.convergence` on (strategy, sampler, n).
         ``predict/STRATEGY``: `mcspectra.predict` on (sampler, n), with its method.
-        ``terms/STRATEGY/VIEW``: `mcspectra.variance_terms` in primary space, where VIEW is ``auto`` (the
-        basis that fits the sampler) or ``fourier``. ``techniques``: `mcspectra.technique_terms` of the
-        balance heuristic. ``pictures/NAME``: `mcspectra.explain.primary_picture` of ``light``, ``bsdf`` and each
-        technique's share, as ``balance-light``, without the steps of float32 (2 dims only). ``incident``: `incident_light`.
-        ``remedies``: `mcspectra.remedies` of the balance heuristic. Attributes of the root: what the
-        pixel is and sees, the sampler of the terms, and ``diagnosis_STRATEGY``, sentences on that sampler.
+        ``terms/STRATEGY/VIEW``: `mcspectra.variance_terms` in primary space, where VIEW is ``auto``
+        (the basis that fits the sampler) or ``fourier``.
+        ``techniques``: `mcspectra.technique_terms` of the balance heuristic.
+        ``pictures/NAME``: `mcspectra.explain.primary_picture` of ``light``, ``bsdf`` and each
+        technique's share, such as ``balance-light``, without float32 rounding steps (2 dims only).
+        ``incident``: `incident_light`.
+        ``remedies``: `mcspectra.remedies` of the balance heuristic.
+        Attributes of the root describe the pixel and its contents, the sampler of the terms, and
+        the causes for that sampler as sentences in ``diagnosis_STRATEGY``.
 
     Raises
     ------
     McspectraError
-        As of `Pixel`; or no such named pixel; or a sampler cannot do a count.
+        Same as in `Pixel`; or if the named pixel does not exist, or a sampler does not support a
+        count.
     """
-    # Find the pixel, and check the plan before any work
+    # Find the pixel, and check all arguments before any work
     x, y = find_pixel(scene, x, y)
     request = as_scene(scene)
     as_integer("dims", dims, least=2, most=3)
@@ -208,7 +212,7 @@ def analyse_pixel(
     total = as_integer("budget", total, least=_LEAST_BUDGET, most=2**24)
     explained = next((s for s in sources if s.spec != "random"), sources[0])
 
-    # Make the strategies, each once, so that its quadratures are done once
+    # Make each strategy once, so that its quadratures are computed once
     given: dict[str, Any] = {"light": light, "channel": view.channel, "dims": dims}
     singles = {
         s: Pixel(scene=request, x=view.x, y=view.y, strategy=s, **given) for s in _TECHNIQUES
@@ -217,7 +221,7 @@ def analyse_pixel(
     strategies: dict[str, AbstractEstimator] = {s: Estimator(g) for s, g in singles.items()}
     strategies |= combined
 
-    # Measure; remedies, which take longest, beside all others
+    # Measure; search for remedies, the longest part, in a parallel thread
     with ThreadPoolExecutor(1) as beside:
         searched = (
             beside.submit(
@@ -242,7 +246,8 @@ def analyse_pixel(
             parts[f"predict/{strategy}"] = predict(estimator, sources, ns, **shared)
         report("pixel: terms", 0.4)
         terms = {"half_width": chosen.half_width[dims], "space": "primary", **options}
-        # The middle count: a spectrum of a given half width captures more of the noise of few strata
+        # The middle count: a spectrum of a given half width captures more of the noise of few
+        # strata
         middle = ns[(len(ns) - 1) // 2]
         for strategy, estimator in strategies.items():
             for basis in _BASES:
@@ -267,7 +272,7 @@ def analyse_pixel(
             parts["remedies"] = searched.result()
     report("pixel", 1.0)
 
-    # Say what was measured, and what costs each strategy its rate
+    # Describe the measurement, and diagnose each strategy
     tree: xr.DataTree = xr.DataTree.from_dict(dict(parts))
     with LOCK:
         lights = emitter_names(request)
@@ -295,9 +300,9 @@ def analyse_pixel(
 
 
 def find_pixel(scene: Scene, x: int | str, y: int | None) -> tuple[int, int]:
-    """Return the pixel (x, y), or that of this name; a ParameterError if there is none."""
+    """Return the pixel (x, y), or the named pixel; raise `ParameterError` for an unknown name."""
     if y is not None and not isinstance(x, str):
-        return x, y  # checked against the film by whatever uses it
+        return x, y  # The caller checks that the film contains the pixel
     if y is not None or not isinstance(x, str):
         raise ParameterError(
             f"The pixel is {shown(x)}, {shown(y)}; give x and y, or the name of a pixel."
@@ -315,13 +320,13 @@ def find_pixel(scene: Scene, x: int | str, y: int | None) -> tuple[int, int]:
 def check_compared(
     samplers: Sequence[Sampler | str], counts: Sequence[int], dims: int, *, most: int
 ) -> tuple[list[Sampler], list[int]]:
-    """Return samplers that are to be compared, and their counts, of at most `most` points.
+    """Check the samplers to compare and their counts, of at most `most` points each.
 
     Raises
     ------
     McspectraError
-        These are no lists, a sampler is listed twice, counts do not ascend or are fewer than two, or a
-        sampler cannot do one of them.
+        If an argument is not a list, a sampler is listed twice, counts do not ascend or are fewer
+        than two, or a sampler does not support a count.
     """
     if isinstance(samplers, str) or not samplers:
         raise ParameterError(f"samplers is {shown(samplers)}; give a list of samplers.")
@@ -333,13 +338,13 @@ def check_compared(
         source.check_count(n)
     if len(ns) < 2 or any(b <= a for a, b in itertools.pairwise(ns)):
         raise ParameterError(
-            Parameter("counts"), f" is {ns}; give at least two, ascending, for a rate."
+            Parameter("counts"), f" is {ns}; give at least two ascending counts for a rate."
         )
     return sources, ns
 
 
 def _without_rounding(picture: xr.Dataset) -> xr.Dataset:
-    """The picture without jumps that float32 makes: a step of its last digits is no jump of g."""
+    """Remove jumps of float32 rounding size from a picture: they are not discontinuities of g."""
     kept, floor = picture.copy(), _ROUNDING * float(np.abs(picture["primary_value"]).max())
     for name in ("primary_jump", "face_jump"):
         kept[name] = (

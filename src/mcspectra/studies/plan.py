@@ -1,7 +1,8 @@
-"""From a study to cells: every estimator with every sampler and analysis, vetted and built up front.
+"""Build the cells of a study: every estimator with every sampler and analysis, checked before the
+run.
 
-Specs are vetted once each, estimators and samplers are built once each; a cell only holds them together.
-Nothing that a cell is made of is checked again.
+Each spec is checked once, and each estimator and sampler is built once; a cell only refers to them.
+Later code does not check the contents of a cell again.
 """
 
 from __future__ import annotations
@@ -56,46 +57,55 @@ from mcspectra.studies.vetting import Inputs, Trust, Vetting
 if TYPE_CHECKING:
     import xarray as xr
 
-__all__ = ["MOST_EVALUATIONS", "MOST_SECONDS", "NOTED_SECONDS", "Cell", "Plan", "make_plan"]
+__all__ = [
+    "MOST_EVALUATIONS",
+    "MOST_SECONDS",
+    "NOTED_SECONDS",
+    "StudyCell",
+    "StudyPlan",
+    "make_plan",
+]
 
 MOST_EVALUATIONS = 10**15
-"""Most evaluations of a study that is not forced: half a year of a hundred cores."""
+"""Maximum number of evaluations of a study without --force: half a year on a hundred cores."""
 
-# Seconds of planning: of a spec, of an estimator with densities and of each of these (1-D warps are
-# searched for gaps), of a sampler of an estimator, of a cell, of a count (or another item of a list) of
-# its analysis.
+# Planning time in seconds: per spec, per estimator with densities, per density in several dims or
+# in one (1-D warps are searched for gaps), per pair of estimator and sampler, per cell, and per
+# count or other list item of an analysis.
 _SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 5e-4, 2e-3
 _PAIR, _CELL, _COUNT = 3e-6, 2.5e-5, 3e-6
 NOTED_SECONDS = 5.0
-"""Seconds of planning that are announced: who waits longer without a word looks for a fault."""
+"""Planning time in seconds above which it is announced, so that a silent wait alarms nobody."""
 
 MOST_SECONDS = 120.0
-"""Most seconds of planning of a study that is not forced: five million analyses, whose cells take 3 GB.
-Grids of a few lines reach that by mistake sooner than by intention."""
+"""Maximum planning time in seconds without --force: five million analyses, whose cells take 3 GB.
+
+A grid of a few lines exceeds this more often by mistake than by intention.
+"""
 
 
 @final
 @dataclass(frozen=True, slots=True)
-class Cell:
+class StudyCell:
     """One analysis of one estimator with one sampler, or of a scene with one sampler.
 
     Attributes
     ----------
     path
-        Its address in the results: estimator/sampler/analysis.
+        Path of the cell in the results: estimator/sampler/analysis.
     analysis
-        With its options, clean.
+        Checked analysis with its options.
     estimator_name, sampler_spec
-        As the study writes them.
+        Name of the estimator and spec of the sampler, as the study writes them.
     subject
-        Without an estimator where there is a scene instead, or an `error`.
+        The estimator and sampler; without an estimator for a scene or after an `error`.
     need
-        Cost, for scheduling and progress, and memory.
+        Cost for scheduling and progress, and memory.
     error
-        Why it fails before it has begun, as when its integrand raises at the first points; None if
-        it can be tried.
+        Reason why the cell fails before it begins, for example because its integrand raises at the
+        first points; None if it can be tried.
     inputs
-        Names of the files that it depends on: keys of the plan's.
+        Names of the files that the cell depends on: keys of the plan's `inputs`.
     """
 
     path: str
@@ -109,13 +119,13 @@ class Cell:
 
     @property
     def analysis_name(self) -> str:
-        """Name of the analysis: of its table in the study, and of the last part of the path."""
+        """Name of the analysis: its table in the study, and the last part of the path."""
         return self.path.rpartition("/")[2]
 
     def compute(self, seed: int) -> xr.Dataset:
-        """Compute the cell in this thread: the same bits wherever and whenever it runs.
+        """Compute the cell in this thread; the result has the same bits on every run.
 
-        The plan has checked, and warned of, what `mcspectra.core.analysis.compute` would again.
+        Planning has already made the checks of `mcspectra.core.analysis.compute`.
         """
         steps = steps_of(self.analysis, self.subject, Stream.from_rng(seed))
         result = driven(
@@ -124,7 +134,7 @@ class Cell:
         return self.finished(result, seed)
 
     def finished(self, result: xr.Dataset, seed: int) -> xr.Dataset:
-        """What is kept of a result of the analysis: checked, with the seed and what cell it is of."""
+        """Check a result of the analysis, and add the seed and the names of the cell."""
         return finished(self.analysis, result, seed).assign_attrs(
             estimator_name=self.estimator_name,
             sampler_spec=self.sampler_spec,
@@ -134,47 +144,47 @@ class Cell:
 
 @final
 @dataclass(frozen=True)
-class Plan:
+class StudyPlan:
     """All cells of a study, in the order of the file.
 
     Attributes
     ----------
     inputs
-        SHA-256 of the files that they depend on, by names for people: the path from the study's
-        folder, if it is below that.
+        SHA-256 of the files that the cells depend on, by name. The name is the path relative to the
+        study's folder for files below it.
     """
 
     config: StudyConfig
-    cells: tuple[Cell, ...]
+    cells: tuple[StudyCell, ...]
     inputs: Mapping[str, str] = field(default_factory=dict)
 
 
 def make_plan(
     config: StudyConfig, folder: str | Path, trust: Trust | None = None, *, force: bool = False
-) -> Plan:
-    """Build every component and check every count and size before anything runs.
+) -> StudyPlan:
+    """Build every component, and check every count and size before anything runs.
 
     Parameters
     ----------
     config
         The study.
     folder
-        Folder of the study file: relative paths in spec strings start there.
+        Folder of the study file, where relative paths in specs start.
     trust
-        What the study may reach beyond `folder`; nothing by default.
+        Files and functions that the study may use beyond `folder`; none by default.
     force
-        Allow more than `MOST_EVALUATIONS` evaluations, and planning that takes more than `MOST_SECONDS`.
+        Allow more than `MOST_EVALUATIONS` evaluations and more than `MOST_SECONDS` of planning.
 
     Raises
     ------
     ConfigError
-        A component cannot be built, a sampler cannot do a count, a file or a function is not one
-        that the study may reach, or the study is too large; names the estimator.
+        If a component cannot be built, a sampler does not support a count, a file or function is
+        not allowed, or the study is too large. The message names the estimator.
 
     Warns
     -----
     LargeStudyWarning
-        Planning takes longer than five seconds.
+        If planning takes longer than five seconds.
     """
     as_study(config)
     if not (trust is None or isinstance(trust, Trust)):
@@ -182,7 +192,7 @@ def make_plan(
     if not is_path(folder):
         raise ConfigError(f"folder is {folder!r}; give the path of the study's folder.")
 
-    # Say, or refuse, what would take long to plan alone, before anything is built
+    # Announce or refuse long planning before anything is built
     texts = {*config.samplers}
     pairs, seconds = 0, 0.0
     shared = {name: _seconds(each) for name, each in config.analyses.items()}
@@ -200,43 +210,43 @@ def make_plan(
     seconds += _SPEC * len(texts)
     if seconds > NOTED_SECONDS:
         what = (
-            f"The study has {len(config.entries):,} estimators and {pairs:,} pairs of estimator and "
-            f"sampler, which take about {seconds:.2g} s to plan"
+            f"The study has {len(config.entries):,} estimators and {pairs:,} pairs of estimator "
+            f"and sampler, which take about {seconds:.2g} s to plan"
         )
         if seconds > MOST_SECONDS and not force:
-            raise ConfigError(f"{what}; take several studies, or give --force.")
+            raise ConfigError(f"{what}; split it into several studies, or give --force.")
         warn(f"{what}, before the first analysis begins.", LargeStudyWarning)
     planner = _Planner(config, Vetting(Path(folder), trust or Trust()))
     cells = tuple(cell for entry in config.entries for cell in planner.cells(entry))
     if not cells:
         raise ConfigError(
-            f"The study asks for no analysis; give a table, one of {', '.join(analysis_tables())}."
+            f"The study has no analysis; add a table, one of {', '.join(analysis_tables())}."
         )
     total = sum(cell.need.cost for cell in cells)
     if total > MOST_EVALUATIONS and not force:
         raise ConfigError(
-            f"The study would take about {total:.2g} evaluations, months of a hundred processors; ask "
-            "for fewer points or realizations, or give --force."
+            f"The study needs about {total:.2g} evaluations, months on a hundred processors; use "
+            "fewer points or realizations, or give --force."
         )
-    return Plan(config, cells, planner.vetting.inputs)
+    return StudyPlan(config, cells, planner.vetting.inputs)
 
 
 def _seconds(analysis: Analysis) -> float:
-    """Seconds that it takes to ask an analysis what it needs."""
+    """Return the seconds needed to estimate the cost and memory of an analysis."""
     given = (getattr(analysis, key) for key in analysis.__struct_fields__)
     return _CELL + _COUNT * sum(len(value) for value in given if isinstance(value, tuple))
 
 
 _Samplers: TypeAlias = list[tuple[str, str, Sampler, Inputs]]
-"""Text, last part of the group's path, and sampler of each, with the files that it depends on."""
+"""Spec, last part of the group's path, and sampler of each, with the files it depends on."""
 
 _Asked: TypeAlias = tuple[str, Analysis, Inputs]
-"""Name of an analysis that is asked for, and the same."""
+"""Name of a requested analysis, the analysis, and the files it depends on."""
 
 
 @final
 class _Planner:
-    """Makes the cells of one study; what several cells share is made once."""
+    """Makes the cells of one study; objects that several cells share are made once."""
 
     def __init__(self, config: StudyConfig, vetting: Vetting) -> None:
         self.vetting = vetting
@@ -247,8 +257,8 @@ class _Planner:
         self._vetted: dict[int, list[_Asked]] = {}
         self._needs: dict[Need, Need] = {}
 
-    def cells(self, entry: EstimatorConfig | SceneConfig) -> Iterator[Cell]:
-        """Cells of an estimator, or of a scene, with all its samplers."""
+    def cells(self, entry: EstimatorConfig | SceneConfig) -> Iterator[StudyCell]:
+        """Yield the cells of an estimator or a scene with all its samplers."""
         kind = "Estimator" if isinstance(entry, EstimatorConfig) else entry.kind.capitalize()
         whose = f"{kind} {entry.name!r}"
         estimator, error, inputs = None, None, set[str]()
@@ -273,14 +283,14 @@ class _Planner:
             subject = Subject(estimator, sampler)
             for name, analysis, of_analysis in asked:
                 need = Need(cost=0.0)
-                if error is None:  # refuse what it cannot do, or this machine has no memory for
+                if error is None:  # Refuse an impossible analysis, or too much memory
                     try:
                         asked_for = needed(analysis, subject)
                         need = self._needs.setdefault(asked_for, asked_for)
                     except McspectraError as refusal:
                         raise ConfigError(f"{whose}, {name}: {refusal}") from refusal
                     check_memory(need.memory, f"{whose}, {name}")
-                yield Cell(
+                yield StudyCell(
                     path=f"{parent}/{slug}/{name}",
                     analysis=analysis,
                     estimator_name=entry.name,
@@ -292,16 +302,16 @@ class _Planner:
                 )
 
     def _asked(self, entry: EstimatorConfig | SceneConfig) -> Iterator[_Asked]:
-        """Analyses of an entry: the study's, or its own, and companions without a table."""
+        """Yield the analyses of an entry: its own, the study's, and untabled companions."""
         if isinstance(entry, SceneConfig):
             tables = {entry.kind: entry.analysis}
         else:
             tables = {**self._config.analyses, **entry.analyses}
         for name, table in tables.items():
-            if id(table) not in self._vetted:  # tables live as long as the study
+            if id(table) not in self._vetted:  # Tables live as long as the study, so ids are unique
                 analysis, inputs = self.vetting.options(table)
                 vetted = [(name, analysis, inputs)]
-                for other in analysis.companions:  # with those options that they have
+                for other in analysis.companions:  # They get the options in common
                     kind = ANALYSES.load(other)
                     shared = {*kind.__struct_fields__} & {*analysis.__struct_fields__}
                     made = kind(**{key: getattr(analysis, key) for key in shared})
@@ -314,7 +324,7 @@ class _Planner:
     def _samplers(
         self, entry: EstimatorConfig | SceneConfig, dims: int | None, whose: str
     ) -> _Samplers:
-        """Samplers of an entry; those that entries share are the same objects."""
+        """Return the samplers of an entry; entries share sampler objects."""
         texts = self._config.samplers_of(entry)
         key = texts, dims
         if key not in self._lists:
@@ -332,7 +342,8 @@ class _Planner:
                 first = specs.setdefault(sampler.spec, text)
                 if first != text:
                     raise ConfigError(
-                        f"{shown(first)} and {shown(text)} are the same sampler; list one."
+                        f"{shown(first)} and {shown(text)} are the same sampler; list only one of "
+                        "them."
                     )
                 found.append((text, slugs(text), sampler, inputs))
             self._lists[key] = found
@@ -342,14 +353,14 @@ class _Planner:
 def _built(
     entry: EstimatorConfig, vetting: Vetting, limit: float | None, inputs: set[str]
 ) -> AbstractEstimator:
-    """Make the estimator that a table ``[[estimators]]`` describes; add the files that it takes.
+    """Make the estimator of a table ``[[estimators]]``; add the files it reads to `inputs`.
 
     Raises
     ------
     FunctionFailed
-        A Python function fails at its first points.
+        If a Python function fails at its first points.
     McspectraError
-        A spec cannot be read or a component cannot be made of it.
+        If a spec cannot be read, or a component cannot be built from it.
     """
 
     def component(registry: Registry, text: str, dims: int | None) -> Any:
@@ -379,7 +390,7 @@ def _built(
         densities = [component(DENSITIES, text, f.dims) for text in entry.densities or ()]
         if entry.densities is None:
             made = Estimator(f, one)
-        elif entry.channels in ("own", "shared"):  # a density for each channel
+        elif entry.channels in ("own", "shared"):  # One density per channel
             own = "shared" if entry.channels == "shared" else "independent"
             made = ChannelSampling(f, densities, sets=own)
         elif entry.one_sample:

@@ -1,10 +1,10 @@
-"""Results of studies for reading: opened, counted, and written for other programs.
+"""Open, count and export the results of studies.
 
-A study's folder is read from its ledger. ``results.zarr``, which a run writes at its end, and exported
-stores are for other programs. The attribute ``tree_sha256`` of a store's root is the SHA-256 of all its
-files, which is checked here before any file is used. A store from a stranger is
-data: each array must be one chunk of uncompressed numbers, so that an array takes as much memory as its
-file, and numpy reads it without zarr's codecs.
+A study's folder is read from its ledger. ``results.zarr``, which a run writes at its end, and
+exported stores are meant for other programs. The attribute ``tree_sha256`` of a store's root is the
+SHA-256 of all its files; it is checked before any file is used. A store may come from a stranger,
+so it is treated as data: each array must be one chunk of uncompressed numbers. An array then needs
+as much memory as its file, and numpy reads it without zarr's codecs.
 """
 
 from __future__ import annotations
@@ -75,20 +75,21 @@ __all__ = [
 ]
 
 FORMATS = (".csv", ".zarr")
-"""Extensions of the files that results are exported to."""
+"""Extensions of the files that results can be exported to."""
 
 MOST_STORED = 2000
-"""Most cells for which a run writes a store and a report at its end: 28 files and 8 ms for each."""
+"""Maximum number of cells with a store and a report: each cell takes 28 files and 8 ms."""
 
 _FIRST = ("estimator", "sampler", "analysis", "n")
 _LAST = ("variable", "value", "low", "high", "se", "unit")
 _DIGEST = "tree_sha256"
 _DOCUMENT = "zarr.json"
-_MOST_DOCUMENTS = 100_000  # Documents in the root, which readers load as a whole
+# Maximum number of documents copied into the root, which readers load as a whole
+_MOST_DOCUMENTS = 100_000
 
 
 class AnalysisCount(msgspec.Struct, frozen=True):
-    """Numbers of cells of one analysis."""
+    """Number of cells of one analysis, by state."""
 
     done: int = 0
     failed: int = 0
@@ -102,26 +103,28 @@ class StudyStatus(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     title, study_hash, seed, versions
-        Of the study, and of what computed it.
+        Title, hash and seed of the study, and versions of the packages that computed it.
     format
-        Of the ledger.
+        Format of the ledger.
     state
-        ``running`` while a process writes into it, ``finished`` when all cells are there,
-        ``unfinished`` otherwise.
+        ``running`` while a process writes into the folder, ``finished`` if all cells are computed,
+        and ``unfinished`` otherwise.
     holder
-        Who writes into it, or did when it ended without a word.
+        Process that writes into the folder, or that ended without a note.
     hosts, started, finished
-        Where it was computed, when it was begun, and when all cells were there: UTC, ISO 8601.
+        Hosts that computed the study, and times when it began and when all cells were finished:
+        UTC, ISO 8601.
     done, missing
-        Paths of cells.
+        Paths of finished and of missing cells.
     failed, damaged
-        Sentences by the paths of cells; damage of tasks and other parts too, whose names have blanks.
+        Error or damage sentences by path of a cell. Damage of tasks and other parts is included;
+        their names contain blanks.
     recorded
-        Number of states of tasks that wait for their cells.
+        Number of task states of unfinished cells.
     results_bytes, ledger_bytes
-        Sizes: of the results, and of the file.
+        Size of the results, and of the file.
     verified
-        Whether all of the ledger, and ``results.zarr``, were checked against their digests.
+        Whether the ledger and ``results.zarr`` were checked completely against their digests.
     """
 
     title: str
@@ -145,7 +148,7 @@ class StudyStatus(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def analyses(self) -> dict[str, AnalysisCount]:
-        """Numbers of cells by the analysis: the last part of a cell's path."""
+        """Numbers of cells by analysis: the last part of a cell's path."""
         counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
         for kind in ("done", "failed", "missing", "damaged"):
             for path in getattr(self, kind):
@@ -160,19 +163,20 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
     Parameters
     ----------
     source
-        Output folder of a study, whose ledger is read, running or not; or a ``.zarr`` folder.
+        Output folder of a study, whose ledger is read even during a run; or a ``.zarr`` folder.
     select
-        Path of a cell, or a pattern such as ``"estimator/*"``; all cells by default. Those alone are
-        read from a ledger; of stores, which are checked as a whole, all is. With the path of a cell of
-        a ledger the root has no attribute ``study``, whose text takes longer to read than the cell.
+        Path of a cell, or a pattern such as ``"estimator/*"``; all cells by default. Only these
+        cells are read from a ledger; a store is always read and checked completely. If a single
+        cell of a ledger is selected, the root has no attribute ``study``, which takes longer to
+        read than the cell.
 
     Raises
     ------
     ParameterError
-        The source is no path, or `select` no text.
+        If `source` is not a path, or `select` is not a text.
     StoreError
-        There are no results, they are damaged, changed or of a format that this version does not read,
-        no cell matches, or they hold what results never hold.
+        If there are no results, no cell matches, or the results are damaged, changed, in another
+        format, or contain unexpected arrays.
     """
     import xarray as xr
 
@@ -183,7 +187,7 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
 def _opened(
     source: str | Path, select: str | None, *, whole: bool = True
 ) -> tuple[dict[str, Any], dict[str, xr.Dataset]]:
-    """Attributes of the root, and cells; without `whole` a path gives no attribute ``study``."""
+    """Return root attributes and cells; a single path omits ``study`` unless `whole`."""
     register_accessor()
     ledger = _ledger(source, select)
     if ledger is None:
@@ -199,24 +203,25 @@ def _opened(
                 stranger = _unplanned(root["study"], paths)
                 if stranger is not None:
                     raise StoreError(
-                        f"The ledger in {str(ledger.folder)!r} has the cell {shown(stranger)}, which its "
-                        "study does not have: it is not as a run wrote it; give another folder."
+                        f"The ledger in {str(ledger.folder)!r} has the cell {shown(stranger)}, "
+                        "which its study does not have, so no run wrote it; give another folder."
                     )
             cells = {path: _read_cell(ledger, path) for path in paths}
     if select is not None and not cells:
         raise StoreError(
-            f"No cell of {str(source)!r} matches {shown(select)}; paths are a/b/analysis."
+            f"No cell of {str(source)!r} matches {shown(select)}; paths have the form "
+            "estimator/sampler/analysis."
         )
     return root, cells
 
 
 def result_paths(source: str | Path) -> tuple[str, ...]:
-    """Paths of all cells that are there, of a study's folder in their order.
+    """Return the paths of all finished cells, in the order of the study.
 
     Raises
     ------
     StoreError
-        There are no results, or they cannot be read.
+        If there are no results, or they cannot be read.
     """
     ledger = _ledger(source)
     if ledger is None:
@@ -226,19 +231,19 @@ def result_paths(source: str | Path) -> tuple[str, ...]:
 
 
 def result_scalars(source: str | Path, select: str | None = None) -> dict[str, dict[str, float]]:
-    """Numbers of results that stand alone, such as rates: variables without dims, by cells' paths.
+    """Return scalars of results, such as rates, by path: variables without dims.
 
-    One query of a study's folder, which reads none of the results themselves.
+    For a study's folder this is one query, which reads no results.
 
     Parameters
     ----------
     source, select
-        As of `open_results`.
+        Same as in `open_results`.
 
     Raises
     ------
     ParameterError, StoreError
-        As of `open_results`, but for cells that are not there.
+        Same as in `open_results`, except that no cell has to match.
     """
     ledger = _ledger(source, select)
     if ledger is None:
@@ -250,19 +255,19 @@ def result_scalars(source: str | Path, select: str | None = None) -> dict[str, d
 
 
 def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
-    """Look at a study's folder, which may be in use; nothing in it is changed.
+    """Return the state of a study's folder, which may be in use, without changing it.
 
     Parameters
     ----------
     verify
-        Check all of the ledger, and ``results.zarr``, against their digests. The lock is always
+        Check the ledger and ``results.zarr`` completely against their digests. The lock is always
         checked.
 
     Raises
     ------
     StoreError
-        There are no results, they are of a format that this version does not read, or so damaged that
-        they do not say of which study they are.
+        If there are no results, they have another format, or they are too damaged to identify their
+        study.
     """
     root = as_path("folder", folder)
     if root.is_file():
@@ -276,9 +281,9 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
             f"{str(folder)!r} is an exported store; only a study's folder has a status."
         )
     with ledger:
-        if verify:  # as --resume does
+        if verify:  # Same checks as --resume
             study: Any = {}
-            with contextlib.suppress(StoreError, ValueError, RecursionError):  # named below
+            with contextlib.suppress(StoreError, ValueError, RecursionError):  # Reported below
                 study = json.loads(ledger.config)
             parts = _planned(study).items()
             paths = [f"{e}/{s}/{a}" for e, (own, asked) in parts for s in own for a in asked]
@@ -328,24 +333,24 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
 
 
 def write_zarr(folder: Path) -> Path | None:
-    """Write ``results.zarr`` of a study's folder from its ledger, and replace an earlier one.
+    """Write ``results.zarr`` in a study's folder from its ledger, and replace an earlier one.
 
     Returns
     -------
     Path or None
-        The store; None for a study of more than 2,000 cells, which would take minutes:
+        The store; None for a study of more than 2,000 cells, which would take minutes.
         `export_results` writes all or a part of it on request.
 
     Raises
     ------
     StorageError
-        It cannot be written; the ledger has all of it.
+        If it cannot be written; the ledger still has all results.
     """
     target = folder / STORE_NAME
     with Ledger.read(folder) as ledger:
         if len(ledger.done) > MOST_STORED:
             with contextlib.suppress(FileNotFoundError):
-                shutil.rmtree(target)  # of fewer cells
+                shutil.rmtree(target)  # An old store with fewer cells
             return None
         cells = ((path, _read_cell(ledger, path)) for path in _selected(ledger, None))
         attributes = _root_attributes(ledger)
@@ -353,35 +358,35 @@ def write_zarr(folder: Path) -> Path | None:
 
 
 def export_results(source: str | Path, file: str | Path, select: str | None = None) -> Path:
-    """Write results to a file whose extension chooses the format.
+    """Write results to a file; its extension sets the format.
 
-    ``.csv`` is one table of all scalars: numbers without dims, along the counts n, and along dims whose
-    labels are names, such as channels. Each row has the columns estimator, sampler, analysis, n, such
-    names, variable, value, low, high, se and unit. Low and high are the ends of the 95 % interval, se is
-    the standard error. A ``.zarr`` store has all results with their attributes.
+    A ``.csv`` file is one table of all scalars: numbers without dims, along the counts n, and along
+    dims with named labels, such as channels. The columns are estimator, sampler, analysis, n, the
+    named dims, variable, value, low, high, se and unit. Low and high are the ends of the 95 %
+    interval, and se is the standard error. A ``.zarr`` store has all results with their attributes.
 
     Parameters
     ----------
     source
-        What `open_results` takes.
+        Same as in `open_results`.
     file
-        A ``.csv`` that exists is replaced at once; a ``.zarr`` must not exist.
+        Path of the file. An existing ``.csv`` is replaced at once; a ``.zarr`` must not exist.
     select
-        Path of a cell, or a pattern; all by default.
+        Path of a cell, or a pattern; all cells by default.
 
     Returns
     -------
     Path
-        The file.
+        Path of the written file.
 
     Raises
     ------
     ParameterError
-        The name has another extension, its folder does not exist, or a ``.zarr`` exists.
+        If the name has another extension, its folder does not exist, or a ``.zarr`` exists.
     StoreError
-        The results cannot be read, are damaged, or have no scalars for ``.csv``.
+        If the results cannot be read, are damaged, or have no scalars for ``.csv``.
     StorageError
-        The file cannot be written.
+        If the file cannot be written.
     """
     target = check_export(file)
     attributes, cells = _opened(source, select)
@@ -391,51 +396,51 @@ def export_results(source: str | Path, file: str | Path, select: str | None = No
     if not rows:
         raise StoreError(
             f"The results of {str(source)!r} have no scalars for a table; export to a .zarr store, "
-            "which holds arrays too."
+            "which also holds arrays."
         )
     return _replaced(target, lambda part: _write_csv(rows, part))
 
 
 def check_export(file: str | Path) -> Path:
-    """Return a file that `export_results` can write, before anything is read.
+    """Check that `export_results` can write a file, before anything is read, and return its path.
 
     Raises
     ------
     ParameterError
-        The name has another extension, its folder does not exist, or a ``.zarr`` exists.
+        If the name has another extension, its folder does not exist, or a ``.zarr`` exists.
     """
     target = as_path("file", file)
     if target.suffix.lower() not in FORMATS:
         raise ParameterError(
-            f"{str(file)!r} has none of the extensions {' and '.join(FORMATS)}, which choose the format: "
-            "give .csv for a table of all scalars, .zarr for all results."
+            f"{str(file)!r} has none of the extensions {' and '.join(FORMATS)}, which set the "
+            "format: give .csv for a table of all scalars, .zarr for all results."
         )
     if not target.parent.is_dir():
         raise ParameterError(
-            f"{str(target)!r} cannot be written: there is no such folder; make it."
+            f"{str(target)!r} cannot be written: its folder does not exist; create it first."
         )
     if target.suffix.lower() == ".zarr" and target.exists():
-        raise ParameterError(f"{str(target)!r} exists already; give another name.")
+        raise ParameterError(f"{str(target)!r} already exists; give another name.")
     return target
 
 
 def output_folder(out: str | Path) -> Path:
-    """Check where a study is to run: its ledger needs a folder of a file system.
+    """Check the output folder of a study: its ledger needs a local file system.
 
     Raises
     ------
     ParameterError
-        It is no path, a URL, a file, or named as a file that `export_results` makes.
+        If `out` is not a path, or is a URL, a file, or a name with an export extension.
     """
     folder = as_path("out", out)
     if "://" in str(out):
         raise ParameterError(
-            f"The output folder {str(out)!r} is a URL; a study runs in a folder of this machine: give "
-            "another --out."
+            f"The output folder {str(out)!r} is a URL; a study runs in a folder of this machine: "
+            "give another --out."
         )
     if folder.suffix.lower() in FORMATS:
         raise ParameterError(
-            f"The output folder {str(out)!r} is named as an exported file: give --out DIR, then "
+            f"The output folder {str(out)!r} is named like an exported file: give --out DIR, then "
             f"`mcspectra export DIR -o {folder.name}`."
         )
     if folder.exists() and not folder.is_dir():
@@ -446,7 +451,7 @@ def output_folder(out: str | Path) -> Path:
 def _ledger(
     source: str | Path, select: str | None = None, *, salvage: bool = False
 ) -> Ledger | None:
-    """The ledger of a source, if that is a study's folder, after a check of what is asked for."""
+    """Open the ledger of a study's folder, or return None for a store; check `select` first."""
     root = as_path("source", source)
     given: Any = select
     if given is not None and not (isinstance(given, str) and given):
@@ -459,31 +464,31 @@ def _ledger(
 
 
 def _is_path(select: str | None) -> bool:
-    """Whether cells are selected by a path, of one, and not by a pattern."""
+    """Whether `select` is the path of one cell, not a pattern."""
     return select is not None and not any(sign in select for sign in "*?[")
 
 
 def _selected(ledger: Ledger, select: str | None) -> Iterable[str]:
-    """Paths of finished cells that match; a list that damage has changed is refused."""
+    """Return the paths of matching finished cells; refuse a damaged list of cells."""
     if select is not None and _is_path(select):
         return [select]
     done = ledger.done
     if ledger.damaged:
         name, reason = next(iter(ledger.damaged.items()))
         raise StoreError(
-            f"The ledger in {str(ledger.folder)!r} is damaged, {name}: {reason}; `mcspectra run` with "
-            "--resume keeps what is sound and computes the rest again."
+            f"The ledger in {str(ledger.folder)!r} is damaged, {name}: {reason}; `mcspectra run` "
+            "with --resume keeps the sound parts and computes the rest again."
         )
     if select is None and ledger.tally.size > available_memory():
         raise StoreError(
-            f"The results in {str(ledger.folder)!r} are {shown_bytes(ledger.tally.size)}, more than "
-            "the memory of this machine: select a part."
+            f"The results in {str(ledger.folder)!r} are {shown_bytes(ledger.tally.size)}, more "
+            "than the memory of this machine: select a part."
         )
     return done if select is None else fnmatch.filter(done, select)
 
 
 def _planned(study: Any) -> dict[str, tuple[Names, Names]]:
-    """Parts of the paths of a study's cells; empty if a text is not a study."""
+    """Return the parts of the paths of a study's cells; empty if `study` is not a study."""
     try:
         return planned_groups(study)
     except (AttributeError, LookupError, TypeError, ValueError, McspectraError):
@@ -491,7 +496,7 @@ def _planned(study: Any) -> dict[str, tuple[Names, Names]]:
 
 
 def _unplanned(study: Any, paths: Iterable[str]) -> str | None:
-    """The first path that is not a cell of a study; None if all are cells."""
+    """Return the first path that is not a cell of the study; None if all are."""
     groups = _planned(study)
     for path in paths:
         first, _, rest = path.partition("/")
@@ -504,9 +509,9 @@ def _unplanned(study: Any, paths: Iterable[str]) -> str | None:
 
 @contextlib.contextmanager
 def showing(source: str | Path) -> Iterator[None]:
-    """Make one sentence of whatever is raised as results are shown that a stranger may have made.
+    """Turn any exception while showing untrusted results into one sentence.
 
-    Digests and variables are checked before; that numbers and attributes belong together is not.
+    Digests and variables have been checked before; consistency of numbers and attributes has not.
     """
     try:
         yield
@@ -515,16 +520,16 @@ def showing(source: str | Path) -> Iterator[None]:
     except Exception as error:
         raise StoreError(
             f"The results in {str(source)!r} cannot be shown ({type(error).__name__}: "
-            f"{reason_of(error, 200)}): they are not as this version computes them; run the study again "
-            "with another --out."
+            f"{reason_of(error, 200)}): they do not have the form of this version; run the study "
+            "again with another --out."
         ) from error
 
 
 def _read_cell(ledger: Ledger, path: str) -> xr.Dataset:
-    """A cell as it is in a store too: texts as attributes, for which Zarr v3 has no stable type.
+    """Read a cell in the form of a store: texts become attributes, as Zarr v3 has no type for them.
 
-    Labels of a coordinate become ``labels_<name>``; those of ``bound``, in all cells the same, are the
-    root's.
+    Labels of a coordinate become ``labels_<name>``. The labels of ``bound`` are equal in all cells
+    and belong to the root.
     """
     import xarray as xr
 
@@ -532,7 +537,7 @@ def _read_cell(ledger: Ledger, path: str) -> xr.Dataset:
         cell: xr.Dataset = unpack(xr.Dataset, ledger.result(path))
         if not are_paths([path]):
             raise StoreError(
-                f"The cell {shown(path)} is none that a run writes; give another folder."
+                f"The cell {shown(path)} was not written by a run; give another folder."
             )
         with contextlib.suppress(MissingDependency, UnknownName):  # The package is not installed
             name = path.rpartition("/")[2]
@@ -551,7 +556,7 @@ def _root_attributes(ledger: Ledger, *, whole: bool = True) -> dict[str, Any]:
         study = {"study": msgspec.json.decode(ledger.config)} if whole else {}
     except (msgspec.MsgspecError, UnicodeError, RecursionError):
         raise StoreError(
-            f"The study in {str(ledger.folder)!r} is not as a run writes it; give another folder."
+            f"The study in {str(ledger.folder)!r} was not written by a run; give another folder."
         ) from None
     return {
         "format": FORMAT,
@@ -565,9 +570,9 @@ def _root_attributes(ledger: Ledger, *, whole: bool = True) -> dict[str, Any]:
 def _write_store(
     attributes: Mapping[str, Any], cells: Iterable[tuple[str, xr.Dataset]], folder: Path
 ) -> None:
-    """Write a Zarr v3 store, cell by cell; the root comes last, with the digest of all files.
+    """Write a Zarr v3 store cell by cell; write the root last, with the digest of all files.
 
-    The files are the bytes that xarray and zarr write, in a fifth of their time: decisions/0016.
+    The files have the same bytes as with xarray and zarr, in a fifth of their time: decisions/0016.
     """
     from xarray.conventions import encode_dataset_coordinates
 
@@ -576,7 +581,7 @@ def _write_store(
     for path, cell in cells:
         if "\\" in path or ":" in path or not {"", ".", ".."}.isdisjoint(path.split("/")):
             raise StoreError(
-                f"The results have a cell {path[:100]!r}, which is no path in a store."
+                f"The results have a cell {path[:100]!r}, which is not a valid path in a store."
             )
         variables, own = encode_dataset_coordinates(cell)
         above = {str(parent): _group() for parent in Path(path).parents[-2::-1]}
@@ -596,7 +601,7 @@ def _write_store(
             (folder / name).write_bytes(content)
         documents |= made
 
-    # The root has copies of all documents, so that readers need one file, if these are not too many
+    # Copy all documents into the root, unless there are too many, so that readers need one file
     root: dict[str, Any] = _group(attributes)
     if len(documents) < _MOST_DOCUMENTS:
         inline = {"kind": "inline", "must_understand": False}
@@ -610,12 +615,12 @@ def _write_store(
 
 
 def _group(attributes: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """The document of a group of a store."""
+    """Return the document of a group of a store."""
     return {"attributes": dict(attributes or {}), "zarr_format": 3, "node_type": "group"}
 
 
 def _array_document(variable: xr.Variable) -> dict[str, Any]:
-    """The document of an array of a store: one chunk without compression."""
+    """Return the document of an array of a store: one chunk without compression."""
     kind, shape = variable.dtype, list(variable.shape)
     chunk = {"chunk_shape": [max(1, size) for size in shape]}
     return {
@@ -634,13 +639,13 @@ def _array_document(variable: xr.Variable) -> dict[str, Any]:
 
 
 def _codecs(kind: np.dtype[Any]) -> list[dict[str, Any]]:
-    """The only codecs of a store: numbers as their bytes."""
+    """Return the only codecs of a store: numbers as their bytes."""
     order = {"configuration": {"endian": "little"}} if kind.itemsize > 1 else {}
     return [{"name": "bytes", **order}]
 
 
 def _tree_digest(root: Mapping[str, Any], digests: Mapping[str, str]) -> str:
-    """SHA-256 of a store: of its root's metadata without this, and of all other files."""
+    """Return the SHA-256 of a store: of its root's other metadata and all other files."""
     attributes = {key: value for key, value in root["attributes"].items() if key != _DIGEST}
     whole = {"root": {**root, "attributes": attributes}, "files": dict(digests)}
     return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()
@@ -649,15 +654,16 @@ def _tree_digest(root: Mapping[str, Any], digests: Mapping[str, str]) -> str:
 def _read_store(
     files: Mapping[str, bytes], source: str, select: str | None
 ) -> dict[str, xr.Dataset]:
-    """Cells of a store that match; refuses arrays that results never hold.
+    """Return the matching cells of a store; refuse unexpected arrays.
 
-    An array is one chunk of uncompressed numbers, so that it takes no more memory than its file.
+    An array must be one chunk of uncompressed numbers, so that it needs no more memory than its
+    file.
     """
     import xarray as xr
 
     cells: dict[str, dict[str, Any]] = {}
     try:
-        # The root has all arrays in the order in which they were written, if they are not too many.
+        # The root lists arrays in the order of writing, unless there are too many.
         root = json.loads(files[_DOCUMENT]).get("consolidated_metadata", {"metadata": {}})
         end = f"/{_DOCUMENT}"
         found = sorted(name.removesuffix(end) for name in files if name.endswith(end))
@@ -669,13 +675,13 @@ def _read_store(
             kind, shape = np.dtype(document["data_type"]), document["shape"]
             content = files.get("/".join([path, "c", *("0" for _ in shape)]), b"")
             size = math.prod(shape) * kind.itemsize
-            plain = kind.kind in "biufc" and document["codecs"] == _codecs(kind)  # no objects
+            plain = kind.kind in "biufc" and document["codecs"] == _codecs(kind)  # No objects
             chunk = [max(1, length) for length in shape]
             whole = document["chunk_grid"]["configuration"]["chunk_shape"] == chunk
             if not (plain and whole and len(content) == size):
                 raise StoreError(
-                    f"{source}: the array {path} is not one chunk of {shown_bytes(size)} without "
-                    "compression, as results are written."
+                    f"{source}: the array {path} is not one uncompressed chunk of "
+                    f"{shown_bytes(size)}, which results require."
                 )
             values = np.frombuffer(content, kind.newbyteorder("<")).astype(kind).reshape(shape)
             dims = document.get("dimension_names") or ()
@@ -695,12 +701,12 @@ def _read_store(
 
 
 def _files(source: str | Path) -> dict[str, bytes]:
-    """All files of a store, by their names in it.
+    """Read all files of a store, by name.
 
     Raises
     ------
     StoreError
-        There is no store, or it has links, is larger than memory, cannot be read, or was changed.
+        If there is no store, or it has links, exceeds the memory, cannot be read, or was changed.
     """
     shown, place = str(source), Path(source)
     root = place if place.suffix == ".zarr" else place / STORE_NAME
@@ -719,7 +725,7 @@ def _files(source: str | Path) -> dict[str, bytes]:
     except OSError as error:
         raise StoreError(f"{shown!r} cannot be read: {error.strerror}.") from None
 
-    # Are they those that were written, all of them?
+    # Check that the files are complete and unchanged
     try:
         document = json.loads(files[_DOCUMENT])
         digest = document["attributes"].get(_DIGEST)
@@ -728,21 +734,21 @@ def _files(source: str | Path) -> dict[str, bytes]:
         raise StoreError(f"{shown!r} is damaged: its {_DOCUMENT} cannot be read.") from None
     if version != FORMAT:
         raise StoreError(
-            f"{shown!r} has store format {version!r:.80}; this version reads {FORMAT}. "
-            "xarray.open_datatree reads stores of earlier formats as they are; for reports and exports "
-            "of them take the version that wrote them, or run the study again into another folder."
+            f"{shown!r} has store format {version!r:.80}, but this version reads {FORMAT}. "
+            "xarray.open_datatree reads stores of earlier formats; for reports and exports use the "
+            "version that wrote them, or run the study again with another --out."
         )
     digests = {name: hashlib.sha256(files[name]).hexdigest() for name in files if name != _DOCUMENT}
     if digest != _tree_digest(document, digests):
         raise StoreError(
-            f"{shown!r} is not as it was written: files of it are changed, gone or new. "
-            "`mcspectra export` of the study's folder writes it anew."
+            f"{shown!r} was changed after it was written: files were modified, removed or added. "
+            "`mcspectra export` of the study's folder writes it again."
         )
     return files
 
 
 def _replaced(target: Path, write: Callable[[Path], Any]) -> Path:
-    """Write a file, or a folder, beside its place and put it there when it is whole."""
+    """Write a file or folder under a temporary name, and rename it once it is complete."""
     partial = target.with_name(f".{target.name}.partial")
     with writing(target, StoreError):
         try:
@@ -765,7 +771,7 @@ def _remove(place: Path) -> None:
 
 
 def _scalar_rows(cell: xr.Dataset) -> Iterator[dict[str, Any]]:
-    """Rows of the table of scalars that a cell has; texts and numbers by names of columns."""
+    """Yield a cell's rows of the table of scalars: texts and numbers by column."""
     about = cell.attrs
     names = ("estimator_name", "sampler_spec", "analysis")
     fixed: dict[str, Any] = {
@@ -783,7 +789,7 @@ def _scalar_rows(cell: xr.Dataset) -> Iterator[dict[str, Any]]:
             labels[dim] = list(range(size))
 
     for name, variable in cell.variables.items():
-        # The variable's own dims; its interval and standard error are columns of its rows
+        # Dims of the variable; its interval and standard error become columns of its rows
         interval = variable.dims[-1:] == ("bound",) and variable.shape[-1] == 2
         dims = variable.dims[:-1] if interval else variable.dims
         stem, end = str(name)[:-3], str(name)[-3:]
@@ -814,7 +820,7 @@ def _scalar_rows(cell: xr.Dataset) -> Iterator[dict[str, Any]]:
 
 
 def _write_csv(rows: list[dict[str, Any]], file: Path) -> None:
-    """Write a table; texts that a spreadsheet would run as formulas get an apostrophe in front."""
+    """Write a table; an apostrophe protects texts that a spreadsheet would run as formulas."""
     named = dict.fromkeys(column for row in rows for column in row)
     columns = [*_FIRST, *(each for each in named if each not in (*_FIRST, *_LAST)), *_LAST]
     with file.open("w", encoding="utf-8", newline="") as stream:
@@ -824,5 +830,5 @@ def _write_csv(rows: list[dict[str, Any]], file: Path) -> None:
 
 
 def _plain(cell: Any) -> Any:
-    """A number, or a printable text that is no formula."""
+    """Return a number, or a printable text that is not a formula."""
     return int(cell) if isinstance(cell, bool) else csv_cell(cell)

@@ -1,4 +1,4 @@
-"""Run a study: tasks on an executor, what they give in a ledger, at the end all of it for others to read."""
+"""Run a study: compute its tasks, store results in a ledger, and export them at the end."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from mcspectra.core.parallel import available_workers
 from mcspectra.studies.executors import Cluster, Dask, Executor, Threads, check_time_limit
 from mcspectra.studies.files import StudyConfig, as_study
 from mcspectra.studies.ledger import LEDGER_NAME, Ledger, StudyNote
-from mcspectra.studies.plan import Cell, Plan, make_plan
+from mcspectra.studies.plan import StudyCell, StudyPlan, make_plan
 from mcspectra.studies.results import output_folder, write_zarr
 from mcspectra.studies.schedule import Schedule, Settled, task_seconds
 from mcspectra.studies.tasks import StudyText
@@ -26,23 +26,23 @@ from mcspectra.studies.vetting import Trust, changed_inputs
 __all__ = ["CellFailed", "MakeExecutor", "Progress", "drive", "run_study"]
 
 MakeExecutor = Callable[[StudyText], Executor]
-"""Makes what computes the tasks of a study."""
+"""A function that makes the executor of a study."""
 
-_AHEAD = 2  # tasks under way for each worker: one that it computes, one that waits
-_NAMED = 5  # in a warning
+_AHEAD = 2  # Tasks submitted per worker: one that it computes, one that waits
+_NAMED = 5  # Maximum number of damaged parts named in a warning
 
 
 @dataclass(frozen=True)
 class Progress:
-    """State after a cell."""
+    """Progress of a run after a cell finished or failed."""
 
-    cell: Cell
+    cell: StudyCell
     done: int
     cells: int
 
 
 class CellFailed(McspectraError, RuntimeError):
-    """One or more cells raised; the others are kept."""
+    """One or more cells failed; the results of the others are stored."""
 
     def __init__(self, message: str, failures: dict[str, str]) -> None:
         super().__init__(message)
@@ -63,56 +63,56 @@ def run_study(
     force: bool = False,
     report: Callable[[Progress], Any] | None = None,
 ) -> None:
-    """Run all cells of a study that are not in its folder yet; tell `mcspectra.core.progress` how far.
+    """Run all cells of a study that its folder lacks, and report to `mcspectra.core.progress`.
 
     Parameters
     ----------
     config
         The study.
     out
-        Output folder: ``out/study.sqlite`` is the ledger of the run, ``out/results.zarr`` has the
-        results at its end.
+        Output folder. The run writes its ledger ``out/study.sqlite``, and at the end the results
+        ``out/results.zarr``.
     folder
-        Where relative paths in spec strings start: the study file's folder.
+        Folder that relative paths in specs start from: that of the study file.
     resume
-        Continue what is in the folder. Cells that failed stay so.
+        Continue the study in the folder. Failed cells stay failed.
     retry
-        With `resume`: try cells that failed again, and compute again those that depend on files
-        (images, point sets, scenes, sources of functions) that have changed.
+        With `resume`, try failed cells again, and recompute cells that depend on changed files
+        (images, point sets, scenes, sources of functions).
     workers
-        Threads, or processes with a time limit; all processors by default. Results do not depend
-        on it, bit for bit.
+        Number of threads, or of processes with a time limit; all processors by default. Results do
+        not depend on it, bit for bit.
     time_limit
-        Seconds that a task may take, by default the study's own; tasks then run in processes of their
-        own, and one that takes longer is stopped and fails its cell.
+        Time limit of a task in seconds; by default that of the study. Tasks then run in separate
+        processes; a task that exceeds the limit is stopped, and its cell fails.
     engine
-        Makes what computes the tasks instead, such as a cluster's `mcspectra.studies.executors.Dask`.
+        Makes another executor, such as a cluster's `mcspectra.studies.executors.Dask`.
     trust
-        What the study may reach beyond `folder`; nothing by default.
+        Files and functions that the study may use beyond `folder`; none by default.
     force
-        Run however many evaluations it takes.
+        Allow a study of any size.
     report
-        Called in this thread after every cell.
+        Function called in this thread after every cell.
 
     Raises
     ------
     ConfigError, ParameterError, StoreError
-        Before anything runs; StoreError also when results cannot be written.
+        If the input is wrong, before anything runs. StoreError also if results cannot be written.
     ClusterError
-        Workers cannot be started or reached, cannot build the study, or are gone.
+        If workers cannot be started or reached, cannot build the study, or are lost.
     CellFailed
-        After everything else has run.
+        If cells failed; it is raised after all other cells have run.
     MissingDependency
-        A time limit, or an engine, needs the extra ``cluster``.
+        If a time limit or an engine needs the missing extra ``cluster``.
     KeyboardInterrupt
-        Passed on, with a text; finished cells and finished tasks are kept, and the run can be resumed.
+        If the user interrupts the run. Finished cells and tasks are stored, and the run can resume.
 
     Warns
     -----
     DamagedResultsWarning
-        Results of an earlier run are damaged: they are computed again.
+        If results of an earlier run are damaged; they are computed again.
     OtherVersionsWarning
-        An earlier run had other versions of packages that numbers depend on.
+        If an earlier run used other versions of packages that results depend on.
     """
     out = Path(output_folder(out))
     limit = check_time_limit(as_study(config).time_limit if time_limit is None else time_limit)
@@ -128,16 +128,16 @@ def run_study(
         else Ledger.create(out, note, paths) as ledger,
     ):
         if resume and retry:
-            ledger.forget(list(ledger.failures()))  # with their states: code may have been mended
+            ledger.forget(list(ledger.failures()))  # Code may have changed since they failed
 
-        # Name what is computed again: the first few, and how many there are
+        # Name the first few damaged parts, and count the others
         damaged = [f"{name} ({reason})" for name, reason in ledger.damaged.items()]
         if damaged:
             more = f" and {len(damaged) - _NAMED} more" if len(damaged) > _NAMED else ""
             parts = counted(len(damaged), "part")
             verb = "is" if len(damaged) == 1 else "are"
             warn(
-                f"{parts} of the results in {str(out)!r} {verb} damaged, and what is lost is "
+                f"{parts} of the results in {str(out)!r} {verb} damaged, and lost results are "
                 f"computed again: {', '.join(damaged[:_NAMED])}{more}.",
                 DamagedResultsWarning,
             )
@@ -170,8 +170,8 @@ def run_study(
     if failed:
         path, message = next(iter(failed.items()))
         raise CellFailed(
-            f"{len(failed)} of {counted(len(plan.cells), 'cell')} failed; the others are stored, and --resume "
-            f"--retry tries these again. First: {path}: {message}",
+            f"{len(failed)} of {counted(len(plan.cells), 'cell')} failed; the others are stored. "
+            f"To try them again, use --resume --retry. First failure: {path}: {message}",
             failed,
         )
 
@@ -181,11 +181,11 @@ def _told_where(out: Path) -> Iterator[None]:
     try:
         yield
     except KeyboardInterrupt:
-        raise KeyboardInterrupt(f"what was finished is in {out}, --resume continues") from None
+        raise KeyboardInterrupt(f"finished work is in {out}; --resume continues") from None
 
 
 def drive(schedule: Schedule, executor: Executor) -> Iterator[Settled]:
-    """Have an executor compute a schedule; yields cells as they are done or fail."""
+    """Compute a schedule on an executor; yield cells as they finish or fail."""
     outcomes = executor.outcomes()
     while True:
         while schedule.under_way < _AHEAD * executor.workers:
@@ -203,7 +203,7 @@ def drive(schedule: Schedule, executor: Executor) -> Iterator[Settled]:
 
 
 def _computed(schedule: Schedule, executor: Executor) -> Generator[Settled]:
-    """`drive`, and whatever ends it: what was computed is recorded, the workers are stopped."""
+    """Call `drive`; however it ends, record the computed chunks and stop the workers."""
     finished = False
     try:
         yield from drive(schedule, executor)
@@ -215,13 +215,13 @@ def _computed(schedule: Schedule, executor: Executor) -> Generator[Settled]:
         executor.close(cancel=not finished)
 
 
-def _outdated(plan: Plan, out: Path) -> frozenset[str]:
-    """Paths of cells that depend on files that have changed since the folder's results were begun."""
+def _outdated(plan: StudyPlan, out: Path) -> frozenset[str]:
+    """Return the paths of cells whose input files changed since the stored run began."""
     if not (out / LEDGER_NAME).exists():
         return frozenset()
     with Ledger.read(out) as begun:
         changed = set(changed_inputs(begun.study.inputs, plan.inputs))
-    gone = changed - plan.inputs.keys()  # no cell names these any more: a scene did
+    gone = changed - plan.inputs.keys()  # Files that a scene named before and no cell names now
     return frozenset(
         cell.path
         for cell in plan.cells

@@ -1,9 +1,9 @@
-"""Rows of a damaged SQLite file: every page that is a leaf of a table is read by itself.
+"""Recover rows of a damaged SQLite file by reading every leaf page of a table on its own.
 
-SQLite reaches rows through inner pages and indices, so that one damaged page hides many that are sound.
-Each leaf describes the layout of its rows, and the number of columns identifies their table. The rows
-may be wrong or out of date: the caller checks them. The format is that of
-https://www.sqlite.org/fileformat2.html.
+SQLite reaches rows through inner pages and indices, so one damaged page hides many sound pages.
+Each leaf describes the layout of its rows, and the number of columns identifies the table.
+Recovered rows may be wrong or out of date, so the caller must check them. The file format is
+described at https://www.sqlite.org/fileformat2.html.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from typing import Any, TypeAlias, final
 __all__ = ["Leaves", "Row"]
 
 Row: TypeAlias = tuple[bool, int, tuple[Any, ...]]
-"""Whether its page is in use; its rowid, and the values of its columns: None for one that is the rowid."""
+"""In-use flag of the page, rowid, and column values; a column that stores the rowid is None."""
 
-_INNER, _LEAF = 5, 13  # kinds of pages of tables
-_LARGEST = 2**20  # pages of a list of free pages: a file of 8 GB
-_SIZES = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8}  # bytes of whole numbers, by their serial type
+_INNER, _LEAF = 5, 13  # Type bytes of inner and leaf pages of tables
+_LARGEST = 2**20  # Maximum number of trunk pages read from the free list: 8 GB
+_SIZES = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8}  # Bytes of an integer, by its serial type
 
 
 @final
 class Leaves:
-    """The leaves of a file of pages of a known size; nothing in it is trusted.
+    """Leaf pages of an SQLite file with a known page size; every byte may be damaged.
 
     Parameters
     ----------
     file
-        Not changed, and open until `close`.
+        Path of the file. It is opened until `close` and not changed.
     size
-        Bytes of a page.
+        Page size in bytes.
     """
 
     def __init__(self, file: Path, size: int) -> None:
@@ -45,7 +45,7 @@ class Leaves:
         self._stream.close()
 
     def rows(self) -> Iterator[Row]:
-        """All rows of all tables that can be read, in the order of the pages."""
+        """Yield all readable rows of all tables, in the order of the pages."""
         for number in range(1, self._pages + 1):
             page, start = self._page(number), 100 * (number == 1)
             if page[start] != _LEAF:
@@ -56,24 +56,24 @@ class Leaves:
                     rowid, after = _varint(page, after)
                     content = self._content(page, after, payload)
                     row = number in self._used, rowid, _values(content)
-                except (IndexError, ValueError):  # no row, or one whose other pages are damaged
+                except (IndexError, ValueError):  # Not a row, or a row with damaged overflow pages
                     continue
                 yield row
 
     def _page(self, number: int) -> bytes:
-        """A page by its number from 1; zeros beyond the end of the file."""
+        """Return a page by its number, which starts at 1; zeros beyond the end of the file."""
         if not 1 <= number <= self._pages:
             return bytes(self._size)
         self._stream.seek((number - 1) * self._size)
         return self._stream.read(self._size).ljust(self._size, b"\0")
 
     def _cells(self, page: bytes, first: int, start: int) -> list[int]:
-        """Where the cells of a page lie."""
+        """Return the offsets of the cells of a page."""
         count = min(_number(page, start + 3, 2), (self._size - first) // 2)
         return [_number(page, first + 2 * i, 2) for i in range(count)]
 
     def _content(self, page: bytes, start: int, length: int) -> bytes:
-        """The bytes of a row, of which long ones go on in other pages."""
+        """Return the bytes of a row; a long row continues on overflow pages."""
         if length > self._pages * self._size:
             raise ValueError("a row that is longer than the file")
         most = self._size - 35
@@ -87,7 +87,7 @@ class Leaves:
         following = _number(page, start + local, 4) if left else 0
         while left:
             if not 1 < following <= self._pages:
-                raise ValueError("a page that there is not")
+                raise ValueError("an overflow page that does not exist")
             page = self._page(following)
             following = _number(page, 0, 4)
             parts.append(page[4 : 4 + min(left, self._size - 4)])
@@ -98,9 +98,9 @@ class Leaves:
         return content
 
     def _pages_in_use(self) -> frozenset[int]:
-        """Pages that are not free: rows of free pages have been deleted.
+        """Return the numbers of the pages in use; rows on free pages have been deleted.
 
-        Where the list of free pages is damaged, those that the trees of tables reach.
+        If the list of free pages is damaged, return the pages that the trees of tables reach.
         """
         first = self._page(1)
         trunk, free, trunks = _number(first, 32, 4), set[int](), 0
@@ -135,7 +135,7 @@ def _number(content: bytes, at: int, size: int) -> int:
 
 
 def _varint(content: bytes, at: int) -> tuple[int, int]:
-    """A number of one to nine bytes, and where it ends."""
+    """Decode an integer of one to nine bytes; return its value and the offset of its end."""
     value = 0
     for place in range(at, at + 8):
         value = value << 7 | content[place] & 127
@@ -146,7 +146,7 @@ def _varint(content: bytes, at: int) -> tuple[int, int]:
 
 
 def _values(content: bytes) -> tuple[Any, ...]:
-    """The values of a row; texts that are not UTF-8 are errors."""
+    """Return the values of a row; raise an error if a text is not UTF-8."""
     end, at = _varint(content, 0)
     kinds: list[int] = []
     values: list[Any] = []
@@ -157,7 +157,7 @@ def _values(content: bytes) -> tuple[Any, ...]:
         size = _SIZES.get(kind, 0) if kind < 12 else (kind - 12) // 2
         part = content[at : at + size]
         if len(part) < size or kind in (7, 10, 11) or kind < 0:
-            raise ValueError("a value that a row of a ledger does not have")
+            raise ValueError("a value that no row of a ledger contains")
         at += size
         if kind >= 12:
             values.append(part.decode() if kind % 2 else part)

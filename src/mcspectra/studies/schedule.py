@@ -1,9 +1,10 @@
-"""Which task next: cells largest first, cut into chunks of about a second, merged as they come.
+"""Schedule the tasks of a study: largest cells first, in chunks of about a second.
 
-A cell that is expected to take no longer than a chunk is one task as a whole.
+A cell that is expected to take no longer than one chunk becomes a single task.
 
-Sizes and order are for speed alone: chunks are nodes of a fixed tree (`mcspectra.core.analysis`), so
-that the result is the same bits for all of them, and for chunks of an earlier run that was cut otherwise.
+Chunk sizes and order affect speed only. Chunks are nodes of a fixed tree
+(`mcspectra.core.analysis`), so the result has the same bits for any sizes and order, also with
+chunks from an earlier run.
 """
 
 from __future__ import annotations
@@ -24,33 +25,34 @@ from mcspectra.core.records import pack, unpack
 from mcspectra.core.streams import Stream
 from mcspectra.studies.foreign_code import explain
 from mcspectra.studies.ledger import Ledger, scalars_of
-from mcspectra.studies.plan import Cell
-from mcspectra.studies.tasks import Outcome, Task
+from mcspectra.studies.plan import StudyCell
+from mcspectra.studies.tasks import Outcome, StudyTask
 
 __all__ = ["PartialRun", "Schedule", "Settled", "Work", "task_seconds"]
 
 State = TypeVar("State")
-Work = tuple[Task, Callable[[], Any]]
-"""A task, and what computes it in a thread of this process."""
+Work = tuple[StudyTask, Callable[[], Any]]
+"""A task, and the function that computes it in a thread of this process."""
 
-_TARGET = 1.0  # seconds of a chunk
-_OF_LIMIT = 0.2  # and at most this part of the time limit
-_RECORDED_AFTER = 1.0  # seconds of a cell's work, which a kill may lose: recording costs too
-_INSTANT = 1e-9  # seconds: what takes less counts as this
-# An interrupt in this thread is the user's; what else ends a thread is of the code of others.
+_TARGET = 1.0  # Target duration of a chunk in seconds
+_OF_LIMIT = 0.2  # Largest duration of a chunk as a fraction of the time limit
+# Seconds of a cell's work between two recordings: a kill loses at most these, but recording is slow
+_RECORDED_AFTER = 1.0
+_INSTANT = 1e-9  # Shortest measured duration in seconds; shorter ones are rounded up to it
+# An interrupt in this thread comes from the user; these exceptions come from user code.
 _FAILURES = (Exception, SystemExit, asyncio.CancelledError)
 
 
 def task_seconds(limit: float | None) -> float:
-    """Seconds that a task should take, with a time limit in seconds or without."""
+    """Return the target duration of a task in seconds, given a time limit in seconds or None."""
     return _TARGET if limit is None else min(_TARGET, _OF_LIMIT * limit)
 
 
 @final
 class PartialRun(Generic[State]):
-    """A reduction on its way: which chunks are merged, which are asked for, which are left.
+    """A reduction in progress: its merged, requested and remaining chunks.
 
-    Chunks may come in any order; two that are halves of a node are merged at once.
+    Chunks may arrive in any order; two halves of a node are merged at once.
     """
 
     def __init__(self, reduction: Reduction[State]) -> None:
@@ -58,18 +60,18 @@ class PartialRun(Generic[State]):
         self._tree: MergeTree[State] = MergeTree()
         self._gaps: deque[Chunk] = deque([(0, reduction.blocks)])
         self._missing = reduction.blocks
-        self._fresh: set[int] = set()  # first blocks of nodes that are not recorded
+        self._fresh: set[int] = set()  # First blocks of nodes that are not recorded
 
     @property
     def complete(self) -> bool:
-        """Whether all chunks are there."""
+        """Whether all chunks have arrived."""
         return self._missing == 0
 
     def restore(self, found: Iterable[Chunk], load: Callable[[Chunk], State | None]) -> None:
-        """Begin with chunks of an earlier run: as many as tile; those that `load` has not are left."""
+        """Reuse stored chunks that tile the range; a chunk is skipped if `load` returns None."""
         self._gaps.clear()
         position = 0
-        # Aligned chunks lie inside one another or apart, so that of each nest the largest is taken.
+        # Aligned chunks are nested or disjoint; take the largest chunk of each nest.
         for first, count in sorted(found, key=lambda chunk: (chunk[0], -chunk[1])):
             if first < position or not self._aligned(first, count):
                 continue
@@ -82,7 +84,7 @@ class PartialRun(Generic[State]):
         self._leave(position, self.reduction.blocks)
 
     def next_chunk(self, size: int) -> Chunk | None:
-        """The next chunk to compute, of at most `size` blocks; None if all are asked for."""
+        """Return the next chunk to compute, of at most `size` blocks; None if none remains."""
         if not self._gaps:
             return None
         first, left = self._gaps.popleft()
@@ -96,12 +98,12 @@ class PartialRun(Generic[State]):
         return first, count
 
     def add(self, chunk: Chunk, state: State) -> None:
-        """Take in the state of a chunk that was computed."""
+        """Add the state of a computed chunk."""
         self._missing -= chunk[1]
         self._fresh.add(self._tree.put(chunk, state))
 
     def fresh(self) -> Iterator[tuple[Chunk, State]]:
-        """Merged chunks in which something is that was computed since the last call."""
+        """Yield merged chunks that contain new work since the last call."""
         while self._fresh:
             first = self._fresh.pop()
             if first in self._tree.nodes:
@@ -109,11 +111,11 @@ class PartialRun(Generic[State]):
                 yield (first, count), state
 
     def total(self) -> State:
-        """State of all blocks; of a complete one."""
+        """Return the state of all blocks; the reduction must be complete."""
         return self._tree.total()
 
     def _aligned(self, first: int, count: int) -> bool:
-        """Whether blocks are a `Chunk` of this run."""
+        """Whether these blocks form a valid `Chunk` of this run."""
         if count < 1 or first < 0 or first + count > self.reduction.blocks:
             return False
         size = 1 << (count - 1).bit_length()
@@ -127,19 +129,19 @@ class PartialRun(Generic[State]):
 @final
 @dataclass(frozen=True)
 class Settled:
-    """A cell that is done, or failed.
+    """A finished or failed cell.
 
     Attributes
     ----------
     cell
-        Which.
+        The cell.
     payload, scalars
-        Its dataset as bytes, and the scalars of it; None if it failed.
+        Its dataset as bytes, and its scalars; None and empty if the cell failed.
     error
-        One sentence about why it failed.
+        Reason of the failure, as one sentence.
     """
 
-    cell: Cell
+    cell: StudyCell
     payload: bytes | None = None
     scalars: Mapping[str, float] = field(default_factory=dict)
     error: str | None = None
@@ -147,17 +149,17 @@ class Settled:
 
 @final
 class _Active:
-    """A cell under way: its analysis, driven step by step, or all of it as one task."""
+    """A cell in progress: its analysis runs step by step, or the whole cell is one task."""
 
-    def __init__(self, cell: Cell, seed: int, ledger: Ledger, *, whole: bool) -> None:
+    def __init__(self, cell: StudyCell, seed: int, ledger: Ledger, *, whole: bool) -> None:
         self.cell = cell
         self.settled: Settled | None = None
-        self.pace: float | None = None  # seconds for a unit of cost
+        self.pace: float | None = None  # Seconds per unit of cost
         self._seed = seed
         self._ledger = ledger
         self._parts: dict[str, PartialRun[Any]] = {}
         self._whole = whole
-        self._unrecorded = 0.0  # seconds
+        self._unrecorded = 0.0  # Seconds of work that is not recorded
         if not whole:
             self._found: dict[str, list[Chunk]] = {}
             for key, chunk in ledger.tasks(cell.path):
@@ -167,31 +169,31 @@ class _Active:
 
     @property
     def complete(self) -> bool:
-        """Whether all of a step is there."""
+        """Whether all chunks of the current step have arrived."""
         return all(part.complete for part in self._parts.values())
 
     def next_work(self, size: Callable[[float], int]) -> Work | None:
-        """The next chunk of the costliest reduction that has some left; `size` by a block's cost."""
+        """Return a chunk of the costliest open reduction; `size` maps block cost to a count."""
         path = self.cell.path
         if self._whole:
             self._whole = False
-            task = Task(path=path, run=None, cost=self.cell.need.cost)
+            task = StudyTask(path=path, run=None, cost=self.cell.need.cost)
             return task, functools.partial(self.cell.compute, self._seed)
         for key, part in self._parts.items():
             reduction = part.reduction
             each = reduction.cost / reduction.blocks
             chunk = part.next_chunk(size(each))
             if chunk is not None:
-                task = Task(path=path, run=key, chunk=chunk, cost=each * chunk[1])
+                task = StudyTask(path=path, run=key, chunk=chunk, cost=each * chunk[1])
                 return task, functools.partial(compute_chunk, reduction, chunk)
         return None
 
     def add(self, outcome: Outcome) -> None:
-        """Take in what a task gave."""
+        """Add the result of a task."""
         task, payload, state = outcome.task, outcome.payload, outcome.state
         if task.run is None:
             if payload is not None:
-                state = unpack(xr.Dataset, payload)  # raises where it is damaged
+                state = unpack(xr.Dataset, payload)  # Raises if the payload is damaged
             self._settle(state, payload)
             return
         part = self._parts[task.run]
@@ -201,7 +203,7 @@ class _Active:
         self._unrecorded += outcome.seconds
 
     def record(self, host: str, *, least: float) -> None:
-        """Record what is merged, where it took `least` seconds since the last time."""
+        """Record merged chunks if at least `least` seconds of work are not recorded yet."""
         if self._unrecorded >= least:
             for key, part in self._parts.items():
                 for chunk, state in part.fresh():
@@ -209,13 +211,13 @@ class _Active:
             self._unrecorded = 0.0
 
     def advance(self, states: list[Any] | None) -> None:
-        """Send the states of a step, until one needs something computed or all is done."""
+        """Send states to the analysis until a step needs computation or the cell is done."""
         try:
             while True:
                 found = next(self._steps) if states is None else self._steps.send(states)
                 begun = [(each, self._begun(each)) for each in found]
                 parts = {each.key: part for each, part in begun}
-                # Tasks of the costliest first; states go back in the order of the analysis.
+                # Compute costly reductions first; return states in the order of the analysis.
                 self._order = list(parts)
                 self._parts = dict(sorted(parts.items(), key=lambda p: -p[1].reduction.cost))
                 if not self.complete:
@@ -226,11 +228,11 @@ class _Active:
             self._settle(self.cell.finished(end.value, self._seed))
 
     def _settle(self, result: xr.Dataset, payload: bytes | None = None) -> None:
-        """Keep the result, perhaps as bytes from elsewhere, and its scalars."""
+        """Keep the result and its scalars; `payload` holds the result as bytes from a worker."""
         self.settled = Settled(self.cell, payload or pack(result), scalars_of(result))
 
     def totals(self) -> list[Any]:
-        """States of a complete step."""
+        """Return the states of a complete step."""
         return [self._parts[key].total() for key in self._order]
 
     def _begun(self, reduction: Reduction[Any]) -> PartialRun[Any]:
@@ -246,39 +248,39 @@ class _Active:
 
 @final
 class Schedule:
-    """All cells to compute: hands out tasks and takes in what they gave.
+    """Hand out the tasks of all cells and collect their results.
 
-    Cells begin only when no cell that has begun has tasks left, so that few are held in memory.
+    A new cell begins only when all begun cells have handed out their tasks, to save memory.
 
     Parameters
     ----------
     cells
-        In any order.
+        Cells to compute, in any order.
     seed
-        Of all realizations.
+        Seed of all realizations.
     ledger
-        What earlier runs left, and where states go that took long.
+        Ledger with the chunks of earlier runs; chunks that took long are recorded there.
     seconds
-        That a task should take: 2^k blocks come within √2 of it, unless one takes longer.
+        Target duration of a task in seconds; 2^k blocks come within √2 of it, unless one is longer.
     """
 
     def __init__(
-        self, cells: Iterable[Cell], seed: int, ledger: Ledger, seconds: float = _TARGET
+        self, cells: Iterable[StudyCell], seed: int, ledger: Ledger, seconds: float = _TARGET
     ) -> None:
         self._waiting = deque(sorted(cells, key=lambda cell: -cell.need.cost))
         self._seed = seed
         self._ledger = ledger
         self._target = seconds
-        self._paces: dict[str, float] = {}  # seconds for a unit of cost, by the analysis
+        self._paces: dict[str, float] = {}  # Seconds per unit of cost, by analysis
         self._active: dict[str, _Active] = {}
         self._settled: deque[Settled] = deque()
         self.under_way = 0
 
     def next_work(self) -> Work | None:
-        """The next task; None if all have been handed out, or others must come back first.
+        """Return the next task; None if all are handed out, or results must arrive first.
 
-        None too as soon as a cell is done that an earlier run recorded as a whole, so that of many
-        such cells one result at a time is held: take `settled`, then ask again.
+        It also returns None as soon as a fully recorded cell is restored, so that only one such
+        result is in memory: take `settled`, then call again.
         """
         while True:
             for active in self._active.values():
@@ -292,15 +294,15 @@ class Schedule:
                 return None
 
     def take(self, outcome: Outcome) -> None:
-        """Take in an outcome."""
+        """Process the outcome of a task."""
         self.under_way -= 1
         active = self._active.get(outcome.task.path)
-        if active is None:  # another task of its cell has failed
+        if active is None:  # Another task of the same cell has failed
             return
         if outcome.error is not None:
             self._settle(Settled(active.cell, error=outcome.error))
             return
-        # Seconds for a unit of cost: the last of many count, as the first ones may compile
+        # Average the pace with more weight on later tasks: the first may include compilation
         if outcome.task.cost > 0.0:
             pace = max(outcome.seconds, _INSTANT) / outcome.task.cost
             kind = type(active.cell.analysis).__name__
@@ -308,7 +310,7 @@ class Schedule:
             self._paces[kind] = 0.5 * (self._paces.get(kind, pace) + pace)
         if not self._guarded(active.cell, lambda: active.add(outcome)):
             return
-        # What stops at a precision may have many steps; else a complete one is nearly the end.
+        # An adaptive cell may have many more steps; any other complete cell is nearly finished.
         if not active.complete or _is_adaptive(active.cell):
             active.record(outcome.host, least=_RECORDED_AFTER)
         if active.settled is None and active.complete:
@@ -316,22 +318,22 @@ class Schedule:
         self._settle(active.settled)
 
     def settled(self) -> Iterator[Settled]:
-        """Cells that were done or have failed since the last call."""
+        """Yield cells that finished or failed since the last call."""
         while self._settled:
             yield self._settled.popleft()
 
     def record(self) -> None:
-        """Record all that unfinished cells have, as the run ends."""
+        """Record the chunks of all unfinished cells at the end of a run."""
         for active in self._active.values():
             active.record("", least=0.0)
 
-    def _begin(self, cell: Cell) -> bool:
-        """Begin a cell; whether that was all, as everything of it was recorded."""
+    def _begin(self, cell: StudyCell) -> bool:
+        """Begin a cell; return True if an earlier run had recorded all of it."""
         if cell.error is not None:
             self._settle(Settled(cell, error=cell.error))
             return False
         seconds = self._paces.get(type(cell.analysis).__name__, math.inf) * cell.need.cost
-        # A wanted precision may take any number of realizations, whatever the first ones took.
+        # An adaptive cell may need any number of realizations, so it is never a single task.
         whole = (
             seconds <= self._target and not _is_adaptive(cell) and not self._ledger.tasks(cell.path)
         )
@@ -339,24 +341,24 @@ class Schedule:
         def begin() -> None:
             self._active[cell.path] = _Active(cell, self._seed, self._ledger, whole=whole)
 
-        if not self._guarded(cell, begin):  # the estimator, in what comes before the first task
+        if not self._guarded(cell, begin):  # The estimator failed before the first task
             return False
         settled = self._active[cell.path].settled
         self._settle(settled)
         return settled is not None
 
     def _size(self, active: _Active, cost: float) -> int:
-        """Blocks of a chunk, a power of two; one block costs `cost`."""
+        """Return the number of blocks of a chunk, a power of two; one block costs `cost`."""
         pace = active.pace or self._paces.get(type(active.cell.analysis).__name__)
         if pace is None:
             return 1
         return 1 << max(0, round(math.log2(self._target / max(pace * cost, _INSTANT))))
 
-    def _guarded(self, cell: Cell, step: Callable[[], None]) -> bool:
-        """Do what calls the code of others; what it raises fails the cell."""
+    def _guarded(self, cell: StudyCell, step: Callable[[], None]) -> bool:
+        """Call `step`, which may run user code; return False and fail the cell if it raises."""
         try:
             step()
-        except StoreError:  # of the ledger
+        except StoreError:  # The ledger failed, not the cell
             raise
         except _FAILURES as error:
             self._settle(Settled(cell, error=explain(error)))
@@ -369,6 +371,6 @@ class Schedule:
             self._settled.append(settled)
 
 
-def _is_adaptive(cell: Cell) -> bool:
-    """Whether it stops at a precision, after a number of steps that nobody knows before."""
+def _is_adaptive(cell: StudyCell) -> bool:
+    """Whether the cell stops at a precision, so that its number of steps is unknown."""
     return getattr(cell.analysis, "relative_error", None) is not None

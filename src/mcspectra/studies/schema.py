@@ -1,6 +1,6 @@
-"""What a study file may say, for readers: JSON Schema, tables of all keys, a study to begin with.
+"""Describe study files for readers: JSON Schema, tables of all keys, and a template.
 
-All are made of the structs of `mcspectra.studies.files` and of the analyses that are installed.
+All three are generated from the structs of `mcspectra.studies.files` and the installed analyses.
 """
 
 from __future__ import annotations
@@ -26,22 +26,22 @@ from mcspectra.studies.files import (
 __all__ = ["SCHEMA_ID", "key_tables", "study_schema", "template", "write_template"]
 
 SCHEMA_ID = "urn:mcspectra:study:1"
-"""Identifier of the schema; the number changes when an older study would no longer be read."""
+"""Identifier of the schema; its number changes when older studies can no longer be read."""
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _PLACEHOLDER = {"type": "string", "pattern": r"^\{[A-Za-z_][A-Za-z0-9_]*\}$"}
 _NO_TEXT = ("integer", "number", "boolean")
-_NO_PLACEHOLDER = ("grid", "seed", "time_limit")  # a study has one
-# Values in the template of options that a number of points would not fit
+_NO_PLACEHOLDER = ("grid", "seed", "time_limit")  # Keys with a single value per study
+# Example values in the template for options where a number of points would be wrong
 _EXAMPLES = {"target_error": ("0.01",), "budget": ("4096",)}
 _TEMPLATE = Path(__file__).with_name("template.toml")
-_OTHERS = "# {other analyses}\n"  # where those come in it that it does not show
+_OTHERS = "# {other analyses}\n"  # Line of the template replaced by the analyses not shown there
 
 
 def study_schema() -> dict[str, Any]:
     """Return the JSON Schema (2020-12) of study files.
 
-    Where a number, a list, a choice, true or false stands, so may a grid's ``"{placeholder}"``.
+    A grid's ``"{placeholder}"`` may replace any number, list, choice or Boolean.
     """
     tables = _tables()
     schema: dict[str, Any] = {
@@ -57,12 +57,12 @@ def study_schema() -> dict[str, Any]:
             for key, value in table["properties"].items()
         }
         schema["$defs"][name] = {**table, "properties": properties}
-    plain: dict[str, Any] = json.loads(json.dumps(schema))  # lists where msgspec has tuples
+    plain: dict[str, Any] = json.loads(json.dumps(schema))  # Turn msgspec's tuples into lists
     return plain
 
 
 def _tables() -> dict[str, tuple[str, dict[str, Any]]]:
-    """Names and schemas of all tables by their keys in a file, the top's is empty."""
+    """Return names and schemas of all tables by key; the top of the file has an empty key."""
     analyses = analysis_tables()
     own = {"": StudyConfig, "estimators": EstimatorConfig}
     kinds: list[Any] = [*own.values(), *analyses.values(), SceneConfig]
@@ -75,7 +75,7 @@ def _tables() -> dict[str, tuple[str, dict[str, Any]]]:
             if option.choices and "anyOf" not in table["properties"][option.name]:
                 table["properties"][option.name] |= {"type": "string", "enum": option.choices}
 
-    # Tables of analyses at the top and in estimators; those of scenes are entries of lists
+    # Put analyses at the top and in estimators; scene analyses are lists of entries
     scene = _public(components[names[-1]])
     study, estimator = _public(found[""][1]), _public(found["estimators"][1])
     study["properties"]["estimators"]["items"] = {"$ref": f"#/$defs/{names[1]}"}
@@ -93,14 +93,14 @@ def _tables() -> dict[str, tuple[str, dict[str, Any]]]:
 
 
 def _public(table: dict[str, Any]) -> dict[str, Any]:
-    """A table without the fields that no key of a file gives."""
+    """Remove the internal fields that a file cannot set."""
     for key in RESERVED:
         table["properties"].pop(key, None)
     return table
 
 
 def _or_placeholder(value: dict[str, Any]) -> dict[str, Any]:
-    """A key's schema in which a placeholder may stand where text could not."""
+    """Return a key's schema that also allows a placeholder, unless text is allowed anyway."""
     about = {k: v for k, v in value.items() if k in ("description", "default")}
     found = {k: v for k, v in value.items() if k not in about}
     choices, taken = [], False
@@ -109,13 +109,13 @@ def _or_placeholder(value: dict[str, Any]) -> dict[str, Any]:
         listed = isinstance(items, dict)
         choices += [{**each, "items": _or_placeholder(items)} if listed else each]
         tables = listed and "$ref" in items
-        # A number, a choice, true or false, or a list of values
+        # Numbers, choices, Booleans and lists of values
         taken |= "enum" in each or (each.get("type") in (*_NO_TEXT, "array") and not tables)
     return {**about, "anyOf": [*choices, _PLACEHOLDER]} if taken else value
 
 
 def key_tables() -> str:
-    """Return all keys with types, defaults and meanings as Markdown, a table for each table."""
+    """Return all keys with types, defaults and meanings as Markdown, one table per TOML table."""
     lines = []
     for key, (_, table) in _tables().items():
         listed = key == "estimators" or "name" in table["properties"]
@@ -134,7 +134,7 @@ def key_tables() -> str:
 
 
 def _type(value: dict[str, Any]) -> str:
-    """A type in words."""
+    """Describe a type in words."""
     if "anyOf" in value:
         return " or ".join(_type(v) for v in value["anyOf"] if v.get("type") != "null")
     if "enum" in value:
@@ -149,14 +149,14 @@ def _type(value: dict[str, Any]) -> str:
     words = {"object": "table", "boolean": "true or false", "string": "text"}
     rules = [f"≥ {value['minimum']:g}"] if "minimum" in value else []
     rules += [f"> {value['exclusiveMinimum']:g}"] if "exclusiveMinimum" in value else []
-    # A limit that only keeps numbers within 64 bits is no news to a reader.
+    # Omit limits that only keep numbers within 64 bits.
     high = value.get("maximum", 2**31)
     rules += [f"≤ {high:g}"] if high < 2**31 else []
     return " ".join([words.get(kind, kind), ", ".join(rules)]).rstrip()
 
 
 def template() -> str:
-    """Return a study to begin with: it runs as it is, and says in comments what else there is."""
+    """Return a study to start from; it runs as it is, and its comments show more options."""
     text, lines = _TEMPLATE.read_text(encoding="utf-8"), []
     for key, kind in analysis_tables().items():
         if kind.about != "scene" and f"[{key}]" not in text:
@@ -167,7 +167,7 @@ def template() -> str:
 
 
 def _example(option: Option) -> str:
-    """A value that an option can have."""
+    """Return a valid value of an option."""
     own = _EXAMPLES.get(option.name, ())
     for text in (*own, *(option.choices[:1] or ("16,64", "64", "0.5", "name"))):
         with contextlib.suppress(McspectraError):
@@ -182,7 +182,7 @@ def write_template(path: str | Path) -> Path:
     Raises
     ------
     ConfigError
-        The file is there already, or it cannot be written.
+        If the file exists, or it cannot be written.
     """
     file = Path(path)
     if file.suffix != ".toml":
@@ -191,7 +191,7 @@ def write_template(path: str | Path) -> Path:
         with file.open("x", encoding="utf-8") as stream:
             stream.write(template())
     except FileExistsError:
-        raise ConfigError(f"{shown(str(file))} is there already; give another name.") from None
+        raise ConfigError(f"{shown(str(file))} already exists; give another name.") from None
     except OSError as error:
         raise ConfigError(f"{shown(str(file))} cannot be written: {error.strerror}.") from None
     return file

@@ -1,4 +1,4 @@
-"""The table a person reads first: rate, predicted/measured and largest term of every pair."""
+"""Summarize a study in one table: rate, predicted/measured and largest term of every pair."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ _READ = ("convergence", "terms", "predict")
 
 
 class SummaryRow(msgspec.Struct, frozen=True, kw_only=True):
-    """One estimator with one sampler; what was not analyzed is None.
+    """Summary of one estimator with one sampler; values that were not computed are None.
 
-    ``ratio`` is predicted over measured variance, and ``method`` the method of the prediction: one of
-    `METHODS` where there is a result of ``predict``, else the basis of the sum of ``terms``, whose ratio
-    ``captured`` is in any case.
+    ``ratio`` is predicted over measured variance. ``method`` is the method of the prediction: one
+    of `METHODS` if there is a result of ``predict``, otherwise the basis of the sum of ``terms``.
+    The ratio of ``terms`` is always ``captured``.
     """
 
     estimator: str
@@ -63,16 +63,16 @@ class SummaryRow(msgspec.Struct, frozen=True, kw_only=True):
 
 
 def summarize(tree: xr.DataTree) -> list[SummaryRow]:
-    """One row for every estimator, sampler and channel of a result tree, in the study's order.
+    """Return one row per estimator, sampler and channel of a result tree, in the study's order.
 
     Raises
     ------
     ParameterError
-        It is no tree, as `open_results` gives it.
+        If `tree` is not a tree as returned by `open_results`.
     """
     import xarray as xr
 
-    as_instance("tree", tree, xr.DataTree, "what open_results returns")
+    as_instance("tree", tree, xr.DataTree, "the result of open_results")
     return [
         row
         for _, estimator, sampler, found in pairs_of(tree)
@@ -81,9 +81,9 @@ def summarize(tree: xr.DataTree) -> list[SummaryRow]:
 
 
 def pairs_of(tree: xr.DataTree) -> list[tuple[str, str, str, dict[str, xr.Dataset]]]:
-    """Return the key in the store and the name of an estimator, a sampler, and their results by analysis.
+    """Return store key and name of the estimator, sampler, and results by analysis of every pair.
 
-    Groups of a store come in whatever order the file system lists them: the study's own lists decide.
+    The file system may list the groups of a store in any order, so the study's lists set the order.
     """
     asked = asked_of(tree.attrs.get("study") or {})
     pairs = ((name, sampler) for name, samplers in asked.items() for sampler in samplers)
@@ -99,13 +99,16 @@ def pairs_of(tree: xr.DataTree) -> list[tuple[str, str, str, dict[str, xr.Datase
 
 
 def asked_of(study: Mapping[str, Any]) -> dict[str, Sequence[str]]:
-    """Return the samplers of all estimators and maps that a study names, in its order."""
+    """Return the samplers of every estimator and map of a study, in the study's order."""
     entries = [*(study.get("estimators") or []), *(study.get("maps") or [])]
     return {e["name"]: e.get("samplers") or study.get("samplers") or [] for e in entries}
 
 
 def rows_of(estimator: str, sampler: str, found: Mapping[str, xr.Dataset]) -> list[SummaryRow]:
-    """Return one row for every channel of a pair, of its results by analysis; none without a curve or terms."""
+    """Return one row per channel of a pair from its results by analysis.
+
+    The list is empty if the pair has neither convergence nor terms.
+    """
     read = {name: found[name] for name in _READ if name in found}
     first = read.get("convergence", read.get("terms"))
     if first is None:
@@ -123,7 +126,7 @@ def rows_of(estimator: str, sampler: str, found: Mapping[str, xr.Dataset]) -> li
             fit_first = _number(curve.get("fit_first_n", math.nan))
             values |= {
                 **_with_bounds(curve, rate="rate"),
-                # No interval of a rate is one of infinite width
+                # A rate without an interval gets an interval of infinite width
                 **(
                     {}
                     if np.isfinite(curve["rate_ci"]).any()
@@ -152,10 +155,10 @@ def rows_of(estimator: str, sampler: str, found: Mapping[str, xr.Dataset]) -> li
 
 
 def _ratio(found: dict[str, xr.Dataset], row: dict[str, Any]) -> dict[str, Any]:
-    """Predicted over measured variance, at the most points that both know.
+    """Return predicted over measured variance at the largest n that both have.
 
-    Without convergence the measured variance is that of the terms. Of all methods side by side the most
-    trusted one that predicts counts.
+    Without convergence, the measured variance of the terms is used. If there are several methods,
+    the most trusted one with a prediction is used.
     """
     import xarray as xr
 
@@ -178,7 +181,7 @@ def _ratio(found: dict[str, xr.Dataset], row: dict[str, Any]) -> dict[str, Any]:
             continue
         ratio = float(value[-1]) / measured
 
-        # Ends of the ratio's interval: both relative errors together, on the scale of logarithms
+        # Interval of the ratio: combine both relative errors in logarithms
         def half(low: float, middle: float, high: float) -> tuple[float, float]:
             return (math.log(middle / low) if low > 0 else math.inf), math.log(high / middle)
 
@@ -197,7 +200,7 @@ def _ratio(found: dict[str, xr.Dataset], row: dict[str, Any]) -> dict[str, Any]:
 
 
 def _by_method(data: xr.Dataset) -> Iterator[tuple[Array, xr.Dataset]]:
-    """Predictions of each method, with the names of the methods along n."""
+    """Yield the names of the methods along n and the predictions, once per method."""
     names = np.asarray(
         data["method"].values if "method" in data.coords else data.attrs["labels_method"]
     )
@@ -209,13 +212,16 @@ def _by_method(data: xr.Dataset) -> Iterator[tuple[Array, xr.Dataset]]:
 
 
 def _ends(interval: xr.DataArray, middle: float) -> tuple[float, float, float]:
-    """Low end, middle and high end, the middle within."""
+    """Return low end, middle and high end of an interval, widened to contain the middle."""
     low, high = map(float, interval.values)
     return min(low, middle), middle, max(high, middle)
 
 
 def _with_bounds(data: xr.Dataset, **variables: str) -> dict[str, Any]:
-    """Values by name, with the ends of their 95 % intervals, which may be infinite; None if unknown."""
+    """Return values by name with the ends of their 95 % intervals; None if unknown.
+
+    An end may be infinite.
+    """
     found: dict[str, Any] = {}
     for name, variable in variables.items():
         ends = data[f"{variable}_ci"].values if f"{variable}_ci" in data else (math.nan, math.nan)
@@ -225,6 +231,6 @@ def _with_bounds(data: xr.Dataset, **variables: str) -> dict[str, Any]:
 
 
 def _number(value: Any) -> float | None:
-    """A finite float, or None."""
+    """Return a finite float, or None."""
     number = float(np.asarray(value))
     return number if np.isfinite(number) else None

@@ -1,8 +1,7 @@
-"""Tasks: chunks of a study's cells that any process can compute from text alone.
+"""Tasks are chunks of a study's cells that any process can compute from text alone.
 
-A worker elsewhere is sent the study's text with every task, so that workers may join, die and be
-replaced at any time without having been told about the study. It builds the plan itself, once, and
-sends back states as `mcspectra.core.records` packs them.
+Every task carries the study's text to the worker, so workers may join, die and be replaced at any
+time. A worker builds the plan once, and returns states packed by `mcspectra.core.records`.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from mcspectra.core.records import pack
 from mcspectra.core.streams import Stream
 from mcspectra.studies.files import StudyConfig, plain_study, study_of
 from mcspectra.studies.foreign_code import TookTooLong, explain, within
-from mcspectra.studies.plan import Cell, make_plan
+from mcspectra.studies.plan import StudyCell, make_plan
 from mcspectra.studies.vetting import Trust, check_inputs
 from mcspectra.version import __version__
 
@@ -38,35 +37,35 @@ __all__ = [
     "WARM",
     "Compute",
     "Outcome",
+    "StudyTask",
     "StudyText",
-    "Task",
     "WorkerRefused",
     "attempt",
     "compute_elsewhere",
     "timed",
 ]
 
-_PLANS = 2  # kept in a process: the one that runs, and one that has just ended
-_REDUCTIONS = 32  # kept in a process; those under way are few
-_HELD = 2.0  # seconds beyond its time limit that a task may keep the worker from noticing
+_PLANS = 2  # Plans kept in a process: the running one, and one that has just ended
+_REDUCTIONS = 32  # Reductions kept in a process; few are in use at once
+_HELD = 2.0  # Seconds beyond the time limit after which a blocked worker process is ended
 
 WARM = ("numba", "scipy.stats", "xarray")
 """Packages that every task needs."""
 
 
-class Task(msgspec.Struct, frozen=True, kw_only=True):
+class StudyTask(msgspec.Struct, frozen=True, kw_only=True):
     """One chunk of a reduction of a cell, or all of a cell.
 
     Attributes
     ----------
     path
-        The cell's.
+        Path of the cell.
     run
-        Key of the reduction; None for all of the cell, which gives its dataset.
+        Key of the reduction; None to compute the whole cell and return its dataset.
     chunk
-        Which of its atomic blocks.
+        First atomic block and number of blocks.
     cost
-        Its work in the units of `mcspectra.core.analysis.Need.cost`.
+        Work of the task, in the units of `mcspectra.core.analysis.Need.cost`.
     """
 
     path: str
@@ -84,25 +83,25 @@ class Task(msgspec.Struct, frozen=True, kw_only=True):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What became of a task.
+    """Result or failure of a task.
 
     Attributes
     ----------
     task
-        Which.
+        The task.
     state
-        State of its chunk, or the dataset of its cell, if it was computed in this process.
+        State of the chunk, or dataset of the cell, if this process computed it.
     payload
-        The same as bytes, if it was computed in another.
+        The same as bytes, if another process computed it.
     error
-        One sentence about why it failed; then there is neither.
+        Reason of a failure as one sentence; then `state` and `payload` are None.
     seconds
-        How long it ran.
+        Run time of the task in seconds.
     host
-        Where.
+        Name of the host that ran the task.
     """
 
-    task: Task
+    task: StudyTask
     state: Any = None
     payload: bytes | None = None
     error: str | None = None
@@ -110,14 +109,14 @@ class Outcome:
     host: str = ""
 
 
-def timed(task: Task, compute: Callable[[], Any]) -> Outcome:
-    """Compute a task in this thread; whatever it raises becomes a sentence."""
+def timed(task: StudyTask, compute: Callable[[], Any]) -> Outcome:
+    """Compute a task in this thread; an exception becomes the `error` of the outcome."""
     start = time.perf_counter()
     state, error = None, None
     try:
         state = compute()
-    # An interrupt of the run reaches the main thread alone: here it is the integrand's own.
-    except BaseException as raised:  # noqa: BLE001 - whatever the code of others does
+    # An interrupt of the run reaches only the main thread; one raised here is user code's.
+    except BaseException as raised:  # noqa: BLE001 - user code may raise anything
         error = explain(raised)
     seconds = time.perf_counter() - start
     return Outcome(task=task, state=state, error=error, seconds=seconds, host=_host())
@@ -129,24 +128,25 @@ def _host() -> str:
 
 
 class StudyText(msgspec.Struct, frozen=True, kw_only=True):
-    """Everything that a worker needs to rebuild a plan.
+    """Everything that a worker needs to rebuild the plan of a study.
 
     Attributes
     ----------
     config_json
-        The study, with overrides and grids applied.
+        The study as JSON, with overrides and grids applied.
     folder
-        Where relative paths in spec strings start.
+        Folder that relative paths in specs start from.
     seed
-        Of all realizations.
+        Seed of all realizations.
     version
-        Of this package; a worker of another refuses.
+        Version of this package; a worker with another version refuses the study.
     code, paths
-        What the study may name and read: see `mcspectra.studies.vetting.Trust`.
+        Functions that the study may call and folders that it may read: see
+        `mcspectra.studies.vetting.Trust`.
     force
-        Whether its size was allowed.
+        Whether the user allowed a study of this size.
     inputs
-        Names and SHA-256 of the files that it depends on; None if any will do.
+        Names and SHA-256 of the files that the study depends on; None skips the comparison.
     """
 
     config_json: str
@@ -167,7 +167,7 @@ class StudyText(msgspec.Struct, frozen=True, kw_only=True):
         force: bool = False,
         inputs: Mapping[str, str] | None = None,
     ) -> StudyText:
-        """The text of a study; folders become absolute, as a worker may run elsewhere."""
+        """Make the text of a study; folders become absolute, because workers may run elsewhere."""
         reach = trust or Trust()
         return StudyText(
             config_json=json.dumps(plain_study(config)),
@@ -180,23 +180,23 @@ class StudyText(msgspec.Struct, frozen=True, kw_only=True):
             inputs=None if inputs is None else tuple(inputs.items()),
         )
 
-    def cells(self) -> dict[str, Cell]:
-        """Build the plan: its cells by their paths.
+    def cells(self) -> dict[str, StudyCell]:
+        """Build the plan and return its cells by path.
 
         Raises
         ------
         StoreError
-            Files differ here.
+            If files on this machine differ from those of the study.
         ConfigError
-            The study cannot be built here: see `mcspectra.studies.plan.make_plan`.
+            If the study cannot be built here: see `mcspectra.studies.plan.make_plan`.
         """
         config = study_of(json.loads(self.config_json))
         trust = Trust(self.code, tuple(map(Path, self.paths)))
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # the command has planned, and warned, already
+            warnings.simplefilter("ignore")  # The command has already shown the plan's warnings
             plan = make_plan(config, Path(self.folder), trust, force=self.force)
         if self.inputs is not None:
-            remedy = f"bring those on host {_host()!r} in line, and resume"
+            remedy = f"make the files on host {_host()!r} equal to those, then resume"
             check_inputs(dict(self.inputs), plan.inputs, "The study that is run is", remedy)
         return {cell.path: cell for cell in plan.cells}
 
@@ -205,13 +205,13 @@ _lock = threading.Lock()
 _kept = functools.lru_cache(maxsize=_PLANS)(StudyText.cells)
 
 
-def _cells(text: StudyText) -> dict[str, Cell]:
-    """Cells of a study, whose plan is built once in a process."""
-    with _lock:  # one thread builds the plan, the others wait for it
+def _cells(text: StudyText) -> dict[str, StudyCell]:
+    """Return the cells of a study; a process builds the plan once."""
+    with _lock:  # One thread builds the plan while the others wait
         return _kept(text)
 
 
-def _cell(text: StudyText, path: str) -> Cell:
+def _cell(text: StudyText, path: str) -> StudyCell:
     cell = _cells(text).get(path)
     if cell is None:
         raise StoreError(
@@ -222,17 +222,17 @@ def _cell(text: StudyText, path: str) -> Cell:
 
 @functools.lru_cache(maxsize=_REDUCTIONS)
 def _reduction(text: StudyText, path: str, run: str) -> Reduction[Any]:
-    """A reduction of a cell, the same object each time while it is in use."""
+    """Return a reduction of a cell; repeated calls return the same object while it is cached."""
     cell = _cell(text, path)
     return cell.analysis.part(cell.subject, Stream.from_rng(text.seed), run)
 
 
-Compute: TypeAlias = Callable[[StudyText, Task], Outcome]
-"""What computes a task on a worker, and raises nothing: `attempt`."""
+Compute: TypeAlias = Callable[[StudyText, StudyTask], Outcome]
+"""A function that computes a task on a worker and raises nothing, such as `attempt`."""
 
 
-def attempt(text: StudyText, task: Task) -> Outcome:
-    """Compute a task from text alone, in this thread: the outcome has bytes, as for other processes."""
+def attempt(text: StudyText, task: StudyTask) -> Outcome:
+    """Compute a task in this thread from text alone; return the result as bytes."""
 
     def compute() -> bytes:
         if task.run is None:
@@ -244,54 +244,54 @@ def attempt(text: StudyText, task: Task) -> Outcome:
 
 
 class WorkerRefused(McspectraError, RuntimeError):
-    """A worker cannot compute the study as it is meant: nothing it gave could be kept."""
+    """A worker cannot compute the study correctly, so none of its results could be kept."""
 
 
 def compute_elsewhere(
-    compute: Compute, text: StudyText, task: Task, limit: float | None
+    compute: Compute, text: StudyText, task: StudyTask, limit: float | None
 ) -> tuple[Outcome, bool]:
-    """What a worker of a cluster does with a task; nothing here knows dask.
+    """Compute a task on a worker of a cluster; this function does not depend on dask.
 
     Parameters
     ----------
     compute
-        Called with the study's text and the task.
+        Function that is called with the study's text and the task.
     text, task
-        The study and the part of it.
+        The study, and the task to compute.
     limit
-        Seconds after which the task has failed, its imports and the plan excepted. Its thread goes
-        on, as threads cannot be stopped: the worker is to be restarted.
+        Seconds after which the task fails; imports and planning do not count. Its thread continues,
+        because threads cannot be stopped, so the caller must restart the worker.
 
     Returns
     -------
     Outcome
-        The task's.
+        Outcome of the task.
     bool
-        Whether it still occupies the worker.
+        Whether the task still occupies the worker.
 
     Raises
     ------
     WorkerRefused
-        This worker has another version of the package, or cannot build the study.
+        If this worker has another version of the package, or cannot build the study.
     """
     if text.version != __version__:
         raise WorkerRefused(
             f"The worker on {_host()} has mcspectra {__version__}, but the study was "
-            f"started with {text.version}; install the same version there."
+            f"started with {text.version}; install the same version on that host."
         )
     if compute is attempt:
         try:
             for name in WARM:
                 importlib.import_module(name)
             _cells(text)
-        except BaseException as error:  # noqa: BLE001 - whatever the code of others does
+        except BaseException as error:  # noqa: BLE001 - user code may raise anything
             raise WorkerRefused(
                 f"The worker on {_host()} cannot build the study: {explain(error)}"
             ) from None
     if limit is None:
         return compute(text, task), False
     with Path(os.devnull).open("w") as nowhere:
-        # Ends the process where code holds Python's lock, so that nothing here would notice.
+        # End the process if code holds the interpreter lock, which blocks the check below.
         faulthandler.dump_traceback_later(limit + _HELD, exit=True, file=nowhere)
         try:
             return within(limit, functools.partial(compute, text, task)), False

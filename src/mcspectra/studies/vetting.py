@@ -1,8 +1,8 @@
-"""What a study from a stranger may reach: files and functions, and what is in them.
+"""Check the files and functions that an untrusted study may use, and record their contents.
 
-A study file is data: specs are parsed, never evaluated. Files are read from the study's own folder
-and from folders that the caller allows; Python functions are imported only if the caller names them.
-What the results depend on is known by its SHA-256: with a changed file it is another study.
+A study file is data: specs are parsed, never evaluated. Files are read only from the study's folder
+and from folders that the caller allows. Python functions are imported only if the caller names
+them. The SHA-256 of every input file is recorded, because a changed file makes another study.
 """
 
 from __future__ import annotations
@@ -35,29 +35,29 @@ from mcspectra.samplers.external import allow_own_code, loaded_function
 __all__ = ["Inputs", "Trust", "Vetting", "changed_inputs", "check_inputs"]
 
 Inputs: TypeAlias = tuple[str, ...]
-"""Names of files, ascending."""
+"""Names of files, in ascending order."""
 
-_NAMED = 3  # in a message
+_NAMED = 3  # Maximum number of files named in a message
 
 
 @final
 class Vetting:
-    """Vets each text of a study once: what comes out is trusted from there on.
+    """Checks each text of a study once; later code trusts the returned values.
 
     Parameters
     ----------
     folder
-        Relative paths start there. Files below it are named from there, others by their whole path,
-        modules by their names, since they lie elsewhere on every machine.
+        Folder that relative paths start from. Files below it get their relative path as name, and
+        other files their whole path. Modules keep their names, because their folders differ between
+        machines.
     trust
-        What may be reached beyond it.
+        Files and functions allowed beyond `folder`.
 
     Attributes
     ----------
     inputs
-        SHA-256 of all files that were named so far, by names for people: files of specs, what scenes
-        refer to, sources of functions. What is no file, or cannot be read, is for its reader to
-        refuse.
+        SHA-256 by name of all files used so far: files of specs, files that scenes refer to, and
+        sources of functions. A path that is not a readable file is refused later by its reader.
     """
 
     def __init__(self, folder: Path, trust: Trust) -> None:
@@ -69,14 +69,15 @@ class Vetting:
         self._calls: dict[str, tuple[list[Call], Inputs]] = {}
 
     def calls(self, text: str) -> tuple[list[Call], Inputs]:
-        """Parse a spec; paths in it, and in specs inside it, become those of files that may be read.
+        """Parse a spec, and replace the paths in it, and in nested specs, by paths of allowed
+        files.
 
         Raises
         ------
         SpecError
-            It cannot be read.
+            If the spec cannot be read.
         ConfigError
-            A file is outside the folders that may be read.
+            If a file is outside the allowed folders.
         """
         if text not in self._calls:
             files: dict[Path, str] = {}
@@ -85,21 +86,21 @@ class Vetting:
         return self._calls[text]
 
     def sampler(self, text: str) -> tuple[list[Call], Inputs]:
-        """Parse the spec of a sampler as `calls` does; one that runs code must be allowed to.
+        """Parse the spec of a sampler as in `calls`; a sampler that runs code must be allowed.
 
-        Programs, and modules of functions, become inputs; a path of a program starts in the folder.
+        Programs and modules of functions become inputs; a program's path starts in the folder.
 
         Raises
         ------
         ConfigError
-            As of `calls`, or the code is not allowed.
+            Same as in `calls`, or if the code is not allowed.
         """
         (first, *rest), inputs = self.calls(text)
         self._trust.check_code(first)
         files: dict[Path, str] = {}
         match first.name, first.arguments:
             case "command", {"run": str(run)}:
-                with suppress(ValueError):  # no command: its sampler refuses it
+                with suppress(ValueError):  # Not a valid command: the sampler refuses it later
                     program, *others = shlex.split(run)
                     if "/" in program:
                         file = (self._folder / program).absolute()
@@ -113,12 +114,12 @@ class Vetting:
         return [first, *rest], tuple(sorted({*inputs, *self._names(files)}))
 
     def options(self, analysis: Analysis) -> tuple[Analysis, Inputs]:
-        """Vet the options of an analysis as the arguments of a spec.
+        """Check the options of an analysis like the arguments of a spec.
 
         Raises
         ------
         ConfigError
-            As of `calls`.
+            Same as in `calls`.
         """
         files: dict[Path, str] = {}
         given = Call("", msgspec.structs.asdict(analysis))
@@ -127,20 +128,20 @@ class Vetting:
         return msgspec.structs.replace(analysis, **vetted), self._names(files)
 
     def function(self, text: str, call: Call) -> tuple[Callable[..., Any], Inputs]:
-        """Import the function of a call ``python(function='module:function')``, written as `text`.
+        """Import the function of a call ``python(function='module:function')``, given as `text`.
 
         Raises
         ------
         ConfigError
-            It is written otherwise, is not allowed, cannot be imported, or is no function.
+            If the call has another form, or the function is not allowed, importable or callable.
         """
         if set(call.arguments) != {"function"}:
             raise ConfigError(f"{shown(text)}: write python(function='module:function').")
         name = call.arguments["function"]
         if isinstance(name, str) and FUNCTION.fullmatch(name) and name not in self._trust.code:
             raise ConfigError(
-                f"The study names the Python function {shown(name)}, and a study file may not run code: if "
-                f"you trust it, allow it by --allow-code {name}."
+                f"The study names the Python function {shown(name)}, but a study file may not run "
+                f"code; if you trust it, allow it with --allow-code {name}."
             )
         try:
             found = loaded_function(name)
@@ -154,18 +155,18 @@ class Vetting:
 
     def _argument(self, key: str, value: Any, files: dict[Path, str]) -> Any:
         if isinstance(value, list | tuple):
-            # Only of paths may there be several; the rows of a net's matrices are digits.
+            # Only a path may be a list of files; rows of a net's matrices are digits.
             return [self._argument(key if key == "path" else "", item, files) for item in value]
         if isinstance(value, dict):
             return {k: self._argument(str(k), item, files) for k, item in value.items()}
         if not isinstance(value, str):
             return value
-        name = value.partition("(")[0]  # of a scene, with parameters after it, unless it is a file
+        name = value.partition("(")[0]  # The name of a scene before its parameters, or of a file
         is_file = value.lower().endswith(".xml") or "/" in name or "\\" in name
         if key in FILE_KEYS or (key == "scene" and is_file):
             file = self._file(value, files, scene=key == "scene")
             if key == "path" and not file.is_file():
-                with suppress(FileFormatError):  # there are no such files
+                with suppress(FileFormatError):  # No file matches the pattern
                     for each, _ in matching_files(file):
                         self._file(str(each), files)
             return str(file)
@@ -179,17 +180,17 @@ class Vetting:
         return " | ".join(map(str, found))
 
     def _file(self, path: str, files: dict[Path, str], *, scene: bool = False) -> Path:
-        """The file, found from the folder; links are followed to see where it is.
+        """Resolve a path from the folder, and follow links to check where the file is.
 
-        A study may not look around on the disk of who runs it.
+        A study may not look around on the disk of the person who runs it.
         """
-        if "\0" in path or path.startswith("~"):  # a folder of the user's
-            raise ConfigError(f"{shown(path)} is not the name of a file; write it without ~.")
+        if "\0" in path or path.startswith("~"):  # ~ is a home folder
+            raise ConfigError(f"{shown(path)} is not a file name; write it without ~.")
         file = self._folder / path
         if not self._reach.reads(file):
             raise ConfigError(
-                f"The file {shown(path)} is outside the study's folder; move it there, or allow its folder "
-                f"by --allow-path {file.parent}."
+                f"The file {shown(path)} is outside the study's folder; move it there, or allow "
+                f"its folder with --allow-path {file.parent}."
             )
         files[file] = ""
         if scene or file.suffix.lower() == ".xml":
@@ -199,7 +200,7 @@ class Vetting:
         return file
 
     def _names(self, files: Mapping[Path, str]) -> Inputs:
-        """Names of the files that can be read, which become inputs; pipes and devices cannot."""
+        """Return the names of the readable files and record them; pipes and devices are skipped."""
         found = set()
         for file, name in files.items():
             path = file.resolve()
@@ -217,7 +218,7 @@ class Vetting:
 
 
 def _sources(name: str, found: object) -> dict[Path, str]:
-    """Modules that a function was named in and that define it; what these import is not followed."""
+    """Return the modules that a function was named in and defined in, without their imports."""
     module = name.partition(":")[0]
     modules = {module, str(getattr(found, "__module__", module))}
     sources = {each: getattr(sys.modules.get(each), "__file__", None) for each in modules}
@@ -225,30 +226,30 @@ def _sources(name: str, found: object) -> dict[Path, str]:
 
 
 def changed_inputs(before: Mapping[str, str], now: Mapping[str, str]) -> Inputs:
-    """Names of files that have changed, come or gone."""
+    """Return the names of files that were changed, added or removed."""
     return tuple(name for name in sorted({*before, *now}) if before.get(name) != now.get(name))
 
 
 def check_inputs(
     before: Mapping[str, str], now: Mapping[str, str], whose: str, remedy: str
 ) -> None:
-    """Refuse files that have changed.
+    """Raise an error if input files have changed.
 
     Parameters
     ----------
     whose
-        What has, or had, the files of `before`.
+        Start of the message, such as ``The results in 'out' are``.
     remedy
-        What to do about it.
+        End of the message: advice to the user.
 
     Raises
     ------
     StoreError
-        It names the first few of them.
+        If files have changed; the message names the first few.
     """
     changed = changed_inputs(before, now)
     if changed:
         more = f" and {len(changed) - _NAMED} more" if len(changed) > _NAMED else ""
         names = ", ".join(map(repr, changed[:_NAMED])) + more
         what = "the file" if len(changed) == 1 else "the files"
-        raise StoreError(f"{whose} not of {what} {names} as found now: {remedy}.")
+        raise StoreError(f"{whose} from another version of {what} {names}: {remedy}.")

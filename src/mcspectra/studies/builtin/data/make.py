@@ -1,8 +1,8 @@
-"""Make the files that the tour reads: an image used as a density, and a point set.
+"""Make the data files of the tour: an image used as a density, and a point set.
 
-Run with ``python src/mcspectra/studies/builtin/data/make.py``; the files are checked in, so that the tour
-needs no step before it. `window.png` is a bright, soft-edged window and a lamp on a dim wall; `blue.dat` holds 256
-Poisson-disk points in UTK's text format.
+Run ``python src/mcspectra/studies/builtin/data/make.py``. The files are checked in, so the tour
+needs no preparation. `window.png` shows a bright, soft-edged window and a lamp on a dim wall.
+`blue.dat` contains 256 Poisson-disk points in UTK's text format.
 """
 
 from pathlib import Path
@@ -18,7 +18,7 @@ HERE = Path(__file__).parent
 
 
 def window(width: int = 48, height: int = 32) -> Array:
-    """Radiance of the picture, float64 (height, width, 3) in [0, 1]."""
+    """Return the radiance of the picture, float64 (height, width, 3) in [0, 1]."""
     x = (np.arange(width) + 0.5)[None, :] / width
     y = (np.arange(height) + 0.5)[:, None] / height
     wall = 0.03 + 0.05 * (1 - y) + 0 * x
@@ -34,7 +34,7 @@ def window(width: int = 48, height: int = 32) -> Array:
 
 def main() -> None:
     """Write both files."""
-    # 8-bit sRGB, as photographs are
+    # Encode as 8-bit sRGB, like photographs
     linear = window()
     encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
     Image.fromarray(np.rint(255 * encoded).astype(np.uint8)).save(HERE / "window.png")
