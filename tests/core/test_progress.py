@@ -10,7 +10,7 @@ import pytest
 import mcspectra as mcs
 from mcspectra.core import progress
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.progress import Bars, listening, progress_bars, report
+from mcspectra.core.progress import ProgressBars, listening, progress_bars, report
 
 
 def test_reports_reach_the_innermost_listener():
@@ -37,7 +37,7 @@ def clock(monkeypatch):
     """Seconds that pass only when told to."""
     now = [100.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(progress, "_automatic", Bars())
+    monkeypatch.setattr(progress, "_automatic", ProgressBars())
     monkeypatch.setenv("COLUMNS", "100")
 
     def wait(seconds):
@@ -59,7 +59,7 @@ def _seen(capsys):
 
 @pytest.mark.parametrize("closes", [True, False])
 def test_short_work_draws_nothing(closes, clock, terminal, capsys):
-    bars = Bars(closes=closes)
+    bars = ProgressBars(closes=closes)
     for fraction in (0.0, 0.5, 1.0):
         bars("quick", fraction)
         clock(0.2)
@@ -68,7 +68,7 @@ def test_short_work_draws_nothing(closes, clock, terminal, capsys):
 
 @pytest.mark.parametrize("closes", [True, False])
 def test_long_work_draws_a_bar_and_wipes_it(closes, clock, terminal, capsys):
-    bars = Bars(closes=closes)
+    bars = ProgressBars(closes=closes)
     bars("long", 0.0)
     clock(1.0)
     bars("long", 0.25)
@@ -80,7 +80,7 @@ def test_long_work_draws_a_bar_and_wipes_it(closes, clock, terminal, capsys):
 
 
 def test_a_bar_is_drawn_ten_times_a_second_at_most(clock, terminal, capsys):
-    bars = Bars()
+    bars = ProgressBars()
     bars("long", 0.0)
     clock(1.0)
     for k in range(1000):
@@ -90,7 +90,7 @@ def test_a_bar_is_drawn_ten_times_a_second_at_most(clock, terminal, capsys):
 
 
 def test_work_inside_work_shows_both(clock, terminal, capsys):
-    bars = Bars()
+    bars = ProgressBars()
     bars("outer", 0.5)
     bars("inner", 0.0)
     clock(1.0)
@@ -106,7 +106,7 @@ def test_work_inside_work_shows_both(clock, terminal, capsys):
 
 
 def test_work_that_was_given_up_is_forgotten(clock, terminal, capsys):
-    bars = Bars()
+    bars = ProgressBars()
     bars("given up", 0.5)
     clock(40.0)
     bars("next", 0.0)
@@ -153,7 +153,7 @@ def test_without_a_terminal_a_line_tells_every_ten_seconds(clock, capsys):
 
 
 def test_names_are_no_markup(clock, terminal, capsys):
-    bars = Bars()
+    bars = ProgressBars()
     bars("a[red]b", 0.0)
     clock(1.0)
     bars("a[red]b", 0.5)
@@ -162,7 +162,7 @@ def test_names_are_no_markup(clock, terminal, capsys):
 
 @pytest.mark.parametrize("closes", [True, False])
 def test_fractions_out_of_range_and_a_missing_stream_do_no_harm(closes, clock, monkeypatch):
-    bars = Bars(closes=closes)
+    bars = ProgressBars(closes=closes)
     bars("odd", -3.0)
     clock(1.0)
     bars("odd", 0.5)

@@ -42,7 +42,7 @@ from mcspectra.core.records import merged
 from mcspectra.core.registry import Registry, classes_of
 from mcspectra.core.results import Variable, attributes_of, check_variables
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.core.tally import Tally, counting
+from mcspectra.core.tally import EvaluationTally, counting
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -372,7 +372,7 @@ def needed(analysis: Analysis, subject: Subject) -> Need:
         )
     most = _most(analysis, subject)
     if most is not None and need.evaluations > most:
-        Tally(_said(analysis), most, refused=need.evaluations).check()
+        EvaluationTally(_said(analysis), most, refused=need.evaluations).check()
     return need
 
 

@@ -18,7 +18,7 @@ from typing import Any, TypeAlias, final
 from mcspectra.core.display import printable
 from mcspectra.core.errors import ParameterError
 
-__all__ = ["Bars", "Listener", "listening", "progress_bars", "report"]
+__all__ = ["Listener", "ProgressBars", "listening", "progress_bars", "report"]
 
 Listener: TypeAlias = Callable[[str, float], object]
 """Called with what is being done and the fraction of it, 0 to 1, that is; from any thread."""
@@ -78,7 +78,7 @@ def progress_bars(shown: bool = True) -> AbstractContextManager[None]:
 
 @contextmanager
 def _showing() -> Iterator[None]:
-    with closing(Bars(closes=True)) as bars, listening(bars):
+    with closing(ProgressBars(closes=True)) as bars, listening(bars):
         yield
 
 
@@ -102,7 +102,7 @@ def _somebody_waits() -> bool:
 
 
 @final
-class Bars:
+class ProgressBars:
     """A listener that draws a bar of what is under way, and names its parts that are beside it.
 
     Parameters
@@ -185,4 +185,4 @@ def _listed(works: Iterable[tuple[str, float]]) -> str:
     return ", ".join(f"{what} {fraction:.0%}" for what, fraction in works)
 
 
-_automatic = Bars()
+_automatic = ProgressBars()

@@ -3,7 +3,7 @@
 `counting` opens a tally, which sees all that is spent inside of it, in this thread and in those of
 `mcspectra.core.parallel`; tallies may stand within each other. A limit holds before the function is
 called. Work that goes on without what was refused, as another method of a prediction, is made in vain:
-`Tally.check` says at the end that a limit was met.
+`EvaluationTally.check` says at the end that a limit was met.
 """
 
 from __future__ import annotations
@@ -18,19 +18,19 @@ from typing import final
 from mcspectra.core.checks import as_integer
 from mcspectra.core.errors import BudgetError, Function, Parameter
 
-__all__ = ["Tally", "counting", "spend"]
+__all__ = ["EvaluationTally", "counting", "spend"]
 
 _lock = threading.Lock()
 
 
 @final
 @dataclass
-class Tally:
+class EvaluationTally:
     """Evaluations that something made, and the most that it may, None for any number."""
 
     what: str | Function
     most: int | None = None
-    outer: Tally | None = None
+    outer: EvaluationTally | None = None
     made: int = 0
     refused: int = 0  # how many would have been made, where the limit was met
 
@@ -51,14 +51,14 @@ class Tally:
             )
 
 
-_innermost: ContextVar[Tally | None] = ContextVar("tally", default=None)
+_innermost: ContextVar[EvaluationTally | None] = ContextVar("tally", default=None)
 
 
 @contextmanager
-def counting(what: str | Function, most: int | None = None) -> Iterator[Tally]:
+def counting(what: str | Function, most: int | None = None) -> Iterator[EvaluationTally]:
     """Count the evaluations that `what` makes inside, `most` of them at most, an integer from 1 or None."""
     most = None if most is None else as_integer("max_evaluations", most, least=1)
-    tally = Tally(what, most, _innermost.get())
+    tally = EvaluationTally(what, most, _innermost.get())
     token = _innermost.set(tally)
     try:
         yield tally

@@ -134,7 +134,7 @@ def frames(
     given = {"target": target, "seconds": seconds, "seconds_against": seconds_against}
     for name, value in given.items():
         given[name] = None if value is None else as_real(name, value, above=0.0)
-    read = _Reader(layer=layer, tone_mapped=tone_mapped, spp=spp)
+    read = _FrameReader(layer=layer, tone_mapped=tone_mapped, spp=spp)
     found = _measured(paths, read)
     best, ns = found[-1], np.array([each.spp for each in found])
     if layer is None and best.files[0].suffix.lower() == ".exr":
@@ -225,7 +225,7 @@ _PICTURE = ("picture_variance", "picture_relative_se")
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class _Reader:
+class _FrameReader:
     """Reads frames as the options say."""
 
     layer: str | None
@@ -321,7 +321,7 @@ class _Group:
         s = np.sqrt(degrees / chdtri(degrees, 0.5) * self.moments.variance)
         return np.asarray(s / positive)
 
-    def within(self, pixels: Array, read: _Reader) -> _Group:
+    def within(self, pixels: Array, read: _FrameReader) -> _Group:
         """The same of some pixels alone, where other frames have numbers, too."""
         mean, m2 = (np.where(pixels, v, np.nan) for v in (self.moments.mean, self.moments.m2))
         means = [float(read.plane(file, None)[0][pixels].mean()) for file in self.files]
@@ -346,7 +346,7 @@ class _Group:
         return np.array([low, high if self.resolved else np.inf])
 
 
-def _measured(paths: Frames, read: _Reader) -> list[_Group]:
+def _measured(paths: Frames, read: _FrameReader) -> list[_Group]:
     """Frames by their number of samples, ascending, each group measured."""
     groups: dict[int | None, list[tuple[Path, float | None]]] = defaultdict(list)
     for file in _listed(paths):
@@ -431,7 +431,12 @@ def _said(paths: Frames) -> str:
 
 
 def _group(
-    spp: int | None, files: list[Path], seconds: float | None, read: _Reader, done: int, total: int
+    spp: int | None,
+    files: list[Path],
+    seconds: float | None,
+    read: _FrameReader,
+    done: int,
+    total: int,
 ) -> _Group:
     """Read the frames of one number of samples twice."""
     # Moments and ranges of the pixels
@@ -651,7 +656,7 @@ def _compared(
     ours: list[_Group],
     others: list[_Group],
     times: tuple[float | None, float | None],
-    read: _Reader,
+    read: _FrameReader,
 ) -> tuple[dict[str, tuple[tuple[str, ...], Any]], dict[str, Any]]:
     """Means and variances of two sets of frames against each other."""
     common = {each.spp for each in ours} & {each.spp for each in others}

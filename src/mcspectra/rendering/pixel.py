@@ -26,7 +26,7 @@ into strips and adds discontinuities; a selecting coordinate takes that out. The
 With positions the integral is the mean over the pixel; it is 0 where a ray leaves the scene or sees
 a light.
 
-Densities of all techniques at one draw (`View.draws`): a technique is ``"light"``, ``"bsdf"`` or a
+Densities of all techniques at one draw (`PixelView.draws`): a technique is ``"light"``, ``"bsdf"`` or a
 `Sky`; a light and skies are not combined, as both would sample the environment. Where f is 0 only
 the technique that drew a direction is said to be able to: a path without light belongs to nobody
 else, which keeps every p_t integrate to 1 where rays that are blocked by a surface say nothing of
@@ -94,8 +94,8 @@ __all__ = [
     "MitsubaIntegrand",
     "Pixel",
     "PixelMIS",
+    "PixelView",
     "Technique",
-    "View",
     "check_channel",
     "check_view",
     "describe_pixel",
@@ -203,8 +203,8 @@ class Pixel(MitsubaIntegrand):
         return self._view.values(self._technique(), x, heuristic)
 
     @property
-    def _view(self) -> View:
-        return View(self.scene, self.x, self.y, self.light, self.channel, self.dims)
+    def _view(self) -> PixelView:
+        return PixelView(self.scene, self.x, self.y, self.light, self.channel, self.dims)
 
     def _technique(self) -> Technique:
         if self.strategy != ENVIRONMENT:
@@ -228,7 +228,7 @@ def pixel_strategies(
     return {strategy: Pixel(**same, strategy=strategy) for strategy in STRATEGIES}
 
 
-def check_view(view: View, *, bsdf: bool) -> View:
+def check_view(view: PixelView, *, bsdf: bool) -> PixelView:
     """Return a pixel with its numbers as Python integers; a ParameterError as for `Pixel`.
 
     `bsdf` says whether its BSDF will be sampled, which may need a dim more.
@@ -239,7 +239,7 @@ def check_view(view: View, *, bsdf: bool) -> View:
     with LOCK:
         x, y = check_pixel(view.scene, view.x, view.y)
         check_lights(view.scene, view.light)
-        checked = View(view.scene, x, y, view.light, channel, dims)
+        checked = PixelView(view.scene, x, y, view.light, channel, dims)
         if checked.on_film:
             check_film_receivers(view.scene, x, y, single_lobe=single_lobe)
             return checked
@@ -297,7 +297,7 @@ class Draws:
 
 @final
 @dataclass(frozen=True)
-class View:
+class PixelView:
     """A pixel of a scene, with the light that is used; attributes as those of `Pixel`."""
 
     scene: Scene
@@ -536,7 +536,7 @@ class PixelMIS(AbstractEstimator):
 
     def __init__(
         self,
-        view: View,
+        view: PixelView,
         techniques: tuple[Density | str, ...],
         *,
         heuristic: Heuristic | str,
@@ -731,13 +731,13 @@ def pixel_mis(
             f"techniques is {shown(techniques)}; give 'light' and 'bsdf' at most once, and densities "
             "without 'light', which samples the environment too."
         )
-    asked = View(as_scene(scene), x, y, light, channel, dims)
+    asked = PixelView(as_scene(scene), x, y, light, channel, dims)
     view = check_view(asked, bsdf="bsdf" in given)
     return PixelMIS(view, given, heuristic=heuristic, counts=counts, sets=sets)
 
 
-def _bound(view: View, technique: Density | str) -> Technique:
-    """The technique as `View` knows it."""
+def _bound(view: PixelView, technique: Density | str) -> Technique:
+    """The technique as `PixelView` knows it."""
     if isinstance(technique, str) and technique in _BY_NAME:
         return technique
     environment_of(view.scene, view.light)

@@ -309,7 +309,7 @@ def seed_lanes(
     )
     joint = None
     if sets.joint:
-        joint = _Table(module, sets.joints(stream, 0, min(pixels, rounds.size)))
+        joint = _DeviceSets(module, sets.joints(stream, 0, min(pixels, rounds.size)))
     return LaneState(
         module=module,
         count=sets.count,
@@ -323,7 +323,7 @@ def seed_lanes(
     )
 
 
-class _Table:
+class _DeviceSets:
     """Sets in Dr.Jit's memory, made of float32 (sets, count, dims); `size` of them.
 
     No dataclass, nor are the others: Dr.Jit would make tables part of a loop's state.
@@ -350,7 +350,7 @@ class _TablePads:
         import drjit
 
         self._stride = drjit.opaque(module.UInt32, rounds.stride)
-        self._sets = {k: _Table(module, sets.pads(k, stream, 0, rounds.size)) for k in (1, 2)}
+        self._sets = {k: _DeviceSets(module, sets.pads(k, stream, 0, rounds.size)) for k in (1, 2)}
 
     def following(self, offset: Any) -> Any:
         """Offset of the next request."""
@@ -381,7 +381,7 @@ class LaneState:
     per_pass: int
     done: int
     pads: _TablePads | Pads
-    joint: _Table | None
+    joint: _DeviceSets | None
     pixel: Any
     index: Any
     coordinate: Any
