@@ -1,8 +1,8 @@
-"""Names of all result variables, and the one way to make a labeled dataset of them.
+"""Names of all result variables, and the function that makes a labeled dataset of them.
 
-Every variable an analysis returns is registered here once with its meaning, unit, dims and kind;
-`dataset` attaches meaning and unit as attributes, and the provenance (seed, versions, spec strings) to
-the whole; `check_variables` holds every result against what its analysis declares.
+Every variable that an analysis returns is registered here once with its meaning, unit, dims and
+type. `dataset` attaches meaning and unit as attributes, and the provenance (seed, versions, spec
+strings) to the dataset. `check_variables` compares a result with the declaration of its analysis.
 """
 
 from __future__ import annotations
@@ -41,14 +41,15 @@ class Variable(NamedTuple):
     Attributes
     ----------
     meaning, units
-        Become the attributes ``long_name`` and ``units``.
+        Values of the attributes ``long_name`` and ``units``.
     dims
-        Its dims in order: ``m`` stands for m0, m1, …; one that ends in ``?`` may be missing. The dims
-        estimator, sampler and channel may come besides. None where they differ.
+        Its dims in order. ``m`` stands for m0, m1, …; a dim that ends in ``?`` is optional. The
+        dims estimator, sampler and channel may be added. None if the dims vary.
     kind
-        Kinds of numbers, as NumPy's letters: ``f`` floats, ``i`` integers, ``c`` complex, ``b`` booleans.
+        Types of numbers, as NumPy's letters: ``f`` floats, ``i`` integers, ``c`` complex, ``b``
+        booleans.
     name
-        Of a variable that is not in `VARIABLES`, such as those of other packages.
+        Name of a variable that is not in `VARIABLES`, such as one of another package.
     """
 
     meaning: str
@@ -216,7 +217,8 @@ mis_gain | f | 1 | y x | variance of the better single strategy / variance of MI
 predicted_ratio | f | 1 | strategy y x | predicted / measured variance at the largest n
 path_variance | f | f² | y x | variance of one random path
 bounce_share | f | 1 | bounce y x | what a bounce adds to the variance that the bounces before it make / variance
-decision_share | f | 1 | decision y x | sum over bounces of what a decision adds to the variance that those before it make / variance
+decision_share | f | 1 | decision y x | \
+sum over bounces of what a decision adds to the variance that those before it make / variance
 largest_bounce | f | 1 | y x | number of the bounce of the largest share; −1: undecided
 largest_decision | f | 1 | y x | number of the decision of the largest share; −1: undecided
 best_sampler | f | 1 | strategy y x | number of the sampler of the least variance; −1: no difference
@@ -265,7 +267,7 @@ VARIABLES: Mapping[str, Variable] = {
     },
     **_VARIABLES,
 }
-"""Variables by name; those with ``_se`` and ``_ci`` are the errors and intervals of the others."""
+"""Variables by name; ``_se`` marks standard errors and ``_ci`` intervals of other variables."""
 
 
 def dataset(
@@ -277,7 +279,7 @@ def dataset(
 ) -> xr.Dataset:
     """Make a dataset of registered variables, name -> (dims, values), with provenance attributes.
 
-    Dims to `drop` have one value, such as the channel of a scalar; they are left out.
+    Dims in `drop` have one value, such as the channel of a scalar; they are removed.
     """
     import xarray as xr
 
@@ -294,7 +296,10 @@ def dataset(
 
 
 def attributes_of(**provenance: Any) -> dict[str, str | int | float]:
-    """Return what every storage format can hold: numbers of 64 bits, strings, or JSON text; no None."""
+    """Convert attributes to types that every storage format holds; drop those that are None.
+
+    These types are 64-bit numbers, strings and JSON text.
+    """
     attributes = {}
     for key, value in provenance.items():
         plain = value.item() if isinstance(value, np.generic) else value
@@ -309,7 +314,7 @@ def attributes_of(**provenance: Any) -> dict[str, str | int | float]:
 
 
 def strict_json(value: Any) -> Any:
-    """Return what strict JSON can say: lists for arrays, null for NaN, texts for paths and ``inf``."""
+    """Convert a value to strict JSON: arrays become lists, NaN null, paths and ``inf`` text."""
     if isinstance(value, Mapping):
         return {str(key): strict_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -324,12 +329,12 @@ def strict_json(value: Any) -> Any:
 
 
 def check_variables(result: xr.Dataset, declared: Sequence[str | Variable], analysis: str) -> None:
-    """Hold a result against the variables that its analysis declares.
+    """Check a result against the variables that its analysis declares.
 
     Raises
     ------
     AnalysisError
-        A variable is not declared, or has other dims or another kind of numbers.
+        If a variable is not declared, or has other dims or another type of numbers.
     """
     known = {v if isinstance(v, str) else v.name: v for v in declared}
     for name, values in result.data_vars.items():
@@ -341,9 +346,9 @@ def check_variables(result: xr.Dataset, declared: Sequence[str | Variable], anal
         about = VARIABLES[about] if isinstance(about, str) else about
         if values.dtype.kind not in about.kind:
             raise AnalysisError(
-                f"{analysis}: {name} holds {values.dtype}, declared is {shown(about.kind)}."
+                f"{analysis}: {name} holds {values.dtype}, but {shown(about.kind)} is declared."
             )
-        # Hold the dims against a pattern in which m is any of m0, m1, …, and those with ? may be missing
+        # Match the dims with a pattern: m stands for any of m0, m1, …, and dims with ? are optional
         found = [str(d) for d in values.dims if d not in _FREE_DIMS or d in (about.dims or ())]
         pattern = ""
         for dim in about.dims or ():
@@ -353,13 +358,13 @@ def check_variables(result: xr.Dataset, declared: Sequence[str | Variable], anal
             pattern, "".join(f"{dim} " for dim in found)
         ):
             raise AnalysisError(
-                f"{analysis}: {name} has the dims {found}, declared are {about.dims}."
+                f"{analysis}: {name} has the dims {found}, but {about.dims} are declared."
             )
 
 
 @functools.cache
 def package_versions() -> dict[str, str]:
-    """Versions of this package and of those that its numbers depend on."""
+    """Return the versions of this package and of the packages that affect its numbers."""
     found = {}
     for name in ("mcspectra", "numpy", "scipy", "numba", "finufft"):
         try:
