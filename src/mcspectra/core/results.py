@@ -70,7 +70,8 @@ anisotropy_db | f | dB | radius | variance of power over direction / (mean power
 anisotropy_noise_db | f | dB | radius | anisotropy that noise alone makes
 band_covariance | f | f² | band band_other | covariance of band-limited estimates
 band_trace | f | f² | | sum of all eigenvalues of the covariance within the band
-bend_n | f | 1 | method? | number of points at which the predicted rate changes to its limit; NaN: none known
+bend_n | f | 1 | method? | \
+number of points at which the predicted rate changes to its limit; NaN: none known
 best_width | f | 1 | any | width of smoothed edges with the least mean squared error
 best_width_range | f | 1 | any | widths that may have the least mean squared error
 bias_squared | f | f² | any | (integral of the smoothed integrand minus the original)²
@@ -88,7 +89,8 @@ dc_term | f | f² | n? | dc term |f_0|² C_00
 cost | f | 1 | remedy step | evaluations of the integrand in an estimate
 error | f | f² | remedy | variance at the budget, mean squared error where biased
 error_at_cost | f | f² | remedy step | variance at each cost, mean squared error where biased
-error_ratio | f | 1 | remedy | variance (mean squared error where biased) / that of the set-up as given
+error_ratio | f | 1 | remedy | \
+variance (mean squared error where biased) / that of the set-up as given
 error_ratio_ci | f | 1 | remedy bound | simultaneous 95 % interval of the ratio of variances
 rank | f | 1 | sampler integrand | rank by n · variance at the largest n, 1: least
 rank_ci | f | 1 | sampler integrand bound | simultaneous 95 % interval of the rank
@@ -122,13 +124,16 @@ l2_star_discrepancy | f | 1 | any | L2 star discrepancy
 light_mean | f | f | light | what a light gives to the integral, mean over random paths
 light_probability | f | 1 | light | how often a light is chosen
 light_selection | f | 1 | light | how often a light had better be chosen, by second moments
-light_share | f | 1 | light | Cov(f_j, f) / Var(f), part of the variance of a random path that light j makes
-limit_rate | f | 1 | method? | exponent that the predicted variance tends to at large n; NaN: not known
+light_share | f | 1 | light | \
+Cov(f_j, f) / Var(f), part of the variance of a random path that light j makes
+limit_rate | f | 1 | method? | \
+exponent that the predicted variance tends to at large n; NaN: not known
 local_rate | f | 1 | method? n | exponent of the predicted variance between neighboring n
 low_frequency_exponent | f | 1 | | b of power ∝ |m|^b at low frequencies
 mean | f | f | strategy? quantity? n? y? x? | mean estimate
 mcse | f | f | quantity? | standard error of the mean of chains
-ess | f | 1 | quantity? | effective number of draws: variance of the draws / squared error of their mean
+ess | f | 1 | quantity? | \
+effective number of draws: variance of the draws / squared error of their mean
 burn_in | i | 1 | quantity? | draws at the start of each chain that are left out
 spectrum_at_zero | f | f² | quantity? | spectral density S(0) of a chain in time
 error_share | f | 1 | quantity? band | part of the squared error of the mean from these frequencies
@@ -175,7 +180,8 @@ star_discrepancy | f | 1 | any | star discrepancy
 strata_offset | f | 1 | any | offset of strata in sides of a stratum
 t_value | f | 1 | any | quality parameter t of the (t, m, d)-net
 tail_term | f | f² | | variance of what is beyond the half width, if points are random to it
-tail_variance | f | f² | method? n | part of the predicted variance beyond the terms that are counted
+tail_variance | f | f² | method? n | \
+part of the predicted variance beyond the terms that are counted
 technique_covariance | f | f² | n? technique technique_other | \
 covariance of the parts of the estimate of two techniques
 technique_cross_term | f | f² | n? technique technique_other | cross term of two techniques
@@ -216,7 +222,8 @@ dominant_technique | f | 1 | y x | technique of the larger variance; −1: undec
 mis_gain | f | 1 | y x | variance of the better single strategy / variance of MIS
 predicted_ratio | f | 1 | strategy y x | predicted / measured variance at the largest n
 path_variance | f | f² | y x | variance of one random path
-bounce_share | f | 1 | bounce y x | what a bounce adds to the variance that the bounces before it make / variance
+bounce_share | f | 1 | bounce y x | \
+what a bounce adds to the variance that the bounces before it make / variance
 decision_share | f | 1 | decision y x | \
 sum over bounces of what a decision adds to the variance that those before it make / variance
 largest_bounce | f | 1 | y x | number of the bounce of the largest share; −1: undecided
@@ -224,14 +231,16 @@ largest_decision | f | 1 | y x | number of the decision of the largest share; �
 best_sampler | f | 1 | strategy y x | number of the sampler of the least variance; −1: no difference
 wraparound_discrepancy | f | 1 | any | wrap-around L2 discrepancy
 relative_rmse | f | 1 | n y x | σ / mean of one frame
-largest_share | f | 1 | n y x | share of the frame that is farthest from the mean in the sum of squares
+largest_share | f | 1 | n y x | \
+share of the frame that is farthest from the mean in the sum of squares
 picture_variance | f | f² | n | mean over the pixels of the variance of one frame
 picture_rate | f | 1 | | exponent of the mean variance in samples a pixel
 needed_spp | f | 1 | y x | samples a pixel at which the wanted σ / mean is reached
 error_spectrum | f | 1 | n radius | power of the standardized errors of a frame; white noise: 1
 error_correlation | f | 1 | n lag_y lag_x | correlation of the errors of pixels at a distance
 flip | f | 1 | n y x | FLIP of one frame against the mean
-predicted_power | f | f² | radius | power of an image of errors, from spectra; white noise: the variance
+predicted_power | f | f² | radius | \
+power of an image of errors, from spectra; white noise: the variance
 measured_power | f | f² | radius | power of an image of errors
 low_share | f | 1 | | power of errors at low frequencies between pixels / its mean; white noise: 1
 difference | f | f | y x | mean minus that of the other frames
