@@ -236,8 +236,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
                 return each
         raise NotImplementedError(
             f"The first step of {type(self).__name__} has no reduction with the key {shown(key)}: "
-            "an analysis "
-            "of several steps must override part."
+            "an analysis of several steps must override part."
         )
 
     @classmethod

@@ -112,8 +112,7 @@ def check_decoded_size(name: object, size: int, decoded: float) -> None:
     if decoded > most:
         raise FileFormatError(
             f"{name}, of {size} bytes, would take {decoded / 1e6:,.0f} MB of memory to read; a "
-            "file "
-            f"of this size may take {most / 1e6:,.0f} MB: make a smaller version of it."
+            f"file of this size may take {most / 1e6:,.0f} MB: make a smaller version of it."
         )
 
 

@@ -108,8 +108,7 @@ def environment_pixels(path: object, values: object) -> Array:
         if given.ndim not in (2, 3) or not 0 < given.size <= _MOST_VALUES:
             raise ParameterError(
                 f"values have shape {given.shape}; give pixels of shape (h, w) or (h, w, "
-                "channels); "
-                f"{_MOST_VALUES:.3g} numbers are the limit."
+                f"channels); {_MOST_VALUES:.3g} numbers are the limit."
             )
         pixels = np.array(given).reshape(*given.shape[:2], -1)
     if not np.isfinite(pixels).all() or pixels.min() < 0:

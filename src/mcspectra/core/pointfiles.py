@@ -207,9 +207,8 @@ def _content(
         numbered, text = enumerate(sets), json.dumps(dict(meta or {}), default=str)
     except (TypeError, ValueError):
         raise FileFormatError(
-            f"The sets and the meta for {name} are {shown(sets)} and {shown(meta)}; give a list "
-            "of arrays "
-            "(n, d), and names with values that JSON can hold."
+            f"The sets and the meta for {name} are {shown(sets)} and {shown(meta)}; give a list of "
+            "arrays (n, d), and names with values that JSON can hold."
         ) from None
     clean: list[Array] = []
     for k, given in numbered:

@@ -92,8 +92,7 @@ class Registry(Mapping[str, str]):
         if not (known if self.base else callable(found)):
             raise MissingDependency(
                 f"The {self.kind} {shown(name)} ({target}) is {shown(found)}, not a class that "
-                "makes one; "
-                "fix the package that registers it."
+                "makes one; fix the package that registers it."
             )
         return found  # type: ignore[no-any-return]
 

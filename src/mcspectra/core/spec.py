@@ -211,9 +211,8 @@ def _parse_call(part: str, whole: str) -> Call:
         nameless = ast.get_source_segment(source, tree.args[0]) or "a value"
         written = printable(nameless, QUOTED)
         raise SpecError(
-            f"{brief} was given {written} without a name; write parameter={written}, with the "
-            "name of "
-            "one of its parameters."
+            f"{brief} was given {written} without a name; write parameter={written}, with the name "
+            "of one of its parameters."
         )
     arguments: dict[str, Any] = {}
     for key, value in keywords:

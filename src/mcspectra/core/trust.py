@@ -88,8 +88,7 @@ class Trust:
             if not isinstance(name, str) or not _NAMED.fullmatch(name):
                 raise ConfigError(
                     f"--allow-code is {shown(name)}; write module:function, a command as in the "
-                    "study, or the path "
-                    "of its program."
+                    "study, or the path of its program."
                 )
         for folder in given[1]:
             if not isinstance(folder, Path):
@@ -121,8 +120,7 @@ class Trust:
             text = call.arguments[CODE[call.name]]
             raise ConfigError(
                 f"{call.name}({text!r:.200}) runs code, which a spec may not do by itself: if you "
-                "trust it, "
-                f"allow it by --allow-code {shlex.quote(text)}, in Python by "
+                f"trust it, allow it by --allow-code {shlex.quote(text)}, in Python by "
                 "mcs.samplers.allow_code(…)."
             )
 
@@ -159,8 +157,7 @@ class Trust:
         if not self.reads(file):
             raise ConfigError(
                 f"{where} names {shown(named)}, which is outside the folders that a study may "
-                "read: move "
-                "the file next to the scene, or allow its folder by --allow-path "
+                "read: move the file next to the scene, or allow its folder by --allow-path "
                 f"{shlex.quote(str(file.parent))}."
             )
 
@@ -174,9 +171,8 @@ class Trust:
         """
         if (what := reach_of(text)) is not None:
             raise ConfigError(
-                f"{where} has the spec {shown(text)}, which names {what}; this is not allowed in "
-                "a study's scene: give "
-                "the sampler in the study file."
+                f"{where} has the spec {shown(text)}, which names {what}; this is not allowed in a "
+                "study's scene: give the sampler in the study file."
             )
 
 

@@ -221,7 +221,7 @@ def import_mitsuba() -> Any:
 
 
 def _check_mapped() -> None:
-    """Raise an error if the caller's own import of Dr.Jit loaded a libLLVM that ends the process later."""
+    """Raise an error if the caller's own import of Dr.Jit loaded an unsuitable libLLVM."""
     try:  # Linux lists the libraries of this process
         lines = Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
@@ -233,9 +233,8 @@ def _check_mapped() -> None:
     best, _ = find_library()
     order = "call mcspectra.rendering.load_mitsuba() before you import mitsuba or drjit"
     raise MissingDependency(
-        "Mitsuba was imported before mcspectra could choose a libLLVM, and loaded one that "
-        "does not "
-        f"work ({_reasons(verdicts)}); "
+        "Mitsuba was imported before mcspectra could choose a libLLVM, and loaded one that does "
+        f"not work ({_reasons(verdicts)}); "
         + (
             f"{order}, or set {_LIBRARY_VARIABLE}={best.library}."
             if best
@@ -311,7 +310,7 @@ def _wheel_library() -> list[str]:
 
 
 def _system_libraries() -> list[str]:
-    """Return the system's libraries, newest first, without those whose name shows an old version."""
+    """Return the system's libraries, newest first, without those named as old versions."""
     folders = _SYSTEM_FOLDERS.get(platform.system(), ())
     found = {str(path) for folder, pattern in folders for path in Path(folder).glob(pattern)}
     versions = {path: _llvm_version(path) for path in found}
@@ -343,7 +342,7 @@ def _verdict(library: str, fresh: bool) -> Verdict:
 
 
 def _fingerprint(library: str) -> str:
-    """Hash everything that a verdict depends on, also the host, because clusters share home folders."""
+    """Hash all that a verdict depends on; also the host, as clusters share home folders."""
     try:
         status = Path(library).stat()
         size, modified = status.st_size, status.st_mtime_ns

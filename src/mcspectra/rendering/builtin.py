@@ -81,9 +81,9 @@ def area_light(radiance: float | dict[str, Any]) -> dict[str, Any]:
 
 
 P: Point = (-1.2, 0.0, 0.7)
-"""A point of the floor from which the whole light is visible."""
+"""A floor point where the whole light is visible."""
 Q: Point = (0.9, 0.0, 0.4)
-"""A point of the floor from which the occluder hides a part of the light."""
+"""A floor point where the occluder hides a part of the light."""
 
 _HEIGHT, _HALF_SIDE, _RADIANCE = 2.0, 1.0, 9.0
 _OCCLUDER: Point = (1.5, 1.0, 0.0)

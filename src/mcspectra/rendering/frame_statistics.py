@@ -242,15 +242,14 @@ class _FrameReader:
         if file.suffix.lower() in ENCODED_EXTENSIONS and not self.tone_mapped:
             raise FileFormatError(
                 f"{file} is a tone-mapped picture, which no longer has the renderer's noise; give "
-                "EXR, PFM or "
-                ".npy, or set tone_mapped=True (--tone-mapped) to undo the sRGB curve."
+                "EXR, PFM or .npy, or set tone_mapped=True (--tone-mapped) to undo the sRGB curve."
             )
         image = read_image(file, layer=self.layer, finite=False)
         image[~np.isfinite(image)] = np.nan
         return image[..., :3] if image.shape[2] > 2 else image[..., :1]
 
     def plane(self, file: Path, shape: tuple[int, ...] | None) -> tuple[Array, Array]:
-        """Return luminance (y, x) and color of a frame, after checking its shape if one is given."""
+        """Return luminance (y, x) and color of a frame, after a check of its shape."""
         image = self.color(file)
         if shape is not None and image.shape != shape:
             raise ParameterError(
@@ -323,7 +322,8 @@ class _Group:
         """Median-unbiased σ / mean of one frame; NaN if the mean is not positive."""
         from scipy.special import chdtri
 
-        degrees = self.moments.count - 1  # for normal noise, s² is below σ² more often than above
+        # For normal noise, s² is more often below σ² than above it
+        degrees = self.moments.count - 1
         positive = np.where(self.moments.mean > 0, self.moments.mean, np.nan)
         s = np.sqrt(degrees / chdtri(degrees, 0.5) * self.moments.variance)
         return np.asarray(s / positive)
@@ -341,7 +341,10 @@ class _Group:
 
     @property
     def picture_relative_se(self) -> float:
-        """Relative standard error for independent pixels, times √Σρ² over their correlations ρ at all lags."""
+        """Relative standard error: that of independent pixels times √Σρ² over all lags.
+
+        ρ is the correlation of the errors at a lag.
+        """
         each = self.moments.relative_se * self.moments.variance
         return float(np.sqrt(self.alike * np.nansum(each**2)) / np.nansum(self.moments.variance))
 
@@ -365,8 +368,8 @@ def _measured(paths: Frames, read: _FrameReader) -> list[_Group]:
             raise ParameterError(
                 Parameter("spp"),
                 f" is {read.spp}, but the frames have {' and '.join(map(str, told))} samples per "
-                "pixel "
-                "in their names or headers; give frames with one number of samples, or leave ",
+                "pixel in their names or headers; give frames with one number of samples, or "
+                "leave ",
                 Parameter("spp"),
                 " out.",
             )
@@ -374,8 +377,7 @@ def _measured(paths: Frames, read: _FrameReader) -> list[_Group]:
     if None in groups and len(groups) > 1:
         raise ParameterError(
             f"{groups[None][0][0]} has no number of samples per pixel in its name, but other "
-            "frames do; rename it, such as "
-            "x_64spp.exr, or give ",
+            "frames do; rename it, such as x_64spp.exr, or give ",
             Parameter("spp"),
             ".",
         )
@@ -383,9 +385,8 @@ def _measured(paths: Frames, read: _FrameReader) -> list[_Group]:
         if len(members) < 2:
             count = "" if spp is None else f" of {spp} samples per pixel"
             raise ParameterError(
-                f"There is one frame{count}, {members[0][0]}; give two or more independent "
-                "renders of "
-                "each number of samples."
+                f"There is one frame{count}, {members[0][0]}; give two or more independent renders "
+                "of each number of samples."
             )
     total, done = 2 * sum(map(len, groups.values())), 0
     found: list[_Group] = []
@@ -434,8 +435,7 @@ def _listed(paths: Any) -> list[Path]:
             return files
     raise FileFormatError(
         f"{place} holds no {', '.join(LINEAR_EXTENSIONS + ENCODED_EXTENSIONS)} files; give a "
-        "folder of "
-        "frames."
+        "folder of frames."
     )
 
 
@@ -476,8 +476,7 @@ def _group(
         )
         raise ParameterError(
             f"The {count} frames like {files[0]} {reason}; give independent renders, each with a "
-            "seed of "
-            "its own."
+            "seed of its own."
         )
     farthest = np.maximum(high - moments.mean, moments.mean - low) ** 2
     share = np.divide(farthest, moments.m2, out=np.full_like(farthest, np.nan), where=varied)
@@ -590,7 +589,7 @@ def _unbiased(correlation: Array, count: int) -> tuple[Array, float]:
 
 
 def _lags(every: Array, variance: float) -> tuple[Array, list[int] | None, float]:
-    """Correlation at small lags, and the nearest of the far lags (y, x) with the largest correlation."""
+    """Correlation at small lags, and the nearest far lag (y, x) with the largest one."""
     height, width = every.shape
     down, right = np.rint(np.fft.fftfreq(height) * height), np.rint(np.fft.fftfreq(width) * width)
     near = [np.abs(lag) <= min(_REACH, (lag.size - 1) // 2) for lag in (down, right)]
@@ -619,7 +618,7 @@ def _lags(every: Array, variance: float) -> tuple[Array, list[int] | None, float
 
 
 def _related(sample: Array, alike: float) -> tuple[tuple[int, int] | None, float]:
-    """Return the two frames whose errors are most correlated, if significant, and their correlation.
+    """Return the two frames with the most correlated errors, if significant, and the correlation.
 
     Deviations from the mean of R frames have the correlation −1/(R − 1) if errors are independent.
     """
@@ -683,8 +682,7 @@ def _compared(
     if a.moments.mean.shape != b.moments.mean.shape:
         raise ParameterError(
             f"{b.files[0]} has the size {b.moments.mean.shape}, but {a.files[0]} has "
-            f"{a.moments.mean.shape}; give "
-            "frames of one view."
+            f"{a.moments.mean.shape}; give frames of one view."
         )
     both = np.isfinite(a.moments.mean) & np.isfinite(b.moments.mean)
     if not both.any():
@@ -731,7 +729,7 @@ def _compared(
 
 
 def _welch(a: tuple[Any, Any, int], b: tuple[Any, Any, int]) -> Array:
-    """Difference of two means as a normal deviate, by Welch's test; each is (mean, variance, count)."""
+    """Difference of two means as a normal deviate (Welch's test); each is mean, variance, count."""
     from scipy.special import ndtri, stdtr
 
     (mean, variance, count), (other, other_variance, other_count) = a, b

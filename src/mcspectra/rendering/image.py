@@ -131,7 +131,7 @@ def render(
     )
 
     def draw(block: tuple[range, range]) -> tuple[range, Callable[[], Array]]:
-        """Draw the points of a tile for some images; return a function that computes means (images · P, 3)."""
+        """Draw the points of a tile; return a function that computes means (images · P, 3)."""
         tile, images = block
         lines = np.arange(tile.start // width, (tile.stop - 1) // width + 1)
         grid = np.empty((len(lines), width, 2), np.int64)
