@@ -389,9 +389,16 @@ class Tracer:
 
             # Mitsuba's differentiable integrators sample in a mode
             found = integrator.sample(
-                mode=drjit.ADMode.Primal, scene=loaded, sampler=sampler, ray=ray,
-                depth=mitsuba.UInt32(0), δL=None, δaovs=None, state_in=None, active=mitsuba.Bool(True),
-            )  # fmt: skip
+                mode=drjit.ADMode.Primal,
+                scene=loaded,
+                sampler=sampler,
+                ray=ray,
+                depth=mitsuba.UInt32(0),
+                δL=None,
+                δaovs=None,
+                state_in=None,
+                active=mitsuba.Bool(True),
+            )
         else:
             found = integrator.sample(loaded, sampler, ray, sensor.get_medium(), True)
         return weight * found[0]
