@@ -1,4 +1,4 @@
-"""The package without its extras: their packages are hidden from a process that uses all the rest."""
+"""The package without its extras, which are hidden from a process that uses everything else."""
 
 import tomllib
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Analyses: their doors in Python, and the same merge tree whatever the chunks and threads."""
+"""Analyses: their functions in Python, and the same merge tree for any chunks and threads."""
 
 import inspect
 import random
@@ -69,12 +69,13 @@ def test_functions_have_the_options_with_their_defaults(name):
     assert {key: parameters[key].default for key in options} == options
 
 
-# --- the merge tree ---------------------------------------------------------------------------------
+# --- the merge tree
+# ---------------------------------------------------------------------------------
 
 
 @dataclass
 class Words:
-    """A state that says how it was merged; reuses its left states."""
+    """A state that records how it was merged; reuses its left states."""
 
     said: list[str]
 
@@ -105,7 +106,7 @@ def _names(blocks):
 
 
 def _by_definition(names):
-    """Left subtree of the largest power of two below the number: the tree, written recursively."""
+    """Recursive definition of the tree: the left subtree has the largest power of two of blocks."""
     if len(names) == 1:
         return names[0]
     half = 1 << ((len(names) - 1).bit_length() - 1)
@@ -135,7 +136,7 @@ def test_chunks_of_one_size_change_nothing(blocks, power):
 
 
 def _mixed(blocks, choose):
-    """Chunks of mixed sizes: each any power of two that divides its first block, and tails."""
+    """Chunks of mixed sizes: any power of two that divides the first block, and shorter ends."""
     first = 0
     while first < blocks:
         sizes = [2**k for k in range(9) if first % 2**k == 0]
@@ -165,7 +166,8 @@ def test_a_tree_holds_few_states():
         assert len(tree.nodes) <= 10  # ⌊log₂ 1000⌋ + 1
 
 
-# --- steps ------------------------------------------------------------------------------------------
+# --- steps
+# ------------------------------------------------------------------------------------------
 
 
 def _counting(part, steps):
@@ -176,7 +178,7 @@ def _counting(part, steps):
 
 
 def _drive(generator, answer):
-    """Steps of a generator of reductions, and what it returns."""
+    """Steps of a generator of reductions, and its return value."""
     steps, states = [], None
     try:
         while True:
@@ -245,7 +247,7 @@ def test_progress_grows_to_the_end_in_every_step():
 
 def test_an_error_in_a_block_comes_through_from_threads():
     class Fails(Analysis, frozen=True, kw_only=True):
-        """It fails."""
+        """An analysis that fails."""
 
         def reduction(self, subject, stream):
             def block(index):
@@ -281,7 +283,8 @@ def test_more_memory_than_there_is_is_refused(monkeypatch):
         compute(Said(memory=10**6 + 1), SUBJECT)
 
 
-# --- what cannot be cut, and what comes back ----------------------------------------------------------
+# --- indivisible computations and results
+# -------------------------------------------------------------
 
 
 def _small():
@@ -290,7 +293,7 @@ def _small():
 
 def test_a_whole_is_its_dataset():
     class Whole(Analysis, frozen=True, kw_only=True):
-        """All at once."""
+        """A computation in one piece."""
 
         variables: ClassVar = ("variance",)
 
@@ -342,7 +345,7 @@ def test_results_are_held_against_what_is_declared(variable, words):
 
 def test_a_result_says_what_it_is_of():
     class Of(Said, frozen=True, kw_only=True):
-        """Of what."""
+        """An analysis with provenance."""
 
         provenance: ClassVar = ("estimator", "sampler", "blocks", "stream_key")
 
@@ -396,7 +399,7 @@ def _no_list():
 )
 def test_an_analysis_that_breaks_its_contract_is_named(need, reduction, words):
     class Odd(Analysis, frozen=True, kw_only=True):
-        """Odd."""
+        """An analysis that breaks its contract."""
 
         variables: ClassVar = ("variance",)
 
@@ -410,7 +413,8 @@ def test_an_analysis_that_breaks_its_contract_is_named(need, reduction, words):
         compute(Odd(), SUBJECT)
 
 
-# --- the registry -----------------------------------------------------------------------------------
+# --- the registry
+# -----------------------------------------------------------------------------------
 
 
 def test_a_key_of_no_first_step_says_what_to_do():

@@ -1,4 +1,4 @@
-"""The cache of arrays: what is kept, what is checked, what is done about damage."""
+"""The cache of arrays: stored entries, checks, and damaged entries."""
 
 import hashlib
 import time
@@ -24,7 +24,7 @@ def folder(tmp_path, monkeypatch):
 
 
 class Maker:
-    """Counts how often the array is made."""
+    """Counts how often the array is computed."""
 
     def __init__(self, values=VALUES):
         self.values, self.calls = values, 0
@@ -69,7 +69,7 @@ def flip(content, at):
 
 
 def signed(record):
-    """An entry of another record."""
+    """An entry with another record."""
     packed = pack(record)
     return hashlib.sha256(packed).digest() + packed
 
@@ -110,7 +110,7 @@ def test_a_folder_that_cannot_be_written_is_said_once(folder):
     make = Maker()
     with pytest.warns(CacheWarning, match="not kept in"):
         cached_array("key", make)
-    cached_array("key", make)  # no second warning: they are errors here
+    cached_array("key", make)  # a second warning would be an error here
     assert make.calls == 2
 
 

@@ -1,4 +1,4 @@
-"""What notebooks show: hooks that load nothing from above, and never raise."""
+"""Display in notebooks: hooks load no higher layers and never raise."""
 
 import unicodedata
 
@@ -11,7 +11,7 @@ from mcspectra.core.errors import ParameterError, warn
 
 
 def test_every_character_of_one_width_or_none_is_kept_or_escaped():
-    """Of all characters of Unicode: what is printed stays, blanks become plain, the rest is ASCII."""
+    """For all of Unicode: printable characters stay, spaces become plain, the rest ASCII."""
     for code in range(0x110000):
         c = chr(code)
         shown = printable(c)
@@ -77,7 +77,7 @@ H = 10**5000
     ],
 )
 def test_numbers_that_python_does_not_print_are_a_sentence(call):
-    """They ended with Python's own words on the limit of digits."""
+    """These messages ended with Python's own text about the limit of digits."""
     with pytest.raises(mcs.McspectraError, match="an integer of ") as caught:
         call()
     assert str(caught.value).endswith(".")

@@ -1,4 +1,4 @@
-"""Errors: one root, built-in parents, data beside the message; hints name what is close."""
+"""Errors: one base class, built-in parents, extra data; hints suggest similar names."""
 
 import builtins
 import pickle

@@ -1,4 +1,4 @@
-"""Weighted lines: exact lines are found exactly, others as by numpy, with errors that hold."""
+"""Weighted lines: exact lines are found exactly, others as in NumPy, with valid errors."""
 
 import math
 

@@ -31,7 +31,7 @@ def test_the_height_of_a_light():
 
 
 def test_solid_angles():
-    """Girard's theorem in well-shaped cases; the flat limit, area/r², in tiny ones."""
+    """Girard's theorem for well-shaped triangles; the flat limit, area/r², for tiny ones."""
     rng = np.random.default_rng(1)
     for _ in range(50):
         a, b, c = rng.normal(size=(3, 3))

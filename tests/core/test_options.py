@@ -1,4 +1,4 @@
-"""Options: declared once, checked and read by one rule; what is wrong is one sentence."""
+"""Options: declared once, checked and read by common rules; each error is one sentence."""
 
 import math
 from typing import Annotated, Literal
@@ -29,7 +29,7 @@ HALF = Meta(description="How far.", extra={"unit": "cycles per unit"})
 
 
 class Kinds(msgspec.Struct, frozen=True, kw_only=True):
-    """An option of every kind."""
+    """An option of every type."""
 
     n: Annotated[int, COUNT]
     counts: Annotated[Counts, COUNTS] = (4, 16)
@@ -227,7 +227,8 @@ def test_a_struct_becomes_clean_at_once():
         checked(Kinds(n=16, share=2))
 
 
-# --- options of all analyses ------------------------------------------------------------------------
+# --- options of all analyses
+# ------------------------------------------------------------------------
 
 
 def _registered():

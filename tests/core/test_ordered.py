@@ -1,4 +1,4 @@
-"""Linear algebra in a fixed order: what LAPACK and BLAS find, and the same bits for any threads of BLAS."""
+"""Linear algebra in a fixed order: agrees with LAPACK and BLAS, independent of BLAS threads."""
 
 import os
 import subprocess
@@ -9,7 +9,7 @@ import pytest
 
 from mcspectra.core.ordered import eigenpairs, gram, orthonormal, product, weighted_sum
 
-# BLAS cuts sums of these sizes: modes, cross matrix and sums over frequencies differed by its threads
+# BLAS splits sums of these sizes: modes, cross matrix and sums over frequencies depended on threads
 RESULTS = """
 import hashlib
 import mcspectra as mcs
@@ -48,10 +48,10 @@ def test_threads_of_blas_do_not_matter():
 def test_factorisations_are_those_of_lapack(size):
     rng = np.random.default_rng(size)
     a = rng.standard_normal((50, size)) * 1e-200
-    a[:, size // 2] = a[:, 0]  # of less than full rank
+    a[:, size // 2] = a[:, 0]  # rank deficient
     q, expected = orthonormal(a), np.linalg.qr(a)[0]
     assert np.allclose(q.T @ q, np.eye(size), atol=1e-14)
-    same = np.abs((q * expected).sum(axis=0))[: size // 2]  # but for signs
+    same = np.abs((q * expected).sum(axis=0))[: size // 2]  # except for signs
     assert np.allclose(same, 1.0, atol=1e-12)
     assert np.allclose(a, q @ (q.T @ a), atol=1e-212)
     matrix = a.T @ (a * 1e200)

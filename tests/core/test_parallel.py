@@ -1,4 +1,4 @@
-"""Blocks of realizations: every realization once, in order, within the size that is wanted."""
+"""Blocks of realizations: every realization once, in order, within the requested size."""
 
 import pytest
 

@@ -1,4 +1,4 @@
-"""Point-set files: what is written is read back, what others write is read, the rest is refused."""
+"""Point-set files: our files are read back, other programs' files are read, others rejected."""
 
 import io
 import itertools
@@ -30,7 +30,7 @@ def random_sets(count=3, n=8, dims=2):
 
 @pytest.fixture
 def save(tmp_path):
-    """Write bytes or text to a file; return its path."""
+    """Return a function that writes bytes or text to a file and returns its path."""
 
     def write(name, content):
         path = tmp_path / name
@@ -292,7 +292,7 @@ def test_cells_may_stand_between_blanks(save):
 
 
 def test_long_sets_are_read_in_blocks(save):
-    """A set is of one width, and whole, over the blocks that it is read in."""
+    """A set has one width, and is complete, across the blocks of its reading."""
     points = np.random.default_rng(2).random((100_000, 3))
     text = format_dat([points[:70_000], points[70_000:]])
     first, second = read_points(save("p.dat", text))
@@ -306,7 +306,7 @@ def test_long_sets_are_read_in_blocks(save):
 
 
 def test_numbers_of_long_texts_are_those_of_python(save):
-    """Bit for bit: as they are printed, with 1 to 19 digits, and next to the middle of two float64."""
+    """Bit for bit: printed numbers, 1 to 19 digits, and near the midpoint of two float64."""
     rng = np.random.default_rng(3)
     tokens = [repr(x) for x in (rng.random(20_000) * 10.0 ** rng.integers(-12, 3, 20_000)).tolist()]
     for digits, places in itertools.product(range(1, 20), range(26)):
@@ -339,7 +339,7 @@ def test_long_texts_of_many_sets_and_other_characters():
     sets = parse_dat(text, "text")
     assert len(sets) == 50_002
     assert {points.shape for points in sets[:50_000]} == {(1, 2)}
-    assert sets[50_000].tolist() == [[0.5], [0.25]]  # as str.splitlines has it
+    assert sets[50_000].tolist() == [[0.5], [0.25]]  # line ends as in str.splitlines
     assert sets[50_001].tolist() == [[0.5, 0.25]]
     sets = parse_dat("#\n0.5 0.25\n" * 50_000, "text")
     assert len(sets) == 50_000

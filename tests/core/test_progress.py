@@ -1,4 +1,4 @@
-"""Progress: the innermost listener hears it, from any thread; bars where somebody waits."""
+"""Progress: the innermost listener receives it from any thread; bars appear in interactive use."""
 
 import re
 import sys
@@ -34,7 +34,7 @@ def test_reports_of_threads_are_heard():
 
 @pytest.fixture
 def clock(monkeypatch):
-    """Seconds that pass only when told to."""
+    """Seconds that pass only when the test advances them."""
     now = [100.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
     monkeypatch.setattr(progress, "_automatic", ProgressBars())
@@ -48,12 +48,12 @@ def clock(monkeypatch):
 
 @pytest.fixture
 def terminal(monkeypatch):
-    """Standard error is one."""
+    """Standard error is a terminal."""
     monkeypatch.setattr(progress, "_somebody_waits", lambda: True)
 
 
 def _seen(capsys):
-    """What was written to standard error, without codes of colors and of places."""
+    """Return the text on standard error, without codes of colors and positions."""
     return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
 
 
@@ -134,7 +134,7 @@ def test_an_exception_ends_the_bars_of_a_block(clock, terminal, capsys):
         report("study", 0.0)
         clock(1.0)
         report("study", 0.5)
-        assert sys.stderr is not before  # what is printed stands above the bar
+        assert sys.stderr is not before  # other output appears above the bar
         raise ValueError("it")
 
     with pytest.raises(ValueError, match="it"), progress_bars():

@@ -1,4 +1,4 @@
-"""States of reductions: they merge by the rules of their fields, and survive as bytes bit for bit."""
+"""States of reductions: they merge by rules of their fields, and survive as bytes bit for bit."""
 
 import math
 import tracemalloc
@@ -129,7 +129,7 @@ def test_one_realization_has_no_error():
 
 @pytest.mark.parametrize("count", [4, 10, 30])
 def test_intervals_of_positive_means_cover_them(count):
-    """Power of one and of eight independent frequencies: at 4 realizations ± 2 errors had 79 to 85 %."""
+    """Power of one and of eight independent frequencies: ± 2 errors cover 79 to 85 %."""
     rng = np.random.default_rng(1)
     for shape, least in ((1.0, 0.93), (8.0, 0.94)):
         values = rng.gamma(shape, size=(20_000, count))
@@ -144,7 +144,8 @@ def test_intervals_without_spread():
     np.testing.assert_array_equal(ends, [[0, 0], [2, 2], [math.nan, math.nan]])
 
 
-# --- bytes ------------------------------------------------------------------------------------------
+# --- bytes
+# ------------------------------------------------------------------------------------------
 
 ODD = np.array([0.1 + 0.2, -0.0, np.nan, np.inf, 5e-324])
 NUMBERS = st.one_of(
@@ -264,11 +265,12 @@ def test_objects_of_python_are_refused(state):
         pack(state)
 
 
-# --- bytes of others --------------------------------------------------------------------------------
+# --- untrusted bytes
+# --------------------------------------------------------------------------------
 
 
 def _refused(kind, payload):
-    """The payload is refused with one sentence, and nothing larger than it is allocated."""
+    """The payload is rejected in one sentence, and nothing larger than it is allocated."""
     tracemalloc.start()
     try:
         with pytest.raises(FileFormatError, match=r"^A stored result cannot be read: .+\.$"):
@@ -307,7 +309,7 @@ def test_bytes_that_are_damaged_are_refused_or_another_state(name, changes):
     kind, payload = KINDS[name]
     damaged = bytearray(payload)
     header = 12 + int.from_bytes(payload[4:12], "little")
-    for change in changes:  # of the header, where all that can go wrong is
+    for change in changes:  # changes to the header, where all errors can occur
         damaged[change % header] ^= 1 + (change >> 20) % 255
     try:
         unpack(kind, bytes(damaged))

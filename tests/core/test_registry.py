@@ -1,4 +1,4 @@
-"""Registries: names to classes, close matches, names that other distributions add."""
+"""Registries: names map to classes, similar names are suggested, and other packages add names."""
 
 import sys
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class Plain(Component):
 
 @dataclass(frozen=True, kw_only=True)
 class Flat(Component):
-    """A component of one dim, with a parameter it needs."""
+    """A component of one dim, with a required parameter."""
 
     name: ClassVar[str] = "flat"
     width: float
@@ -37,7 +37,7 @@ class Flat(Component):
 
 @pytest.fixture
 def registry(monkeypatch):
-    """A registry of this module's classes, under a name that can be imported."""
+    """A registry of this module's classes, under an importable name."""
     monkeypatch.setitem(sys.modules, HERE, sys.modules[__name__])
     builtin = {
         "plain": f"{HERE}:Plain",
@@ -50,7 +50,7 @@ def registry(monkeypatch):
 
 @pytest.fixture
 def install(tmp_path, monkeypatch):
-    """Put a distribution with entry points on sys.path."""
+    """Return a function that adds a distribution with entry points to sys.path."""
 
     def add(entries, source, module="third_party_things"):
         info = tmp_path / "third_party-1.0.dist-info"
@@ -129,7 +129,7 @@ def test_other_distributions_add_names(registry, install):
     install(["theirs = third_party_things:Theirs"], THIRD_PARTY)
     assert "theirs" in registry
     assert list(registry) == sorted(["flat", "no-class", "no-module", "plain", "theirs"])
-    assert "third_party_things" not in sys.modules  # known, not imported
+    assert "third_party_things" not in sys.modules  # registered, but not imported
     made = registry.build(parse("theirs(depth=3)"), 4)
     assert (made.dims, made.depth, made.spec) == (4, 3, "theirs(depth=3)")
     with pytest.raises(UnknownName, match="Did you mean 'theirs'"):

@@ -1,4 +1,4 @@
-"""Results: registered variables, attributes that every format can hold, strict JSON."""
+"""Results: registered variables, attributes that every format can store, strict JSON."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""One policy says what text of strangers may reach: studies, specs of the command line, the explorer."""
+"""One policy for the access of untrusted text: studies, command-line specs and the explorer."""
 
 import pytest
 

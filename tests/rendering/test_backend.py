@@ -1,4 +1,4 @@
-"""The search for LLVM: order, verdicts, cache, and the sentence where nothing works."""
+"""The search for LLVM: order, verdicts, cache, and the message if none works."""
 
 import importlib.util
 import json
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.render
 
 @pytest.fixture
 def not_loaded(monkeypatch):
-    """Make `load_mitsuba` start from nothing."""
+    """Make `load_mitsuba` start without a loaded module."""
     monkeypatch.setattr(backend, "_loaded", [])
     monkeypatch.setattr(backend, "_already_running", lambda: False)
 
@@ -220,7 +220,7 @@ def test_mitsuba_with_a_broken_llvm_before_us_is_refused_in_a_sentence(own_cache
         return run.stdout
 
     assert printed() == "works\n"
-    # The same library, said to be broken: what is loaded counts, not who set the variant
+    # The same library, marked as broken: the loaded library matters, not who set the variant
     (verdict,) = own_cache.iterdir()
     verdict.write_text(json.dumps({"works": False, "reason": "signal 6", "version": ""}))
     refusal = printed()

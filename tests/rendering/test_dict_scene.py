@@ -25,7 +25,7 @@ def edited(**changes):
 
 
 def test_equal_contents_are_one_scene():
-    # Each has transforms of its own, and for the smooth light a bitmap.
+    # Each scene creates its own transforms and, for the smooth light, its own bitmap.
     assert load_scene(figure1()) is load_scene(figure1())
     assert load_scene(figure1(edge=0.5)) is load_scene(figure1(edge=0.5))
     assert DictScene(figure1(edge=0.5)) == DictScene(figure1(edge=0.5))

@@ -1,4 +1,4 @@
-"""Files of rendered images: read back, layers, names, what cannot be written."""
+"""Files of rendered images: reading back, layers, names, and files that cannot be written."""
 
 import json
 from pathlib import Path
@@ -68,7 +68,7 @@ def test_png_is_the_exposed_image_to_half_a_step(tmp_path, exposure):
 
 
 def test_transfer_function_has_its_published_values():
-    # IEC 61966-2-1: the two branches meet, 18 % gray is 0.4613…, clipping outside [0,1].
+    # IEC 61966-2-1: both branches meet, 18 % gray is 0.4613…, and values outside [0,1] are clipped.
     values = encode_srgb(np.array([-1.0, 0.0, 0.0031308, 0.0031308001, 0.18, 1.0, 9.0]))
     np.testing.assert_allclose(values[[0, 1, 5, 6]], [0.0, 0.0, 1.0, 1.0], atol=1e-15)
     assert abs(values[2] - values[3]) < 1e-6
@@ -138,7 +138,7 @@ def test_exposures_that_are_refused(tmp_path, exposure):
 def test_finite_numbers_stay_finite(tmp_path):
     file, largest = tmp_path / "image.exr", np.finfo(np.float32).max
     values = np.array([[1e300, -1e300, np.inf, -np.inf, np.nan, 1.5]])
-    write_exr(file, {"": values})  # an overflow would be a warning, and so an error here
+    write_exr(file, {"": values})  # an overflow would be a warning, which is an error here
     expected = [[largest, -largest, np.inf, -np.inf, np.nan, 1.5]]
     np.testing.assert_array_equal(planes(file)["Y"], expected)
 

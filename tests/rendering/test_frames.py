@@ -1,4 +1,4 @@
-"""Frames of any renderer: known noise is measured, what is wrong with frames is named."""
+"""Frames of any renderer: known noise is measured, and problems of frames are reported."""
 
 import json
 import shutil
@@ -21,7 +21,7 @@ from mcspectra.report.frames_page import frame_findings
 
 HEIGHT, WIDTH = 96, 128
 TRUTH = np.exp(np.linspace(-2.0, 1.0, WIDTH)) * np.ones((HEIGHT, 1))
-SIGMA = 0.3  # of one sample, relative
+SIGMA = 0.3  # relative standard deviation of one sample
 
 
 def white(rng):
@@ -42,7 +42,7 @@ def tiled(rng):
 
 
 def write(folder, noise=white, *, counts=(16, 64), frames=8, seed=1, change=lambda k, image: image):
-    """Frames of known variance TRUTH²·SIGMA²/n as .npy, by name."""
+    """Write frames of known variance TRUTH²·SIGMA²/n as .npy, and return their names."""
     rng = np.random.default_rng(seed)
     folder.mkdir(exist_ok=True)
     for n in counts:
@@ -55,14 +55,14 @@ def write(folder, noise=white, *, counts=(16, 64), frames=8, seed=1, change=lamb
 
 @contextmanager
 def monkeyed_header(samples):
-    """EXR headers that say so many samples a pixel, as pbrt's do."""
+    """EXR headers with a number of samples per pixel, as in pbrt."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(frame_statistics, "exr_attributes", lambda _: {"samplesPerPixel": samples})
         yield
 
 
 def frames(paths, **options):
-    """Without FLIP, which takes longer than all else together: 11.8 of 20 s of four of 1920 × 1080."""
+    """Without FLIP, which takes more time than the rest: 11.8 of 20 s at 1920 × 1080."""
     return rendering.frames(paths, **({"flip": False} | options))
 
 
@@ -75,14 +75,14 @@ NOISES = (white, blue, filtered, tiled)
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
-    """A folder of frames with each of the noises, by name."""
+    """A folder of frames for each type of noise, by name."""
     folder = tmp_path_factory.mktemp("plain")
     return {noise.__name__: write(folder / noise.__name__, noise) for noise in NOISES}
 
 
 @pytest.fixture(scope="module")
 def found(plain):
-    """What is measured of them."""
+    """The measured results of each folder."""
     return {name: frames(folder, target=0.05) for name, folder in plain.items()}
 
 
@@ -99,7 +99,8 @@ def test_variances_and_rates_are_those_of_the_frames(found, noise):
     assert low < -1.0 < high
     assert high - low < 0.3
 
-    # Intervals of pixels cover: 12,288 pixels, whose correlations leave at least 900 independent ones
+    # Intervals of pixels cover: the correlations of 12,288 pixels leave at least 900 independent
+    # ones
     for name, value in (("variance_ci", truth / 16), ("rate_ci", -1.0)):
         ends = result[name].sel(n=16) if "n" in result[name].dims else result[name]
         covered = ((ends[..., 0] < value) & (ends[..., 1] > value)).values.mean()
@@ -109,11 +110,11 @@ def test_variances_and_rates_are_those_of_the_frames(found, noise):
 
 
 def test_frames_of_few_and_of_many_together_have_no_bias_of_the_rate(tmp_path):
-    """log s² of two values lies 1.27 below log σ² in the mean, of sixteen 0.07."""
+    """The mean of log s² is 1.27 below log σ² for two values, and 0.07 for sixteen."""
     folder = write(tmp_path / "a", counts=(4,), frames=16)
     write(folder, counts=(64,), frames=2, seed=2)
     rate = frames(folder)["rate"].values
-    # Standard deviations of log s²: √ψ'(½) = 2.22 of two values, √ψ'(7.5) = 0.38 of sixteen
+    # Standard deviations of log s²: √ψ'(½) = 2.22 for two values, √ψ'(7.5) = 0.38 for sixteen
     error = np.hypot(2.22, 0.38) / np.log(64 / 4) / np.sqrt(rate.size)
     assert abs(rate.mean() + 1.0) < 4 * error
 
@@ -128,13 +129,13 @@ def test_blue_noise_filters_and_tiles_are_told_apart(found):
 
 @pytest.mark.parametrize("count", [2, 3, 8])
 def test_correlations_and_spectra_have_no_bias(tmp_path, count):
-    """Of few frames, too: a mean of signs, of two, is 0.57 where the correlation is 0.78."""
+    """Also for few frames: for two, a mean of signs is 0.57 where the correlation is 0.78."""
     result = frames(write(tmp_path / "a", filtered, counts=(4,), frames=count))
-    # A Gaussian filter of 1 pixel: correlation exp(−1/4) of neighbors, each squared 2π times over
+    # A Gaussian filter of 1 pixel: neighbors have correlation exp(−1/4); the squares sum to 2π
     beside = result["error_correlation"].sel(n=4, lag_y=0, lag_x=1).item()
     independent = HEIGHT * WIDTH * (count - 1) / (2 * np.pi)
     assert abs(beside - np.exp(-0.25)) < 4 * (1 - np.exp(-0.5)) / np.sqrt(independent)
-    # Power 4π exp(−4π²|ν|²) over radial frequency, at the middle of rings
+    # Power 4π exp(−4π²|ν|²) by radial frequency, at the centers of rings
     radius, power = result["radius"].values, result["error_spectrum"].values[0]
     wanted = 4 * np.pi * np.exp(-4 * np.pi**2 * radius**2)
     rings = 2 * np.pi * radius * (radius[1] - radius[0]) * HEIGHT * WIDTH / 2
@@ -163,7 +164,14 @@ def test_fireflies_are_named_and_leave_no_upper_bound(tmp_path, plain, found):
     text = said(frames(write(tmp_path / "a", change=burn)))
     assert "Fireflies: at" in text
     assert "Fireflies" not in said(found["white"])
-    single = frames(write(tmp_path / "c", change=lambda k, i: i + (k == 3) * 500.0 * (TRUTH.max() == TRUTH) * (np.arange(HEIGHT) == 7)[:, None]))  # fmt: skip
+    single = frames(
+        write(
+            tmp_path / "c",
+            change=lambda k, i: (
+                i + (k == 3) * 500.0 * (TRUTH.max() == TRUTH) * (np.arange(HEIGHT) == 7)[:, None]
+            ),
+        )
+    )
     assert np.isinf(single["picture_variance_ci"].values[:, 1]).all()
     assert "no upper bound" in said(single)
     assert np.isinf(frames(tmp_path / "c", against=plain["white"])["picture_ratio_ci"][1])
@@ -223,7 +231,7 @@ def test_pixels_without_numbers_in_one_set_are_left_out_of_both(tmp_path):
 
 
 def test_two_equal_values_of_a_pixel_are_no_certainty(tmp_path):
-    """Pixels of two values: a quarter of those of two frames do not vary, and half of these differ."""
+    """Pixels of two values: a quarter do not vary between two frames, and half of these differ."""
 
     def coins(seed, folder):
         rng = np.random.default_rng(seed)
@@ -324,12 +332,14 @@ def test_portable_float_maps(tmp_path):
     ("make", "error", "match"),
     [
         (lambda p: None, FileFormatError, "holds no .exr"),
-        (lambda p: np.save(p / "a.npy", np.ones((4, 4))), ParameterError, "one frame, .*a.npy; give two"),
+        (lambda p: np.save(p / "a.npy", np.ones((4, 4))), ParameterError, ("one frame, "
+            ".*a.npy; give two")),
         (lambda p: [np.save(p / f"{k}.npy", np.ones((4, 4))) for k in "ab"], ParameterError,
          "the same to the last bit"),
         (lambda p: [np.save(p / f"{k}.npy", np.full((4, 4), np.nan)) for k in "ab"], ParameterError,
          "a.npy has no finite pixel"),
-        (lambda p: [np.save(p / f"{k}.npy", np.eye(k)) for k in (3, 4)], ParameterError, "of one view"),
+        (lambda p: [np.save(p / f"{k}.npy", np.eye(k)) for k in (3, 4)], ParameterError, ("of "
+            "one view")),
         (lambda p: [write_png(p / f"{k}.png", np.eye(4) / k) for k in (1, 2)], FileFormatError,
          "tone-mapped"),
         (lambda p: [np.save(p / f"{k}.npy", np.eye(4)) for k in ("a_4spp", "b")], ParameterError,
@@ -338,8 +348,8 @@ def test_portable_float_maps(tmp_path):
          "has 0 samples"),
         (lambda p: [(p / f"{k}.exr").write_bytes(b"no picture") for k in "ab"], FileFormatError,
          "cannot be read"),
-        (lambda p: [(p / f"{k}.pfm").write_bytes(b"PF\n99 99\n-1\nxx") for k in "ab"], FileFormatError,
-         "truncated"),
+        (lambda p: [(p / f"{k}.pfm").write_bytes(b"PF\n99 99\n-1\nxx") for k in "ab"],
+         FileFormatError, "truncated"),
     ],
 )  # fmt: skip
 def test_frames_that_are_none_are_refused(tmp_path, make, error, match):
@@ -414,7 +424,7 @@ def test_flip_is_left_out_when_told_so(plain, found, capsys):
 
 
 def test_layers_reach_tev(plain, capsys):
-    """A listener in tev's place receives every layer with its name."""
+    """A listener in the role of tev receives every layer with its name."""
     pytest.importorskip("tevclient")
     received = bytearray()
     server = socket.create_server(("127.0.0.1", 0))

@@ -1,4 +1,4 @@
-"""Light that arrives at a pixel: f integrates to what every strategy estimates."""
+"""Light that arrives at a pixel: the integral of f equals the estimate of every strategy."""
 
 from typing import Any
 
@@ -28,7 +28,7 @@ def test_f_integrates_to_the_pixel_s_value(scene, name, light):
     x, y = named_pixels(scene)[name]
     data = incident_light(scene, x, y, light=light, resolution=256)
     total = float((data["reflected_radiance"] * solid_angles(data)).sum())
-    # A border of the light is missed by half a cell at most along it, far below 1 %.
+    # The light's border is wrong by at most half a cell, far below 1 %.
     assert total == pytest.approx(Pixel(scene=scene, x=x, y=y, light=light).integral, rel=0.01)
 
 
@@ -47,7 +47,7 @@ def test_a_diffuse_floor_reflects_by_the_cosine():
 
 
 def test_what_lies_above_the_plane_of_the_light_only():
-    """From P (-1.2, 0, 0.7) the corners of the light, 2 above, span these elevations."""
+    """From P (-1.2, 0, 0.7), the corners of the light at height 2 span these elevations."""
     x, y = named_pixels("figure1")["P"]
     data = incident_light("figure1", x, y, resolution=180)
     lit = data["elevation"].values[(data["incident_radiance"] > 0).any("azimuth").values]

@@ -1,4 +1,4 @@
-"""Images: the same numbers as a pixel at a time, moments over realizations, crops, bad input."""
+"""Images: the same numbers as single pixels, moments over realizations, crops, bad input."""
 
 import threading
 from typing import Any
@@ -54,7 +54,7 @@ def test_first_image_is_that_of_a_single_one():
     two = render(VEACH, "light", SOBOL, 4, realizations=2)
     one = render(VEACH, "light", SOBOL, 4)
     assert set(one) == {"image"}
-    # (a + b)/2 and (a − b)²/2 give a and b up to their order
+    # (a + b)/2 and (a − b)²/2 determine a and b up to their order
     spread = np.sqrt(two["variance"].values / 2)
     np.testing.assert_allclose(
         np.abs(one["image"].values - two["image"].values), spread, rtol=1e-9, atol=1e-12
@@ -89,8 +89,8 @@ def test_the_error_of_a_reference_is_the_distance_to_another():
     total = np.sqrt(a["image_se"] ** 2 + b["image_se"] ** 2).values
     noisy = total > 0
     z = (a["image"] - b["image"]).values[noisy] / total[noisy]
-    # The t distribution of 15 to 30 degrees of freedom: variance 1.07 to 1.15; heavy tails of the
-    # values correlate mean and variance and narrow it. Neighbors' z are independent.
+    # t distributions with 15 to 30 degrees of freedom have variance 1.07 to 1.15. Heavy tails of
+    # the values correlate mean and variance, which reduces it. Neighbors' z are independent.
     assert 0.7 < z.var() < 1.3
     assert abs(z.mean()) < 4 / np.sqrt(len(z))
 

@@ -1,4 +1,4 @@
-"""Maps against the same pixels measured one by one, tiles, bad input."""
+"""Maps compared with the same pixels measured one by one; tiles and bad input."""
 
 from typing import Any
 
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.render
 
 COUNTS = (4, 16, 36)
 SMALL: dict[str, Any] = {"size": (24, 16), "counts": COUNTS, "realizations": 32, "rng": 7}
-PLATE = (16, 10)  # of the film of SMALL
+PLATE = (16, 10)  # coordinates on the film of SMALL
 SUBJECT = Subject(None, sampler("jittered", 2))
 SCENE = "veach(width=24, height=16)"
 
@@ -53,7 +53,7 @@ def identical(a, b):
 
 @pytest.mark.parametrize("strategy", ["light", "mis-light", "mis"])
 def test_a_pixel_is_what_convergence_measures(small, strategy):
-    # The same points: the only difference is float32, in which Mitsuba computes values.
+    # The same points: the only difference is Mitsuba's float32.
     if strategy == "mis":
         estimator: Any = mcs.estimators.TechniqueSum([pixel("mis-light"), pixel("mis-bsdf")])
     else:
@@ -68,7 +68,7 @@ def test_a_pixel_is_what_convergence_measures(small, strategy):
 
 
 def test_own_points_are_numbered_by_the_pixel():
-    # Pixel (x, y) has realizations (y·width + x)·R … of the stream of each count.
+    # Pixel (x, y) uses realizations (y·width + x)·R … of the stream of each count.
     x, y = PLATE
     found = variance_map(
         "veach", ("light", "bsdf"), size=(24, 16), crop=(x - 1, y, 3, 1), counts=(4, 16),
@@ -85,15 +85,15 @@ def test_own_points_are_numbered_by_the_pixel():
 
 
 def test_wide_light_on_the_wall():
-    # Light sampling sees a smooth integrand: −2; the light's edge makes BSDF sampling −1.5, and
-    # MIS follows it [Singh et al.]. A single pixel, as in test_pixel.
+    # Light sampling gives a smooth integrand: −2. The light's edge makes BSDF sampling −1.5, and
+    # MIS follows it [Singh et al.]. This is a single pixel, as in test_pixel.
     found = variance_map(
         "veach", crop=(568, 100, 1, 1), light="light-3", counts=(16, 64, 256, 1024),
         realizations=400, rng=1, predict_every=4,
     ).squeeze()  # fmt: skip
     for strategy, theory in {"light": -2.0, "bsdf": -1.5, "mis": -1.5}.items():
         one = found.sel(strategy=strategy)
-        # 0.05: what lower orders add at these counts
+        # 0.05: contribution of lower orders at these counts
         assert abs(float(one["rate"]) - theory) < 4 * float(one["rate_se"]) + 0.05
         ratio = np.log(float(one["predicted_ratio"]))
         low, high = np.log(one["predicted_ratio_ci"].values)
@@ -116,8 +116,8 @@ def test_predictions_cover_what_is_measured():
 
 @pytest.mark.parametrize("lamp", [False, True])
 def test_predictions_that_miss_a_rare_light_say_so(lamp):
-    # One BSDF sample of a million meets the lamp: neither the prediction nor the measurement know
-    # of it, and would agree. Light sampling takes every second sample from it.
+    # One BSDF sample in a million hits the lamp: prediction and measurement both miss it, and would
+    # agree. Light sampling takes every second sample from it.
     scene = figure1()
     if lamp:
         light = {"type": "area", "radiance": {"type": "rgb", "value": 1e6}}
@@ -168,7 +168,7 @@ def test_threads_and_blocks_do_not_change_bits(small, monkeypatch):
     options, part = SMALL | {"crop": (8, 9, 6, 3)}, small.isel(x=slice(8, 14), y=slice(9, 12))
     assert identical(variance_map("veach", workers=1, **options), part)
     assert drjit.thread_count() == before
-    monkeypatch.setattr(tiles, "_KEPT_NUMBERS", 0)  # tables drawn anew for each tile
+    monkeypatch.setattr(tiles, "_KEPT_NUMBERS", 0)  # tables are drawn again for each tile
     assert identical(variance_map("veach", **options), part)
     monkeypatch.setattr(tiles, "_BLOCK_REALIZATIONS", 10)
     merged = variance_map("veach", **options)
@@ -190,10 +190,10 @@ def test_lobes_take_a_third_dimension(scene_files):
         variance_map(scene, counts=(4, 16), **place)
     found = variance_map(scene, counts=(8, 27), dims=3, points="own", **place)
     light, bsdf, mis = (found.sel(strategy=s) for s in ("light", "bsdf", "mis"))
-    for other in (bsdf, mis):  # all estimate the same
+    for other in (bsdf, mis):  # all strategies estimate the same value
         z = (light["mean"] - other["mean"]) / np.hypot(light["mean_se"], other["mean_se"])
         assert float(np.abs(z).max()) < 4.5  # Šidák for 16
-    # Light sampling alone chooses no lobe.
+    # Light sampling alone selects no lobe.
     variance_map(scene, ("light",), counts=(4, 16), crop=(18, 16, 1, 1), realizations=4)
 
 
@@ -348,7 +348,7 @@ def test_crops_may_touch_the_borders():
 
 
 def test_tiles_measured_apart_change_nothing(monkeypatch):
-    monkeypatch.setattr(tiles, "TILE_LANES", 8 * 8)  # eight pixels, which cross rows
+    monkeypatch.setattr(tiles, "TILE_LANES", 8 * 8)  # eight pixels, across several rows
     plan = Map(
         scene="penumbra",
         strategies=("light", "bsdf", "mis"),

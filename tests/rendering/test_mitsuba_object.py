@@ -1,4 +1,4 @@
-"""Sampler objects of Mitsuba as ours: points, counts read back, and what is no such object."""
+"""Sampler objects of Mitsuba as samplers: points, counts read back, and invalid objects."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ VARIANTS = ["scalar_rgb", "llvm_ad_rgb"]
 def made(variant, **properties):
     register_samplers(variant)
     mitsuba = import_mitsuba()
-    mitsuba.set_log_level(mitsuba.LogLevel.Error)  # it says each time that it rounds
+    mitsuba.set_log_level(mitsuba.LogLevel.Error)  # it reports every rounding
     mitsuba.set_variant(variant)
     return mitsuba.load_dict(properties)
 
@@ -40,7 +40,7 @@ def test_realizations_do_not_depend_on_how_many_are_drawn(variant):
     sampler = from_mitsuba(source)
     whole = sampler.draw(8, realizations=4, rng=5)
     np.testing.assert_array_equal(whole[2:], sampler.draw(8, realizations=2, first=2, rng=5))
-    assert source.sample_count() == 4  # a fork was drawn from
+    assert source.sample_count() == 4  # a fork was drawn from, not the object
 
 
 def test_scalar_objects_draw_what_the_spec_draws():

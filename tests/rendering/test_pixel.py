@@ -1,4 +1,4 @@
-"""A pixel against the exact irradiance of a sphere, Mitsuba's own integrator, and known rates."""
+"""A pixel compared with the exact irradiance of a sphere, Mitsuba's integrator, and known rates."""
 
 import pickle
 from concurrent.futures import ThreadPoolExecutor
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.render
 WALL = {"scene": "veach", "x": 568, "y": 100, "light": "light-3"}
 PLATE = {"scene": "veach", "x": 600, "y": 430, "light": "light-3"}
 SIGMAS = 4.0
-SINGLE = 2e-6  # sixteen roundings of float32, for means whose statistical error is below that
+SINGLE = 2e-6  # sixteen roundings of float32, for means with a smaller statistical error
 
 
 def wall_radiance(position):
@@ -39,7 +39,7 @@ def wall_radiance(position):
 
 
 def test_every_strategy_has_the_exact_mean():
-    """Jittered points: light sampling is known to 1e-6, all that float32 tells."""
+    """Jittered points: light sampling is precise to 1e-6, the limit of float32."""
     exact = wall_radiance(describe_pixel("veach", 568, 100)["position"])
     points = mcs.sampler("jittered", 2).draw(2**12, realizations=64, rng=1)
     estimates = {name: g(points).mean(axis=1) for name, g in pixel_strategies(**WALL).items()}
@@ -54,7 +54,8 @@ def test_wall_pixel_sees_the_whole_light():
 
 
 def test_weights_are_those_of_the_heuristics():
-    # With the same u both heuristics weigh the same f/p: w = r/(1+r) and r²/(1+r²), r = own/other.
+    # With the same u, both heuristics weight the same f/p: w = r/(1+r) and r²/(1+r²), r =
+    # own/other.
     u = uniforms(4096)
     plain = Pixel(**WALL)(u)
     balance, power = (
@@ -103,7 +104,7 @@ def check_against_stock(place, dims):
         assert (abs(mean - wanted) < SIGMAS * np.hypot(error, wanted_error) + SINGLE * wanted).all()
 
 
-@pytest.mark.parametrize("strategy", ["light", "bsdf"])  # MIS weights change with the lights
+@pytest.mark.parametrize("strategy", ["light", "bsdf"])  # MIS weights depend on the lights
 def test_lights_add_up(strategy):
     place = {"scene": "veach", "x": 600, "y": 430, "strategy": strategy}
     u = uniforms(2**18)
@@ -134,7 +135,7 @@ def test_shapes_and_channels(strategy):
 
 
 def test_light_that_is_never_met_gives_zeros():
-    # light-0 covers about 1e-5 of the wall's hemisphere: of 16 BSDF samples none meets it.
+    # light-0 covers about 1e-5 of the wall's hemisphere: none of 16 BSDF samples hits it.
     values = Pixel(**{**WALL, "light": "light-0"}, strategy="bsdf", channel="rgb")(uniforms(16))
     np.testing.assert_array_equal(values, np.zeros((16, 3)))
 

@@ -20,7 +20,7 @@ WALL = {"scene": "veach", "x": 568, "y": 100, "light": "light-3"}
 PLATE = {"scene": "veach", "x": 600, "y": 430, "light": "light-3"}
 PLASTIC = {"scene": "sky", "x": 192, "y": 87}
 COUNT = 2**16
-SIGMAS = 4.5  # of some thirty means that are compared: one false alarm in 5000 runs
+SIGMAS = 4.5  # some thirty compared means: one false alarm in 5000 runs
 
 
 def total(mis, seed=1):
@@ -33,7 +33,7 @@ def total(mis, seed=1):
 
 
 def random_variance(mis):
-    """Variance of one random sample a unit of counts, Σ_t Var g_t / counts[t]."""
+    """Variance of one random sample per unit of counts, Σ_t Var g_t / counts[t]."""
     values = [
         mis.primary_values(t, uniforms(COUNT, mis.dims, 1 + t)) for t in range(len(mis.counts))
     ]
@@ -42,7 +42,7 @@ def random_variance(mis):
 
 @pytest.fixture(scope="module")
 def truth():
-    """Mean and error by light sampling alone, which no weight touches."""
+    """Mean and error by light sampling alone, without weights."""
     places = {"wall": WALL, "plate": PLATE}
     return {k: mean_and_error(Pixel(**p)(uniforms(2**18, seed=99))) for k, p in places.items()}
 
@@ -68,7 +68,7 @@ def test_equal_counts_are_the_kernels_of_pixel(heuristic):
 @pytest.mark.parametrize("counts", [(1, 1), (3, 2)])
 @pytest.mark.parametrize("heuristic", ["balance", "power(beta=3)", "maximum", "cutoff"])
 def test_weights_sum_to_one_where_both_techniques_sample(heuristic, counts):
-    # What a technique drew, handed to the other with that one's f/p, weighs one together
+    # The weights of the drawing technique and of the other, at the same sample, sum to one
     mis = pixel_mis(**PLATE, heuristic=heuristic, counts=counts)
     drawn = mis.draws(0, uniforms(4096))
     shared = (drawn.pdfs > 0).all(axis=0)
@@ -92,7 +92,7 @@ def test_counts_enter_the_weights():
 
 
 def test_optimal_weights_have_the_least_variance():
-    # 4096 pilot samples leave α off by some percent: the minimum is flat, 3 % is allowed
+    # 4096 pilot samples give α to some percent: the minimum is flat, 3 % is allowed
     for place in (WALL, PLATE):
         found = {h: random_variance(pixel_mis(**place, heuristic=h)) for h in HEURISTICS}
         assert found["optimal"] == pytest.approx(min(found.values()), rel=0.03)
@@ -100,7 +100,7 @@ def test_optimal_weights_have_the_least_variance():
 
 
 def test_one_light_sample_decides_where_it_has_no_variance():
-    # light-3 covers little of the wall's sky: almost all goes to light sampling
+    # light-3 covers a small part of the wall's sky: almost all samples go to light sampling
     mis = pixel_mis(**WALL, heuristic="variance-aware")
     assert mis.shares[0] > 20 * mis.shares[1]
 
@@ -126,7 +126,8 @@ def test_channels_are_weighted_by_the_same_densities(heuristic):
 
 
 def test_samples_below_the_surface_do_not_bias_optimal_weights():
-    # A wide lobe at a grazing angle reaches below: the control variate must cancel there
+    # A wide lobe at a grazing angle reaches below the surface: the control variate must cancel
+    # there
     camera = {
         "type": "perspective",
         "fov": 5.0,
@@ -149,7 +150,7 @@ def test_samples_below_the_surface_do_not_bias_optimal_weights():
 
 
 def test_blocked_light_does_not_bias_optimal_weights():
-    # Rays to a hidden part of the light and rays to what hides it are no samples of each other
+    # Rays to a hidden part of the light, and rays to the occluder, are no samples of each other
     x, y = named_pixels("figure1")["Q"]
     mis = pixel_mis("figure1", x, y, heuristic="optimal")
     assert (mis.draws(0, uniforms(COUNT)).values == 0).mean() > 0.05
@@ -208,7 +209,8 @@ def test_same_techniques_with_another_heuristic():
     other = mis.with_heuristic("power")
     assert (other.counts, other.sets, other.heuristic) == ((2, 3), "joint", "power")
     assert mis.spec == (
-        "pixel(scene='veach', x=600, y=430, light='light-3') / balance[2×light, 3×bsdf] (joint sets)"
+        "pixel(scene='veach', x=600, y=430, light='light-3') / balance[2×light, 3×bsdf] "
+        "(joint sets)"
     )
     u = uniforms(64)
     np.testing.assert_array_equal(

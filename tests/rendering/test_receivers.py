@@ -1,4 +1,4 @@
-"""What is remembered of pixels, and what that keeps alive."""
+"""The cache of pixel hits, and the objects it keeps in memory."""
 
 import gc
 import weakref
@@ -11,7 +11,7 @@ from mcspectra.rendering.scenes import load_scene
 
 
 class Stub:
-    """Stands for a scene."""
+    """A stand-in for a scene."""
 
 
 @pytest.mark.render
@@ -35,7 +35,7 @@ def test_few_scenes_and_pixels_are_kept(monkeypatch):
         assert techniques.primary_hit(first, x, 0) == (first, x, 0)
     techniques.primary_hit(first, 299, 0)
     assert len(traced) == 300
-    techniques.primary_hit(first, 0, 0)  # the least recent of 300 is no longer known
+    techniques.primary_hit(first, 0, 0)  # the least recent of 300 is no longer cached
     assert len(traced) == 301
     del first
     gc.collect()

@@ -1,4 +1,4 @@
-"""What is not supported is listed in full, one sentence each, that names the culprit."""
+"""Unsupported parts are listed completely, one sentence each, with the name of the part."""
 
 from typing import Any
 

@@ -1,4 +1,4 @@
-"""All files that a scene refers to are found, and a change of one is a change of the map."""
+"""All files of a scene are found, and a change of one file changes the state."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""Depth, size and kind of all files of a scene are checked before Mitsuba parses them."""
+"""Depth, size and type of all files of a scene are checked before Mitsuba parses them."""
 
 import os
 import struct
@@ -39,7 +39,7 @@ def refused(file, words):
 
 @pytest.mark.render
 def test_a_deep_scene_ends_no_process(write):
-    """100,000 nested elements ended it by SIGSEGV."""
+    """100,000 nested elements ended the process with SIGSEGV."""
     file = write(nested(100_000))
     done = python("-m", "mcspectra", "render", file, timeout=100)
     assert done.returncode == 2
@@ -75,7 +75,8 @@ def test_depth_counts_over_includes(write):
     with pytest.raises(FileFormatError, match="nested 73 deep"):
         render_file(file, definitions={"given": "inner.txt"})
     write("<default name='part' value='inner.txt'/>", "late.xml")
-    file = write("<include filename='$part'/>" * 2 + "<bsdf>" * 60 + "<include filename='late.xml'/>"
+    file = write("<include filename='$part'/>" * 2 + "<bsdf>" * 60 + "<include "
+            "filename='late.xml'/>"
                  + "<include filename='$part'/>" + "</bsdf>" * 60)  # fmt: skip
     refused(file, "nested 103 deep")
 
@@ -125,7 +126,7 @@ def test_declarations_of_entities_are_refused(write):
     ],
 )
 def test_pipes_and_devices_are_refused(write, tmp_path, inside):
-    """A pipe as a bitmap waited for ever."""
+    """A pipe as a bitmap blocked forever."""
     os.mkfifo(tmp_path / "pipe")
     refused(write(inside), "a device or a pipe; give a file")
 
@@ -142,7 +143,7 @@ def test_a_pipe_is_no_scene_and_no_file_of_a_dictionary(tmp_path):
 
 
 def test_a_picture_that_is_large_in_memory_is_refused(write, tmp_path):
-    """A few kilobytes of PNG can hold gigabytes."""
+    """A few kilobytes of PNG can expand to gigabytes."""
 
     def chunk(kind, data):
         body = kind + data

@@ -1,4 +1,4 @@
-"""Veach's scene against the published numbers; names, files and film coordinates."""
+"""Veach's scene compared with the published numbers; names, files and film coordinates."""
 
 import math
 import os
@@ -68,7 +68,7 @@ def test_plates_end_at_their_edges():
 def test_project_undoes_the_camera(x, y):
     seen = describe_pixel("veach", x, y)
     assert seen["shape"] in ("wall", "floor")
-    # float32 coordinates up to 15 at 60 pixels a unit: 15 × 2^-23 × 60 × 10 roundings.
+    # float32 coordinates up to 15 at 60 pixels per unit: 15 × 2^-23 × 60 × 10 roundings.
     assert project("veach", seen["position"]) == pytest.approx((x + 0.5, y + 0.5), abs=1e-3)
 
 
@@ -101,7 +101,7 @@ def test_changed_file_is_read_again(scene_files, tmp_path):
     file.write_text(Path(scene_files["dark"]).read_text())
     assert load_scene(file).emitters() == []
     file.write_text(Path(scene_files["textured"]).read_text())
-    os.utime(file, ns=(1, 1))  # another time, whatever the file system's resolution
+    os.utime(file, ns=(1, 1))  # another time, for any resolution of the file system
     assert [emitter_name(e) for e in load_scene(file).emitters()] == ["screen", "sky"]
 
 

@@ -1,4 +1,4 @@
-"""Many pixels at once against one pixel at a time, and what may not be asked."""
+"""Many pixels at once compared with one pixel at a time, and invalid requests."""
 
 from pathlib import Path
 
@@ -70,7 +70,7 @@ def test_sampled_position_in_the_middle_is_the_center(strategy):
 
 
 def test_sampled_positions_are_those_of_a_larger_film():
-    # The center of pixel (x, y) of a film three times as large is a place in pixel (x/3, y/3).
+    # The center of pixel (x, y) of a film three times as large is a position in pixel (x/3, y/3).
     large, small = Wavefront("veach(width=288, height=192)"), Wavefront(VEACH, film="sampled")
     u = uniforms(9, 8, 2)
     inside = np.stack(np.meshgrid(np.arange(3), np.arange(3)), axis=-1).reshape(-1, 2)
@@ -139,7 +139,7 @@ def test_a_mirror_reflects_the_light_in_full_in_mis(scene_files):
 
 
 def test_a_point_light_counts_in_full_in_mis(scene_files, tmp_path):
-    # The lamp of that scene stands above a screen that keeps all of its light from the floor.
+    # In this scene, a screen below the lamp keeps all of its light from the floor.
     text = Path(scene_files["lamp"]).read_text(encoding="utf-8")
     (tmp_path / "low.xml").write_text(text.replace('y="4"', 'y="1"'), encoding="utf-8")
     waves, u = Wavefront(tmp_path / "low.xml", light="lamp"), uniforms(4, 4)
