@@ -9,7 +9,7 @@ LINES = TABLE.read_text(encoding="utf-8").splitlines()
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row.door}: {row.given[-60:]!r}")
-def test_bad_input_is_answered_with_a_sentence(row, tmp_path):
+def test_bad_input_raises_one_sentence(row, tmp_path):
     code, text = answer(row, tmp_path)
     assert row.words in text, text
     assert line(row, code, text) in LINES, "the table is current"

@@ -44,7 +44,7 @@ def run(wheel, folder, *arguments):
     )
 
 
-def test_it_holds_what_is_not_code_and_no_tests(wheel):
+def test_the_wheel_contains_data_files_and_no_tests(wheel):
     names = {str(file.relative_to(wheel)) for file in wheel.rglob("*")}
     data = {"tour.toml", "veach.toml", "data/window.png", "data/blue.dat"}
     assert {f"mcspectra/studies/builtin/{name}" for name in data} <= names
@@ -69,7 +69,7 @@ def test_the_tour_runs_anywhere(wheel, tmp_path):
     assert (tmp_path / "out" / "tour" / "report.html").stat().st_size > 10**6
 
 
-def test_what_needs_an_extra_says_so(wheel, tmp_path):
+def test_features_of_an_extra_name_it(wheel, tmp_path):
     done = run(wheel, tmp_path, "run", "veach")
     assert done.returncode == 2
     assert "pip install 'mcspectra[render]'" in done.stderr

@@ -167,7 +167,7 @@ DOORS = (
 @pytest.mark.parametrize(
     ("function", "right"), [pytest.param(*door, id=door[0].__name__) for door in DOORS]
 )
-def test_documented_functions_refuse_wrong_types_too(function, right):
+def test_documented_functions_reject_wrong_types(function, right):
     parameters = _parameters(function)
     found = []
     for name in right:
@@ -178,7 +178,7 @@ def test_documented_functions_refuse_wrong_types_too(function, right):
     assert not found, "\n".join(found)
 
 
-def test_a_study_is_asked_for_before_its_folder_is_made():
+def test_a_study_is_checked_before_its_folder_is_created():
     config = studies.decode_study(
         'title = "t"\nseed = 1\nsamplers = ["random"]\npredict = {counts = [4]}\n'
         '[[estimators]]\nname = "a"\nintegrand = "gaussian"\n'
@@ -224,5 +224,5 @@ def test_wrong_types_are_refused_with_a_sentence(name):
         (densities, "as_warp"),
     ],
 )
-def test_parts_of_the_inside_are_not_public(package, name):
+def test_internal_names_are_not_public(package, name):
     assert not hasattr(package, name)

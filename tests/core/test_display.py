@@ -36,7 +36,7 @@ def test_every_character_of_one_width_or_none_is_kept_or_escaped():
         ("\udc80\ue000\U000e0041", r"\udc80\ue000\U000e0041"),
     ],
 )
-def test_text_of_others_is_printable(text, shown):
+def test_text_from_outside_is_printable(text, shown):
     assert printable(text) == printable(printable(text)) == shown
     assert printable(text, lines=True) == shown.replace(r"\n", "\n")
 
@@ -100,7 +100,7 @@ def test_other_cells_stay(value):
     assert csv_cell(value) is value or csv_cell(value) == value
 
 
-def test_looking_at_an_object_never_raises():
+def test_displaying_an_object_never_raises():
     class Broken(mcs.Integrand):
         dims = 1
 
@@ -116,7 +116,7 @@ def test_looking_at_an_object_never_raises():
 
 
 @pytest.mark.parametrize("make", ["mcs.sampler('random')", "mcs.Estimator('linear', dims=1)"])
-def test_nothing_above_is_loaded_before_something_is_shown(make):
+def test_higher_layers_are_loaded_at_the_first_display(make):
     code = (
         f"import sys; import mcspectra as mcs; c = {make}; x = 'mcspectra.report' in sys.modules; "
     )

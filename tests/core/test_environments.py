@@ -50,19 +50,19 @@ def test_bad_sizes(size):
 
 
 @pytest.mark.parametrize("x", [None, "ab", 0.5, [0.1, 0.2, 0.3], [[0.1, 0.2], [0.3]]])
-def test_directions_of_what_is_no_point(x):
+def test_directions_of_invalid_points_raise(x):
     with pytest.raises(ParameterError, match="^x "):
         directions(x)
 
 
 @pytest.mark.parametrize("height", [None, "4", 0, 2.5])
-def test_rows_of_no_number(height):
+def test_invalid_rows_raise(height):
     with pytest.raises(ParameterError, match="height"):
         row_solid_angles(height)
 
 
 @pytest.mark.parametrize("values", ["ab", 3, [[1, [2]]], np.ones(4), np.ones((0, 2)), [[-1.0]]])
-def test_values_that_are_no_radiance(values):
+def test_values_that_are_not_radiances_raise(values):
     with pytest.raises(ParameterError, match="values|radiance"):
         environment_pixels(None, values)
     for path in (3, b"a.png"):

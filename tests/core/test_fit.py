@@ -97,7 +97,7 @@ def test_auto_leaves_out_the_bend():
     assert abs(np.mean([f.rate for f in guarded]) + 1.0) < abs(exact + 1.0) + 0.005
 
 
-def test_auto_widens_what_never_fits():
+def test_auto_widens_intervals_that_never_fit():
     zigzag = NS**-1.0 * np.array([1, 3, 1, 3, 1, 3])
     fit = fit_rate(NS, zigzag, np.full(6, 0.01), NONE, "auto")
     assert fit.first_n == 256
@@ -123,7 +123,7 @@ def test_few_counts(window, kept):
     assert (fit.rate == pytest.approx(-1.0)) if kept == 2 else np.isnan(fit.rate)
 
 
-def test_windows_that_are_taken():
+def test_valid_windows():
     for window in (None, "auto", 3, 5):
         check_window(window, 5)
     whole = fit_rate(NS, NS**-1.5, SE, np.zeros(len(NS)))
@@ -131,7 +131,7 @@ def test_windows_that_are_taken():
 
 
 @pytest.mark.parametrize("window", [0, 1, 6, 2.5, True, "all", [3], float("nan")])
-def test_windows_that_are_refused(window):
+def test_invalid_windows_raise(window):
     analysis = Convergence(counts=(4, 16, 64, 256, 1024), fit_last=window)
     with pytest.raises(ParameterError, match="fit_last"):
         checked(analysis).need(as_subject("gaussian", "jittered"))

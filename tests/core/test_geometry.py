@@ -46,7 +46,7 @@ def test_solid_angles():
 
 
 @pytest.mark.parametrize("given", [None, "abc", 3.0, [1, 2], [[1, 2, 3], [1]], np.ones(3, complex)])
-def test_what_is_no_vector(given):
+def test_invalid_vectors_raise(given):
     good = np.eye(3)
     for call in (
         lambda: norm(given),

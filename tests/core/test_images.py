@@ -75,7 +75,7 @@ def test_linear_leaves_values_alone(tmp_path):
     np.testing.assert_array_equal(image, RAMP[..., :3] / 255)
 
 
-def test_nothing_is_printed_of_a_broken_exr(tmp_path, capfd):
+def test_nothing_is_printed_for_a_broken_exr(tmp_path, capfd):
     """OpenEXR printed a warning to standard output, and the raw file name to standard error."""
     path = tmp_path / "a\x1b[2J\nFORGED.exr"
     write_exr(
@@ -170,7 +170,7 @@ def test_exr_layers_and_luminance(tmp_path):
 
 
 @pytest.mark.parametrize("shape", [(2, 3), (2, 3, 1), (2, 3, 5)])
-def test_numpy_arrays_are_taken_as_they_are(tmp_path, shape):
+def test_numpy_arrays_are_read_unchanged(tmp_path, shape):
     values = np.arange(np.prod(shape), dtype=np.int16).reshape(shape) - 3
     np.save(tmp_path / "a.npy", values)
     np.savez(tmp_path / "a.npz", other=np.zeros(2), image=values)
@@ -261,6 +261,6 @@ def test_paths_of_the_wrong_type(path):
 
 
 @pytest.mark.parametrize("image", [None, "text", 3, [[1, [2]]], np.ones((2, 2, 3), complex)])
-def test_luminance_of_what_is_no_image(image):
+def test_luminance_of_invalid_images_raises(image):
     with pytest.raises(ParameterError, match="image|images"):
         luminance(image)

@@ -21,7 +21,9 @@ for found in (
         f, "random", 4, half_width=12, cross_matrix=True, realizations=3000, **runs
     ),
     *(
-        mcs.predict(f, "jittered | shift", [16], method=m, half_width=100, realizations=10, workers=1)
+        mcs.predict(
+            f, "jittered | shift", [16], method=m, half_width=100, realizations=10, workers=1
+        )
         for m in ("exact", "covariance", "homogenized", "terms")
     ),
 ):
@@ -45,7 +47,7 @@ def test_threads_of_blas_do_not_matter():
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 40])
-def test_factorisations_are_those_of_lapack(size):
+def test_factorizations_agree_with_lapack(size):
     rng = np.random.default_rng(size)
     a = rng.standard_normal((50, size)) * 1e-200
     a[:, size // 2] = a[:, 0]  # rank deficient
@@ -63,7 +65,7 @@ def test_factorisations_are_those_of_lapack(size):
 
 
 @pytest.mark.parametrize("is_complex", [False, True])
-def test_products_are_those_of_blas(is_complex):
+def test_products_agree_with_blas(is_complex):
     rng = np.random.default_rng(0)
     x = rng.standard_normal((30, 7)) + 1j * is_complex * rng.standard_normal((30, 7))
     x = x if is_complex else x.real

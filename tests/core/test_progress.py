@@ -25,7 +25,7 @@ def test_reports_reach_the_innermost_listener():
     assert outer == [("outside", 1.0)]
 
 
-def test_reports_of_threads_are_heard():
+def test_reports_of_threads_reach_the_listener():
     heard = []
     with listening(lambda *what: heard.append(what)), ThreadPoolExecutor(2) as pool:
         list(pool.map(lambda k: report(str(k), 0.0), range(8)))
@@ -105,7 +105,7 @@ def test_work_inside_work_shows_both(clock, terminal, capsys):
     assert "inner" in line
 
 
-def test_work_that_was_given_up_is_forgotten(clock, terminal, capsys):
+def test_abandoned_work_is_dropped(clock, terminal, capsys):
     bars = ProgressBars()
     bars("given up", 0.5)
     clock(40.0)
@@ -115,7 +115,7 @@ def test_work_that_was_given_up_is_forgotten(clock, terminal, capsys):
     assert "given up" not in _seen(capsys)
 
 
-def test_work_inside_a_block_is_remembered_however_long_it_is_silent(clock, terminal, capsys):
+def test_silent_work_inside_a_block_is_kept(clock, terminal, capsys):
     with progress_bars():
         report("study", 0.0)
         clock(400.0)
@@ -142,7 +142,7 @@ def test_an_exception_ends_the_bars_of_a_block(clock, terminal, capsys):
     assert sys.stderr is before
 
 
-def test_without_a_terminal_a_line_tells_every_ten_seconds(clock, capsys):
+def test_without_a_terminal_a_line_is_printed_every_ten_seconds(clock, capsys):
     with progress_bars():
         for k in range(100):
             report("study", k / 100)
@@ -152,7 +152,7 @@ def test_without_a_terminal_a_line_tells_every_ten_seconds(clock, capsys):
     assert lines == [f"mcspectra: study {k}%" for k in (21, 42, 63, 84)]
 
 
-def test_names_are_no_markup(clock, terminal, capsys):
+def test_names_are_not_read_as_markup(clock, terminal, capsys):
     bars = ProgressBars()
     bars("a[red]b", 0.0)
     clock(1.0)
@@ -173,7 +173,7 @@ def test_fractions_out_of_range_and_a_missing_stream_do_no_harm(closes, clock, m
     bars.close()
 
 
-def test_bars_appear_by_themselves_where_somebody_waits(clock, capsys, monkeypatch):
+def test_bars_appear_automatically_in_interactive_use(clock, capsys, monkeypatch):
     report("script", 0.0)
     clock(1.0)
     report("script", 0.5)
@@ -192,7 +192,7 @@ def test_bars_appear_by_themselves_where_somebody_waits(clock, capsys, monkeypat
 
 
 @pytest.mark.parametrize("running", [True, False])
-def test_notebooks_are_recognised(running, clock, capsys, monkeypatch):
+def test_notebooks_are_recognized(running, clock, capsys, monkeypatch):
     shell = SimpleNamespace(get_ipython=lambda: object() if running else None)
     monkeypatch.setitem(sys.modules, "IPython", shell)
     report("cell", 0.0)

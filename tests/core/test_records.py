@@ -86,7 +86,7 @@ def test_every_field_merges_by_its_rule():
     assert [part.total.tolist() for part in both.parts] == [[3, 6], [-3, -6]]
 
 
-def test_what_a_block_has_not_the_other_has():
+def test_missing_fields_come_from_the_other_block():
     there = np.array([1.0])
     for left, right, found in (
         (None, None, None),
@@ -105,12 +105,12 @@ def test_lists_merge_item_by_item_and_have_one_length():
 
 
 @pytest.mark.parametrize("state", [np.zeros(2), {"a": np.zeros(2)}, 3.0])
-def test_what_is_no_record_has_no_rule(state):
-    with pytest.raises(TypeError, match="make it part of a record"):
+def test_values_without_a_merge_rule_raise(state):
+    with pytest.raises(TypeError, match="make it a field of a record"):
         merged(state, state)
 
 
-def test_a_mean_and_its_error_are_those_of_numpy():
+def test_a_mean_and_its_error_agree_with_numpy():
     values = np.random.default_rng(1).random((9, 4))
     before, tree = values.copy(), MergeTree()
     for row in values:
@@ -170,7 +170,7 @@ def test_arrays_of_every_type_come_back_bit_for_bit(array):
     assert back.flags.writeable
 
 
-def test_arrays_that_lie_otherwise_in_memory_come_back():
+def test_arrays_of_any_memory_layout_come_back():
     array = np.arange(24.0).reshape(2, 3, 4)
     for view in (array.T, array[:, ::2], array[..., ::-1], np.asfortranarray(array)):
         assert np.array_equal(unpack(np.ndarray, pack(view)), view)
@@ -345,11 +345,11 @@ CLAIMS = {
 
 
 @pytest.mark.parametrize("claim", CLAIMS)
-def test_arrays_that_cannot_be_are_refused(claim):
+def test_impossible_arrays_are_rejected(claim):
     _refused(np.ndarray, _forged(0, CLAIMS[claim], bytes(8)))
 
 
-def test_texts_of_no_letters_are_refused():
+def test_texts_with_invalid_characters_are_rejected():
     variables = [("a", True, ["a"], 0, {})]
     tree = {"attrs": {}, "variables": variables}
     _refused(xr.Dataset, _forged(tree, [("<U1", (1,))], b"\xff" * 4))
@@ -373,7 +373,7 @@ def test_a_tree_that_is_too_deep_is_refused():
         [("a", True, ["x"], 0, {}), ("b", True, ["x"], 1, {})],
     ],
 )
-def test_datasets_that_cannot_be_are_refused(variables):
+def test_impossible_datasets_are_rejected(variables):
     arrays = [("<f8", (1,)), ("<f8", (2,))]
     tree = {"attrs": {}, "variables": variables}
     used = len(variables)

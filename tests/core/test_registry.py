@@ -97,7 +97,7 @@ def test_calls_become_components(registry):
         ("no-class", None, MissingDependency, "'no-class' .* cannot be loaded"),
     ],
 )
-def test_what_cannot_be_built_is_said_in_a_sentence(registry, call, dims, error, words):
+def test_components_that_cannot_be_built_raise_one_sentence(registry, call, dims, error, words):
     with pytest.raises(error, match=words) as caught:
         registry.build(parse(call), dims)
     assert "\n" not in str(caught.value)
@@ -152,7 +152,7 @@ def test_a_built_in_name_wins(registry, install):
         ("theirs = third_party_things:nothing", "nothing = {}", "not a class"),
     ],
 )
-def test_a_broken_distribution_hurts_only_who_asks_for_it(registry, install, entry, source, words):
+def test_a_broken_distribution_affects_only_its_own_names(registry, install, entry, source, words):
     install([entry], source)
     assert registry.build(Call("plain", {})) == Plain()
     with pytest.raises(MissingDependency, match=words):
@@ -174,6 +174,6 @@ def test_optional_packages_are_loaded_or_named(monkeypatch):
 
     monkeypatch.setattr("importlib.import_module", fail)
     with pytest.raises(
-        MissingDependency, match=r"; it cannot be loaded: lib.so: cannot open; mend"
+        MissingDependency, match=r"; it cannot be loaded: lib.so: cannot open; reinstall it"
     ):
         optional_package("json", "extra", "It needs")

@@ -49,7 +49,7 @@ class Sample(Component):
         ("a(x={'k': [1]})", [("a", {"x": {"k": [1]}})]),
     ],
 )
-def test_what_is_read(text, calls):
+def test_valid_specs_are_read(text, calls):
     assert parse_chain(text) == [Call(name, arguments) for name, arguments in calls]
 
 
@@ -129,15 +129,15 @@ def test_nothing_is_evaluated(value):
         ("a(x=" + "9" * 5000 + ")", "not key=value"),
     ],
 )
-def test_what_is_refused(text, words):
+def test_invalid_specs_are_rejected(text, words):
     with pytest.raises(SpecError, match=words) as caught:
         parse_chain(text)
     assert_one_sentence(caught.value)
 
 
 @pytest.mark.parametrize("text", [None, 5, b"jittered", ["jittered"], object()])
-def test_what_is_no_string_is_refused(text):
-    with pytest.raises(SpecError, match="A spec is a string"):
+def test_specs_that_are_not_strings_are_rejected(text):
+    with pytest.raises(SpecError, match="give a string such as"):
         parse_chain(text)
 
 
@@ -164,7 +164,7 @@ def test_deep_input_is_read_or_refused(pattern, depth):
 
 
 def test_huge_input_is_refused_before_it_is_read():
-    with pytest.raises(SpecError, match="20000 at most"):
+    with pytest.raises(SpecError, match="at most 20000"):
         parse_chain("a(x=[" + "1," * 10**6 + "])")
     assert len(parse_chain(" | ".join(["a"] * 1000))) == 1000
 
@@ -251,7 +251,7 @@ def test_the_summary_is_the_first_line():
         ("f(2)", "give a number"),
     ],
 )
-def test_values_that_are_no_literals_say_what_to_write(value, advice):
+def test_values_that_are_not_literals_raise_with_advice(value, advice):
     with pytest.raises(SpecError, match=f"not a literal; {re.escape(advice)}") as caught:
         parse(f"density(warp={value})")
     assert_one_sentence(caught.value)

@@ -139,7 +139,7 @@ def test_values_collide_as_often_as_by_chance(uniforms, low):
     assert_plausible(stats.poisson.cdf(pairs, expected))
 
 
-def test_no_stream_holds_a_piece_of_another():
+def test_no_stream_contains_a_part_of_another():
     """2^21 numbers of 2,048 streams of all types: equal values at any lag are extremely rare.
 
     λ = N²/2^54 = 2^-12 pairs agree by chance; three or more with probability λ³/6 = 2.4e-12. A
@@ -154,7 +154,7 @@ def test_no_stream_holds_a_piece_of_another():
     assert values.size - len(np.unique(values)) < 3
 
 
-def test_streams_with_nearly_equal_keys_are_no_permutations_of_each_other():
+def test_streams_with_similar_keys_are_not_permutations_of_each_other():
     """Keys k0 that differ in low bits swap indices; k1, which enters later, must undo this."""
     keys = np.array([[2**63 + i, k] for i in range(64) for k in (0, 1, 2**63)], np.uint64)
     out = np.empty((len(keys), 1024))
@@ -175,7 +175,7 @@ def mixed_again(keys, index):
     return x ^ x >> np.uint64(32)
 
 
-def test_the_mix_is_that_of_the_documentation():
+def test_the_mix_agrees_with_the_documentation():
     stream = Stream.from_rng(7)
     expected = mixed_again(stream.keys(5, 100), 41)
     np.testing.assert_array_equal(
@@ -239,7 +239,7 @@ def test_keys_of_realizations_and_children_all_differ():
     assert len({stream.child(k).key for k in range(2**12)}) == 2**12
 
 
-def test_rng_is_what_spec_7_says():
+def test_rng_follows_spec_7():
     assert Stream.from_rng(5) == Stream.from_rng(5) == Stream.from_rng(np.int64(5))
     assert Stream.from_rng(np.random.SeedSequence(5)) == Stream.from_rng(5)
     assert Stream.from_rng(5) != Stream.from_rng(6)
@@ -256,7 +256,7 @@ def test_a_generator_is_advanced_and_a_seed_sequence_is_not():
 
 
 @pytest.mark.parametrize("rng", [-1, 1.5, 1.0, "x", True, [1, 2], np.random.RandomState(1), np.nan])
-def test_what_is_no_seed_is_refused(rng):
+def test_invalid_seeds_are_rejected(rng):
     with pytest.raises(ParameterError, match=r"^rng is .*; give a") as caught:
         Stream.from_rng(rng)
     assert "\n" not in str(caught.value)

@@ -102,14 +102,14 @@ def ours(scene, name, strategy):
 
 @pytest.mark.parametrize("strategy", list(STOCK))
 @pytest.mark.parametrize("name", list(CROPS))
-def test_every_pixel_is_that_of_the_stock_integrator(scenes, stock, name, strategy):
+def test_every_pixel_agrees_with_the_stock_integrator(scenes, stock, name, strategy):
     p = smallest_p_value(stock(name, strategy), ours(scenes[name], name, strategy))
     assert p > LEVEL
 
 
 @pytest.mark.parametrize("strategy", ["light", "bsdf"])
 @pytest.mark.parametrize("name", list(CROPS))
-def test_two_percent_are_noticed(
+def test_an_error_of_two_percent_is_detected(
     monkeypatch,
     scenes,
     stock,
@@ -128,7 +128,7 @@ def test_two_percent_are_noticed(
 
 
 @pytest.mark.parametrize("name", list(CROPS))
-def test_weights_that_do_not_add_up_are_noticed(monkeypatch, scenes, stock, name):
+def test_weights_that_do_not_sum_to_one_are_detected(monkeypatch, scenes, stock, name):
     right = wavefront.heuristic_weight
     monkeypatch.setattr(wavefront, "heuristic_weight", lambda *given: 1.02 * right(*given))
     assert smallest_p_value(stock(name, "mis"), ours(scenes[name], name, "mis")) < LEVEL

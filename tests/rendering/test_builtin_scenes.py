@@ -97,7 +97,7 @@ def jittered(strata, realizations=40):
 
 @pytest.mark.parametrize("scene", list(SEEN))
 @pytest.mark.parametrize("size", ["", "(width=150, height=100)"])
-def test_named_pixels_see_what_they_should(scene, size):
+def test_named_pixels_show_the_intended_points(scene, size):
     found = named_pixels(scene + size)
     seen = {name: describe_pixel(scene + size, *xy)["shape"] for name, xy in found.items()}
     assert seen == SEEN[scene]
@@ -125,7 +125,7 @@ def test_figure1_has_the_exact_radiance(name, strategy):
     assert abs(means.mean() - exact) < SIGMAS * error + SINGLE * exact
 
 
-def test_p_sees_all_of_the_light_and_q_the_exact_part():
+def test_the_light_is_fully_visible_from_p_and_partly_from_q():
     u = jittered(128, realizations=1)[0]
     assert (pixel("P", "light")(u) > 0).all()
     g = pixel("Q", "light")
@@ -136,7 +136,7 @@ def test_p_sees_all_of_the_light_and_q_the_exact_part():
     assert abs(np.mean(g(u) > 0) - share) < SIGMAS * 0.5 * math.sqrt(2 * 128) / 128**2
 
 
-def test_named_points_are_those_of_the_module():
+def test_named_points_agree_with_the_module():
     for name, point in (("P", P), ("Q", Q)):
         x, y = project("figure1", point)
         assert named_pixels("figure1")[name] == (math.floor(x), math.floor(y))
@@ -179,7 +179,7 @@ SHADES: dict[str, set[str]] = {
 
 
 @pytest.mark.parametrize("name", list(SHADES))
-def test_penumbrae_are_those_of_their_occluders(name):
+def test_penumbrae_belong_to_their_occluders(name):
     full, (x, y) = penumbra(), named_pixels("penumbra")[name]
     u = jittered(64, realizations=1)[0]
     seen = Pixel(scene=full, x=x, y=y)(u) > 0
@@ -199,7 +199,7 @@ def test_edge_of_width_zero_is_the_constant_light():
     np.testing.assert_allclose(thin(u), pixel("P", "bsdf")(u), rtol=1e-5)
 
 
-def test_sky_is_the_synthetic_one_with_its_first_row_up():
+def test_the_sky_is_the_synthetic_one_with_its_first_row_up():
     mitsuba, sky = load_mitsuba(), load_scene("sky").emitters()[0]
     pixels = synthetic_sky(64, 128)
     for row, column in ((3, 10), (20, 80), (45, 100)):

@@ -88,7 +88,7 @@ def test_transfer_function_has_its_published_values():
         ("\0.exr", "not a possible file name"),
     ],
 )
-def test_names_that_are_refused(tmp_path, monkeypatch, name, message):
+def test_invalid_names_raise(tmp_path, monkeypatch, name, message):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(FileFormatError, match=message):
         write_render(name, result())
@@ -123,14 +123,14 @@ def test_files_that_cannot_be_opened_say_why(tmp_path, monkeypatch, extension):
         {"": np.zeros((3, 4)), "other": np.zeros((4, 4))},
     ],
 )
-def test_layers_that_are_refused(tmp_path, layers):
+def test_invalid_layers_raise(tmp_path, layers):
     with pytest.raises(ParameterError, match="all of one size"):
         write_exr(tmp_path / "image.exr", layers)
     assert not (tmp_path / "image.exr").exists()
 
 
 @pytest.mark.parametrize("exposure", [np.nan, np.inf, 1000, "bright", None])
-def test_exposures_that_are_refused(tmp_path, exposure):
+def test_invalid_exposures_raise(tmp_path, exposure):
     with pytest.raises(McspectraError, match="exposure"):
         write_png(tmp_path / "image.png", IMAGE, exposure=exposure)
 
@@ -156,7 +156,7 @@ def test_results_and_paths_that_are_swapped_or_missing(tmp_path):
     assert not file.exists()
 
 
-def test_comparisons_that_are_refused(tmp_path):
+def test_invalid_comparisons_raise(tmp_path):
     file = tmp_path / "all.exr"
     smaller = result().isel(x=slice(3))
     with pytest.raises(ParameterError, match="all of one size"):

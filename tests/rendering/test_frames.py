@@ -87,7 +87,7 @@ def found(plain):
 
 
 @pytest.mark.parametrize("noise", [noise.__name__ for noise in NOISES])
-def test_variances_and_rates_are_those_of_the_frames(found, noise):
+def test_variances_and_rates_agree_with_the_frames(found, noise):
     result = found[noise]
     assert result["n"].values.tolist() == [16, 64]
     truth = SIGMA**2 * TRUTH**2
@@ -119,7 +119,7 @@ def test_frames_of_few_and_of_many_together_have_no_bias_of_the_rate(tmp_path):
     assert abs(rate.mean() + 1.0) < 4 * error
 
 
-def test_blue_noise_filters_and_tiles_are_told_apart(found):
+def test_blue_noise_filters_and_tiles_are_distinguished(found):
     assert "white between pixels" in said(found["white"])
     assert "Blue noise" in said(found["blue"])
     assert "Neighbors err together" in said(found["filtered"])
@@ -155,7 +155,7 @@ def test_frames_of_one_seed_are_named(tmp_path, found):
     assert "not independent" not in said(found["white"])
 
 
-def test_fireflies_are_named_and_leave_no_upper_bound(tmp_path, plain, found):
+def test_fireflies_are_reported_and_leave_no_upper_bound(tmp_path, plain, found):
     rng = np.random.default_rng(5)
 
     def burn(k, image):
@@ -178,7 +178,7 @@ def test_fireflies_are_named_and_leave_no_upper_bound(tmp_path, plain, found):
     assert frames(plain["white"], against=tmp_path / "c")["picture_ratio_ci"][0] == 0.0
 
 
-def test_pixels_without_numbers_are_counted_and_left_out(tmp_path):
+def test_pixels_that_are_not_finite_are_counted_and_excluded(tmp_path):
     def spoil(k, image):
         image[3, 4] = np.nan if k == 2 else image[3, 4]
         image[5, 6] = np.inf if k == 1 else image[5, 6]
@@ -190,7 +190,7 @@ def test_pixels_without_numbers_are_counted_and_left_out(tmp_path):
     assert "NaN or infinite in some frame, and have no numbers: 2." in said(result)
 
 
-def test_two_sets_are_held_against_each_other(tmp_path, plain):
+def test_two_sets_are_compared(tmp_path, plain):
     a, b = plain["white"], write(tmp_path / "b", seed=9)
     halved = write(
         tmp_path / "c", seed=3, change=lambda k, image: TRUTH + (image - TRUTH) * np.sqrt(2)
@@ -214,7 +214,7 @@ def test_two_sets_are_held_against_each_other(tmp_path, plain):
     assert "do not converge to one picture: 384 of 12288 pixels" in text
 
 
-def test_pixels_without_numbers_in_one_set_are_left_out_of_both(tmp_path):
+def test_pixels_that_are_not_finite_in_one_set_are_excluded_from_both(tmp_path):
     """The brightest and noisiest columns have a NaN in one frame of one set."""
 
     def holed(k, image):
@@ -230,7 +230,7 @@ def test_pixels_without_numbers_in_one_set_are_left_out_of_both(tmp_path):
     assert result.attrs["biased_pixels"] == 0
 
 
-def test_two_equal_values_of_a_pixel_are_no_certainty(tmp_path):
+def test_two_equal_values_of_a_pixel_do_not_prove_equality(tmp_path):
     """Pixels of two values: a quarter do not vary between two frames, and half of these differ."""
 
     def coins(seed, folder):
@@ -253,7 +253,7 @@ def test_relative_errors_of_few_frames_have_the_right_median(tmp_path, count):
     assert abs((sigma < 1.0).mean() - 0.5) < 5 * 0.5 / np.sqrt(sigma.size)
 
 
-def test_what_was_written_before_is_no_frame(tmp_path):
+def test_earlier_output_files_are_not_frames(tmp_path):
     folder = tmp_path / "a"
     folder.mkdir()
     for k, image in enumerate(np.random.default_rng(1).random((3, 8, 8))):
@@ -267,7 +267,7 @@ def test_what_was_written_before_is_no_frame(tmp_path):
     assert shown == [[3], [3]]
 
 
-def test_the_least_period_is_named(tmp_path):
+def test_the_smallest_period_is_reported(tmp_path):
     def small_tiles(rng):
         return np.tile(rng.standard_normal((8, 8)), (12, 16))
 
@@ -277,7 +277,7 @@ def test_the_least_period_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("shape", [(1, 40), (40, 1), (1, 1), (2, 2)])
-def test_frames_of_few_pixels_are_told_in_words(tmp_path, shape, capsys):
+def test_frames_of_few_pixels_are_described_in_words(tmp_path, shape, capsys):
     rng = np.random.default_rng(1)
     for k in range(2):
         np.save(tmp_path / f"{k}.npy", -1.0 - rng.random(shape))
@@ -291,7 +291,7 @@ def test_frames_of_few_pixels_are_told_in_words(tmp_path, shape, capsys):
 def test_names_and_headers_that_disagree_are_refused(tmp_path):
     for k in range(2):
         write_exr(tmp_path / f"{k}_64spp.exr", {"": np.full((4, 4), 1.0 + k)}, comment="")
-    with monkeyed_header(16), pytest.raises(ParameterError, match="64 .*by its name and 16"):
+    with monkeyed_header(16), pytest.raises(ParameterError, match="64 .*in its name and 16"):
         frames(tmp_path)
 
 
@@ -343,7 +343,7 @@ def test_portable_float_maps(tmp_path):
         (lambda p: [write_png(p / f"{k}.png", np.eye(4) / k) for k in (1, 2)], FileFormatError,
          "tone-mapped"),
         (lambda p: [np.save(p / f"{k}.npy", np.eye(4)) for k in ("a_4spp", "b")], ParameterError,
-         "does not tell its samples"),
+         "has no number of samples"),
         (lambda p: [np.save(p / f"{k}_0spp.npy", np.eye(4) * k) for k in (1, 2)], ParameterError,
          "has 0 samples"),
         (lambda p: [(p / f"{k}.exr").write_bytes(b"no picture") for k in "ab"], FileFormatError,
@@ -352,7 +352,7 @@ def test_portable_float_maps(tmp_path):
          FileFormatError, "truncated"),
     ],
 )  # fmt: skip
-def test_frames_that_are_none_are_refused(tmp_path, make, error, match):
+def test_invalid_frames_are_rejected(tmp_path, make, error, match):
     make(tmp_path)
     with pytest.raises(error, match=match):
         frames(tmp_path)
@@ -361,7 +361,7 @@ def test_frames_that_are_none_are_refused(tmp_path, make, error, match):
 def test_one_number_of_samples_is_not_given_to_frames_of_several(tmp_path):
     for k, spp in enumerate((4, 4, 16, 16)):
         np.save(tmp_path / f"{k}_{spp}spp.npy", np.eye(4) * (k + 1))
-    with pytest.raises(ParameterError, match="spp is 8, and the frames are of 4 and 16 samples"):
+    with pytest.raises(ParameterError, match="spp is 8, but the frames have 4 and 16 samples"):
         frames(tmp_path, spp=8)
     assert frames(str(tmp_path / "*_4spp.npy"), spp=8)["n"] == 8
 
@@ -379,12 +379,12 @@ def test_options_out_of_range_are_refused(tmp_path, options):
 
 
 @pytest.mark.parametrize("paths", [3, [], [3], "nowhere/*.exr", "nowhere", None])
-def test_paths_that_are_none_are_refused(paths):
+def test_invalid_paths_of_frames_are_rejected(paths):
     with pytest.raises((ParameterError, FileFormatError)):
         frames(paths)
 
 
-def test_tone_mapped_pictures_when_told_so(tmp_path):
+def test_tone_mapped_pictures_on_request(tmp_path):
     rng = np.random.default_rng(0)
     for k in range(2):
         write_png(tmp_path / f"{k}.png", rng.random((8, 8, 3)))
@@ -417,7 +417,7 @@ def test_plots_by_both_backends(tmp_path, plain):
         drawn_by_both(describe(kind, result))
 
 
-def test_flip_is_left_out_when_told_so(plain, found, capsys):
+def test_flip_is_skipped_on_request(plain, found, capsys):
     assert "flip" not in found["white"]
     assert main(["frames", str(plain["white"]), "--no-flip"]) == 0
     assert "FLIP" not in capsys.readouterr().out

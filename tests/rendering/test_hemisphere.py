@@ -24,7 +24,7 @@ def solid_angles(data):
     [("figure1", "P", None), ("figure1", "Q", None), ("veach", "wall", "light-3"),
      ("veach", "plate-3", "light-3"), ("sky", "floor", None)],
 )  # fmt: skip
-def test_f_integrates_to_the_pixel_s_value(scene, name, light):
+def test_the_integral_of_f_is_the_pixels_value(scene, name, light):
     x, y = named_pixels(scene)[name]
     data = incident_light(scene, x, y, light=light, resolution=256)
     total = float((data["reflected_radiance"] * solid_angles(data)).sum())
@@ -46,7 +46,7 @@ def test_a_diffuse_floor_reflects_by_the_cosine():
     assert np.allclose(data["reflected_radiance"], expected, rtol=1e-5)
 
 
-def test_what_lies_above_the_plane_of_the_light_only():
+def test_light_comes_only_from_the_directions_of_the_light():
     """From P (-1.2, 0, 0.7), the corners of the light at height 2 span these elevations."""
     x, y = named_pixels("figure1")["P"]
     data = incident_light("figure1", x, y, resolution=180)

@@ -71,7 +71,7 @@ def test_pinholes_are_rendered_in_silence():
     assert camera_rays(scene()) == "pinhole"
 
 
-def test_strategies_that_leave_out_a_light_say_so():
+def test_strategies_that_miss_a_light_warn():
     lamp = {"type": "point", "position": [0, 0, 1]}
     made = scene(lamp=lamp, spot={"type": "spot"})
     with pytest.warns(
@@ -85,7 +85,7 @@ def test_strategies_that_leave_out_a_light_say_so():
     silent(made, "bsdf", light="sky")
 
 
-def test_strategies_that_leave_out_a_mirror_say_so():
+def test_strategies_that_miss_a_mirror_warn():
     made = scene(ball={"type": "sphere", "bsdf": {"type": "conductor"}})
     with pytest.warns(IncompleteImageWarning, match="'light' leaves out specular .*'ball'"):
         render(made, "light", spp=1)
@@ -127,7 +127,7 @@ def test_environments_with_a_broken_pixel_are_refused(value):
             refused()
 
 
-def test_maps_that_see_nothing_say_what_is_in_the_way():
+def test_maps_that_show_nothing_name_the_obstacle():
     made = scene(
         wall={"type": "rectangle"}, ball={"type": "sphere", "bsdf": {"type": "dielectric"}}
     )

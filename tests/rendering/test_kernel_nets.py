@@ -30,7 +30,7 @@ def arrays(columns, sets, count):
     ],
 )
 @pytest.mark.filterwarnings("ignore::mcspectra.core.errors.NotPowerOfTwoWarning")
-def test_points_are_those_of_hashed_owen_scrambling(net, dims, count):
+def test_points_agree_with_hashed_owen_scrambling(net, dims, count):
     mitsuba, sampler = load_mitsuba(), as_sampler(f"{net} | owen(method='hash')", dims)
     import drjit
 
@@ -146,7 +146,7 @@ def test_orders_of_requests_are_independent(pads, one, other):
     assert stats.chisquare(found, found.sum() * mass / mass.sum()).pvalue > LEVEL
 
 
-def test_requests_and_neighbours_share_no_set(pads):
+def test_requests_and_neighbors_share_no_set(pads):
     numbers = np.concatenate([pads["first"][..., 0].ravel(), pads["second"][..., 0].ravel()])
     expected = numbers.size**2 / 2.0**25  # equal pairs of independent 24-bit numbers
     _, times = np.unique(numbers, return_counts=True)

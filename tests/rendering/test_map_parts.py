@@ -31,7 +31,7 @@ def lines(level, rate, se=0.1):
     return statistics.fit_lines(NS, variance, np.full_like(variance, se), np.ones_like(variance))
 
 
-def test_lines_are_the_fits_of_single_curves():
+def test_lines_agree_with_fits_of_single_curves():
     variance, se = random_curves()
     mean = np.ones_like(variance)
     variance[0, -2:, 0, 0] = 1e-20  # rounding of float32 at large n is ignored
@@ -45,7 +45,7 @@ def test_lines_are_the_fits_of_single_curves():
         assert got == pytest.approx((one.rate, *one.interval, one.chi2), rel=1e-12)
 
 
-def test_variances_that_were_missed_leave_no_rate():
+def test_missed_variances_give_no_rate():
     variance, se = random_curves()
     variance[0, 0, 1, 1] = 0.0
     variance[1, :4, 2, 2] = 0.0
@@ -99,7 +99,7 @@ def test_gain_compares_equal_totals():
     assert np.isnan(statistics.gain(single, mis, 64, ~met)[0]).all()
 
 
-def test_slowest_needs_a_difference_apart_from_zero():
+def test_slowest_needs_an_interval_that_excludes_zero():
     rate = np.array([[[-2.0, -1.0, -1.5, np.nan, np.nan]], [[-1.0, -2.0, -1.6, -1.0, np.nan]]])
     found = statistics.slowest(rate, np.full_like(rate, 0.1))
     assert np.array_equal(found[0], [1, 0, -1, -1, np.nan], equal_nan=True)
@@ -125,7 +125,7 @@ def test_slowest_decides_as_often_as_a_normal_test(difference):
         assert abs((found == technique).mean() - chance) <= 4.5 * spread + 1e-4
 
 
-def test_dominant_needs_a_ratio_apart_from_one():
+def test_dominant_needs_an_interval_that_excludes_one():
     variance = np.array([[[4.0, 1.0, 1.1, np.nan, 0.0, 0.0]], [[1.0, 4.0, 1.0, 1.0, 0.0, 1.0]]])
     found = statistics.dominant(variance, np.full_like(variance, 0.2))
     assert np.array_equal(found[0], [0, 1, -1, np.nan, np.nan, 1], equal_nan=True)
@@ -173,7 +173,7 @@ def test_predictions_agree_with_measured_variances(spec):
     assert se.mean() < 0.25 * predicted.mean()
 
 
-def test_gains_see_what_varies_within_the_cells_of_the_grid():
+def test_gains_include_variation_within_the_cells_of_the_grid():
     """A grid of midpoints misses a quarter of the variance of a smooth integrand."""
     forecast = prediction.prediction_for(sampler("sobol | owen", dims=2), 64, Stream.from_rng(3))
     assert forecast is not None
@@ -207,7 +207,7 @@ def test_integrals_of_predictions_have_honest_errors():
 
 
 @pytest.mark.parametrize("spec", ["jittered", "random", "jittered | shift"])
-def test_light_that_only_another_technique_meets_is_an_error(spec):
+def test_light_that_only_another_technique_hits_is_an_error(spec):
     forecast = prediction.prediction_for(sampler(spec, dims=2), 64, Stream.from_rng(5))
     assert forecast is not None
     u = forecast.samples
@@ -222,7 +222,7 @@ def test_light_that_only_another_technique_meets_is_an_error(spec):
     assert (prediction.unmet(forecast, met, mean - 0.1) == 0.0).all()
 
 
-def test_strategies_that_met_less_light_than_another_are_found():
+def test_strategies_that_hit_less_light_than_another_are_found():
     row = {"light": 0, "bsdf": 1, "mis-light": 2, "mis-bsdf": 3, "mis": 4}
     means = [1.0, 0.5, 0.6, 0.4, 1.0]
     mean = np.array(means).reshape(-1, 1, 1) + np.zeros((5, 1, 3))
@@ -235,7 +235,7 @@ def test_strategies_that_met_less_light_than_another_are_found():
     assert not alone.any()
 
 
-def test_ratios_of_what_was_missed_are_left_out():
+def test_ratios_with_missed_light_are_excluded():
     shape = (1, 1, 3)
     maps = Maps(
         status=np.zeros((1, 3), np.int8),
@@ -266,7 +266,7 @@ def test_unequal_strata_and_three_dims():
         assert prediction.prediction_for(sampler(spec, 2), 16, Stream(1)) is None
 
 
-def test_errors_of_few_strata_take_students_t():
+def test_errors_of_few_strata_use_students_t():
     """If J strata differ equally, there are J degrees of freedom; if one differs, there is one."""
     squares = np.array([[1.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
     expected = t.ppf(0.975, [1, 4, 1]) / norm.ppf(0.975)
@@ -306,7 +306,7 @@ def test_shares_of_equal_parts_have_no_largest():
     assert (largest == statistics.UNDECIDED).mean() > 0.95 - 4 * (0.95 * 0.05 / 2000) ** 0.5
 
 
-def test_shares_that_one_chain_carries_are_not_told():
+def test_shares_of_a_single_chain_are_not_reported():
     values = np.zeros((128, 3, 2))
     values[5, 1:, 0] = 1.0
     whole, shares, largest = statistics.path_shares(values, [np.eye(2, dtype=bool)])
@@ -315,7 +315,7 @@ def test_shares_that_one_chain_carries_are_not_told():
     assert np.isnan(largest).all()
 
 
-def test_the_least_variance_needs_ratios_apart_from_one():
+def test_the_least_variance_needs_intervals_that_exclude_one():
     variance = np.array([[1.0, 1.0, 1.0, 0.0], [1.2, 3.0, 3.0, 1.0], [3.0, 3.1, 0.1, 1.0]])
     found = statistics.least(variance, np.full((3, 4), 0.1))
     assert np.array_equal(found, [statistics.UNDECIDED, 0.0, 2.0, np.nan], equal_nan=True)

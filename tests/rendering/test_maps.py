@@ -52,7 +52,7 @@ def identical(a, b):
 
 
 @pytest.mark.parametrize("strategy", ["light", "mis-light", "mis"])
-def test_a_pixel_is_what_convergence_measures(small, strategy):
+def test_a_pixel_agrees_with_convergence(small, strategy):
     # The same points: the only difference is Mitsuba's float32.
     if strategy == "mis":
         estimator: Any = mcs.estimators.TechniqueSum([pixel("mis-light"), pixel("mis-bsdf")])
@@ -102,7 +102,7 @@ def test_wide_light_on_the_wall():
     assert float(found["mis_gain_ci"].sel(bound="high")) < 1  # light sampling alone is better
 
 
-def test_predictions_cover_what_is_measured():
+def test_predictions_cover_the_measurement():
     found = variance_map(
         "veach", size=(48, 32), crop=(4, 3, 24, 4), light="light-3", counts=(4, 64),
         realizations=200, points="own", strategies=("light", "mis"),
@@ -115,7 +115,7 @@ def test_predictions_cover_what_is_measured():
 
 
 @pytest.mark.parametrize("lamp", [False, True])
-def test_predictions_that_miss_a_rare_light_say_so(lamp):
+def test_predictions_that_miss_a_rare_light_have_infinite_error(lamp):
     # One BSDF sample in a million hits the lamp: prediction and measurement both miss it, and would
     # agree. Light sampling takes every second sample from it.
     scene = figure1()
@@ -130,7 +130,7 @@ def test_predictions_that_miss_a_rare_light_say_so(lamp):
     assert known.tolist() == [True, not lamp]
 
 
-def test_what_is_not_a_receiver_has_no_numbers(small):
+def test_pixels_that_are_not_receivers_have_no_values(small):
     seen = np.isfinite(small["mean"].values[0])
     assert 0 < (~seen).sum() < 40
     for y, x in (*np.argwhere(~seen)[::4], *np.argwhere(seen)[::90]):
@@ -184,7 +184,7 @@ def test_own_points_do_not_depend_on_tiles(monkeypatch):
     assert not identical(other, whole)
 
 
-def test_lobes_take_a_third_dimension(scene_files):
+def test_lobes_use_a_third_dimension(scene_files):
     scene, place = scene_files["textured"], {"crop": (18, 16, 4, 2), "realizations": 200}
     with pytest.raises(ParameterError, match="give dims=3"):
         variance_map(scene, counts=(4, 16), **place)
@@ -244,7 +244,7 @@ def test_smoothing_narrows_the_intervals_of_own_points():
     assert np.array_equal(smooth["variance"], rough["variance"], equal_nan=True)
 
 
-def test_progress_is_told(monkeypatch):
+def test_progress_is_reported(monkeypatch):
     monkeypatch.setattr(tiles, "TILE_LANES", 100 * 32)
     told: list[float] = []
     with listening(lambda _, done: told.append(done)):
@@ -375,6 +375,6 @@ def test_tiles_measured_apart_change_nothing(monkeypatch):
         {"channel": "rgb"},
     ],
 )
-def test_what_cannot_be_is_refused_without_the_scene(changes):
+def test_impossible_maps_are_rejected_without_the_scene(changes):
     with pytest.raises(ParameterError):
         checked(Map(scene="never-read.xml", **changes)).need(SUBJECT)

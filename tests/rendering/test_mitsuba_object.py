@@ -43,7 +43,7 @@ def test_realizations_do_not_depend_on_how_many_are_drawn(variant):
     assert source.sample_count() == 4  # a fork was drawn from, not the object
 
 
-def test_scalar_objects_draw_what_the_spec_draws():
+def test_scalar_objects_draw_the_points_of_the_spec():
     sampler = from_mitsuba(made("scalar_rgb", type="multijitter"), 3)
     expected = MitsubaSampler(sampler="multijitter", dims=3).draw(12, realizations=3, rng=2)
     np.testing.assert_array_equal(sampler.draw(12, realizations=3, rng=2), expected)
@@ -59,7 +59,7 @@ def test_counts_are_read_back():
 
 
 @pytest.mark.parametrize("source", [None, "multijitter", 3, np.zeros((4, 2))])
-def test_what_is_no_sampler_of_mitsuba(source):
+def test_objects_that_are_not_mitsuba_samplers_raise(source):
     with pytest.raises(ParameterError, match="is not a sampler of Mitsuba"):
         from_mitsuba(source)
 

@@ -49,11 +49,11 @@ def test_every_strategy_has_the_exact_mean():
         assert abs(mean - exact) < SIGMAS * error + SINGLE * exact, name
 
 
-def test_wall_pixel_sees_the_whole_light():
+def test_the_whole_light_is_visible_from_the_wall_pixel():
     assert (pixel_strategies(**WALL)["light"](uniforms(10_000)) > 0).all()
 
 
-def test_weights_are_those_of_the_heuristics():
+def test_weights_agree_with_the_heuristics():
     # With the same u, both heuristics weight the same f/p: w = r/(1+r) and r²/(1+r²), r =
     # own/other.
     u = uniforms(4096)
@@ -134,7 +134,7 @@ def test_shapes_and_channels(strategy):
     np.testing.assert_allclose(scalar(u), rec709, rtol=1e-5)
 
 
-def test_light_that_is_never_met_gives_zeros():
+def test_light_that_is_never_hit_gives_zeros():
     # light-0 covers about 1e-5 of the wall's hemisphere: none of 16 BSDF samples hits it.
     values = Pixel(**{**WALL, "light": "light-0"}, strategy="bsdf", channel="rgb")(uniforms(16))
     np.testing.assert_array_equal(values, np.zeros((16, 3)))
@@ -222,13 +222,13 @@ def test_bad_parameters_are_one_sentence(changes, words):
         ("textured", {"y": 0, "x": 0}, "sees the light 'sky'"),
     ],
 )
-def test_pixels_that_are_no_integrands_say_why(scene_files, scene, changes, words):
+def test_pixels_that_are_not_integrands_raise_with_a_reason(scene_files, scene, changes, words):
     with pytest.raises(ParameterError) as caught:
         Pixel(**{"scene": scene_files[scene], "x": 20, "y": 15, **changes})
     assert words in str(caught.value)
 
 
-def test_one_area_light_beside_a_delta_light_is_fine(scene_files):
+def test_an_area_light_next_to_a_delta_light_is_allowed(scene_files):
     values = Pixel(scene=scene_files["lamp"], x=20, y=15, light="screen")(uniforms(64))
     assert (values > 0).any()
 

@@ -134,7 +134,7 @@ def test_positions_in_the_pixel_average_it():
     assert abs(values.mean() - means[0]) < 4 * np.hypot(errors[0], values.std() / 32)
 
 
-def test_position_at_the_centre_is_the_pixel_of_two_dims():
+def test_the_central_position_is_the_pixel_of_two_dims():
     u = uniforms(1000, 3)
     for strategy in ("light", "bsdf", "mis-light", "mis-bsdf"):
         middle = np.full((1000, 2), 0.5)
@@ -160,7 +160,7 @@ def test_first_two_samples_run_from_the_upper_left_corner():
     assert not np.allclose(at(here, small, 0.5), at(right, small, 0.5), rtol=1e-3)
 
 
-def test_rays_that_see_a_light_or_nothing_count_as_zero():
+def test_rays_that_hit_a_light_or_nothing_count_as_zero():
     """The left border of light-3 crosses the pixel: wall on the left, light on the right."""
     assert describe_pixel("veach", 579, 72)["light"] == "light-3"
     u = uniforms(2**14, 4)

@@ -46,7 +46,7 @@ def test_errors_cover_discontinuities(monkeypatch):
     assert abs(spread - 15 / 13) < 4 * 15 / 13 * np.sqrt((2 + 6 / 11) / 40)
 
 
-def test_accuracy_says_how_it_was_made():
+def test_accuracy_names_its_method():
     pixel = Pixel(**FLOOR)
     assert pixel.integral_source == SOURCE
     source, error = integral_accuracy(pixel)

@@ -57,7 +57,7 @@ def test_every_heuristic_estimates_the_same(truth, heuristic, counts):
 
 
 @pytest.mark.parametrize("heuristic", ["balance", "power"])
-def test_equal_counts_are_the_kernels_of_pixel(heuristic):
+def test_equal_counts_agree_with_the_kernels_of_pixel(heuristic):
     mis, u = pixel_mis(**PLATE, heuristic=heuristic), uniforms(4096)
     for technique, strategy in enumerate(("mis-light", "mis-bsdf")):
         single = Pixel(**PLATE, strategy=strategy, heuristic=heuristic)(u)
@@ -99,7 +99,7 @@ def test_optimal_weights_have_the_least_variance():
         assert found["variance-aware"] < found["balance"]
 
 
-def test_one_light_sample_decides_where_it_has_no_variance():
+def test_weights_favor_light_samples_without_variance():
     # light-3 covers a small part of the wall's sky: almost all samples go to light sampling
     mis = pixel_mis(**WALL, heuristic="variance-aware")
     assert mis.shares[0] > 20 * mis.shares[1]
@@ -160,7 +160,7 @@ def test_blocked_light_does_not_bias_optimal_weights():
     assert abs(mean - wanted) < SIGMAS * np.hypot(error, wanted_error)
 
 
-def test_densities_of_the_environment_join_in():
+def test_densities_of_the_environment_are_techniques():
     sky = [f"environment(interpolation='bilinear', channel={c})" for c in range(3)]
     karlik = "environment(compensation=True)"
     wanted, wanted_error = total(pixel_mis(**PLASTIC, channel="rgb", dims=3), seed=77)

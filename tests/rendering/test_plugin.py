@@ -122,14 +122,14 @@ def test_numbers_stay_below_one():
 
 
 @pytest.mark.parametrize("pixels", [1, 7, 509, 5000, 2**20])
-def test_requests_of_a_pixel_take_different_sets(pixels):
+def test_requests_of_a_pixel_use_different_sets(pixels):
     rounds = Rounds.of(pixels, 4, 2 * 64)
     assert 2 * 64 * rounds.size <= 2**27
     taken = {request * rounds.stride % rounds.size for request in range(509)}
     assert len(taken) == 509
 
 
-def test_first_requests_of_all_pixels_take_different_sets():
+def test_first_requests_of_all_pixels_use_different_sets():
     rounds = Rounds.of(300, 4, 32)
     taken = {
         (p + request * rounds.stride) % rounds.size for p in range(300) for request in range(4)
@@ -171,7 +171,7 @@ def test_seeds_change_points_and_are_reproducible():
         assert not np.isin(other, base).any()
 
 
-def test_clones_go_on_alike_and_forks_need_a_seed():
+def test_clones_continue_equally_and_forks_need_a_seed():
     source = sampler(sample_count=4)
     source.seed(1, 8)
     numbers(source, 2)
@@ -192,7 +192,7 @@ def test_passes_share_a_pixels_set(dims):
         source.advance()
     cells = np.concatenate(passes, axis=1)[..., 0]
     assert (np.sort(np.floor(cells * 16), axis=1) == np.arange(16)).all()
-    with pytest.raises(ParameterError, match="All 16 samples of each pixel are used"):
+    with pytest.raises(ParameterError, match="All 16 samples of each pixel have been used"):
         source.next_1d()
 
 
@@ -241,7 +241,7 @@ def smallest_p_value(a, b):
         ("ours", "direct", "scalar_rgb"),
     ],
 )
-def test_images_are_those_of_the_stock_sampler_with_less_noise(files, name, integrator, variant):
+def test_images_agree_with_the_stock_sampler_and_have_less_noise(files, name, integrator, variant):
     ours = batches(files[name], variant, integrator=integrator)
     stock = batches(files["stock"], variant, integrator=integrator)
     assert smallest_p_value(stock, ours) > LEVEL
@@ -250,7 +250,7 @@ def test_images_are_those_of_the_stock_sampler_with_less_noise(files, name, inte
     assert np.median(ratio) > stats.f.isf(1e-6, 15 * 24, 15 * 24)
 
 
-def test_two_percent_are_noticed(files):
+def test_an_error_of_two_percent_is_detected(files):
     ours, stock = batches(files["ours"], spp=256), batches(files["stock"], spp=1024)
     assert smallest_p_value(stock, 1.02 * ours) < LEVEL
     assert smallest_p_value(stock, ours) > LEVEL
@@ -288,7 +288,7 @@ def test_command_writes_the_image(files, tmp_path, variant):
 
 
 @pytest.mark.parametrize("variant", PLUGIN_VARIANTS)
-def test_a_sampler_takes_the_place_of_the_scenes_own(files, tmp_path, variant):
+def test_a_sampler_replaces_the_scenes_own(files, tmp_path, variant):
     """The image equals that of a file with our sampler, and the file does not change."""
     before = Path(files["stock"]).read_bytes()
     replaced = render_file(files["stock"], variant, sampler="jittered", seed=3)
@@ -303,7 +303,7 @@ def test_a_sampler_takes_the_place_of_the_scenes_own(files, tmp_path, variant):
     np.testing.assert_array_equal(one, named)
 
 
-def test_an_integrator_takes_the_place_of_the_scenes_own(files):
+def test_an_integrator_replaces_the_scenes_own(files):
     ours = {"definitions": {"integrator": "path"}}
     expected = render_file(files["ours"], seed=2, **ours)
     np.testing.assert_array_equal(render_file(files["ours"], integrator="path", seed=2), expected)
@@ -373,7 +373,7 @@ def test_bad_files_are_one_sentence(tmp_path):
         render_file(blind)
 
 
-def test_scenes_with_our_sampler_are_ours_too(files, tmp_path):
+def test_scenes_with_our_sampler_can_be_analyzed(files, tmp_path):
     assert film_size(files["ours"]) == (8, 6)
     wrong = tmp_path / "wrong.xml"
     text = Path(files["ours"]).read_text(encoding="utf-8").replace("sobol | owen", "nosuch")
@@ -383,7 +383,7 @@ def test_scenes_with_our_sampler_are_ours_too(files, tmp_path):
     assert "Traceback" not in str(caught.value)
 
 
-def test_variant_is_put_back(files):
+def test_the_variant_is_restored(files):
     mitsuba = load_mitsuba()
     render_file(files["ours"], "scalar_rgb")
     assert mitsuba.variant() == "llvm_ad_rgb"

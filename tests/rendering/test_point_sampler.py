@@ -19,7 +19,7 @@ NAMES = ["independent", "stratified", "multijitter", "orthogonal", "ldsampler"]
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_counts_are_those_that_mitsuba_does_not_round(name):
+def test_counts_are_the_ones_that_mitsuba_does_not_round(name):
     mitsuba = import_mitsuba()
     mitsuba.set_log_level(mitsuba.LogLevel.Error)  # it reports every rounding
     source = MitsubaSampler(sampler=name)
@@ -110,7 +110,7 @@ def test_points_and_pixels_do_not_disturb_each_other_in_either_order():
     assert len(outputs) == 1
 
 
-def test_the_variant_stays_what_it_was():
+def test_the_variant_does_not_change():
     mitsuba = import_mitsuba()
     before = mitsuba.variant()
     sampler("mitsuba", 3).draw(4)

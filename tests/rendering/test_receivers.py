@@ -20,7 +20,7 @@ def test_a_pixel_is_traced_once():
     assert techniques.primary_hit(scene, 96, 205) is techniques.primary_hit(scene, 96, 205)
 
 
-def test_few_scenes_and_pixels_are_kept(monkeypatch):
+def test_few_scenes_and_pixels_are_cached(monkeypatch):
     traced: list[tuple[int, int]] = []
 
     def hit(scene, x, y):

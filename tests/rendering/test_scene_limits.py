@@ -38,7 +38,7 @@ def refused(file, words):
 
 
 @pytest.mark.render
-def test_a_deep_scene_ends_no_process(write):
+def test_a_deep_scene_does_not_end_the_process(write):
     """100,000 nested elements ended the process with SIGSEGV."""
     file = write(nested(100_000))
     done = python("-m", "mcspectra", "render", file, timeout=100)
@@ -94,7 +94,7 @@ def test_elements_count_with_all_includes(write):
     refused(write("<include filename='scene.xml'/>" * 3), "has .* elements")
 
 
-def test_limits_are_far_from_scenes_that_are(write):
+def test_limits_are_far_above_existing_scenes(write):
     write(nested(40), "inner.xml")
     file = write("<include filename='inner.xml'/>" + "<shape type='sphere'/>" * 100_000)
     assert {path.name for path in referenced_files(file)} == {"inner.xml"}
@@ -132,7 +132,7 @@ def test_pipes_and_devices_are_refused(write, tmp_path, inside):
 
 
 @pytest.mark.render
-def test_a_pipe_is_no_scene_and_no_file_of_a_dictionary(tmp_path):
+def test_a_pipe_is_rejected_as_a_scene_and_as_a_file_of_a_dictionary(tmp_path):
     os.mkfifo(tmp_path / "pipe.xml")
     for call in (load_scene, render_file):
         with pytest.raises(FileFormatError, match="There is no scene file"):

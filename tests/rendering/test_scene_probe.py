@@ -53,7 +53,7 @@ def use_values(scene):
 
 
 @pytest.mark.parametrize("case", _CASES)
-def test_what_cannot_be_evaluated_is_named(case, tmp_path):
+def test_materials_that_cannot_be_evaluated_are_named(case, tmp_path):
     bsdf, reason = _CASES[case]
     file = tmp_path / "bad.xml"
     file.write_text(_TEXT.format(bsdf=bsdf), encoding="utf-8")
@@ -76,7 +76,7 @@ def test_the_next_scene_works(use, tmp_path):
     assert np.isfinite(np.asarray(use_pixel(str(good)))).all()
 
 
-def test_a_scene_alive_spoils_the_others(tmp_path):
+def test_a_broken_scene_in_memory_breaks_the_others(tmp_path):
     """Reason for the probe: Mitsuba itself loads a scene in addition to ours."""
     good = tmp_path / "good.xml"
     good.write_text(_TEXT.format(bsdf=_PLASTIC), encoding="utf-8")
@@ -94,13 +94,13 @@ def test_our_own_scenes_pass(name):
 
 
 @pytest.mark.parametrize("kind", ["mask", "dielectric", "null", "hair", "principled"])
-def test_whatever_mitsuba_can_evaluate_passes(kind):
+def test_materials_that_mitsuba_can_evaluate_pass(kind):
     inside = _PLASTIC if kind == "mask" else ""
     text = _TEXT.format(bsdf=f'<bsdf type="{kind}">{inside}</bsdf>')
     assert what_fails(load_mitsuba().load_string(text)) is None
 
 
-def test_lights_are_tried_too():
+def test_lights_are_tested():
     class Light:
         def id(self):
             return "lamp"

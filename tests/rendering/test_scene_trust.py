@@ -93,7 +93,7 @@ def test_files_inside_and_allowed_ones_are_read(study, kind):
     assert referenced_files(study / "scene.xml")  # a person who names the scene may read all files
 
 
-def test_includes_are_walked_with_the_same_rules(study):
+def test_includes_follow_the_same_rules(study):
     (study / "sub" / "part.xml").write_text(SCENE.format(BITMAP.format("../../private/out.png")))
     with pytest.raises(ConfigError, match=rf"part\.xml.*{OUTSIDE}"):
         vetted(study, "<include filename='sub/part.xml'/>")
@@ -119,12 +119,12 @@ def test_includes_are_walked_with_the_same_rules(study):
         "<default name='n' value='material'/><string name='$n' value='../../folder/x'/>",
     ],
 )
-def test_ways_around_the_walk_are_closed(study, inside):
+def test_ways_around_the_rules_are_rejected(study, inside):
     with pytest.raises(ConfigError, match=OUTSIDE):
         vetted(study, inside)
 
 
-def test_where_the_process_runs_is_no_folder_of_the_study(study):
+def test_the_current_folder_is_not_a_folder_of_the_study(study):
     for place in (study.parent / "cwd", study):
         (place / "wall.png").write_text("any")
     (study.parent / "cwd" / "own.png").write_text("any")
@@ -136,7 +136,7 @@ def test_where_the_process_runs_is_no_folder_of_the_study(study):
 
 
 @pytest.mark.skipif(mitsuba_folder() is None, reason="needs Mitsuba")
-def test_nor_is_the_folder_that_mitsuba_lies_in(study):
+def test_mitsubas_folder_is_not_a_folder_of_the_study(study):
     """A deep scene could name files next to Mitsuba's folder without leaving its own."""
     up = "../" * len(mitsuba_folder().parts)
     deep = study / Path(*"abcdefghijklmnopqrst")
@@ -169,14 +169,14 @@ def test_nor_is_the_folder_that_mitsuba_lies_in(study):
         ),
     ],
 )
-def test_what_mitsuba_may_read_otherwise_is_refused(study, data, words):
+def test_files_that_mitsuba_may_read_differently_are_rejected(study, data, words):
     with pytest.raises(FileFormatError, match=words):
         vetted(study, "", data=data)
     assert referenced_files(study / "scene.xml") == set()
 
 
 @pytest.mark.parametrize("name", ["scene", "scene.txt", "SCENE.XML"])
-def test_a_scene_may_be_called_anything(study, name):
+def test_a_scene_file_may_have_any_name(study, name):
     (study / name).write_text(SCENE.format(BITMAP.format("../private/out.png")))
     with pytest.raises(ConfigError, match=OUTSIDE):
         Vetting(study, Trust()).calls(f"pixel(scene='./{name}', x=0, y=0)")
@@ -227,7 +227,7 @@ def test_parameters_do_not_grow_without_end(study, inside):
 
 @pytest.mark.parametrize("ending", [".so", ".dylib", ".dll"])
 @pytest.mark.parametrize("name", ["own", "diffuse"])
-def test_a_library_beside_a_scene_is_not_run(study, name, ending):
+def test_a_library_next_to_a_scene_is_not_run(study, name, ending):
     (study / "sub" / "plugins").mkdir()
     (study / "sub" / "plugins" / f"{name}{ending}").touch()
     for inside in (
@@ -244,7 +244,7 @@ def test_a_library_beside_a_scene_is_not_run(study, name, ending):
             vetted(study, f"<bsdf type='{type_}'/>")
 
 
-def test_nor_is_one_where_the_process_runs(study):
+def test_a_library_in_the_current_folder_is_not_run(study):
     (Path.cwd() / "plugins").mkdir()
     (Path.cwd() / "plugins" / "own.so").touch()
     with pytest.raises(FileFormatError, match="libraries are not run"):
@@ -293,7 +293,7 @@ def test_no_code_of_a_folder_runs(study):
 
 
 @pytest.mark.render
-def test_a_link_that_is_exchanged_later_shows_as_a_change(study):
+def test_a_link_that_is_exchanged_later_is_a_change(study):
     """A folder's owner can exchange files between check and load: this changes the study."""
     vetting = Vetting(study, Trust())
     (study / "scene.xml").write_text(SCENE.format(BITMAP.format("in.png")))
@@ -305,7 +305,7 @@ def test_a_link_that_is_exchanged_later_shows_as_a_change(study):
 
 
 @pytest.mark.render
-def test_a_person_reaches_everything(study):
+def test_scenes_named_by_a_person_may_read_everything(study):
     """Scenes given in Python or on the command line are read as before."""
     text = SCENE.format(
         BITMAP.format("../private/out.png") + "<include filename='folder/out.xml'/>"

@@ -169,7 +169,7 @@ def test_broken_file_is_one_sentence(tmp_path, text, words):
     assert ".cpp" not in str(caught.value)
 
 
-def test_texture_is_found_beside_its_scene(tmp_path, monkeypatch):
+def test_a_texture_is_found_next_to_its_scene(tmp_path, monkeypatch):
     scenes, elsewhere = tmp_path / "scenes", tmp_path / "elsewhere"
     (scenes / "textures").mkdir(parents=True)
     elsewhere.mkdir()
@@ -205,13 +205,13 @@ def test_scene_without_camera_is_refused(scene_files):
 @pytest.mark.parametrize(
     "point", [(0, 0, 30), (0, 100, 0), (0, 0), (0, 0, 0, 0), (0, math.nan, 0), "abc", 1.0, None]
 )
-def test_project_refuses_what_it_cannot_show(point):
+def test_project_rejects_points_outside_the_view(point):
     with pytest.raises(ParameterError):
         project("veach", point)
 
 
 @pytest.mark.parametrize("light", [5, -1, 1.5, "light-9", True])
-def test_unknown_light_lists_those_there_are(light):
+def test_an_unknown_light_lists_the_existing_ones(light):
     with pytest.raises(ParameterError, match="light-3"):
         find_emitter("veach", light)
 

@@ -51,7 +51,7 @@ def open_scene(rotation=None, bsdf=None, lamp=False):
 
 
 @pytest.mark.parametrize("rotation", ROTATIONS.values(), ids=ROTATIONS)
-def test_directions_are_those_of_the_emitter(rotation):
+def test_directions_agree_with_the_emitter(rotation):
     """Mitsuba's texels are at θ = π i/(h − 1), φ = 2π (j + ½)/w: there the map is exact."""
     scene, texels = open_scene(rotation), colored_map()
     rows, columns = np.divmod(np.arange(32, 480), 32)  # poles belong to all columns
@@ -79,7 +79,7 @@ def _matrix(rotation):
     ("density", "rotation"),
     [("environment", None), ("environment(interpolation='bilinear')", ROTATIONS["turned"])],
 )
-def test_pdf_is_that_of_the_samples_and_integrates_to_one(rotation, density):
+def test_the_pdf_agrees_with_the_samples_and_integrates_to_one(rotation, density):
     sky = sky_technique(open_scene(rotation), density, "rgb")
     directions, own = sky.sample(uniforms(2000))
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=1e-6)
@@ -96,7 +96,7 @@ def test_pdf_is_that_of_the_samples_and_integrates_to_one(rotation, density):
     assert total == pytest.approx(1.0, abs=2e-3)
 
 
-def test_mean_over_the_sphere_is_that_of_a_constant_sky():
+def test_the_mean_over_the_sphere_agrees_with_a_constant_sky():
     """A diffuse floor under constant radiance L reflects exactly ρ L for any density."""
     scene = open_scene()
     scene["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": [0.5, 1.0, 2.0]}}
@@ -216,7 +216,7 @@ def test_bad_densities_are_one_sentence(changes, words):
     assert "\n" not in str(caught.value)
 
 
-def test_other_lights_that_count_are_an_error():
+def test_other_used_lights_are_an_error():
     place = {"scene": open_scene(lamp=True), **FLOOR, "strategy": "environment"}
     with pytest.raises(ParameterError, match="give light='sky'"):
         Pixel(**place)
@@ -243,7 +243,7 @@ def test_scene_without_environment_has_no_pixels():
         sky_pixels("veach")
 
 
-def test_density_object_is_taken_as_it_is():
+def test_a_density_object_is_used_unchanged():
     density = EnvironmentDensity(values=colored_map(), channel=1)
     sky = sky_technique(open_scene(), density, "rgb")
     assert isinstance(sky, Sky)
