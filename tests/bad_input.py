@@ -29,7 +29,7 @@ HEAD = [
     "",
     "Made by `python -m tests.bad_input`; every row is a test. Commands exit with 2.",
     "",
-    "| door | given | answer | sentence |",
+    "| interface | given | answer | message |",
     "|---|---|---|---|",
 ]
 

@@ -393,7 +393,8 @@ def _check_lists(analysis: Analysis, subject: Subject) -> None:
     for what in ("estimator", "sampler"):
         if isinstance(getattr(subject, what), list | tuple) and what not in analysis.several:
             raise ParameterError(
-                _said(analysis), f" takes one {what} at a time; call it once for each of the list."
+                _said(analysis),
+                f" takes one {what} at a time; call it once for each item of the list.",
             )
     listed = subject.sampler if isinstance(subject.sampler, list | tuple) else ()
     names = [getattr(each, "spec", None) for each in listed]
