@@ -27,7 +27,7 @@ from mcspectra.explain.samples import Curve
 
 BUDGET, MORE = 8192, 262_144
 REALIZATIONS = 1000
-OF_RATES = 10_000  # realizations for reference rates
+OF_RATES = 10_000  # number of realizations for reference rates
 SAW = tuple(2**k for k in range(4, 13))
 WITHIN = 0.1
 

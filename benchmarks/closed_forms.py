@@ -19,7 +19,7 @@ STEPS = ("owen", "lms", "digital-shift")
 MOST_RMS = 1.1
 _PAIRS = 24  # pairs of frequencies in each case, half of them equal
 _HIGHEST = 9
-_BLOCK = 5000  # realizations at a time
+_BLOCK = 5000  # number of realizations at a time
 # in 1 to 4 dims; all other nets have 16 points
 _COUNTS = {"halton": (12, 12, 12, 12), "faure": (16, 16, 9, 25)}
 

@@ -13,7 +13,7 @@ from mcspectra.measure.sums import BATCH_SETTINGS, ratio_factors
 
 REPETITIONS = 2_000
 COUNTS = (20, 100, 1000)
-_RUNS = 400  # analyses, each with several numbers
+_RUNS = 400  # number of analyses; each has several numbers
 
 # Distributions of estimates: generator, variance and kurtosis
 LAWS: dict[str, tuple[Callable[..., np.ndarray], float, float]] = {

@@ -25,7 +25,7 @@ from mcspectra.samplers.relaxation import near_energy
 
 STARTS = 3
 COUNTS = (256, 1024)
-_FURTHER = 2  # evaluations allowed to L-BFGS-B, relative to ours
+_FURTHER = 2  # ratio of evaluations allowed to L-BFGS-B over ours
 _MEMORY = 10  # number of corrections that both methods keep
 
 DIGESTS = """

@@ -54,8 +54,8 @@ def main() -> None:
     if folder := os.environ.get("MCSPECTRA_NETS"):
         rivals += [spec.format(str(Path(folder) / name)) for name, spec in NETS.items()]
     with tempfile.TemporaryDirectory() as cache:
-        os.environ["MCSPECTRA_CACHE"] = cache  # an empty cache
-        for kind, n in (("lattice", 13), ("owen", 16)):  # compile first
+        os.environ["MCSPECTRA_CACHE"] = cache  # the cache is empty
+        for kind, n in (("lattice", 13), ("owen", 16)):  # compile the kernels first
             mcs.design(kind, "gaussians", n, settings=DESIGNS)
         for kind, n, what in (("lattice", 1009, "a lattice"), ("owen", 256, "64 trees")):
             start = time.perf_counter()

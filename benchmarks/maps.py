@@ -44,7 +44,7 @@ def main(*flags: str) -> None:
             ("kernels alone", raw.loops),
         ]
     seconds = dict.fromkeys([name for name, _ in works], float("inf"))
-    for _ in range(1 if full else ROUNDS):  # alternating, because a busy machine slows all
+    for _ in range(1 if full else ROUNDS):  # both alternate, because a busy machine slows both
         for name, work in works:
             start = time.perf_counter()
             work()

@@ -89,7 +89,7 @@ def compared(scene: Scene, integrator: str) -> str:
 def renders(scene: Scene, integrator: str) -> Array:
     """Luminance of independent renders (R, h, w) by Mitsuba."""
     mitsuba = load_mitsuba()
-    import drjit  # after Mitsuba, which chooses the LLVM
+    import drjit  # Mitsuba must come first, because it chooses the LLVM
 
     loaded, made = load_scene(scene), find_integrator(as_scene(scene), integrator)
     images = [
@@ -125,7 +125,7 @@ def times() -> dict[str, list[float]]:
     ratios: dict[str, list[float]] = {name: [] for name in works}
     for turn in range(
         ROUNDS + 1
-    ):  # adjacent in time, because a busy machine slows all; the first round compiles
+    ):  # rounds are adjacent in time, because a busy machine slows all; the first round compiles
         seconds = {}
         for name, work in works.items():
             start = time.perf_counter()

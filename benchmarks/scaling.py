@@ -2,7 +2,7 @@
 
 Parts by name: ``python -m benchmarks.scaling tasks workers``. Without names, it runs all except
 ``million``, which takes minutes and 2 GB of disk. Wall times depend on other load of the machine,
-processor times hardly; both are printed.
+but processor times hardly do; both are printed.
 """
 
 from __future__ import annotations

@@ -249,6 +249,7 @@ def test_readers_use_at_most_the_announced_memory(tmp_path):
     )
     for path, line in zip(paths, said.stdout.splitlines(), strict=True):
         peak, announced = json.loads(line)
-        block = 20 * 2**20 if path.suffix in (".dat", ".csv") else 2**20  # lines as Python strings
+        # lines become Python strings
+        block = 20 * 2**20 if path.suffix in (".dat", ".csv") else 2**20
         assert peak < announced + block, path.name
         assert announced <= 64 * path.stat().st_size, path.name

@@ -38,7 +38,7 @@ def test_the_sky_has_a_high_range_and_colors():
     assert sky.min() > 0
     assert sky.max() / np.median(sky) > 100
     shares = sky / sky.sum(axis=-1, keepdims=True)
-    assert (shares.max(axis=(0, 1)) > 0.6).all()  # each channel dominates somewhere
+    assert (shares.max(axis=(0, 1)) > 0.6).all()  # each channel dominates in some place
     np.testing.assert_array_equal(sky, synthetic_sky(64, 128))
     assert synthetic_sky(1, 1).shape == (1, 1, 3)
 

@@ -110,7 +110,7 @@ def test_window_counts_from_the_end_and_noise_is_left_out():
     fit = fit_rate(NS, exact, SE, NONE, 3)
     assert (fit.first_n, fit.rate) == (256, pytest.approx(-1.5))
     floor = np.where(NS >= 1024, 1.0, 0.0)
-    assert fit_rate(NS, exact, SE, floor, 3).first_n != 256  # one count remains: no fit
+    assert fit_rate(NS, exact, SE, floor, 3).first_n != 256  # one remaining count gives no fit
     assert fit_rate(NS, exact, SE, floor, "auto").rate == pytest.approx(-1.5)
 
 

@@ -50,10 +50,10 @@ def test_threads_of_blas_do_not_matter():
 def test_factorizations_agree_with_lapack(size):
     rng = np.random.default_rng(size)
     a = rng.standard_normal((50, size)) * 1e-200
-    a[:, size // 2] = a[:, 0]  # rank deficient
+    a[:, size // 2] = a[:, 0]  # make the matrix rank deficient
     q, expected = orthonormal(a), np.linalg.qr(a)[0]
     assert np.allclose(q.T @ q, np.eye(size), atol=1e-14)
-    same = np.abs((q * expected).sum(axis=0))[: size // 2]  # except for signs
+    same = np.abs((q * expected).sum(axis=0))[: size // 2]  # columns agree up to signs
     assert np.allclose(same, 1.0, atol=1e-12)
     assert np.allclose(a, q @ (q.T @ a), atol=1e-212)
     matrix = a.T @ (a * 1e200)

@@ -129,7 +129,8 @@ def test_other_distributions_add_names(registry, install):
     install(["theirs = third_party_things:Theirs"], THIRD_PARTY)
     assert "theirs" in registry
     assert list(registry) == sorted(["flat", "no-class", "no-module", "plain", "theirs"])
-    assert "third_party_things" not in sys.modules  # registered, but not imported
+    # the name is registered, but the module is not imported
+    assert "third_party_things" not in sys.modules
     made = registry.build(parse("theirs(depth=3)"), 4)
     assert (made.dims, made.depth, made.spec) == (4, 3, "theirs(depth=3)")
     with pytest.raises(UnknownName, match="Did you mean 'theirs'"):

@@ -218,7 +218,8 @@ def test_any_text_is_read_or_refused_in_a_sentence(text):
 def test_the_spec_leaves_out_defaults_and_dims():
     assert Sample().spec == "sample-2d"
     assert Sample(dims=5).spec == "sample-2d"
-    assert Sample(width=1).spec == "sample-2d(width=1)"  # an int for a default that is a float
+    # the default is a float, and the value an int
+    assert Sample(width=1).spec == "sample-2d(width=1)"
     assert Sample(width=2.0, scale_=3).spec == "sample-2d(width=2.0, scale=3)"
     assert Sample(values=(1, 2)).spec == "sample-2d(values=[1, 2])"
 

@@ -195,7 +195,8 @@ def test_edge_of_width_zero_is_the_constant_light():
     x, y = named_pixels("figure1")["P"]
     hard = Pixel(scene="figure1(edge=0)", x=x, y=y)
     np.testing.assert_array_equal(hard(u), pixel("P", "light")(u))
-    thin = Pixel(scene="figure1(edge=5e-324)", x=x, y=y, strategy="bsdf")  # narrower than a texel
+    # the edge is narrower than a texel
+    thin = Pixel(scene="figure1(edge=5e-324)", x=x, y=y, strategy="bsdf")
     np.testing.assert_allclose(thin(u), pixel("P", "bsdf")(u), rtol=1e-5)
 
 

@@ -129,7 +129,7 @@ def test_blue_noise_filters_and_tiles_are_distinguished(found):
 
 @pytest.mark.parametrize("count", [2, 3, 8])
 def test_correlations_and_spectra_have_no_bias(tmp_path, count):
-    """Also for few frames: for two, a mean of signs is 0.57 where the correlation is 0.78."""
+    """Also holds for few frames: the mean of signs of two frames is 0.57 for correlation 0.78."""
     result = frames(write(tmp_path / "a", filtered, counts=(4,), frames=count))
     # A Gaussian filter of 1 pixel: neighbors have correlation exp(−1/4); the squares sum to 2π
     beside = result["error_correlation"].sel(n=4, lag_y=0, lag_x=1).item()

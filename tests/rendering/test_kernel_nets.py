@@ -44,7 +44,7 @@ def test_points_agree_with_hashed_owen_scrambling(net, dims, count):
     found = arrays(points.lanes(mitsuba, lane // count)(lane % count), 14, count)
     drawn = np.concatenate([sampler.draw_stream(count, stream, 3, 7) for stream in streams])
     below = drawn - found
-    assert below.min() >= 0.0  # rounded down to multiples of 2^-24
+    assert below.min() >= 0.0  # points are rounded down to multiples of 2^-24
     assert below.max() < 2.0**-24
 
 
@@ -128,7 +128,7 @@ def test_pairs_of_a_scrambled_set_are_independent_below_their_first_different_di
     # Points in one half of the interval: their next two digits are those of all pairs that differ
     # there, and the digits after the fourth are independent and uniform.
     x = np.sort(pads["first"][..., 0], axis=1)
-    digits = np.floor(x * 256).astype(int) % 16  # digits 5 to 8 of all 16 points
+    digits = np.floor(x * 256).astype(int) % 16  # base-2 digits 5 to 8 of all 16 points
     for i, j in ((0, 1), (0, 8), (3, 12), (6, 7)):
         table = np.bincount(digits[:, i] * 16 + digits[:, j], minlength=256)
         assert stats.chisquare(table).pvalue > LEVEL / 4

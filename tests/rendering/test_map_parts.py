@@ -50,7 +50,7 @@ def test_missed_variances_give_no_rate():
     variance[0, 0, 1, 1] = 0.0
     variance[1, :4, 2, 2] = 0.0
     variance[1, :, 2, 3] = np.nan
-    se[1, 1, 0, 1] = 0.6  # very few realizations
+    se[1, 1, 0, 1] = 0.6  # the error of very few realizations
     fits = statistics.fit_lines(NS, variance, se, np.ones_like(variance))
     without = np.isnan(fits.rate)
     assert np.argwhere(without).tolist() == [[0, 1, 1], [1, 0, 1], [1, 2, 2], [1, 2, 3]]
@@ -65,7 +65,7 @@ def test_errors_of_a_line_are_those_of_many_lines():
     exact = 3.0 - 1.5 * np.log(NS).reshape(1, -1, 1, 1)
     variance = np.exp(exact + se * generator.standard_normal(se.shape))
     fits = statistics.fit_lines(NS, variance, se, np.ones_like(variance))
-    student = 3.182446305284263 / 1.959963984540054  # three degrees of freedom
+    student = 3.182446305284263 / 1.959963984540054  # quantile ratio for three degrees of freedom
     # without the widening by lack of fit: χ²/3 is 2.6049 at 5 %, above which Student's t is used
     wide = np.where(fits.chi2 > 7.814727903251179 / 3, student, 1.0) * np.sqrt(fits.chi2)
     plain = np.maximum(wide, 1.0)
@@ -169,7 +169,8 @@ def test_predictions_agree_with_measured_variances(spec):
     estimates = step(drawn.reshape(-1, 2)).reshape(realizations, n, -1).mean(axis=1)
     measured = estimates.var(axis=0, ddof=1)
     error = np.hypot(se, measured * (2 / realizations) ** 0.5)
-    assert (np.abs(predicted - measured) < 4.5 * error).all()  # Šidák for 40 pixels
+    # limit by Šidák's correction for 40 pixels
+    assert (np.abs(predicted - measured) < 4.5 * error).all()
     assert se.mean() < 0.25 * predicted.mean()
 
 
@@ -202,7 +203,7 @@ def test_integrals_of_predictions_have_honest_errors():
     a = np.linspace(0.2, 1.0, 40)
     # The area of u0 + a·u1 < 0.7 in the unit square; for a > 0.7 the edge leaves at u1 < 1.
     exact = np.where(a < 0.7, 0.7 - a / 2, 0.245 / a)
-    assert (np.abs(mean - exact) < 4.5 * se).all()  # Šidák for 40 integrals
+    assert (np.abs(mean - exact) < 4.5 * se).all()  # limit by Šidák's correction for 40 integrals
     assert (se < 0.01).all()
 
 

@@ -97,7 +97,7 @@ def test_wide_light_on_the_wall():
         assert abs(float(one["rate"]) - theory) < 4 * float(one["rate_se"]) + 0.05
         ratio = np.log(float(one["predicted_ratio"]))
         low, high = np.log(one["predicted_ratio_ci"].values)
-        assert abs(ratio) < 2 * (high - low) / 2  # four standard errors
+        assert abs(ratio) < 2 * (high - low) / 2  # the limit is four standard errors
     assert float(found["bottleneck"]) == 1
     assert float(found["mis_gain_ci"].sel(bound="high")) < 1  # light sampling alone is better
 
@@ -192,7 +192,7 @@ def test_lobes_use_a_third_dimension(scene_files):
     light, bsdf, mis = (found.sel(strategy=s) for s in ("light", "bsdf", "mis"))
     for other in (bsdf, mis):  # all strategies estimate the same value
         z = (light["mean"] - other["mean"]) / np.hypot(light["mean_se"], other["mean_se"])
-        assert float(np.abs(z).max()) < 4.5  # Šidák for 16
+        assert float(np.abs(z).max()) < 4.5  # limit by Šidák's correction for 16 values
     # Light sampling alone selects no lobe.
     variance_map(scene, ("light",), counts=(4, 16), crop=(18, 16, 1, 1), realizations=4)
 
@@ -348,7 +348,7 @@ def test_crops_may_touch_the_borders():
 
 
 def test_tiles_measured_apart_change_nothing(monkeypatch):
-    monkeypatch.setattr(tiles, "TILE_LANES", 8 * 8)  # eight pixels, across several rows
+    monkeypatch.setattr(tiles, "TILE_LANES", 8 * 8)  # a tile has eight pixels, across several rows
     plan = Map(
         scene="penumbra",
         strategies=("light", "bsdf", "mis"),

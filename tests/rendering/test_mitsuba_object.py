@@ -16,7 +16,7 @@ VARIANTS = ["scalar_rgb", "llvm_ad_rgb"]
 def made(variant, **properties):
     register_samplers(variant)
     mitsuba = import_mitsuba()
-    mitsuba.set_log_level(mitsuba.LogLevel.Error)  # it reports every rounding
+    mitsuba.set_log_level(mitsuba.LogLevel.Error)  # Mitsuba otherwise reports every rounding
     mitsuba.set_variant(variant)
     return mitsuba.load_dict(properties)
 
@@ -40,7 +40,7 @@ def test_realizations_do_not_depend_on_how_many_are_drawn(variant):
     sampler = from_mitsuba(source)
     whole = sampler.draw(8, realizations=4, rng=5)
     np.testing.assert_array_equal(whole[2:], sampler.draw(8, realizations=2, first=2, rng=5))
-    assert source.sample_count() == 4  # a fork was drawn from, not the object
+    assert source.sample_count() == 4  # points come from a fork, so the object keeps its count
 
 
 def test_scalar_objects_draw_the_points_of_the_spec():

@@ -55,7 +55,7 @@ SCENES: dict[str, tuple[Callable[[], Scene], str, list[tuple[int, int]]]] = {
 def renders(scene, integrator):
     """Luminance of independent renders (R, h, w) by Mitsuba."""
     mitsuba = load_mitsuba()
-    import drjit  # after Mitsuba, which chooses the LLVM
+    import drjit  # Mitsuba must come first, because it chooses the LLVM
 
     loaded = load_scene(scene)
     made = find_integrator(as_scene(scene), integrator)

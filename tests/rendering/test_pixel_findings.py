@@ -72,12 +72,12 @@ def test_smoothing_the_edge_of_the_light_raises_the_rate_of_the_bsdf(
     figure1,
 ):
     assert figure1["smooth"][2] < figure1["sharp"][0]
-    assert figure1["sharp"][0] < -1.5 < figure1["sharp"][2]  # edges: n^-1.5
+    assert figure1["sharp"][0] < -1.5 < figure1["sharp"][2]  # edges give n^-1.5
 
 
 def test_mirroring_raises_the_shifted_rate(figure1):
     assert figure1["mirrored"][2] < figure1["shifted"][0]
-    assert figure1["mirrored"][0] < -2.0 < figure1["mirrored"][2]  # no edges: n^-2
+    assert figure1["mirrored"][0] < -2.0 < figure1["mirrored"][2]  # without edges the rate is n^-2
 
 
 @pytest.mark.parametrize("place", [WALL, PLACES["plate-3"]], ids=["wall", "plate"])

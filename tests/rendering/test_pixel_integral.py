@@ -27,7 +27,7 @@ def test_it_is_the_mean_of_random_points(strategy, dims):
     values = pixel(uniforms(dims))
     error = np.hypot(values.std() / SAMPLES**0.5, integral_accuracy(pixel)[1])
     assert abs(values.mean() - pixel.integral) < SIGMAS * error
-    assert error < 0.1 * pixel.integral  # so that the test can fail
+    assert error < 0.1 * pixel.integral  # otherwise the test could not fail
 
 
 def test_errors_cover_discontinuities(monkeypatch):

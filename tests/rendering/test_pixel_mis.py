@@ -20,7 +20,7 @@ WALL = {"scene": "veach", "x": 568, "y": 100, "light": "light-3"}
 PLATE = {"scene": "veach", "x": 600, "y": 430, "light": "light-3"}
 PLASTIC = {"scene": "sky", "x": 192, "y": 87}
 COUNT = 2**16
-SIGMAS = 4.5  # some thirty compared means: one false alarm in 5000 runs
+SIGMAS = 4.5  # limit for some thirty compared means: one false alarm in 5000 runs
 
 
 def total(mis, seed=1):

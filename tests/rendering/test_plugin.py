@@ -95,7 +95,7 @@ def test_sets_in_one_dim_share_no_numbers_with_pairs(spec):
 
 def test_sets_do_not_depend_on_how_many_are_drawn_at_once():
     sets = PaddedSets(spec="jittered", count=256, joint=4)
-    whole = sets.pads(2, Stream(5), 0, 1500)  # two blocks
+    whole = sets.pads(2, Stream(5), 0, 1500)  # the sets span two blocks
     np.testing.assert_array_equal(whole[1022:1026], sets.pads(2, Stream(5), 1022, 4))
     whole = sets.joints(Stream(5), 0, 600)
     np.testing.assert_array_equal(whole[511:514], sets.joints(Stream(5), 511, 3))
@@ -146,7 +146,7 @@ def test_lanes_are_samples_of_pixels(joint):
         cells = np.floor(drawn[..., columns] * 4) @ [4, 1]
         assert (np.sort(cells, axis=1) == np.arange(16)).all()
     assert (np.sort(np.floor(drawn[..., 4] * 16), axis=1) == np.arange(16)).all()
-    assert len(np.unique(drawn[..., 0])) > 790  # of 800: no pixel uses another's set
+    assert len(np.unique(drawn[..., 0])) > 790  # of 800 numbers; pixels share no set
 
 
 def test_joint_dims_are_one_set_in_its_own_order():

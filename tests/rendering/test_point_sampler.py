@@ -21,7 +21,7 @@ NAMES = ["independent", "stratified", "multijitter", "orthogonal", "ldsampler"]
 @pytest.mark.parametrize("name", NAMES)
 def test_counts_are_the_ones_that_mitsuba_does_not_round(name):
     mitsuba = import_mitsuba()
-    mitsuba.set_log_level(mitsuba.LogLevel.Error)  # it reports every rounding
+    mitsuba.set_log_level(mitsuba.LogLevel.Error)  # Mitsuba otherwise reports every rounding
     source = MitsubaSampler(sampler=name)
     possible = [n for n in range(1, 257) if source._source(n).sample_count() == n]
     for n in range(1, 120):

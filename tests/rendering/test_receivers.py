@@ -35,7 +35,7 @@ def test_few_scenes_and_pixels_are_cached(monkeypatch):
         assert techniques.primary_hit(first, x, 0) == (first, x, 0)
     techniques.primary_hit(first, 299, 0)
     assert len(traced) == 300
-    techniques.primary_hit(first, 0, 0)  # the least recent of 300 is no longer cached
+    techniques.primary_hit(first, 0, 0)  # the least recent of 300 scenes is no longer cached
     assert len(traced) == 301
     del first
     gc.collect()

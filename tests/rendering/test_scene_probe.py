@@ -70,7 +70,7 @@ def test_the_next_scene_works(use, tmp_path):
     good.write_text(_TEXT.format(bsdf=_PLASTIC), encoding="utf-8")
     with pytest.raises(ParameterError, match="cannot evaluate") as raised:
         use(str(file))
-    assert raised.value.__context__ is None  # its frames would keep the scene in memory
+    assert raised.value.__context__ is None  # frames of the context would keep the scene in memory
     for again in (use_means, use_values, use_map):  # each makes virtual calls
         again(str(good))
     assert np.isfinite(np.asarray(use_pixel(str(good)))).all()

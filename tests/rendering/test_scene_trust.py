@@ -279,7 +279,7 @@ def test_no_code_of_a_folder_runs(study):
     for name in ("own", "diffuse", "sphere", "independent"):
         library = study / "plugins" / f"{name}.so"
         subprocess.run(["cc", "-shared", "-fPIC", "-o", library, source], check=True)
-    for name in ("mitsuba", "drjit"):  # for the test of LLVM in a separate process
+    for name in ("mitsuba", "drjit"):  # the test of LLVM runs in a separate process
         (study / f"{name}.py").write_text(f"open({str(mark)!r}, 'w').close()\n")
     (study / "scene.xml").write_text(SCENE.format("<bsdf type='own'/>"))
     (study / "study.toml").write_text(

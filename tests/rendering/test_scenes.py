@@ -101,7 +101,7 @@ def test_changed_file_is_read_again(scene_files, tmp_path):
     file.write_text(Path(scene_files["dark"]).read_text())
     assert load_scene(file).emitters() == []
     file.write_text(Path(scene_files["textured"]).read_text())
-    os.utime(file, ns=(1, 1))  # another time, for any resolution of the file system
+    os.utime(file, ns=(1, 1))  # the time differs for any resolution of the file system
     assert [emitter_name(e) for e in load_scene(file).emitters()] == ["screen", "sky"]
 
 

@@ -54,7 +54,7 @@ def open_scene(rotation=None, bsdf=None, lamp=False):
 def test_directions_agree_with_the_emitter(rotation):
     """Mitsuba's texels are at θ = π i/(h − 1), φ = 2π (j + ½)/w: there the map is exact."""
     scene, texels = open_scene(rotation), colored_map()
-    rows, columns = np.divmod(np.arange(32, 480), 32)  # poles belong to all columns
+    rows, columns = np.divmod(np.arange(32, 480), 32)  # skip the poles, which belong to all columns
     x = np.stack([(columns + 0.5) / 32, rows / 15], axis=-1)
     directions, _ = Sky(mcs.density("uniform", 2), _matrix(rotation)).sample(x)
     bound = sky_technique(scene, "uniform", "rgb")

@@ -77,7 +77,7 @@ def test_sampled_positions_agree_with_a_larger_film():
     expected = large.values("light", 3 * PIXELS[0] + inside, u)
     places = np.broadcast_to((inside[:, None] + 0.5) / 3, (9, 8, 2))
     found = small.values("light", np.tile(PIXELS[0], (9, 1)), np.concatenate([places, u], axis=-1))
-    np.testing.assert_allclose(found, expected, rtol=2e-4, atol=1e-6)  # float32 positions
+    np.testing.assert_allclose(found, expected, rtol=2e-4, atol=1e-6)  # positions are float32
 
 
 def test_shared_samples_are_used_at_every_pixel():

@@ -88,7 +88,7 @@ _TAKEN = frozenset(
         "workers",
     }
 )
-_TAKEN_BY_SUBJECTS = frozenset(  # scenes may use these names
+_TAKEN_BY_SUBJECTS = frozenset(  # names that options of scene analyses may still use
     {"density", "dims", "estimator", "heuristic", "integrand", "mirror", "plus", "shares"}
 )
 
@@ -490,7 +490,7 @@ def finished(analysis: Analysis, result: xr.Dataset, rng: RngLike = None) -> xr.
         If a variable is not declared, or has other dims or another type.
     """
     check_variables(result, type(analysis).variables, type(analysis).__name__)
-    if isinstance(rng, int | numbers.Integral):  # also NumPy's integers
+    if isinstance(rng, int | numbers.Integral):  # this includes NumPy's integers
         return result.assign_attrs(attributes_of(seed=rng))
     return result
 

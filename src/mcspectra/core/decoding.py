@@ -37,7 +37,7 @@ def known_path(path: object, what: str, extensions: Sequence[str] = ()) -> Path:
     Raises
     ------
     FileFormatError
-        If it is not a path, or has another extension.
+        If `path` is not a path, or has another extension.
     """
     if not is_path(path) or not str(path):
         raise FileFormatError(f"{path!r:.80} is not a path, or too long; give the path of {what}.")
@@ -106,7 +106,7 @@ def check_decoded_size(name: object, size: int, decoded: float) -> None:
     Raises
     ------
     FileFormatError
-        If this is more than 2 GiB, or more than both 256 MiB and 64 times the file's size.
+        If `decoded` exceeds 2 GiB, or exceeds both 256 MiB and 64 times the file's size.
     """
     most = min(_MOST_BYTES, max(_ALWAYS_READ, _MOST_RATIO * size))
     if decoded > most:
@@ -126,7 +126,7 @@ def read_npy(stream: IO[bytes], size: int, name: str, held: int | None = None) -
     FileFormatError
         If the array takes too much memory, or the header announces more bytes than the file has.
     ValueError
-        If it is not a .npy stream, or holds Python objects.
+        If the stream is not a .npy stream, or holds Python objects.
     """
     header = io.BytesIO(stream.read(_NPY_HEADER))
     first = np.lib.format.read_magic(header) == (1, 0)
@@ -166,7 +166,8 @@ def read_npz(
                 f"{array!r}."
             )
         member = archive.getinfo(f"{array}.npy")
-        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # unbounded
+        # other methods decompress without a size limit
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise FileFormatError(f"{name} is not compressed as NumPy does; use savez_compressed.")
         with archive.open(member) as content:
             return read_npy(content, size, name, member.file_size)

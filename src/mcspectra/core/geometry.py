@@ -22,7 +22,7 @@ def as_vector(name: str, value: object) -> tuple[float, float, float]:
     Raises
     ------
     ParameterError
-        If it does not hold three finite numbers.
+        If `value` does not hold three finite numbers.
     """
     if not isinstance(value, list | tuple | np.ndarray) or np.shape(value) != (3,):
         raise ParameterError(f"{name} is {value!r:.80}; give three numbers [x, y, z].")

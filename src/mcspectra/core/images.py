@@ -103,7 +103,7 @@ def read_image(
         or has no pixels or layer. If pixels are NaN or infinite, or need more memory than
         `mcspectra.core.decoding` allows for a file of this size.
     MissingDependency
-        If it is an EXR file, and OpenEXR is not installed.
+        If the file is an EXR file, and OpenEXR is not installed.
 
     Notes
     -----
@@ -238,7 +238,7 @@ def load_openexr() -> Any:
     Raises
     ------
     MissingDependency
-        If it is not installed.
+        If OpenEXR is not installed.
     """
     return optional_package("OpenEXR", "frames", "EXR files need")
 
@@ -287,7 +287,7 @@ def _exr_file(name: str, *, header_only: bool) -> Any:
         for descriptor in (1, 2):
             try:
                 saved = os.dup(descriptor)
-            except OSError:  # closed: nothing is printed
+            except OSError:  # standard output is closed: nothing is printed
                 continue
             held = stack.enter_context(tempfile.TemporaryFile())
             os.dup2(held.fileno(), descriptor)
@@ -327,7 +327,7 @@ def _exr_head(name: str) -> tuple[set[str], int, int]:
         tiles = part.header.get("tiles")
         tile = tiles.xSize * tiles.ySize if tiles else 0
         listed |= {channel.name for channel in part.header["channels"]}
-        stored += 4 * len(part.header["channels"]) * (pixels + tile)  # values have 2 or 4 bytes
+        stored += 4 * len(part.header["channels"]) * (pixels + tile)  # a value has 2 or 4 bytes
         largest = max(largest, pixels)
     return listed, stored, largest
 
@@ -335,7 +335,8 @@ def _exr_head(name: str) -> tuple[set[str], int, int]:
 def _read_exr(name: str, size: int, layer: str | None) -> Array:
     listed, stored, largest = _exr_head(name)
     names = _picture_channels(name, listed, layer)
-    check_decoded_size(name, size, stored + 9 * len(names) * largest)  # float64 values and a mask
+    # memory: float64 values and a mask
+    check_decoded_size(name, size, stored + 9 * len(names) * largest)
     parts = _exr_file(name, header_only=False).parts
     planes = {name: c.pixels for part in reversed(parts) for name, c in part.channels.items()}
     if any(planes.get(name) is None for name in names):

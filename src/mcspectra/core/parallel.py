@@ -37,7 +37,7 @@ MAX_REALIZATIONS = 10**9
 
 # about 16 MiB of float64 per block: larger than any cache, far below the memory of a machine
 _BLOCK_NUMBERS = 2**21
-_SLICE_NUMBERS = 2**19  # 4 MiB, one or two milliseconds of work
+_SLICE_NUMBERS = 2**19  # numbers in a slice: 4 MiB, one or two milliseconds of work
 
 
 def available_workers(workers: int | None = None) -> int:

@@ -189,7 +189,7 @@ def parse_dat(text: str, name: str) -> list[Array]:
     """Read UTK text like `read_points`; `name` is the name of its source in messages."""
     if not isinstance(text, str):
         raise FileFormatError(f"{name} is {type(text).__name__}, not text; give lines of numbers.")
-    data = text.encode(errors="surrogatepass")  # the decoder rejects these
+    data = text.encode(errors="surrogatepass")  # the decoder rejects surrogates
     return _read_dat(io.BytesIO(data), len(data), name)
 
 
@@ -324,7 +324,8 @@ def _read_csv(stream: IO[bytes], size: int, name: str) -> list[Array]:
             if at_top and ";" in line:
                 separator = ";"
             fields = (line if separator == "," else line.replace(",", ".")).split(separator)
-            if at_top or column is not None or '"' in line:  # otherwise the fields are numbers
+            # otherwise the line can hold only numbers
+            if at_top or column is not None or '"' in line:
                 fields = [field.strip().strip('"') for field in fields]
             if not (fields[0] or any(map(str.strip, fields))):
                 if column is None:

@@ -179,7 +179,8 @@ class ProgressBars:
             )
             self._bar.add_task(escape(first), total=1.0, **state)
             self._bar.start()
-            self._bar.console.show_cursor()  # the bar may never be closed
+            # show the cursor now, because the bar may never be closed
+            self._bar.console.show_cursor()
         self._bar.update(self._bar.task_ids[0], refresh=True, **state)
 
 

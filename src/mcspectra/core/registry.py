@@ -169,7 +169,7 @@ def optional_package(name: str, extra: str, need: str) -> Any:
     Raises
     ------
     MissingDependency
-        If it is not installed, or cannot be loaded.
+        If the package is not installed, or cannot be loaded.
     """
     package = name.partition(".")[0]
     try:

@@ -29,10 +29,10 @@ _FIRST = {"command": "run", "python": "function"}
 _MAX_LENGTH = 20_000
 _FOLDERS = re.compile(
     r"""(?:\w+=)?(['"])[^'"]*/(?=[^'"/]+\1)"""
-)  # folders of a file name, with its parameter name
+)  # the folders in a file name, with the name of its parameter
 _MARK = re.compile(
     r"""'(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|['"()\[\]{}|]""", re.DOTALL
-)  # a text is a single mark
+)  # a quoted text counts as one mark
 
 
 @dataclass(frozen=True)

@@ -50,7 +50,7 @@ FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 _NAMED = re.compile(
     rf"{FUNCTION.pattern}|.*[/{{].*", re.DOTALL
-)  # or a command, or the path of a program
+)  # alternatives: a command, or the path of a program
 
 
 @final
@@ -114,7 +114,7 @@ class Trust:
         Raises
         ------
         ConfigError
-            If it does; the message names the option that allows it.
+            If the code is not allowed; the message names the option that allows it.
         """
         if not self.runs(call):
             text = call.arguments[CODE[call.name]]
@@ -129,7 +129,8 @@ class Trust:
         try:
             place = Path(path).resolve()
             return any(place.is_relative_to(root.resolve()) for root in self.folders)
-        except (OSError, RuntimeError, ValueError):  # a loop of links, or not a path
+        # the links form a loop, or the value is not a path
+        except (OSError, RuntimeError, ValueError):
             return False
 
     @property
@@ -152,7 +153,7 @@ class Trust:
         Raises
         ------
         ConfigError
-            If the file is outside; the message names the option that allows it.
+            If the file is outside the folders; the message names the option that allows it.
         """
         if not self.reads(file):
             raise ConfigError(

@@ -164,7 +164,7 @@ def smooth_light(*, edge: float = 0.5, width: int = 384, height: int = 256) -> d
 
 _LIGHT_Y, _LIGHT_HALF_SIDE, _PENUMBRA_RADIANCE = 3.0, 0.8, 16.0
 _BALL, _BALL_RADIUS = (-1.2, 1.0, 0.3), 0.4
-_ROD = ((-2.2, 0.7, 1.1), (0.2, 0.9, 1.3), 0.07)  # both ends and the radius
+_ROD = ((-2.2, 0.7, 1.1), (0.2, 0.9, 1.3), 0.07)  # both ends and the radius of the rod
 _BLADES = (0.6, 1.15, 1.7)  # x coordinates of three parallel blades
 
 
@@ -307,7 +307,8 @@ _PLATES: tuple[tuple[tuple[float, float], tuple[float, float], float], ...] = (
 )
 _PLATE_HALF_WIDTH = 4.0
 _FLOOR_Y, _WALL_Z = -4.14615, -2.0
-_HALF_WIDTH, _FRONT_Z, _WALL_TOP = 12.0, 15.0, 12.0  # our choice: larger than the camera's view
+# our choice: sizes larger than the camera's view
+_HALF_WIDTH, _FRONT_Z, _WALL_TOP = 12.0, 15.0, 12.0
 _GRAY = 0.4  # our choice: reflectance of floor and wall
 
 

@@ -40,8 +40,8 @@ __all__ = ["CHANNELS", "compare_strategies", "reference", "render"]
 
 CHANNELS = ("R", "G", "B")
 _TILE_LANES = 2**19  # samples of a tile: 32 MiB of float64 points in 8 dims
-_MOST_SAMPLES = 2**20  # samples per pixel in one image
-_MOST_PIXELS = 2**26  # 5 GiB of moments
+_MOST_SAMPLES = 2**20  # limit of samples per pixel in one image
+_MOST_PIXELS = 2**26  # limit of pixels: 5 GiB of moments
 
 
 def render(

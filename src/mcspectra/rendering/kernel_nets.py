@@ -164,8 +164,8 @@ def _hashed(x: Any, *keys: tuple[Any, Any]) -> Any:
 class Pads:
     """Sets of 2^m points of nets in one and two dims, each in a random order, point by point.
 
-    An order is a row of a table of random permutations, which is the same in every process; random
-    numbers shift its argument and are XORed to its values. Sets are scrambled independently, so
+    An order is a row of a table of random permutations. The table is the same in every process;
+    random numbers shift its argument and are XORed to its values. Sets are scrambled independently,
     that an image is unbiased whatever their orders are.
     """
 

@@ -96,10 +96,10 @@ TILE_LANES = 2**19
 """Pixels times realizations in one kernel; some 100 MiB including their results."""
 
 _BLOCK_REALIZATIONS = 1024
-_TABLE_NUMBERS = 2**23  # numbers in one table of points, 64 MiB
-_KEPT_NUMBERS = 2**24  # numbers in all tables that are kept for the next tile
-_PREDICTED_VALUES = 2**21  # integrand values computed at once
-_CHAIN_VALUES = 2**20  # values of paths in chains computed at once
+_TABLE_NUMBERS = 2**23  # limit of numbers in one table of points: 64 MiB
+_KEPT_NUMBERS = 2**24  # limit of numbers in all tables that are kept for the next tile
+_PREDICTED_VALUES = 2**21  # limit of integrand values computed at once
+_CHAIN_VALUES = 2**20  # limit of path values in chains computed at once
 # labels of the streams for the prediction's samples and for chains
 _PREDICTION, _CHAIN = 0x9D1C7, 0xC4A17
 
@@ -351,7 +351,8 @@ class Receivers:
     def __init__(self, lighting: Lighting, pixels: Array) -> None:
         self._lighting = lighting
         with LOCK:
-            load_mitsuba()  # before Dr.Jit is imported, because it chooses the libLLVM that works
+            # this must come before Dr.Jit is imported, because it chooses the working libLLVM
+            load_mitsuba()
             self.status = self._look(pixels)[0]
             seen = pixels[self.status == RECEIVER]
             # NumPy adds up a single column in another order than several columns: one pixel is

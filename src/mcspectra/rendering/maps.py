@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Map", "compared", "missed", "variance_map"]
 
-_MOST_NUMBERS = 2**27  # largest number of numbers in a result: 1 GiB
+_MOST_NUMBERS = 2**27  # limit of numbers in a result: 1 GiB
 _LONGEST_SIDE = 65_536
 _FILM = (256, 256)  # assumed film size before the scene is read
 

@@ -83,9 +83,10 @@ SCENE_INTEGRATOR = "scene"
 # number of dry paths, and of pixels along each side of a window
 _DRY_LANES, _DRY_PIXELS = 2**14, 16
 _PAIR = ("x", "y")
-_MOST_DIMS = 64  # default limit, because analyses by axes take no more dims
-_TABLE_NUMBERS, _LANES = 2**25, 2**20  # limits of one kernel: 128 MiB
-_DIMMED = 2.0**-30  # exact in float32, and negligible next to lights that are not dimmed
+_MOST_DIMS = 64  # default limit of dims, because analyses by axes support no more
+# limits of one kernel: numbers in its table (128 MiB) and lanes
+_TABLE_NUMBERS, _LANES = 2**25, 2**20
+_DIMMED = 2.0**-30  # factor for other lights: exact in float32, and negligible
 _EMITTED = r"(\w+_)?scale|(radiance|intensity|irradiance)\.(.+\.)?(value|data)"
 _PATH = ((2, "light"), (1, "lobe"), (2, "direction"), (1, "roulette"))
 _ORDERS = {
@@ -299,7 +300,8 @@ class Tracer:
         return (*found[:count], *[beyond] * (count - len(found)))
 
     def dry_run(self, pixels: tuple[tuple[int, int], ...]) -> tuple[tuple[Dimension, ...], float]:
-        lit = replace(self, selection=None, light=None)  # this changes nothing here
+        # selection and light do not affect the dry run
+        lit = replace(self, selection=None, light=None)
         with LOCK:
             return dimensions_of(load_scene(self.scene))(lit, pixels)
 

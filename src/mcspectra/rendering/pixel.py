@@ -365,7 +365,7 @@ class PixelView:
             directions, own = technique.sample(u[:, :2])
             towards = mitsuba.Vector3f(*(np.ascontiguousarray(c, np.float32) for c in directions.T))
             value, bsdf = look_at_sky(hit, emitter, towards, hit.active)
-            drjit.eval(value, bsdf)  # one kernel for both
+            drjit.eval(value, bsdf)  # evaluate both in one kernel
             f = np.asarray(_numbers(value, self.channel, count), np.float64)
             scaled = own if f.ndim == 1 else own[:, None]
             values = np.divide(f, scaled, out=np.zeros_like(f), where=scaled > 0)

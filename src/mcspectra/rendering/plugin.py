@@ -440,8 +440,8 @@ class LaneState:
 MOST_SAMPLES = 2**16
 """Most samples per pixel: with the fewest sets, a table then has its largest size."""
 
-_MOST_NUMBERS = 2**27  # numbers in one table: 512 MiB
-_FEWEST_SETS = 509  # a prime; later requests of one pixel use its first sets again
+_MOST_NUMBERS = 2**27  # limit of numbers in one table: 512 MiB
+_FEWEST_SETS = 509  # a prime number; later requests of one pixel use its first sets again
 _BLOCK_NUMBERS = 2**19  # numbers drawn at once: 4 MiB of float64
 _GOLDEN = (5**0.5 - 1) / 2
 
@@ -504,7 +504,7 @@ class PaddedSets:
         try:
             single = as_sampler(self.spec, 1)
             single.check_count(count)
-        except ParameterError:  # then the first coordinates of pairs are used
+        except ParameterError:  # single requests then use the first coordinate of pairs
             single = pair
         settle(self, _samplers=(single, pair, joint))
 

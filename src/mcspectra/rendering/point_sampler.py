@@ -109,7 +109,7 @@ def _drawn(source: Any, shape: tuple[int, int, int], stream: Stream, first: int)
     pairs, odd = divmod(dims, 2)
     scalar = "scalar" in source.variant_name()
     for r in range(count):
-        if not scalar:  # all points at once
+        if not scalar:  # vectorized variants return all points at once
             source.set_samples_per_wavefront(n)
             source.seed((start + r) % _SEEDS, n)
             columns = [source.next_2d().numpy() for _ in range(pairs)]
@@ -197,7 +197,7 @@ def from_mitsuba(source: Any, dims: int = DEFAULT_DIMS) -> MitsubaObject:
 
 
 _STRATA = ("stratified", "multijitter", "orthogonal")
-_ROOTS = range(1, 1032)  # up to the first prime above 2^10
+_ROOTS = range(1, 1032)  # roots up to the first prime above 2^10
 _COUNTS: dict[str, Sequence[int]] = {
     "independent": range(1, 2**20 + 1),
     "stratified": [s * s for s in _ROOTS],

@@ -55,7 +55,7 @@ def check_scene(scene: Scene, *, light: int | str | None = None) -> list[str]:
     Raises
     ------
     ParameterError
-        If there is no such light.
+        If no light has this name or index.
     UnknownName, FileFormatError, MissingDependency
         If the scene cannot be loaded.
 
@@ -266,7 +266,7 @@ def _environment(scene: Scene, light: int | str | None) -> list[str]:
 
     for emitter in chosen:
         parameters = load_mitsuba().traverse(emitter) if emitter.is_environment() else {}
-        if "to_world" in parameters:  # an environment that is equal on all sides may be scaled
+        if "to_world" in parameters:  # a uniform environment may be scaled
             try:
                 rotation_of(emitter)
             except ParameterError as error:

@@ -130,11 +130,12 @@ def load_scene(scene: Scene) -> Any:
     Raises
     ------
     UnknownName
-        If there is no scene of that name.
+        If no scene has this name.
     ParameterError
-        If this is not a scene, or Mitsuba cannot evaluate one of its materials or lights.
+        If `scene` is not a scene, or Mitsuba cannot evaluate one of its materials or lights.
     FileFormatError
-        If the file is missing, or Mitsuba cannot read it or the dictionary; the message quotes why.
+        If the file is missing, or Mitsuba cannot read it or the dictionary; the message has the
+        reason.
     MissingDependency
         If Mitsuba or LLVM is missing.
     """
@@ -199,7 +200,7 @@ def render_file(
     ParameterError
         If a parameter is out of range, or the integrator or the sampler is not possible.
     UnknownName
-        If there is no scene of this name.
+        If no scene has this name.
     MissingDependency
         If Mitsuba is missing, or LLVM is missing for the variant.
     """
@@ -264,7 +265,7 @@ def render_file(
                 camera.film().write(str(target))
             return np.array(image, dtype=np.float64)
         except (RuntimeError, TypeError) as error:
-            if isinstance(error.__cause__, McspectraError):  # raised by our sampler
+            if isinstance(error.__cause__, McspectraError):  # our sampler raised the error
                 raise error.__cause__ from None
             reason = mitsuba_reason(error)
             raise FileFormatError(f"Mitsuba cannot render {shown(named)}: {reason}.") from None
@@ -317,7 +318,7 @@ def integrator_plugin(spec: str) -> dict[str, Any]:
         raise ParameterError(f"The integrator {shown(spec)} cannot be read: {error}") from None
     if reach_of(found) is not None:
         raise ParameterError(f"The integrator {shown(spec)} names a file or code; remove it.")
-    _copied(found)  # the same check as for a dictionary
+    _copied(found)  # this makes the same check as for a dictionary
     return found
 
 
@@ -393,7 +394,7 @@ def find_emitter(scene: Scene, light: int | str) -> Any:
     Raises
     ------
     ParameterError
-        If there is no such light; the message lists all lights.
+        If no light has this name or index; the message lists all lights.
     """
     emitters, names = load_scene(scene).emitters(), emitter_names(scene)
     if isinstance(light, str):
@@ -888,7 +889,7 @@ def check_plugin(name: str, folders: Iterable[Path]) -> None:
     Raises
     ------
     FileFormatError
-        If there is such a library, or the name is a path.
+        If a library with this name exists, or the name is a path.
     """
     if "$" in name:  # a parameter without a value, which Mitsuba rejects
         return
@@ -922,7 +923,7 @@ def _regular(place: Path, scene: Path) -> Path | None:
     try:
         place = place.resolve()
         mode = place.stat().st_mode
-    except (OSError, RuntimeError, ValueError):  # RuntimeError: a loop of links
+    except (OSError, RuntimeError, ValueError):  # RuntimeError means a loop of links
         return None
     if stat.S_ISREG(mode):
         return place

@@ -60,7 +60,7 @@ def environment_of(scene: Scene, light: int | str | None = None) -> Any:
     Raises
     ------
     ParameterError
-        If there is no environment, or other lights are also used.
+        If the scene has no environment, or other lights are also used.
     """
     loaded = load_scene(scene)
     found = loaded.environment()
@@ -114,8 +114,8 @@ def sky_pixels(scene: Scene, rows: int = _ROWS) -> Array:
 def sky_technique(scene: Scene, density: Density | str | None, channel: str | int) -> Sky:
     """Bind a density in two dims, or that of a spec, to the environment of a scene.
 
-    A spec of ``environment`` without a path means the scene's own environment, `sky_pixels`. None
-    means the same, bilinear, by `channel` (by luminance for ``"rgb"``).
+    A spec of ``environment`` without a path means the scene's own environment, `sky_pixels`. With
+    None, this environment is bilinear, by `channel` (by luminance for ``"rgb"``).
     """
     if density is None:
         chosen = "luminance" if channel == "rgb" else channel

@@ -292,7 +292,7 @@ def chosen_channel(color: Any, channel: str | int) -> Any:
 
 def check_finite(values: Array, scene: Scene, pixels: Array) -> None:
     """Raise an error for NaN and infinity among values (P, …) at pixels (P, 2)."""
-    if np.isfinite(values.sum()):  # much faster than a test of each value
+    if np.isfinite(values.sum()):  # the sum is much faster than a test of each value
         return
     bad = ~np.isfinite(values)
     if bad.any():

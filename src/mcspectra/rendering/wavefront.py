@@ -54,7 +54,7 @@ CHUNK_SAMPLES = 2**20
 """Samples in one kernel: some 200 MiB of Dr.Jit's memory; larger kernels are not faster."""
 
 _LOOP_SAMPLES = 16  # most samples that a lane runs over; more would leave too few lanes
-_MOST_VALUES = 2**26  # lanes whose values are returned individually: 768 MiB of float32
+_MOST_VALUES = 2**26  # limit of lanes whose values are returned individually: 768 MiB of float32
 
 
 class Wavefront:
@@ -276,7 +276,7 @@ class Wavefront:
                     found += self._technique("mis-bsdf", hits, blocks[half:])
                 else:
                     found = self._technique(strategy, hits, blocks)
-                if self.emission:  # directly visible lights
+                if self.emission:  # add directly visible lights
                     seen = hits.interaction.emitter(self._scene)
                     emitter = self._emitter
                     counts = True if emitter is None else seen == mitsuba.EmitterPtr(emitter)
