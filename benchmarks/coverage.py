@@ -51,11 +51,12 @@ def _of_variances() -> Iterator[tuple[str, ...]]:
             varies = found.m2 > 0
             low, high = found.variance_ci[varies].T
             covered = (low <= variance) & (variance <= high)
+            bounded = np.isfinite(high)
             yield (
                 str(count), name, f"{kurtosis:.4g}", f"{100 * covered.mean():.1f}",
                 f"{100 * (high < variance).mean():.1f}", f"{100 * (low > variance).mean():.1f}",
                 f"{100 * (~found.resolved[varies]).mean():.0f}", f"{100 * (~varies).mean():.0f}",
-                f"{np.median(high[np.isfinite(high)] / found.variance[varies][np.isfinite(high)]):.2f}",  # noqa: E501
+                f"{np.median(high[bounded] / found.variance[varies][bounded]):.2f}",
             )  # fmt: skip
 
 
