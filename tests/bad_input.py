@@ -360,7 +360,7 @@ COMMAND = _rows(
     ("predict gaussian --sampler random --counts 16,abc", "--counts is 'abc'"),
     ("predict gaussian --sampler random --counts 16,4", "ascending"),
     ("predict gaussian --sampler random --sampler random --counts 4", "listed twice"),
-    ("predict gaussian --sampler random(dims=3) --counts 4", "random says dims=3, but 2"),
+    ("predict gaussian --sampler random(dims=3) --counts 4", "random has dims=3, but 2"),
     ("predict gaussian --sampler random --counts 4 -o no/x.html", "'no/x.html' cannot be written"),
     ("predict gaussian --sampler random --counts 4 -o no/x.png", "'no/x.png' cannot be written"),
     ("plan gaussian --sampler random --target-error nan", "--target-error is nan"),

@@ -162,8 +162,8 @@ def read_npz(
         if array not in names:
             found = ", ".join(map(repr, names))[:200] or "nothing"
             raise FileFormatError(
-                f"{name} has no array {array!r}; it holds {found}: rename the array to read to "
-                f"{array!r}."
+                f"{name} has no array {array!r}; it holds {found}: rename the intended "
+                f"array to {array!r}."
             )
         member = archive.getinfo(f"{array}.npy")
         # other methods decompress without a size limit

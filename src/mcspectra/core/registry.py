@@ -118,7 +118,7 @@ class Registry(Mapping[str, str]):
         if dims is not None:
             given = arguments.setdefault("dims", dims) if "dims" in allowed else dims
             if given != dims:
-                raise ParameterError(f"{call.name} says dims={given}, but {needed(dims, 'dim')}.")
+                raise ParameterError(f"{call.name} has dims={given}, but {needed(dims, 'dim')}.")
         missing = [
             p.name.rstrip("_")
             for p in allowed.values()

@@ -275,7 +275,7 @@ class _FrameReader:
                     seconds = sum(float(part) * 60.0**k for k, part in enumerate(parts))
         except ValueError:
             raise FileFormatError(
-                f"{file} says {key} = {value!r}; give ",
+                f"{file} has {key} = {value!r} in its header; give ",
                 Parameter("spp"),
                 " and ",
                 Parameter("seconds"),

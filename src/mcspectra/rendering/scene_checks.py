@@ -231,8 +231,8 @@ def _integrator(scene: Scene, loaded: Any) -> list[str]:
     if found is None or found.class_name() == "DirectIntegrator":
         return []
     note = (
-        f"The integrator of {scene_name(scene)} ({found.class_name()}) is not measured, only "
-        "direct light is; pixel and map measure its whole paths by integrator='scene' "
+        f"This measures direct light alone, not the integrator of {scene_name(scene)} "
+        f"({found.class_name()}); for its whole paths, call pixel or map with integrator='scene' "
         "(--integrator scene)."
     )
     return [note]
