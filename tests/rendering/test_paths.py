@@ -314,8 +314,7 @@ def test_direct_light_of_a_scene_with_a_path_integrator_warns():
         found = variance_map(small(scene), **given)
     assert "direct light alone" in found.attrs["scene_note"]
     assert [s for s in check_scene(small(scene)) if "PathIntegrator" in s]
-    # No warning where the integrator is measured, is direct, or is missing: warnings are errors
-    # here
+    # No warning if the integrator is measured, is direct, or is missing: warnings are errors here
     assert not variance_map(small(scene), integrator="scene", **given).attrs["scene_note"]
     wide = small(scene)
     wide["sensor"]["film"] |= {"rfilter": {"type": "gaussian"}}

@@ -231,8 +231,8 @@ def _integrator(scene: Scene, loaded: Any) -> list[str]:
     if found is None or found.class_name() == "DirectIntegrator":
         return []
     note = (
-        f"This measures direct light alone, not the integrator of {scene_name(scene)} "
-        f"({found.class_name()}); for its whole paths, call pixel or map with integrator='scene' "
+        f"The integrator of {scene_name(scene)} ({found.class_name()}) is not used: this measures "
+        "direct light alone; pixel and map measure whole paths with integrator='scene' "
         "(--integrator scene)."
     )
     return [note]
