@@ -70,8 +70,7 @@ def main(*flags: str) -> None:
                 n = _COUNTS.get(net, (16,) * 4)[dims - 1]
                 z = z_values(f"{net} | {step}", n, dims)
                 found.append(z)
-                # In 1-D, a digital shift moves a whole grid: all powers are equal in all
-                # realizations
+                # In 1-D, a digital shift moves a whole grid: all realizations have equal powers
                 shown = "exact to rounding"
                 if z.size:
                     shown = f"{np.sqrt(np.mean(z**2)):.2f} | {np.abs(z).max():.1f}"

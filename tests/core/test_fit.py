@@ -48,8 +48,7 @@ def _coverage(fits, rate):
 
 
 BENT = {
-    # exact variances at n = 4, 16, … 1024 from `exact_variance`; normal intervals cover 0.78 and
-    # 0.70
+    # exact variances at n = 4, 16, … 1024; normal intervals cover 0.78 and 0.70
     "disk(center=[0.463, 0.517], radius=0.27), jittered": (
         [-1.908, -1.287, -1.447, -1.542],
         0.93,

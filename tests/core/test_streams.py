@@ -123,8 +123,7 @@ def test_consecutive_streams_are_uncorrelated(uniforms):
     x = (uniforms - 0.5) * np.sqrt(12)
     z = (x[:-1:2] * x[1::2]).sum(axis=1) / np.sqrt(x.shape[1])
     assert_plausible(stats.chi2.cdf(np.sum(z**2), z.size))
-    # z sums 1024 products of kurtosis 9/5 · 9/5 = 3.24: at 7σ, Edgeworth adds 3 % to the normal
-    # tail.
+    # z sums 1024 products of kurtosis 9/5 · 9/5 = 3.24: Edgeworth adds 3 % to the tail at 7σ.
     assert np.abs(z).max() < stats.norm.isf(LEVEL / 2 / z.size)
 
 

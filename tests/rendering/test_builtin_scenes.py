@@ -163,8 +163,7 @@ def test_smooth_edge_follows_its_profile(edge, strategy):
     exact = smooth_radiance(position, edge)
     means = g(jittered(64)).mean(axis=1)
     error = means.std(ddof=1) / math.sqrt(len(means))
-    # Bilinear texels: the profile's second derivative is at most 6/edge², and a texel is 2/256
-    # wide.
+    # Bilinear texels of width 2/256: the profile's second derivative is at most 6/edge².
     bilinear = 2 * (6.0 / edge**2) * (2 / 256) ** 2 / 8
     assert abs(means.mean() - exact) < SIGMAS * error + bilinear * exact
 

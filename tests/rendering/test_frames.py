@@ -99,8 +99,7 @@ def test_variances_and_rates_agree_with_the_frames(found, noise):
     assert low < -1.0 < high
     assert high - low < 0.3
 
-    # Intervals of pixels cover: the correlations of 12,288 pixels leave at least 900 independent
-    # ones
+    # Intervals of pixels cover: at least 900 of 12,288 correlated pixels are independent
     for name, value in (("variance_ci", truth / 16), ("rate_ci", -1.0)):
         ends = result[name].sel(n=16) if "n" in result[name].dims else result[name]
         covered = ((ends[..., 0] < value) & (ends[..., 1] > value)).values.mean()

@@ -54,8 +54,7 @@ def test_the_whole_light_is_visible_from_the_wall_pixel():
 
 
 def test_weights_agree_with_the_heuristics():
-    # With the same u, both heuristics weight the same f/p: w = r/(1+r) and r²/(1+r²), r =
-    # own/other.
+    # With the same u, both heuristics weight the same f/p: w = r/(1+r), r²/(1+r²); r = own/other.
     u = uniforms(4096)
     plain = Pixel(**WALL)(u)
     balance, power = (

@@ -126,8 +126,7 @@ def test_channels_are_weighted_by_the_same_densities(heuristic):
 
 
 def test_samples_below_the_surface_do_not_bias_optimal_weights():
-    # A wide lobe at a grazing angle reaches below the surface: the control variate must cancel
-    # there
+    # A wide lobe at a grazing angle reaches below the surface; the control variate must cancel
     camera = {
         "type": "perspective",
         "fov": 5.0,

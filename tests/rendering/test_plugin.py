@@ -102,8 +102,7 @@ def test_sets_do_not_depend_on_how_many_are_drawn_at_once():
 
 
 def test_orders_of_two_sets_are_independent():
-    # Without shuffling, points in the first half would be paired only with points in the first
-    # half.
+    # Without shuffling, points in the first half would meet only points in the first half.
     points = PaddedSets(spec="sobol", count=16).pads(1, Stream(5), 0, 2000)[..., 0]
     halves = points < 0.5
     together = (halves[::2] & halves[1::2]).sum(axis=1)

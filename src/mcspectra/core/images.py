@@ -197,8 +197,7 @@ def _read_pillow(stream: IO[bytes], size: int, name: str, linear: bool) -> Array
     """Return values in [0,1] of PNG and JPEG, (height, width, 1 or 3)."""
     image = _pillow_head(stream)
     mode, (width, height) = image.mode, image.size
-    # Memory: Pillow's picture, a converted copy, a channel and its bytes, and the channels as
-    # float64
+    # Memory: Pillow's picture, a converted copy, a channel and its bytes, the float64 channels
     channels = 3 if mode == "P" else len(image.getbands())
     check_decoded_size(name, size, width * height * (8 + 8 * channels))
     if mode not in ("L", "LA", "RGB", "RGBA") and not mode.startswith("I"):

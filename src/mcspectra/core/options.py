@@ -314,8 +314,7 @@ def _clean(label: str, kind: inspect.Type, value: Any, from_file: bool) -> Any:
                 Parameter(label), f" is {shown(value)}; give {wanted}, or {offer}."
             )
 
-    # If there are several types, choose the one that fits the type of the value, whatever its
-    # limits
+    # If there are several types, choose the one that fits the value's type, whatever its limits
     fits = [each for each in kinds if isinstance(value, _SORTS.get(type(each), ()))]
     if isinstance(value, str):  # a string is a sequence, but not a list
         fits = [each for each in fits if not isinstance(each, _LISTS)]

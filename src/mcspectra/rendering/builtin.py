@@ -129,8 +129,7 @@ def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[s
     """
     radiance: Any = _RADIANCE
     if as_real("edge", edge, least=0.0, most=1.0):
-        # Texture that rises as a smoothstep from 0 at the ends of [0,1] to 1 at the distance edge /
-        # 2
+        # Texture that rises as a smoothstep from 0 at both ends of [0,1] to 1 at edge / 2
         u = (np.arange(_TEXELS) + 0.5) / _TEXELS
         t = np.minimum(2.0 * np.minimum(u, 1.0 - u), edge) / edge
         profile = np.asarray(t * t * (3.0 - 2.0 * t))

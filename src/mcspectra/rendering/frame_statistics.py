@@ -166,8 +166,7 @@ def frames(
     if flips:
         variables["flip"] = (("n", "y", "x"), np.stack(flips))
 
-    # Compute rates over windows of pixels that make them precise, and the samples that the target
-    # needs
+    # Compute rates over windows that make them precise, and the samples that the target needs
     rate, window = np.full(best.moments.mean.shape, np.nan), None
     if len(found) > 1:
         relative, level = np.stack([_log_variance(each.moments) for each in found], axis=1)
@@ -515,12 +514,10 @@ def _group(
     measured, curve = rings.mean(power), np.maximum(rings.mean(np.fft.rfft2(every).real), 0.0)
     half *= np.divide(curve, measured, out=np.ones_like(curve), where=measured > 0)
     # With two frames, the deviations are each other's negatives, without spread. Use at least the
-    # spread of normal noise: the mean of (R − 1) exponentials for each pair of conjugate
-    # frequencies
+    # spread of normal noise: the mean of (R − 1) exponentials per conjugate pair
     independent = (count - 1) * loss**2
     half = np.maximum(half, CONFIDENCE_Z * measured * np.sqrt(2.0 / (rings.sizes * independent)))
-    # The sum of their squares includes squared errors, each the true sum / (pixels · (R − 1) ·
-    # loss²)
+    # Their squares include squared errors, each the true sum / (pixels · (R − 1) · loss²)
     alike = max(1.0, float((every**2).sum()) / (1.0 + 1.0 / independent))
     near, repeat, repeated = _lags(every, alike / (varied.sum() * independent))
     pair, relation = _related(sample, alike)

@@ -150,8 +150,7 @@ def render(
         u = np.concatenate([source.draw_stream(spp, *part) for part in parts])
         return images, lambda: waves.means(strategy, everywhere, u)
 
-    # Sum moments over images tile by tile; if kernels compute the points, no drawing runs in
-    # parallel
+    # Sum moments over images tile by tile; kernels that compute the points need no drawing
     moments: list[Moments] = []
     finished, threads = 0, available_workers(workers)
     for images, evaluate in map_in_order(draw, blocks, threads if net is None else 1):

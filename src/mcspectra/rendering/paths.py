@@ -282,8 +282,7 @@ class Tracer:
     integrator: str
     channel: str | int
     size: tuple[int, int]
-    # Probabilities of the lights, and the only light that is not dimmed; None keeps the scene's
-    # choice
+    # Probabilities of the lights, and the only undimmed light; None keeps the scene's choice
     selection: tuple[float, ...] | None = None
     light: int | None = None
 

@@ -351,8 +351,7 @@ class PixelView:
         """Same as `draws`, in one kernel."""
         import drjit
 
-        # Evaluate f/p, the densities of light and BSDF, and the directions if other techniques need
-        # them
+        # Evaluate f/p, the densities of light and BSDF, and directions that other techniques need
         mitsuba, scene, count = load_mitsuba(), load_scene(self.scene), len(u)
         hit = primary_hit(scene, self.x, self.y)
         if self.on_film:
@@ -482,8 +481,7 @@ def incident_light(
         level, side = np.cos(up), np.where(at.wi.z.numpy() < 0.0, -1.0, 1.0).item()
         vectors = (level * np.cos(around), level * np.sin(around), side * np.sin(up))
         towards = mitsuba.Vector3f(*(v.astype(np.float32).ravel() for v in vectors))
-        # Compute L and f_r L cos in each direction. UV is needed: textured lights are wrong without
-        # it.
+        # Compute L and f_r L cos in each direction. Without UV, textured lights would be wrong.
         ray = at.spawn_ray(at.to_world(towards))
         met = hit.scene.ray_intersect(ray, mitsuba.RayFlags.UV, False)
         found = met.emitter(hit.scene)

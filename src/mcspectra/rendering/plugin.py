@@ -448,8 +448,7 @@ _GOLDEN = (5**0.5 - 1) / 2
 
 @kernel
 def _shuffle(points: Array, keys: Array, largest: Any, out: Array) -> None:
-    # Fisher-Yates shuffle, inside out; points (R, n, d) float64, keys (R, 2), out (R, n, d)
-    # float32.
+    # Fisher-Yates shuffle, inside out; shapes: points and out (R, n, d), keys (R, 2).
     for r in range(points.shape[0]):
         for i in range(points.shape[1]):
             j = int(mix_bits(keys[r, 0], keys[r, 1], i) % np.uint64(i + 1))
