@@ -87,9 +87,10 @@ def shown(value: object, most: int = QUOTED) -> str:
 
     Examples
     --------
-    >>> shown([16, "a\\n"]), shown(10**5000), shown([10**5000])
-    ("[16, 'a\\\\n']", 'an integer of about 5001 digits', 'a list with an integer of too many
-    digits')
+    >>> shown([16, "a\\n"]), shown(10**5000)
+    ("[16, 'a\\\\n']", 'an integer of about 5001 digits')
+    >>> shown([10**5000])
+    'a list with an integer of too many digits'
     """
     try:
         return printable(repr(value), most)

@@ -107,7 +107,7 @@ def write_comparison(path: str | PathLike[str], images: Mapping[str, xr.Dataset]
 def write_exr(path: str | PathLike[str], layers: Mapping[str, Array], *, comment: str = "") -> None:
     """Write layers as float32 channels of one EXR file (ZIP, scan lines).
 
-    Finite numbers outside the range of float32 become its largest number.
+    Finite numbers beyond the range of float32 are replaced by its largest number.
 
     Parameters
     ----------
