@@ -291,7 +291,7 @@ def main(*rooms):
             sources = (copy / "src/mcspectra" / room).rglob("*.py")
             (path,) = (p for p in sources if found in p.read_text(encoding="utf-8"))
             text = path.read_text(encoding="utf-8")
-            assert text.count(found) == 1, f"{found!r} stands several times in {path}"
+            assert text.count(found) == 1, f"{found!r} occurs several times in {path}"
             path.write_text(text.replace(found, instead), encoding="utf-8")
             killed = next(
                 (t for t in (f"tests/{room}", BEYOND.get(found)) if t and _fails(copy, t)), None
