@@ -288,7 +288,7 @@ def test_samplers_are_compared_at_each_pixel():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"chains": 3}, "8 at least"),
+        ({"chains": 3}, "at least 8"),
         ({"chains": -1}, "chains"),
         ({"integrator": None, "chains": 64}, "chains is for whole paths"),
         ({"heuristic": "power"}, "heuristic is for direct light"),

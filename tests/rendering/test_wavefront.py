@@ -190,7 +190,7 @@ def test_invalid_samples_raise(u, error):
 
 def test_too_many_values_are_refused_at_once():
     u = np.broadcast_to(np.zeros(2), (2**25, 2))
-    with pytest.raises(ParameterError, match="for means"):
+    with pytest.raises(ParameterError, match="use means"):
         Wavefront(VEACH).values("light", PIXELS, u)
 
 
