@@ -7,9 +7,9 @@ sample of f at the sampler's points; measurements have at least 1,000 realizatio
 selects one group, ``--group=new`` all groups whose names begin with "new".
 
 New groups have every fast sampler with an offset (shift, strata-shift, digital-shift), problems in
-4 to 8 dims, and unbounded ones. References are 20,000 realizations. If the moments of estimates are
-unbounded, references are sums over strata and pairs of points of integrals in closed form
-(`Unbounded`).
+4 to 8 dims, and unbounded ones. References are measured with 20,000 realizations. If the moments of
+estimates are unbounded, references come from closed-form integrals, summed over strata and pairs of
+points (`Unbounded`).
 """
 
 from __future__ import annotations

@@ -260,7 +260,7 @@ def _run(config: StudyConfig, engine: MakeExecutor) -> None:
 def _processor() -> float:
     """Processor seconds of this process, and of its child processes that have ended.
 
-    A permanent process forks the workers, which have ended when a study ends.
+    A permanent process forks the workers; they have ended when a study has ended.
     """
     used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     running = (each.cpu_times() for each in psutil.Process().children())

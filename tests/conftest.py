@@ -75,7 +75,7 @@ def browser():
 
 
 def pytest_xdist_auto_num_workers():
-    """Use one worker more than cores: tests wait a seventh of the time for processes and pages."""
+    """Use one worker more than cores, because tests wait for processes a seventh of the time."""
     return (os.cpu_count() or 1) + 1
 
 

@@ -69,7 +69,7 @@ def test_functions_have_the_options_with_their_defaults(name):
     assert {key: parameters[key].default for key in options} == options
 
 
-# --- the merge tree
+# --- merge tree ---------------------------------------------------------------------------------
 # ---------------------------------------------------------------------------------
 
 

@@ -292,7 +292,7 @@ def test_cells_may_stand_between_blanks(save):
 
 
 def test_long_sets_are_read_in_blocks(save):
-    """A set has one width, and is complete, across the blocks of its reading."""
+    """A set that spans several blocks has a single width and is read completely."""
     points = np.random.default_rng(2).random((100_000, 3))
     text = format_dat([points[:70_000], points[70_000:]])
     first, second = read_points(save("p.dat", text))
@@ -306,7 +306,7 @@ def test_long_sets_are_read_in_blocks(save):
 
 
 def test_numbers_of_long_texts_agree_with_python(save):
-    """Bit for bit: printed numbers, 1 to 19 digits, and near the midpoint of two float64."""
+    """Bit for bit: printed numbers, 1 to 19 digits, and numbers between two float64."""
     rng = np.random.default_rng(3)
     tokens = [repr(x) for x in (rng.random(20_000) * 10.0 ** rng.integers(-12, 3, 20_000)).tolist()]
     for digits, places in itertools.product(range(1, 20), range(26)):

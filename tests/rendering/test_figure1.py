@@ -40,7 +40,7 @@ def test_rate(curves, name, strategy, sampler):
     at = {"estimator": CURVES.index((name, strategy)), "sampler": SAMPLERS.index(sampler)}
     error = slope_error(curves.isel(at))
     difference = float(curves["rate"].isel(at)) - expected
-    assert error < 0.04  # -1.5 and -2 are a dozen standard errors apart
+    assert error < 0.04  # the rates -1.5 and -2 are a dozen standard errors apart
     assert abs(difference) < min(0.1, SIGMAS * error)
 
 

@@ -153,7 +153,7 @@ def test_density_of_the_channel_leaves_the_cosine_alone():
         cosine = sky.sample(u)[0][:, 1]
         up = cosine > 0.05
         ratio = pixel(u)[up] / cosine[up]
-        # The emitter's rows differ: 512 rows match its map to about 1e-3 at the spot
+        # The emitter has other rows: a map of 512 rows differs by about 1e-3 at the spot
         assert ratio.std() / ratio.mean() < 5e-3
 
 
