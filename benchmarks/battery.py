@@ -5,8 +5,8 @@ first. A profile has a budget of 8,192 evaluations. A case checks these points:
 
 * The interval of the profile contains the integral.
 * Its first cause is an expected one.
-* The change that it recommends lowers the variance. Both set-ups are measured again for this, at the
-  same counts.
+* The change that it recommends lowers the variance. Both set-ups are measured again for this, at
+  the same counts.
 * Its rate with scrambled nets agrees with that of 10,000 realizations at the last counts of its
   curve, to 0.1 or within its interval. The budget is 8,192 or 262,144 evaluations.
 

@@ -136,7 +136,7 @@ def _qmcpy(kind: str) -> Callable[[Any, int, int], tuple[float, float, float]]:
 def _vegas(f: Any, dims: int, seed: int) -> tuple[float, float, float]:
     import vegas
 
-    np.random.seed(seed)  # noqa: NPY002 - that of vegas
+    np.random.seed(seed)  # noqa: NPY002 - vegas uses this generator
     integrator = vegas.Integrator([[0.0, 1.0 - 2.0**-53]] * dims)
     batch = vegas.lbatchintegrand(lambda x: f(np.asarray(x)))
     integrator(batch, nitn=4, neval=BUDGET // 8)

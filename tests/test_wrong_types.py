@@ -120,7 +120,7 @@ def _call(function, parameters, arguments):
         return None if str(error) else "says nothing"
     except Hang:
         return "hangs"
-    except Exception as error:  # noqa: BLE001 - whatever it is
+    except Exception as error:  # noqa: BLE001 - any error is reported
         return f"{type(error).__name__}: {error}"
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)

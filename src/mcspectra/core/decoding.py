@@ -93,7 +93,7 @@ def opened(
         raise
     except FileNotFoundError:
         raise FileFormatError(f"There is no file {file}; give the path of {what}.") from None
-    except Exception as error:  # noqa: BLE001 - whatever a parser makes of a broken file
+    except Exception as error:  # noqa: BLE001 - parsers raise any error for a broken file
         said = f"it is truncated, damaged or of another format ({reason_of(error, 200)})"
         # the message of the operating system, if there is one
         reason = getattr(error, "strerror", None) or said

@@ -150,7 +150,7 @@ def html_of(component: object) -> str | None:
     """
     try:
         html: str = importlib.import_module(_PICTURES).component_html(component)
-    except Exception:  # noqa: BLE001 - components of others may raise anything
+    except Exception:  # noqa: BLE001 - external components may raise anything
         return None
     return html
 

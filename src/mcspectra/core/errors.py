@@ -280,7 +280,7 @@ def reason_of(error: BaseException, most: int = 1000) -> str:
     """
     try:
         words = str(error)[: 2 * most]
-    except BaseException:  # noqa: BLE001 - whatever the code of others does
+    except BaseException:  # noqa: BLE001 - code outside the package may raise anything
         words = ""
     shown = printable(" ".join(words.split()))
     return shown[:most].rstrip(".") or type(error).__name__

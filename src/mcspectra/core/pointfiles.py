@@ -147,7 +147,7 @@ def matching_files(path: str | PathLike[str]) -> list[tuple[Path, int | None]]:
         # From the matches of the shell pattern, keep those with one equal number for each {n}
         words = re.escape(text).replace(r"\{n\}", r"(?P<n>[0-9]+)", 1).replace(r"\{n\}", r"(?P=n)")
         exact = re.compile(words.replace(r"\*", "[^/]*").replace(r"\?", "[^/]"))
-        names = glob.glob(text.replace("[", "[[]").replace("{n}", "*"))  # noqa: PTH207 - of a whole path
+        names = glob.glob(text.replace("[", "[[]").replace("{n}", "*"))  # noqa: PTH207 - the pattern is a whole path
         fits = [(Path(name), exact.fullmatch(name)) for name in names]
         found = [(f, int(m["n"]) if "{n}" in text else None) for f, m in fits if m and f.is_file()]
         said = f"No file matches {text!r}"

@@ -416,7 +416,7 @@ def _listed(paths: Any) -> list[Path]:
         return [Path(each) for each in paths]
     place = Path(paths)
     if not place.is_dir():
-        named = glob(str(paths), recursive=True)  # noqa: PTH207 - Path's takes no absolute patterns
+        named = glob(str(paths), recursive=True)  # noqa: PTH207 - Path.glob does not accept absolute patterns
         matching = sorted(map(Path, named))
         if not matching:
             raise FileFormatError(

@@ -166,7 +166,7 @@ class Pads:
 
     An order is a row of a table of random permutations. The table is the same in every process;
     random numbers shift its argument and are XORed to its values. Sets are scrambled independently,
-    so that an image is unbiased whatever their orders are.
+    so that an image is unbiased for any orders.
     """
 
     def __init__(self, module: Any, nets: tuple[Net, Net], count: int, stream: Stream) -> None:
