@@ -90,7 +90,7 @@ def test_calls_become_components(registry):
         ("zzz", None, UnknownName, "Allowed: flat, no-class, no-module, plain."),
         ("plain(skale=1)", None, ParameterError, "no parameter 'skale'; it takes dims, scale"),
         ("plain(skale=1)", None, ParameterError, "Did you mean 'scale'"),
-        ("plain(dims=3)", 2, ParameterError, "says dims=3, but 2 dims are needed"),
+        ("plain(dims=3)", 2, ParameterError, "has dims=3, but 2 dims are needed"),
         ("flat", None, ParameterError, "flat needs width."),
         ("flat(width=1)", 2, ParameterError, "flat is for 1 dim, but 2 dims are needed"),
         ("no-module", None, MissingDependency, "'no-module' .* cannot be loaded"),
