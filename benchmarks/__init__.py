@@ -1,1 +1,1 @@
-"""Benchmarks: ratios against a reference measured in the same run. ``python -m benchmarks [name]``."""
+"""Benchmarks: ratios to a reference measured in the same run. ``python -m benchmarks [name]``."""

@@ -1,4 +1,4 @@
-"""Run all benchmarks, or those named: ``python -m benchmarks spectrum start``, ``cost --plot``."""
+"""Run all or the named benchmarks: ``python -m benchmarks spectrum start``, ``cost --plot``."""
 
 import importlib
 import sys
@@ -45,7 +45,7 @@ NAMES = (
 
 
 def main() -> int:
-    """Print each benchmark's lines; unknown names are refused."""
+    """Print the lines of each benchmark; unknown names are an error."""
     if "--help" in sys.argv or "-h" in sys.argv:
         print(f"{__doc__}\n\n{', '.join(NAMES)}")
         return 0
@@ -53,7 +53,10 @@ def main() -> int:
     chosen = [argument for argument in sys.argv[1:] if argument not in flags] or NAMES
     for name in (each.replace("-", "_") for each in chosen):
         if name not in NAMES:
-            print(f"There is no benchmark {name!r}; there are {', '.join(NAMES)}.", file=sys.stderr)
+            print(
+                f"There is no benchmark {name!r}; give names among {', '.join(NAMES)}.",
+                file=sys.stderr,
+            )
             return 2
         print(f"## {name}")
         importlib.import_module(f"benchmarks.{name}").main(*flags)

@@ -1,19 +1,21 @@
 """Do `profile`, `remedies`, `plan`, `predict` and brute force give the same answer?
 
-Sixty estimators: functions, importance densities, multiple importance sampling, pixels and paths. All
-verbs are asked for the best set-up at 4,096 evaluations. Brute force then measures the RMSE of the given
-and of the advised set-ups with 200 new estimates each. A verb agrees if
+Sixty estimators: functions, importance densities, multiple importance sampling, pixels and paths.
+Each function searches the best set-up at 4,096 evaluations. Brute force then measures the RMSE of
+the given and of the recommended set-ups with 200 new estimates each. A function agrees under these
+conditions:
 
-* `profile`: its interval of the RMSE overlaps that of brute force, for the set-up that it advises;
-* `remedies`: its set-up is that of the profile; or both have measured it (a preintegration along some
-  direction, a regression), with intervals that overlap; or
-  the RMSE of the set-ups that they advise are the same within their intervals;
-* `plan`: for the RMSE of brute force, its interval of n overlaps that of brute force, ends of which
-  are 4,096 evaluations by the slope of the variance;
+* `profile`: its interval of the RMSE overlaps that of brute force, for the set-up that it
+  recommends;
+* `remedies`: its set-up is that of the profile; or both measured this set-up (a preintegration
+  along some direction, a regression), with overlapping intervals; or the RMSE of both recommended
+  set-ups are the same within their intervals;
+* `plan`: for the RMSE of brute force, its interval of n overlaps that of brute force, which is
+  4,096 evaluations converted by the slope of the variance;
 * `predict`: its interval of the variance overlaps that of brute force at these evaluations.
 
-An open interval overlaps. Besides, no advised set-up may be worse than the one given, and no verb may
-call the function more often than it was allowed.
+An open interval always overlaps. In addition, no recommended set-up may be worse than the given
+one, and no function may exceed the allowed number of evaluations.
 """
 
 from __future__ import annotations
@@ -35,15 +37,15 @@ from mcspectra.estimators import AbstractEstimator, as_estimator
 from mcspectra.measure.setup import Setup, affordable_count
 
 BUDGET = 4096
-ESTIMATES = 200  # by brute force, of each set-up
-REALIZATIONS = 100  # in remedies, of each candidate
+ESTIMATES = 200  # brute-force estimates of each set-up
+REALIZATIONS = 100  # realizations of each candidate in remedies
 KINDS = ("sampler", "unshifted", "mirrored", "regression", "preintegrated", "fitted", "techniques")
 SIGMAS = 1.96
 
 
 @dataclass(frozen=True)
 class Case:
-    """An estimator with the sampler in use."""
+    """An estimator with its given sampler."""
 
     name: str
     estimator: AbstractEstimator
@@ -53,7 +55,7 @@ class Case:
 
 @dataclass
 class Found:
-    """Results of a case: verbs that disagree, bad advice, exceeded budgets, and the answers."""
+    """Results of a case: disagreements, bad advice, exceeded budgets, and the answers in words."""
 
     wrong: list[str] = field(default_factory=list)
     worse: list[str] = field(default_factory=list)
@@ -140,7 +142,7 @@ def cases() -> Iterator[Case]:
     try:
         from mcspectra.rendering import PathPixel
     except ImportError:
-        print("Pixels and paths are left out, since Mitsuba is missing.")
+        print("Pixels and paths are skipped, because Mitsuba is missing.")
         return
     few = ("sampler", "mirrored", "preintegrated")
     for x, y in ((96, 205), (150, 200), (250, 180), (300, 230)):
@@ -170,7 +172,7 @@ def _brute(setup: Setup, n: int, seed: int) -> tuple[float, float, float]:
 
 
 def _overlap(one: tuple[float, float], other: tuple[float, float]) -> bool:
-    """Whether intervals meet, up to rounding; one that is not known does."""
+    """Whether intervals overlap up to rounding; an unknown interval always does."""
     if any(math.isnan(v) for v in (*one, *other)):
         return True
     tiny = 1e-13
@@ -178,7 +180,7 @@ def _overlap(one: tuple[float, float], other: tuple[float, float]) -> bool:
 
 
 def judge(case: Case, seed: int = 0) -> Found:
-    """Ask all verbs, and measure."""
+    """Run all functions on a case, and compare them with brute force."""
     estimator, found = case.estimator, Found()
     given = Setup(estimator, mcs.sampler(case.sampler, dims=estimator.dims))
     profile = mcs.profile(estimator, sampler=case.sampler, budget=BUDGET, rng=seed)
@@ -198,7 +200,7 @@ def judge(case: Case, seed: int = 0) -> Found:
     if after[1] > before[2] * 1.001:
         found.worse.append(f"profile {after[0] / before[0]:.2g}")
 
-    # Remedies of the same budget
+    # Remedies for the same budget
     try:
         table = mcs.remedies(
             estimator,
@@ -222,17 +224,17 @@ def judge(case: Case, seed: int = 0) -> Found:
             found.wrong.append(f"remedies {ends[0]:.2g} to {ends[1]:.2g}")
         low, high = answer.rmse_ci
         if not (same or _overlap(tuple(ends), own) or _overlap(tuple(ends), (low, high))):
-            found.wrong.append(f"remedies' {other['name']} beside {answer.best.name}")
+            found.wrong.append(f"remedies' {other['name']}, not {answer.best.name}")
         if other["rmse"] > before[2] * 1.001:
             found.worse.append(f"remedies {other['rmse'] / before[0]:.2g}")
     except McspectraError as error:
         found.words.append(f"remedies: {error}")
 
-    # The plan for the RMSE of the set-up as given, and its prediction
+    # The plan for the RMSE of the given set-up, and its prediction
     slope = profile.rate if profile.rate < 0.0 else -1.0
     if min(before) > 0.0 and max(before) < math.inf:
         low, high = (n * (before[0] / end) ** (2.0 / slope) for end in before[1:])
-        # Nets are planned at powers of their base alone
+        # Nets are planned only at powers of their base
         reached = (low, max([high, *(float(n * base) for base in given.sampler.digit_bases)]))
         plan = mcs.plan(estimator, case.sampler, target_error=before[0], rng=seed + 3)
         ends = tuple(np.ravel(plan["planned_n_ci"].values))
@@ -247,7 +249,7 @@ def judge(case: Case, seed: int = 0) -> Found:
 
 
 def main(*flags: str) -> None:
-    """Print a line for each case; ``--only=TEXT`` takes the cases with this text in their names."""
+    """Print a line for each case; ``--only=TEXT`` selects cases whose names contain the text."""
     only = next((flag.split("=", 1)[1] for flag in flags if flag.startswith("--only=")), "")
     warnings.simplefilter("ignore")
     agree, worse, spent, count = 0, 0, 0, 0
@@ -269,7 +271,8 @@ def main(*flags: str) -> None:
             *(f"SPENT {s}" for s in found.spent),
         ]
         print(
-            f"{case.name:42} {case.sampler:16} {'; '.join(marks) or 'agree'}  [{'; '.join(found.words)}] "
+            f"{case.name:42} {case.sampler:16} {'; '.join(marks) or 'agree'}  "
+            f"[{'; '.join(found.words)}] "
             f"{time.perf_counter() - begun:.0f} s",
             flush=True,
         )

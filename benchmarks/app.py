@@ -1,9 +1,9 @@
-"""Latency of the explorer: from a slider's move in Chromium to the figures that answer it.
+"""Latency of the explorer in Chromium: time from a slider's move to the updated figures.
 
 The page is the default one: 256 jittered points, 129² frequencies. A key moves the slider of the
-strata shift; the page notes when bokeh has new data for the first figure and for the last one of the
-round of fewest realizations. Processor time of the server counts from the key to the last figure of
-all rounds, in the mean over the moves.
+strata shift. The page records when bokeh receives new data for the first figure, and for the last
+figure of the round with fewest realizations. Processor time of the server counts from the key to
+the last figure of all rounds, as a mean over the moves.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from typing import Any
 
 MOVES = 8
 MOST = 150.0  # milliseconds to the first figure
-_FIGURES = 7  # with data sources that change in each round
-_PATIENCE = 120_000  # milliseconds
+_FIGURES = 7  # number of figures whose data change in each round
+_PATIENCE = 120_000  # milliseconds until a wait fails
 _WATCH = """() => {
   window.heard = [];
   const models = [...Bokeh.documents[0]._all_models.values()];
@@ -34,7 +34,7 @@ _TIMES = "() => window.heard.map(([id, time]) => [id, time - window.pressed])"
 
 
 def main() -> None:
-    """Print medians of the latency to the first figure and to all of them, and processor time."""
+    """Print median latencies to the first and to all figures, and the processor time."""
     from playwright.sync_api import sync_playwright
     from tests.browser import chromium
 
@@ -51,12 +51,12 @@ def main() -> None:
     first, every, seconds = (median(each) for each in zip(*found, strict=True))
     verdict = "met" if first <= MOST else "missed"
     print(f"first figure {first:6.0f} ms (at most {MOST:.0f}: {verdict})")
-    print(f"all figures  {every:6.0f} ms, of the round of fewest realizations")
+    print(f"all figures  {every:6.0f} ms, for the round with fewest realizations")
     print(f"server       {1e3 * seconds:6.0f} ms of processor time, all rounds")
 
 
 def _move(page: Any, pid: int) -> tuple[float, float, float]:
-    """Press a key on the slider; milliseconds to the first and the last figure, server's seconds."""
+    """Press a key on the slider; return ms to first and last figure, and server seconds."""
     before = _processor_time(pid)
     page.evaluate("() => { window.heard.length = 0; }")
     page.get_by_role("slider", name="Strata shift, A").press("ArrowRight")

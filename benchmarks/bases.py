@@ -1,4 +1,4 @@
-"""Bases: how large the cross term is for each randomization, and how fast the sum captures it all."""
+"""Bases: size of the cross term for each randomization, and the convergence of the sum."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ WIDTHS = (4, 8, 16, 32)
 
 
 def main() -> None:
-    """Print cross / predicted variance, then predicted / measured against the half width."""
+    """Print cross / predicted variance, then predicted / measured by half width."""
     for function in FUNCTIONS.values():
         print(f"cross / predicted, {function}, n = 64, half width 32, 2000 realizations")
         print(f"{'':42s}" + "".join(f"{basis:>18s}" for basis in BASES))

@@ -1,12 +1,17 @@
-"""Profiles of estimators whose trouble is known: is the cause named, is the advice good?
+"""Profiles of estimators with known problems: is the cause found, and is the advice good?
 
-Each case has a function or estimator with the sampler that is used, its integral, and the causes that
-may be named first. A profile is taken with a budget of 8,192 evaluations. Its interval should hold the
-integral; its first cause should be one of those; the change that it advises should lower the variance when
-both set-ups are measured afresh at the same counts. Its rate with scrambled nets should be that of 10,000
-realizations at the last counts of its curve, to 0.1 or within its interval, with this budget and with 262,144
-evaluations, and none is said of a variance that is infinite. Beside jumps along axes, where local rates are
-between −1 and −3 for the same f, realizations at 16 to 4,096 points tell the rate.
+Each case has a function or estimator with its sampler, its integral, and the causes that may come
+first. A profile has a budget of 8,192 evaluations. A case checks these points:
+
+* The interval of the profile contains the integral.
+* Its first cause is an expected one.
+* The change that it recommends lowers the variance. Both set-ups are measured again for this, at
+  the same counts.
+* Its rate with scrambled nets agrees with that of 10,000 realizations at the last counts of its
+  curve, to 0.1 or within its interval. The budget is 8,192 or 262,144 evaluations.
+
+No rate is reported for an infinite variance. For jumps along axes, local rates vary between −1 and
+−3 for the same f; there, realizations at 16 to 4,096 points give the rate.
 """
 
 from __future__ import annotations
@@ -26,14 +31,14 @@ from mcspectra.explain.samples import Curve
 
 BUDGET, MORE = 8192, 262_144
 REALIZATIONS = 1000
-OF_RATES = 10_000  # realizations
+OF_RATES = 10_000  # number of realizations for reference rates
 SAW = tuple(2**k for k in range(4, 13))
 WITHIN = 0.1
 
 
 @dataclass(frozen=True)
 class Case:
-    """An estimator whose trouble is known."""
+    """An estimator with a known problem."""
 
     name: str
     f: Any
@@ -44,7 +49,7 @@ class Case:
 
 
 def _inner(x: Array) -> Array:
-    """Points away from the faces, where normal quantiles are infinite."""
+    """Move points away from the faces, where normal quantiles are infinite."""
     return np.clip(x, 1e-300, 1.0 - 2.0**-53)
 
 
@@ -69,10 +74,10 @@ def _black_scholes(sigma: float, strike: float) -> float:
 
 
 def cases() -> Iterator[Case]:
-    """All cases, smooth ones first."""
+    """Yield all cases, smooth ones first."""
     e = math.e - 1.0
 
-    # Nothing wrong
+    # No problem
     def none(name: str, f: Callable[[Array], Array], dims: int, integral: float) -> Case:
         return Case(name, f, dims, integral, ("none",))
 
@@ -93,7 +98,7 @@ def cases() -> Iterator[Case]:
     )
     yield none("bilinear", lambda x: x[:, 0] * x[:, 1], 2, 0.25)
 
-    # Jumps inside
+    # Jumps in the interior
     inside = ("interior-jump",)
     yield Case("quarter disk", lambda x: ((x**2).sum(axis=1) < 1.0) * 1.0, 2, math.pi / 4, inside)
     yield Case("half-space", lambda x: (x @ (0.6, 0.8) < 0.7) * 1.0, 2, 0.5, inside)
@@ -150,7 +155,7 @@ def cases() -> Iterator[Case]:
     )
     yield Case("hinge in 4-D", lambda x: np.maximum(x @ (1, -1, 0.5, 0.2), 0.0), 4, math.nan, kink)
 
-    # Faces that differ, for sets that wrap around
+    # Faces that differ, with sets that wrap around
     faces = ("border-jump",)
     yield Case("ramp, shifted", lambda x: x[:, 0], 1, 0.5, faces, "jittered | shift")
     yield Case("ramps, lattice", lambda x: x @ (1.0, 2.0), 2, 1.5, faces, "rank1-lattice | shift")
@@ -180,7 +185,7 @@ def cases() -> Iterator[Case]:
         infinite,
     )
 
-    # Few values that matter
+    # A few values dominate
     heavy = ("heavy-tail",)
     yield Case(
         "peak",
@@ -204,7 +209,7 @@ def cases() -> Iterator[Case]:
         heavy,
     )
 
-    # Many dims at once
+    # Interactions of many dims
     many = ("high-dimension",)
     yield Case(
         "product of 10", lambda x: (3 * x - 0.5).prod(axis=1), 10, 1.0, (*many, "heavy-tail")
@@ -217,7 +222,7 @@ def cases() -> Iterator[Case]:
         many,
     )
 
-    # Sets and techniques
+    # Deterministic sets and techniques
     yield Case("the same set", lambda x: np.exp(x[:, 0]), 1, e, ("deterministic-set",), "regular")
     yield Case(
         "the same set in 2-D",
@@ -249,7 +254,7 @@ def cases() -> Iterator[Case]:
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a case; None where there was nothing to judge."""
+    """Results of a case; None if a result does not apply."""
 
     case: Case
     found: mcs.Profile
@@ -270,13 +275,13 @@ def near(curve: Curve, rate: float) -> bool:
 
 
 def near_or_within(curve: Curve, rate: float) -> bool:
-    """Whether a rate is right to 0.1, or its interval holds the truth."""
+    """Whether a rate is right to 0.1, or its interval contains the truth."""
     low, high = curve.rate_ci
     return near(curve, rate) or low <= rate <= high
 
 
 def judge(case: Case, seed: int = 0) -> Outcome:
-    """Take the profile of a case and hold it against measurements."""
+    """Profile a case, and compare the profile with measurements."""
     dims = case.dims if callable(case.f) and not hasattr(case.f, "counts") else None
     start = time.perf_counter()
     found = mcs.profile(case.f, sampler=case.sampler, dims=dims, budget=BUDGET, rng=seed)
@@ -321,14 +326,14 @@ def judge(case: Case, seed: int = 0) -> Outcome:
             measured = mcs.convergence(
                 each, source, [count], realizations=REALIZATIONS, rng=seed + 2
             )
-            # A set that is the same every time has a bias in place of its variance
+            # A deterministic set has a bias instead of a variance
             pair.append(float(measured["variance"][0]) or float(measured["mse"][0]))
         ratio = pair[0] / max(pair[1], 1e-300)
     return Outcome(case, found, seconds, covers, tuple(rates), ratio)
 
 
 def main() -> None:
-    """Print a line for each case, and the shares that are right."""
+    """Print a line for each case, and the fractions that are right."""
     outcomes = []
     for case in cases():
         found = judge(case)
@@ -356,4 +361,4 @@ def main() -> None:
         "advice lowers the variance", [o.ratio < 1.0 for o in outcomes if not math.isnan(o.ratio)]
     )
     fine = [o for o in outcomes if o.found.causes[0].name == "none"]
-    share("no fine said of a broken one", ["none" in o.case.causes for o in fine])
+    share("no broken case is called fine", ["none" in o.case.causes for o in fine])

@@ -1,7 +1,8 @@
-"""Frames of Blender's Cycles: what `mcspectra frames` says of its sampling patterns.
+"""Frames of Blender's Cycles: noise of its sampling patterns by `mcspectra frames`.
 
-``BLENDER_PYTHON=… python -m benchmarks blender``, where that Python (3.11) has the package bpy. It runs this file
-as a script, which renders two spheres below an area light: 96 × 72 pixels, 8 frames of 4, 16 and 64 samples.
+Run ``BLENDER_PYTHON=… python -m benchmarks blender`` with a Python 3.11 that has the package bpy.
+This Python runs the file as a script, which renders two spheres below an area light: 96 × 72
+pixels, 8 frames of 4, 16 and 64 samples.
 """
 
 from __future__ import annotations
@@ -17,10 +18,10 @@ SAMPLES, FRAMES = (4, 16, 64), 8
 
 
 def main() -> None:
-    """Render the frames of each pattern, and print what they say."""
+    """Render the frames of each pattern, and print their statistics."""
     python = os.environ.get("BLENDER_PYTHON")
     if python is None:
-        print("Not run: BLENDER_PYTHON names no Python that has the package bpy.")
+        print("Not run: set BLENDER_PYTHON to a Python that has the package bpy.")
         return
     from mcspectra.rendering import frames
     from mcspectra.report.frames_page import frame_findings
@@ -38,7 +39,7 @@ def main() -> None:
 
 
 def render(pattern: str, folder: str) -> None:
-    """Render in Blender."""
+    """Render a pattern in Blender."""
     import bpy
 
     bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -53,10 +54,22 @@ def render(pattern: str, folder: str) -> None:
     mesh = bpy.ops.mesh
     for make, color, metal in (
         (lambda: mesh.primitive_plane_add(size=10), (0.6, 0.6, 0.6, 1), 0.0),
-        (lambda: mesh.primitive_uv_sphere_add(radius=0.8, location=(-1, 0, 0.8)), (0.7, 0.1, 0.1, 1), 0.0),
-        (lambda: mesh.primitive_uv_sphere_add(radius=0.8, location=(1, 0, 0.8)), (0.9, 0.9, 0.9, 1), 1.0),
-        (lambda: mesh.primitive_plane_add(size=10, location=(0, 3, 0), rotation=(1.5708, 0, 0)), (0.2, 0.5, 0.2, 1), 0.0),
-    ):  # fmt: skip
+        (
+            lambda: mesh.primitive_uv_sphere_add(radius=0.8, location=(-1, 0, 0.8)),
+            (0.7, 0.1, 0.1, 1),
+            0.0,
+        ),
+        (
+            lambda: mesh.primitive_uv_sphere_add(radius=0.8, location=(1, 0, 0.8)),
+            (0.9, 0.9, 0.9, 1),
+            1.0,
+        ),
+        (
+            lambda: mesh.primitive_plane_add(size=10, location=(0, 3, 0), rotation=(1.5708, 0, 0)),
+            (0.2, 0.5, 0.2, 1),
+            0.0,
+        ),
+    ):
         make()
         material = bpy.data.materials.new("material")
         material.use_nodes = True

@@ -1,8 +1,9 @@
-"""Closed-form Fourier power and covariance of scrambled nets against many realizations.
+"""Closed-form Fourier power and covariance of scrambled nets compared with many realizations.
 
-Of each net with each randomization in 1 to 4 dims, powers and covariances at random integer frequencies are
-compared with their means over 100,000 realizations: z is the difference over its standard error, the real
-and the imaginary part of a covariance by themselves. The root mean square of z is 1 where both agree.
+For each net with each randomization in 1 to 4 dims, powers and covariances at random integer
+frequencies are compared with their means over 100,000 realizations. z is the difference in standard
+errors; real and imaginary part of a covariance count separately. The root mean square of z is 1 if
+both agree.
 """
 
 from __future__ import annotations
@@ -16,10 +17,11 @@ REALIZATIONS = 100_000
 NETS = ("sobol", "niederreiter", "halton", "faure")
 STEPS = ("owen", "lms", "digital-shift")
 MOST_RMS = 1.1
-_PAIRS = 24  # pairs of frequencies of each case, half of them equal
+_PAIRS = 24  # pairs of frequencies in each case, half of them equal
 _HIGHEST = 9
-_BLOCK = 5000  # realizations at a time
-_COUNTS = {"halton": (12, 12, 12, 12), "faure": (16, 16, 9, 25)}  # in 1 to 4 dims; others 16
+_BLOCK = 5000  # number of realizations at a time
+# in 1 to 4 dims; all other nets have 16 points
+_COUNTS = {"halton": (12, 12, 12, 12), "faure": (16, 16, 9, 25)}
 
 
 def z_values(sampler: str, n: int, dims: int, realizations: int = REALIZATIONS) -> Array:
@@ -28,13 +30,13 @@ def z_values(sampler: str, n: int, dims: int, realizations: int = REALIZATIONS) 
     m = rng.integers(-_HIGHEST, _HIGHEST + 1, (_PAIRS, dims))
     other = rng.integers(-_HIGHEST, _HIGHEST + 1, (_PAIRS, dims))
     other[: _PAIRS // 2] = m[: _PAIRS // 2]
-    # Pairs that differ by multiples of n along one axis are correlated most
+    # Pairs that differ by multiples of n along one axis have the largest correlation
     other[-4:] = m[-4:]
     other[-4:, 0] += n * rng.choice([-1, 1], 4)
     source = mcs.sampler(sampler, dims=dims)
     exact = mcs.spectra.closed_form_covariance(source, n, m, other)
 
-    # S_m has the mean 0, or 1 at m = 0, as points are uniform
+    # S_m has mean 0, or 1 at m = 0, because points are uniform
     at_zero = [(k == 0).all(axis=1).astype(float) for k in (m, other)]
     total, squares = np.zeros((2, _PAIRS)), np.zeros((2, _PAIRS))
     for first in range(0, realizations, _BLOCK):
@@ -51,14 +53,14 @@ def z_values(sampler: str, n: int, dims: int, realizations: int = REALIZATIONS) 
     mean = total / realizations
     error = np.sqrt(np.maximum(squares / realizations - mean**2, 0.0) / realizations)
     off = mean - np.stack([exact.real, exact.imag])
-    # Sums that are the same in all realizations have rounding alone
+    # Sums that are equal in all realizations have only rounding errors
     varies = error > 1e-12
     assert (np.abs(off[~varies]) < 1e-9).all(), (sampler, dims)
     return np.asarray(off[varies] / error[varies])
 
 
 def main(*flags: str) -> None:
-    """Print a row for each net with each randomization, and the root mean square of all z."""
+    """Print a row for each net and randomization, and the root mean square of all z."""
     only = [flag.partition("=")[2] for flag in flags if flag.startswith("--net=")]
     found = []
     print("net | step | dims | n | numbers | z rms | largest z")
@@ -68,7 +70,7 @@ def main(*flags: str) -> None:
                 n = _COUNTS.get(net, (16,) * 4)[dims - 1]
                 z = z_values(f"{net} | {step}", n, dims)
                 found.append(z)
-                # In 1-D a digital shift moves a whole grid: all powers are the same in all realizations
+                # In 1-D, a digital shift moves a whole grid: all realizations have equal powers
                 shown = "exact to rounding"
                 if z.size:
                     shown = f"{np.sqrt(np.mean(z**2)):.2f} | {np.abs(z).max():.1f}"

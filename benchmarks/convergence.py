@@ -1,8 +1,8 @@
-"""Convergence of jittered points against one fused loop in numba: sample, evaluate, accumulate.
+"""Convergence of jittered points compared with one fused numba loop: sample, evaluate, accumulate.
 
-Five counts from 16 to 4096, 1000 realizations, two integrands, one thread. The fused loop has what
-a program written for this one task would have: no array of points or of values, both integrands from
-one point, the package's own generator, and sums of the first two powers only.
+Five counts from 16 to 4096, 1000 realizations, two integrands, one thread. The fused loop is
+written for this one task: it has no array of points or values, evaluates both integrands at one
+point, uses the package's own generator, and sums only the first two powers.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def _fused(keys: Array, side: int, rate: float, radius: float, sums: Array) -> N
 
 
 def main() -> None:
-    """Print milliseconds, the ratio, and that both measure the same variances."""
+    """Print milliseconds and the ratio, and check that both measure the same variances."""
     stream = Stream.from_rng(0)
     integrands = [
         mcs.Estimator("gaussian(width=0.25)", dims=2),

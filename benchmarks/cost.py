@@ -1,13 +1,15 @@
-"""Cost of an expected power spectrum against points n, frequencies M, realizations R and accuracy ε.
+"""Cost of an expected power spectrum by points n, frequencies M, realizations R and accuracy ε.
 
-Model of the NUFFT [Barnett2019]_, seconds a realization, and R of them take R t:
+Model of the NUFFT [Barnett2019]_ for the seconds per realization; R realizations take R t:
 
     t = a + b n log(1/ε) + c M log M.
 
-A point is spread to log^d(1/ε) cells, of which vector instructions take a row together: in two dims
-the time of a point grows like log(1/ε). Times are the least processor times of two sweeps.
+A point is spread to log^d(1/ε) cells, of which vector instructions process a row together. In two
+dims, the time per point therefore grows like log(1/ε). Times are the smallest processor times of
+two sweeps.
 
-``python -m benchmarks cost --plot`` draws measured times beside the model to docs/figures/cost.png.
+``python -m benchmarks cost --plot`` also draws measured times and the model to
+docs/figures/cost.png.
 """
 
 from __future__ import annotations
@@ -28,13 +30,13 @@ COUNTS = (256, 1024, 4096, 16384, 65536)
 HALF_WIDTHS = (16, 32, 64, 128, 256)
 REALIZATIONS = (2, 4, 8, 16, 32, 64)
 ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8)
-FIXED = (4096, 64)  # points and half width where R and ε vary
-_SECONDS = 0.15  # spent on each case, twice
+FIXED = (4096, 64)  # points and half width while R and ε vary
+_SECONDS = 0.15  # seconds for each case, twice
 
 
 @dataclass(frozen=True)
 class Series:
-    """Seconds a call against one quantity, and what the model says."""
+    """Seconds per call against one quantity, with the model's values."""
 
     label: str
     x: Array
@@ -43,7 +45,7 @@ class Series:
 
 
 def main(*flags: str) -> None:
-    """Print the fit; with ``--plot``, draw it too."""
+    """Print the fit; with ``--plot``, also draw it."""
     if set(flags) - {"--plot"}:
         raise SystemExit(f"cost takes --plot, not {' '.join(flags)}.")
     cases = [(n, k, EPS) for n in COUNTS for k in HALF_WIDTHS]
@@ -51,7 +53,7 @@ def main(*flags: str) -> None:
     sweeps = [[_seconds(*case) for case in cases] for _ in range(2)]
     times = np.min(sweeps, axis=0)
     terms = np.array([_terms(*case) for case in cases])
-    # Times span four decades: relative residuals.
+    # Times span four decades, so the fit uses relative residuals.
     (a, b, c), *_ = np.linalg.lstsq(terms / times[:, None], np.ones(len(times)))
     ratio = times / (terms @ (a, b, c))
     print(f"2-D, ε {EPS:g} … {ACCURACIES[0]:g}, {len(cases)} cases, n {COUNTS[0]} … {COUNTS[-1]}, "
@@ -80,7 +82,7 @@ def main(*flags: str) -> None:
 def _series(
     label: str, x: tuple[float, ...], times: Array, model: Array, first: int, step: int = 1
 ) -> Series:
-    """Every `step`-th case from `first` on, one for each x."""
+    """Return every `step`-th case from `first`, one for each x."""
     chosen = np.arange(len(x)) * step + first
     return Series(label, np.array(x, np.float64), times[chosen], model[chosen])
 
@@ -91,7 +93,7 @@ def _terms(n: int, half_width: int, eps: float) -> tuple[float, float, float]:
 
 
 def _seconds(n: int, half_width: int, eps: float = EPS, realizations: int = 2) -> float:
-    """Least time a realization of the power of `realizations` sets, one thread."""
+    """Smallest time per realization of the power of `realizations` sets, one thread."""
     grid = FrequencyGrid(DIMS, half_width)
     points = mcs.sampler("random", dims=DIMS).draw(n, realizations=realizations, rng=1)
     total, squares = np.zeros(grid.stored), np.zeros(grid.stored)
@@ -106,7 +108,7 @@ def _seconds(n: int, half_width: int, eps: float = EPS, realizations: int = 2) -
 
 
 def _by_realizations() -> Series:
-    """Seconds of R realizations; the model is R times those of a pair, halved."""
+    """Seconds of R realizations; the model is R times half the time of a pair."""
     n, half_width = FIXED
     count = np.array(REALIZATIONS, np.float64)
     measured = np.array([r * _seconds(n, half_width, EPS, r) for r in REALIZATIONS])

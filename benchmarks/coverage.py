@@ -1,4 +1,4 @@
-"""How many 95 % intervals hold the truth: of variances, captured parts, spectra and ANOVA shares."""
+"""Coverage of 95 % intervals: variances, captured parts, spectra and ANOVA shares."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from mcspectra.measure.sums import BATCH_SETTINGS, ratio_factors
 
 REPETITIONS = 2_000
 COUNTS = (20, 100, 1000)
-_RUNS = 400  # of analyses, each of several numbers
+_RUNS = 400  # number of analyses; each has several numbers
 
-# Laws of estimates: how they are drawn, variance and kurtosis
+# Distributions of estimates: generator, variance and kurtosis
 LAWS: dict[str, tuple[Callable[..., np.ndarray], float, float]] = {
     "normal": (lambda rng, s: rng.standard_normal(s), 1.0, 3.0),
     "uniform": (lambda rng, s: rng.random(s), 1 / 12, 1.8),
@@ -33,7 +33,7 @@ LAWS: dict[str, tuple[Callable[..., np.ndarray], float, float]] = {
     ),
 }
 
-# Exponents a of p ∝ x^a, integrands, and half widths at which they are cut
+# Exponents a of p ∝ x^a, integrands, and half widths of their truncation
 RATIOS: dict[str, tuple[float, Callable[[np.ndarray], np.ndarray], int]] = {
     "p = 1, step": (0.0, lambda x: 1.0 * (x < 0.3), 8),
     "p = 1, exp(−3x)": (0.0, lambda x: np.exp(-3 * x), 2),
@@ -44,23 +44,24 @@ RATIOS: dict[str, tuple[float, Callable[[np.ndarray], np.ndarray], int]] = {
 
 
 def _of_variances() -> Iterator[tuple[str, ...]]:
-    """Coverage of `Moments.variance_ci`; values that are all equal say nothing and are counted apart."""
+    """Coverage of `Moments.variance_ci`; samples of equal values are counted separately."""
     for count in COUNTS:
         for name, (draw, variance, kurtosis) in LAWS.items():
             found = Moments.of(draw(np.random.default_rng(count), (count, REPETITIONS)), tails=True)
             varies = found.m2 > 0
             low, high = found.variance_ci[varies].T
             covered = (low <= variance) & (variance <= high)
+            bounded = np.isfinite(high)
             yield (
                 str(count), name, f"{kurtosis:.4g}", f"{100 * covered.mean():.1f}",
                 f"{100 * (high < variance).mean():.1f}", f"{100 * (low > variance).mean():.1f}",
                 f"{100 * (~found.resolved[varies]).mean():.0f}", f"{100 * (~varies).mean():.0f}",
-                f"{np.median(high[np.isfinite(high)] / found.variance[varies][np.isfinite(high)]):.2f}",
+                f"{np.median(high[bounded] / found.variance[varies][bounded]):.2f}",
             )  # fmt: skip
 
 
 def _weighted(x: np.ndarray, f: Any, power: float, m: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Integrand cut to the frequencies m and in full, over p ∝ x^power: (2, ...)."""
+    """Integrand truncated to the frequencies m and in full, over p ∝ x^power: (2, ...)."""
     cut = sum((each * np.exp(2j * np.pi * k * x)).real for k, each in zip(m, c, strict=True))
     return np.stack([cut, f(x)]) / ((1 + power) * x**power)
 
@@ -73,7 +74,7 @@ def _of_captured() -> Iterator[tuple[str, ...]]:
             grid = (np.arange(2**14) + 0.5) / 2**14
             c = (f(grid) * np.exp(-2j * np.pi * m[:, None] * grid)).mean(axis=1)
 
-            # Variances by quadrature in x = y⁴
+            # Variances by quadrature in y, with x = y⁴
             y = (np.arange(2**16) + 0.5) / 2**16
             density = (1 + power) * y ** (4 * power + 3) * 4
             first, second = (
@@ -149,7 +150,7 @@ def _print(header: str, rows: Iterator[tuple[str, ...]]) -> None:
 
 
 def main() -> None:
-    """Print the coverage of each kind of interval in percent."""
+    """Print the coverage of each type of interval in percent."""
     columns = "values | law | kurtosis | covered | truth above | below"
     _print(f"{columns} | no upper end | all equal | upper end / s² (median)", _of_variances())
     _print("realizations | captured | covered | ends' ratio (median)", _of_captured())

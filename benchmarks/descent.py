@@ -1,8 +1,8 @@
 """SciPy's L-BFGS-B, QR and eigensolver compared with ours: quality, and stability of the bits.
 
-``python -m benchmarks descent`` prints, for descents of optimized samplers, the least value after as
-many evaluations as ours took. Then it repeats computations of the libraries with other numbers of
-threads and with the kernels of OpenBLAS for other processors.
+For descents of optimized samplers, ``python -m benchmarks descent`` prints the smallest value after
+the same number of evaluations as ours. It then repeats the libraries' computations with other
+numbers of threads, and with the kernels of OpenBLAS for other processors.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from mcspectra.samplers.relaxation import near_energy
 
 STARTS = 3
 COUNTS = (256, 1024)
-_FURTHER = 2  # Evaluations that L-BFGS-B may take, relative to ours
-_MEMORY = 10  # corrections that both methods keep
+_FURTHER = 2  # ratio of evaluations allowed to L-BFGS-B over ours
+_MEMORY = 10  # number of corrections that both methods keep
 
 DIGESTS = """
 import hashlib
@@ -63,7 +63,7 @@ MACHINES = (
 
 
 class Task(NamedTuple):
-    """A descent of an optimized sampler; `goal` is a value that is small enough."""
+    """A descent of an optimized sampler; `goal` is a sufficiently small value."""
 
     name: str
     n: int
@@ -88,7 +88,7 @@ def tasks() -> Iterator[Task]:
 def values_of(
     task: Task, run: Callable[[Callable[[Array], tuple[float, Array]], Array], object], seed: int
 ) -> Array:
-    """The running minimum after each evaluation of a descent, (evaluations,)."""
+    """Running minimum after each evaluation of a descent, (evaluations,)."""
     found = []
 
     def counted(x: Array) -> tuple[float, Array]:
@@ -102,7 +102,8 @@ def values_of(
 
 def print_values() -> None:
     print(
-        f"{'descent':22} {'n':>5} {'evaluations':>11} {'ours':>11} {'L-BFGS-B':>11}  as good as ours after"
+        f"{'descent':22} {'n':>5} {'evaluations':>11} {'ours':>11} {'L-BFGS-B':>11}  as good "
+        "as ours after"
     )
     for task in tasks():
         for seed in range(STARTS):
@@ -152,14 +153,14 @@ def print_bits() -> None:
     one = digests()
     others = {" ".join(each.values()): digests(**each) for each in MACHINES}
     columns = ["2 threads" if name == "2" else name for name in others]
-    print(f"\n{'bits beside those of 1 thread':32} {' '.join(f'{c:>10}' for c in columns)}")
+    print(f"\n{'bits compared with 1 thread':32} {' '.join(f'{c:>10}' for c in columns)}")
     for name, digest in one.items():
         same = ["same" if other[name] == digest else "others" for other in others.values()]
         print(f"{name:32} {' '.join(f'{s:>10}' for s in same)}")
 
 
 def main() -> None:
-    """Print values that descents reach, then which bits change."""
+    """Print the values that descents reach, then the bits that change."""
     print_values()
     print_bits()
 

@@ -1,12 +1,14 @@
-"""Designs for classes of integrands against the best usual sampler, on members held back.
+"""Designs for classes of integrands compared with the best usual sampler, on held-out members.
 
-For each class, dims and n the kinds that may do are searched; the one with the least variance over 400
-members is measured over 2,000 others, in 20 groups, each with 32 realizations of its own. Rivals: sobol |
-owen, pmj02, shifted Korobov, rank-1 and Fibonacci lattices, and, where ``MCSPECTRA_NETS`` names a
-folder with their files of direction numbers, OneTwo and quad-optimized nets (base 3) with owen.
+For each class, dims and n, suitable kinds of designs are searched. The one with the least variance
+over 400 members is measured over 2,000 others in 20 groups, each with its own 32 realizations.
+Rivals are sobol | owen, pmj02, and shifted Korobov, rank-1 and Fibonacci lattices. If
+``MCSPECTRA_NETS`` names a folder with their direction numbers, OneTwo and quad-optimized nets (base
+3) with owen are also rivals.
 
-The last lines compare with folded lattices, on Gaussians of random orientation. A few narrow members have
-half of the mean variance, so that 20,000 members with 128 realizations for each group are measured.
+The last lines compare with folded lattices, on Gaussians of random orientation. There, a few narrow
+members carry half of the mean variance, so that 20,000 members with 128 realizations per group are
+measured.
 """
 
 from __future__ import annotations
@@ -34,11 +36,11 @@ KINDS = {
     1024: ("lattice", "digital-net"),
 }
 RIVALS = ("sobol | owen", "korobov | shift", "rank1-lattice | shift")
-PLANE = ("pmj02",)  # in 2-D
+PLANE = ("pmj02",)  # additional rival in 2-D
 FOLDED = ("korobov | shift | mirror(mode='fold')", "rank1-lattice | shift | mirror(mode='fold')")
 TURNED = ((2, 64, ("lattice", "points")), (2, 256, ("lattice",)), (4, 64, ("lattice", "points")))
 """Dims, n and kinds for Gaussians of random orientation."""
-DESIGNS = SearchSettings(return_rival=False)  # a design is measured even if a rival beats it
+DESIGNS = SearchSettings(return_rival=False)  # a design is measured even if a rival is better
 NETS = {
     "onetwo_init_tab.dat": "sobol(directions={!r}) | owen",
     "quad_optimized_gf3.dat": "sobol(directions={!r}, base=3) | owen",
@@ -52,8 +54,8 @@ def main() -> None:
     if folder := os.environ.get("MCSPECTRA_NETS"):
         rivals += [spec.format(str(Path(folder) / name)) for name, spec in NETS.items()]
     with tempfile.TemporaryDirectory() as cache:
-        os.environ["MCSPECTRA_CACHE"] = cache  # nothing is there yet
-        for kind, n in (("lattice", 13), ("owen", 16)):  # compile
+        os.environ["MCSPECTRA_CACHE"] = cache  # the cache is empty
+        for kind, n in (("lattice", 13), ("owen", 16)):  # compile the kernels first
             mcs.design(kind, "gaussians", n, settings=DESIGNS)
         for kind, n, what in (("lattice", 1009, "a lattice"), ("owen", 256, "64 trees")):
             start = time.perf_counter()
@@ -79,7 +81,8 @@ def _compare(family: str, dims: int, n: int, rivals: list[str]) -> None:
     low, high = found["design_ratio_ci"].values
     steps = ratios[kind][1].spec.partition(" | ")[2]
     print(
-        f"{family}, {dims}-D, n = {n}: {float(found['design_ratio']):.3f} ({low:.3f} to {high:.3f}) of "
+        f"{family}, {dims}-D, n = {n}: {float(found['design_ratio']):.3f} ({low:.3f} to "
+        f"{high:.3f}) of "
         f"{found.attrs['best_rival']}, {float(found['mean_variance'][0]):.3g}, {kind} {steps}",
         flush=True,
     )
@@ -115,10 +118,10 @@ def _compare_folded(dims: int, n: int, kinds: tuple[str, ...]) -> None:
 
 
 def _least_error(dims: int, n: int) -> float:
-    """Mean squared error of half-spaces for fixed sets, uniform or not: the least of three descents.
+    """Mean squared error of half-spaces for fixed sets, uniform or not: minimum of three descents.
 
-    Along a direction v, u_i = F(v·x_i) with F the distribution of v·x for uniform x, and the mean over
-    offsets is the mean of (u_(i) − (i − ½)/n)² plus 1/(12 n²), u_(1) ≤ u_(2) ≤ ….
+    Along a direction v, u_i = F(v·x_i) with F the distribution of v·x for uniform x. The mean over
+    offsets is the mean of (u_(i) − (i − ½)/n)² plus 1/(12 n²), with u_(1) ≤ u_(2) ≤ ….
     """
     generator = np.random.default_rng(3)
     directions = generator.standard_normal((400 * dims, dims))

@@ -1,4 +1,4 @@
-"""The paper's Figure 1: eight rates of two pixels under a square light, jittered."""
+"""The paper's Figure 1: eight rates of two pixels under a square light, with jittered points."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ SAMPLERS = ["jittered", "jittered | shift"]
 
 
 def main() -> None:
-    """Print expected and fitted rates with 95 % intervals, n from 64 to 4096."""
+    """Print expected and fitted rates with 95 % intervals for n from 64 to 4096."""
     pixels = named_pixels("figure1")
     curves = list(itertools.product("PQ", ("light", "bsdf")))
     estimators = [

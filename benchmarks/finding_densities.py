@@ -34,7 +34,7 @@ WARPS = ("marginal", "hierarchical", "hilbert", "alias")
 
 
 def mis_slowest() -> Plots:
-    """The toy of two techniques, and what heuristics do to a technique that jumps at a light's edge."""
+    """Two simple techniques, and heuristics for one that jumps at a light's edge."""
     d = mcs.technique_terms(
         mcs.estimators.TechniqueSum(["linear", "step(at=0.3)"], dims=1),
         "jittered", COUNTS, half_width=4, realizations=1000, rng=1,
@@ -61,7 +61,7 @@ def mis_slowest() -> Plots:
 
 
 def heuristics() -> dict[str, Curve]:
-    """Exact variances of a light of smooth brightness, sampled itself and uniformly."""
+    """Exact variances of a light of smooth brightness, sampled directly and uniformly."""
     light = mcs.density(LIGHT, dims=1)
     f = mcs.Integrand.from_function(
         lambda x: np.where(light.pdf(x) > 0, 1 + x[..., 0], 0.0), dims=1, integral=0.28
@@ -77,7 +77,7 @@ def heuristics() -> dict[str, Curve]:
 
 
 def toy_environment() -> tuple[Any, list[Any], Any]:
-    """Eight pixels of three channels times a cosine, each channel's density, and the luminance's."""
+    """Eight pixels of three channels times a cosine; each channel's and the luminance's density."""
     tables = [mcs.densities.PiecewiseConstant(values=PIXELS[:, c]) for c in range(3)]
     scale, cells = PIXELS.mean(axis=0), np.diff(np.sin(np.pi * (np.arange(9) / 8 - 0.5)) / np.pi)
     f = mcs.Integrand.from_function(
@@ -92,7 +92,7 @@ def toy_environment() -> tuple[Any, list[Any], Any]:
 
 
 def channels() -> Plots:
-    """Each channel of a toy environment map sampled by luminance and by its own density."""
+    """Channels of a small environment map, sampled by luminance and by their own densities."""
     ways = mcs.estimators.channel_estimators(*toy_environment())
     curves: dict[str, dict[str, Curve]] = {color: {} for color in ("red", "green", "blue")}
     names = {"one": "luminance", "own": "own density", "mis": "MIS of the three"}
@@ -110,7 +110,7 @@ def channels() -> Plots:
 
 
 def infinite_weights() -> Plots:
-    """Var(S_0), which no number of realizations settles; what a defensive share does instead."""
+    """Var(S_0), which no number of realizations determines, and the effect of a defensive share."""
     n, sizes = 16, 2 ** np.arange(6, 19)
     f, p = (
         mcs.integrand("polynomial(coefficients=[0, 0, 1])", dims=1),
@@ -199,7 +199,7 @@ def warps() -> Plots:
 def _measured(
     f: Any, specs: dict[str, str], samplers: Sequence[str], counts: Sequence[int]
 ) -> dict[str, Curve]:
-    """Convergence of f with each density and sampler, printed with intervals."""
+    """Measure the convergence of f with each density and sampler; print it with intervals."""
     curves = {}
     for name, spec in specs.items():
         for sampler in samplers:
@@ -208,6 +208,7 @@ def _measured(
             curves[label] = Curve.of(d)
             ratio = with_interval(d["variance"][-1], d["variance_ci"][-1], ".2e")
             print(
-                f"{label}: rate {with_interval(d['rate'], d['rate_ci'])}, variance {ratio} at {counts[-1]}"
+                f"{label}: rate {with_interval(d['rate'], d['rate_ci'])}, variance {ratio} at "
+                f"{counts[-1]}"
             )
     return curves

@@ -18,7 +18,7 @@ __all__ = ["Curve", "slopes", "variance_panels", "variance_plot", "with_interval
 
 @dataclass(frozen=True)
 class Curve:
-    """Values (n,) along x with intervals (n, 2), or exact ones with none."""
+    """Values (n,) along x with intervals (n, 2); exact values have no intervals."""
 
     x: Array
     values: Array
@@ -26,13 +26,13 @@ class Curve:
 
     @staticmethod
     def of(data: Any, name: str = "variance", along: str = "n") -> Curve:
-        """Make one of a dataset's variable and its ``_ci``."""
+        """Make a curve from a variable of a dataset and its ``_ci``."""
         interval = data[f"{name}_ci"].transpose(along, "bound").values
         return Curve(data[along].values, data[name].values, interval)
 
 
 def variance_plot(parts: Mapping[str, Mapping[str, Curve]], **options: Any) -> Plot:
-    """Variances against counts on logarithmic axes, a panel a title."""
+    """Plot variances against counts on logarithmic axes, with one panel per title."""
     panels = variance_panels(parts, **options)
     return Plot(kind="findings", panels=panels, columns=min(3, len(panels)), wide=len(panels) > 1)
 
@@ -44,9 +44,9 @@ def variance_panels(
     y: str = "variance",
     limits: tuple[float, float] | None = None,
 ) -> tuple[Panel, ...]:
-    """Panels with points, intervals and lines between them, the first lines thickest.
+    """Return panels with points, intervals and lines between them; first lines are thickest.
 
-    Curves of one name look the same in all panels.
+    Curves of the same name look the same in all panels.
     """
     styles = sampler_styles([name for curves in parts.values() for name in curves])
     panels = []
@@ -71,7 +71,7 @@ def variance_panels(
 
 
 def with_interval(value: Any, interval: Any, form: str = ".2f") -> str:
-    """``−1.50 (−1.55 … −1.45)``."""
+    """Format as ``−1.50 (−1.55 … −1.45)``."""
     low, high = np.asarray(interval, np.float64)
     return f"{float(value):{form}} ({low:{form}} … {high:{form}})"
 

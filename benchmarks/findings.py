@@ -1,7 +1,8 @@
-"""The numbers and figures of ``docs/findings``: ``python -m benchmarks findings --plot`` makes both.
+"""Numbers and figures of ``docs/findings``: ``python -m benchmarks findings --plot`` creates both.
 
-Each function prints the numbers of one page, intervals at 95 %, and returns its figures by name.
-With ``--plot`` the lines go to ``docs/findings/numbers.txt`` as well, which is what the pages may quote.
+Each function prints the numbers of one page, with 95 % intervals, and returns its figures by name.
+With ``--plot`` the lines are also written to ``docs/findings/numbers.txt``, from which the pages
+may quote.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ SMOOTH, EDGE = "christensen-gaussian", "half-space(normal=[1, 0.618], offset=0.7
 
 
 def homogenisation() -> Plots:
-    """The six convergence plots, a smooth integrand and one with an edge inside in each."""
+    """Six convergence plots, each with a smooth integrand and one with an interior edge."""
     studies = {
         name: mcs.improve.mirror_study(
             f, "jittered", LARGE, mirrorings=["original", "random", "uniform"],
@@ -73,7 +74,7 @@ def homogenisation() -> Plots:
 
 
 def alignment() -> Plots:
-    """A step's variance against the offset, exact and measured; two edges that no offset serves."""
+    """Variance of a step by offset, exact and measured, and of two edges without a good offset."""
     step, bar = (
         mcs.integrand(s, dims=1) for s in ("step(at=0.3)", "disk(center=0.47, radius=0.27)")
     )
@@ -84,7 +85,8 @@ def alignment() -> Plots:
     )
     least = exact["variance"].squeeze()
     print(
-        f"step, n = 16: n² Var from {256 * float(least.min()):.4f} to {256 * float(least.max()):.4f}"
+        f"step, n = 16: n² Var from {256 * float(least.min()):.4f} to "
+        f"{256 * float(least.max()):.4f}"
     )
     best = mcs.improve.best_alignment(
         bar, "jittered", 16, edges=[0.2, 0.74], realizations=1000, rng=1
@@ -117,7 +119,7 @@ def alignment() -> Plots:
 
 
 def smoothing() -> Plots:
-    """Squared error of a disk against the width of its edge, and the best width of each budget."""
+    """Squared error of a disk by the width of its edge, and the best width for each budget."""
     widths = [0.005, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1, 0.14, 0.2, 0.28]
     d = mcs.improve.smoothing_scan(
         "disk(center=0.47)", "jittered", (64, 256, 1024), [0, *widths], realizations=1000, rng=1
@@ -145,7 +147,7 @@ def smoothing() -> Plots:
 
 
 def remedies() -> Plots:
-    """Remedies of three set-ups: a shift, a jump inside, a slow technique."""
+    """Remedies for three set-ups: a shift, an interior jump, a slow technique."""
     mis = mcs.MultipleImportance(
         mcs.integrand("polynomial(coefficients=[0.5, 0, 1])", dims=1),
         ["uniform", "piecewise-constant(values=[1, 2, 3])"],
@@ -161,8 +163,10 @@ def remedies() -> Plots:
         print(f"{name}: {d.attrs['diagnosis']}")
         for remedy in d["remedy"].values:
             row = d.sel(remedy=remedy)
-            print(f"  {remedy}: error ratio {with_interval(row['error_ratio'], row['error_ratio_ci'], '.3g')}, "
-                  f"rate {with_interval(row['rate'], row['rate_ci'])}, {row['verdict'].item()}")  # fmt: skip
+            print(f"  {remedy}: error ratio "
+                  f"{with_interval(row['error_ratio'], row['error_ratio_ci'], '.3g')}, "
+                  f"rate {with_interval(row['rate'], row['rate_ci'])}, "
+                  f"{row['verdict'].item()}")  # fmt: skip
         print(f"  {d.attrs['answer']}")
         found[name] = d
     return {"remedies": describe("remedies", found)}
@@ -178,11 +182,11 @@ PAGES: dict[str, Callable[[], Plots]] = {
     "warps": warps,
     "remedies": remedies,
 }
-"""What makes the figures of each page."""
+"""Functions that make the figures of each page."""
 
 
 def main(*flags: str) -> None:
-    """Print all numbers; with ``--plot`` save them and the figures."""
+    """Print all numbers; with ``--plot``, also save them and the figures."""
     kept = []
     for page, make in PAGES.items():
         lines = io.StringIO()

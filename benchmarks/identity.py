@@ -1,4 +1,4 @@
-"""dc + power + cross against the sample variance of the truncated estimate, and the slides' pairing."""
+"""dc + power + cross compared with the truncated estimate's variance, and the slides' pairing."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def _one_sided(dims: int) -> mcs.Sampler:
 
 
 def _difference(dims: int, name: str, density: str | None, space: str) -> float:
-    """Relative difference of the sum of the terms and the variance computed by direct summation."""
+    """Relative difference between the sum of the terms and the directly summed variance."""
     f = mcs.Integrand.from_function(lambda x: np.exp(x[..., 0]) * (1 + x.sum(-1) ** 2), dims=dims)
     estimator = mcs.Estimator(f, density)
     sampler = _one_sided(dims) if name == "one-sided" else mcs.sampler(name, dims=dims)
@@ -39,7 +39,7 @@ def _difference(dims: int, name: str, density: str | None, space: str) -> float:
 
 
 def _pairing() -> None:
-    """Print what C_ml and its conjugate predict for points crowded at one side."""
+    """Print the predictions of C_ml and of its conjugate for points crowded at one side."""
     f = mcs.Integrand.from_function(
         lambda x: np.exp(3 * np.cos(2 * np.pi * (x[..., 0] - 0.15))), dims=1
     )

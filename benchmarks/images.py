@@ -1,8 +1,8 @@
-"""Throughput of whole images against stock integrators; the slides' pictures.
+"""Throughput of whole images compared with stock integrators, and the slides' pictures.
 
 ``stock`` is Mitsuba's `direct` integrator with its own independent sampler, at the same number of
-samples. Both sides of each line alternate in the same run. With ``--pictures`` the slides' comparison
-is rendered into the current folder.
+samples. Both sides of each line alternate in the same run. With ``--pictures``, the slides'
+comparison is rendered to the current folder.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SAMPLERS = ("random", "sobol | owen | decorrelate(mode='digital-shift')", "sobol
 
 
 def main(*flags: str) -> None:
-    """Print ratios of throughput: 1 is that of the reference."""
+    """Print ratios of throughput; 1 is the reference."""
     for strategy in STOCK:
         for sampler in SAMPLERS:
             _image(strategy, sampler)
@@ -36,7 +36,7 @@ def main(*flags: str) -> None:
 
 
 def _image(strategy: str, sampler: str) -> None:
-    """Images by a sampler against the stock integrator."""
+    """Time images by a sampler and by the stock integrator."""
     mitsuba, scene = load_mitsuba(), load_scene(SCENE)
     counts = dict(zip(("emitter_samples", "bsdf_samples"), STOCK[strategy], strict=True))
     direct = mitsuba.load_dict({"type": "direct", **counts})

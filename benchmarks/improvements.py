@@ -1,8 +1,8 @@
-"""Changed estimators against plain ones at equal cost, pilots charged: the variance that is left.
+"""Variance of changed estimators over that of plain ones at equal cost, including pilots.
 
-Each budget is 2^14 evaluations, of which 2^11 are the pilot's. Variances are of fresh samples by
-`mcspectra.convergence`; for nets at the largest power of two that fits, for both. What is printed is
-the variance of the change over that of the plain estimator, medians over pilots.
+Each budget is 2^14 evaluations, of which the pilot uses 2^11. Variances come from fresh samples by
+`mcspectra.convergence`. For nets, both variances use the largest power of two that fits. The
+printed ratios are medians over pilots.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def _normal(x: Array) -> Array:
 
 
 def _asian(x: Array) -> Array:
-    """Call on the geometric mean of 16 prices from increments, strike and start 1."""
+    """Call on the geometric mean of 16 prices from increments, with strike and start 1."""
     time = np.arange(1, STEPS + 1) / STEPS
     walk = np.cumsum(_normal(x), axis=-1) / math.sqrt(STEPS)
     mean = (VOLATILITY * walk - 0.5 * VOLATILITY**2 * time).mean(axis=-1)
@@ -49,7 +49,7 @@ def _asian_value() -> float:
 
 
 def problems() -> Iterator[Problem]:
-    """Names, dims, functions, integrals."""
+    """Yield names, dims, functions and integrals."""
     slopes = np.arange(1.0, 6.0) / 5.0
     yield (
         "peak, 3-D",
@@ -71,7 +71,7 @@ def problems() -> Iterator[Problem]:
 
 
 def _variance(estimator: AbstractEstimator, sampler: str, seed: int) -> float:
-    """Of an estimate within the budget, less the pilot."""
+    """Variance of an estimate within the budget, after the pilot."""
     n = (BUDGET - estimator.pilot_evaluations) // estimator.evaluations_per_point
     n = n if sampler == "random" else 1 << (n.bit_length() - 1)
     found = mcs.convergence(estimator, sampler, [n], realizations=REALIZATIONS, rng=seed)
@@ -79,7 +79,7 @@ def _variance(estimator: AbstractEstimator, sampler: str, seed: int) -> float:
 
 
 def main() -> None:
-    """Print ratios, and the largest distance of a mean from the integral in standard errors."""
+    """Print ratios, and the largest deviation of a mean from the integral in standard errors."""
     for problem, dims, f, integral in problems():
         plain = mcs.Estimator(mcs.Integrand.from_function(f, dims=dims, integral=integral))
         given = Setup(plain, mcs.sampler("random", dims=dims))
@@ -98,7 +98,8 @@ def main() -> None:
         for name, rows in found.items():
             expected, random, nets, _ = np.median(rows, axis=0)
             print(
-                f"{problem:20} {name:42} expected × {expected:8.3g}  random × {random:8.3g}  nets × "
+                f"{problem:20} {name:42} expected × {expected:8.3g}  random × {random:8.3g}  nets "
+                "× "
                 f"{nets:8.3g}  bias {max(row[-1] for row in rows):.1f} σ",
                 flush=True,
             )

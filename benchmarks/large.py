@@ -1,6 +1,6 @@
-"""Large analyses: seconds and peak memory of `variance_terms` with bands, each in a process of its own.
+"""Seconds and peak memory of large `variance_terms` with bands, each in its own process.
 
-The memory of a process that only imports what the analysis needs is given beside.
+The memory of a process that only imports the needed modules is also printed.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Case:
     realizations: int
 
     def run(self) -> tuple[float, float]:
-        """Seconds, and the peak resident memory in MB."""
+        """Return seconds, and the peak resident memory in MB."""
         values = (self.dims, self.half_width, self.n, self.realizations)
         command = [sys.executable, "-c", CODE, *map(str, values)]
         out = subprocess.run(command, check=True, capture_output=True, text=True).stdout
@@ -64,7 +64,7 @@ CASES = (
 
 
 def main() -> None:
-    """Print a line for each; memory is to be the same for four times the realizations."""
+    """Print a line for each case; four times the realizations should need the same memory."""
     _, idle = Case(1, 1, 1, 0).run()
     print(f"imports alone {idle:.0f} MB; aim in 2-D ≤ 1000 MB")
     print(f"{'frequencies':>12s} {'pairs':>9s} {'points':>7s} {'realizations':>13s} "

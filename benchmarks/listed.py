@@ -1,4 +1,4 @@
-"""`power_at` listed frequencies, against the sum of all phases in NumPy: one thread."""
+"""`power_at` for listed frequencies, compared with a sum of all phases in NumPy on one thread."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def _real(dims: int, count: int) -> Array:
 
 
 def _subset(dims: int, count: int) -> Array:
-    """Integer frequencies of which three components are not zero."""
+    """Integer frequencies with three nonzero components."""
     generator = np.random.default_rng(1)
     m = np.zeros((count, dims))
     m[:, :3] = generator.integers(1, 9, (count, 3))
@@ -27,7 +27,7 @@ def _subset(dims: int, count: int) -> Array:
 
 
 CASES: tuple[tuple[str, Callable[[int, int], Array], int, int, int], ...] = (
-    # what, list, dims, points, frequencies
+    # label, function for the frequencies, dims, points, number of frequencies
     ("2-D, real", _real, 2, 1024, 2000),
     ("2-D, real", _real, 2, 4096, 4000),
     ("6-D, real", _real, 6, 1024, 2000),
@@ -36,7 +36,7 @@ CASES: tuple[tuple[str, Callable[[int, int], Array], int, int, int], ...] = (
 
 
 def main() -> None:
-    """Print milliseconds a realization, the engine that was taken, and the direct sum's time."""
+    """Print milliseconds per realization, the chosen engine, and the direct sum's time."""
     for what, make, dims, n, count in CASES:
         frequencies = make(dims, count)
         points = mcs.sampler("random", dims=dims).draw(n, realizations=REALIZATIONS, rng=1)

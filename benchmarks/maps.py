@@ -1,11 +1,11 @@
-"""Rate map of Veach's scene against the raw Mitsuba calls for as many samples, in one run.
+"""Rate map of Veach's scene compared with raw Mitsuba calls for the same samples, in one run.
 
-Raw: each of four strategies (light, BSDF and their shares of MIS) is evaluated by itself, in kernels
-of one lane a sample that sum over the samples of a pixel, fed from tables that lie ready, and copied
-to NumPy; no statistics. The map evaluates a technique once for its plain and its weighted estimate,
-in a loop over samples; "kernels alone" are these, without the map's statistics.
-``--full`` maps 256 × 170 pixels, without predictions, against the raw calls alone, which takes minutes;
-otherwise a scaled-down version of the same.
+The raw calls evaluate each of four strategies (light, BSDF and their parts of MIS) separately.
+Their kernels have one lane per sample, sum over the samples of a pixel, and read existing tables.
+The results are copied to NumPy, without statistics. The map evaluates a technique once for its
+plain and its weighted estimate, in a loop over samples. "kernels alone" means these loops without
+the map's statistics. ``--full`` maps 256 × 170 pixels without predictions and compares with the raw
+calls alone, which takes minutes. By default a smaller map is used.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ ROUNDS = 3
 
 
 def main(*flags: str) -> None:
-    """Print the seconds of both, their ratio and the samples a second."""
+    """Print the seconds of both, their ratio, and samples per second."""
     full = "--full" in flags
     size = FULL if full else SMALL
     raw = RawCalls(size)
-    run_map((8, 8), predict_every=1)  # compile
+    run_map((8, 8), predict_every=1)  # compile first
     raw.run(REALIZATIONS // 32)
     works = [
         ("map", lambda: run_map(size)),
@@ -44,7 +44,7 @@ def main(*flags: str) -> None:
             ("kernels alone", raw.loops),
         ]
     seconds = dict.fromkeys([name for name, _ in works], float("inf"))
-    for _ in range(1 if full else ROUNDS):  # alternating: a busy machine slows all
+    for _ in range(1 if full else ROUNDS):  # both alternate, because a busy machine slows both
         for name, work in works:
             start = time.perf_counter()
             work()
@@ -69,7 +69,7 @@ def run_map(size: tuple[int, int], predict_every: int = 0) -> None:
 
 
 class RawCalls:
-    """Mitsuba's calls for all pixels of a grid, first hits and tables made beforehand."""
+    """Mitsuba's calls for all pixels of a grid; first hits and tables are computed beforehand."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         grid = np.stack(np.meshgrid(*map(np.arange, size)), axis=-1).reshape(-1, 2)
@@ -83,7 +83,7 @@ class RawCalls:
         }
 
     def run(self, realizations: int) -> None:
-        """Evaluate each strategy by itself."""
+        """Evaluate each strategy separately."""
         for technique in (sample_light, sample_bsdf):
             for weighted in (False, True):
                 for n, table in self._tables.items():

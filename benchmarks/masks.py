@@ -1,6 +1,7 @@
-"""Predicted error spectra of images beside measured ones, by bands: masks, sets and integrands.
+"""Predicted error spectra of images compared with measured ones: masks, sets and integrands.
 
-``python -m benchmarks masks``: predicted / measured power of four bands of radial frequency, of 64 images.
+``python -m benchmarks masks`` prints predicted / measured power in four bands of radial frequency,
+from 64 images.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ MASKS = ("white", "blue-noise", "r2")
 
 
 def main() -> None:
-    """Print the worst band of each case, and how many bands are within 5 and 10 %."""
+    """Print the worst band of each case, and the number of bands within 5 and 10 %."""
     found = {}
     for mask in MASKS:
         for source in SETS:

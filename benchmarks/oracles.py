@@ -1,4 +1,4 @@
-"""The table of exact variances: formula, stratum quadrature, and simulation with its pull in σ."""
+"""Table of exact variances: formula, stratum quadrature, and simulation with its deviation in σ."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def _rows() -> list[tuple[str, mcs.Estimator | mcs.estimators.TechniqueSum, str,
 
 
 def main() -> None:
-    """Print one row a case."""
+    """Print one row per case."""
     print(f"{'integrand':30s} {'sampler':18s} {'n':>5s} {'formula':>12s} {'quadrature':>12s} "
           f"{'measured':>12s} {'pull/σ':>7s}")  # fmt: skip
     for label, estimator, sampler, n, formula in _rows():
@@ -66,7 +66,8 @@ def main() -> None:
         se = math.log(high / low) / (2 * 1.959964)
         pull = math.log(measured / formula) / se
         print(
-            f"{label:30s} {sampler:18s} {n:5d} {formula:12.6g} {exact:>12s} {measured:12.6g} {pull:+7.2f}"
+            f"{label:30s} {sampler:18s} {n:5d} {formula:12.6g} {exact:>12s} {measured:12.6g} "
+            f"{pull:+7.2f}"
         )
 
 

@@ -1,11 +1,12 @@
-"""Whole paths of five scenes against Mitsuba's own renders, and a map's time over that of as many raw paths.
+"""Whole paths of five scenes compared with Mitsuba's renders, and the time of a map over raw paths.
 
-Every pixel of a film of 8 × 6 with a box filter: the means and variances of 400 estimates of 64 paths by
-`mitsuba.render` and by `variance_map` with random points, by Welch's test of the values and of their
-squared deviations (of the logarithm of the variances, which is nearer to normal), and the variance that all
-bounces make together against 64 times that of the renders. The limit of |t| holds for all tests of the table
-together (Šidák). Then a map of 64 × 64 pixels, path of depth 5, over raw renders of as many paths.
-``--coverage`` prints instead how often the 95 % intervals of shares hold the truth, at six pixels of Cornell's box.
+A film has 8 × 6 pixels with a box filter. `mitsuba.render` and `variance_map` with random points
+each give means and variances of 400 estimates of 64 paths. Welch's test compares the values and
+their squared deviations (by the logarithm of the variances, which is closer to normal). It also
+compares the variance of all bounces together with 64 times the variance of the renders. The limit
+of |t| holds for all tests of the table together (Šidák). Then a map of 64 × 64 pixels with paths of
+depth 5 is timed against raw renders of the same number of paths. ``--coverage`` prints instead how
+often the 95 % intervals of shares contain the truth, at six pixels of Cornell's box.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ from mcspectra.rendering.scenes import as_scene
 from mcspectra.samplers import as_sampler
 
 N, REALIZATIONS, CHAINS = 64, 400, 2000
-LARGEST_SE = 0.2  # relative, of variances that all bounces are held against
-FALSE_ALARM = 0.001  # of one t beyond its limit anywhere in the table
+LARGEST_SE = 0.2  # largest relative standard error of variances that are compared with all bounces
+FALSE_ALARM = 0.001  # probability that any t in the table exceeds its limit by chance
 LUMINANCE = [0.212671, 0.715160, 0.072169]
 SMALL, LARGE = (8, 6), (64, 64)
 COUNTS, MAP_REALIZATIONS = (4, 16, 64), 64
@@ -55,7 +56,7 @@ def main(*flags: str) -> None:
 
 
 def compared(scene: Scene, integrator: str) -> str:
-    """One row: dims, pixels, the largest statistics and the shares of the picture's variance."""
+    """Return one row: dims, pixels, largest statistics, and shares of the picture's variance."""
     theirs = renders(scene, integrator)
     found = variance_map(
         scene, sampler="random", counts=(N // 4, N), realizations=REALIZATIONS, points="own",
@@ -70,7 +71,7 @@ def compared(scene: Scene, integrator: str) -> str:
         means = (found["mean"].values[0] - mean) / np.sqrt((own + variance) / REALIZATIONS)
         both = np.hypot(found["variance_relative_se"].values[0, -1], relative)
         ratio = np.log(own / variance) / both
-        # All bounces together make the variance of one path, where it is known well enough
+        # All bounces together give the variance of one path, where it is precise enough
         path = np.log(whole / (N * variance)) / np.hypot(error / whole, relative)
         told = seen & (error < LARGEST_SE * whole) & (relative < LARGEST_SE)
     weight = weight.where(told)
@@ -86,9 +87,9 @@ def compared(scene: Scene, integrator: str) -> str:
 
 
 def renders(scene: Scene, integrator: str) -> Array:
-    """The luminance of independent renders (R, h, w) by Mitsuba."""
+    """Luminance of independent renders (R, h, w) by Mitsuba."""
     mitsuba = load_mitsuba()
-    import drjit  # after Mitsuba, which says which LLVM
+    import drjit  # Mitsuba must come first, because it chooses the LLVM
 
     loaded, made = load_scene(scene), find_integrator(as_scene(scene), integrator)
     images = [
@@ -99,7 +100,7 @@ def renders(scene: Scene, integrator: str) -> Array:
 
 
 def times() -> dict[str, list[float]]:
-    """Seconds of maps of Cornell's box over those of one raw render of as many paths, in each round."""
+    """Seconds of maps of Cornell's box over those of a raw render of as many paths, by round."""
     mitsuba = load_mitsuba()
     import drjit
 
@@ -124,7 +125,7 @@ def times() -> dict[str, list[float]]:
     ratios: dict[str, list[float]] = {name: [] for name in works}
     for turn in range(
         ROUNDS + 1
-    ):  # neighbors in time: a busy machine slows all; the first one compiles
+    ):  # rounds are adjacent in time, because a busy machine slows all; the first round compiles
         seconds = {}
         for name, work in works.items():
             start = time.perf_counter()
@@ -132,12 +133,12 @@ def times() -> dict[str, list[float]]:
             seconds[name] = time.perf_counter() - start
         for name in works if turn else ():
             ratios[name].append(seconds[name] / seconds["raw"])
-    print(f"{LARGE[0]} × {LARGE[1]} pixels, path of depth 5, {paths} paths a pixel")
+    print(f"{LARGE[0]} × {LARGE[1]} pixels, path of depth 5, {paths} paths per pixel")
     return {name: each for name, each in ratios.items() if name != "raw"}
 
 
 def coverage() -> None:
-    """Print by bounce at how many of 400 trials intervals hold the share that 100,000 chains give."""
+    """Print how often intervals of 400 trials contain the share from 100,000 chains, by bounce."""
     scene = sized(cornell(), (32, 32))
     pixels = np.array([(16, 16), (8, 25), (20, 28), (25, 12), (10, 20), (3, 15)])
 
@@ -162,19 +163,19 @@ def coverage() -> None:
 
 
 def sized(scene: Scene, size: tuple[int, int]) -> Scene:
-    """With a film of this size and the box filter, of which a pixel's mean is an integral."""
+    """Return the scene with this film size and a box filter: a pixel's mean is an integral."""
     film = {"type": "hdrfilm", "width": size[0], "height": size[1], "rfilter": {"type": "box"}}
     return scene | {"sensor": scene["sensor"] | {"film": film}}
 
 
 def cornell() -> Scene:
-    """Mitsuba's Cornell box, to depth 5."""
+    """Return Mitsuba's Cornell box, to depth 5."""
     scene: Scene = dict(load_mitsuba().cornell_box())
     return scene | {"integrator": {"type": "path", "max_depth": 5, "rr_depth": 100}}
 
 
 def fog() -> Scene:
-    """The box with a sphere of rough glass, filled with a medium that scatters."""
+    """Return the box with a sphere of rough glass, filled with a scattering medium."""
     scene, mitsuba = cornell(), load_mitsuba()
     for name in ("small-box", "large-box"):
         del scene[name]
@@ -198,7 +199,7 @@ def fog() -> Scene:
 
 
 def sky() -> Scene:
-    """Rough metal and a plate under a map of a sky with a sun, through a lens and a shutter."""
+    """Return rough metal and a plate under a sky map with a sun, through a lens and a shutter."""
     mitsuba = load_mitsuba()
     place = mitsuba.ScalarTransform4f
     map_ = np.full((16, 32, 3), 0.3, np.float32)

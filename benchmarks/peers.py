@@ -2,17 +2,19 @@
 
 Ten integrands, each with 30 seeds and all methods in one run:
 
-* ``profile``: `mcspectra.profile` of a quarter of the evaluations, then `integrate(profile=…)` of the rest;
-* ``after``: the same with all evaluations after a profile of as many, 8,192 in all, as where a function is
-  integrated again and again;
+* ``profile``: `mcspectra.profile` with a quarter of the evaluations, then `integrate(profile=…)`
+  with the rest;
+* ``after``: the same, but all evaluations follow a profile of equal cost (8,192 in total), for a
+  function that is integrated repeatedly;
 * ``integrate``: `mcspectra.integrate` alone;
 * ``scipy``: 16 scrambled Sobol' sets of SciPy and Student's t;
 * ``net``, ``lattice``: QMCPy's CubQMCNetG and CubBayesLatticeG with all evaluations in one set;
-* ``vegas``: four iterations of an eighth to adapt, four to integrate.
+* ``vegas``: four iterations of one eighth to adapt, four to integrate.
 
-A line gives the RMS error of each method and, in brackets, how many of its intervals hold the integral. A
-peer counts if at least 27 do. The last line says at how many integrands the errors of ``profile`` and ``after`` are at most
-1.2 times that of the best peer that counts.
+A line gives the RMS error of each method and, in brackets, the number of intervals that contain the
+integral. A peer counts if at least 27 do. The last line gives the number of integrands for which
+the errors of ``profile`` and ``after`` are at most 1.2 times the error of the best peer that
+counts.
 """
 
 from __future__ import annotations
@@ -71,7 +73,7 @@ def _keister(x: Array) -> Array:
 
 
 def problems() -> Iterator[tuple[str, Callable[[Array], Array], int, float | None]]:
-    """Name, function, dims and integral; None for one that 2^22 points tell."""
+    """Yield name, function, dims and integral; None if 2^22 points estimate it."""
     oscillatory = np.array([1.0, 0.5, 0.8, 0.3, 0.6])
     yield "Genz oscillatory 5-D", lambda x: np.cos(1.0 + x @ oscillatory), 5, None
     width = 2.0 * (math.atan(1.2) + math.atan(0.8))
@@ -134,7 +136,7 @@ def _qmcpy(kind: str) -> Callable[[Any, int, int], tuple[float, float, float]]:
 def _vegas(f: Any, dims: int, seed: int) -> tuple[float, float, float]:
     import vegas
 
-    np.random.seed(seed)  # noqa: NPY002 - that of vegas
+    np.random.seed(seed)  # noqa: NPY002 - vegas uses this generator
     integrator = vegas.Integrator([[0.0, 1.0 - 2.0**-53]] * dims)
     batch = vegas.lbatchintegrand(lambda x: f(np.asarray(x)))
     integrator(batch, nitn=4, neval=BUDGET // 8)
@@ -144,7 +146,7 @@ def _vegas(f: Any, dims: int, seed: int) -> tuple[float, float, float]:
 
 
 def main(*flags: str) -> None:
-    """Print a line for each integrand; ``--only=TEXT`` takes those with this text in their names."""
+    """Print a line for each integrand; ``--only=TEXT`` selects names that contain the text."""
     only = next((flag.split("=", 1)[1] for flag in flags if flag.startswith("--only=")), "")
     warnings.simplefilter("ignore")
     methods = {
@@ -179,7 +181,8 @@ def main(*flags: str) -> None:
         cells = "  ".join(f"{m} {errors[m]:.2g} ({holds[m]})" for m in methods)
         print(f"{name:24} {cells}  ratios {ratios[0]:.2g}, {ratios[1]:.2g}", flush=True)
     print(
-        f"at most {WITHIN} times the best peer: {good[0]} and, after a profile, {good[1]} of {count}"
+        f"at most {WITHIN} times the best peer: {good[0]} and, after a profile, {good[1]} of "
+        f"{count}"
     )
 
 

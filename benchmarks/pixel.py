@@ -1,7 +1,8 @@
-"""Throughput of a pixel as an integrand against the same Mitsuba kernels without our checks.
+"""Throughput of a pixel as an integrand compared with the same Mitsuba kernels without our checks.
 
-Raw calls: the same points of NumPy in, as float32, the same light or BSDF sampling of Mitsuba in one
-kernel, its float32 values out to NumPy. Both take the same million samples, in turn.
+The raw calls pass the same NumPy points as float32 to the same light or BSDF sampling of Mitsuba in
+one kernel, and return its float32 values to NumPy. Both sides use the same million samples, in
+turn.
 """
 
 from __future__ import annotations
@@ -24,20 +25,21 @@ PLACE: dict[str, Any] = {"scene": "veach", "x": 568, "y": 100, "light": "light-3
 
 
 def main() -> None:
-    """Print samples a second and the ratio of raw time to ours for light and BSDF sampling."""
+    """Print samples per second, and raw time over ours, for light and BSDF sampling."""
     u = np.random.default_rng(1).random((SAMPLES, 2))
     for strategy in ("light", "bsdf"):
         pixel = Pixel(**PLACE, strategy=strategy)
         ours, raw, times = compare(partial(pixel, u), partial(raw_call, strategy, u))
         verdict = "met" if 1.0 / times >= LEAST else "missed"
         print(
-            f"{strategy:6s} ours {SAMPLES / ours / 1e6:5.1f} M/s  raw {SAMPLES / raw / 1e6:5.1f} M/s  "
+            f"{strategy:6s} ours {SAMPLES / ours / 1e6:5.1f} M/s  raw {SAMPLES / raw / 1e6:5.1f} "
+            "M/s  "
             f"ratio {1.0 / times:.2f} (at least {LEAST}: {verdict})"
         )
 
 
 def raw_call(strategy: str, u: Array) -> Array:
-    """Values at samples (M, 2), as Mitsuba gives them."""
+    """Mitsuba's values at samples (M, 2)."""
     mitsuba = load_mitsuba()
     with LOCK:
         hit = primary_hit(load_scene(PLACE["scene"]), PLACE["x"], PLACE["y"])

@@ -1,14 +1,15 @@
-"""Predicted variances against precise measured ones: how many are right, and whether intervals cover.
+"""Predicted variances compared with precise measured ones: accuracy and coverage of intervals.
 
-Each row is a sampler in a group of problems; each of its cells a problem at a count. A cell counts as
-right where predicted/measured is within 5 %, or within two standard errors of the measurement, whose
-interval covers where the difference is within both intervals together. Predictions see no sample of f at
-the sampler's points; measurements have at least 1,000 realizations. ``--group=2-D`` takes one group,
-``--group=new`` those whose names begin with "new".
+Each row is a sampler in a group of problems; each of its cells is a problem at a count. A cell is
+right if predicted/measured is within 5 %, or within two standard errors of the measurement. Its
+interval covers if the difference lies within both intervals together. Predictions evaluate no
+sample of f at the sampler's points; measurements have at least 1,000 realizations. ``--group=2-D``
+selects one group, ``--group=new`` all groups whose names begin with "new".
 
-New groups have every sampler that is drawn fast under an offset (shift, strata-shift, digital-shift),
-problems in 4 to 8 dims, and unbounded ones. References are 20,000 realizations or, where the moments of
-estimates are unbounded, sums over strata and pairs of points of integrals in closed form (`Unbounded`).
+New groups have every fast sampler with an offset (shift, strata-shift, digital-shift), problems in
+4 to 8 dims, and unbounded ones. References are measured with 20,000 realizations. If the moments of
+estimates are unbounded, references come from closed-form integrals, summed over strata and pairs of
+points (`Unbounded`).
 """
 
 from __future__ import annotations
@@ -28,29 +29,29 @@ from mcspectra.core.checks import Array
 from mcspectra.estimators.moments import rounding_floor
 
 WITHIN, AT_MOST = 0.05, 0.2
-"""Relative errors of predictions that count as right, and that none may exceed."""
+"""Relative error below which a prediction is right, and the largest allowed relative error."""
 
 REALIZATIONS = 10_000
-"""Of measurements: relative standard errors of about 1.4 % where the estimates are normal."""
+"""Realizations of measurements: relative standard error about 1.4 % for normal estimates."""
 
-_DEAR = {"bnot": 2000, "poisson-disk": 4000}  # realizations of samplers that take long
+_DEAR = {"bnot": 2000, "poisson-disk": 4000}  # realizations of slow samplers
 
 
 NEW_REALIZATIONS = 20_000
-"""Of measurements in new groups: relative standard errors of about 1 %."""
+"""Realizations of measurements in new groups: relative standard error about 1 %."""
 
 MOST_MISSED = 4.0
-"""Standard errors, of reference and prediction together, by which no prediction may miss."""
+"""Largest allowed error of a prediction, in standard errors of reference and prediction."""
 
 
 @dataclass(frozen=True)
 class Group:
-    """Problems that are tried with the same samplers and counts.
+    """Problems that are tested with the same samplers and counts.
 
     Attributes
     ----------
     realizations
-        Of each measurement.
+        Realizations of each measurement.
     """
 
     problems: Sequence[Any]
@@ -61,9 +62,10 @@ class Group:
 
 @dataclass(frozen=True)
 class Tail:
-    """An unbounded function h of one variable, with its integral from 0 to u and that of its square.
+    """An unbounded function h of one variable, with the integrals of h and h² from 0 to u.
 
-    `even`: h(1 − u) = h(u), so that values next to 1 can be found from the precise distance to 1.
+    `even` means h(1 − u) = h(u), so that values near 1 can be computed from the precise distance to
+    1.
     """
 
     h: Callable[[Array], Array]
@@ -77,13 +79,13 @@ class Tail:
         return float(self.integral_to(np.array([1.0]))[0])
 
     def stratum_means(self, s: int, offset: float = 0.0) -> Array:
-        """Means over s strata of the torus that start at `offset` strata."""
+        """Means over s strata of the torus whose first stratum starts at `offset` strata."""
         ends = (np.arange(s + 1) + offset % 1.0) / s
         whole = self.integral_to(np.minimum(ends, 1.0)) + self.integral_to(np.maximum(ends - 1, 0))
         return np.asarray(s * np.diff(whole))
 
     def between(self, s: int, offset: float | None = 0.0) -> float:
-        """Mean square of the means over strata; None is the mean over all offsets."""
+        """Mean square of the means over strata; None averages over all offsets."""
         if offset is not None:
             return float(np.mean(self.stratum_means(s, offset) ** 2))
         nodes, weights = _ends_rule()
@@ -94,7 +96,7 @@ class Tail:
         nodes, weights = _ends_rule()
         k, half = np.arange(n)[:, None], n // 2
         if self.even:
-            # The upper half of the grid, reflected: 1 − (k + t)/n = (n − 1 − k + 1 − t)/n
+            # Reflect the upper half of the grid: 1 − (k + t)/n = (n − 1 − k + 1 − t)/n
             low = nodes[: len(nodes) // 2]
             reflected = np.concatenate([1.0 - low, low])
             x = np.concatenate([k[:half] + nodes, k[: n - half] + reflected]) / n
@@ -114,7 +116,7 @@ def _ends_rule() -> tuple[Array, Array]:
 
 
 def _student(u: Array) -> Array:
-    """|t|, t the quantile of Student's law with 3 degrees of freedom."""
+    """|t|, where t is the quantile of Student's t with 3 degrees of freedom."""
     return np.asarray(np.abs(stdtrit(3.0, u)))
 
 
@@ -126,7 +128,7 @@ def _student_to(u: Array) -> Array:
 
 
 def power_tail(a: float) -> Tail:
-    """u^−a, 0 < a < 1/2."""
+    """u^−a with 0 < a < 1/2."""
     return Tail(lambda u: u**-a, lambda u: u ** (1.0 - a) / (1.0 - a), 1.0 / (1.0 - 2.0 * a))
 
 
@@ -141,7 +143,7 @@ TAILS = {
 
 
 class Unbounded:
-    """A sum or a product of one unbounded function of each axis, whose variances are known."""
+    """A sum or product of one unbounded function per axis, whose variances are known."""
 
     def __init__(self, tail: str, dims: int, *, product: bool = False) -> None:
         self.tail, self.dims, self.product, h = TAILS[tail], dims, product, TAILS[tail].h
@@ -158,7 +160,7 @@ class Unbounded:
         self.spec = f"Unbounded({tail!r}, {dims}{how}).estimator"
 
     def variance(self, sampler: str, n: int) -> float:
-        """The exact variance of the mean over n points."""
+        """Exact variance of the mean over n points."""
         h, d = self.tail, self.dims
         base, _, step = sampler.partition(" | ")
         offset: float | None = None if step == "shift" else 0.0
@@ -168,7 +170,7 @@ class Unbounded:
         starts = [offset] * d
         if step == "strata-shift":
             starts = [0.5 * n ** (-1.0 / d) * s for s in sides]
-        # Strata, Latin hypercubes and scrambled nets have one law of pairs on each axis
+        # For strata, Latin hypercubes and scrambled nets, pairs have one distribution on each axis
         if not self.product:
             if base == "random":
                 return d * (h.square - h.mean**2) / n
@@ -195,13 +197,14 @@ class Unbounded:
         cells = np.rint(points * n).astype(np.int64)
         total = 0.0
         for i in range(n):
-            apart_bits = np.frexp((cells ^ cells[i]).astype(float))[1]  # bits below the agreement
+            # bits below the common prefix
+            apart_bits = np.frexp((cells ^ cells[i]).astype(float))[1]
             total += float(of_level[levels - apart_bits].prod(axis=-1).sum())
         return total / n**2 - float(h.mean ** (2 * d))
 
 
 def groups() -> dict[str, Group]:
-    """Return what is tried; scenes are left out where Mitsuba is not installed."""
+    """Return the tested groups; scenes are skipped if Mitsuba is not installed."""
     counts = (16, 64, 256, 1024, 4096)
 
     def functions(dims: int, *specs: str) -> list[Any]:
@@ -289,7 +292,7 @@ def groups() -> dict[str, Group]:
     else:
         found["pixels"] = Group(pixels, ("random", "jittered | shift", "sobol | owen"), counts[:-1])
 
-    # New: offsets in 2-D, of all samplers that are drawn fast
+    # New: offsets in 2-D for all fast samplers
     many = NEW_REALIZATIONS
     rotated, disk = (
         formula("exp(-9*(x0+x1-0.7)**2-2*(x0-x1)**2)", 2),
@@ -382,7 +385,7 @@ IN_MANY_DIMS = (
 
 
 def measure(group: Group, sampler: str) -> tuple[tuple[int, ...], Array, Array]:
-    """Counts (N,), reference variances (problems, N) and their standard errors; all of one dims."""
+    """Counts (N,), reference variances (problems, N) and their standard errors; equal dims."""
     many = _DEAR.get(sampler.partition(" ")[0], group.realizations)
     variances, errors, counts = [], [], ()
     for problem in group.problems:
@@ -402,7 +405,7 @@ def measure(group: Group, sampler: str) -> tuple[tuple[int, ...], Array, Array]:
 
 @dataclass
 class Tally:
-    """Cells of one group, or of all."""
+    """Statistics of the cells of one group, or of all groups."""
 
     cells: int = 0
     right: int = 0
@@ -411,7 +414,7 @@ class Tally:
     missed: float = 0.0
 
     def add(self, right: Array, near: Array, covered: Array, missed: Array) -> None:
-        """Count cells (problems, N), and keep the worst in standard errors."""
+        """Count cells (problems, N), and keep the largest miss in standard errors."""
         self.cells += right.size
         self.right += int(right.sum())
         self.near += int(near.sum())
@@ -431,7 +434,8 @@ def main(*flags: str) -> None:
     totals: dict[str, Tally] = {}
     all_of = Tally()
     print(
-        "group        sampler                   cells  right  ≤ 20 %  covered  s a cell  worst    se"
+        "group        sampler                   cells  right  ≤ 20 %  covered  s a cell  "
+        "worst    se"
     )
     for name, group in groups().items():
         if only and not name.startswith(only):
@@ -448,14 +452,14 @@ def main(*flags: str) -> None:
             value = np.array([each["predicted_variance"].to_numpy().reshape(-1) for each in found])
             bounds = np.array([each["predicted_variance_ci"].to_numpy() for each in found])
             bounds = bounds.reshape(*value.shape, 2)
-            # Where neither finds more than rounding, they agree
+            # Values at rounding level count as equal
             size = np.array([[1.0 + abs(float(np.max(p.integral)))] for p in problems])
             none = np.isnan(value) & (measured <= rounding_floor(size))
             value = np.where(none, measured, value)
             bounds = np.where(none[..., None], measured[..., None], bounds)
             methods = [np.broadcast_to(_methods(each), value.shape[1:]) for each in found]
 
-            # Relative to the measured value, whose own error is allowed for
+            # Errors relative to the measured value, minus its own error
             off = np.abs(value / measured - 1.0)
             noise = error / measured
             right = (off <= WITHIN) | (off <= 2.0 * noise)
@@ -498,7 +502,7 @@ def main(*flags: str) -> None:
 
 
 def _call(problem: Any, sampler: str, n: int) -> str:
-    """The call that makes a prediction again."""
+    """Return the call that repeats a prediction."""
     if isinstance(problem, Unbounded):
         made = problem.spec
     elif isinstance(problem, mcs.Estimator):

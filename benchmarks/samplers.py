@@ -1,6 +1,7 @@
-"""Samplers against a reference in the same run: NumPy's random numbers, SciPy's and QMCPy's sets.
+"""Samplers compared in the same run with NumPy's random numbers, and SciPy's and QMCPy's sets.
 
-2-D, 2^16 points, one thread, unless said. Points a second and the reference's time over ours.
+By default 2-D, 2^16 points, one thread. Prints points per second, and the reference's time over
+ours.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ AGAINST_NUMPY = {
     "rank1-lattice(vector=[1, 19463]) | shift": "",
     "kronecker | shift": "",
 }
-"""Spec and the least ratio that is wanted."""
+"""Specs with the smallest ratio wanted."""
 
 
 def main() -> None:
@@ -107,7 +108,7 @@ def _against_scipy() -> None:
 
 
 def _poisson_disk(qmc: Any, generator: np.random.Generator) -> None:
-    """SciPy fills the square at the radius that ours has at 1024 points; time for each point."""
+    """Let SciPy fill the square at the radius of our 1024 points; compare the time per point."""
     from scipy.spatial.distance import pdist
 
     ours = _drawn("poisson-disk(boundary='bounded')", 1024)
@@ -120,7 +121,8 @@ def _poisson_disk(qmc: Any, generator: np.random.Generator) -> None:
     seconds, reference, _ = compare(ours, theirs, rounds=5)
     ratio = (reference / np.mean(filled)) / (seconds / 1024)
     print(
-        f"{'poisson-disk, 1024 points':42s} {1.024e-3 / seconds:8.2f} M points/s, SciPy's time over "
+        f"{'poisson-disk, 1024 points':42s} {1.024e-3 / seconds:8.2f} M points/s, SciPy's "
+        "time over "
         f"ours {ratio:.3g} a point, same radius (aim 300)"
     )
 
@@ -138,7 +140,7 @@ def _against_qmcpy() -> None:
 
 
 def _alone() -> None:
-    """What has no reference: a rate, and seconds for an optimized set that is not cached."""
+    """Samplers without a reference: a rate, and seconds for an optimized set that is not cached."""
     for spec, n, aim in (("pmj02", COUNT, "5 M points/s"), ("bnot", 1024, "5 s")):
         sampler = mcs.sampler(spec, dims=2)
         draw = getattr(sampler, "_optimize", None)
@@ -152,7 +154,8 @@ def _alone() -> None:
                 draw(n, keys[0], lambda _: None)
             best = min(best, time.perf_counter() - start)
         print(
-            f"{f'{spec}, {n} points':42s} {n / best / 1e6:8.4f} M points/s, {best:.3g} s (aim {aim})"
+            f"{f'{spec}, {n} points':42s} {n / best / 1e6:8.4f} M points/s, {best:.3g} s (aim "
+            f"{aim})"
         )
 
 

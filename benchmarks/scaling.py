@@ -1,8 +1,8 @@
 """Scaling of studies: overhead of tasks, cells and workers, efficiency, memory, a million cells.
 
-Parts by name: ``python -m benchmarks.scaling tasks workers``; all but ``million``, which takes minutes and
-2 GB of disk, without. Wall times depend on what else the machine does, processor times hardly; both are
-printed.
+Parts by name: ``python -m benchmarks.scaling tasks workers``. Without names, it runs all except
+``million``, which takes minutes and 2 GB of disk. Wall times depend on other load of the machine,
+but processor times hardly do; both are printed.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ dims = 1
 
 
 def main(*names: str) -> None:
-    """Run the parts that are named, or all."""
+    """Run the named parts, or all."""
     parts: dict[str, Callable[[], None]] = {
         "tasks": tasks,
         "cells": cells,
@@ -72,15 +72,15 @@ def main(*names: str) -> None:
 
 
 def tasks() -> None:
-    """What a task costs beyond its computation: one cell of thousands of chunks that take no time."""
+    """Overhead of a task: one cell of thousands of chunks that take no time."""
     for count in (10_000, 40_000):
         with _timed(f"{count:,} one-block tasks through schedule, thread and merge", count):
             _drive_many(count)
 
 
 def cells() -> None:
-    """What a cell costs beyond its computation: its plan, its schedule and its row of the ledger."""
-    count = 3000  # more than a run writes as a store at its end
+    """Overhead of a cell: its plan, its schedule and its row of the ledger."""
+    count = 3000  # more cells than a run writes as a store at its end
     with _timed(f"decode and plan {count:,} short cells", count):
         plan = make_plan(_study(count), Path())
     plan.cells[0].compute(0)  # import and compile
@@ -95,7 +95,7 @@ def cells() -> None:
 
 
 def million(count: int = 10**6) -> None:
-    """A study of a million cells: its plan, its ledger, its status, a cell of it, and memory."""
+    """A study of a million cells: its plan, ledger, status, one cell, and memory."""
     samplers = ("random", "jittered", "halton", "sobol", "latin-hypercube")
     samplers += tuple(f"{name} | shift" for name in samplers)
     with _timed(f"decode {count:,} cells"):
@@ -136,11 +136,11 @@ def _record(
         for path, (payload, scalars) in zip(paths, payloads, strict=True):
             ledger.finish(path, payload, scalars)
     size = (folder / LEDGER_NAME).stat().st_size
-    print(f"{size / count:.0f} bytes of the ledger a cell, {size / 1e6:.0f} MB")
+    print(f"{size / count:.0f} bytes of ledger per cell, {size / 1e6:.0f} MB")
 
 
 def workers() -> None:
-    """What a worker costs: its start, and the first task in it."""
+    """Overhead of a worker: its start, and its first task."""
     config = _study(16)
     for count in (1, 2):
         with _timed(f"16 short cells on {count} worker processes, their start included"):
@@ -152,7 +152,7 @@ def workers() -> None:
 
 
 def efficiency() -> None:
-    """Time with one worker over that with w, divided by w, of tasks that sleep."""
+    """Time with one worker over that with w, divided by w, for tasks that sleep."""
     config = _study(64)
     one = None
     for count in (1, 2, 4, 8):
@@ -167,7 +167,7 @@ def efficiency() -> None:
 
 
 def memory() -> None:
-    """Memory of the command while a study of ten thousand cells goes on."""
+    """Memory of the command during a study of ten thousand cells."""
     count = 10_000
 
     def told(progress: Progress) -> None:
@@ -179,7 +179,7 @@ def memory() -> None:
 
 
 def _print_memory(when: str) -> None:
-    """Memory of this process now, and at most so far."""
+    """Print the current and the peak memory of this process."""
     now = int(Path("/proc/self/statm").read_text().split()[1]) * resource.getpagesize()
     most = 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     print(f"{when}: {now / 1e6:.0f} MB, {most / 1e6:.0f} MB at most", flush=True)
@@ -187,7 +187,7 @@ def _print_memory(when: str) -> None:
 
 @dataclass
 class _Count:
-    """How many blocks there were."""
+    """Number of blocks."""
 
     blocks: SUM
 
@@ -209,7 +209,7 @@ class _Blocks(Analysis, frozen=True, kw_only=True):
 
 
 class _Nothing:
-    """Records of a study that has none and keeps none."""
+    """Records of a study that stores nothing."""
 
     def tasks(self, path: str) -> list[Any]:  # noqa: ARG002
         return []
@@ -230,7 +230,7 @@ def _drive_many(count: int) -> None:
 
 
 class Napping:
-    """Threads whose tasks take so many seconds and hardly any processor."""
+    """Threads whose tasks take `seconds` and almost no processor time."""
 
     def __init__(self, workers: int, seconds: float) -> None:
         self._threads = Threads(workers)
@@ -262,9 +262,9 @@ def _run(config: StudyConfig, engine: MakeExecutor) -> None:
 
 
 def _processor() -> float:
-    """Processor seconds of this process and of those that it began; of theirs, those that have ended.
+    """Processor seconds of this process, and of its child processes that have ended.
 
-    Workers are forked by a process that stays, and have ended when a study has.
+    A permanent process forks the workers; they have ended when a study has ended.
     """
     used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     running = (each.cpu_times() for each in psutil.Process().children())

@@ -1,16 +1,18 @@
-"""Settings of algorithms: how many cases are right with half, with one and with two times each value.
+"""Settings of algorithms: number of right cases at half, once and twice each value.
 
-Without a flag: `CauseSettings` and its parts. The cases are those of the benchmark ``battery``, whose first cause is
-known, and those of the tests of `profile`, with two seeds and 8,192 evaluations each. Poles |A(x − c)|^−a of known
-order and rank are cases of `PoleSettings`. ``--NAME`` measures one setting.
+Without a flag it tests `CauseSettings` and its parts. The cases are those of the benchmark
+``battery``, whose first cause is known, and those of the tests of `profile`, with two seeds and
+8,192 evaluations each. Poles |A(x − c)|^−a of known order and rank are cases of `PoleSettings`.
+``--NAME`` measures one setting.
 
-``--rates``: `CurveSettings`, with five functions whose rate with scrambled nets is known: root mean square error of
-rates, share of intervals that hold the rate, and mean half width.
+``--rates`` tests `CurveSettings` with five functions whose rate with scrambled nets is known: root
+mean square error of rates, fraction of intervals that contain the rate, and mean half width.
 
-``--chains``: `ChainSettings`, with chains of 500 to 2,000 draws that have one known fault or none.
+``--chains`` tests `ChainSettings` with chains of 500 to 2,000 draws that have one known fault or
+none.
 
-``--stages``: `StageSettings`, with 150 searches for a variance to 10 %: mean number of realizations, root mean
-square of the true relative error, and mean number of stages.
+``--stages`` tests `StageSettings` with 150 searches for a variance to 10 %: mean number of
+realizations, root mean square of the true relative error, and mean number of stages.
 """
 
 from __future__ import annotations
@@ -36,7 +38,7 @@ from mcspectra.measure.converge import STAGE_SETTINGS, MomentsCell, StageSetting
 
 SEEDS = 2
 NESTED = ("lines", "poles", "curves")
-# Settings that `Evidence.of` reads; all others change the detectors only
+# Settings that `Evidence.of` uses; all others affect only the detectors
 EVALUATING = {
     *("nets", "more_from", "lines_share", "check_share", "given_share", "pole_share"),
     *("dimension_share", "again", "same_value", "climbed", "many_dims"),
@@ -57,11 +59,11 @@ POLES = (
 
 
 def all_cases() -> Iterator[tuple[mcs.Estimator, mcs.Sampler, tuple[str, ...]]]:
-    """Estimators with their samplers and the causes that may be named first."""
+    """Estimators with their samplers and the causes that may come first."""
     from tests.profiler.test_profile import FUNCTIONS
 
     def shaped(case: Case) -> Any:
-        """A function of points (…, d), from one of points (k, d)."""
+        """Convert a function of points (k, d) to one of points (…, d)."""
         return lambda x: np.asarray(case.f(x.reshape(-1, case.dims))).reshape(x.shape[:-1])
 
     for case in cases():
@@ -75,12 +77,12 @@ def all_cases() -> Iterator[tuple[mcs.Estimator, mcs.Sampler, tuple[str, ...]]]:
 
 
 def is_right(seen: Evidence, causes: tuple[str, ...]) -> bool:
-    """Whether the first cause is one of those expected."""
+    """Whether the first cause is an expected one."""
     return causes_of(seen)[0].name in causes
 
 
 def poles_right(settings: PoleSettings) -> int:
-    """Number of poles whose exponent is right to 0.02 and whose rank and place are right."""
+    """Number of poles with an exponent right to 0.02 and the right rank and place."""
     right = 0
     for matrix, order, rank, border in POLES:
         place = np.zeros(matrix.shape[1]) if border else 0.3 + 0.1 * np.arange(matrix.shape[1])
@@ -109,7 +111,7 @@ def changed(settings: Any, name: str, factor: float) -> Any:
 
 
 def variants() -> Iterator[tuple[str, str, list[CauseSettings]]]:
-    """Class and name of each setting, with the settings for half and double of its value."""
+    """Class and name of each setting, with the settings for half and twice its value."""
     for part in ("", *NESTED):
         own = getattr(CAUSE_SETTINGS, part) if part else CAUSE_SETTINGS
         for field in fields(own):
@@ -122,7 +124,7 @@ def variants() -> Iterator[tuple[str, str, list[CauseSettings]]]:
 
 
 def faulty_chains() -> dict[str, tuple[str, list[Array]]]:
-    """Chains (chain, draw) by kind, with the cause that should be named."""
+    """Chains (chain, draw) by type, with the expected cause."""
     rng = np.random.default_rng(5)
 
     def ar(rho: float, chains: int, n: int) -> Array:
@@ -176,7 +178,7 @@ def chains() -> None:
     groups = faulty_chains()
 
     def right(settings: ChainSettings) -> str:
-        """Numbers of chains whose cause, or evidence, is the one expected."""
+        """Numbers of chains with the expected cause or evidence."""
         counts = {}
         for name, (wanted, group) in groups.items():
             found = [quantity_error(x, np.ones(x.shape), settings) for x in group]
@@ -193,7 +195,7 @@ def chains() -> None:
 
 
 def rates() -> None:
-    """Print a line for each setting that rates depend on."""
+    """Print a line for each setting that affects rates."""
     functions: tuple[tuple[Any, int, float], ...] = (
         (lambda x: np.exp(x[..., 0]), 1, -3.0),
         (lambda x: np.abs(x[..., 0] - 0.3), 1, -3.0),
@@ -222,7 +224,7 @@ def rates() -> None:
 
 
 def stages() -> None:
-    """Print a line for each setting of stages and law of the estimates."""
+    """Print a line for each setting of stages and each distribution of the estimates."""
     estimator = mcs.Estimator("linear", dims=1)
     cell = MomentsCell((estimator,), mcs.sampler("random", dims=1), 1, Stream.from_rng(0))
 
@@ -258,7 +260,7 @@ def stages() -> None:
 
 
 def main(*only: str) -> None:
-    """Print a line for each setting; ``--NAME`` chooses one."""
+    """Print a line for each setting; ``--NAME`` selects one."""
     others = {("--rates",): rates, ("--chains",): chains, ("--stages",): stages}
     if only in others:
         others[only]()

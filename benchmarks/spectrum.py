@@ -1,6 +1,6 @@
-"""Expected power of 4096 points on 512² frequencies, against one plain complex FFT of that size.
+"""Expected power of 4096 points on 512² frequencies, compared with one complex FFT of that size.
 
-Our grids hold m and −m: 513² frequencies, −256 … 256, where the FFT has 512², −256 … 255.
+Our grids contain m and −m: 513² frequencies, −256 … 256; the FFT has 512², −256 … 255.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from benchmarks.timing import compare
 from mcspectra.spectra.transforms import FrequencyGrid, Transform, direct_sum
 
 POINTS, HALF_WIDTH, REALIZATIONS = 4096, 256, 8
-CHOSEN = 64  # realizations of the spectrum whose accuracy is chosen by its statistical error
+CHOSEN = 64  # realizations of the spectrum whose accuracy follows its statistical error
 
 
 def main() -> None:
-    """Print milliseconds, the ratio, and the error against the direct sum."""
+    """Print milliseconds, the ratio, and the error compared with the direct sum."""
     grid = FrequencyGrid(2, HALF_WIDTH)
     transform = Transform(grid, POINTS)
     points = mcs.sampler("jittered", dims=2).draw(POINTS, realizations=REALIZATIONS, rng=1)
@@ -53,13 +53,15 @@ def main() -> None:
     exact = mcs.power_spectrum("jittered", POINTS, eps=1e-12, **given)
     off = (abs(fast["power"] - exact["power"]) / exact["power_se"]).where(exact["power_se"] > 0)
     print(
-        f"its largest error in standard errors (eps {fast.attrs['eps']:.0e}): {float(off.max()):.1e}"
+        f"its largest error in standard errors (eps {fast.attrs['eps']:.0e}): "
+        f"{float(off.max()):.1e}"
     )
     got = transform.coefficients(points[:2])
     chosen = np.random.default_rng(1).choice(grid.stored, 2000, replace=False)
     exact = direct_sum(points[:2], grid.indices()[chosen])
     print(
-        f"largest error of 2 × 2000 coefficients:        {abs(got[:, chosen] - exact).max():.1e} of the peak"
+        "largest error of 2 × 2000 coefficients:        "
+        f"{abs(got[:, chosen] - exact).max():.1e} of the peak"
     )
 
 

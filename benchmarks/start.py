@@ -1,4 +1,4 @@
-"""What a person waits for first: the import, the help, a part shown in a notebook, an estimator made."""
+"""Times that a user waits for first: import, help, a component in a notebook, a new estimator."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 
 def main() -> None:
-    """Print medians of 10 processes beside bare Python, and medians of 5 calls in this one."""
+    """Print medians of 10 processes and of bare Python, and medians of 5 calls in this process."""
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     for label, arguments in (
         ("bare python", ["-c", "pass"]),
@@ -30,7 +30,7 @@ def main() -> None:
     import mcspectra as mcs
     from mcspectra.report.reprs import component_html
 
-    # The parts registered without parameters; the slowest is named
+    # Use components that are registered without parameters, and name the slowest
     shown = {}
     for make, names in (
         (mcs.sampler, mcs.samplers.SAMPLERS),
@@ -50,7 +50,7 @@ def main() -> None:
 
 
 def _seconds(call: Callable[[], object]) -> float:
-    """Median of 5 calls, the first left out: it compiles."""
+    """Median of 5 calls after a first one, which compiles."""
     call()
     found = []
     for _ in range(5):

@@ -1,11 +1,11 @@
-"""Studies: what a cell costs beyond its own time, and what two workers gain.
+"""Studies: overhead of a cell, and speedup by two workers.
 
-Overhead: cells of about half a second through tasks and ledger, against a bare loop over the
-same cells. Efficiency: time with one worker over that with w, divided by w; for tasks that sleep, which
-shows what the scheduling costs, and for real ones, which share Python's lock (threads) and a memory bus.
-What two processors of the machine give at most is shown by two processes that loop over half of the
-cells each, without a study. Of times that vary, the shortest of some rounds is taken, in which all
-take turns.
+Overhead compares cells of about half a second, run through tasks and ledger, with a bare loop over
+the same cells. Efficiency is the time with one worker over that with w, divided by w. Tasks that
+sleep show the cost of scheduling. Real tasks also share Python's lock (threads) and a memory bus.
+Two processes that each loop over half of the cells, without a study, show the most that two
+processors of the machine can give. If times vary, the shortest of several rounds is used, in which
+all methods take turns.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from mcspectra.studies.executors import Cluster, Dask, Threads
 from mcspectra.studies.run import MakeExecutor
 
 SECONDS = 0.5
-LONG = 1.5  # seconds of a cell of a study for which it is worth starting processes
+LONG = 1.5  # seconds of a cell for which starting processes is worthwhile
 ROUNDS = 3
 CELLS = 16
 STUDY = """
@@ -43,7 +43,7 @@ grid = { width = [WIDTHS] }
 
 
 def study(realizations: int) -> StudyConfig:
-    """A study of equal cells."""
+    """Return a study of equal cells."""
     widths = ", ".join(f"{0.2 + 0.01 * i:.2f}" for i in range(CELLS))
     config = decode_study(STUDY.replace("WIDTHS", widths))
     table = msgspec.structs.replace(config.analyses["convergence"], realizations=realizations)
@@ -51,9 +51,9 @@ def study(realizations: int) -> StudyConfig:
 
 
 def calibrated(seconds: float) -> StudyConfig:
-    """The study with as many realizations as take `seconds` in a cell."""
+    """Return the study with the number of realizations that takes `seconds` per cell."""
     few = 20_000
-    _loop(study(few))  # compile
+    _loop(study(few))  # compile first
     each = min(_loop(study(few)) for _ in range(ROUNDS)) / CELLS
     return study(max(2, round(few * seconds / each)))
 
@@ -64,8 +64,9 @@ def main() -> None:
     rounds = [(_loop(real), _run(real, _threads(1))) for _ in range(ROUNDS)]
     loop, run = min(rounds, key=lambda pair: pair[1] / pair[0])
     print(
-        f"{CELLS} cells of {loop / CELLS:.2f} s: bare loop {loop:.2f} s, study {run:.2f} s, overhead "
-        f"{run / loop - 1:+.1%} ({1e3 * (run - loop) / CELLS:.0f} ms a cell)"
+        f"{CELLS} cells of {loop / CELLS:.2f} s: bare loop {loop:.2f} s, study {run:.2f} s, "
+        "overhead "
+        f"{run / loop - 1:+.1%} ({1e3 * (run - loop) / CELLS:.0f} ms per cell)"
     )
     naps = study(2)
     one = _run(naps, _napping(1))
@@ -76,7 +77,7 @@ def main() -> None:
 
 
 def _print_real(config: StudyConfig, rounds: int) -> None:
-    """Efficiencies of two workers on real cells, and of the machine."""
+    """Print efficiencies of two workers on real cells, and of the machine."""
     works: dict[str, Callable[[], float]] = {
         "bare": lambda: _loop(config),
         "two": lambda: _side_by_side(config),
@@ -102,7 +103,7 @@ def _print_efficiency(what: str, one: float, several: float, workers: int) -> No
 def _side_by_side(config: StudyConfig) -> float:
     """Seconds of two processes that compute half of the cells each, without their start."""
     context = multiprocessing.get_context("spawn")
-    gate = context.Barrier(3, timeout=600)  # a half that fails is not waited for
+    gate = context.Barrier(3, timeout=600)  # the timeout ends the wait for a half that fails
     halves = [context.Process(target=_half, args=(config, i, gate)) for i in range(2)]
     for half in halves:
         half.start()
@@ -115,7 +116,7 @@ def _side_by_side(config: StudyConfig) -> float:
 
 def _half(config: StudyConfig, first: int, gate: Any) -> None:
     plan = make_plan(config, Path())
-    make_plan(study(2), Path()).cells[0].compute(config.seed)  # import and compile
+    make_plan(study(2), Path()).cells[0].compute(config.seed)  # import and compile first
     gate.wait()
     for cell in plan.cells[first::2]:
         cell.compute(config.seed)

@@ -1,4 +1,4 @@
-"""Timing two things side by side, alternating, so that a busy machine slows both."""
+"""Timing of two functions in alternation, so that a busy machine slows both."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ __all__ = ["compare"]
 def compare(
     subject: Callable[[], Any], reference: Callable[[], Any], rounds: int = 15
 ) -> tuple[float, float, float]:
-    """Seconds of subject and reference (best of `rounds`) and the median of their paired ratios."""
-    subject(), reference()  # compile, plan, fill caches
+    """Best seconds of subject and reference over `rounds`, and the median of paired ratios."""
+    subject(), reference()  # compile, plan and fill caches first
     pairs = []
     for _ in range(rounds):
         start = time.perf_counter()

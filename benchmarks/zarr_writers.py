@@ -1,4 +1,4 @@
-"""Seconds to write the results of a study as a Zarr store: this package's writer, xarray, zarr alone."""
+"""Seconds to write the results of a study as a Zarr store: our writer, xarray, and zarr alone."""
 
 from __future__ import annotations
 
@@ -99,5 +99,5 @@ def _copy(files: dict[str, Any], target: Path) -> None:
 
 
 if __name__ == "__main__":
-    warnings.simplefilter("ignore")  # consolidated metadata are not in Zarr's specification yet
+    warnings.simplefilter("ignore")  # consolidated metadata are not yet in Zarr's specification
     main(*sys.argv[1:])

@@ -1,7 +1,7 @@
-"""The table of bad input: the input, the way in (Python, command line or TOML), and the sentence.
+"""The table of bad input: the input, its interface (Python, command line or TOML), the message.
 
 `test_bad_input.py` runs every row and compares it with tests/bad_input.md.
-``python -m tests.bad_input`` writes that table from what the program prints now.
+``python -m tests.bad_input`` writes that table from the program's current output.
 """
 
 import contextlib
@@ -29,7 +29,7 @@ HEAD = [
     "",
     "Made by `python -m tests.bad_input`; every row is a test. Commands exit with 2.",
     "",
-    "| door | given | answer | sentence |",
+    "| interface | given | answer | message |",
     "|---|---|---|---|",
 ]
 
@@ -122,13 +122,13 @@ PYTHON = _rows(
     ("mcs.pair_correlation('random(dims=50)', 64)", "dims"),
     ("mcs.closed_form_power('poisson-disk', 16, [[1, 1]])", "No closed-form"),
     ("mcs.power_spectrum('random', 16, frequency_step=0)", "frequency_step"),
-    ("mcs.spectra.power_at('random', 16, [])", "one row a frequency"),
+    ("mcs.spectra.power_at('random', 16, [])", "one row per frequency"),
     ("mcs.spectra.power_at('random', 16, [[float('nan'), 1]])", "NaN"),
     ("mcs.spectra.power_at('random', 16, [[1e300, 1]])", "phases"),
     ("mcs.spectra.power_at('random', 16, 'x')", "real numbers"),
     ("mcs.spectra.power_at('random(dims=3)', 16, [[1, 1]])", "2 dims"),
     ("mcs.spectra.power_at('random', 16, [[1, 1]], eps=float('inf'))", "eps"),
-    ("mcs.closed_form_power('random', 16, [])", "one row a frequency"),
+    ("mcs.closed_form_power('random', 16, [])", "one row per frequency"),
     ("mcs.closed_form_power('random', 10**30, [[1, 0]])", "2147483648"),
     (
         "mcs.spectra.closed_form_covariance('poisson-disk', 16, [[1, 0]], [[1, 0]])",
@@ -174,7 +174,10 @@ PYTHON = _rows(
         "whole grid",
     ),
     (
-        "mcs.spectra.wedge_means(mcs.power_spectrum(mcs.sampler('random', dims=1), 4, half_width=2))",
+        (
+            "mcs.spectra.wedge_means(mcs.power_spectrum(mcs.sampler('random', dims=1), 4, "
+            "half_width=2))"
+        ),
         "wedges are of two",
     ),
     ("mcs.spectra.wedge_means(mcs.power_spectrum('random', 4, half_width=2), 10**9)", "360"),
@@ -185,11 +188,17 @@ PYTHON = _rows(
         "larger half_width",
     ),
     (
-        "mcs.spectra.low_frequency_exponent(mcs.power_spectrum('random', 4, half_width=8), up_to=100)",
+        (
+            "mcs.spectra.low_frequency_exponent(mcs.power_spectrum('random', 4, half_width=8), "
+            "up_to=100)"
+        ),
         "at most 8",
     ),
     (
-        "mcs.spectra.low_frequency_exponent(mcs.power_spectrum('random', 4, half_width=8, realizations=1))",
+        (
+            "mcs.spectra.low_frequency_exponent(mcs.power_spectrum('random', 4, half_width=8, "
+            "realizations=1))"
+        ),
         "two or more",
     ),
     ("mcs.spectra.gain_coefficients('random', 16)", "such as sobol"),
@@ -246,7 +255,10 @@ PYTHON = _rows(
     ("mcs.density('environment(channel=7)')", "channel"),
     ("mcs.density('environment(path=\"no-such.exr\")')", "no-such.exr"),
     (
-        "mcs.density('spherical-rectangle(corner=[0,0,1], edge0=[1,0,0], edge1=[2,0,0], origin=[0,0,0])')",
+        (
+            "mcs.density('spherical-rectangle(corner=[0,0,1], edge0=[1,0,0], edge1=[2,0,0], "
+            "origin=[0,0,0])')"
+        ),
         "no area",
     ),
     (
@@ -348,7 +360,7 @@ COMMAND = _rows(
     ("predict gaussian --sampler random --counts 16,abc", "--counts is 'abc'"),
     ("predict gaussian --sampler random --counts 16,4", "ascending"),
     ("predict gaussian --sampler random --sampler random --counts 4", "listed twice"),
-    ("predict gaussian --sampler random(dims=3) --counts 4", "random says dims=3, but 2"),
+    ("predict gaussian --sampler random(dims=3) --counts 4", "random has dims=3, but 2"),
     ("predict gaussian --sampler random --counts 4 -o no/x.html", "'no/x.html' cannot be written"),
     ("predict gaussian --sampler random --counts 4 -o no/x.png", "'no/x.png' cannot be written"),
     ("plan gaussian --sampler random --target-error nan", "--target-error is nan"),
@@ -372,7 +384,7 @@ COMMAND = _rows(
     ("points python('os') -n 4", "--allow-code os"),
     ("points command('./no-such{n}') -n 4 --allow-code ./no-such{n}", "cannot be run"),
     ("points command('./mine{k}') -n 4 --allow-code ./mine{k}", "{k} stands for nothing"),
-    ("points points(path='no-such*.dat') -n 4", "No file fits 'no-such*.dat'"),
+    ("points points(path='no-such*.dat') -n 4", "No file matches 'no-such*.dat'"),
     ("points sobol(base=3) -n 4", "base 3 needs a table"),
     ("points sobol(directions='no-such.dat') -n 4", "no-such.dat"),
     ("bench random -n 16", "two counts or more"),
@@ -411,7 +423,10 @@ COMMAND = _rows(
     ("converge gaussian --sampler random --counts 16,x", "whole number"),
     ("converge gaussian --sampler jittered --counts 16,20", "16 and 25"),
     (
-        "converge gaussian --sampler random --counts 4,16 --density uniform --density uniform --heuristic x",
+        (
+            "converge gaussian --sampler random --counts 4,16 --density uniform --density "
+            "uniform --heuristic x"
+        ),
         "balance",
     ),
     ("spectrum random -n 16 --show rings", "radial, slices, wedges, exponent"),
@@ -465,7 +480,10 @@ COMMAND = _rows(
     ("variance gaussian --split modes -n 16", "--sampler"),
     (
         "variance gaussian --sampler random -n 16 --max-evaluations 10",
-        "'mcspectra variance' takes at least 16000 evaluations of the integrand, and --max-evaluations",
+        (
+            "'mcspectra variance' takes at least 16000 evaluations of the integrand, and "
+            "--max-evaluations"
+        ),
     ),
     (
         "converge gaussian --sampler random --counts 4,16 --fit-last 3",
@@ -497,7 +515,10 @@ COMMAND = _rows(
     ("variance gaussian --sampler random -n 16 --shares 1,2", "two or more"),
     ("variance gaussian --sampler random -n 16 --density disk", "positive wherever"),
     (
-        "converge gaussian --sampler random --counts 4,16 --density uniform --density linear --shares 1,x",
+        (
+            "converge gaussian --sampler random --counts 4,16 --density uniform --density linear "
+            "--shares 1,x"
+        ),
         "--shares",
     ),
     (
@@ -559,7 +580,7 @@ ROWS = [*PYTHON, *COMMAND, *TOML]
 
 
 def answer(row, folder):
-    """Run a row; return its exit code (or exception) and the sentence."""
+    """Run a row; return its exit code (or exception) and the message."""
     if row.door == "python":
         return _python_answer(row.given)
     if row.door == "toml":
@@ -592,7 +613,7 @@ def _command_answer(arguments, folder):
 
 
 def line(row, code, text):
-    """The row of the table, from what the program printed."""
+    """Return the row of the table for the program's output."""
     given = _difference(row.given) if row.door == "toml" else row.given
     first = text.splitlines()[0].replace("mcspectra: ", "", 1)
     given = f"`{_cell(given if len(given) < 200 else given[:40] + ' …')}`"
@@ -600,14 +621,14 @@ def line(row, code, text):
 
 
 def table():
-    """The table as Markdown, from what the program says now."""
+    """Return the table as Markdown, from the program's current output."""
     with tempfile.TemporaryDirectory() as name:
         lines = [line(row, *answer(row, Path(name))) for row in ROWS]
     return "\n".join([*HEAD, *lines]) + "\n"
 
 
 def _difference(text):
-    """The lines of a bad study that the good one does not have."""
+    """Return the lines of a bad study that the good one lacks."""
     good = STUDY.splitlines()
     extra = [line for line in text.splitlines() if line and line not in good]
     missing = [line for line in good if line and line not in text.splitlines()]

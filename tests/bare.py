@@ -1,8 +1,7 @@
 """Use the package without its extras: ``python tests/bare.py [--hide]`` in an empty folder.
 
-`make test-bare` runs this file in a new environment that has the wheel and its required packages. The
-tests run it with ``--hide``, in an environment that has everything: the packages of extras then cannot
-be imported.
+`make test-bare` runs this file in a new environment with the wheel and its required packages. The
+tests run it with ``--hide`` in a complete environment: packages of extras then cannot be imported.
 """
 
 import contextlib
@@ -25,7 +24,7 @@ EXTRAS = {
     "qmcpy": ("qmcpy",),
     "testing": ("hypothesis",),
 }
-"""Packages that an environment without extras does not have: pillow is there, matplotlib needs it."""
+"""Packages that an environment without extras lacks; pillow stays, because matplotlib needs it."""
 
 GAUSSIAN = "gaussian(width=0.25)"
 STUDY = f"""\
@@ -42,12 +41,12 @@ integrand = "{GAUSSIAN}"
 
 
 def hide():
-    """Make the packages of extras look as if they were not installed."""
+    """Make the packages of extras appear to be missing."""
     sys.modules.update(dict.fromkeys(name for names in EXTRAS.values() for name in names))
 
 
 def main():
-    """Take all steps, and print what each takes."""
+    """Run all steps, and print their times."""
     if "--hide" in sys.argv:
         hide()
     warnings.simplefilter("error")
@@ -83,7 +82,7 @@ def python():
 
 
 def components():
-    """Every sampler, density, integrand and analysis that is not QMCPy's loads."""
+    """Every sampler, density, integrand and analysis without QMCPy loads."""
     from mcspectra.core.analysis import ANALYSES
     from mcspectra.densities import DENSITIES
     from mcspectra.integrands import INTEGRANDS
@@ -148,7 +147,7 @@ def readme():
 
 
 def study():
-    """A study runs without its report, and says so; what it found is shown and exported."""
+    """A study runs without its report, and reports this; its results are shown and exported."""
     Path("study.toml").write_text(STUDY, encoding="utf-8")
     out, errors = command("run", "study.toml", "--out", "study")
     assert "jittered" in out
@@ -179,7 +178,7 @@ def frames():
 
 
 def refusals():
-    """What needs an extra says so in one sentence, with the command that installs it."""
+    """Features of an extra fail with one sentence that names the command to install it."""
     Path("frame.exr").touch()
     Path("draws.zarr").mkdir(exist_ok=True)
     scene = "veach"
@@ -211,7 +210,7 @@ def refusals():
     for name in ("page.html", "new", "pixel", "map", "scene.png"):
         assert not Path(name).exists(), name
 
-    # Functions of Python
+    # Python functions
     import mcspectra as mcs
     from mcspectra.core.errors import MissingDependency
     from mcspectra.report.result_files import write_result

@@ -1,4 +1,4 @@
-"""The browser of the tests: find one, or get one by ``python -m tests.browser``."""
+"""The browser of the tests: find one, or install one by ``python -m tests.browser``."""
 
 import os
 import shutil
@@ -12,9 +12,9 @@ NAMES = ("chromium", "chromium-browser", "google-chrome")
 
 @lru_cache
 def chromium():
-    """Return a Chromium that starts: that of ``CHROMIUM``, else of PATH, else Playwright's own.
+    """Return a Chromium that starts: of ``CHROMIUM``, otherwise of PATH, otherwise Playwright's.
 
-    None where there is none, or Playwright lacks a library of the system.
+    None if there is none, or Playwright lacks a library of the system.
     """
     if not _succeeds(*PLAYWRIGHT, "--version"):
         return None
@@ -33,10 +33,10 @@ def chromium():
 
 
 def get():
-    """Return a Chromium that starts; if there is none, have Playwright or Debian bring one."""
+    """Return a Chromium that starts; if necessary, install one by Playwright or Debian."""
     ways = [[(*PLAYWRIGHT, "install", "chromium")]]
     if shutil.which("apt-get") and os.geteuid() == 0:
-        packages = ("chromium", "libatomic1")  # the second for Playwright itself
+        packages = ("chromium", "libatomic1")  # Playwright itself needs the second package
         ways.append([("apt-get", "-qq", "update"), ("apt-get", "-qq", "-y", "install", *packages)])
     for commands in ways:
         if chromium() or os.environ.get("CHROMIUM"):
@@ -58,5 +58,5 @@ def _succeeds(*command):
 
 if __name__ == "__main__":
     found = get()
-    print(f"Browser of the tests: {found or 'none to be had; they will be skipped'}")
+    print(f"Browser of the tests: {found or 'not available; they will be skipped'}")
     sys.exit(0 if found else 1)

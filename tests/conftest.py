@@ -1,4 +1,4 @@
-"""What all tests share."""
+"""Configuration and fixtures of all tests."""
 
 import os
 import signal
@@ -8,12 +8,12 @@ from importlib.util import find_spec
 
 import pytest
 
-# Before workers, one a core, load numpy: two threads of BLAS in each wait for one another, which was three
-# quarters of the processor time of fits.
+# Set this before workers load numpy, one per core: with two threads of BLAS in each, they wait for
+# one another, which took three quarters of the processor time of fits.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-# Tests, and the processes that they start, keep compiled modules although PYTHONDONTWRITEBYTECODE is set:
-# to rewrite the assert statements of all tests again is most of the time of collection, in each worker.
+# Tests and their processes keep compiled modules in spite of PYTHONDONTWRITEBYTECODE: rewriting the
+# assert statements of all tests again takes most of the time of collection, in each worker.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
@@ -22,7 +22,7 @@ from mcspectra.samplers import external
 from tests.browser import chromium
 
 NO_BROWSER = (
-    "there is no browser that Playwright can drive; install Chromium, or name one in CHROMIUM, and run: "
+    "Playwright cannot start a browser; install Chromium, or name one in CHROMIUM, and run: "
     "make test PYTEST_ARGS='-m browser'"
 )
 NO_QMCPY = "QMCPy is not installed; with a C compiler, pip install 'mcspectra[qmcpy]' builds it"
@@ -30,9 +30,9 @@ NO_QMCPY = "QMCPy is not installed; with a C compiler, pip install 'mcspectra[qm
 
 @pytest.fixture(scope="session", autouse=True)
 def own_cache(tmp_path_factory):
-    """Keep the user's cache out of the tests, and the tests out of the user's cache.
+    """Separate the cache of the tests from the user's cache.
 
-    Workers share it: an optimized set is made once.
+    Workers share it, so that an optimized set is computed once.
     """
     folder = tmp_path_factory.getbasetemp()
     if "PYTEST_XDIST_WORKER" in os.environ:
@@ -44,7 +44,7 @@ def own_cache(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def own_trust():
-    """Keep what a test allows specs to run out of the tests after it."""
+    """Reset the code that a test allows specs to run."""
     before, own = trust.process_trust(), set(external._own)
     yield
     trust._process = before
@@ -54,8 +54,7 @@ def own_trust():
 
 @pytest.fixture
 def hear_interrupts():
-    """Let processes that a test starts hear SIGINT, though a shell that runs tests in the background
-    makes them, and their children, ignore it."""
+    """Let processes of a test receive SIGINT, even if a background shell ignores it."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
@@ -63,7 +62,7 @@ def hear_interrupts():
 
 @pytest.fixture(scope="module")
 def browser():
-    """A Chromium that asks nothing of a network; for tests marked `browser`."""
+    """A Chromium without network access, for tests marked `browser`."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
@@ -76,12 +75,12 @@ def browser():
 
 
 def pytest_xdist_auto_num_workers():
-    """One worker more than cores: a seventh of the time tests wait for processes, pages and clusters."""
+    """Use one worker more than cores, because tests wait for processes a seventh of the time."""
     return (os.cpu_count() or 1) + 1
 
 
 def pytest_collection_modifyitems(items):
-    """Tests that take minutes have time for them."""
+    """Give slow tests enough time."""
     for item in items:
         if item.get_closest_marker("endurance"):
             item.add_marker(pytest.mark.timeout(3000))
@@ -95,7 +94,7 @@ def pytest_runtest_setup(item):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item, call):
-    """Skip what asks for QMCPy where it could not be built; with MCSPECTRA_REQUIRE_ALL nothing may skip."""
+    """Skip tests of QMCPy if it is missing; with MCSPECTRA_REQUIRE_ALL, skipped tests fail."""
     report = yield
     if report.failed and "mcspectra[qmcpy]" in report.longreprtext and not find_spec("qmcpy"):
         report.outcome, report.longrepr = "skipped", (*item.location[:2], NO_QMCPY)
@@ -107,7 +106,7 @@ def pytest_runtest_makereport(item, call):
 
 @pytest.hookimpl(wrapper=True)
 def pytest_make_collect_report(collector):
-    """A file that skips itself fails likewise."""
+    """With MCSPECTRA_REQUIRE_ALL, a file that skips itself fails as well."""
     report = yield
     if report.skipped and os.environ.get("MCSPECTRA_REQUIRE_ALL"):
         report.outcome = "failed"
@@ -119,7 +118,7 @@ def pytest_make_collect_report(collector):
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_terminal_summary(terminalreporter):
-    """Say loudly, below all else, what was not tested."""
+    """Print the tests that did not run, clearly, below all other output."""
     yield
     reports = terminalreporter.stats.get("skipped", [])
     reasons = Counter(report.longrepr[2].removeprefix("Skipped: ") for report in reports)

@@ -1,8 +1,9 @@
-"""Defects seeded one at a time: `python -m tests.mutations [ROOM …]` says which ones the tests of their room find.
+"""Seeded defects: `python -m tests.mutations [PACKAGE …]` reports whether the tests find each one.
 
-Each is a text that stands once in a room of the source, and what replaces it, in a copy of the repository.
-Those that are left are tried on the other tests that may see them. Prints a line for each defect; exit code 1 if
-any was not found. Takes about a minute each.
+A defect is a text that occurs once in a package of the source, and its replacement, in a copy of
+the repository. Defects that the package's own tests miss are tried with other tests that may find
+them. Prints a line for each defect; exit code 1 if any was not found. A defect takes about a
+minute.
 """
 
 import os
@@ -13,7 +14,7 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-BEYOND = {  # tests of other rooms that find what their own does not
+BEYOND = {  # tests of other packages that find defects which the package's own tests miss
     "if np.ma.is_masked(value):": "tests/test_bad_input.py",
     '"bias_se": np.hypot(mean_se, known),': "tests/estimators",
 }
@@ -105,7 +106,10 @@ MUTATIONS = [
     (
         "integrands",
         "return np.where(count == 1, 0.5j / np.pi * along, np.where(count, 0.0, self._integral()))",
-        "return np.where(count == 1, -0.5j / np.pi * along, np.where(count, 0.0, self._integral()))",
+        (
+            "return np.where(count == 1, -0.5j / np.pi * along, np.where(count, 0.0, "
+            "self._integral()))"
+        ),
     ),
     (
         "integrands",
@@ -251,8 +255,14 @@ MUTATIONS = [
     ),
     (
         "report",
-        "adding = {name: value for name, value in sizes.items() if value is not None and value > 0}",
-        "adding = {name: value for name, value in sizes.items() if value is not None and value < 0}",
+        (
+            "adding = {name: value for name, value in sizes.items() if value is not None and "
+            "value > 0}"
+        ),
+        (
+            "adding = {name: value for name, value in sizes.items() if value is not None and "
+            "value < 0}"
+        ),
     ),
     (
         "app",
@@ -269,7 +279,7 @@ MUTATIONS = [
 
 
 def main(*rooms):
-    """Try the defects of some rooms, of all by default."""
+    """Try the defects of some packages, by default of all."""
     survivors = 0
     for room, found, instead in MUTATIONS:
         if rooms and room not in rooms:
@@ -281,7 +291,7 @@ def main(*rooms):
             sources = (copy / "src/mcspectra" / room).rglob("*.py")
             (path,) = (p for p in sources if found in p.read_text(encoding="utf-8"))
             text = path.read_text(encoding="utf-8")
-            assert text.count(found) == 1, f"{found!r} stands several times in {path}"
+            assert text.count(found) == 1, f"{found!r} occurs several times in {path}"
             path.write_text(text.replace(found, instead), encoding="utf-8")
             killed = next(
                 (t for t in (f"tests/{room}", BEYOND.get(found)) if t and _fails(copy, t)), None

@@ -26,7 +26,7 @@ def keister(dims):
 
 
 def gaussian_peaks(dims, centers=(0.23, 0.39, 0.74), width=0.05):
-    """The mean of normal densities at places on the diagonal as in vegas (Lepage 2021)."""
+    """Mean of normal densities at points of the diagonal, as in vegas (Lepage 2021)."""
 
     def f(u):
         squares = [((u - c) ** 2).sum(axis=-1) for c in centers]
@@ -38,7 +38,7 @@ def gaussian_peaks(dims, centers=(0.23, 0.39, 0.74), width=0.05):
 
 
 def gaussian_ridge(dims, start=0.25, stop=0.75, width=0.05):
-    """The mean of normal densities all along a piece of the diagonal as in vegas (Lepage 2021)."""
+    """Mean of normal densities along a piece of the diagonal, as in vegas (Lepage 2021)."""
 
     def f(u):
         # Σ(u_i − t)² = Σ(u_i − mean)² + d (mean − t)²: along the ridge a difference of Φ
@@ -59,7 +59,7 @@ def gaussian_ridge(dims, start=0.25, stop=0.75, width=0.05):
 def ratio_tracking(dims, majorant=1.0):
     """Transmittance of a ray of length 1 by ratio tracking (Novák et al. 2014), `dims` collisions.
 
-    The extinction is σ(t) = 2 (1 + 0.8 cos(6πt)); the ray behind the last collision is exact.
+    The extinction is σ(t) = 2 (1 + 0.8 cos(6πt)); the ray after the last collision is exact.
     """
     rate = majorant * 2.0 * 1.8
 
@@ -102,7 +102,7 @@ def asian_option(dates):
 
 
 def digital_option(dates):
-    """1 where the last price is above the strike (Black and Scholes 1973)."""
+    """1 if the last price is above the strike (Black and Scholes 1973)."""
 
     def f(u):
         return math.exp(-_RATE) * (log_prices(u)[..., -1] > math.log(_STRIKE / _SPOT))
@@ -112,7 +112,7 @@ def digital_option(dates):
 
 
 def ishigami(a=7.0, b=0.1):
-    """Ishigami's function (1990), its first-order and its total indices."""
+    """Ishigami's function (1990), with its first-order and total indices."""
 
     def f(u):
         y = np.pi * (2.0 * u - 1.0)
@@ -127,7 +127,7 @@ def ishigami(a=7.0, b=0.1):
 
 
 def sobol_g(a):
-    """Sobol's function Π (|4 u_i − 2| + a_i)/(1 + a_i), its indices as above."""
+    """Sobol's function Π (|4 u_i − 2| + a_i)/(1 + a_i), with the same indices."""
     a = np.asarray(a, float)
 
     def f(u):

@@ -1,4 +1,4 @@
-"""Every row of the table of bad input gets its sentence, at every door, without a traceback."""
+"""Every row of the table of bad input gives its message in every interface, without a traceback."""
 
 import pytest
 
@@ -9,7 +9,7 @@ LINES = TABLE.read_text(encoding="utf-8").splitlines()
 
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: f"{row.door}: {row.given[-60:]!r}")
-def test_bad_input_is_answered_with_a_sentence(row, tmp_path):
+def test_bad_input_raises_one_sentence(row, tmp_path):
     code, text = answer(row, tmp_path)
     assert row.words in text, text
     assert line(row, code, text) in LINES, "the table is current"
@@ -30,7 +30,7 @@ def test_the_table_has_a_line_for_each_row():
 
 
 def test_a_real_process_answers_the_same():
-    """The exit code and the sentence of the installed command, not of a call."""
+    """The exit code and the message of the installed command, not of a call."""
     done = python("-m", "mcspectra", "points", "jittered", "-n", "250")
     assert done.returncode == 2
     assert "225 and 256" in done.stderr

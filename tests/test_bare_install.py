@@ -1,4 +1,4 @@
-"""The package without its extras: their packages are hidden from a process that uses all the rest."""
+"""The package without its extras, which are hidden from a process that uses everything else."""
 
 import tomllib
 from pathlib import Path
@@ -13,7 +13,7 @@ def project():
     return tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 
 
-def test_what_is_required_and_what_is_extra():
+def test_required_and_extra_packages():
     def names(wanted):
         return {each.partition(">=")[0] for each in wanted}
 
@@ -28,7 +28,7 @@ def test_what_is_required_and_what_is_extra():
     assert extras["all"] == ["mcspectra[report,store,cluster,render,frames]"]
 
 
-def test_it_is_used_without_extras(tmp_path):
+def test_the_package_works_without_extras(tmp_path):
     done = python(ROOT / "tests" / "bare.py", "--hide", cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
     assert len(done.stdout.splitlines()) == 7

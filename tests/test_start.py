@@ -1,7 +1,7 @@
-"""Starting is quick: nothing heavy is imported before it is needed.
+"""Starting is quick: no slow module is imported before it is needed.
 
-The seconds are in docs/evidence.md, from ``python -m benchmarks start``: a timed test would depend on
-what else the machine does.
+The times are in docs/evidence.md, from ``python -m benchmarks start``: a timed test would depend on
+the load of the machine.
 """
 
 import pytest
@@ -28,7 +28,7 @@ def test_every_public_name_loads():
 
 
 def test_no_module_hides_a_function_of_its_package():
-    # A module named like a function would replace it as soon as it is imported
+    # A module with the name of a function would replace it as soon as it is imported
     code = """
 import pkgutil, mcspectra as mcs
 for name in ("spectra", "measure", "prediction", "explain", "improve", "profiler"):

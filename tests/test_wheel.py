@@ -1,4 +1,4 @@
-"""The wheel, away from the sources and without a renderer: what it holds, and that a built-in study runs."""
+"""The wheel, outside the sources and without a renderer: its contents, and a built-in study."""
 
 import os
 import subprocess
@@ -14,7 +14,7 @@ EXTRAS = ("mitsuba", "drjit", "qmcpy", "hypothesis")
 BLOCK = f"""import sys
 sys.modules.update(dict.fromkeys({EXTRAS}))
 """
-# What `run tour --dry-run` does before it estimates times, for which kernels are compiled anew
+# `run tour --dry-run` without its time estimate, which would compile kernels
 PLAN = """
 from mcspectra.studies import make_plan, read_study
 from mcspectra.studies.files import study_file
@@ -27,7 +27,7 @@ for cell in make_plan(read_study(file), file.parent).cells:
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory):
-    """The wheel, unpacked, beside a `sitecustomize` that hides the extras."""
+    """The unpacked wheel, next to a `sitecustomize` that hides the extras."""
     folder = tmp_path_factory.mktemp("wheel")
     build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", str(folder)]
     subprocess.run(build, cwd=Path(__file__).parents[1], check=True, capture_output=True)
@@ -44,7 +44,7 @@ def run(wheel, folder, *arguments):
     )
 
 
-def test_it_holds_what_is_not_code_and_no_tests(wheel):
+def test_the_wheel_contains_data_files_and_no_tests(wheel):
     names = {str(file.relative_to(wheel)) for file in wheel.rglob("*")}
     data = {"tour.toml", "veach.toml", "data/window.png", "data/blue.dat"}
     assert {f"mcspectra/studies/builtin/{name}" for name in data} <= names
@@ -59,7 +59,7 @@ def test_the_tour_is_found_and_planned_anywhere(wheel, tmp_path):
     assert "points from a file" in done.stdout
 
 
-@pytest.mark.endurance  # its kernels are compiled anew
+@pytest.mark.endurance  # it compiles its kernels again
 def test_the_tour_runs_anywhere(wheel, tmp_path):
     few = [f"{name}.realizations=8" for name in ("convergence", "terms", "spectrum")]
     few += [f"estimators[{i}].{n}.realizations=8" for i in (0, 1) for n in ("terms", "spectrum")]
@@ -69,7 +69,7 @@ def test_the_tour_runs_anywhere(wheel, tmp_path):
     assert (tmp_path / "out" / "tour" / "report.html").stat().st_size > 10**6
 
 
-def test_what_needs_an_extra_says_so(wheel, tmp_path):
+def test_features_of_an_extra_name_it(wheel, tmp_path):
     done = run(wheel, tmp_path, "run", "veach")
     assert done.returncode == 2
     assert "pip install 'mcspectra[render]'" in done.stderr

@@ -1,4 +1,4 @@
-"""Every public function, with one argument of a wrong type at a time: a sentence, and no hang."""
+"""Every public function with one argument of a wrong type at a time: a sentence, and no hang."""
 
 import inspect
 import signal
@@ -45,7 +45,7 @@ WRONG = [
     "\ud800",
     "\0",
 ]
-# what an argument is otherwise, so that what is wrong is found soon or nothing is computed for long
+# Valid arguments for the others, so that the wrong one is found soon or the call is short
 RIGHT = {
     "budget": 256,
     "counts": [4, 16, 64],
@@ -67,8 +67,8 @@ RIGHT = {
     "subset": (0,),
 }
 ESTIMATORS = ("ChannelSampling", "OneSampleMIS", "TechniqueSum", "channel_estimators")
-ALWAYS = {"realizations", "half_width"}  # also where there is a default, which may take long
-SECONDS = 20  # of the processor, for a call; where kernels are compiled first, too
+ALWAYS = {"realizations", "half_width"}  # also used instead of the default, which may take long
+SECONDS = 20  # processor seconds for a call, including compilation of kernels
 
 
 def _functions():
@@ -101,7 +101,7 @@ def _end(*_):
 
 @pytest.fixture(autouse=True)
 def alone(tmp_path, monkeypatch):
-    """An empty folder, as texts may be names of files; and an alarm for calls that hang."""
+    """An empty folder, because texts may be file names, and an alarm for calls that hang."""
     monkeypatch.chdir(tmp_path)
     before = signal.signal(signal.SIGPROF, _end)
     yield
@@ -110,7 +110,7 @@ def alone(tmp_path, monkeypatch):
 
 
 def _call(function, parameters, arguments):
-    """What is wrong with a call that may refuse its arguments with a sentence; None: nothing."""
+    """Return the error of a call that is not a clear rejection; otherwise None."""
     named = dict(arguments)
     placed = [named.pop(p.name) for p in parameters if p.kind is p.POSITIONAL_ONLY]
     signal.setitimer(signal.ITIMER_PROF, SECONDS)
@@ -120,15 +120,15 @@ def _call(function, parameters, arguments):
         return None if str(error) else "says nothing"
     except Hang:
         return "hangs"
-    except Exception as error:  # noqa: BLE001 - whatever it is
+    except Exception as error:  # noqa: BLE001 - any error is reported
         return f"{type(error).__name__}: {error}"
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
     return None
 
 
-# Documented functions of other modules, with what their arguments are otherwise: these are refused
-# before anything is read or computed, or name what is not there
+# Documented functions of other modules, with valid other arguments: they are rejected before
+# anything is read or computed, or name a missing file
 DOORS = (
     (studies.open_results, {"source": "no", "select": "a/*"}),
     (studies.result_paths, {"source": "no"}),
@@ -167,7 +167,7 @@ DOORS = (
 @pytest.mark.parametrize(
     ("function", "right"), [pytest.param(*door, id=door[0].__name__) for door in DOORS]
 )
-def test_documented_functions_refuse_wrong_types_too(function, right):
+def test_documented_functions_reject_wrong_types(function, right):
     parameters = _parameters(function)
     found = []
     for name in right:
@@ -178,7 +178,7 @@ def test_documented_functions_refuse_wrong_types_too(function, right):
     assert not found, "\n".join(found)
 
 
-def test_a_study_is_asked_for_before_its_folder_is_made():
+def test_a_study_is_checked_before_its_folder_is_created():
     config = studies.decode_study(
         'title = "t"\nseed = 1\nsamplers = ["random"]\npredict = {counts = [4]}\n'
         '[[estimators]]\nname = "a"\nintegrand = "gaussian"\n'
@@ -205,7 +205,7 @@ def test_wrong_types_are_refused_with_a_sentence(name):
     for parameter in parameters:
         for wrong in WRONG:
             if wrong is True and isinstance(parameter.default, bool):
-                continue  # right, and `exact` may take minutes
+                continue  # valid, and `exact` may take minutes
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 problem = _call(function, parameters, {**right, parameter.name: wrong})
@@ -224,5 +224,5 @@ def test_wrong_types_are_refused_with_a_sentence(name):
         (densities, "as_warp"),
     ],
 )
-def test_parts_of_the_inside_are_not_public(package, name):
+def test_internal_names_are_not_public(package, name):
     assert not hasattr(package, name)

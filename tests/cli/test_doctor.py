@@ -64,7 +64,7 @@ def test_an_invalid_library_is_skipped(monkeypatch, tmp_path, capsys):
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", str(library))
     assert main(["doctor"]) == 0
     (line,) = (x for x in capsys.readouterr().out.splitlines() if x.startswith("renderer"))
-    assert f"refused {library}: the trial ended with" in line
+    assert f"refused {library}: the test ended with" in line
     assert "variants llvm_ad_rgb, scalar_rgb" in line
 
 
@@ -73,7 +73,7 @@ def test_library_that_aborts_leaves_the_scalar_variant(monkeypatch, tmp_path):
     found: dict[str, Any] = backend.describe()
     assert found["variant"] is None
     assert found["library"] is None
-    assert "the trial ended with signal 6" in found["refused"]
+    assert "the test ended with signal 6" in found["refused"]
     assert "pip install 'mcspectra[render]'" in found["reason"]
 
 

@@ -1,4 +1,4 @@
-"""Analyses: their doors in Python, and the same merge tree whatever the chunks and threads."""
+"""Analyses: their functions in Python, and the same merge tree for any chunks and threads."""
 
 import inspect
 import random
@@ -69,12 +69,13 @@ def test_functions_have_the_options_with_their_defaults(name):
     assert {key: parameters[key].default for key in options} == options
 
 
-# --- the merge tree ---------------------------------------------------------------------------------
+# --- merge tree ---------------------------------------------------------------------------------
+# ---------------------------------------------------------------------------------
 
 
 @dataclass
 class Words:
-    """A state that says how it was merged; reuses its left states."""
+    """A state that records how it was merged; reuses its left states."""
 
     said: list[str]
 
@@ -105,7 +106,7 @@ def _names(blocks):
 
 
 def _by_definition(names):
-    """Left subtree of the largest power of two below the number: the tree, written recursively."""
+    """Recursive definition of the tree: the left subtree has the largest power of two of blocks."""
     if len(names) == 1:
         return names[0]
     half = 1 << ((len(names) - 1).bit_length() - 1)
@@ -120,7 +121,7 @@ def test_the_tree_is_the_left_balanced_one(blocks):
 
 @settings(deadline=None)
 @given(st.integers(1, 150), st.integers(0, 8))
-def test_chunks_of_one_size_change_nothing(blocks, power):
+def test_chunks_of_equal_size_do_not_change_the_tree(blocks, power):
     computed = []
 
     def block(index):
@@ -135,7 +136,7 @@ def test_chunks_of_one_size_change_nothing(blocks, power):
 
 
 def _mixed(blocks, choose):
-    """Chunks of mixed sizes: each any power of two that divides its first block, and tails."""
+    """Chunks of mixed sizes: any power of two that divides the first block, and shorter ends."""
     first = 0
     while first < blocks:
         sizes = [2**k for k in range(9) if first % 2**k == 0]
@@ -146,7 +147,7 @@ def _mixed(blocks, choose):
 
 @settings(deadline=None)
 @given(st.integers(1, 150), st.integers(0, 2**32))
-def test_chunks_of_mixed_sizes_change_nothing(blocks, seed):
+def test_chunks_of_mixed_sizes_do_not_change_the_tree(blocks, seed):
     choose = random.Random(seed).choice
     values = [0.1 * (i + 1) ** 0.5 for i in range(blocks)]
     tree, said = MergeTree(), MergeTree()
@@ -165,7 +166,8 @@ def test_a_tree_holds_few_states():
         assert len(tree.nodes) <= 10  # ⌊log₂ 1000⌋ + 1
 
 
-# --- steps ------------------------------------------------------------------------------------------
+# --- steps
+# ------------------------------------------------------------------------------------------
 
 
 def _counting(part, steps):
@@ -176,7 +178,7 @@ def _counting(part, steps):
 
 
 def _drive(generator, answer):
-    """Steps of a generator of reductions, and what it returns."""
+    """Steps of a generator of reductions, and its return value."""
     steps, states = [], None
     try:
         while True:
@@ -225,7 +227,7 @@ class Said(Analysis, frozen=True, kw_only=True):
 
 
 @pytest.mark.parametrize("workers", [None, 1, 2, 5])
-def test_threads_change_nothing(workers):
+def test_threads_do_not_change_results(workers):
     found = compute(Said(), SUBJECT, rng=4, workers=workers)
     one, two = (
         "|".join(_by_definition([f"{step}{k}{i}," for i in range(9)]) for k in (0, 1))
@@ -243,9 +245,9 @@ def test_progress_grows_to_the_end_in_every_step():
     assert [done for _, done in heard] == [k / 8 for k in range(1, 9)] * 2
 
 
-def test_an_error_in_a_block_comes_through_from_threads():
+def test_an_error_in_a_block_is_raised_from_threads():
     class Fails(Analysis, frozen=True, kw_only=True):
-        """It fails."""
+        """An analysis that fails."""
 
         def reduction(self, subject, stream):
             def block(index):
@@ -260,7 +262,7 @@ def test_an_error_in_a_block_comes_through_from_threads():
             compute(Fails(), SUBJECT, workers=workers)
 
 
-def test_options_are_checked_before_the_subject_and_this_before_anything_runs():
+def test_options_then_the_subject_are_checked_before_anything_runs():
     with pytest.raises(ParameterError, match="blocks is 0"):
         compute(Said(blocks=0), Subject(None, mcs.sampler("random", dims=3)))
     with pytest.raises(ParameterError, match="Only two dims"):
@@ -272,7 +274,7 @@ def test_options_are_checked_before_the_subject_and_this_before_anything_runs():
         compute(Said(), SUBJECT, rng="nonsense")
 
 
-def test_more_memory_than_there_is_is_refused(monkeypatch):
+def test_too_much_memory_is_an_error(monkeypatch):
     with pytest.raises(ConfigError, match=r"Said would take about 1e\+03 PB of memory"):
         compute(Said(memory=10**18), SUBJECT)
     monkeypatch.setattr("mcspectra.core.memory.available_memory", lambda: 10**6)
@@ -281,16 +283,17 @@ def test_more_memory_than_there_is_is_refused(monkeypatch):
         compute(Said(memory=10**6 + 1), SUBJECT)
 
 
-# --- what cannot be cut, and what comes back ----------------------------------------------------------
+# --- indivisible computations and results
+# -------------------------------------------------------------
 
 
 def _small():
     return dataset({"variance": (("n",), np.ones(2))}, {"n": [4, 16]}, seed=1)
 
 
-def test_a_whole_is_its_dataset():
+def test_the_state_of_an_indivisible_computation_is_its_dataset():
     class Whole(Analysis, frozen=True, kw_only=True):
-        """All at once."""
+        """A computation in one piece."""
 
         variables: ClassVar = ("variance",)
 
@@ -304,7 +307,7 @@ def test_a_whole_is_its_dataset():
     assert [each.cost for each in next(steps)] == [3.0]
 
 
-def test_a_seed_is_an_attribute_where_the_result_can_be_had_again():
+def test_the_seed_is_an_attribute_of_a_reproducible_result():
     class Variances(Said, frozen=True, kw_only=True):
         """Variances."""
 
@@ -322,13 +325,13 @@ def test_a_seed_is_an_attribute_where_the_result_can_be_had_again():
 @pytest.mark.parametrize(
     ("variable", "words"),
     [
-        ({"variance": ("n", np.ones(2, int))}, "variance holds int64, declared is 'f'"),
+        ({"variance": ("n", np.ones(2, int))}, "variance holds int64, but 'f' is declared"),
         ({"variance": (("x", "n"), np.ones((1, 2)))}, r"has the dims \['x', 'n'\]"),
         ({"rate": ("n", np.ones(2))}, r"has the dims \['n'\]"),
         ({"mean": ("n", np.ones(2))}, "which it does not declare"),
     ],
 )
-def test_results_are_held_against_what_is_declared(variable, words):
+def test_results_are_compared_with_declared_variables(variable, words):
     declared = ("variance", "rate", Variable("its own", "1", ("m", "k?"), "if", name="own"))
     with pytest.raises(TypeError, match=words):
         check_variables(xr.Dataset(variable), declared, "An analysis")
@@ -340,9 +343,9 @@ def test_results_are_held_against_what_is_declared(variable, words):
             check_variables(xr.Dataset({"own": (dims, np.ones((2,) * len(dims)))}), declared, "It")
 
 
-def test_a_result_says_what_it_is_of():
+def test_a_result_records_its_provenance():
     class Of(Said, frozen=True, kw_only=True):
-        """Of what."""
+        """An analysis with provenance."""
 
         provenance: ClassVar = ("estimator", "sampler", "blocks", "stream_key")
 
@@ -396,7 +399,7 @@ def _no_list():
 )
 def test_an_analysis_that_breaks_its_contract_is_named(need, reduction, words):
     class Odd(Analysis, frozen=True, kw_only=True):
-        """Odd."""
+        """An analysis that breaks its contract."""
 
         variables: ClassVar = ("variance",)
 
@@ -410,9 +413,10 @@ def test_an_analysis_that_breaks_its_contract_is_named(need, reduction, words):
         compute(Odd(), SUBJECT)
 
 
-# --- the registry -----------------------------------------------------------------------------------
+# --- the registry
+# -----------------------------------------------------------------------------------
 
 
-def test_a_key_of_no_first_step_says_what_to_do():
-    with pytest.raises(NotImplementedError, match="no reduction of the key 'x'.*overrides part"):
+def test_an_unknown_key_raises_with_advice():
+    with pytest.raises(NotImplementedError, match="no reduction with the key 'x'.*override part"):
         CASES["anova"](n=1).part(as_subject("gaussian", "random"), Stream.from_rng(0), "x")

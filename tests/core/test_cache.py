@@ -1,4 +1,4 @@
-"""The cache of arrays: what is kept, what is checked, what is done about damage."""
+"""The cache of arrays: stored entries, checks, and damaged entries."""
 
 import hashlib
 import time
@@ -24,7 +24,7 @@ def folder(tmp_path, monkeypatch):
 
 
 class Maker:
-    """Counts how often the array is made."""
+    """Counts how often the array is computed."""
 
     def __init__(self, values=VALUES):
         self.values, self.calls = values, 0
@@ -39,7 +39,7 @@ def entry(folder):
     return file
 
 
-def test_made_once_then_read(folder):
+def test_an_array_is_computed_once_then_read(folder):
     make = Maker()
     first, second = cached_array("key", make), cached_array("key", make)
     assert make.calls == 1
@@ -58,7 +58,7 @@ def test_other_keys_are_other_entries():
     assert other.calls == 1
 
 
-def test_what_is_quick_is_not_kept(monkeypatch):
+def test_quick_arrays_are_not_stored(monkeypatch):
     monkeypatch.setattr(cache, "_WORTH_KEEPING", 3600.0)
     cached_array("key", Maker())
     assert cache_size() == (0, 0)
@@ -69,7 +69,7 @@ def flip(content, at):
 
 
 def signed(record):
-    """An entry of another record."""
+    """An entry with another record."""
     packed = pack(record)
     return hashlib.sha256(packed).digest() + packed
 
@@ -92,29 +92,29 @@ DAMAGE = {
 
 
 @pytest.mark.parametrize("damage", DAMAGE.values(), ids=DAMAGE)
-def test_damaged_entries_are_made_again(folder, damage):
+def test_damaged_entries_are_computed_again(folder, damage):
     cached_array("key", Maker())
     file = entry(folder)
     sound = file.read_bytes()
     assert damage(sound) != sound
     file.write_bytes(damage(sound))
     make = Maker()
-    with pytest.warns(CacheWarning, match="is damaged; it is made again"):
+    with pytest.warns(CacheWarning, match="is damaged; it is computed again"):
         np.testing.assert_array_equal(cached_array("key", make), VALUES)
     assert make.calls == 1
     assert file.read_bytes() == sound
 
 
-def test_a_folder_that_cannot_be_written_is_said_once(folder):
+def test_an_unwritable_folder_gives_one_warning(folder):
     folder.write_text("a file where the folder should be")
     make = Maker()
-    with pytest.warns(CacheWarning, match="not kept in"):
+    with pytest.warns(CacheWarning, match="cannot be stored in"):
         cached_array("key", make)
-    cached_array("key", make)  # no second warning: they are errors here
+    cached_array("key", make)  # a second warning would be an error here
     assert make.calls == 2
 
 
-def test_the_oldest_go_beyond_the_limit(folder, monkeypatch):
+def test_the_oldest_entries_are_deleted_above_the_limit(folder, monkeypatch):
     for key in "abc":
         cached_array(key, Maker())
         time.sleep(0.02)
@@ -137,6 +137,6 @@ def test_the_folder_is_the_platform_s_unless_chosen(monkeypatch):
 
 
 @pytest.mark.parametrize(("key", "make"), [(3, Maker()), (None, Maker()), ("key", VALUES)])
-def test_what_is_no_key_or_no_function(key, make):
-    with pytest.raises(ParameterError, match="a text and a function"):
+def test_invalid_keys_and_functions_raise(key, make):
+    with pytest.raises(ParameterError, match="a key and a function"):
         cached_array(key, make)

@@ -1,4 +1,4 @@
-"""Files that are small on disk and huge in memory: refused soon, in one sentence, before decoding."""
+"""Files that are small on disk and huge in memory: rejected before decoding, in one sentence."""
 
 import io
 import json
@@ -19,7 +19,7 @@ from mcspectra.core.errors import FileFormatError
 from mcspectra.core.images import read_image
 from mcspectra.core.pointfiles import read_points, write_points
 
-MEMORY = 3 * 2**30  # bytes of address space that a reader gets
+MEMORY = 3 * 2**30  # bytes of address space for a reader
 
 READ = """
 import sys, mcspectra.core.images as i, mcspectra.core.pointfiles as p, OpenEXR
@@ -32,7 +32,7 @@ for path in sys.argv[1:]:
 
 
 def in_a_small_process(*paths):
-    """What a process of limited memory says about each file."""
+    """Return the messages of a process with limited memory for each file."""
     limit = lambda: resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     command = [sys.executable, "-c", READ, *map(str, paths)]
     done = subprocess.run(
@@ -42,7 +42,7 @@ def in_a_small_process(*paths):
 
 
 def zeros_npy(stream, shape, dtype):
-    """Write an array of zeros without having it."""
+    """Write an array of zeros without allocating it."""
     head = {"descr": np.dtype(dtype).str, "fortran_order": False, "shape": shape}
     np.lib.format.write_array_header_1_0(stream, head)
     blocks, rest = divmod(int(np.prod(shape)) * np.dtype(dtype).itemsize, 2**22)
@@ -78,7 +78,7 @@ def exr(path, pixels, **header):
 
 
 def exr_window(path, *window):
-    """An EXR that claims another data window."""
+    """Write an EXR whose header has another data window."""
     whole = exr(path, np.zeros((8, 8, 3), np.float16)).read_bytes()
     at = whole.index(b"dataWindow\0box2i\0") + len(b"dataWindow\0box2i\0") + 4
     path.write_bytes(whole[:at] + struct.pack("<4i", *window) + whole[at + 16 :])
@@ -114,20 +114,20 @@ DAMAGED = {
 
 @pytest.fixture(scope="module")
 def answers(tmp_path_factory):
-    """What one process of limited memory says about all of the files."""
+    """Messages of one process with limited memory for all files."""
     makers = {**BOMBS, **DAMAGED}
     paths = [make(tmp_path_factory.mktemp("bomb")) for make in makers.values()]
     return dict(zip(makers, in_a_small_process(*paths), strict=True))
 
 
 @pytest.mark.parametrize("name", BOMBS)
-def test_bombs_are_refused_by_what_they_would_take(answers, name):
+def test_bombs_are_rejected_by_their_decoded_size(answers, name):
     assert "MB of memory to read; a file of this size may take" in answers[name]
     assert answers[name].endswith(".")
 
 
 @pytest.mark.parametrize("name", DAMAGED)
-def test_what_hides_its_size_is_refused(answers, name):
+def test_files_that_hide_their_size_are_rejected(answers, name):
     assert "Traceback" not in answers[name]
     assert answers[name].endswith(".")
 
@@ -162,7 +162,7 @@ def test_sets_count_in_tables_too(tmp_path, monkeypatch):
         read_points(path)
 
 
-def test_the_bound_is_64_times_the_file_beyond_a_floor_and_2_gib():
+def test_the_limit_is_64_times_the_file_size_between_256_mib_and_2_gib():
     decoding.check_decoded_size("f", 1, 2**28)
     decoding.check_decoded_size("f", 2**23, 2**29)
     decoding.check_decoded_size("f", 2**40, 2**31)
@@ -171,8 +171,8 @@ def test_the_bound_is_64_times_the_file_beyond_a_floor_and_2_gib():
             decoding.check_decoded_size("f", size, decoded)
 
 
-def test_headers_are_bounded_too(tmp_path):
-    """A member whose header alone claims 4 GB, and shapes below 0."""
+def test_headers_are_limited(tmp_path):
+    """A member whose header alone claims 4 GB, and negative shapes."""
     long = b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**32 - 1) + b" " * 2**20
     with zipfile.ZipFile(tmp_path / "p.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("points.npy", long)
@@ -239,8 +239,8 @@ for path in sys.argv[1:]:
 """
 
 
-def test_readers_take_no_more_than_they_announce(tmp_path):
-    """In a process of its own, as what other threads allocate is counted, too. Ordinary files are read."""
+def test_readers_use_at_most_the_announced_memory(tmp_path):
+    """Ordinary files are read. A separate process runs, as other threads' memory also counts."""
     for name, make in ORDINARY.items():
         make(tmp_path / name)
     paths = [tmp_path / name for name in ORDINARY]
@@ -249,8 +249,7 @@ def test_readers_take_no_more_than_they_announce(tmp_path):
     )
     for path, line in zip(paths, said.stdout.splitlines(), strict=True):
         peak, announced = json.loads(line)
-        block = (
-            20 * 2**20 if path.suffix in (".dat", ".csv") else 2**20
-        )  # of lines as Python's strings
+        # lines become Python strings
+        block = 20 * 2**20 if path.suffix in (".dat", ".csv") else 2**20
         assert peak < announced + block, path.name
         assert announced <= 64 * path.stat().st_size, path.name

@@ -1,4 +1,4 @@
-"""What notebooks show: hooks that load nothing from above, and never raise."""
+"""Display in notebooks: hooks load no higher layers and never raise."""
 
 import unicodedata
 
@@ -11,7 +11,7 @@ from mcspectra.core.errors import ParameterError, warn
 
 
 def test_every_character_of_one_width_or_none_is_kept_or_escaped():
-    """Of all characters of Unicode: what is printed stays, blanks become plain, the rest is ASCII."""
+    """For all of Unicode: printable characters stay, spaces become plain, the rest ASCII."""
     for code in range(0x110000):
         c = chr(code)
         shown = printable(c)
@@ -36,7 +36,7 @@ def test_every_character_of_one_width_or_none_is_kept_or_escaped():
         ("\udc80\ue000\U000e0041", r"\udc80\ue000\U000e0041"),
     ],
 )
-def test_text_of_others_is_printable(text, shown):
+def test_text_from_outside_is_printable(text, shown):
     assert printable(text) == printable(printable(text)) == shown
     assert printable(text, lines=True) == shown.replace(r"\n", "\n")
 
@@ -77,7 +77,7 @@ H = 10**5000
     ],
 )
 def test_numbers_that_python_does_not_print_are_a_sentence(call):
-    """They ended with Python's own words on the limit of digits."""
+    """These messages ended with Python's own text about the limit of digits."""
     with pytest.raises(mcs.McspectraError, match="an integer of ") as caught:
         call()
     assert str(caught.value).endswith(".")
@@ -100,7 +100,7 @@ def test_other_cells_stay(value):
     assert csv_cell(value) is value or csv_cell(value) == value
 
 
-def test_looking_at_an_object_never_raises():
+def test_displaying_an_object_never_raises():
     class Broken(mcs.Integrand):
         dims = 1
 
@@ -116,7 +116,7 @@ def test_looking_at_an_object_never_raises():
 
 
 @pytest.mark.parametrize("make", ["mcs.sampler('random')", "mcs.Estimator('linear', dims=1)"])
-def test_nothing_above_is_loaded_before_something_is_shown(make):
+def test_higher_layers_are_loaded_at_the_first_display(make):
     code = (
         f"import sys; import mcspectra as mcs; c = {make}; x = 'mcspectra.report' in sys.modules; "
     )

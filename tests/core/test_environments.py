@@ -1,4 +1,4 @@
-"""Lat-long geometry and the synthetic sky."""
+"""Latitude-longitude geometry and the synthetic sky."""
 
 import numpy as np
 import pytest
@@ -38,7 +38,7 @@ def test_the_sky_has_a_high_range_and_colors():
     assert sky.min() > 0
     assert sky.max() / np.median(sky) > 100
     shares = sky / sky.sum(axis=-1, keepdims=True)
-    assert (shares.max(axis=(0, 1)) > 0.6).all()  # somewhere each channel dominates
+    assert (shares.max(axis=(0, 1)) > 0.6).all()  # each channel dominates in some place
     np.testing.assert_array_equal(sky, synthetic_sky(64, 128))
     assert synthetic_sky(1, 1).shape == (1, 1, 3)
 
@@ -50,19 +50,19 @@ def test_bad_sizes(size):
 
 
 @pytest.mark.parametrize("x", [None, "ab", 0.5, [0.1, 0.2, 0.3], [[0.1, 0.2], [0.3]]])
-def test_directions_of_what_is_no_point(x):
+def test_directions_of_invalid_points_raise(x):
     with pytest.raises(ParameterError, match="^x "):
         directions(x)
 
 
 @pytest.mark.parametrize("height", [None, "4", 0, 2.5])
-def test_rows_of_no_number(height):
+def test_invalid_rows_raise(height):
     with pytest.raises(ParameterError, match="height"):
         row_solid_angles(height)
 
 
 @pytest.mark.parametrize("values", ["ab", 3, [[1, [2]]], np.ones(4), np.ones((0, 2)), [[-1.0]]])
-def test_values_that_are_no_radiance(values):
+def test_values_that_are_not_radiances_raise(values):
     with pytest.raises(ParameterError, match="values|radiance"):
         environment_pixels(None, values)
     for path in (3, b"a.png"):

@@ -1,4 +1,4 @@
-"""Errors: one root, built-in parents, data beside the message; hints name what is close."""
+"""Errors: one base class, built-in parents, extra data; hints suggest similar names."""
 
 import builtins
 import pickle
@@ -82,7 +82,7 @@ def inner(depth):
     assert 0 < caught[0].lineno - line < 15
 
 
-def test_warnings_of_files_beside_the_package_are_their_own():
+def test_warnings_of_files_next_to_the_package_keep_their_line():
     with pytest.warns(UserWarning, match="here") as caught:
         errors.warn("here", UserWarning)
     assert [w.filename for w in caught] == [__file__]

@@ -1,4 +1,4 @@
-"""Fields that check what they are given, as components of all kinds declare them."""
+"""Fields that check their values, as components of all types declare them."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -35,8 +35,8 @@ def test_fields_hold_what_their_checks_return():
         int,
         float,
         int,
-    ]  # dims first
-    assert made.total == 6.0  # `_check` comes after all fields
+    ]  # dims come first
+    assert made.total == 6.0  # `_check` runs after all fields
     assert made.spec == "waves(count=2, length=3.0, axis=2)"
     assert made.phase is None
 

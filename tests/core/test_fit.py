@@ -1,4 +1,4 @@
-"""Fits of rates: intervals cover, bends are found and left out."""
+"""Fits of rates: intervals cover the rate, bends are detected and excluded."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def _fits(window, expected, trials=1000, se=SE):
 
 
 def test_interval_covers_the_slope_of_a_line():
-    """At least 95 % (widening for lack of fit only adds); binomial 5 σ below."""
+    """At least 95 %, because widening for lack of fit only adds; binomial 5 σ below."""
     fits = _fits(None, 3.0 * NS**-1.5)
     covered = np.mean([low <= -1.5 <= high for low, high in (f.interval for f in fits)])
     assert covered > 0.95 - 5 * np.sqrt(0.05 * 0.95 / len(fits))
@@ -34,7 +34,7 @@ def test_chi2_of_a_line_is_one_on_average():
 
 
 def test_auto_keeps_straight_lines_whole():
-    """All but the levels of the tests, which together reject at least the larger: binomial 5 σ."""
+    """Except for the levels of both tests, which reject at least the larger one; binomial 5 σ."""
     fits = _fits("auto", 3.0 * NS**-1.5)
     whole = np.mean([f.first_n == 4 for f in fits])
     low, high = 1 - LACK_OF_FIT - CURVATURE, 1 - max(LACK_OF_FIT, CURVATURE)
@@ -48,19 +48,19 @@ def _coverage(fits, rate):
 
 
 BENT = {
-    # exact variances at n = 4, 16, … 1024, `exact_variance`; with normal intervals: 0.78, 0.70
+    # exact variances at n = 4, 16, … 1024; normal intervals cover 0.78 and 0.70
     "disk(center=[0.463, 0.517], radius=0.27), jittered": (
         [-1.908, -1.287, -1.447, -1.542],
         0.93,
     ),
     "christensen-gaussian, jittered | shift": ([-1.424, -1.478, -1.493, -1.498], 0.82),
 }
-"""Local slopes of exact variances, and what the intervals of "auto" are to cover at least."""
+"""Local slopes of exact variances, and the least coverage required of the intervals of "auto"."""
 
 
 @pytest.mark.parametrize("name", BENT)
 def test_auto_covers_the_asymptotic_rate_of_bent_curves(name):
-    """Rate −1.5, errors of 500 realizations (6 %); binomial: 500 trials, 2.5 σ and more below."""
+    """Rate −1.5, errors of 500 realizations (6 %); binomial with 500 trials, 2.5 σ below."""
     slopes, least = BENT[name]
     ns = NS[:5]
     exact = np.exp(np.cumsum([0.0, *np.array(slopes) * np.diff(np.log(ns))]))
@@ -71,7 +71,7 @@ def test_auto_covers_the_asymptotic_rate_of_bent_curves(name):
 
 
 def test_scatter_about_the_line_has_students_interval():
-    """Against scipy.stats.linregress, equal errors: its interval is that of scatter alone."""
+    """For equal errors, the interval of scipy.stats.linregress uses the scatter alone."""
     y = np.array([0.0, -1.2, -1.7, -3.3])
     ns, se = NS[:4], np.full(4, 0.01)
     fit = fit_rate(ns, np.exp(y), se, np.zeros(4))
@@ -84,7 +84,7 @@ def test_scatter_about_the_line_has_students_interval():
 
 
 def test_auto_leaves_out_the_bend():
-    """n^-1 + 200 n^-3: −1 beyond n = 64 to 5 %, 100 σ off below. The guard removes the bias."""
+    """n^-1 + 200 n^-3: within 5 % of −1 above n = 64, 100 σ off below; no bias remains."""
     se = np.full(6, 0.02)
     bent = 1.0 / NS + 200.0 / NS**3
     whole = np.mean([f.rate for f in _fits(None, bent, 200, se)])
@@ -96,7 +96,7 @@ def test_auto_leaves_out_the_bend():
     assert abs(np.mean([f.rate for f in guarded]) + 1.0) < abs(exact + 1.0) + 0.005
 
 
-def test_auto_widens_what_never_fits():
+def test_auto_widens_intervals_that_never_fit():
     zigzag = NS**-1.0 * np.array([1, 3, 1, 3, 1, 3])
     fit = fit_rate(NS, zigzag, np.full(6, 0.01), NONE, "auto")
     assert fit.first_n == 256
@@ -109,7 +109,7 @@ def test_window_counts_from_the_end_and_noise_is_left_out():
     fit = fit_rate(NS, exact, SE, NONE, 3)
     assert (fit.first_n, fit.rate) == (256, pytest.approx(-1.5))
     floor = np.where(NS >= 1024, 1.0, 0.0)
-    assert fit_rate(NS, exact, SE, floor, 3).first_n != 256  # one is left: none
+    assert fit_rate(NS, exact, SE, floor, 3).first_n != 256  # one remaining count gives no fit
     assert fit_rate(NS, exact, SE, floor, "auto").rate == pytest.approx(-1.5)
 
 
@@ -122,7 +122,7 @@ def test_few_counts(window, kept):
     assert (fit.rate == pytest.approx(-1.0)) if kept == 2 else np.isnan(fit.rate)
 
 
-def test_windows_that_are_taken():
+def test_valid_windows():
     for window in (None, "auto", 3, 5):
         check_window(window, 5)
     whole = fit_rate(NS, NS**-1.5, SE, np.zeros(len(NS)))
@@ -130,7 +130,7 @@ def test_windows_that_are_taken():
 
 
 @pytest.mark.parametrize("window", [0, 1, 6, 2.5, True, "all", [3], float("nan")])
-def test_windows_that_are_refused(window):
+def test_invalid_windows_raise(window):
     analysis = Convergence(counts=(4, 16, 64, 256, 1024), fit_last=window)
     with pytest.raises(ParameterError, match="fit_last"):
         checked(analysis).need(as_subject("gaussian", "jittered"))

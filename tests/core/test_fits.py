@@ -1,4 +1,4 @@
-"""Weighted lines: exact lines are found exactly, others as by numpy, with errors that hold."""
+"""Weighted lines: exact lines are found exactly, others as in NumPy, with valid errors."""
 
 import math
 
@@ -19,7 +19,7 @@ def test_a_line_is_found_exactly():
     assert fit.chi2 < 1e-25
 
 
-def test_slope_level_and_error_are_those_of_numpy():
+def test_slope_level_and_error_agree_with_numpy():
     y = np.sin(X)
     fit = line_fit(X, y, SE**-2.0)
     (slope, level), covariance = np.polyfit(X, y, 1, w=1 / SE, cov="unscaled")
@@ -44,7 +44,7 @@ def test_two_points_show_no_lack_of_fit():
     assert math.isnan(fit.chi2)
 
 
-def test_another_slope_goes_through_the_same_centre():
+def test_another_slope_passes_through_the_same_center():
     fit = line_fit(X, np.sin(X), SE**-2.0)
     assert float(fit.at(fit.centre, slope=3.0)) == fit.level
     assert float(fit.at(fit.centre + 1.0, slope=3.0)) == pytest.approx(fit.level + 3.0)

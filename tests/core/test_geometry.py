@@ -31,7 +31,7 @@ def test_the_height_of_a_light():
 
 
 def test_solid_angles():
-    """Girard's theorem in well-shaped cases; the flat limit, area/r², in tiny ones."""
+    """Girard's theorem for well-shaped triangles; the flat limit, area/r², for tiny ones."""
     rng = np.random.default_rng(1)
     for _ in range(50):
         a, b, c = rng.normal(size=(3, 3))
@@ -46,7 +46,7 @@ def test_solid_angles():
 
 
 @pytest.mark.parametrize("given", [None, "abc", 3.0, [1, 2], [[1, 2, 3], [1]], np.ones(3, complex)])
-def test_what_is_no_vector(given):
+def test_invalid_vectors_raise(given):
     good = np.eye(3)
     for call in (
         lambda: norm(given),

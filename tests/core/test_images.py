@@ -1,4 +1,4 @@
-"""Reading of pictures: values, orientation, alpha, layers, and every way a file can be wrong."""
+"""Reading pictures: values, orientation, alpha, layers, and all kinds of broken files."""
 
 import io
 import os
@@ -19,7 +19,7 @@ EXR_HEADER = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineim
 
 
 def srgb_to_linear(v):
-    """The definition, number by number."""
+    """The definition, for one number at a time."""
     return v / 12.92 if v <= 0.04045 else ((v + 0.055) / 1.055) ** 2.4
 
 
@@ -75,8 +75,8 @@ def test_linear_leaves_values_alone(tmp_path):
     np.testing.assert_array_equal(image, RAMP[..., :3] / 255)
 
 
-def test_nothing_is_printed_of_a_broken_exr(tmp_path, capfd):
-    """OpenEXR printed a warning to standard output, and the file's name as it is to standard error."""
+def test_nothing_is_printed_for_a_broken_exr(tmp_path, capfd):
+    """OpenEXR printed a warning to standard output, and the raw file name to standard error."""
     path = tmp_path / "a\x1b[2J\nFORGED.exr"
     write_exr(
         path, {c: np.random.default_rng(1).random((16, 16)).astype(np.float32) for c in "RGB"}
@@ -139,13 +139,13 @@ def test_jpeg(tmp_path, suffix):
     Image.new("RGB", (16, 8), (188, 188, 188)).save(path, "JPEG", quality=100)
     image = read_image(path)
     assert image.shape == (8, 16, 3)
-    # A flat block is its mean alone; one step of 255 either way is JPEG's rounding of it
+    # The values of a flat block are its mean; JPEG may round it by one step of 255
     np.testing.assert_allclose(image, srgb_to_linear(188 / 255), atol=1 / 100)
 
 
 def test_first_row_is_the_top(tmp_path):
     picture = Image.new("L", (3, 2))
-    picture.putpixel((2, 0), 255)  # Pillow's (x, y), y down
+    picture.putpixel((2, 0), 255)  # Pillow uses (x, y) with y down
     picture.save(tmp_path / "top.png")
     image = read_image(tmp_path / "top.png")
     assert image[0, 2, 0] == 1
@@ -170,7 +170,7 @@ def test_exr_layers_and_luminance(tmp_path):
 
 
 @pytest.mark.parametrize("shape", [(2, 3), (2, 3, 1), (2, 3, 5)])
-def test_numpy_arrays_are_taken_as_they_are(tmp_path, shape):
+def test_numpy_arrays_are_read_unchanged(tmp_path, shape):
     values = np.arange(np.prod(shape), dtype=np.int16).reshape(shape) - 3
     np.save(tmp_path / "a.npy", values)
     np.savez(tmp_path / "a.npz", other=np.zeros(2), image=values)
@@ -261,6 +261,6 @@ def test_paths_of_the_wrong_type(path):
 
 
 @pytest.mark.parametrize("image", [None, "text", 3, [[1, [2]]], np.ones((2, 2, 3), complex)])
-def test_luminance_of_what_is_no_image(image):
+def test_luminance_of_invalid_images_raises(image):
     with pytest.raises(ParameterError, match="image|images"):
         luminance(image)

@@ -1,4 +1,4 @@
-"""Memory of analyses: estimated from sizes, refused before anything is allocated."""
+"""Memory of analyses: estimated from sizes, and checked before anything is allocated."""
 
 import pytest
 

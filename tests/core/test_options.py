@@ -1,4 +1,4 @@
-"""Options: declared once, checked and read by one rule; what is wrong is one sentence."""
+"""Options: declared once, checked and read by common rules; each error is one sentence."""
 
 import math
 from typing import Annotated, Literal
@@ -29,7 +29,7 @@ HALF = Meta(description="How far.", extra={"unit": "cycles per unit"})
 
 
 class Kinds(msgspec.Struct, frozen=True, kw_only=True):
-    """An option of every kind."""
+    """An option of every type."""
 
     n: Annotated[int, COUNT]
     counts: Annotated[Counts, COUNTS] = (4, 16)
@@ -61,7 +61,7 @@ def test_defaults_that_are_made_each_time_are_defaults():
     assert [each.required for each in options_of(Lists)] == [False, False, True]
 
 
-def test_an_option_says_what_its_annotation_says():
+def test_an_option_has_the_fields_of_its_annotation():
     n, half_width = OPTIONS["n"], OPTIONS["half_width"]
     assert (n.required, n.meaning, n.flag) == (True, "Points of each technique.", "--n")
     assert n.extra == {"flag": "-n", "metavar": "N"}
@@ -109,7 +109,7 @@ CLEAN = [
 
 
 @pytest.mark.parametrize(("name", "value", "clean"), CLEAN)
-def test_what_fits_becomes_clean(name, value, clean):
+def test_valid_values_are_converted(name, value, clean):
     found = OPTIONS[name].check(value)
     assert found == clean
     assert type(found) is type(clean)
@@ -151,7 +151,7 @@ WRONG = [
     ("counts", "4,16", "one flat list"),
     ("counts", 4, "one flat list"),
     ("counts", {4, 16}, "one flat list"),
-    ("counts", range(10**9), "10000 are the most"),
+    ("counts", range(10**9), "10000 are allowed"),
     ("several", [16, 4], "ascending"),
     ("several", 0, "at least 1"),
     ("texts", ["c"], "one of a, b"),
@@ -165,7 +165,7 @@ WRONG = [
 
 
 @pytest.mark.parametrize(("name", "value", "words"), WRONG)
-def test_what_does_not_fit_is_one_sentence(name, value, words):
+def test_invalid_values_raise_one_sentence(name, value, words):
     with pytest.raises(ParameterError, match=words) as caught:
         OPTIONS[name].check(value)
     assert str(caught.value).startswith(name)
@@ -173,7 +173,7 @@ def test_what_does_not_fit_is_one_sentence(name, value, words):
         OPTIONS[name].check(value, "there")
 
 
-def test_what_no_text_can_say_is_left_to_the_analysis():
+def test_python_objects_are_checked_by_the_analysis():
     function = OPTIONS["free"].check(print)
     assert function is print
 
@@ -215,19 +215,20 @@ def test_texts_are_read(name, text, clean):
         ("pair", "1,2,3", "^--pair has 3 values; give 2"),
     ],
 )
-def test_texts_that_say_nothing_are_one_sentence(name, text, words):
+def test_invalid_texts_raise_one_sentence(name, text, words):
     with pytest.raises(ParameterError, match=words):
         OPTIONS[name].read(text)
 
 
-def test_a_struct_becomes_clean_at_once():
+def test_a_struct_is_checked_as_a_whole():
     struct = checked(Kinds(n=16.0, counts=[4, 16], share=np.float64(0.5)))
     assert (struct.n, struct.counts, type(struct.share)) == (16, (4, 16), float)
     with pytest.raises(ParameterError, match="^share is 2"):
         checked(Kinds(n=16, share=2))
 
 
-# --- options of all analyses ------------------------------------------------------------------------
+# --- options of all analyses
+# ------------------------------------------------------------------------
 
 
 def _registered():

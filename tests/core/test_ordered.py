@@ -1,4 +1,4 @@
-"""Linear algebra in a fixed order: what LAPACK and BLAS find, and the same bits for any threads of BLAS."""
+"""Linear algebra in a fixed order: agrees with LAPACK and BLAS, independent of BLAS threads."""
 
 import os
 import subprocess
@@ -9,7 +9,7 @@ import pytest
 
 from mcspectra.core.ordered import eigenpairs, gram, orthonormal, product, weighted_sum
 
-# BLAS cuts sums of these sizes: modes, cross matrix and sums over frequencies differed by its threads
+# BLAS splits sums of these sizes: modes, cross matrix and sums over frequencies depended on threads
 RESULTS = """
 import hashlib
 import mcspectra as mcs
@@ -21,7 +21,9 @@ for found in (
         f, "random", 4, half_width=12, cross_matrix=True, realizations=3000, **runs
     ),
     *(
-        mcs.predict(f, "jittered | shift", [16], method=m, half_width=100, realizations=10, workers=1)
+        mcs.predict(
+            f, "jittered | shift", [16], method=m, half_width=100, realizations=10, workers=1
+        )
         for m in ("exact", "covariance", "homogenized", "terms")
     ),
 ):
@@ -45,13 +47,13 @@ def test_threads_of_blas_do_not_matter():
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 40])
-def test_factorisations_are_those_of_lapack(size):
+def test_factorizations_agree_with_lapack(size):
     rng = np.random.default_rng(size)
     a = rng.standard_normal((50, size)) * 1e-200
-    a[:, size // 2] = a[:, 0]  # of less than full rank
+    a[:, size // 2] = a[:, 0]  # make the matrix rank deficient
     q, expected = orthonormal(a), np.linalg.qr(a)[0]
     assert np.allclose(q.T @ q, np.eye(size), atol=1e-14)
-    same = np.abs((q * expected).sum(axis=0))[: size // 2]  # but for signs
+    same = np.abs((q * expected).sum(axis=0))[: size // 2]  # columns agree up to signs
     assert np.allclose(same, 1.0, atol=1e-12)
     assert np.allclose(a, q @ (q.T @ a), atol=1e-212)
     matrix = a.T @ (a * 1e200)
@@ -63,7 +65,7 @@ def test_factorisations_are_those_of_lapack(size):
 
 
 @pytest.mark.parametrize("is_complex", [False, True])
-def test_products_are_those_of_blas(is_complex):
+def test_products_agree_with_blas(is_complex):
     rng = np.random.default_rng(0)
     x = rng.standard_normal((30, 7)) + 1j * is_complex * rng.standard_normal((30, 7))
     x = x if is_complex else x.real

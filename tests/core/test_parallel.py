@@ -1,4 +1,4 @@
-"""Blocks of realizations: every realization once, in order, within the size that is wanted."""
+"""Blocks of realizations: every realization once, in order, within the requested size."""
 
 import pytest
 
@@ -19,7 +19,7 @@ def test_slices_cover_a_block(numbers):
     assert len({count for _, count in blocks[:-1]}) <= 1
 
 
-def test_blocks_of_realisations_cover_all():
+def test_blocks_cover_all_realizations():
     blocks = list(realization_blocks(1001, 2**12, multiple=2, first=5, least=3))
     assert _members(blocks) == list(range(5, 1006))
     assert len(blocks) >= 3
@@ -27,7 +27,7 @@ def test_blocks_of_realisations_cover_all():
 
 
 @pytest.mark.parametrize(("realizations", "least"), [(1, 1), (1001, 3), (1024, 8), (0, 1)])
-def test_any_block_is_found_by_its_place(realizations, least):
+def test_any_block_is_found_by_its_index(realizations, least):
     blocks = realization_blocks(realizations, 2**12, first=5, least=least)
     listed = list(blocks)
     assert len(blocks) == len(listed)
@@ -37,7 +37,7 @@ def test_any_block_is_found_by_its_place(realizations, least):
         blocks[len(blocks)]
 
 
-def test_blocks_of_a_billion_realisations_take_no_memory():
+def test_blocks_of_a_billion_realizations_use_no_memory():
     blocks = realization_blocks(10**9, 2**21)
     assert len(blocks) == 10**9
     assert blocks[10**9 - 1] == (10**9 - 1, 1)

@@ -1,4 +1,4 @@
-"""Point-set files: what is written is read back, what others write is read, the rest is refused."""
+"""Point-set files: our files are read back, other programs' files are read, others rejected."""
 
 import io
 import itertools
@@ -30,7 +30,7 @@ def random_sets(count=3, n=8, dims=2):
 
 @pytest.fixture
 def save(tmp_path):
-    """Write bytes or text to a file; return its path."""
+    """Return a function that writes bytes or text to a file and returns its path."""
 
     def write(name, content):
         path = tmp_path / name
@@ -42,7 +42,7 @@ def save(tmp_path):
 
 @pytest.mark.parametrize("extension", EXTENSIONS)
 @pytest.mark.parametrize(("count", "n", "dims"), [(1, 1, 1), (1, 5, 3), (4, 7, 2)])
-def test_what_is_written_is_read_back_to_the_bit(tmp_path, extension, count, n, dims):
+def test_written_points_are_read_back_bit_for_bit(tmp_path, extension, count, n, dims):
     sets = random_sets(count, n, dims)
     sets[0][0, 0] = np.nextafter(1.0, 0.0)
     path = tmp_path / f"points{extension}"
@@ -79,7 +79,7 @@ def test_utk_text_as_utk_writes_it():
     assert [points.tolist() for points in found] == [[[0.25, 0.5], [0.0, 0.125]], [[0.75, 0.5]]]
 
 
-def test_dat_text_is_that_of_utk():
+def test_dat_text_is_utk_text():
     assert format_dat([np.array([[0.5, 0.25]]), np.array([[0.0, 0.75]])]) == (
         "0.5 0.25\n#\n0.0 0.75\n"
     )
@@ -180,8 +180,8 @@ BAD_FILES = [
     ("p.bin", binary()[:19], "ends at byte 19"),
     ("p.bin", binary()[:-1], "32 bytes after the header, but has 31"),
     ("p.bin", binary() + b"0", "but has 33"),
-    ("p.bin", binary(magic=0x12345678), "starts with 78563412"),
-    ("p.bin", binary(code=6), "byte 4: 6 is no type code"),
+    ("p.bin", binary(magic=0x12345678), "begins with 78563412"),
+    ("p.bin", binary(code=6), "byte 4: the type code is 6"),
     ("p.bin", binary(points=0, data=b""), "each must be at least 1"),
     ("p.bin", binary(sets=2**32 - 1, points=2**32 - 1, dims=2**32 - 1), "announces 4294967295"),
     ("p.bin", binary(data=struct.pack("<4d", 0, 1, np.nan, 0)), "coordinate 0 of point 1 of set 0"),
@@ -239,7 +239,7 @@ def test_missing_files_and_folders_are_refused(tmp_path, extension):
 
 
 @pytest.mark.parametrize("path", [5, None, b"p.dat", "a\0b.dat", ["p.dat"]])
-def test_what_is_no_path_is_refused(path):
+def test_invalid_paths_are_rejected(path):
     with pytest.raises(FileFormatError, match="is not a path"):
         read_points(path)
 
@@ -256,7 +256,7 @@ def test_what_is_no_path_is_refused(path):
     ],
 )
 @pytest.mark.parametrize("extension", EXTENSIONS)
-def test_what_is_no_set_is_not_written(tmp_path, extension, sets, words):
+def test_invalid_sets_are_not_written(tmp_path, extension, sets, words):
     with pytest.raises(FileFormatError, match=words) as caught:
         write_points(tmp_path / f"p{extension}", sets)
     assert_one_sentence(caught.value)
@@ -275,7 +275,7 @@ def test_sets_of_different_sizes_do_not_fit_binary_formats(tmp_path):
 @pytest.mark.parametrize(
     ("name", "head"), [("x.dat", b""), ("x.csv", b"x,y\n"), ("x.csv", b"set,x\n")]
 )
-def test_millions_of_blank_lines_are_passed_over(save, name, head):
+def test_millions_of_blank_lines_are_skipped(save, name, head):
     point = b"0,0.5\n" if name == "x.csv" else b"0 0.5\n"
     path = save(name, head + b"\n" * (8 * 2**20) + point)
     (points,) = read_points(path)
@@ -292,7 +292,7 @@ def test_cells_may_stand_between_blanks(save):
 
 
 def test_long_sets_are_read_in_blocks(save):
-    """A set is of one width, and whole, over the blocks that it is read in."""
+    """A set that spans several blocks has a single width and is read completely."""
     points = np.random.default_rng(2).random((100_000, 3))
     text = format_dat([points[:70_000], points[70_000:]])
     first, second = read_points(save("p.dat", text))
@@ -305,8 +305,8 @@ def test_long_sets_are_read_in_blocks(save):
         parse_dat("0.5\n" * 99_998 + "x\n", "text")
 
 
-def test_numbers_of_long_texts_are_those_of_python(save):
-    """Bit for bit: as they are printed, with 1 to 19 digits, and next to the middle of two float64."""
+def test_numbers_of_long_texts_agree_with_python(save):
+    """Bit for bit: printed numbers, 1 to 19 digits, and numbers between two float64."""
     rng = np.random.default_rng(3)
     tokens = [repr(x) for x in (rng.random(20_000) * 10.0 ** rng.integers(-12, 3, 20_000)).tolist()]
     for digits, places in itertools.product(range(1, 20), range(26)):
@@ -339,7 +339,7 @@ def test_long_texts_of_many_sets_and_other_characters():
     sets = parse_dat(text, "text")
     assert len(sets) == 50_002
     assert {points.shape for points in sets[:50_000]} == {(1, 2)}
-    assert sets[50_000].tolist() == [[0.5], [0.25]]  # as str.splitlines has it
+    assert sets[50_000].tolist() == [[0.5], [0.25]]  # line ends as in str.splitlines
     assert sets[50_001].tolist() == [[0.5, 0.25]]
     sets = parse_dat("#\n0.5 0.25\n" * 50_000, "text")
     assert len(sets) == 50_000
@@ -369,13 +369,13 @@ def test_helpers_given_something_else_raise_an_error_of_the_package(call, given)
 
 
 @pytest.mark.parametrize("sets", [3, None, np.array(0.5)])
-def test_what_is_no_list_of_sets_is_not_written(tmp_path, sets):
+def test_invalid_lists_of_sets_are_not_written(tmp_path, sets):
     with pytest.raises(FileFormatError, match="give a list of arrays"):
         write_points(tmp_path / "p.dat", sets)
     with pytest.raises(FileFormatError, match="JSON can hold"):
         write_points(tmp_path / "p.dat", random_sets(), meta=3)
 
 
-def test_text_that_is_no_unicode_is_refused():
+def test_text_that_is_not_unicode_is_rejected():
     with pytest.raises(FileFormatError, match="byte 4 is no character"):
         parse_dat("0.1 \udcff\n", "standard input")

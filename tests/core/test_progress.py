@@ -1,4 +1,4 @@
-"""Progress: the innermost listener hears it, from any thread; bars where somebody waits."""
+"""Progress: the innermost listener receives it from any thread; bars appear in interactive use."""
 
 import re
 import sys
@@ -10,7 +10,7 @@ import pytest
 import mcspectra as mcs
 from mcspectra.core import progress
 from mcspectra.core.errors import ParameterError
-from mcspectra.core.progress import Bars, listening, progress_bars, report
+from mcspectra.core.progress import ProgressBars, listening, progress_bars, report
 
 
 def test_reports_reach_the_innermost_listener():
@@ -25,7 +25,7 @@ def test_reports_reach_the_innermost_listener():
     assert outer == [("outside", 1.0)]
 
 
-def test_reports_of_threads_are_heard():
+def test_reports_of_threads_reach_the_listener():
     heard = []
     with listening(lambda *what: heard.append(what)), ThreadPoolExecutor(2) as pool:
         list(pool.map(lambda k: report(str(k), 0.0), range(8)))
@@ -34,10 +34,10 @@ def test_reports_of_threads_are_heard():
 
 @pytest.fixture
 def clock(monkeypatch):
-    """Seconds that pass only when told to."""
+    """Seconds that pass only when the test advances them."""
     now = [100.0]
     monkeypatch.setattr(progress.time, "monotonic", lambda: now[0])
-    monkeypatch.setattr(progress, "_automatic", Bars())
+    monkeypatch.setattr(progress, "_automatic", ProgressBars())
     monkeypatch.setenv("COLUMNS", "100")
 
     def wait(seconds):
@@ -48,18 +48,18 @@ def clock(monkeypatch):
 
 @pytest.fixture
 def terminal(monkeypatch):
-    """Standard error is one."""
+    """Standard error is a terminal."""
     monkeypatch.setattr(progress, "_somebody_waits", lambda: True)
 
 
 def _seen(capsys):
-    """What was written to standard error, without codes of colors and of places."""
+    """Return the text on standard error, without codes of colors and positions."""
     return re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", capsys.readouterr().err)
 
 
 @pytest.mark.parametrize("closes", [True, False])
 def test_short_work_draws_nothing(closes, clock, terminal, capsys):
-    bars = Bars(closes=closes)
+    bars = ProgressBars(closes=closes)
     for fraction in (0.0, 0.5, 1.0):
         bars("quick", fraction)
         clock(0.2)
@@ -68,7 +68,7 @@ def test_short_work_draws_nothing(closes, clock, terminal, capsys):
 
 @pytest.mark.parametrize("closes", [True, False])
 def test_long_work_draws_a_bar_and_wipes_it(closes, clock, terminal, capsys):
-    bars = Bars(closes=closes)
+    bars = ProgressBars(closes=closes)
     bars("long", 0.0)
     clock(1.0)
     bars("long", 0.25)
@@ -80,7 +80,7 @@ def test_long_work_draws_a_bar_and_wipes_it(closes, clock, terminal, capsys):
 
 
 def test_a_bar_is_drawn_ten_times_a_second_at_most(clock, terminal, capsys):
-    bars = Bars()
+    bars = ProgressBars()
     bars("long", 0.0)
     clock(1.0)
     for k in range(1000):
@@ -90,7 +90,7 @@ def test_a_bar_is_drawn_ten_times_a_second_at_most(clock, terminal, capsys):
 
 
 def test_work_inside_work_shows_both(clock, terminal, capsys):
-    bars = Bars()
+    bars = ProgressBars()
     bars("outer", 0.5)
     bars("inner", 0.0)
     clock(1.0)
@@ -105,8 +105,8 @@ def test_work_inside_work_shows_both(clock, terminal, capsys):
     assert "inner" in line
 
 
-def test_work_that_was_given_up_is_forgotten(clock, terminal, capsys):
-    bars = Bars()
+def test_abandoned_work_is_dropped(clock, terminal, capsys):
+    bars = ProgressBars()
     bars("given up", 0.5)
     clock(40.0)
     bars("next", 0.0)
@@ -115,7 +115,7 @@ def test_work_that_was_given_up_is_forgotten(clock, terminal, capsys):
     assert "given up" not in _seen(capsys)
 
 
-def test_work_inside_a_block_is_remembered_however_long_it_is_silent(clock, terminal, capsys):
+def test_silent_work_inside_a_block_is_kept(clock, terminal, capsys):
     with progress_bars():
         report("study", 0.0)
         clock(400.0)
@@ -134,7 +134,7 @@ def test_an_exception_ends_the_bars_of_a_block(clock, terminal, capsys):
         report("study", 0.0)
         clock(1.0)
         report("study", 0.5)
-        assert sys.stderr is not before  # what is printed stands above the bar
+        assert sys.stderr is not before  # other output appears above the bar
         raise ValueError("it")
 
     with pytest.raises(ValueError, match="it"), progress_bars():
@@ -142,7 +142,7 @@ def test_an_exception_ends_the_bars_of_a_block(clock, terminal, capsys):
     assert sys.stderr is before
 
 
-def test_without_a_terminal_a_line_tells_every_ten_seconds(clock, capsys):
+def test_without_a_terminal_a_line_is_printed_every_ten_seconds(clock, capsys):
     with progress_bars():
         for k in range(100):
             report("study", k / 100)
@@ -152,8 +152,8 @@ def test_without_a_terminal_a_line_tells_every_ten_seconds(clock, capsys):
     assert lines == [f"mcspectra: study {k}%" for k in (21, 42, 63, 84)]
 
 
-def test_names_are_no_markup(clock, terminal, capsys):
-    bars = Bars()
+def test_names_are_not_read_as_markup(clock, terminal, capsys):
+    bars = ProgressBars()
     bars("a[red]b", 0.0)
     clock(1.0)
     bars("a[red]b", 0.5)
@@ -162,7 +162,7 @@ def test_names_are_no_markup(clock, terminal, capsys):
 
 @pytest.mark.parametrize("closes", [True, False])
 def test_fractions_out_of_range_and_a_missing_stream_do_no_harm(closes, clock, monkeypatch):
-    bars = Bars(closes=closes)
+    bars = ProgressBars(closes=closes)
     bars("odd", -3.0)
     clock(1.0)
     bars("odd", 0.5)
@@ -173,7 +173,7 @@ def test_fractions_out_of_range_and_a_missing_stream_do_no_harm(closes, clock, m
     bars.close()
 
 
-def test_bars_appear_by_themselves_where_somebody_waits(clock, capsys, monkeypatch):
+def test_bars_appear_automatically_in_interactive_use(clock, capsys, monkeypatch):
     report("script", 0.0)
     clock(1.0)
     report("script", 0.5)
@@ -192,7 +192,7 @@ def test_bars_appear_by_themselves_where_somebody_waits(clock, capsys, monkeypat
 
 
 @pytest.mark.parametrize("running", [True, False])
-def test_notebooks_are_recognised(running, clock, capsys, monkeypatch):
+def test_notebooks_are_recognized(running, clock, capsys, monkeypatch):
     shell = SimpleNamespace(get_ipython=lambda: object() if running else None)
     monkeypatch.setitem(sys.modules, "IPython", shell)
     report("cell", 0.0)

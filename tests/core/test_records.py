@@ -1,4 +1,4 @@
-"""States of reductions: they merge by the rules of their fields, and survive as bytes bit for bit."""
+"""States of reductions: they merge by rules of their fields, and survive as bytes bit for bit."""
 
 import math
 import tracemalloc
@@ -86,7 +86,7 @@ def test_every_field_merges_by_its_rule():
     assert [part.total.tolist() for part in both.parts] == [[3, 6], [-3, -6]]
 
 
-def test_what_a_block_has_not_the_other_has():
+def test_missing_fields_come_from_the_other_block():
     there = np.array([1.0])
     for left, right, found in (
         (None, None, None),
@@ -105,12 +105,12 @@ def test_lists_merge_item_by_item_and_have_one_length():
 
 
 @pytest.mark.parametrize("state", [np.zeros(2), {"a": np.zeros(2)}, 3.0])
-def test_what_is_no_record_has_no_rule(state):
-    with pytest.raises(TypeError, match="make it part of a record"):
+def test_values_without_a_merge_rule_raise(state):
+    with pytest.raises(TypeError, match="make it a field of a record"):
         merged(state, state)
 
 
-def test_a_mean_and_its_error_are_those_of_numpy():
+def test_a_mean_and_its_error_agree_with_numpy():
     values = np.random.default_rng(1).random((9, 4))
     before, tree = values.copy(), MergeTree()
     for row in values:
@@ -129,7 +129,7 @@ def test_one_realization_has_no_error():
 
 @pytest.mark.parametrize("count", [4, 10, 30])
 def test_intervals_of_positive_means_cover_them(count):
-    """Power of one and of eight independent frequencies: at 4 realizations ± 2 errors had 79 to 85 %."""
+    """Power of one and of eight independent frequencies: ± 2 errors cover 79 to 85 %."""
     rng = np.random.default_rng(1)
     for shape, least in ((1.0, 0.93), (8.0, 0.94)):
         values = rng.gamma(shape, size=(20_000, count))
@@ -144,7 +144,8 @@ def test_intervals_without_spread():
     np.testing.assert_array_equal(ends, [[0, 0], [2, 2], [math.nan, math.nan]])
 
 
-# --- bytes ------------------------------------------------------------------------------------------
+# --- bytes
+# ------------------------------------------------------------------------------------------
 
 ODD = np.array([0.1 + 0.2, -0.0, np.nan, np.inf, 5e-324])
 NUMBERS = st.one_of(
@@ -169,7 +170,7 @@ def test_arrays_of_every_type_come_back_bit_for_bit(array):
     assert back.flags.writeable
 
 
-def test_arrays_that_lie_otherwise_in_memory_come_back():
+def test_arrays_of_any_memory_layout_come_back():
     array = np.arange(24.0).reshape(2, 3, 4)
     for view in (array.T, array[:, ::2], array[..., ::-1], np.asfortranarray(array)):
         assert np.array_equal(unpack(np.ndarray, pack(view)), view)
@@ -264,11 +265,12 @@ def test_objects_of_python_are_refused(state):
         pack(state)
 
 
-# --- bytes of others --------------------------------------------------------------------------------
+# --- untrusted bytes
+# --------------------------------------------------------------------------------
 
 
 def _refused(kind, payload):
-    """The payload is refused with one sentence, and nothing larger than it is allocated."""
+    """The payload is rejected in one sentence, and nothing larger than it is allocated."""
     tracemalloc.start()
     try:
         with pytest.raises(FileFormatError, match=r"^A stored result cannot be read: .+\.$"):
@@ -307,7 +309,7 @@ def test_bytes_that_are_damaged_are_refused_or_another_state(name, changes):
     kind, payload = KINDS[name]
     damaged = bytearray(payload)
     header = 12 + int.from_bytes(payload[4:12], "little")
-    for change in changes:  # of the header, where all that can go wrong is
+    for change in changes:  # changes to the header, where all errors can occur
         damaged[change % header] ^= 1 + (change >> 20) % 255
     try:
         unpack(kind, bytes(damaged))
@@ -343,11 +345,11 @@ CLAIMS = {
 
 
 @pytest.mark.parametrize("claim", CLAIMS)
-def test_arrays_that_cannot_be_are_refused(claim):
+def test_impossible_arrays_are_rejected(claim):
     _refused(np.ndarray, _forged(0, CLAIMS[claim], bytes(8)))
 
 
-def test_texts_of_no_letters_are_refused():
+def test_texts_with_invalid_characters_are_rejected():
     variables = [("a", True, ["a"], 0, {})]
     tree = {"attrs": {}, "variables": variables}
     _refused(xr.Dataset, _forged(tree, [("<U1", (1,))], b"\xff" * 4))
@@ -371,7 +373,7 @@ def test_a_tree_that_is_too_deep_is_refused():
         [("a", True, ["x"], 0, {}), ("b", True, ["x"], 1, {})],
     ],
 )
-def test_datasets_that_cannot_be_are_refused(variables):
+def test_impossible_datasets_are_rejected(variables):
     arrays = [("<f8", (1,)), ("<f8", (2,))]
     tree = {"attrs": {}, "variables": variables}
     used = len(variables)

@@ -1,4 +1,4 @@
-"""Works cited: docstrings cite works that exist, entries are whole, and texts show them."""
+"""Cited works: docstrings cite existing works, entries are complete, and texts show them."""
 
 import re
 from pathlib import Path
@@ -26,7 +26,8 @@ def test_every_entry_is_read_whole():
     assert sorted(works()) == sorted(keys)
     assert len(set(keys)) == len(keys)
     names = re.findall(r"^\s*(\w+) *=", source, re.MULTILINE)
-    assert sum(map(len, works().values())) == len(names)  # none lost, none twice in an entry
+    # no entry is lost, and no field appears twice
+    assert sum(map(len, works().values())) == len(names)
 
 
 @pytest.mark.parametrize("key", works())

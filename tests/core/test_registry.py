@@ -1,4 +1,4 @@
-"""Registries: names to classes, close matches, names that other distributions add."""
+"""Registries: names map to classes, similar names are suggested, and other packages add names."""
 
 import sys
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ class Plain(Component):
 
 @dataclass(frozen=True, kw_only=True)
 class Flat(Component):
-    """A component of one dim, with a parameter it needs."""
+    """A component of one dim, with a required parameter."""
 
     name: ClassVar[str] = "flat"
     width: float
@@ -37,7 +37,7 @@ class Flat(Component):
 
 @pytest.fixture
 def registry(monkeypatch):
-    """A registry of this module's classes, under a name that can be imported."""
+    """A registry of this module's classes, under an importable name."""
     monkeypatch.setitem(sys.modules, HERE, sys.modules[__name__])
     builtin = {
         "plain": f"{HERE}:Plain",
@@ -50,7 +50,7 @@ def registry(monkeypatch):
 
 @pytest.fixture
 def install(tmp_path, monkeypatch):
-    """Put a distribution with entry points on sys.path."""
+    """Return a function that adds a distribution with entry points to sys.path."""
 
     def add(entries, source, module="third_party_things"):
         info = tmp_path / "third_party-1.0.dist-info"
@@ -90,14 +90,14 @@ def test_calls_become_components(registry):
         ("zzz", None, UnknownName, "Allowed: flat, no-class, no-module, plain."),
         ("plain(skale=1)", None, ParameterError, "no parameter 'skale'; it takes dims, scale"),
         ("plain(skale=1)", None, ParameterError, "Did you mean 'scale'"),
-        ("plain(dims=3)", 2, ParameterError, "says dims=3, but 2 dims are needed"),
+        ("plain(dims=3)", 2, ParameterError, "has dims=3, but 2 dims are needed"),
         ("flat", None, ParameterError, "flat needs width."),
         ("flat(width=1)", 2, ParameterError, "flat is for 1 dim, but 2 dims are needed"),
         ("no-module", None, MissingDependency, "'no-module' .* cannot be loaded"),
         ("no-class", None, MissingDependency, "'no-class' .* cannot be loaded"),
     ],
 )
-def test_what_cannot_be_built_is_said_in_a_sentence(registry, call, dims, error, words):
+def test_components_that_cannot_be_built_raise_one_sentence(registry, call, dims, error, words):
     with pytest.raises(error, match=words) as caught:
         registry.build(parse(call), dims)
     assert "\n" not in str(caught.value)
@@ -129,7 +129,8 @@ def test_other_distributions_add_names(registry, install):
     install(["theirs = third_party_things:Theirs"], THIRD_PARTY)
     assert "theirs" in registry
     assert list(registry) == sorted(["flat", "no-class", "no-module", "plain", "theirs"])
-    assert "third_party_things" not in sys.modules  # known, not imported
+    # the name is registered, but the module is not imported
+    assert "third_party_things" not in sys.modules
     made = registry.build(parse("theirs(depth=3)"), 4)
     assert (made.dims, made.depth, made.spec) == (4, 3, "theirs(depth=3)")
     with pytest.raises(UnknownName, match="Did you mean 'theirs'"):
@@ -152,7 +153,7 @@ def test_a_built_in_name_wins(registry, install):
         ("theirs = third_party_things:nothing", "nothing = {}", "not a class"),
     ],
 )
-def test_a_broken_distribution_hurts_only_who_asks_for_it(registry, install, entry, source, words):
+def test_a_broken_distribution_affects_only_its_own_names(registry, install, entry, source, words):
     install([entry], source)
     assert registry.build(Call("plain", {})) == Plain()
     with pytest.raises(MissingDependency, match=words):
@@ -174,6 +175,6 @@ def test_optional_packages_are_loaded_or_named(monkeypatch):
 
     monkeypatch.setattr("importlib.import_module", fail)
     with pytest.raises(
-        MissingDependency, match=r"; it cannot be loaded: lib.so: cannot open; mend"
+        MissingDependency, match=r"; it cannot be loaded: lib.so: cannot open; reinstall it"
     ):
         optional_package("json", "extra", "It needs")

@@ -1,4 +1,4 @@
-"""Results: registered variables, attributes that every format can hold, strict JSON."""
+"""Results: registered variables, attributes that every format can store, strict JSON."""
 
 import json
 from pathlib import Path
@@ -35,7 +35,7 @@ def test_attributes_are_numbers_texts_or_json():
     assert dataset({}, n=4).attrs["n"] == 4
 
 
-def test_what_strict_json_cannot_say_becomes_null_or_text():
+def test_values_outside_strict_json_become_null_or_text():
     given = {
         1: [float("nan"), -np.inf, 2.5],
         "array": np.array([[1, 2], [3, 4]]),

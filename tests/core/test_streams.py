@@ -1,7 +1,7 @@
-"""Quality of the random streams, as samplers use them: within, across and between streams.
+"""Quality of the random streams as samplers use them: within, across and between streams.
 
-Every statistical check is a p-value (or several) given to `assert_plausible`, which holds the whole
-file to one false alarm in a million runs. Seeds are fixed: what passes once passes always.
+Every statistical check passes one or several p-values to `assert_plausible`, which limits the whole
+file to one false alarm in a million runs. Seeds are fixed, so that results are reproducible.
 """
 
 import numpy as np
@@ -13,15 +13,15 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.core.streams import Stream
 
 FALSE_ALARMS = 1e-6
-CHECKS = 2000  # p-values in this file, at most
+CHECKS = 2000  # largest number of p-values in this file
 LEVEL = 1 - (1 - FALSE_ALARMS) ** (1 / CHECKS)  # Šidák
 
-SHAPE = (1024, 1024)  # streams by numbers: 2^20 numbers a family
+SHAPE = (1024, 1024)  # streams by numbers: 2^20 numbers per family
 TWO_53 = 2.0**53
 
 
 def assert_plausible(p_values):
-    """Neither too far from what is expected, nor too close to it."""
+    """Check that p-values are neither too small nor too close to 1."""
     assert_plausible.made += np.size(p_values)
     assert assert_plausible.made <= CHECKS, "raise CHECKS"
     extreme = np.minimum(p_values, 1 - np.asarray(p_values))
@@ -32,28 +32,28 @@ assert_plausible.made = 0
 
 
 def _realizations():
-    """Rows: consecutive realizations of one seed; coordinate j of point i is number i·d + j."""
+    """Rows are consecutive realizations of one seed; coordinate j of point i is number i·d + j."""
     return Stream.from_rng(1).uniforms(0, *SHAPE)
 
 
 def _seeds():
-    """Rows: realization 0 of consecutive integer seeds."""
+    """Rows are realization 0 of consecutive integer seeds."""
     return np.concatenate([Stream.from_rng(s).uniforms(0, 1, SHAPE[1]) for s in range(SHAPE[0])])
 
 
 def _children():
-    """Rows: realization 0 of the children of one stream."""
+    """Rows are realization 0 of the children of one stream."""
     parent = Stream.from_rng(3)
     return np.concatenate([parent.child(k).uniforms(0, 1, SHAPE[1]) for k in range(SHAPE[0])])
 
 
 def _first_numbers():
-    """Number 0 of 2^20 realizations: all randomness is that of the keys."""
+    """Number 0 of 2^20 realizations: all randomness comes from the keys."""
     return Stream.from_rng(5).uniforms(0, SHAPE[0] * SHAPE[1], 1).reshape(SHAPE)
 
 
 def _related_keys():
-    """Rows: keys of streams that differ in few bits, which no seed gives but anyone may set."""
+    """Rows are keys of streams that differ in few bits; users may set them, no seed does."""
     return np.concatenate([Stream(k).uniforms(0, 1, SHAPE[1]) for k in range(SHAPE[0])])
 
 
@@ -72,12 +72,12 @@ def uniforms(request):
 
 
 def integers(u):
-    """The 53 random bits of each uniform."""
+    """Return the 53 random bits of each uniform number."""
     return (u * TWO_53).astype(np.uint64)
 
 
 def chi2_uniform(cells, count):
-    """p-value of `cells`, integers in [0, count), being uniform."""
+    """p-value for `cells`, integers in [0, count), being uniform."""
     return stats.chisquare(np.bincount(np.ravel(cells).astype(np.int64), minlength=count)).pvalue
 
 
@@ -89,11 +89,11 @@ def test_numbers_are_multiples_of_2_to_the_minus_53_below_one(uniforms):
     assert uniforms.min() >= 0.0
     assert uniforms.max() < 1.0
     np.testing.assert_array_equal(integers(uniforms) / TWO_53, uniforms)
-    assert len(np.unique(integers(uniforms) % 2**11)) == 2**11  # the lowest bits are in use
+    assert len(np.unique(integers(uniforms) % 2**11)) == 2**11  # the lowest bits are random
 
 
 def test_moments(uniforms):
-    """Mean, variance, 3rd and 4th central moment, each with the σ of its estimate."""
+    """Mean, variance, third and fourth central moment, each with the σ of its estimate."""
     x = np.ravel(uniforms) - 0.5
     for power in (1, 2, 3, 4):
         expected = 0.0 if power % 2 else 0.5**power / (power + 1)
@@ -112,24 +112,24 @@ def test_bits_are_uniform(uniforms, shift, bits):
 @pytest.mark.parametrize("shift", [48, 0], ids=["top", "low"])
 @pytest.mark.parametrize("axis", [0, 1], ids=["across-streams", "within"])
 def test_pairs_are_independent(uniforms, axis, lag, shift):
-    """χ² on 32×32 cells of pairs that share no number, `lag` apart in a stream or across them."""
+    """χ² on 32×32 cells of pairs without common numbers, `lag` apart in or across streams."""
     five = integers(uniforms if axis else uniforms.T) >> shift & 31
     blocks = five[:, : five.shape[1] // (2 * lag) * 2 * lag].reshape(len(five), -1, 2, lag)
     assert_plausible(chi2_uniform(32 * blocks[:, :, 0] + blocks[:, :, 1], 32**2))
 
 
 def test_consecutive_streams_are_uncorrelated(uniforms):
-    """Correlations of neighboring rows: each by its z-score, all by χ²."""
+    """Correlations of neighboring rows: each by its z-score, all together by χ²."""
     x = (uniforms - 0.5) * np.sqrt(12)
     z = (x[:-1:2] * x[1::2]).sum(axis=1) / np.sqrt(x.shape[1])
     assert_plausible(stats.chi2.cdf(np.sum(z**2), z.size))
-    # z sums 1024 products of kurtosis 9/5 · 9/5 = 3.24: at 7σ, Edgeworth adds 3 % to the normal tail.
+    # z sums 1024 products of kurtosis 9/5 · 9/5 = 3.24: Edgeworth adds 3 % to the tail at 7σ.
     assert np.abs(z).max() < stats.norm.isf(LEVEL / 2 / z.size)
 
 
 @pytest.mark.parametrize("low", [True, False], ids=["lowest-32", "top-32"])
 def test_values_collide_as_often_as_by_chance(uniforms, low):
-    """Of N words of 32 bits, pairs agree about λ = N²/2^33 = 128 times, Poisson distributed."""
+    """Of N words of 32 bits, about λ = N²/2^33 = 128 pairs agree, with a Poisson distribution."""
     words = integers(uniforms).ravel()
     short = words & np.uint64(2**32 - 1) if low else words >> np.uint64(21)
     _, repeats = np.unique(short, return_counts=True)
@@ -138,11 +138,11 @@ def test_values_collide_as_often_as_by_chance(uniforms, low):
     assert_plausible(stats.poisson.cdf(pairs, expected))
 
 
-def test_no_stream_holds_a_piece_of_another():
-    """2^21 numbers of 2,048 streams of all kinds: equal values, at any lag, are as good as none.
+def test_no_stream_contains_a_part_of_another():
+    """2^21 numbers of 2,048 streams of all types: equal values at any lag are extremely rare.
 
-    λ = N²/2^54 = 2^-12 pairs agree by chance; three or more with probability λ³/6 = 2.4e-12, while
-    a stream that was another one shifted would bring hundreds.
+    λ = N²/2^54 = 2^-12 pairs agree by chance; three or more with probability λ³/6 = 2.4e-12. A
+    stream that is a shifted copy of another would give hundreds.
     """
     parent = Stream.from_rng(0)
     kinds = [Stream.from_rng(s) for s in range(512)] + [parent.child(k) for k in range(512)]
@@ -153,18 +153,18 @@ def test_no_stream_holds_a_piece_of_another():
     assert values.size - len(np.unique(values)) < 3
 
 
-def test_streams_with_nearly_equal_keys_are_no_permutations_of_each_other():
-    """Keys k0 that differ in low bits swap indices; k1, which enters later, must undo that."""
+def test_streams_with_similar_keys_are_not_permutations_of_each_other():
+    """Keys k0 that differ in low bits swap indices; k1, which enters later, must undo this."""
     keys = np.array([[2**63 + i, k] for i in range(64) for k in (0, 1, 2**63)], np.uint64)
     out = np.empty((len(keys), 1024))
     streams._fill_uniforms(keys, out)
-    for same in (0, 1, 2):  # equal k1: the swapped copies are there, so this test can fail
+    for same in (0, 1, 2):  # with equal k1 the swapped copies exist, so this test can fail
         assert len(np.unique(out[same::3])) == 1024
     assert len(np.unique(out[[0, 4, 8]])) == 3 * 1024
 
 
 def mixed_again(keys, index):
-    """The mix of the module docstring, written once more with NumPy: uint64, keys (R, 2)."""
+    """The mix of the module docstring, implemented again with NumPy: uint64, keys (R, 2)."""
     k0, k1 = keys.T
     x = (np.uint64(index) ^ k0) * np.uint64(0x9E3779B97F4A7C15)
     x ^= x >> np.uint64(32)
@@ -174,7 +174,7 @@ def mixed_again(keys, index):
     return x ^ x >> np.uint64(32)
 
 
-def test_the_mix_is_that_of_the_documentation():
+def test_the_mix_agrees_with_the_documentation():
     stream = Stream.from_rng(7)
     expected = mixed_again(stream.keys(5, 100), 41)
     np.testing.assert_array_equal(
@@ -208,7 +208,7 @@ def test_philox_gives_the_published_answers(counter, key, output):
 
 
 def test_bits_are_the_same_on_every_platform():
-    """Golden values: a change here changes every result that a seed stands for."""
+    """Golden values: a change here changes the results of every seed."""
     stream = Stream.from_rng(0)
     assert stream.key == 15793235383387715774
     assert Stream.from_rng(2**64).key == 8649202198168436674
@@ -232,13 +232,13 @@ def test_a_realization_does_not_depend_on_what_is_drawn_with_it():
 
 
 def test_keys_of_realizations_and_children_all_differ():
-    """Realizations by construction (Philox is a bijection), children but for 2^-64 each pair."""
+    """Realizations differ by construction (a bijection), children up to 2^-64 per pair."""
     stream = Stream.from_rng(9)
     assert len(np.unique(stream.keys(0, 2**16), axis=0)) == 2**16
     assert len({stream.child(k).key for k in range(2**12)}) == 2**12
 
 
-def test_rng_is_what_spec_7_says():
+def test_rng_follows_spec_7():
     assert Stream.from_rng(5) == Stream.from_rng(5) == Stream.from_rng(np.int64(5))
     assert Stream.from_rng(np.random.SeedSequence(5)) == Stream.from_rng(5)
     assert Stream.from_rng(5) != Stream.from_rng(6)
@@ -255,7 +255,7 @@ def test_a_generator_is_advanced_and_a_seed_sequence_is_not():
 
 
 @pytest.mark.parametrize("rng", [-1, 1.5, 1.0, "x", True, [1, 2], np.random.RandomState(1), np.nan])
-def test_what_is_no_seed_is_refused(rng):
+def test_invalid_seeds_are_rejected(rng):
     with pytest.raises(ParameterError, match=r"^rng is .*; give a") as caught:
         Stream.from_rng(rng)
     assert "\n" not in str(caught.value)

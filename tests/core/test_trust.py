@@ -1,4 +1,4 @@
-"""One policy says what text of strangers may reach: studies, specs of the command line, the explorer."""
+"""One policy for the access of untrusted text: studies, command-line specs and the explorer."""
 
 import pytest
 
@@ -30,7 +30,7 @@ def test_the_same_trust_holds_for_specs_studies_and_the_explorer(tmp_path):
         call()
 
 
-def test_a_trust_reaches_what_it_names_and_what_is_below(tmp_path):
+def test_a_trust_allows_named_folders_and_subfolders(tmp_path):
     for name in ("in/below", "out"):
         (tmp_path / name).mkdir(parents=True)
     for name in ("in/a", "in/below/b", "out/c"):
@@ -53,7 +53,7 @@ def test_a_trust_reaches_what_it_names_and_what_is_below(tmp_path):
 @pytest.mark.parametrize(
     "given", [{"code": ["os"]}, {"code": [3]}, {"folders": ["a"]}, {"folders": [None]}]
 )
-def test_what_is_written_otherwise_is_a_sentence(given):
+def test_invalid_entries_raise_one_sentence(given):
     with pytest.raises(McspectraError, match=r"\.$"):
         allow(**given)
     assert process_trust() == Trust()

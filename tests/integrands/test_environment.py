@@ -124,7 +124,7 @@ def test_each_channel_by_its_own_density():
         ({"values": -SKY}, ParameterError, "at least 0"),
         ({"values": SKY * math.nan}, ParameterError, "finite"),
         ({"values": [1.0]}, ParameterError, r"shape \(1,\)"),
-        ({"values": SKY, "path": "sky.exr"}, ParameterError, "not both"),
+        ({"values": SKY, "path": "sky.exr"}, ParameterError, "give one of them"),
         ({"path": "no-such.exr"}, FileFormatError, "no file"),
     ],
 )

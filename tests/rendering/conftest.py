@@ -1,4 +1,4 @@
-"""Scenes for the tests of the renderer's bridge."""
+"""Scenes for the tests of the interface to the renderer."""
 
 import gc
 
@@ -55,7 +55,7 @@ _TEXTS = {
 
 @pytest.fixture(scope="module", autouse=True)
 def forget_scenes():
-    """Drop a module's scenes: Dr.Jit traces the BSDFs of all that are alive at every call."""
+    """Drop a module's scenes: every call of Dr.Jit traces the BSDFs of all scenes in memory."""
     yield
     for cache in (scenes._built, hits_of, dimensions_of, _sky):
         cache.cache_clear()

@@ -1,4 +1,4 @@
-"""Samples of the unit cube, and what means and slopes of noisy values are off by."""
+"""Samples of the unit cube, and errors of means and slopes of noisy values."""
 
 from statistics import NormalDist
 
@@ -19,7 +19,7 @@ def mean_and_error(values):
 
 
 def slope_error(curve):
-    """Standard error of a slope by the noise of its variances, or by the scatter about it if larger."""
+    """Standard error of a slope from the noise of its variances, or from the scatter if larger."""
     low, high = np.log(curve["variance_ci"].transpose("bound", "n").values)
     weight = ((high - low) / 2 / Z) ** -2.0
     x = np.log(curve["n"].values)

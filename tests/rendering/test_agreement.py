@@ -1,8 +1,8 @@
-"""Images against those of Mitsuba's own `direct` integrator: a Z-test of every pixel.
+"""Images compared with Mitsuba's own `direct` integrator by a test of every pixel.
 
-Both sides are means of independent batches, so that each pixel has a Welch t statistic; the mean of
-the crop is one more hypothesis. All are held to one level by Šidák's correction. The same test
-must notice a technique that is wrong by 2 %.
+Both sides are means of independent batches, so that each pixel has a Welch t statistic. The mean of
+the crop is one more hypothesis. Šidák's correction gives all a common level. The same test must
+detect a technique that is wrong by 2 %.
 """
 
 from pathlib import Path
@@ -17,18 +17,18 @@ from mcspectra.rendering.image import render
 
 pytestmark = pytest.mark.render
 
-LEVEL = 1e-3  # chance that a right image is refused
+LEVEL = 1e-3  # probability that a correct image is rejected
 BATCHES = 16
-SPP = 256  # of each batch and of each side
-# The two smallest lights are left out: BSDF sampling meets them so seldom that batches are not
-# normal. The crop holds the largest light, a part of the wall and of the plates.
+SPP = 256  # samples per pixel of each batch and side
+# The two smallest lights are left out: BSDF sampling hits them so rarely that batches are not
+# normal. The crop contains the largest light, and parts of the wall and the plates.
 VEACH = "veach(width=24, height=16, lights=['light-2', 'light-3'])"
 CROPS = {"veach": (12, 0, 12, 12), "layered": (2, 3, 12, 8)}
 CHANGES = {
     'name="width" value="40"': 'name="width" value="16"',
     'name="height" value="30"': 'name="height" value="12"',
     "</film>": '<rfilter type="box"/></film>',
-    # Less glossy: light sampling then sees 2 % in a million samples.
+    # Less glossy, so that light sampling resolves 2 % with a million samples.
     'name="roughness" value="0.3"': 'name="roughness" value="0.8"',
 }
 STOCK = {"light": (1, 0), "bsdf": (0, 1), "mis": (1, 1)}
@@ -48,7 +48,7 @@ def scenes(scene_files, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def stock(scenes):
-    """Batches of the stock integrator, kept: (scene, strategy) to (BATCHES, h, w, 3)."""
+    """Cached batches of the stock integrator: (scene, strategy) to (BATCHES, h, w, 3)."""
     kept: dict[tuple[str, str], Array] = {}
 
     def batches(name, strategy):
@@ -76,7 +76,7 @@ def smallest_p_value(stock, ours):
     """Šidák-corrected p-value of the worst pixel and channel, or of the mean of the crop."""
     mean, variance = stock.mean(axis=0), stock.var(axis=0, ddof=1) / BATCHES
     other, rest = ours["image"].values, ours["image_se"].values ** 2
-    # Float32 sums of SPP values, and values that are constants but for their rounding
+    # Rounding of float32 sums of SPP values, for values that are otherwise constant
     floor = (SPP * 2.0**-24 * mean) ** 2 / 12
     total = variance + rest
     freedom = (BATCHES - 1) * total**2 / np.maximum(variance**2 + rest**2, 1e-300)
@@ -102,14 +102,14 @@ def ours(scene, name, strategy):
 
 @pytest.mark.parametrize("strategy", list(STOCK))
 @pytest.mark.parametrize("name", list(CROPS))
-def test_every_pixel_is_that_of_the_stock_integrator(scenes, stock, name, strategy):
+def test_every_pixel_agrees_with_the_stock_integrator(scenes, stock, name, strategy):
     p = smallest_p_value(stock(name, strategy), ours(scenes[name], name, strategy))
     assert p > LEVEL
 
 
 @pytest.mark.parametrize("strategy", ["light", "bsdf"])
 @pytest.mark.parametrize("name", list(CROPS))
-def test_two_percent_are_noticed(
+def test_an_error_of_two_percent_is_detected(
     monkeypatch,
     scenes,
     stock,
@@ -128,7 +128,7 @@ def test_two_percent_are_noticed(
 
 
 @pytest.mark.parametrize("name", list(CROPS))
-def test_weights_that_do_not_add_up_are_noticed(monkeypatch, scenes, stock, name):
+def test_weights_that_do_not_sum_to_one_are_detected(monkeypatch, scenes, stock, name):
     right = wavefront.heuristic_weight
     monkeypatch.setattr(wavefront, "heuristic_weight", lambda *given: 1.02 * right(*given))
     assert smallest_p_value(stock(name, "mis"), ours(scenes[name], name, "mis")) < LEVEL

@@ -1,4 +1,4 @@
-"""The search for LLVM: order, verdicts, cache, and the sentence where nothing works."""
+"""The search for LLVM: order, verdicts, cache, and the message if none works."""
 
 import importlib.util
 import json
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.render
 
 @pytest.fixture
 def not_loaded(monkeypatch):
-    """Make `load_mitsuba` start from nothing."""
+    """Make `load_mitsuba` start without a loaded module."""
     monkeypatch.setattr(backend, "_loaded", [])
     monkeypatch.setattr(backend, "_already_running", lambda: False)
 
@@ -62,7 +62,7 @@ def test_describe_finds_a_library_and_leaves_mitsuba_alone():
     assert found["drjit"]
 
 
-def test_second_search_takes_the_kept_verdict(monkeypatch, own_cache):
+def test_a_second_search_uses_the_stored_verdict(monkeypatch, own_cache):
     first, _ = find_library()
     assert first is not None
     assert len(list(own_cache.iterdir())) == 1
@@ -73,7 +73,7 @@ def test_second_search_takes_the_kept_verdict(monkeypatch, own_cache):
 
 
 @pytest.mark.parametrize("kept", ["", "{", "[]", '{"works": true}', "null"])
-def test_broken_cache_file_is_written_anew(monkeypatch, own_cache, tmp_path, kept):
+def test_a_broken_cache_file_is_replaced(monkeypatch, own_cache, tmp_path, kept):
     library = _library(tmp_path)
     own_cache.mkdir()
     file = own_cache / f"llvm-{backend._fingerprint(library)}.json"
@@ -85,7 +85,7 @@ def test_broken_cache_file_is_written_anew(monkeypatch, own_cache, tmp_path, kep
     assert backend._read_verdict(file, library) == verdict
 
 
-def test_verdicts_are_kept_in_the_cache_that_is_chosen(monkeypatch, own_cache, tmp_path):
+def test_verdicts_are_stored_in_the_chosen_cache(monkeypatch, own_cache, tmp_path):
     verdict = Verdict(_library(tmp_path), False, "no")
     monkeypatch.setattr(backend, "_probe", lambda _: (verdict, True))
     backend._verdict(verdict.library, fresh=False)
@@ -107,7 +107,7 @@ def test_fingerprint_follows_the_file(tmp_path):
     assert backend._fingerprint(library) != before
 
 
-def test_users_library_comes_first_and_a_bad_one_is_passed_over(monkeypatch, own_cache, tmp_path):
+def test_the_users_library_comes_first_and_a_bad_one_is_skipped(monkeypatch, own_cache, tmp_path):
     missing = str(tmp_path / "libLLVM-nowhere.so")
     monkeypatch.setenv("DRJIT_LIBLLVM_PATH", missing)
     best, refused = find_library()
@@ -115,22 +115,22 @@ def test_users_library_comes_first_and_a_bad_one_is_passed_over(monkeypatch, own
     assert refused == [Verdict(missing, False, "there is no such file")]
 
 
-def test_library_that_is_none_is_refused_with_a_reason(own_cache, tmp_path):
+def test_an_invalid_library_is_rejected_with_a_reason(own_cache, tmp_path):
     verdict, final = backend._probe(_library(tmp_path))
     assert final
     assert not verdict.works
-    assert "the trial ended with" in verdict.reason
+    assert "the test ended with" in verdict.reason
 
 
 @pytest.mark.parametrize(
     ("probe", "seconds", "reason", "final"),
     [
-        ("import os; os.abort()", 60.0, "the trial ended with", True),
+        ("import os; os.abort()", 60.0, "the test ended with", True),
         ("import time; time.sleep(60)", 0.5, "did not finish", False),
         ("print('works False')", 60.0, "status 0", True),
     ],
 )
-def test_probe_survives_crashes_and_hangs(
+def test_the_test_of_a_library_survives_crashes_and_hangs(
     monkeypatch,
     tmp_path,
     probe,
@@ -220,7 +220,7 @@ def test_mitsuba_with_a_broken_llvm_before_us_is_refused_in_a_sentence(own_cache
         return run.stdout
 
     assert printed() == "works\n"
-    # The same library, said to be broken: what is loaded counts, not who set the variant
+    # The same library, marked as broken: the loaded library matters, not who set the variant
     (verdict,) = own_cache.iterdir()
     verdict.write_text(json.dumps({"works": False, "reason": "signal 6", "version": ""}))
     refusal = printed()

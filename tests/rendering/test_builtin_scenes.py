@@ -1,4 +1,4 @@
-"""The built-in scenes: what their named pixels see, and light against Lambert's formula."""
+"""Built-in scenes: views of their named pixels, and light compared with Lambert's formula."""
 
 import math
 
@@ -42,15 +42,15 @@ SIGMAS = 4.0
 
 
 def occluder():
-    """Return the corners of the square of half side 0.7 around (1.5, 1, 0), turned by 25°."""
-    # A turn about y takes +x toward −z.
+    """Return the corners of the square of half side 0.7 around (1.5, 1, 0), rotated by 25°."""
+    # A rotation about y moves +x toward −z.
     turn = math.radians(-25.0) + np.array([1, 3, 5, 7]) * math.pi / 4
     x, z = 0.7 * math.sqrt(2) * np.array([np.cos(turn), np.sin(turn)])
     return np.stack([1.5 + x, np.ones(4), z], axis=-1)
 
 
 def radiance(point, polygon):
-    """Reflected radiance below a polygon: Lambert's formula, ρ/π · L · ½ Σ angle · (edge normal)_y."""
+    """Radiance below a polygon by Lambert's formula, ρ/π · L · ½ Σ angle · (edge normal)_y."""
     to = polygon - point
     to = to / np.linalg.norm(to, axis=1, keepdims=True)
     total = 0.0
@@ -61,7 +61,7 @@ def radiance(point, polygon):
 
 
 def clipped(polygon, shadow):
-    """Cut a convex polygon by a convex one, both in the plane y = 2 (Sutherland & Hodgman 1974)."""
+    """Clip a convex polygon by another, both in y = 2 (Sutherland & Hodgman 1974)."""
     center = shadow.mean(axis=0)
     for a, b in zip(shadow, np.roll(shadow, -1, axis=0), strict=True):
         inward = np.cross(b - a, [0.0, 1.0, 0.0])
@@ -76,8 +76,9 @@ def clipped(polygon, shadow):
 
 
 def seen_part(point):
-    """Reflected radiance of a point of the floor, and the share of the light's area it sees."""
-    hidden = clipped(LIGHT, point + 2.0 * (occluder() - point))  # twice as high: twice as far
+    """Reflected radiance of a floor point, and the fraction of the light's area visible from it."""
+    # twice the height gives twice the distance
+    hidden = clipped(LIGHT, point + 2.0 * (occluder() - point))
     if len(hidden) < 3:
         return radiance(point, LIGHT), 1.0
     x, z = hidden[:, 0], hidden[:, 2]
@@ -96,7 +97,7 @@ def jittered(strata, realizations=40):
 
 @pytest.mark.parametrize("scene", list(SEEN))
 @pytest.mark.parametrize("size", ["", "(width=150, height=100)"])
-def test_named_pixels_see_what_they_should(scene, size):
+def test_named_pixels_show_the_intended_points(scene, size):
     found = named_pixels(scene + size)
     seen = {name: describe_pixel(scene + size, *xy)["shape"] for name, xy in found.items()}
     assert seen == SEEN[scene]
@@ -124,18 +125,18 @@ def test_figure1_has_the_exact_radiance(name, strategy):
     assert abs(means.mean() - exact) < SIGMAS * error + SINGLE * exact
 
 
-def test_p_sees_all_of_the_light_and_q_the_exact_part():
+def test_the_light_is_fully_visible_from_p_and_partly_from_q():
     u = jittered(128, realizations=1)[0]
     assert (pixel("P", "light")(u) > 0).all()
     g = pixel("Q", "light")
     position = np.array(describe_pixel("figure1", g.x, g.y)["position"])
     _, share = seen_part(position * [1, 0, 1])
     assert 0.2 < share < 0.9
-    # Only strata that the shadow's border crosses err: at most 2 · 128 of them, ½ each.
+    # Only strata that the shadow's border crosses have errors: at most 2 · 128, ½ each.
     assert abs(np.mean(g(u) > 0) - share) < SIGMAS * 0.5 * math.sqrt(2 * 128) / 128**2
 
 
-def test_named_points_are_those_of_the_module():
+def test_named_points_agree_with_the_module():
     for name, point in (("P", P), ("Q", Q)):
         x, y = project("figure1", point)
         assert named_pixels("figure1")[name] == (math.floor(x), math.floor(y))
@@ -162,7 +163,7 @@ def test_smooth_edge_follows_its_profile(edge, strategy):
     exact = smooth_radiance(position, edge)
     means = g(jittered(64)).mean(axis=1)
     error = means.std(ddof=1) / math.sqrt(len(means))
-    # Bilinear texels: the profile's second derivative is at most 6/edge², a texel 2/256 wide.
+    # Bilinear texels of width 2/256: the profile's second derivative is at most 6/edge².
     bilinear = 2 * (6.0 / edge**2) * (2 / 256) ** 2 / 8
     assert abs(means.mean() - exact) < SIGMAS * error + bilinear * exact
 
@@ -177,7 +178,7 @@ SHADES: dict[str, set[str]] = {
 
 
 @pytest.mark.parametrize("name", list(SHADES))
-def test_penumbrae_are_those_of_their_occluders(name):
+def test_penumbrae_belong_to_their_occluders(name):
     full, (x, y) = penumbra(), named_pixels("penumbra")[name]
     u = jittered(64, realizations=1)[0]
     seen = Pixel(scene=full, x=x, y=y)(u) > 0
@@ -193,15 +194,16 @@ def test_edge_of_width_zero_is_the_constant_light():
     x, y = named_pixels("figure1")["P"]
     hard = Pixel(scene="figure1(edge=0)", x=x, y=y)
     np.testing.assert_array_equal(hard(u), pixel("P", "light")(u))
-    thin = Pixel(scene="figure1(edge=5e-324)", x=x, y=y, strategy="bsdf")  # less than a texel
+    # the edge is narrower than a texel
+    thin = Pixel(scene="figure1(edge=5e-324)", x=x, y=y, strategy="bsdf")
     np.testing.assert_allclose(thin(u), pixel("P", "bsdf")(u), rtol=1e-5)
 
 
-def test_sky_is_the_synthetic_one_with_its_first_row_up():
+def test_the_sky_is_the_synthetic_one_with_its_first_row_up():
     mitsuba, sky = load_mitsuba(), load_scene("sky").emitters()[0]
     pixels = synthetic_sky(64, 128)
     for row, column in ((3, 10), (20, 80), (45, 100)):
-        # Rows go from pole to pole, columns have their centers half a column from the border.
+        # Rows go from pole to pole; the centers of columns are half a column from the border.
         theta, phi = math.pi * row / 63, 2 * math.pi * (column + 0.5) / 128
         away = (math.sin(theta) * math.sin(phi), math.cos(theta), -math.sin(theta) * math.cos(phi))
         at = mitsuba.SurfaceInteraction3f()

@@ -25,7 +25,7 @@ def edited(**changes):
 
 
 def test_equal_contents_are_one_scene():
-    # Each has transforms of its own, and for the smooth light a bitmap.
+    # Each scene creates its own transforms and, for the smooth light, its own bitmap.
     assert load_scene(figure1()) is load_scene(figure1())
     assert load_scene(figure1(edge=0.5)) is load_scene(figure1(edge=0.5))
     assert DictScene(figure1(edge=0.5)) == DictScene(figure1(edge=0.5))
@@ -57,7 +57,7 @@ def test_objects_of_mitsuba_compare_by_identity():
     assert load_scene(pair[0]) is not load_scene(pair[1])
 
 
-def test_later_changes_do_not_reach_the_handle():
+def test_later_changes_do_not_affect_the_scene():
     scene = figure1()
     handle = as_scene(scene)
     assert as_scene(handle) is handle
@@ -69,7 +69,7 @@ def test_later_changes_do_not_reach_the_handle():
     assert film_size(handle) == (384, 256)
 
 
-def test_a_pixel_of_a_dictionary_is_that_of_its_name():
+def test_a_pixel_of_a_dictionary_equals_that_of_the_named_scene():
     x, y = named_pixels("figure1")["Q"]
     u = (np.arange(200).reshape(100, 2) + 0.5) / 200
     by_dict = Pixel(scene=figure1(), x=x, y=y)
@@ -101,7 +101,7 @@ def listing_itself():
     return entries
 
 
-def test_lists_and_arrays_are_copied_too():
+def test_lists_and_arrays_are_copied():
     center, data = [0.0, 1.0, 2.0], np.ones((2, 3), np.float32)
     ball = {"type": "sphere", "center": center}
     scene = {"type": "scene", "ball": ball, "data": data}
@@ -144,6 +144,6 @@ def test_bad_dictionaries_are_one_sentence(scene, error, words):
 
 
 @pytest.mark.parametrize("scene", [None, 7, "", "  ", [], ["veach"], b"veach", np.zeros(3)])
-def test_what_is_no_scene_is_refused(scene):
+def test_invalid_scenes_are_rejected(scene):
     with pytest.raises(ParameterError, match="give the name of a scene"):
         as_scene(scene)

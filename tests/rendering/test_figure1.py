@@ -1,4 +1,4 @@
-"""Figure 1 of the paper: eight rates of two pixels under a square light, jittered, 95 % intervals."""
+"""Figure 1 of the paper: eight rates of two pixels under a square light, 95 % intervals."""
 
 from statistics import NormalDist
 
@@ -14,7 +14,7 @@ COUNTS = tuple(side**2 for side in (8, 11, 16, 23, 32, 45, 64))
 REALIZATIONS = 400
 CURVES = [(name, strategy) for name in "PQ" for strategy in ("light", "bsdf")]
 SAMPLERS = ["jittered", "jittered | shift"]
-# Šidák: all eight hold together with a probability of 99 %.
+# Šidák: all eight intervals hold together with a probability of 99 %.
 SIGMAS = NormalDist().inv_cdf(1 - (1 - 0.99 ** (1 / 8)) / 2)
 
 
@@ -40,7 +40,7 @@ def test_rate(curves, name, strategy, sampler):
     at = {"estimator": CURVES.index((name, strategy)), "sampler": SAMPLERS.index(sampler)}
     error = slope_error(curves.isel(at))
     difference = float(curves["rate"].isel(at)) - expected
-    assert error < 0.04  # -1.5 and -2 are a dozen errors apart
+    assert error < 0.04  # the rates -1.5 and -2 are a dozen standard errors apart
     assert abs(difference) < min(0.1, SIGMAS * error)
 
 

@@ -1,4 +1,4 @@
-"""Files of rendered images: read back, layers, names, what cannot be written."""
+"""Files of rendered images: reading back, layers, names, and files that cannot be written."""
 
 import json
 from pathlib import Path
@@ -68,7 +68,7 @@ def test_png_is_the_exposed_image_to_half_a_step(tmp_path, exposure):
 
 
 def test_transfer_function_has_its_published_values():
-    # IEC 61966-2-1: the two branches meet, 18 % gray is 0.4613…, clipping outside [0,1].
+    # IEC 61966-2-1: both branches meet, 18 % gray is 0.4613…, and values outside [0,1] are clipped.
     values = encode_srgb(np.array([-1.0, 0.0, 0.0031308, 0.0031308001, 0.18, 1.0, 9.0]))
     np.testing.assert_allclose(values[[0, 1, 5, 6]], [0.0, 0.0, 1.0, 1.0], atol=1e-15)
     assert abs(values[2] - values[3]) < 1e-6
@@ -88,7 +88,7 @@ def test_transfer_function_has_its_published_values():
         ("\0.exr", "not a possible file name"),
     ],
 )
-def test_names_that_are_refused(tmp_path, monkeypatch, name, message):
+def test_invalid_names_raise(tmp_path, monkeypatch, name, message):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(FileFormatError, match=message):
         write_render(name, result())
@@ -123,14 +123,14 @@ def test_files_that_cannot_be_opened_say_why(tmp_path, monkeypatch, extension):
         {"": np.zeros((3, 4)), "other": np.zeros((4, 4))},
     ],
 )
-def test_layers_that_are_refused(tmp_path, layers):
+def test_invalid_layers_raise(tmp_path, layers):
     with pytest.raises(ParameterError, match="all of one size"):
         write_exr(tmp_path / "image.exr", layers)
     assert not (tmp_path / "image.exr").exists()
 
 
 @pytest.mark.parametrize("exposure", [np.nan, np.inf, 1000, "bright", None])
-def test_exposures_that_are_refused(tmp_path, exposure):
+def test_invalid_exposures_raise(tmp_path, exposure):
     with pytest.raises(McspectraError, match="exposure"):
         write_png(tmp_path / "image.png", IMAGE, exposure=exposure)
 
@@ -138,7 +138,7 @@ def test_exposures_that_are_refused(tmp_path, exposure):
 def test_finite_numbers_stay_finite(tmp_path):
     file, largest = tmp_path / "image.exr", np.finfo(np.float32).max
     values = np.array([[1e300, -1e300, np.inf, -np.inf, np.nan, 1.5]])
-    write_exr(file, {"": values})  # an overflow would be a warning, and so an error here
+    write_exr(file, {"": values})  # an overflow would be a warning, which is an error here
     expected = [[largest, -largest, np.inf, -np.inf, np.nan, 1.5]]
     np.testing.assert_array_equal(planes(file)["Y"], expected)
 
@@ -156,7 +156,7 @@ def test_results_and_paths_that_are_swapped_or_missing(tmp_path):
     assert not file.exists()
 
 
-def test_comparisons_that_are_refused(tmp_path):
+def test_invalid_comparisons_raise(tmp_path):
     file = tmp_path / "all.exr"
     smaller = result().isel(x=slice(3))
     with pytest.raises(ParameterError, match="all of one size"):

@@ -1,4 +1,4 @@
-"""Frames of any renderer: known noise is measured, what is wrong with frames is named."""
+"""Frames of any renderer: known noise is measured, and problems of frames are reported."""
 
 import json
 import shutil
@@ -21,7 +21,7 @@ from mcspectra.report.frames_page import frame_findings
 
 HEIGHT, WIDTH = 96, 128
 TRUTH = np.exp(np.linspace(-2.0, 1.0, WIDTH)) * np.ones((HEIGHT, 1))
-SIGMA = 0.3  # of one sample, relative
+SIGMA = 0.3  # relative standard deviation of one sample
 
 
 def white(rng):
@@ -42,7 +42,7 @@ def tiled(rng):
 
 
 def write(folder, noise=white, *, counts=(16, 64), frames=8, seed=1, change=lambda k, image: image):
-    """Frames of known variance TRUTH²·SIGMA²/n as .npy, by name."""
+    """Write frames of known variance TRUTH²·SIGMA²/n as .npy, and return their names."""
     rng = np.random.default_rng(seed)
     folder.mkdir(exist_ok=True)
     for n in counts:
@@ -55,14 +55,14 @@ def write(folder, noise=white, *, counts=(16, 64), frames=8, seed=1, change=lamb
 
 @contextmanager
 def monkeyed_header(samples):
-    """EXR headers that say so many samples a pixel, as pbrt's do."""
+    """EXR headers with a number of samples per pixel, as in pbrt."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(frame_statistics, "exr_attributes", lambda _: {"samplesPerPixel": samples})
         yield
 
 
 def frames(paths, **options):
-    """Without FLIP, which takes longer than all else together: 11.8 of 20 s of four of 1920 × 1080."""
+    """Without FLIP, which takes more time than the rest: 11.8 of 20 s at 1920 × 1080."""
     return rendering.frames(paths, **({"flip": False} | options))
 
 
@@ -75,19 +75,19 @@ NOISES = (white, blue, filtered, tiled)
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory):
-    """A folder of frames with each of the noises, by name."""
+    """A folder of frames for each type of noise, by name."""
     folder = tmp_path_factory.mktemp("plain")
     return {noise.__name__: write(folder / noise.__name__, noise) for noise in NOISES}
 
 
 @pytest.fixture(scope="module")
 def found(plain):
-    """What is measured of them."""
+    """The measured results of each folder."""
     return {name: frames(folder, target=0.05) for name, folder in plain.items()}
 
 
 @pytest.mark.parametrize("noise", [noise.__name__ for noise in NOISES])
-def test_variances_and_rates_are_those_of_the_frames(found, noise):
+def test_variances_and_rates_agree_with_the_frames(found, noise):
     result = found[noise]
     assert result["n"].values.tolist() == [16, 64]
     truth = SIGMA**2 * TRUTH**2
@@ -99,7 +99,7 @@ def test_variances_and_rates_are_those_of_the_frames(found, noise):
     assert low < -1.0 < high
     assert high - low < 0.3
 
-    # Intervals of pixels cover: 12,288 pixels, whose correlations leave at least 900 independent ones
+    # Intervals of pixels cover: at least 900 of 12,288 correlated pixels are independent
     for name, value in (("variance_ci", truth / 16), ("rate_ci", -1.0)):
         ends = result[name].sel(n=16) if "n" in result[name].dims else result[name]
         covered = ((ends[..., 0] < value) & (ends[..., 1] > value)).values.mean()
@@ -109,16 +109,16 @@ def test_variances_and_rates_are_those_of_the_frames(found, noise):
 
 
 def test_frames_of_few_and_of_many_together_have_no_bias_of_the_rate(tmp_path):
-    """log s² of two values lies 1.27 below log σ² in the mean, of sixteen 0.07."""
+    """The mean of log s² is 1.27 below log σ² for two values, and 0.07 for sixteen."""
     folder = write(tmp_path / "a", counts=(4,), frames=16)
     write(folder, counts=(64,), frames=2, seed=2)
     rate = frames(folder)["rate"].values
-    # Standard deviations of log s²: √ψ'(½) = 2.22 of two values, √ψ'(7.5) = 0.38 of sixteen
+    # Standard deviations of log s²: √ψ'(½) = 2.22 for two values, √ψ'(7.5) = 0.38 for sixteen
     error = np.hypot(2.22, 0.38) / np.log(64 / 4) / np.sqrt(rate.size)
     assert abs(rate.mean() + 1.0) < 4 * error
 
 
-def test_blue_noise_filters_and_tiles_are_told_apart(found):
+def test_blue_noise_filters_and_tiles_are_distinguished(found):
     assert "white between pixels" in said(found["white"])
     assert "Blue noise" in said(found["blue"])
     assert "Errors of neighboring pixels are correlated" in said(found["filtered"])
@@ -128,13 +128,13 @@ def test_blue_noise_filters_and_tiles_are_told_apart(found):
 
 @pytest.mark.parametrize("count", [2, 3, 8])
 def test_correlations_and_spectra_have_no_bias(tmp_path, count):
-    """Of few frames, too: a mean of signs, of two, is 0.57 where the correlation is 0.78."""
+    """Also holds for few frames: the mean of signs of two frames is 0.57 for correlation 0.78."""
     result = frames(write(tmp_path / "a", filtered, counts=(4,), frames=count))
-    # A Gaussian filter of 1 pixel: correlation exp(−1/4) of neighbors, each squared 2π times over
+    # A Gaussian filter of 1 pixel: neighbors have correlation exp(−1/4); the squares sum to 2π
     beside = result["error_correlation"].sel(n=4, lag_y=0, lag_x=1).item()
     independent = HEIGHT * WIDTH * (count - 1) / (2 * np.pi)
     assert abs(beside - np.exp(-0.25)) < 4 * (1 - np.exp(-0.5)) / np.sqrt(independent)
-    # Power 4π exp(−4π²|ν|²) over radial frequency, at the middle of rings
+    # Power 4π exp(−4π²|ν|²) by radial frequency, at the centers of rings
     radius, power = result["radius"].values, result["error_spectrum"].values[0]
     wanted = 4 * np.pi * np.exp(-4 * np.pi**2 * radius**2)
     rings = 2 * np.pi * radius * (radius[1] - radius[0]) * HEIGHT * WIDTH / 2
@@ -154,7 +154,7 @@ def test_frames_of_one_seed_are_named(tmp_path, found):
     assert "Give every frame its own seed" not in said(found["white"])
 
 
-def test_fireflies_are_named_and_leave_no_upper_bound(tmp_path, plain, found):
+def test_fireflies_are_reported_and_leave_no_upper_bound(tmp_path, plain, found):
     rng = np.random.default_rng(5)
 
     def burn(k, image):
@@ -163,14 +163,21 @@ def test_fireflies_are_named_and_leave_no_upper_bound(tmp_path, plain, found):
     text = said(frames(write(tmp_path / "a", change=burn)))
     assert "Fireflies: at" in text
     assert "Fireflies" not in said(found["white"])
-    single = frames(write(tmp_path / "c", change=lambda k, i: i + (k == 3) * 500.0 * (TRUTH.max() == TRUTH) * (np.arange(HEIGHT) == 7)[:, None]))  # fmt: skip
+    single = frames(
+        write(
+            tmp_path / "c",
+            change=lambda k, i: (
+                i + (k == 3) * 500.0 * (TRUTH.max() == TRUTH) * (np.arange(HEIGHT) == 7)[:, None]
+            ),
+        )
+    )
     assert np.isinf(single["picture_variance_ci"].values[:, 1]).all()
     assert "no upper bound" in said(single)
     assert np.isinf(frames(tmp_path / "c", against=plain["white"])["picture_ratio_ci"][1])
     assert frames(plain["white"], against=tmp_path / "c")["picture_ratio_ci"][0] == 0.0
 
 
-def test_pixels_without_numbers_are_counted_and_left_out(tmp_path):
+def test_pixels_that_are_not_finite_are_counted_and_excluded(tmp_path):
     def spoil(k, image):
         image[3, 4] = np.nan if k == 2 else image[3, 4]
         image[5, 6] = np.inf if k == 1 else image[5, 6]
@@ -182,7 +189,7 @@ def test_pixels_without_numbers_are_counted_and_left_out(tmp_path):
     assert "Pixels excluded because a frame is NaN or infinite there: 2." in said(result)
 
 
-def test_two_sets_are_held_against_each_other(tmp_path, plain):
+def test_two_sets_are_compared(tmp_path, plain):
     a, b = plain["white"], write(tmp_path / "b", seed=9)
     halved = write(
         tmp_path / "c", seed=3, change=lambda k, image: TRUTH + (image - TRUTH) * np.sqrt(2)
@@ -206,7 +213,7 @@ def test_two_sets_are_held_against_each_other(tmp_path, plain):
     assert "do not converge to one image: 384 of 12288 pixels" in text
 
 
-def test_pixels_without_numbers_in_one_set_are_left_out_of_both(tmp_path):
+def test_pixels_that_are_not_finite_in_one_set_are_excluded_from_both(tmp_path):
     """The brightest and noisiest columns have a NaN in one frame of one set."""
 
     def holed(k, image):
@@ -222,8 +229,8 @@ def test_pixels_without_numbers_in_one_set_are_left_out_of_both(tmp_path):
     assert result.attrs["biased_pixels"] == 0
 
 
-def test_two_equal_values_of_a_pixel_are_no_certainty(tmp_path):
-    """Pixels of two values: a quarter of those of two frames do not vary, and half of these differ."""
+def test_two_equal_values_of_a_pixel_do_not_prove_equality(tmp_path):
+    """Pixels of two values: a quarter do not vary between two frames, and half of these differ."""
 
     def coins(seed, folder):
         rng = np.random.default_rng(seed)
@@ -245,7 +252,7 @@ def test_relative_errors_of_few_frames_have_the_right_median(tmp_path, count):
     assert abs((sigma < 1.0).mean() - 0.5) < 5 * 0.5 / np.sqrt(sigma.size)
 
 
-def test_what_was_written_before_is_no_frame(tmp_path):
+def test_earlier_output_files_are_not_frames(tmp_path):
     folder = tmp_path / "a"
     folder.mkdir()
     for k, image in enumerate(np.random.default_rng(1).random((3, 8, 8))):
@@ -259,7 +266,7 @@ def test_what_was_written_before_is_no_frame(tmp_path):
     assert shown == [[3], [3]]
 
 
-def test_the_least_period_is_named(tmp_path):
+def test_the_smallest_period_is_reported(tmp_path):
     def small_tiles(rng):
         return np.tile(rng.standard_normal((8, 8)), (12, 16))
 
@@ -269,7 +276,7 @@ def test_the_least_period_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("shape", [(1, 40), (40, 1), (1, 1), (2, 2)])
-def test_frames_of_few_pixels_are_told_in_words(tmp_path, shape, capsys):
+def test_frames_of_few_pixels_are_described_in_words(tmp_path, shape, capsys):
     rng = np.random.default_rng(1)
     for k in range(2):
         np.save(tmp_path / f"{k}.npy", -1.0 - rng.random(shape))
@@ -283,7 +290,7 @@ def test_frames_of_few_pixels_are_told_in_words(tmp_path, shape, capsys):
 def test_names_and_headers_that_disagree_are_refused(tmp_path):
     for k in range(2):
         write_exr(tmp_path / f"{k}_64spp.exr", {"": np.full((4, 4), 1.0 + k)}, comment="")
-    with monkeyed_header(16), pytest.raises(ParameterError, match="64 .*by its name and 16"):
+    with monkeyed_header(16), pytest.raises(ParameterError, match="64 .*in its name and 16"):
         frames(tmp_path)
 
 
@@ -324,25 +331,27 @@ def test_portable_float_maps(tmp_path):
     ("make", "error", "match"),
     [
         (lambda p: None, FileFormatError, "holds no .exr"),
-        (lambda p: np.save(p / "a.npy", np.ones((4, 4))), ParameterError, "one frame, .*a.npy; give two"),
+        (lambda p: np.save(p / "a.npy", np.ones((4, 4))), ParameterError, ("one frame, "
+            ".*a.npy; give two")),
         (lambda p: [np.save(p / f"{k}.npy", np.ones((4, 4))) for k in "ab"], ParameterError,
          "the same to the last bit"),
         (lambda p: [np.save(p / f"{k}.npy", np.full((4, 4), np.nan)) for k in "ab"], ParameterError,
          "a.npy has no finite pixel"),
-        (lambda p: [np.save(p / f"{k}.npy", np.eye(k)) for k in (3, 4)], ParameterError, "of one view"),
+        (lambda p: [np.save(p / f"{k}.npy", np.eye(k)) for k in (3, 4)], ParameterError, ("of "
+            "one view")),
         (lambda p: [write_png(p / f"{k}.png", np.eye(4) / k) for k in (1, 2)], FileFormatError,
          "tone-mapped"),
         (lambda p: [np.save(p / f"{k}.npy", np.eye(4)) for k in ("a_4spp", "b")], ParameterError,
-         "does not tell its samples"),
+         "has no number of samples"),
         (lambda p: [np.save(p / f"{k}_0spp.npy", np.eye(4) * k) for k in (1, 2)], ParameterError,
          "has 0 samples"),
         (lambda p: [(p / f"{k}.exr").write_bytes(b"no picture") for k in "ab"], FileFormatError,
          "cannot be read"),
-        (lambda p: [(p / f"{k}.pfm").write_bytes(b"PF\n99 99\n-1\nxx") for k in "ab"], FileFormatError,
-         "truncated"),
+        (lambda p: [(p / f"{k}.pfm").write_bytes(b"PF\n99 99\n-1\nxx") for k in "ab"],
+         FileFormatError, "truncated"),
     ],
 )  # fmt: skip
-def test_frames_that_are_none_are_refused(tmp_path, make, error, match):
+def test_invalid_frames_are_rejected(tmp_path, make, error, match):
     make(tmp_path)
     with pytest.raises(error, match=match):
         frames(tmp_path)
@@ -351,7 +360,7 @@ def test_frames_that_are_none_are_refused(tmp_path, make, error, match):
 def test_one_number_of_samples_is_not_given_to_frames_of_several(tmp_path):
     for k, spp in enumerate((4, 4, 16, 16)):
         np.save(tmp_path / f"{k}_{spp}spp.npy", np.eye(4) * (k + 1))
-    with pytest.raises(ParameterError, match="spp is 8, and the frames are of 4 and 16 samples"):
+    with pytest.raises(ParameterError, match="spp is 8, but the frames have 4 and 16 samples"):
         frames(tmp_path, spp=8)
     assert frames(str(tmp_path / "*_4spp.npy"), spp=8)["n"] == 8
 
@@ -369,12 +378,12 @@ def test_options_out_of_range_are_refused(tmp_path, options):
 
 
 @pytest.mark.parametrize("paths", [3, [], [3], "nowhere/*.exr", "nowhere", None])
-def test_paths_that_are_none_are_refused(paths):
+def test_invalid_paths_of_frames_are_rejected(paths):
     with pytest.raises((ParameterError, FileFormatError)):
         frames(paths)
 
 
-def test_tone_mapped_pictures_when_told_so(tmp_path):
+def test_tone_mapped_pictures_on_request(tmp_path):
     rng = np.random.default_rng(0)
     for k in range(2):
         write_png(tmp_path / f"{k}.png", rng.random((8, 8, 3)))
@@ -407,14 +416,14 @@ def test_plots_by_both_backends(tmp_path, plain):
         drawn_by_both(describe(kind, result))
 
 
-def test_flip_is_left_out_when_told_so(plain, found, capsys):
+def test_flip_is_skipped_on_request(plain, found, capsys):
     assert "flip" not in found["white"]
     assert main(["frames", str(plain["white"]), "--no-flip"]) == 0
     assert "FLIP" not in capsys.readouterr().out
 
 
 def test_layers_reach_tev(plain, capsys):
-    """A listener in tev's place receives every layer with its name."""
+    """A listener in the role of tev receives every layer with its name."""
     pytest.importorskip("tevclient")
     received = bytearray()
     server = socket.create_server(("127.0.0.1", 0))

@@ -1,4 +1,4 @@
-"""Light that arrives at a pixel: f integrates to what every strategy estimates."""
+"""Light that arrives at a pixel: the integral of f equals the estimate of every strategy."""
 
 from typing import Any
 
@@ -24,11 +24,11 @@ def solid_angles(data):
     [("figure1", "P", None), ("figure1", "Q", None), ("veach", "wall", "light-3"),
      ("veach", "plate-3", "light-3"), ("sky", "floor", None)],
 )  # fmt: skip
-def test_f_integrates_to_the_pixel_s_value(scene, name, light):
+def test_the_integral_of_f_is_the_pixels_value(scene, name, light):
     x, y = named_pixels(scene)[name]
     data = incident_light(scene, x, y, light=light, resolution=256)
     total = float((data["reflected_radiance"] * solid_angles(data)).sum())
-    # A border of the light is missed by half a cell at most along it, far below 1 %.
+    # The light's border is wrong by at most half a cell, far below 1 %.
     assert total == pytest.approx(Pixel(scene=scene, x=x, y=y, light=light).integral, rel=0.01)
 
 
@@ -46,8 +46,8 @@ def test_a_diffuse_floor_reflects_by_the_cosine():
     assert np.allclose(data["reflected_radiance"], expected, rtol=1e-5)
 
 
-def test_what_lies_above_the_plane_of_the_light_only():
-    """From P (-1.2, 0, 0.7) the corners of the light, 2 above, span these elevations."""
+def test_light_comes_only_from_the_directions_of_the_light():
+    """From P (-1.2, 0, 0.7), the corners of the light at height 2 span these elevations."""
     x, y = named_pixels("figure1")["P"]
     data = incident_light("figure1", x, y, resolution=180)
     lit = data["elevation"].values[(data["incident_radiance"] > 0).any("azimuth").values]

@@ -1,4 +1,4 @@
-"""Images: the same numbers as a pixel at a time, moments over realizations, crops, bad input."""
+"""Images: the same numbers as single pixels, moments over realizations, crops, bad input."""
 
 import threading
 from typing import Any
@@ -21,7 +21,7 @@ SOBOL = "sobol | owen"  # computed in kernels: see test_kernel_nets
 DRAWN = "sobol | digital-shift"
 
 
-def test_every_pixel_is_the_mean_of_its_realisation_of_the_sampler():
+def test_every_pixel_is_the_mean_of_its_realization_of_the_sampler():
     found = render(VEACH, "mis", DRAWN, 8, rng=3)["image"]
     waves = Wavefront(VEACH, film="sampled", emission=True)
     points = mcs.sampler(DRAWN, 6).draw_stream(8, Stream.from_rng(3).child(0), 0, 24 * 16)
@@ -30,7 +30,7 @@ def test_every_pixel_is_the_mean_of_its_realisation_of_the_sampler():
     np.testing.assert_array_equal(found, expected)
 
 
-def test_moments_are_those_of_single_images(monkeypatch):
+def test_moments_agree_with_single_images(monkeypatch):
     single: list[Any] = []
     original = Wavefront.means
 
@@ -48,13 +48,13 @@ def test_moments_are_those_of_single_images(monkeypatch):
     np.testing.assert_allclose(result["image_se"] ** 2, variance / 5, rtol=1e-10, atol=1e-25)
 
 
-def test_first_image_is_that_of_a_single_one():
+def test_the_first_image_equals_a_single_image():
     waves = Wavefront(VEACH, film="sampled", emission=True)
     assert waves.dims("light") == 4
     two = render(VEACH, "light", SOBOL, 4, realizations=2)
     one = render(VEACH, "light", SOBOL, 4)
     assert set(one) == {"image"}
-    # (a + b)/2 and (a − b)²/2 give a and b up to their order
+    # (a + b)/2 and (a − b)²/2 determine a and b up to their order
     spread = np.sqrt(two["variance"].values / 2)
     np.testing.assert_allclose(
         np.abs(one["image"].values - two["image"].values), spread, rtol=1e-9, atol=1e-12
@@ -89,13 +89,13 @@ def test_the_error_of_a_reference_is_the_distance_to_another():
     total = np.sqrt(a["image_se"] ** 2 + b["image_se"] ** 2).values
     noisy = total > 0
     z = (a["image"] - b["image"]).values[noisy] / total[noisy]
-    # The t distribution of 15 to 30 degrees of freedom: variance 1.07 to 1.15; heavy tails of the
-    # values correlate mean and variance and narrow it. Neighbors' z are independent.
+    # t distributions with 15 to 30 degrees of freedom have variance 1.07 to 1.15. Heavy tails of
+    # the values correlate mean and variance, which reduces it. Neighbors' z are independent.
     assert 0.7 < z.var() < 1.3
     assert abs(z.mean()) < 4 / np.sqrt(len(z))
 
 
-def test_provenance_says_how_it_was_made():
+def test_provenance_records_the_options():
     result = render(VEACH, "mis", SOBOL, 4, realizations=2, heuristic="power", rng=7)
     told = result.attrs
     assert told["strategy"] == "mis"
@@ -154,7 +154,7 @@ def test_memory_of_points_is_bounded(monkeypatch):
         5,
     ],
 )
-def test_crops_that_are_refused(crop):
+def test_invalid_crops_raise(crop):
     with pytest.raises(ParameterError, match="crop"):
         render(VEACH, crop=crop)
 
@@ -178,7 +178,7 @@ def test_crops_that_are_refused(crop):
         {"scene": "veach(width=65536, height=65536)", "spp": 1},
     ],
 )
-def test_options_that_are_refused(options):
+def test_invalid_options_raise(options):
     with pytest.raises(McspectraError):
         render(**{"scene": VEACH, **options})
 
@@ -188,7 +188,7 @@ def test_counts_that_a_sampler_cannot_make_are_refused():
         render(VEACH, "light", "jittered", 5)
 
 
-def test_references_and_comparisons_that_are_refused():
+def test_invalid_references_and_comparisons_raise():
     with pytest.raises(ParameterError, match="multiple of batches"):
         reference(VEACH, 100, batches=16)
     with pytest.raises(ParameterError, match="batches"):

@@ -1,4 +1,4 @@
-"""What an image leaves out is said: a lens, a shutter, lights and surfaces that are delta functions."""
+"""Warnings about missing parts of an image: a lens, a shutter, delta lights and surfaces."""
 
 import warnings
 
@@ -17,7 +17,7 @@ FILM = {"type": "hdrfilm", "width": 6, "height": 4}
 
 
 def scene(camera=None, **more):
-    """A diffuse wall that fills the view, with what a test adds; lit by a constant sky."""
+    """A diffuse wall that fills the view, plus a test's objects; lit by a constant sky."""
     sensor = {"type": "perspective", "film": FILM} | (camera or {})
     sky = {} if "sky" in more else {"sky": {"type": "constant"}}
     with LOCK:
@@ -71,20 +71,21 @@ def test_pinholes_are_rendered_in_silence():
     assert camera_rays(scene()) == "pinhole"
 
 
-def test_strategies_that_leave_out_a_light_say_so():
+def test_strategies_that_miss_a_light_warn():
     lamp = {"type": "point", "position": [0, 0, 1]}
     made = scene(lamp=lamp, spot={"type": "spot"})
     with pytest.warns(
         IncompleteImageWarning, match=r"'bsdf' leaves out the light 'lamp' and 1 more"
     ):
         found = render(made, "bsdf", spp=4)["image"]
-    np.testing.assert_array_equal(found, render(scene(), "bsdf", spp=4)["image"])  # silently less
+    # the light is silently missing
+    np.testing.assert_array_equal(found, render(scene(), "bsdf", spp=4)["image"])
     silent(made, "light")
     silent(made, "mis")
     silent(made, "bsdf", light="sky")
 
 
-def test_strategies_that_leave_out_a_mirror_say_so():
+def test_strategies_that_miss_a_mirror_warn():
     made = scene(ball={"type": "sphere", "bsdf": {"type": "conductor"}})
     with pytest.warns(IncompleteImageWarning, match="'light' leaves out specular .*'ball'"):
         render(made, "light", spp=1)
@@ -102,7 +103,7 @@ def test_scaled_environments_are_refused():
     made = scene(sky=sky(np.ones((4, 8, 3)), to_world=twice))
     (sentence,) = check_scene(made)
     assert "'sky' is not a rotation or reflection" in sentence
-    # Mitsuba renders it in silence, twice as bright by light sampling.
+    # Mitsuba renders this without a warning, twice as bright by light sampling.
     for refused in (lambda: render(made, "light", spp=1), lambda: Pixel(scene=made, x=1, y=1)):
         with pytest.raises(ParameterError, match="not a rotation or reflection"):
             refused()
@@ -126,7 +127,7 @@ def test_environments_with_a_broken_pixel_are_refused(value):
             refused()
 
 
-def test_maps_that_see_nothing_say_what_is_in_the_way():
+def test_maps_that_show_nothing_name_the_obstacle():
     made = scene(
         wall={"type": "rectangle"}, ball={"type": "sphere", "bsdf": {"type": "dielectric"}}
     )

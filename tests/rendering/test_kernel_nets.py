@@ -1,4 +1,4 @@
-"""Scrambled nets that kernels compute: the samplers' own points, and sets in random orders."""
+"""Scrambled nets computed in kernels: the samplers' own points, and sets in random orders."""
 
 import numpy as np
 import pytest
@@ -30,7 +30,7 @@ def arrays(columns, sets, count):
     ],
 )
 @pytest.mark.filterwarnings("ignore::mcspectra.core.errors.NotPowerOfTwoWarning")
-def test_points_are_those_of_hashed_owen_scrambling(net, dims, count):
+def test_points_agree_with_hashed_owen_scrambling(net, dims, count):
     mitsuba, sampler = load_mitsuba(), as_sampler(f"{net} | owen(method='hash')", dims)
     import drjit
 
@@ -44,7 +44,7 @@ def test_points_are_those_of_hashed_owen_scrambling(net, dims, count):
     found = arrays(points.lanes(mitsuba, lane // count)(lane % count), 14, count)
     drawn = np.concatenate([sampler.draw_stream(count, stream, 3, 7) for stream in streams])
     below = drawn - found
-    assert below.min() >= 0.0  # rounded down to multiples of 2^-24
+    assert below.min() >= 0.0  # points are rounded down to multiples of 2^-24
     assert below.max() < 2.0**-24
 
 
@@ -79,7 +79,7 @@ def test_images_have_the_samplers_points_in_each_pixel(film):
         u = [sampler.draw_stream(16, stream, int(px + width * py), 1)[0] for px, py in pixels]
         images.append(waves.means("mis", pixels, np.stack(u)).reshape(4, 5, 3))
     found = render(scene, "mis", spec, 16, crop=(3, 2, 5, 4), film=film, realizations=3, rng=7)
-    # Points differ by 2^-24: a ray that passes an edge may now miss it.
+    # Points differ by 2^-24, so that a ray near an edge may miss it.
     close = np.isclose(found["image"], np.mean(images, axis=0), rtol=1e-4)
     assert close.mean() > 0.95
     assert np.isclose(found["variance"], np.var(images, axis=0, ddof=1), rtol=1e-3).mean() > 0.9
@@ -90,7 +90,7 @@ def test_images_have_the_samplers_points_in_each_pixel(film):
 
 @pytest.fixture(scope="module")
 def pads():
-    """Sets of 16 points that 20,000 pixels ask for: two pairs and a single number."""
+    """Sets of 16 points for requests of 20,000 pixels: two pairs and a single number."""
     mitsuba = load_mitsuba()
     import drjit
 
@@ -125,10 +125,10 @@ def test_every_point_of_a_pad_is_uniform(pads):
 def test_pairs_of_a_scrambled_set_are_independent_below_their_first_different_digit(
     pads,
 ):
-    # Points of one half of the interval: their next two digits are those of all pairs of points
-    # that differ there, and the digits after the fourth are independent uniform ones.
+    # Points in one half of the interval: their next two digits are those of all pairs that differ
+    # there, and the digits after the fourth are independent and uniform.
     x = np.sort(pads["first"][..., 0], axis=1)
-    digits = np.floor(x * 256).astype(int) % 16  # digits 5 to 8 of all 16 points
+    digits = np.floor(x * 256).astype(int) % 16  # base-2 digits 5 to 8 of all 16 points
     for i, j in ((0, 1), (0, 8), (3, 12), (6, 7)):
         table = np.bincount(digits[:, i] * 16 + digits[:, j], minlength=256)
         assert stats.chisquare(table).pvalue > LEVEL / 4
@@ -138,7 +138,7 @@ def test_pairs_of_a_scrambled_set_are_independent_below_their_first_different_di
     ("one", "other"), [("first", "second"), ("first", "single"), ("second", "single")]
 )
 def test_orders_of_requests_are_independent(pads, one, other):
-    # Of 8 of 16 in one half against 8 of 16 in the other's: hypergeometric, mean 4.
+    # Overlap of 8 of 16 in one half with 8 of 16 in the other: hypergeometric, mean 4.
     halves = (pads[name][..., 0] < 0.5 for name in (one, other))
     together = np.logical_and(*halves).sum(axis=1)
     mass = stats.hypergeom(16, 8, 8).pmf(np.arange(1, 8))
@@ -146,9 +146,9 @@ def test_orders_of_requests_are_independent(pads, one, other):
     assert stats.chisquare(found, found.sum() * mass / mass.sum()).pvalue > LEVEL
 
 
-def test_requests_and_neighbours_share_no_set(pads):
+def test_requests_and_neighbors_share_no_set(pads):
     numbers = np.concatenate([pads["first"][..., 0].ravel(), pads["second"][..., 0].ravel()])
-    expected = numbers.size**2 / 2.0**25  # equal pairs of independent numbers of 24 bits
+    expected = numbers.size**2 / 2.0**25  # equal pairs of independent 24-bit numbers
     _, times = np.unique(numbers, return_counts=True)
     equal = (times * (times - 1) / 2).sum()
     assert abs(equal - expected) < 5.0 * expected**0.5

@@ -1,4 +1,4 @@
-"""Statistics of maps against one fit a pixel."""
+"""Statistics of maps compared with one fit per pixel."""
 
 import numpy as np
 import pytest
@@ -26,15 +26,15 @@ def random_curves(strategies=2, height=3, width=4):
 
 
 def lines(level, rate, se=0.1):
-    """The fit of exact lines log V = level + rate · log n, one pixel."""
+    """The fit of exact lines log V = level + rate · log n, for one pixel."""
     variance = np.exp(level + rate * np.log(NS)).reshape(1, -1, 1, 1)
     return statistics.fit_lines(NS, variance, np.full_like(variance, se), np.ones_like(variance))
 
 
-def test_lines_are_the_fits_of_single_curves():
+def test_lines_agree_with_fits_of_single_curves():
     variance, se = random_curves()
     mean = np.ones_like(variance)
-    variance[0, -2:, 0, 0] = 1e-20  # rounding of float32, at large n: left out
+    variance[0, -2:, 0, 0] = 1e-20  # rounding of float32 at large n is ignored
     fits = statistics.fit_lines(NS, variance, se, mean)
     low, high = np.moveaxis(statistics.interval(fits.rate, fits.rate_se), -1, 0)
     floor = np.full(len(NS), 1e-15)
@@ -45,12 +45,12 @@ def test_lines_are_the_fits_of_single_curves():
         assert got == pytest.approx((one.rate, *one.interval, one.chi2), rel=1e-12)
 
 
-def test_variances_that_were_missed_leave_no_rate():
+def test_missed_variances_give_no_rate():
     variance, se = random_curves()
     variance[0, 0, 1, 1] = 0.0
     variance[1, :4, 2, 2] = 0.0
     variance[1, :, 2, 3] = np.nan
-    se[1, 1, 0, 1] = 0.6  # very few realizations
+    se[1, 1, 0, 1] = 0.6  # the error of very few realizations
     fits = statistics.fit_lines(NS, variance, se, np.ones_like(variance))
     without = np.isnan(fits.rate)
     assert np.argwhere(without).tolist() == [[0, 1, 1], [1, 0, 1], [1, 2, 2], [1, 2, 3]]
@@ -59,14 +59,14 @@ def test_variances_that_were_missed_leave_no_rate():
 
 
 def test_errors_of_a_line_are_those_of_many_lines():
-    # 4000 curves with known errors: rates and levels must scatter by the errors that are stated.
+    # 4000 curves with known errors: rates and levels must scatter by their stated errors.
     generator = np.random.default_rng(2)
     se = np.broadcast_to(np.array([0.1, 0.2, 0.1, 0.3, 0.2]).reshape(1, -1, 1, 1), (1, 5, 1, 4000))
     exact = 3.0 - 1.5 * np.log(NS).reshape(1, -1, 1, 1)
     variance = np.exp(exact + se * generator.standard_normal(se.shape))
     fits = statistics.fit_lines(NS, variance, se, np.ones_like(variance))
-    student = 3.182446305284263 / 1.959963984540054  # three degrees of freedom
-    # without the widening by lack of fit: 2.6049 is χ²/3 at 5 %, from where Student's t is taken
+    student = 3.182446305284263 / 1.959963984540054  # quantile ratio for three degrees of freedom
+    # without the widening by lack of fit: χ²/3 is 2.6049 at 5 %, above which Student's t is used
     wide = np.where(fits.chi2 > 7.814727903251179 / 3, student, 1.0) * np.sqrt(fits.chi2)
     plain = np.maximum(wide, 1.0)
     for value, error, true in (
@@ -93,27 +93,27 @@ def test_gain_compares_equal_totals():
     assert ci[0, 0].prod() == pytest.approx(value[0, 0] ** 2)
     missing = lines(0.0, -2.0, se=np.nan)
     assert np.isnan(statistics.gain(missing, mis, 64, met[:1])[0]).all()
-    # Where the better one missed light, the other counts; where both did, nothing is known
+    # If the better strategy missed light, the other counts; if both did, there is no gain
     alone = statistics.gain(worse, mis, 64, met[:1])[0]
     assert statistics.gain(single, mis, 64, np.array([[[False]], [[True]]]))[0] == alone
     assert np.isnan(statistics.gain(single, mis, 64, ~met)[0]).all()
 
 
-def test_slowest_needs_a_difference_apart_from_zero():
+def test_slowest_needs_an_interval_that_excludes_zero():
     rate = np.array([[[-2.0, -1.0, -1.5, np.nan, np.nan]], [[-1.0, -2.0, -1.6, -1.0, np.nan]]])
     found = statistics.slowest(rate, np.full_like(rate, 0.1))
     assert np.array_equal(found[0], [1, 0, -1, -1, np.nan], equal_nan=True)
 
 
 def test_slowest_is_decided_where_intervals_still_overlap():
-    """1.96 · √2 · 0.1 = 0.277 is enough; intervals are apart from 0.392."""
+    """1.96 · √2 · 0.1 = 0.277 is sufficient; separate intervals would need 0.392."""
     rate, se = np.array([[[-2.0, -2.0]], [[-1.7, -1.73]]]), np.full((2, 1, 2), 0.1)
     assert np.array_equal(statistics.slowest(rate, se)[0], [1, -1])
 
 
 @pytest.mark.parametrize("difference", [0.0, 0.2, 0.5, 1.0])
 def test_slowest_decides_as_often_as_a_normal_test(difference):
-    """Shares of right, wrong and no decision, for errors that differ by a factor of 3."""
+    """Fractions of right, wrong and no decisions, for errors that differ by a factor of 3."""
     count, errors = 20_000, np.array([0.05, 0.15])
     noise = np.random.default_rng(11).standard_normal((2, count, 1))
     se = np.broadcast_to(errors[:, None, None], noise.shape)
@@ -125,7 +125,7 @@ def test_slowest_decides_as_often_as_a_normal_test(difference):
         assert abs((found == technique).mean() - chance) <= 4.5 * spread + 1e-4
 
 
-def test_dominant_needs_a_ratio_apart_from_one():
+def test_dominant_needs_an_interval_that_excludes_one():
     variance = np.array([[[4.0, 1.0, 1.1, np.nan, 0.0, 0.0]], [[1.0, 4.0, 1.0, 1.0, 0.0, 1.0]]])
     found = statistics.dominant(variance, np.full_like(variance, 0.2))
     assert np.array_equal(found[0], [0, 1, -1, np.nan, np.nan, 1], equal_nan=True)
@@ -169,11 +169,12 @@ def test_predictions_agree_with_measured_variances(spec):
     estimates = step(drawn.reshape(-1, 2)).reshape(realizations, n, -1).mean(axis=1)
     measured = estimates.var(axis=0, ddof=1)
     error = np.hypot(se, measured * (2 / realizations) ** 0.5)
-    assert (np.abs(predicted - measured) < 4.5 * error).all()  # Šidák for 40 pixels
+    # limit by Šidák's correction for 40 pixels
+    assert (np.abs(predicted - measured) < 4.5 * error).all()
     assert se.mean() < 0.25 * predicted.mean()
 
 
-def test_gains_see_what_varies_within_the_cells_of_the_grid():
+def test_gains_include_variation_within_the_cells_of_the_grid():
     """A grid of midpoints misses a quarter of the variance of a smooth integrand."""
     forecast = prediction.prediction_for(sampler("sobol | owen", dims=2), 64, Stream.from_rng(3))
     assert forecast is not None
@@ -200,14 +201,14 @@ def test_integrals_of_predictions_have_honest_errors():
     assert forecast is not None
     mean, se = forecast.mean(step(forecast.samples))
     a = np.linspace(0.2, 1.0, 40)
-    # The area of u0 + a·u1 < 0.7 in the unit square; beyond a = 0.7 the edge leaves by u1 < 1.
+    # The area of u0 + a·u1 < 0.7 in the unit square; for a > 0.7 the edge leaves at u1 < 1.
     exact = np.where(a < 0.7, 0.7 - a / 2, 0.245 / a)
-    assert (np.abs(mean - exact) < 4.5 * se).all()  # Šidák for 40 integrals
+    assert (np.abs(mean - exact) < 4.5 * se).all()  # limit by Šidák's correction for 40 integrals
     assert (se < 0.01).all()
 
 
 @pytest.mark.parametrize("spec", ["jittered", "random", "jittered | shift"])
-def test_light_that_only_another_technique_meets_is_an_error(spec):
+def test_light_that_only_another_technique_hits_is_an_error(spec):
     forecast = prediction.prediction_for(sampler(spec, dims=2), 64, Stream.from_rng(5))
     assert forecast is not None
     u = forecast.samples
@@ -215,14 +216,14 @@ def test_light_that_only_another_technique_meets_is_an_error(spec):
     mean, se = forecast.mean(met)
     assert np.allclose(prediction.surely(forecast, met), 1.5, rtol=0.01)
     assert (prediction.surely(forecast, met) < mean).all()
-    # Within what the values' own error explains: M²/(q n) with q = 1/N.
+    # Within the values' own error: M²/(q n) with q = 1/N.
     short = 2.0 * se
     assert np.allclose(prediction.unmet(forecast, met, mean + short), size * short**2 / 64)
     assert np.isposinf(prediction.unmet(forecast, met, mean + 0.1)).all()
     assert (prediction.unmet(forecast, met, mean - 0.1) == 0.0).all()
 
 
-def test_strategies_that_met_less_light_than_another_are_found():
+def test_strategies_that_hit_less_light_than_another_are_found():
     row = {"light": 0, "bsdf": 1, "mis-light": 2, "mis-bsdf": 3, "mis": 4}
     means = [1.0, 0.5, 0.6, 0.4, 1.0]
     mean = np.array(means).reshape(-1, 1, 1) + np.zeros((5, 1, 3))
@@ -235,7 +236,7 @@ def test_strategies_that_met_less_light_than_another_are_found():
     assert not alone.any()
 
 
-def test_ratios_of_what_was_missed_are_left_out():
+def test_ratios_with_missed_light_are_excluded():
     shape = (1, 1, 3)
     maps = Maps(
         status=np.zeros((1, 3), np.int8),
@@ -261,32 +262,32 @@ def test_unequal_strata_and_three_dims():
     assert value == pytest.approx(1 / 48 / 16, rel=0.01)
     assert prediction.prediction_for(sampler("jittered", 3), 27, Stream(1)) is not None
     assert prediction.prediction_for(sampler("jittered | shift", 3), 27, Stream(1)) is None
-    # Not by a sum without what lies between frequencies
+    # Not by a sum that ignores terms between frequencies
     for spec in ("latin-hypercube", "halton | owen", "sobol | digital-shift"):
         assert prediction.prediction_for(sampler(spec, 2), 16, Stream(1)) is None
 
 
-def test_errors_of_few_strata_take_students_t():
-    """Where J strata differ alike there are J degrees of freedom, where one does there is one."""
+def test_errors_of_few_strata_use_students_t():
+    """If J strata differ equally, there are J degrees of freedom; if one differs, there is one."""
     squares = np.array([[1.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0]])
     expected = t.ppf(0.975, [1, 4, 1]) / norm.ppf(0.975)
     assert np.allclose(prediction._student(squares), expected, rtol=1e-6)
 
 
 def chains(count, pixels, seed):
-    """Values of f(x) = x₀ + 2 x₁ + 3 x₀ x₁ + 0 x₂ of normal x, with the first k from one point: (R, 4, P)."""
+    """f(x) = x₀ + 2 x₁ + 3 x₀ x₁ + 0 x₂ for normal x, the first k from one point: (R, 4, P)."""
     x, y = np.random.default_rng(seed).normal(size=(2, count, 3, pixels))
     mixed = [np.concatenate([x[:, :k], y[:, k:]], axis=1) for k in range(4)]
     return np.stack([z[:, 0] + 2 * z[:, 1] + 3 * z[:, 0] * z[:, 1] for z in mixed], axis=1)
 
 
 def test_shares_of_a_known_function():
-    # Var = 1 + 4 + 9; x₀ alone makes 1, what x₁ adds is 4 + 9, and x₂ nothing
+    # Var = 1 + 4 + 9; x₀ alone contributes 1, x₁ adds 4 + 9, and x₂ nothing
     partitions = [np.eye(3, dtype=bool), np.array([[True, False, True], [False, True, False]])]
     whole, shares, largest = statistics.path_shares(chains(1000, 400, 7), partitions)
     expected = np.array([1, 13, 0, 1, 13]) / 14
     share, low, high = shares
-    # The mean over independent pixels, at 5 σ; and as many intervals hold the truth as they should, at 4 σ
+    # The mean over independent pixels at 5 σ; the coverage of the intervals at 4 σ
     error = share.std(axis=1) / 20
     assert (np.abs(share.mean(axis=1) - expected) <= 5 * error + 1e-12).all()
     assert abs(whole[0].mean() - 14) < 5 * whole[0].std() / 20
@@ -295,7 +296,7 @@ def test_shares_of_a_known_function():
     assert np.array_equal(share[2], np.zeros(400))
     np.testing.assert_allclose(share[:3].sum(axis=0), 1.0, rtol=1e-12)
     np.testing.assert_allclose(share[3:].sum(axis=0), 1.0, rtol=1e-12)
-    assert (share[0] < 0).any()  # an estimate below 0 is not cut off
+    assert (share[0] < 0).any()  # negative estimates are not cut off
     assert np.array_equal(largest, np.ones((2, 400)))
 
 
@@ -306,7 +307,7 @@ def test_shares_of_equal_parts_have_no_largest():
     assert (largest == statistics.UNDECIDED).mean() > 0.95 - 4 * (0.95 * 0.05 / 2000) ** 0.5
 
 
-def test_shares_that_one_chain_carries_are_not_told():
+def test_shares_of_a_single_chain_are_not_reported():
     values = np.zeros((128, 3, 2))
     values[5, 1:, 0] = 1.0
     whole, shares, largest = statistics.path_shares(values, [np.eye(2, dtype=bool)])
@@ -315,7 +316,7 @@ def test_shares_that_one_chain_carries_are_not_told():
     assert np.isnan(largest).all()
 
 
-def test_the_least_variance_needs_ratios_apart_from_one():
+def test_the_least_variance_needs_intervals_that_exclude_one():
     variance = np.array([[1.0, 1.0, 1.0, 0.0], [1.2, 3.0, 3.0, 1.0], [3.0, 3.1, 0.1, 1.0]])
     found = statistics.least(variance, np.full((3, 4), 0.1))
     assert np.array_equal(found, [statistics.UNDECIDED, 0.0, 2.0, np.nan], equal_nan=True)

@@ -1,4 +1,4 @@
-"""Maps against the same pixels measured one by one, tiles, bad input."""
+"""Maps compared with the same pixels measured one by one; tiles and bad input."""
 
 from typing import Any
 
@@ -29,7 +29,7 @@ pytestmark = pytest.mark.render
 
 COUNTS = (4, 16, 36)
 SMALL: dict[str, Any] = {"size": (24, 16), "counts": COUNTS, "realizations": 32, "rng": 7}
-PLATE = (16, 10)  # of the film of SMALL
+PLATE = (16, 10)  # coordinates on the film of SMALL
 SUBJECT = Subject(None, sampler("jittered", 2))
 SCENE = "veach(width=24, height=16)"
 
@@ -52,8 +52,8 @@ def identical(a, b):
 
 
 @pytest.mark.parametrize("strategy", ["light", "mis-light", "mis"])
-def test_a_pixel_is_what_convergence_measures(small, strategy):
-    # The same points: the only difference is float32, in which Mitsuba computes values.
+def test_a_pixel_agrees_with_convergence(small, strategy):
+    # The same points: the only difference is Mitsuba's float32.
     if strategy == "mis":
         estimator: Any = mcs.estimators.TechniqueSum([pixel("mis-light"), pixel("mis-bsdf")])
     else:
@@ -68,7 +68,7 @@ def test_a_pixel_is_what_convergence_measures(small, strategy):
 
 
 def test_own_points_are_numbered_by_the_pixel():
-    # Pixel (x, y) has realizations (y·width + x)·R … of the stream of each count.
+    # Pixel (x, y) uses realizations (y·width + x)·R … of the stream of each count.
     x, y = PLATE
     found = variance_map(
         "veach", ("light", "bsdf"), size=(24, 16), crop=(x - 1, y, 3, 1), counts=(4, 16),
@@ -85,24 +85,24 @@ def test_own_points_are_numbered_by_the_pixel():
 
 
 def test_wide_light_on_the_wall():
-    # Light sampling sees a smooth integrand: −2; the light's edge makes BSDF sampling −1.5, and
-    # MIS follows it [Singh et al.]. A single pixel, as in test_pixel.
+    # Light sampling gives a smooth integrand: −2. The light's edge makes BSDF sampling −1.5, and
+    # MIS follows it [Singh et al.]. This is a single pixel, as in test_pixel.
     found = variance_map(
         "veach", crop=(568, 100, 1, 1), light="light-3", counts=(16, 64, 256, 1024),
         realizations=400, rng=1, predict_every=4,
     ).squeeze()  # fmt: skip
     for strategy, theory in {"light": -2.0, "bsdf": -1.5, "mis": -1.5}.items():
         one = found.sel(strategy=strategy)
-        # 0.05: what lower orders add at these counts
+        # 0.05: contribution of lower orders at these counts
         assert abs(float(one["rate"]) - theory) < 4 * float(one["rate_se"]) + 0.05
         ratio = np.log(float(one["predicted_ratio"]))
         low, high = np.log(one["predicted_ratio_ci"].values)
-        assert abs(ratio) < 2 * (high - low) / 2  # four standard errors
+        assert abs(ratio) < 2 * (high - low) / 2  # the limit is four standard errors
     assert float(found["bottleneck"]) == 1
     assert float(found["mis_gain_ci"].sel(bound="high")) < 1  # light sampling alone is better
 
 
-def test_predictions_cover_what_is_measured():
+def test_predictions_cover_the_measurement():
     found = variance_map(
         "veach", size=(48, 32), crop=(4, 3, 24, 4), light="light-3", counts=(4, 64),
         realizations=200, points="own", strategies=("light", "mis"),
@@ -115,9 +115,9 @@ def test_predictions_cover_what_is_measured():
 
 
 @pytest.mark.parametrize("lamp", [False, True])
-def test_predictions_that_miss_a_rare_light_say_so(lamp):
-    # One BSDF sample of a million meets the lamp: neither the prediction nor the measurement know
-    # of it, and would agree. Light sampling takes every second sample from it.
+def test_predictions_that_miss_a_rare_light_have_infinite_error(lamp):
+    # One BSDF sample in a million hits the lamp: prediction and measurement both miss it, and would
+    # agree. Light sampling takes every second sample from it.
     scene = figure1()
     if lamp:
         light = {"type": "area", "radiance": {"type": "rgb", "value": 1e6}}
@@ -130,7 +130,7 @@ def test_predictions_that_miss_a_rare_light_say_so(lamp):
     assert known.tolist() == [True, not lamp]
 
 
-def test_what_is_not_a_receiver_has_no_numbers(small):
+def test_pixels_that_are_not_receivers_have_no_values(small):
     seen = np.isfinite(small["mean"].values[0])
     assert 0 < (~seen).sum() < 40
     for y, x in (*np.argwhere(~seen)[::4], *np.argwhere(seen)[::90]):
@@ -168,7 +168,7 @@ def test_threads_and_blocks_do_not_change_bits(small, monkeypatch):
     options, part = SMALL | {"crop": (8, 9, 6, 3)}, small.isel(x=slice(8, 14), y=slice(9, 12))
     assert identical(variance_map("veach", workers=1, **options), part)
     assert drjit.thread_count() == before
-    monkeypatch.setattr(tiles, "_KEPT_NUMBERS", 0)  # tables drawn anew for each tile
+    monkeypatch.setattr(tiles, "_KEPT_NUMBERS", 0)  # tables are drawn again for each tile
     assert identical(variance_map("veach", **options), part)
     monkeypatch.setattr(tiles, "_BLOCK_REALIZATIONS", 10)
     merged = variance_map("veach", **options)
@@ -184,16 +184,16 @@ def test_own_points_do_not_depend_on_tiles(monkeypatch):
     assert not identical(other, whole)
 
 
-def test_lobes_take_a_third_dimension(scene_files):
+def test_lobes_use_a_third_dimension(scene_files):
     scene, place = scene_files["textured"], {"crop": (18, 16, 4, 2), "realizations": 200}
     with pytest.raises(ParameterError, match="give dims=3"):
         variance_map(scene, counts=(4, 16), **place)
     found = variance_map(scene, counts=(8, 27), dims=3, points="own", **place)
     light, bsdf, mis = (found.sel(strategy=s) for s in ("light", "bsdf", "mis"))
-    for other in (bsdf, mis):  # all estimate the same
+    for other in (bsdf, mis):  # all strategies estimate the same value
         z = (light["mean"] - other["mean"]) / np.hypot(light["mean_se"], other["mean_se"])
-        assert float(np.abs(z).max()) < 4.5  # Šidák for 16
-    # Light sampling alone chooses no lobe.
+        assert float(np.abs(z).max()) < 4.5  # limit by Šidák's correction for 16 values
+    # Light sampling alone selects no lobe.
     variance_map(scene, ("light",), counts=(4, 16), crop=(18, 16, 1, 1), realizations=4)
 
 
@@ -244,7 +244,7 @@ def test_smoothing_narrows_the_intervals_of_own_points():
     assert np.array_equal(smooth["variance"], rough["variance"], equal_nan=True)
 
 
-def test_progress_is_told(monkeypatch):
+def test_progress_is_reported(monkeypatch):
     monkeypatch.setattr(tiles, "TILE_LANES", 100 * 32)
     told: list[float] = []
     with listening(lambda _, done: told.append(done)):
@@ -348,7 +348,7 @@ def test_crops_may_touch_the_borders():
 
 
 def test_tiles_measured_apart_change_nothing(monkeypatch):
-    monkeypatch.setattr(tiles, "TILE_LANES", 8 * 8)  # eight pixels, which cross rows
+    monkeypatch.setattr(tiles, "TILE_LANES", 8 * 8)  # a tile has eight pixels, across several rows
     plan = Map(
         scene="penumbra",
         strategies=("light", "bsdf", "mis"),
@@ -375,6 +375,6 @@ def test_tiles_measured_apart_change_nothing(monkeypatch):
         {"channel": "rgb"},
     ],
 )
-def test_what_cannot_be_is_refused_without_the_scene(changes):
+def test_impossible_maps_are_rejected_without_the_scene(changes):
     with pytest.raises(ParameterError):
         checked(Map(scene="never-read.xml", **changes)).need(SUBJECT)

@@ -1,4 +1,4 @@
-"""Sampler objects of Mitsuba as ours: points, counts read back, and what is no such object."""
+"""Sampler objects of Mitsuba as samplers: points, counts read back, and invalid objects."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ VARIANTS = ["scalar_rgb", "llvm_ad_rgb"]
 def made(variant, **properties):
     register_samplers(variant)
     mitsuba = import_mitsuba()
-    mitsuba.set_log_level(mitsuba.LogLevel.Error)  # it says each time that it rounds
+    mitsuba.set_log_level(mitsuba.LogLevel.Error)  # Mitsuba otherwise reports every rounding
     mitsuba.set_variant(variant)
     return mitsuba.load_dict(properties)
 
@@ -40,10 +40,10 @@ def test_realizations_do_not_depend_on_how_many_are_drawn(variant):
     sampler = from_mitsuba(source)
     whole = sampler.draw(8, realizations=4, rng=5)
     np.testing.assert_array_equal(whole[2:], sampler.draw(8, realizations=2, first=2, rng=5))
-    assert source.sample_count() == 4  # a fork was drawn from
+    assert source.sample_count() == 4  # points come from a fork, so the object keeps its count
 
 
-def test_scalar_objects_draw_what_the_spec_draws():
+def test_scalar_objects_draw_the_points_of_the_spec():
     sampler = from_mitsuba(made("scalar_rgb", type="multijitter"), 3)
     expected = MitsubaSampler(sampler="multijitter", dims=3).draw(12, realizations=3, rng=2)
     np.testing.assert_array_equal(sampler.draw(12, realizations=3, rng=2), expected)
@@ -59,7 +59,7 @@ def test_counts_are_read_back():
 
 
 @pytest.mark.parametrize("source", [None, "multijitter", 3, np.zeros((4, 2))])
-def test_what_is_no_sampler_of_mitsuba(source):
+def test_objects_that_are_not_mitsuba_samplers_raise(source):
     with pytest.raises(ParameterError, match="is not a sampler of Mitsuba"):
         from_mitsuba(source)
 

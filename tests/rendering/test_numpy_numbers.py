@@ -1,4 +1,4 @@
-"""Pixel numbers and channels that come out of arrays: NumPy's integers are as good as Python's."""
+"""Pixel numbers and channels from arrays: NumPy's integers work like Python's."""
 
 import numpy as np
 import pytest

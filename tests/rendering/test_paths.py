@@ -1,4 +1,4 @@
-"""Whole paths as integrands: against Mitsuba's own renders, what their coordinates are, bad input."""
+"""Whole paths as integrands: compared with Mitsuba's renders, their coordinates, bad input."""
 
 from collections.abc import Callable
 from typing import Any
@@ -29,8 +29,8 @@ from mcspectra.rendering.scenes import as_scene, emitter_names
 
 pytestmark = pytest.mark.render
 
-N, REPEATS = 64, 200  # samples of an estimate, estimates
-FALSE_ALARM = 1e-6  # of one test, over all pixels, for means and variances
+N, REPEATS = 64, 200  # samples per estimate, number of estimates
+FALSE_ALARM = 1e-6  # probability for one test over all pixels, for means and variances
 Scene = dict[str, Any]
 
 
@@ -41,7 +41,7 @@ def cornell():
 
 
 def small(scene, width=12, height=8):
-    """With a film of a few pixels and the box filter, of which a pixel's mean is an integral."""
+    """Return the scene with a small film and a box filter: a pixel's mean is then an integral."""
     film = {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}}
     return scene | {"sensor": scene["sensor"] | {"film": film}}
 
@@ -53,9 +53,9 @@ SCENES: dict[str, tuple[Callable[[], Scene], str, list[tuple[int, int]]]] = {
 
 
 def renders(scene, integrator):
-    """The luminance of independent renders (R, h, w) by Mitsuba."""
+    """Luminance of independent renders (R, h, w) by Mitsuba."""
     mitsuba = load_mitsuba()
-    import drjit  # after Mitsuba, which says which LLVM
+    import drjit  # Mitsuba must come first, because it chooses the LLVM
 
     loaded = load_scene(scene)
     made = find_integrator(as_scene(scene), integrator)
@@ -67,7 +67,7 @@ def renders(scene, integrator):
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_mean_and_variance_are_those_of_mitsubas_render(name):
+def test_mean_and_variance_agree_with_mitsubas_render(name):
     make, integrator, pixels = SCENES[name]
     scene = small(make())
     theirs = renders(scene, integrator)
@@ -76,8 +76,8 @@ def test_mean_and_variance_are_those_of_mitsubas_render(name):
         f = path_pixel(scene, x, y, integrator=integrator)
         own = f(mcs.sampler("random", f.dims).draw(N, realizations=REPEATS, rng=11)).mean(axis=1)
         other = theirs[:, y, x]
-        assert other.std() > 0  # or there is nothing to compare
-        # Welch's test, of the values and of their squared deviations
+        assert other.std() > 0  # otherwise there is nothing to compare
+        # Welch's test of the values and of their squared deviations
         for a, b in ((own, other), ((own - own.mean()) ** 2, (other - other.mean()) ** 2)):
             assert abs(stats.ttest_ind(a, b, equal_var=False).statistic) < level, (x, y)
 
@@ -90,12 +90,12 @@ def test_coordinates_of_cornells_box_are_found_and_named():
         "bounce 1 direction x", "bounce 1 direction y", "bounce 1 roulette",
     ]  # fmt: skip
     assert [d.bounce for d in f.dimensions] == [0, 0, *np.repeat([1, 2, 3, 4, 5], 6)]
-    # The last turn reaches no light any more: its numbers are drawn and not used
+    # The last iteration reaches no light: its numbers are drawn and not used
     u = np.random.default_rng(3).random((2000, f.dims))
     v = u.copy()
     v[:, 26:] = 0.5
     assert np.array_equal(f(u), f(v))
-    v[:, 25] = 0.999  # without roulette before the 100th bounce
+    v[:, 25] = 0.999  # no roulette before the 100th bounce
     assert np.array_equal(f(u), f(v))
     v[:, 20] = 0.3
     assert not np.array_equal(f(u), f(v))
@@ -166,7 +166,7 @@ def test_numbers_beyond_the_dims_are_hashed_without_bias():
     a, b = whole(u), cut(u[:, :8])
     assert np.array_equal(b, cut(u[:, :8]))
     assert not np.array_equal(a, b)
-    # 5 σ: both are means of so many independent values, with the same variance
+    # 5 σ: both are means of len(u) independent values with the same variance
     error = np.hypot(a.std(), b.std()) / len(u) ** 0.5
     assert abs(a.mean() - b.mean()) < 5 * error
     assert path_pixel(scene, 6, 6, dims=40).dimensions[-1] == Dimension(6, "unknown")
@@ -189,8 +189,8 @@ def test_good_points_help_and_the_spec_makes_the_same_integrand():
         ({"integrator": "nosuch"}, "not found"),
         ({"integrator": "path(bogus=1)"}, "unreferenced property"),
         ({"integrator": "path(max_depth="}, "cannot be read"),
-        ({"integrator": "ptracer"}, "follows no ray"),
-        ({"integrator": "diffuse"}, "follows no ray"),
+        ({"integrator": "ptracer"}, "cannot follow a ray"),
+        ({"integrator": "diffuse"}, "cannot follow a ray"),
         ({"integrator": 3}, "integrator is 3"),
         ({"x": 12}, "outside the film"),
         ({"dims": 1}, "from 2 to 1024"),
@@ -211,7 +211,7 @@ def test_bad_input_is_one_sentence(change, message):
     assert "\n" not in str(caught.value)
 
 
-def test_a_pixel_of_a_map_is_what_convergence_measures(monkeypatch):
+def test_a_pixel_of_a_map_agrees_with_convergence(monkeypatch):
     scene: Any = small(cornell())
     given: dict[str, Any] = {"integrator": "path(max_depth=3)", "realizations": 16, "rng": 9}
     whole = variance_map(scene, **given)
@@ -231,7 +231,7 @@ def test_a_pixel_of_a_map_is_what_convergence_measures(monkeypatch):
     np.testing.assert_array_equal(one["variance"][..., 0, 0], whole["variance"].sel(x=6, y=5))
 
 
-def test_shares_of_a_map_are_those_of_anova():
+def test_shares_of_a_map_agree_with_anova():
     scene: Any = small(cornell())
     given: dict[str, Any] = {
         "integrator": "path(max_depth=3)",
@@ -247,17 +247,17 @@ def test_shares_of_a_map_are_those_of_anova():
     own, own_ends = np.cumsum(place["bounce_share"]), place["bounce_share_ci"].values
     assert place["bounce"].values.tolist() == [0, 1, 2, 3]
     assert place["decision"].values.tolist() == ["film", "light", "lobe", "direction", "roulette"]
-    # Half widths of both; those of sums by the sum of the widths, at 2.5 times 95 %
+    # Half widths of both; for sums the sum of the widths, at 2.5 times 95 %
     half = np.cumsum(np.diff(own_ends)[:, 0]) / 2 + np.diff(ends)[:, 0] / 2
     assert (np.abs(own - up_to) <= 2.5 * half + 1e-12).all()
     for kind in ("bounce", "decision"):
         np.testing.assert_allclose(whole[f"{kind}_share"].sum(kind), 1.0, rtol=1e-12)
-    # The variance of a path is n times that of n random ones
+    # The variance of a path is n times the variance of a mean of n random paths
     random = f(mcs.sampler("random", f.dims).draw(1, realizations=20_000, rng=1))[:, 0]
     squares = (random - random.mean()) ** 2
     error = np.hypot(squares.std() / 20_000**0.5, float(place["path_variance_se"]))
     assert abs(float(place["path_variance"]) - squares.mean()) < 4 * error
-    # One pixel is what it is among others, and none has shares without chains
+    # A single pixel equals the same pixel among others, and no pixel has shares without chains
     one = variance_map(scene, crop=(6, 5, 1, 1), chains=2000, rng=9, points="own", **given)
     np.testing.assert_array_equal(one["bounce_share_ci"][:, 0, 0], place["bounce_share_ci"])
     assert "bounce_share" not in variance_map(scene, crop=(6, 5, 1, 1), chains=0, **given)
@@ -288,7 +288,7 @@ def test_samplers_are_compared_at_each_pixel():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"chains": 3}, "8 at least"),
+        ({"chains": 3}, "at least 8"),
         ({"chains": -1}, "chains"),
         ({"integrator": None, "chains": 64}, "chains is for whole paths"),
         ({"heuristic": "power"}, "heuristic is for direct light"),
@@ -296,7 +296,7 @@ def test_samplers_are_compared_at_each_pixel():
         ({"sampler": []}, "several that differ"),
         ({"light": 0}, "light is for direct light"),
         ({"strategies": ("light",)}, "strategies is for direct light"),
-        ({"integrator": "ptracer"}, "follows no ray"),
+        ({"integrator": "ptracer"}, "cannot follow a ray"),
         ({"sampler": "jittered"}, "two or more"),
         ({"integrator": None, "dims": 4}, "from 2 to 3"),
     ],
@@ -307,14 +307,14 @@ def test_a_map_refuses_in_one_sentence(change, message):
     assert "\n" not in str(caught.value)
 
 
-def test_a_scene_that_says_path_is_warned_of_where_direct_light_is_measured():
+def test_direct_light_of_a_scene_with_a_path_integrator_warns():
     scene = cornell()
     given: dict[str, Any] = {"crop": (9, 5, 2, 2), "counts": (4, 16), "realizations": 4}
     with pytest.warns(IncompleteImageWarning, match=r"PathIntegrator.*direct light alone"):
         found = variance_map(small(scene), **given)
     assert "direct light alone" in found.attrs["scene_note"]
     assert [s for s in check_scene(small(scene)) if "PathIntegrator" in s]
-    # Not where it is measured, where it says direct, or where nothing is said: warnings are errors
+    # No warning if the integrator is measured, is direct, or is missing: warnings are errors here
     assert not variance_map(small(scene), integrator="scene", **given).attrs["scene_note"]
     wide = small(scene)
     wide["sensor"]["film"] |= {"rfilter": {"type": "gaussian"}}
@@ -329,14 +329,14 @@ def test_a_scene_that_says_path_is_warned_of_where_direct_light_is_measured():
 LAMPS = "veach(width=48, height=32)"
 
 
-def test_parts_of_lights_sum_to_the_pixel_and_are_those_of_each_light_alone():
+def test_parts_of_lights_sum_to_the_pixel_and_agree_with_each_light_alone():
     scene = small(builtin.veach(), 48, 32)
     f = path_pixel(scene, 24, 26, integrator="path(max_depth=4)")
     u = np.random.default_rng(3).random((2**14, f.dims))
     values, parts = f(u), parts_by_light(f, u)
     rounding = 1e-5 * values.max()
     np.testing.assert_allclose(parts.sum(axis=0), values, rtol=0, atol=rounding)
-    # Scenes whose other lights are black, in which paths are chosen alike
+    # In scenes whose other lights are black, paths are chosen in the same way
     lights = [name for name, part in scene.items() if isinstance(part, dict) and "emitter" in part]
     assert len(parts) == len(lights) == len(emitter_names(as_scene(scene)))
     for kept, part in zip(emitter_names(as_scene(scene)), parts, strict=True):
@@ -344,12 +344,12 @@ def test_parts_of_lights_sum_to_the_pixel_and_are_those_of_each_light_alone():
         dark = {name: scene[name] | {"emitter": black} for name in lights if name != kept}
         alone = path_pixel(scene | dark, 24, 26, integrator="path(max_depth=4)")
         np.testing.assert_allclose(part, alone(u), rtol=0, atol=rounding)
-    # The scene is left as it was
+    # The scene is unchanged
     assert np.array_equal(f(u), values)
 
 
-def test_lights_chosen_by_second_moments_have_the_variance_that_theory_says():
-    """Light sampling alone, as f = h_J/p_J: Σ p E f_j² becomes (Σ √(p E f_j²))²; 5 standard errors."""
+def test_lights_chosen_by_second_moments_have_the_theoretical_variance():
+    """For light sampling, f = h_J/p_J: Σ p E f_j² becomes (Σ √(p E f_j²))²; 5 standard errors."""
     integrator = "direct(emitter_samples=1, bsdf_samples=0)"
     f = path_pixel(LAMPS, 24, 26, integrator=integrator)
     rng = np.random.default_rng(4)
@@ -360,7 +360,7 @@ def test_lights_chosen_by_second_moments_have_the_variance_that_theory_says():
     mean, expected = parts.sum(axis=0).mean(), np.sqrt(moments).sum() ** 2
     before = parts.sum(axis=0)
     assert abs(values.mean() - mean) < 5 * np.hypot(values.std(), before.std()) / len(values) ** 0.5
-    # Errors of the two second moments; that of the square of the sum is at most that of f², by Jensen
+    # Errors of both second moments; by Jensen, that of the squared sum is at most that of f²
     error = np.hypot((values**2).std(), (before**2).std()) / len(values) ** 0.5
     assert abs((values**2).mean() - expected) < 5 * error
     assert (values**2).mean() + 5 * error < (before**2).mean()
@@ -377,7 +377,7 @@ def test_roulette_costs_fewer_numbers():
 @pytest.mark.parametrize(
     "spec", ["halton | owen", "faure | owen | shift", "sobol | owen | decorrelate"]
 )
-def test_samplers_in_other_dims_are_those_of_their_spec(spec):
+def test_samplers_in_other_dims_agree_with_their_spec(spec):
     made, other = in_dims(mcs.sampler(spec, 2), 5), mcs.sampler(spec, 5)
     assert made == other
     points = made.draw(25 if "faure" in spec else 16, realizations=2, rng=1)

@@ -1,4 +1,4 @@
-"""A pixel against the exact irradiance of a sphere, Mitsuba's own integrator, and known rates."""
+"""A pixel compared with the exact irradiance of a sphere, Mitsuba's integrator, and known rates."""
 
 import pickle
 from concurrent.futures import ThreadPoolExecutor
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.render
 WALL = {"scene": "veach", "x": 568, "y": 100, "light": "light-3"}
 PLATE = {"scene": "veach", "x": 600, "y": 430, "light": "light-3"}
 SIGMAS = 4.0
-SINGLE = 2e-6  # sixteen roundings of float32, for means whose statistical error is below that
+SINGLE = 2e-6  # sixteen roundings of float32, for means with a smaller statistical error
 
 
 def wall_radiance(position):
@@ -39,7 +39,7 @@ def wall_radiance(position):
 
 
 def test_every_strategy_has_the_exact_mean():
-    """Jittered points: light sampling is known to 1e-6, all that float32 tells."""
+    """Jittered points: light sampling is precise to 1e-6, the limit of float32."""
     exact = wall_radiance(describe_pixel("veach", 568, 100)["position"])
     points = mcs.sampler("jittered", 2).draw(2**12, realizations=64, rng=1)
     estimates = {name: g(points).mean(axis=1) for name, g in pixel_strategies(**WALL).items()}
@@ -49,12 +49,12 @@ def test_every_strategy_has_the_exact_mean():
         assert abs(mean - exact) < SIGMAS * error + SINGLE * exact, name
 
 
-def test_wall_pixel_sees_the_whole_light():
+def test_the_whole_light_is_visible_from_the_wall_pixel():
     assert (pixel_strategies(**WALL)["light"](uniforms(10_000)) > 0).all()
 
 
-def test_weights_are_those_of_the_heuristics():
-    # With the same u both heuristics weigh the same f/p: w = r/(1+r) and r²/(1+r²), r = own/other.
+def test_weights_agree_with_the_heuristics():
+    # With the same u, both heuristics weight the same f/p: w = r/(1+r), r²/(1+r²); r = own/other.
     u = uniforms(4096)
     plain = Pixel(**WALL)(u)
     balance, power = (
@@ -103,7 +103,7 @@ def check_against_stock(place, dims):
         assert (abs(mean - wanted) < SIGMAS * np.hypot(error, wanted_error) + SINGLE * wanted).all()
 
 
-@pytest.mark.parametrize("strategy", ["light", "bsdf"])  # MIS weights change with the lights
+@pytest.mark.parametrize("strategy", ["light", "bsdf"])  # MIS weights depend on the lights
 def test_lights_add_up(strategy):
     place = {"scene": "veach", "x": 600, "y": 430, "strategy": strategy}
     u = uniforms(2**18)
@@ -133,8 +133,8 @@ def test_shapes_and_channels(strategy):
     np.testing.assert_allclose(scalar(u), rec709, rtol=1e-5)
 
 
-def test_light_that_is_never_met_gives_zeros():
-    # light-0 covers about 1e-5 of the wall's hemisphere: of 16 BSDF samples none meets it.
+def test_light_that_is_never_hit_gives_zeros():
+    # light-0 covers about 1e-5 of the wall's hemisphere: none of 16 BSDF samples hits it.
     values = Pixel(**{**WALL, "light": "light-0"}, strategy="bsdf", channel="rgb")(uniforms(16))
     np.testing.assert_array_equal(values, np.zeros((16, 3)))
 
@@ -221,13 +221,13 @@ def test_bad_parameters_are_one_sentence(changes, words):
         ("textured", {"y": 0, "x": 0}, "sees the light 'sky'"),
     ],
 )
-def test_pixels_that_are_no_integrands_say_why(scene_files, scene, changes, words):
+def test_pixels_that_are_not_integrands_raise_with_a_reason(scene_files, scene, changes, words):
     with pytest.raises(ParameterError) as caught:
         Pixel(**{"scene": scene_files[scene], "x": 20, "y": 15, **changes})
     assert words in str(caught.value)
 
 
-def test_one_area_light_beside_a_delta_light_is_fine(scene_files):
+def test_an_area_light_next_to_a_delta_light_is_allowed(scene_files):
     values = Pixel(scene=scene_files["lamp"], x=20, y=15, light="screen")(uniforms(64))
     assert (values > 0).any()
 

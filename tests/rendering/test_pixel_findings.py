@@ -1,4 +1,4 @@
-"""What the literature says of rates, found again at pixels, with intervals."""
+"""Rates from the literature, reproduced at pixels with intervals."""
 
 import numpy as np
 import pytest
@@ -36,7 +36,7 @@ def rates(
 
 
 def check_slowest_decides(technique, whole):
-    """The BSDF technique is the slower one, apart from the other, and MIS as slow as it is."""
+    """The BSDF technique is significantly slower than the other, and MIS is as slow as it is."""
     assert technique[BSDF, 0] > technique[LIGHT, 2]
     assert whole[0] < technique[BSDF, 2]
     assert whole[2] > technique[BSDF, 0]
@@ -53,7 +53,7 @@ def test_slowest_technique_determines_mis(shape):
 
 @pytest.fixture(scope="module")
 def figure1():
-    """Rates of BSDF sampling, and of light sampling and its mirrored form, shifted jittered sets."""
+    """Rates of BSDF sampling, and of plain and mirrored light sampling, shifted sets."""
     x, y = named_pixels("figure1")["P"]
     sharp, smooth = (
         Pixel(scene=scene, x=x, y=y, strategy="bsdf") for scene in ("figure1", "smooth-light")
@@ -72,20 +72,20 @@ def test_smoothing_the_edge_of_the_light_raises_the_rate_of_the_bsdf(
     figure1,
 ):
     assert figure1["smooth"][2] < figure1["sharp"][0]
-    assert figure1["sharp"][0] < -1.5 < figure1["sharp"][2]  # edges: n^-1.5
+    assert figure1["sharp"][0] < -1.5 < figure1["sharp"][2]  # edges give n^-1.5
 
 
 def test_mirroring_raises_the_shifted_rate(figure1):
     assert figure1["mirrored"][2] < figure1["shifted"][0]
-    assert figure1["mirrored"][0] < -2.0 < figure1["mirrored"][2]  # no edges: n^-2
+    assert figure1["mirrored"][0] < -2.0 < figure1["mirrored"][2]  # without edges the rate is n^-2
 
 
 @pytest.mark.parametrize("place", [WALL, PLACES["plate-3"]], ids=["wall", "plate"])
 @pytest.mark.parametrize("strategy", ["light", "bsdf"])
 def test_spectrum_predicts_the_variance(place, strategy):
-    """Of light sampling all that is measured; across edges the share below the half width.
+    """All of the variance for light sampling; for edges, the share below the half width.
 
-    What a spectrum of a light with edges misses is positive: its tail beyond 24 waves.
+    The spectrum of a light with edges misses a positive part: its tail above 24 waves.
     """
     terms = mcs.variance_terms(
         Pixel(**place, strategy=strategy),
@@ -107,7 +107,7 @@ def test_spectrum_predicts_the_variance(place, strategy):
 
 @pytest.mark.parametrize("n", [16, 64])
 def test_quadrature_of_strata_predicts_the_variance(n):
-    """Within 4 σ of what 1000 realizations measure, σ from the reported interval."""
+    """Within 4 σ of 1000 measured realizations, with σ from the reported interval."""
     light = Pixel(**WALL)
     exact = mcs.exact_variance(light, "jittered", n, tolerance=1e-3)
     found = mcs.convergence(light, "jittered", [n], realizations=1000, rng=3)
@@ -117,7 +117,7 @@ def test_quadrature_of_strata_predicts_the_variance(n):
 
 
 def test_positions_in_the_pixel_average_it():
-    """The mean over a pixel, first over a grid of positions, then by four dims and by five."""
+    """The mean over a pixel, first over a grid of positions, then by four and by five dims."""
     place = {"scene": "figure1", "x": 200, "y": 190}
     whole = [Pixel(**place, strategy=s, dims=d) for s, d in (("light", 4), ("bsdf", 5))]
     means, errors = [], []
@@ -134,7 +134,7 @@ def test_positions_in_the_pixel_average_it():
     assert abs(values.mean() - means[0]) < 4 * np.hypot(errors[0], values.std() / 32)
 
 
-def test_position_at_the_centre_is_the_pixel_of_two_dims():
+def test_the_central_position_is_the_pixel_of_two_dims():
     u = uniforms(1000, 3)
     for strategy in ("light", "bsdf", "mis-light", "mis-bsdf"):
         middle = np.full((1000, 2), 0.5)
@@ -146,7 +146,7 @@ def test_position_at_the_centre_is_the_pixel_of_two_dims():
 
 
 def test_first_two_samples_run_from_the_upper_left_corner():
-    """Positions near a border of the pixel are those near the opposite border of its neighbor."""
+    """Positions near a border of the pixel match those near the opposite border of its neighbor."""
     u, small = uniforms(500, 2), 2.0**-10
     here, right, below = (
         Pixel(scene="figure1", x=x, y=y, dims=4) for x, y in ((200, 190), (201, 190), (200, 191))
@@ -160,8 +160,8 @@ def test_first_two_samples_run_from_the_upper_left_corner():
     assert not np.allclose(at(here, small, 0.5), at(right, small, 0.5), rtol=1e-3)
 
 
-def test_rays_that_see_a_light_or_nothing_count_as_zero():
-    """The pixel that the left border of light-3 crosses: wall on the left, light on the right."""
+def test_rays_that_hit_a_light_or_nothing_count_as_zero():
+    """The left border of light-3 crosses the pixel: wall on the left, light on the right."""
     assert describe_pixel("veach", 579, 72)["light"] == "light-3"
     u = uniforms(2**14, 4)
     values = Pixel(scene="veach", x=579, y=72, dims=4)(u)

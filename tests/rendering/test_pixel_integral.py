@@ -1,4 +1,4 @@
-"""Integrals of pixels: right within the error they state, whatever jumps there are."""
+"""Integrals of pixels: correct within the stated error for any discontinuities."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from mcspectra.rendering.pixel import SOURCE, mean_of_points
 pytestmark = pytest.mark.render
 
 FLOOR = {"scene": "veach", "x": 5, "y": 500}
-SIGMAS = 4.5  # and t with 15 degrees is beyond it by chance once in 2400
+SIGMAS = 4.5  # Student's t with 15 degrees of freedom exceeds it by chance once in 2400
 SAMPLES = 2**19
 
 
@@ -27,11 +27,11 @@ def test_it_is_the_mean_of_random_points(strategy, dims):
     values = pixel(uniforms(dims))
     error = np.hypot(values.std() / SAMPLES**0.5, integral_accuracy(pixel)[1])
     assert abs(values.mean() - pixel.integral) < SIGMAS * error
-    assert error < 0.1 * pixel.integral  # so that the test can fail
+    assert error < 0.1 * pixel.integral  # otherwise the test could not fail
 
 
 def test_errors_cover_discontinuities(monkeypatch):
-    """An ellipse whose area is known: z-scores of 40 placements have the variance of a t."""
+    """An ellipse of known area: z-scores of 40 placements have the variance of Student's t."""
     monkeypatch.setattr(module, "_POINTS", 2**10)
     scores = []
     for k in range(40):
@@ -41,12 +41,12 @@ def test_errors_cover_discontinuities(monkeypatch):
         )
         found = mean_of_points(shape)
         scores.append((float(found.value[0]) - np.pi * radii[0] * radii[1]) / found.error)
-    # Mean square 15/13, of a sample of 40 with the kurtosis 3 + 6/11 within 4 standard errors.
+    # Mean square 15/13, for a sample of 40 with kurtosis 3 + 6/11, within 4 standard errors.
     spread = np.mean(np.square(scores))
     assert abs(spread - 15 / 13) < 4 * 15 / 13 * np.sqrt((2 + 6 / 11) / 40)
 
 
-def test_accuracy_says_how_it_was_made():
+def test_accuracy_names_its_method():
     pixel = Pixel(**FLOOR)
     assert pixel.integral_source == SOURCE
     source, error = integral_accuracy(pixel)

@@ -20,7 +20,7 @@ WALL = {"scene": "veach", "x": 568, "y": 100, "light": "light-3"}
 PLATE = {"scene": "veach", "x": 600, "y": 430, "light": "light-3"}
 PLASTIC = {"scene": "sky", "x": 192, "y": 87}
 COUNT = 2**16
-SIGMAS = 4.5  # of some thirty means that are compared: one false alarm in 5000 runs
+SIGMAS = 4.5  # limit for some thirty compared means: one false alarm in 5000 runs
 
 
 def total(mis, seed=1):
@@ -33,7 +33,7 @@ def total(mis, seed=1):
 
 
 def random_variance(mis):
-    """Variance of one random sample a unit of counts, Σ_t Var g_t / counts[t]."""
+    """Variance of one random sample per unit of counts, Σ_t Var g_t / counts[t]."""
     values = [
         mis.primary_values(t, uniforms(COUNT, mis.dims, 1 + t)) for t in range(len(mis.counts))
     ]
@@ -42,7 +42,7 @@ def random_variance(mis):
 
 @pytest.fixture(scope="module")
 def truth():
-    """Mean and error by light sampling alone, which no weight touches."""
+    """Mean and error by light sampling alone, without weights."""
     places = {"wall": WALL, "plate": PLATE}
     return {k: mean_and_error(Pixel(**p)(uniforms(2**18, seed=99))) for k, p in places.items()}
 
@@ -57,7 +57,7 @@ def test_every_heuristic_estimates_the_same(truth, heuristic, counts):
 
 
 @pytest.mark.parametrize("heuristic", ["balance", "power"])
-def test_equal_counts_are_the_kernels_of_pixel(heuristic):
+def test_equal_counts_agree_with_the_kernels_of_pixel(heuristic):
     mis, u = pixel_mis(**PLATE, heuristic=heuristic), uniforms(4096)
     for technique, strategy in enumerate(("mis-light", "mis-bsdf")):
         single = Pixel(**PLATE, strategy=strategy, heuristic=heuristic)(u)
@@ -68,7 +68,7 @@ def test_equal_counts_are_the_kernels_of_pixel(heuristic):
 @pytest.mark.parametrize("counts", [(1, 1), (3, 2)])
 @pytest.mark.parametrize("heuristic", ["balance", "power(beta=3)", "maximum", "cutoff"])
 def test_weights_sum_to_one_where_both_techniques_sample(heuristic, counts):
-    # What a technique drew, handed to the other with that one's f/p, weighs one together
+    # The weights of the drawing technique and of the other, at the same sample, sum to one
     mis = pixel_mis(**PLATE, heuristic=heuristic, counts=counts)
     drawn = mis.draws(0, uniforms(4096))
     shared = (drawn.pdfs > 0).all(axis=0)
@@ -92,15 +92,15 @@ def test_counts_enter_the_weights():
 
 
 def test_optimal_weights_have_the_least_variance():
-    # 4096 pilot samples leave α off by some percent: the minimum is flat, 3 % is allowed
+    # 4096 pilot samples give α to some percent: the minimum is flat, 3 % is allowed
     for place in (WALL, PLATE):
         found = {h: random_variance(pixel_mis(**place, heuristic=h)) for h in HEURISTICS}
         assert found["optimal"] == pytest.approx(min(found.values()), rel=0.03)
         assert found["variance-aware"] < found["balance"]
 
 
-def test_one_light_sample_decides_where_it_has_no_variance():
-    # light-3 covers little of the wall's sky: almost all goes to light sampling
+def test_weights_favor_light_samples_without_variance():
+    # light-3 covers a small part of the wall's sky: almost all samples go to light sampling
     mis = pixel_mis(**WALL, heuristic="variance-aware")
     assert mis.shares[0] > 20 * mis.shares[1]
 
@@ -126,7 +126,7 @@ def test_channels_are_weighted_by_the_same_densities(heuristic):
 
 
 def test_samples_below_the_surface_do_not_bias_optimal_weights():
-    # A wide lobe at a grazing angle reaches below: the control variate must cancel there
+    # A wide lobe at a grazing angle reaches below the surface; the control variate must cancel
     camera = {
         "type": "perspective",
         "fov": 5.0,
@@ -149,7 +149,7 @@ def test_samples_below_the_surface_do_not_bias_optimal_weights():
 
 
 def test_blocked_light_does_not_bias_optimal_weights():
-    # Rays to a hidden part of the light and rays to what hides it are no samples of each other
+    # Rays to a hidden part of the light, and rays to the occluder, are no samples of each other
     x, y = named_pixels("figure1")["Q"]
     mis = pixel_mis("figure1", x, y, heuristic="optimal")
     assert (mis.draws(0, uniforms(COUNT)).values == 0).mean() > 0.05
@@ -159,7 +159,7 @@ def test_blocked_light_does_not_bias_optimal_weights():
     assert abs(mean - wanted) < SIGMAS * np.hypot(error, wanted_error)
 
 
-def test_densities_of_the_environment_join_in():
+def test_densities_of_the_environment_are_techniques():
     sky = [f"environment(interpolation='bilinear', channel={c})" for c in range(3)]
     karlik = "environment(compensation=True)"
     wanted, wanted_error = total(pixel_mis(**PLASTIC, channel="rgb", dims=3), seed=77)
@@ -208,7 +208,8 @@ def test_same_techniques_with_another_heuristic():
     other = mis.with_heuristic("power")
     assert (other.counts, other.sets, other.heuristic) == ((2, 3), "joint", "power")
     assert mis.spec == (
-        "pixel(scene='veach', x=600, y=430, light='light-3') / balance[2×light, 3×bsdf] (joint sets)"
+        "pixel(scene='veach', x=600, y=430, light='light-3') / balance[2×light, 3×bsdf] "
+        "(joint sets)"
     )
     u = uniforms(64)
     np.testing.assert_array_equal(

@@ -1,4 +1,4 @@
-"""Our samplers as Mitsuba's: sets, requests, images, passes, and one sentence an error."""
+"""Our samplers in Mitsuba: sets, requests, images, passes, and one sentence per error."""
 
 import re
 from pathlib import Path
@@ -52,7 +52,8 @@ def files(tmp_path_factory):
         text = SCENE.replace("{properties}", properties)
         if name == "stock":
             text = text.replace("$type", "independent").replace(
-                '<default name="type" value="mcspectra"/><default name="spec" value="sobol | owen"/>',
+                '<default name="type" value="mcspectra"/><default name="spec" value="sobol | '
+                'owen"/>',
                 "",
             )
         (folder / f"{name}.xml").write_text(text, encoding="utf-8")
@@ -68,7 +69,7 @@ def sampler(variant="llvm_ad_rgb", **properties):
 
 
 def numbers(source, *dims):
-    """Draw requests of a wavefront one after the other: (lanes, sum of dims)."""
+    """Draw requests of a wavefront in succession: (lanes, sum of dims)."""
     parts = [source.next_1d() if d == 1 else source.next_2d() for d in dims]
     return np.concatenate([np.atleast_2d(part.numpy()) for part in parts]).T.astype(np.float64)
 
@@ -88,24 +89,24 @@ def test_pads_are_the_samplers_sets_in_another_order():
 def test_sets_in_one_dim_share_no_numbers_with_pairs(spec):
     sets = PaddedSets(spec=spec, count=16)
     single, pair = (sets.pads(dims, Stream(5), 0, 20) for dims in (1, 2))
-    # 320 against 640 numbers of 24 bits: 0.01 equal pairs are expected
+    # 320 and 640 numbers of 24 bits: 0.01 equal pairs are expected
     assert np.isin(single, pair).sum() <= 1
 
 
 def test_sets_do_not_depend_on_how_many_are_drawn_at_once():
     sets = PaddedSets(spec="jittered", count=256, joint=4)
-    whole = sets.pads(2, Stream(5), 0, 1500)  # two blocks
+    whole = sets.pads(2, Stream(5), 0, 1500)  # the sets span two blocks
     np.testing.assert_array_equal(whole[1022:1026], sets.pads(2, Stream(5), 1022, 4))
     whole = sets.joints(Stream(5), 0, 600)
     np.testing.assert_array_equal(whole[511:514], sets.joints(Stream(5), 511, 3))
 
 
 def test_orders_of_two_sets_are_independent():
-    # Without shuffling, points in the first half would meet points in the first half only.
+    # Without shuffling, points in the first half would meet only points in the first half.
     points = PaddedSets(spec="sobol", count=16).pads(1, Stream(5), 0, 2000)[..., 0]
     halves = points < 0.5
     together = (halves[::2] & halves[1::2]).sum(axis=1)
-    # Of 8 of 16 against 8 of 16: hypergeometric, mean 4
+    # Overlap of 8 of 16 with 8 of 16: hypergeometric, mean 4
     expected = stats.hypergeom(16, 8, 8)
     found = np.bincount(together, minlength=9)[1:8]
     mass = expected.pmf(np.arange(1, 8))
@@ -120,14 +121,14 @@ def test_numbers_stay_below_one():
 
 
 @pytest.mark.parametrize("pixels", [1, 7, 509, 5000, 2**20])
-def test_requests_of_a_pixel_take_different_sets(pixels):
+def test_requests_of_a_pixel_use_different_sets(pixels):
     rounds = Rounds.of(pixels, 4, 2 * 64)
     assert 2 * 64 * rounds.size <= 2**27
     taken = {request * rounds.stride % rounds.size for request in range(509)}
     assert len(taken) == 509
 
 
-def test_first_requests_of_all_pixels_take_different_sets():
+def test_first_requests_of_all_pixels_use_different_sets():
     rounds = Rounds.of(300, 4, 32)
     taken = {
         (p + request * rounds.stride) % rounds.size for p in range(300) for request in range(4)
@@ -144,7 +145,7 @@ def test_lanes_are_samples_of_pixels(joint):
         cells = np.floor(drawn[..., columns] * 4) @ [4, 1]
         assert (np.sort(cells, axis=1) == np.arange(16)).all()
     assert (np.sort(np.floor(drawn[..., 4] * 16), axis=1) == np.arange(16)).all()
-    assert len(np.unique(drawn[..., 0])) > 790  # of 800: no pixel has another's set
+    assert len(np.unique(drawn[..., 0])) > 790  # of 800 numbers; pixels share no set
 
 
 def test_joint_dims_are_one_set_in_its_own_order():
@@ -153,7 +154,8 @@ def test_joint_dims_are_one_set_in_its_own_order():
     drawn = numbers(source, 2, 1, 2).reshape(2, 16, 5)
     plain = PaddedSets(spec="sobol", count=16, joint=4).joints(Stream(1), 0, 1)[0]
     np.testing.assert_array_equal(drawn[0, :, :3], plain[:, :3])
-    assert not np.array_equal(drawn[0, :, 3], plain[:, 3])  # two numbers do not fit: a pad
+    # two numbers do not fit, so they come from a separate set
+    assert not np.array_equal(drawn[0, :, 3], plain[:, 3])
 
 
 def test_seeds_change_points_and_are_reproducible():
@@ -168,7 +170,7 @@ def test_seeds_change_points_and_are_reproducible():
         assert not np.isin(other, base).any()
 
 
-def test_clones_go_on_alike_and_forks_need_a_seed():
+def test_clones_continue_equally_and_forks_need_a_seed():
     source = sampler(sample_count=4)
     source.seed(1, 8)
     numbers(source, 2)
@@ -189,7 +191,7 @@ def test_passes_share_a_pixels_set(dims):
         source.advance()
     cells = np.concatenate(passes, axis=1)[..., 0]
     assert (np.sort(np.floor(cells * 16), axis=1) == np.arange(16)).all()
-    with pytest.raises(ParameterError, match="All 16 samples of each pixel are used"):
+    with pytest.raises(ParameterError, match="All 16 samples of each pixel have been used"):
         source.next_1d()
 
 
@@ -213,7 +215,7 @@ def test_scalar_sets_of_a_pixel_are_the_samplers():
 
 
 def batches(file, variant="llvm_ad_rgb", spp=64, **definitions):
-    """Sixteen images with seeds of their own."""
+    """Sixteen images with different seeds."""
     register_samplers(variant)
     mitsuba = import_mitsuba()
     mitsuba.set_variant(variant)
@@ -224,7 +226,7 @@ def batches(file, variant="llvm_ad_rgb", spp=64, **definitions):
 
 
 def smallest_p_value(a, b):
-    """Šidák-corrected p-value of the worst pixel, by Welch's test; channels are alike."""
+    """Šidák-corrected p-value of the worst pixel, by Welch's test; channels are equal."""
     p = stats.ttest_ind(a[..., 0], b[..., 0], equal_var=False).pvalue
     return float(-np.expm1(p.size * np.log1p(-p.min())))
 
@@ -238,16 +240,16 @@ def smallest_p_value(a, b):
         ("ours", "direct", "scalar_rgb"),
     ],
 )
-def test_images_are_those_of_the_stock_sampler_with_less_noise(files, name, integrator, variant):
+def test_images_agree_with_the_stock_sampler_and_have_less_noise(files, name, integrator, variant):
     ours = batches(files[name], variant, integrator=integrator)
     stock = batches(files["stock"], variant, integrator=integrator)
     assert smallest_p_value(stock, ours) > LEVEL
     ratio = stock[..., 0].var(axis=0, ddof=1) / ours[..., 0].var(axis=0, ddof=1)
-    # Of equal variances a ratio of 15 and 15 degrees of freedom exceeds this once in 1e6.
+    # For equal variances, a ratio with 15 and 15 degrees of freedom exceeds this once in 1e6.
     assert np.median(ratio) > stats.f.isf(1e-6, 15 * 24, 15 * 24)
 
 
-def test_two_percent_are_noticed(files):
+def test_an_error_of_two_percent_is_detected(files):
     ours, stock = batches(files["ours"], spp=256), batches(files["stock"], spp=1024)
     assert smallest_p_value(stock, 1.02 * ours) < LEVEL
     assert smallest_p_value(stock, ours) > LEVEL
@@ -280,27 +282,27 @@ def test_command_writes_the_image(files, tmp_path, variant):
     run = python("-c", PROGRAM, *command, timeout=120, check=True)
     assert "8 × 6 pixels" in run.stdout
     written = np.array(load_mitsuba().Bitmap(str(out)), dtype=np.float64)
-    # The film writes half floats.
+    # The film stores half floats.
     np.testing.assert_allclose(written, render_file(files["ours"], variant, seed=3), rtol=1e-3)
 
 
 @pytest.mark.parametrize("variant", PLUGIN_VARIANTS)
-def test_a_sampler_takes_the_place_of_the_scenes_own(files, tmp_path, variant):
-    """The image is that of a file that names our sampler, and the file stays as it is."""
+def test_a_sampler_replaces_the_scenes_own(files, tmp_path, variant):
+    """The image equals that of a file with our sampler, and the file does not change."""
     before = Path(files["stock"]).read_bytes()
     replaced = render_file(files["stock"], variant, sampler="jittered", seed=3)
     named = render_file(files["ours"], variant, definitions={"spec": "jittered"}, seed=3)
     np.testing.assert_array_equal(replaced, named)
     assert not np.array_equal(replaced, render_file(files["stock"], variant, seed=3))
     assert Path(files["stock"]).read_bytes() == before
-    # A scene whose camera names no sampler has one all the same
+    # A scene whose camera names no sampler has a default one
     bare = tmp_path / "bare.xml"
     bare.write_text(re.sub(r"<sampler.*</sampler>", "", before.decode()), encoding="utf-8")
     one = render_file(bare, variant, sampler="jittered", spp=16, seed=3)
     np.testing.assert_array_equal(one, named)
 
 
-def test_an_integrator_takes_the_place_of_the_scenes_own(files):
+def test_an_integrator_replaces_the_scenes_own(files):
     ours = {"definitions": {"integrator": "path"}}
     expected = render_file(files["ours"], seed=2, **ours)
     np.testing.assert_array_equal(render_file(files["ours"], integrator="path", seed=2), expected)
@@ -370,7 +372,7 @@ def test_bad_files_are_one_sentence(tmp_path):
         render_file(blind)
 
 
-def test_scenes_with_our_sampler_are_ours_too(files, tmp_path):
+def test_scenes_with_our_sampler_can_be_analyzed(files, tmp_path):
     assert film_size(files["ours"]) == (8, 6)
     wrong = tmp_path / "wrong.xml"
     text = Path(files["ours"]).read_text(encoding="utf-8").replace("sobol | owen", "nosuch")
@@ -380,7 +382,7 @@ def test_scenes_with_our_sampler_are_ours_too(files, tmp_path):
     assert "Traceback" not in str(caught.value)
 
 
-def test_variant_is_put_back(files):
+def test_the_variant_is_restored(files):
     mitsuba = load_mitsuba()
     render_file(files["ours"], "scalar_rgb")
     assert mitsuba.variant() == "llvm_ad_rgb"

@@ -1,4 +1,4 @@
-"""Mitsuba's samplers as ours: its counts, its points, and a renderer left undisturbed."""
+"""Mitsuba's samplers: their counts, their points, and no side effects on the renderer."""
 
 import math
 
@@ -19,9 +19,9 @@ NAMES = ["independent", "stratified", "multijitter", "orthogonal", "ldsampler"]
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_counts_are_those_that_mitsuba_does_not_round(name):
+def test_counts_are_the_ones_that_mitsuba_does_not_round(name):
     mitsuba = import_mitsuba()
-    mitsuba.set_log_level(mitsuba.LogLevel.Error)  # it says each time that it rounds
+    mitsuba.set_log_level(mitsuba.LogLevel.Error)  # Mitsuba otherwise reports every rounding
     source = MitsubaSampler(sampler=name)
     possible = [n for n in range(1, 257) if source._source(n).sample_count() == n]
     for n in range(1, 120):
@@ -48,7 +48,7 @@ def test_stratified_has_one_point_in_each_cell():
 @pytest.mark.parametrize(("name", "n"), [("multijitter", 20), ("orthogonal", 25)])
 def test_one_point_in_each_nth_of_an_axis(name, n):
     points = MitsubaSampler(sampler=name).draw(n, realizations=20, rng=1)
-    # float32: a point in the middle of its stratum is far from borders, one elsewhere may not be
+    # float32: a point at the center of its stratum is far from borders; others may not be
     middles = MitsubaSampler(sampler=name, jitter=False).draw(n, realizations=20, rng=1)
     for axis in (0, 1):
         assert (np.sort(np.floor(middles[..., axis] * n), axis=1) == np.arange(n)).all()
@@ -77,7 +77,7 @@ def test_nearby_realizations_are_independent():
 
 
 def test_stratified_variance_rate():
-    # On a disk jitter's variance falls as n^(−3/2) (Mitchell 1996).
+    # On a disk, the variance of jittered points falls as n^(−3/2) (Mitchell 1996).
     curve = mcs.convergence(
         mcs.Estimator("disk", dims=2),
         MitsubaSampler(sampler="stratified"),
@@ -110,7 +110,7 @@ def test_points_and_pixels_do_not_disturb_each_other_in_either_order():
     assert len(outputs) == 1
 
 
-def test_the_variant_stays_what_it_was():
+def test_the_variant_does_not_change():
     mitsuba = import_mitsuba()
     before = mitsuba.variant()
     sampler("mitsuba", 3).draw(4)

@@ -1,4 +1,4 @@
-"""What is remembered of pixels, and what that keeps alive."""
+"""The cache of pixel hits, and the objects it keeps in memory."""
 
 import gc
 import weakref
@@ -11,7 +11,7 @@ from mcspectra.rendering.scenes import load_scene
 
 
 class Stub:
-    """Stands for a scene."""
+    """A stand-in for a scene."""
 
 
 @pytest.mark.render
@@ -20,7 +20,7 @@ def test_a_pixel_is_traced_once():
     assert techniques.primary_hit(scene, 96, 205) is techniques.primary_hit(scene, 96, 205)
 
 
-def test_few_scenes_and_pixels_are_kept(monkeypatch):
+def test_few_scenes_and_pixels_are_cached(monkeypatch):
     traced: list[tuple[int, int]] = []
 
     def hit(scene, x, y):
@@ -35,7 +35,7 @@ def test_few_scenes_and_pixels_are_kept(monkeypatch):
         assert techniques.primary_hit(first, x, 0) == (first, x, 0)
     techniques.primary_hit(first, 299, 0)
     assert len(traced) == 300
-    techniques.primary_hit(first, 0, 0)  # the least recent of 300 is no longer known
+    techniques.primary_hit(first, 0, 0)  # the least recent of 300 scenes is no longer cached
     assert len(traced) == 301
     del first
     gc.collect()

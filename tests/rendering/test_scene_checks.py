@@ -1,4 +1,4 @@
-"""What is not supported is listed in full, one sentence each, that names the culprit."""
+"""Unsupported parts are listed completely, one sentence each, with the name of the part."""
 
 from typing import Any
 
@@ -107,13 +107,13 @@ def test_media_are_named_with_their_shapes():
         Wavefront(scene)
 
 
-def test_medium_around_the_camera_is_one_too():
+def test_a_medium_around_the_camera_is_reported():
     scene = figure1()
     scene["sensor"]["medium"] = {"type": "homogeneous"}
     assert "participating media (the camera 'sensor')" in one(scene)
 
 
-def test_outside_of_a_shape_counts_too():
+def test_a_medium_outside_a_shape_is_reported():
     fog = {"type": "sphere", "bsdf": {"type": "diffuse"}, "exterior": {"type": "homogeneous"}}
     assert "the shape 'ball'" in one(figure1() | {"ball": fog})
 
@@ -135,14 +135,14 @@ def test_scene_of_nothing():
     ]
 
 
-def test_files_are_called_by_their_path(scene_files):
+def test_files_are_named_by_their_path(scene_files):
     path = scene_files["lamp"]
     assert check_scene(path) == [s for s in check_scene(path) if path in s] != []
     assert check_scene(path, light="screen") == []
     assert "the shape 'floor' (SmoothConductor)" in check_scene(scene_files["mirror"])[0]
 
 
-def test_shapes_without_id_are_called_so(tmp_path):
+def test_shapes_without_id_are_reported_without_a_name(tmp_path):
     file = tmp_path / "anonymous.xml"
     file.write_text(
         "<scene version='3.0.0'><sensor type='perspective'/><emitter type='constant'/>"

@@ -1,4 +1,4 @@
-"""All files that a scene refers to are found, and a change of one is a change of the map."""
+"""All files of a scene are found, and a change of one file changes the state."""
 
 import os
 
@@ -47,7 +47,7 @@ def test_files_of_includes_paths_and_defaults_are_found(scene):
 
 
 @pytest.mark.parametrize("name", [*NAMES, "scene.xml"])
-def test_a_watched_scene_shows_every_change(scene, name):
+def test_the_state_of_a_scene_reflects_every_change(scene, name):
     before = watched_state(scene)
     assert {path for path, *_ in before} == referenced_files(scene) | {scene.resolve()}
     assert watched_state(scene) == before
@@ -57,7 +57,7 @@ def test_a_watched_scene_shows_every_change(scene, name):
     assert {path for path, *_ in after} == {path for path, *_ in before}
 
 
-def test_a_watched_scene_shows_files_that_come_and_go(scene):
+def test_the_state_of_a_scene_reflects_added_and_removed_files(scene):
     before = watched_state(scene)
     (scene.parent / "textures" / "wall.png").unlink()
     assert watched_state(scene) == tuple(s for s in before if s[0].name != "wall.png")
@@ -73,7 +73,7 @@ def test_only_changed_scenes_are_read_again(scene, monkeypatch):
 
 
 @pytest.mark.parametrize("text", ["", "<scene>", "\x00", "<scene><string value='a\x01b'/></scene>"])
-def test_what_is_no_xml_refers_to_nothing(tmp_path, text):
+def test_files_that_are_not_xml_refer_to_no_files(tmp_path, text):
     file = tmp_path / "scene.xml"
     file.write_text(text, encoding="utf-8")
     assert referenced_files(file) == set()

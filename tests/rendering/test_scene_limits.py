@@ -1,4 +1,4 @@
-"""Depth, size and kind of all files of a scene are checked before Mitsuba parses them."""
+"""Depth, size and type of all files of a scene are checked before Mitsuba parses them."""
 
 import os
 import struct
@@ -38,8 +38,8 @@ def refused(file, words):
 
 
 @pytest.mark.render
-def test_a_deep_scene_ends_no_process(write):
-    """100,000 nested elements ended it by SIGSEGV."""
+def test_a_deep_scene_does_not_end_the_process(write):
+    """100,000 nested elements ended the process with SIGSEGV."""
     file = write(nested(100_000))
     done = python("-m", "mcspectra", "render", file, timeout=100)
     assert done.returncode == 2
@@ -75,7 +75,8 @@ def test_depth_counts_over_includes(write):
     with pytest.raises(FileFormatError, match="nested 73 deep"):
         render_file(file, definitions={"given": "inner.txt"})
     write("<default name='part' value='inner.txt'/>", "late.xml")
-    file = write("<include filename='$part'/>" * 2 + "<bsdf>" * 60 + "<include filename='late.xml'/>"
+    file = write("<include filename='$part'/>" * 2 + "<bsdf>" * 60 + "<include "
+            "filename='late.xml'/>"
                  + "<include filename='$part'/>" + "</bsdf>" * 60)  # fmt: skip
     refused(file, "nested 103 deep")
 
@@ -93,7 +94,7 @@ def test_elements_count_with_all_includes(write):
     refused(write("<include filename='scene.xml'/>" * 3), "has .* elements")
 
 
-def test_limits_are_far_from_scenes_that_are(write):
+def test_limits_are_far_above_existing_scenes(write):
     write(nested(40), "inner.xml")
     file = write("<include filename='inner.xml'/>" + "<shape type='sphere'/>" * 100_000)
     assert {path.name for path in referenced_files(file)} == {"inner.xml"}
@@ -125,13 +126,13 @@ def test_declarations_of_entities_are_refused(write):
     ],
 )
 def test_pipes_and_devices_are_refused(write, tmp_path, inside):
-    """A pipe as a bitmap waited for ever."""
+    """A pipe as a bitmap blocked forever."""
     os.mkfifo(tmp_path / "pipe")
     refused(write(inside), "a device or a pipe; give a file")
 
 
 @pytest.mark.render
-def test_a_pipe_is_no_scene_and_no_file_of_a_dictionary(tmp_path):
+def test_a_pipe_is_rejected_as_a_scene_and_as_a_file_of_a_dictionary(tmp_path):
     os.mkfifo(tmp_path / "pipe.xml")
     for call in (load_scene, render_file):
         with pytest.raises(FileFormatError, match="There is no scene file"):
@@ -142,7 +143,7 @@ def test_a_pipe_is_no_scene_and_no_file_of_a_dictionary(tmp_path):
 
 
 def test_a_picture_that_is_large_in_memory_is_refused(write, tmp_path):
-    """A few kilobytes of PNG can hold gigabytes."""
+    """A few kilobytes of PNG can expand to gigabytes."""
 
     def chunk(kind, data):
         body = kind + data

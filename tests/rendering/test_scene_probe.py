@@ -1,4 +1,4 @@
-"""Scenes whose materials Mitsuba reads but cannot evaluate: refused, and no harm to the next."""
+"""Scenes whose materials Mitsuba cannot evaluate: rejected, without affecting the next scene."""
 
 import numpy as np
 import pytest
@@ -53,12 +53,12 @@ def use_values(scene):
 
 
 @pytest.mark.parametrize("case", _CASES)
-def test_what_cannot_be_evaluated_is_named(case, tmp_path):
+def test_materials_that_cannot_be_evaluated_are_named(case, tmp_path):
     bsdf, reason = _CASES[case]
     file = tmp_path / "bad.xml"
     file.write_text(_TEXT.format(bsdf=bsdf), encoding="utf-8")
     message = rf"cannot evaluate the BSDF \(\w+\) of the shape 'floor' in .*bad.xml.*: .*{reason}"
-    for _ in range(2):  # a scene that was refused is not in a cache
+    for _ in range(2):  # a rejected scene is not cached
         with pytest.raises(ParameterError, match=message):
             load_scene(str(file))
 
@@ -70,14 +70,14 @@ def test_the_next_scene_works(use, tmp_path):
     good.write_text(_TEXT.format(bsdf=_PLASTIC), encoding="utf-8")
     with pytest.raises(ParameterError, match="cannot evaluate") as raised:
         use(str(file))
-    assert raised.value.__context__ is None  # its frames would keep the scene alive
+    assert raised.value.__context__ is None  # frames of the context would keep the scene in memory
     for again in (use_means, use_values, use_map):  # each makes virtual calls
         again(str(good))
     assert np.isfinite(np.asarray(use_pixel(str(good)))).all()
 
 
-def test_a_scene_alive_spoils_the_others(tmp_path):
-    """Why all of this: a scene loaded beside ours, by Mitsuba itself."""
+def test_a_broken_scene_in_memory_breaks_the_others(tmp_path):
+    """Reason for the probe: Mitsuba itself loads a scene in addition to ours."""
     good = tmp_path / "good.xml"
     good.write_text(_TEXT.format(bsdf=_PLASTIC), encoding="utf-8")
     bad = load_mitsuba().load_string(_TEXT.format(bsdf=_NORMALMAP))
@@ -94,13 +94,13 @@ def test_our_own_scenes_pass(name):
 
 
 @pytest.mark.parametrize("kind", ["mask", "dielectric", "null", "hair", "principled"])
-def test_whatever_mitsuba_can_evaluate_passes(kind):
+def test_materials_that_mitsuba_can_evaluate_pass(kind):
     inside = _PLASTIC if kind == "mask" else ""
     text = _TEXT.format(bsdf=f'<bsdf type="{kind}">{inside}</bsdf>')
     assert what_fails(load_mitsuba().load_string(text)) is None
 
 
-def test_lights_are_tried_too():
+def test_lights_are_tested():
     class Light:
         def id(self):
             return "lamp"

@@ -1,4 +1,4 @@
-"""A scene of a study reaches what the study may reach, and no plugin of its own."""
+"""A study's scene can read only what the study can read, and can load no plugin of its own."""
 
 import os
 import shutil
@@ -29,11 +29,11 @@ OUTSIDE = "outside the folders that a study may read"
 
 @pytest.fixture
 def study(tmp_path, monkeypatch):
-    """The folder of a study, beside one that is nobody else's business; where the process runs."""
+    """The folder of a study, next to a private folder; it is not the current folder."""
     for name in ("study/sub", "private", "cwd"):
         (tmp_path / name).mkdir(parents=True)
     for name in ("study/in.png", "study/sub/in.png", "private/out.png", "private/x.eta.spd"):
-        (tmp_path / name).write_text(SCENE.format(""))  # which any element may name
+        (tmp_path / name).write_text(SCENE.format(""))  # any element may name this file
     (tmp_path / "private" / "out.xml").write_text(SCENE.format(""))
     (tmp_path / "study" / "link.png").symlink_to(tmp_path / "private" / "out.png")
     (tmp_path / "study" / "folder").symlink_to(tmp_path / "private")
@@ -90,10 +90,10 @@ def test_files_inside_and_allowed_ones_are_read(study, kind):
     allowed = Trust(folders=(study.parent / "private",))
     assert str(study.parent / "private" / "out.png") in vetted(study, text, trust=allowed)
     assert vetted(study, text, trust=Trust(folders=(Path("/"),)))
-    assert referenced_files(study / "scene.xml")  # who names the scene may read all
+    assert referenced_files(study / "scene.xml")  # a person who names the scene may read all files
 
 
-def test_includes_are_walked_with_the_same_rules(study):
+def test_includes_follow_the_same_rules(study):
     (study / "sub" / "part.xml").write_text(SCENE.format(BITMAP.format("../../private/out.png")))
     with pytest.raises(ConfigError, match=rf"part\.xml.*{OUTSIDE}"):
         vetted(study, "<include filename='sub/part.xml'/>")
@@ -109,22 +109,22 @@ def test_includes_are_walked_with_the_same_rules(study):
         BITMAP.format("out.png") + "<path value='folder'/>",
         "<path value='sub'/><path value='../private'/>",
         BITMAP.format("&#46;&#x2E;/private/out.png"),
-        # Names of parameters inside others, and of any characters
+        # Names of parameters inside others, and with any characters
         "<default name='a' value='../pri'/>" + BITMAP.format("$avate/out.png"),
         "<default name='a' value='../private/'/><default name='ab' value='x'/>"
         + BITMAP.format("$about.png").replace("about", "aout"),
         f"<default name='{'p' * 60}' value='../private/out.png'/>" + BITMAP.format("$" + "p" * 60),
-        # A material, which Mitsuba looks up in data/ior
+        # A material, which Mitsuba searches in data/ior
         "<bsdf type='conductor'><string name='material' value='../../../private/x'/></bsdf>",
         "<default name='n' value='material'/><string name='$n' value='../../folder/x'/>",
     ],
 )
-def test_ways_around_the_walk_are_closed(study, inside):
+def test_ways_around_the_rules_are_rejected(study, inside):
     with pytest.raises(ConfigError, match=OUTSIDE):
         vetted(study, inside)
 
 
-def test_where_the_process_runs_is_no_folder_of_the_study(study):
+def test_the_current_folder_is_not_a_folder_of_the_study(study):
     for place in (study.parent / "cwd", study):
         (place / "wall.png").write_text("any")
     (study.parent / "cwd" / "own.png").write_text("any")
@@ -136,8 +136,8 @@ def test_where_the_process_runs_is_no_folder_of_the_study(study):
 
 
 @pytest.mark.skipif(mitsuba_folder() is None, reason="needs Mitsuba")
-def test_nor_is_the_folder_that_mitsuba_lies_in(study):
-    """A deep scene could name what is beside Mitsuba's folder without leaving its own."""
+def test_mitsubas_folder_is_not_a_folder_of_the_study(study):
+    """A deep scene could name files next to Mitsuba's folder without leaving its own."""
     up = "../" * len(mitsuba_folder().parts)
     deep = study / Path(*"abcdefghijklmnopqrst")
     deep.mkdir(parents=True)
@@ -169,21 +169,21 @@ def test_nor_is_the_folder_that_mitsuba_lies_in(study):
         ),
     ],
 )
-def test_what_mitsuba_may_read_otherwise_is_refused(study, data, words):
+def test_files_that_mitsuba_may_read_differently_are_rejected(study, data, words):
     with pytest.raises(FileFormatError, match=words):
         vetted(study, "", data=data)
     assert referenced_files(study / "scene.xml") == set()
 
 
 @pytest.mark.parametrize("name", ["scene", "scene.txt", "SCENE.XML"])
-def test_a_scene_may_be_called_anything(study, name):
+def test_a_scene_file_may_have_any_name(study, name):
     (study / name).write_text(SCENE.format(BITMAP.format("../private/out.png")))
     with pytest.raises(ConfigError, match=OUTSIDE):
         Vetting(study, Trust()).calls(f"pixel(scene='./{name}', x=0, y=0)")
 
 
 def test_a_home_folder_is_not_the_studys(study, monkeypatch):
-    """In the current folder ``./~/x.xml`` became the home folder's."""
+    """In the current folder, ``./~/x.xml`` was read as a path in the home folder."""
     monkeypatch.chdir(study)
     for spec in ("pixel(scene='~/x.xml')", "pixel(scene='~root/x.xml')"):
         with pytest.raises(ConfigError, match="without ~"):
@@ -227,7 +227,7 @@ def test_parameters_do_not_grow_without_end(study, inside):
 
 @pytest.mark.parametrize("ending", [".so", ".dylib", ".dll"])
 @pytest.mark.parametrize("name", ["own", "diffuse"])
-def test_a_library_beside_a_scene_is_not_run(study, name, ending):
+def test_a_library_next_to_a_scene_is_not_run(study, name, ending):
     (study / "sub" / "plugins").mkdir()
     (study / "sub" / "plugins" / f"{name}{ending}").touch()
     for inside in (
@@ -244,7 +244,7 @@ def test_a_library_beside_a_scene_is_not_run(study, name, ending):
             vetted(study, f"<bsdf type='{type_}'/>")
 
 
-def test_nor_is_one_where_the_process_runs(study):
+def test_a_library_in_the_current_folder_is_not_run(study):
     (Path.cwd() / "plugins").mkdir()
     (Path.cwd() / "plugins" / "own.so").touch()
     with pytest.raises(FileFormatError, match="libraries are not run"):
@@ -269,7 +269,7 @@ def test_nor_is_one_where_the_process_runs(study):
     sys.platform != "linux" or shutil.which("cc") is None, reason="compiles a library"
 )
 def test_no_code_of_a_folder_runs(study):
-    """Mitsuba looked for ``plugins/diffuse.so`` in the current folder first, also for our own scenes."""
+    """Mitsuba searched ``plugins/diffuse.so`` in the current folder first, for all scenes."""
     source, mark = study.parent / "mark.c", study.parent / "mark"
     source.write_text(
         "#include <stdio.h>\n__attribute__((constructor)) void mark(void) {"
@@ -279,7 +279,7 @@ def test_no_code_of_a_folder_runs(study):
     for name in ("own", "diffuse", "sphere", "independent"):
         library = study / "plugins" / f"{name}.so"
         subprocess.run(["cc", "-shared", "-fPIC", "-o", library, source], check=True)
-    for name in ("mitsuba", "drjit"):  # for the trial of LLVM in a process of its own
+    for name in ("mitsuba", "drjit"):  # the test of LLVM runs in a separate process
         (study / f"{name}.py").write_text(f"open({str(mark)!r}, 'w').close()\n")
     (study / "scene.xml").write_text(SCENE.format("<bsdf type='own'/>"))
     (study / "study.toml").write_text(
@@ -293,8 +293,8 @@ def test_no_code_of_a_folder_runs(study):
 
 
 @pytest.mark.render
-def test_a_link_that_is_exchanged_later_shows_as_a_change(study):
-    """Between the check and the load a folder's owner can exchange files: it is another study then."""
+def test_a_link_that_is_exchanged_later_is_a_change(study):
+    """A folder's owner can exchange files between check and load: this changes the study."""
     vetting = Vetting(study, Trust())
     (study / "scene.xml").write_text(SCENE.format(BITMAP.format("in.png")))
     vetting.calls(SPEC)
@@ -305,8 +305,8 @@ def test_a_link_that_is_exchanged_later_shows_as_a_change(study):
 
 
 @pytest.mark.render
-def test_a_person_reaches_everything(study):
-    """Scenes that are given in Python or on the command line are read as before."""
+def test_scenes_named_by_a_person_may_read_everything(study):
+    """Scenes given in Python or on the command line are read as before."""
     text = SCENE.format(
         BITMAP.format("../private/out.png") + "<include filename='folder/out.xml'/>"
     )
@@ -314,7 +314,7 @@ def test_a_person_reaches_everything(study):
     names = {path.name for path in referenced_files(study / "scene.xml")}
     assert names == {"out.png", "out.xml"}
     for call in (load_scene, render_file):
-        with pytest.raises(McspectraError, match="Mitsuba cannot"):  # read a picture that is none
+        with pytest.raises(McspectraError, match="Mitsuba cannot"):  # the file is not a picture
             call(study / "scene.xml")
     (study / "alias.xml").symlink_to(study / "scene.xml")
     assert {path.name for path in referenced_files(study / "alias.xml")} == names

@@ -1,4 +1,4 @@
-"""Veach's scene against the published numbers; names, files and film coordinates."""
+"""Veach's scene compared with the published numbers; names, files and film coordinates."""
 
 import math
 import os
@@ -68,7 +68,7 @@ def test_plates_end_at_their_edges():
 def test_project_undoes_the_camera(x, y):
     seen = describe_pixel("veach", x, y)
     assert seen["shape"] in ("wall", "floor")
-    # float32 coordinates up to 15 at 60 pixels a unit: 15 × 2^-23 × 60 × 10 roundings.
+    # float32 coordinates up to 15 at 60 pixels per unit: 15 × 2^-23 × 60 × 10 roundings.
     assert project("veach", seen["position"]) == pytest.approx((x + 0.5, y + 0.5), abs=1e-3)
 
 
@@ -101,7 +101,7 @@ def test_changed_file_is_read_again(scene_files, tmp_path):
     file.write_text(Path(scene_files["dark"]).read_text())
     assert load_scene(file).emitters() == []
     file.write_text(Path(scene_files["textured"]).read_text())
-    os.utime(file, ns=(1, 1))  # another time, whatever the file system's resolution
+    os.utime(file, ns=(1, 1))  # the time differs for any resolution of the file system
     assert [emitter_name(e) for e in load_scene(file).emitters()] == ["screen", "sky"]
 
 
@@ -169,7 +169,7 @@ def test_broken_file_is_one_sentence(tmp_path, text, words):
     assert ".cpp" not in str(caught.value)
 
 
-def test_texture_is_found_beside_its_scene(tmp_path, monkeypatch):
+def test_a_texture_is_found_next_to_its_scene(tmp_path, monkeypatch):
     scenes, elsewhere = tmp_path / "scenes", tmp_path / "elsewhere"
     (scenes / "textures").mkdir(parents=True)
     elsewhere.mkdir()
@@ -205,13 +205,13 @@ def test_scene_without_camera_is_refused(scene_files):
 @pytest.mark.parametrize(
     "point", [(0, 0, 30), (0, 100, 0), (0, 0), (0, 0, 0, 0), (0, math.nan, 0), "abc", 1.0, None]
 )
-def test_project_refuses_what_it_cannot_show(point):
+def test_project_rejects_points_outside_the_view(point):
     with pytest.raises(ParameterError):
         project("veach", point)
 
 
 @pytest.mark.parametrize("light", [5, -1, 1.5, "light-9", True])
-def test_unknown_light_lists_those_there_are(light):
+def test_an_unknown_light_lists_the_existing_ones(light):
     with pytest.raises(ParameterError, match="light-3"):
         find_emitter("veach", light)
 

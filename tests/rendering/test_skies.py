@@ -1,4 +1,4 @@
-"""Densities of ours on the environment of a scene: directions, pdfs, and what they gain."""
+"""Our densities on the environment of a scene: directions, pdfs, and their gains."""
 
 import numpy as np
 import pytest
@@ -19,7 +19,7 @@ ROTATIONS = {"plain": None, "turned": ([0.6, 0.64, -0.48], 70.0)}
 
 
 def colored_map():
-    """A map (16, 32, 3) of smooth colors, above 0, with a bright spot."""
+    """A map (16, 32, 3) of smooth positive colors with a bright spot."""
     v, u = np.meshgrid(np.arange(16) / 15, (np.arange(32) + 0.5) / 32, indexing="ij")
     phases = np.array([0.0, 0.3, 0.55])
     waves = 1.5 + np.cos(2 * np.pi * (u[..., None] - phases)) * np.sin(np.pi * v)[..., None]
@@ -28,7 +28,7 @@ def colored_map():
 
 
 def open_scene(rotation=None, bsdf=None, lamp=False):
-    """A disk under an environment map, nothing in the way."""
+    """A disk under an environment map, without occluders."""
     mitsuba = load_mitsuba()
     transform = mitsuba.ScalarTransform4f
     view = transform().look_at([0, 3, 3], [0, 0, 0], [0, 1, 0])
@@ -51,10 +51,10 @@ def open_scene(rotation=None, bsdf=None, lamp=False):
 
 
 @pytest.mark.parametrize("rotation", ROTATIONS.values(), ids=ROTATIONS)
-def test_directions_are_those_of_the_emitter(rotation):
-    """Mitsuba's texels are at θ = π i/(h − 1), φ = 2π (j + ½)/w: there the map is met exactly."""
+def test_directions_agree_with_the_emitter(rotation):
+    """Mitsuba's texels are at θ = π i/(h − 1), φ = 2π (j + ½)/w: there the map is exact."""
     scene, texels = open_scene(rotation), colored_map()
-    rows, columns = np.divmod(np.arange(32, 480), 32)  # poles belong to all columns
+    rows, columns = np.divmod(np.arange(32, 480), 32)  # skip the poles, which belong to all columns
     x = np.stack([(columns + 0.5) / 32, rows / 15], axis=-1)
     directions, _ = Sky(mcs.density("uniform", 2), _matrix(rotation)).sample(x)
     bound = sky_technique(scene, "uniform", "rgb")
@@ -79,14 +79,14 @@ def _matrix(rotation):
     ("density", "rotation"),
     [("environment", None), ("environment(interpolation='bilinear')", ROTATIONS["turned"])],
 )
-def test_pdf_is_that_of_the_samples_and_integrates_to_one(rotation, density):
+def test_the_pdf_agrees_with_the_samples_and_integrates_to_one(rotation, density):
     sky = sky_technique(open_scene(rotation), density, "rgb")
     directions, own = sky.sample(uniforms(2000))
     np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1.0, rtol=1e-6)
-    # Pixels' borders move by rounding: compared where the density does not jump
+    # Borders of pixels move by rounding: compare only where the density does not jump
     same = np.isclose(sky.pdf(directions), own, rtol=1e-6)
     assert same.mean() > 0.99
-    # ∫ p dω over the sphere, by a product rule: Gauss-Legendre in cos θ, trapezium in φ
+    # ∫ p dω over the sphere by a product rule: Gauss-Legendre in cos θ, trapezoidal rule in φ
     nodes, weights = np.polynomial.legendre.leggauss(200)
     phi = 2 * np.pi * (np.arange(400) + 0.5) / 400
     c, f = np.meshgrid(nodes, phi, indexing="ij")
@@ -96,8 +96,8 @@ def test_pdf_is_that_of_the_samples_and_integrates_to_one(rotation, density):
     assert total == pytest.approx(1.0, abs=2e-3)
 
 
-def test_mean_over_the_sphere_is_that_of_a_constant_sky():
-    """A diffuse floor under constant radiance L reflects ρ L exactly, whatever the density."""
+def test_the_mean_over_the_sphere_agrees_with_a_constant_sky():
+    """A diffuse floor under constant radiance L reflects exactly ρ L for any density."""
     scene = open_scene()
     scene["sky"] = {"type": "constant", "radiance": {"type": "rgb", "value": [0.5, 1.0, 2.0]}}
     for density in (None, "uniform", "environment(interpolation='constant')", "sphere"):
@@ -125,7 +125,7 @@ BSDFS = {
 
 @pytest.mark.parametrize(("bsdf", "dims"), BSDFS.values(), ids=BSDFS)
 def test_strategies_agree_on_every_bsdf(bsdf, dims):
-    """Under a turned map, which the techniques of the plain one would not fit."""
+    """Uses a rotated map, for which the techniques of the plain map would be wrong."""
     place = {"scene": open_scene(ROTATIONS["turned"], bsdf), **FLOOR, "channel": "rgb"}
     wanted, error = mean_and_error(Pixel(**place, strategy="light")(uniforms(2**16)))
     for k, (strategy, needed) in enumerate({"bsdf": dims, "environment": 2}.items()):
@@ -144,7 +144,7 @@ def test_layered_bsdfs_need_a_dim_for_the_lobe(name):
 
 
 def test_density_of_the_channel_leaves_the_cosine_alone():
-    """By a density of its own a channel is 2π² sin θ cos θ / p, so f/p is ρ/π cos θ times ∫L dω."""
+    """With its own density a channel is 2π² sin θ cos θ / p, so f/p is ρ/π cos θ times ∫L dω."""
     scene = open_scene()
     for channel in range(3):
         pixel = Pixel(scene=scene, **FLOOR, strategy="environment", channel=channel)
@@ -153,12 +153,12 @@ def test_density_of_the_channel_leaves_the_cosine_alone():
         cosine = sky.sample(u)[0][:, 1]
         up = cosine > 0.05
         ratio = pixel(u)[up] / cosine[up]
-        # The emitter's rows lie elsewhere: 512 rows follow its map to some 1e-3 at the spot
+        # The emitter has other rows: a map of 512 rows differs by about 1e-3 at the spot
         assert ratio.std() / ratio.mean() < 5e-3
 
 
 def test_own_channels_beat_luminance_in_rate_and_by_decades():
-    """Blue under a sky with colored patches: continuous by its own density."""
+    """Blue under a sky with colored patches is continuous with its own density."""
     scene = open_scene()
     pixels = synthetic_sky(32, 64).astype(np.float32)
     scene["sky"]["bitmap"] = load_mitsuba().Bitmap(pixels)
@@ -181,7 +181,7 @@ def test_own_channels_beat_luminance_in_rate_and_by_decades():
 
 
 def test_channels_by_their_own_densities():
-    """Each channel by its own density estimates what all by one do."""
+    """Each channel with its own density has the same estimate as all with one density."""
     scene = open_scene()
     mis = pixel_mis(
         scene,
@@ -216,7 +216,7 @@ def test_bad_densities_are_one_sentence(changes, words):
     assert "\n" not in str(caught.value)
 
 
-def test_other_lights_that_count_are_an_error():
+def test_other_used_lights_are_an_error():
     place = {"scene": open_scene(lamp=True), **FLOOR, "strategy": "environment"}
     with pytest.raises(ParameterError, match="give light='sky'"):
         Pixel(**place)
@@ -243,7 +243,7 @@ def test_scene_without_environment_has_no_pixels():
         sky_pixels("veach")
 
 
-def test_density_object_is_taken_as_it_is():
+def test_a_density_object_is_used_unchanged():
     density = EnvironmentDensity(values=colored_map(), channel=1)
     sky = sky_technique(open_scene(), density, "rgb")
     assert isinstance(sky, Sky)

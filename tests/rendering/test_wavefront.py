@@ -1,4 +1,4 @@
-"""Many pixels at once against one pixel at a time, and what may not be asked."""
+"""Many pixels at once compared with one pixel at a time, and invalid requests."""
 
 from pathlib import Path
 
@@ -31,7 +31,7 @@ def all_pixels():
     [(None, "balance", 3), (None, "power", 2), ("light-3", "balance", 2)],
 )
 @pytest.mark.parametrize("strategy", STRATEGIES)
-def test_values_are_those_of_each_pixel_alone(strategy, dims, heuristic, light):
+def test_values_agree_with_each_pixel_alone(strategy, dims, heuristic, light):
     u = uniforms(len(PIXELS), 32, dims)
     found = Wavefront(VEACH, light, heuristic=heuristic).values(strategy, PIXELS, u)
     assert found.dtype == np.float32
@@ -69,18 +69,18 @@ def test_sampled_position_in_the_middle_is_the_center(strategy):
     )
 
 
-def test_sampled_positions_are_those_of_a_larger_film():
-    # The center of pixel (x, y) of a film three times as large is a place in pixel (x/3, y/3).
+def test_sampled_positions_agree_with_a_larger_film():
+    # The center of pixel (x, y) of a film three times as large is a position in pixel (x/3, y/3).
     large, small = Wavefront("veach(width=288, height=192)"), Wavefront(VEACH, film="sampled")
     u = uniforms(9, 8, 2)
     inside = np.stack(np.meshgrid(np.arange(3), np.arange(3)), axis=-1).reshape(-1, 2)
     expected = large.values("light", 3 * PIXELS[0] + inside, u)
     places = np.broadcast_to((inside[:, None] + 0.5) / 3, (9, 8, 2))
     found = small.values("light", np.tile(PIXELS[0], (9, 1)), np.concatenate([places, u], axis=-1))
-    np.testing.assert_allclose(found, expected, rtol=2e-4, atol=1e-6)  # float32 positions
+    np.testing.assert_allclose(found, expected, rtol=2e-4, atol=1e-6)  # positions are float32
 
 
-def test_shared_samples_are_those_given_to_every_pixel():
+def test_shared_samples_are_used_at_every_pixel():
     waves, u = Wavefront(VEACH), uniforms(40, 2)
     own = np.broadcast_to(u, (len(PIXELS), 40, 2))
     np.testing.assert_array_equal(
@@ -88,7 +88,7 @@ def test_shared_samples_are_those_given_to_every_pixel():
     )
 
 
-def test_means_are_those_of_the_values_in_float64():
+def test_means_agree_with_the_values_in_float64():
     waves, u = Wavefront(VEACH, film="sampled"), uniforms(len(PIXELS), 50, 6)
     expected = waves.values("mis", PIXELS, u).astype(np.float64).mean(axis=1)
     found = waves.means("mis", PIXELS, u)
@@ -108,7 +108,7 @@ def test_chunks_do_not_change_values(monkeypatch, lanes, shape):
     np.testing.assert_allclose(found, mean, rtol=1e-13)
 
 
-def test_the_camera_sees_the_radiance_of_a_light():
+def test_the_image_shows_the_radiance_of_a_light():
     # light-3 covers the pixel around its center; its BSDF is black.
     seen = Wavefront(VEACH, emission=True)
     from mcspectra.rendering import project
@@ -138,8 +138,8 @@ def test_a_mirror_reflects_the_light_in_full_in_mis(scene_files):
     np.testing.assert_array_equal(waves.means("mis", all_pixels(), u), mirrored)
 
 
-def test_a_point_light_counts_in_full_in_mis(scene_files, tmp_path):
-    # The lamp of that scene stands above a screen that keeps all of its light from the floor.
+def test_a_point_light_is_fully_included_in_mis(scene_files, tmp_path):
+    # In this scene, a screen below the lamp keeps all of its light from the floor.
     text = Path(scene_files["lamp"]).read_text(encoding="utf-8")
     (tmp_path / "low.xml").write_text(text.replace('y="4"', 'y="1"'), encoding="utf-8")
     waves, u = Wavefront(tmp_path / "low.xml", light="lamp"), uniforms(4, 4)
@@ -162,7 +162,7 @@ def test_a_point_light_counts_in_full_in_mis(scene_files, tmp_path):
         ("pixels", "give integers"),
     ],
 )
-def test_pixels_that_are_refused(pixels, message):
+def test_invalid_pixels_raise(pixels, message):
     with pytest.raises(ParameterError, match=message):
         Wavefront(VEACH).means("light", pixels, uniforms(4, 2))
 
@@ -183,14 +183,14 @@ def test_pixels_that_are_refused(pixels, message):
         (np.zeros((1, 4, 4, 2)), ParameterError),
     ],
 )
-def test_samples_that_are_refused(u, error):
+def test_invalid_samples_raise(u, error):
     with pytest.raises(error):
         Wavefront(VEACH).means("light", PIXELS, u)
 
 
 def test_too_many_values_are_refused_at_once():
     u = np.broadcast_to(np.zeros(2), (2**25, 2))
-    with pytest.raises(ParameterError, match="for means"):
+    with pytest.raises(ParameterError, match="use means"):
         Wavefront(VEACH).values("light", PIXELS, u)
 
 
@@ -204,7 +204,7 @@ def test_too_many_values_are_refused_at_once():
         ({"scene": 3}, "name of a scene"),
     ],
 )
-def test_options_that_are_refused(options, message):
+def test_invalid_options_raise(options, message):
     with pytest.raises(ParameterError, match=message):
         Wavefront(**{"scene": VEACH, **options})
     with pytest.raises(ParameterError, match="mis-bsdf"):
@@ -212,7 +212,7 @@ def test_options_that_are_refused(options, message):
 
 
 @pytest.mark.parametrize(("name", "message"), [("dark", "no lights"), ("blind", "no camera")])
-def test_scenes_that_are_refused(scene_files, name, message):
+def test_invalid_scenes_raise(scene_files, name, message):
     with pytest.raises(ParameterError, match=message):
         Wavefront(scene_files[name])
 

@@ -231,7 +231,7 @@ class TestPatterns:
     def test_refusals(self, folder):
         root, _ = folder
         read = mcs.Sampler.from_files
-        refused(FileFormatError, "No file fits .*m\\*", read, root / "m*.dat")
+        refused(FileFormatError, "No file matches .*m\\*", read, root / "m*.dat")
         (root / "empty").mkdir()
         refused(FileFormatError, "empty holds no point set", read, root / "empty")
         write_points(root / "n5_1.dat", [SETS[0][:4]])

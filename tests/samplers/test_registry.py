@@ -24,7 +24,7 @@ def test_dims_come_from_the_call_the_spec_or_the_default():
     assert sampler("jittered").dims == 2
     assert sampler("jittered(dims=3)").dims == 3
     assert sampler("jittered", 5).dims == 5
-    with pytest.raises(ParameterError, match="says dims=3, but 2"):
+    with pytest.raises(ParameterError, match="has dims=3, but 2"):
         sampler("jittered(dims=3)", 2)
 
 

@@ -208,7 +208,7 @@ FAULTS = {
     "no rule": (
         [],
         {"reduction": bare(np.ones(1), 2)},
-        "fails in merging states: TypeError: A ndarray has no rule to merge",
+        "fails in merging states: TypeError: A ndarray has no merge rule",
     ),
     "failing block": ([], {"values": lambda *_: [].pop()}, "fails in block"),
     "memory": (

@@ -1,1 +1,1 @@
-"""Ground floor: errors, checks, random streams, spec strings, registries, point-set files."""
+"""Foundations: errors, checks, random streams, spec strings, registries, point-set files."""

@@ -1,9 +1,9 @@
-"""Numba kernel that reads numbers of UTK text, correctly rounded; nothing is checked.
+"""Numba kernel that reads numbers of UTK text, correctly rounded, without checks.
 
 A decimal number w/10^k with at most 19 digits and k ≤ 22 is divided in twice the precision of a
-float64: w and 10^k are exact, so is the remainder of the first quotient. The sum of both quotients is
-correctly rounded unless it lies within about 2^-40 of the middle of two float64. Those numbers, and
-all others, are left to the caller.
+float64: w and 10^k are exact, and so is the remainder of the first quotient. The sum of both
+quotients is correctly rounded unless it lies within about 2^-40 of the midpoint of two float64. The
+caller reads these rare numbers and all other numbers.
 """
 
 from __future__ import annotations
@@ -17,21 +17,21 @@ __all__ = ["parse_lines"]
 
 _NEWLINE, _RETURN, _TAB, _SPACE = 10, 13, 9, 32
 _PLUS, _MINUS, _POINT, _HASH, _ZERO = 43, 45, 46, 35, 48
-_LAST = 126  # Last printable character of ASCII
+_LAST = 126  # last printable character of ASCII
 _SPLIT = 2.0**27 + 1.0  # splits a float64 into halves whose products are exact
 _DOUBT = 1.0 + 2.0**-40
-_DIGITS = 19  # Digits that always fit into 64 bits
-_POWERS = 10.0 ** np.arange(23)  # those that are exact
+_DIGITS = 19  # largest number of digits that always fits into 64 bits
+_POWERS = 10.0 ** np.arange(23)  # powers of ten that are exact
 
 
 @kernel
 def _quotient(w: np.uint64, power: float) -> float:
-    # w / power rounded correctly, or NaN where that is in doubt.
+    # Return w / power rounded correctly, or NaN if the rounding is in doubt.
     high = float(w)
     low = float(np.int64(w - np.uint64(high)))
     first = high / power
 
-    # remainder = high − first · power, exactly
+    # Compute remainder = high − first · power, exactly
     c = _SPLIT * first
     a1 = c - (c - first)
     c = _SPLIT * power
@@ -48,30 +48,31 @@ def _quotient(w: np.uint64, power: float) -> float:
 
 @kernel
 def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[int, int, int, int]:
-    """Read lines of numbers from the bytes `text`; return how many of each output are filled.
+    """Read lines of numbers from the bytes `text`; return the number of entries of each output.
 
     Parameters
     ----------
     text
         uint8, whole lines.
     values
-        float64, the numbers in their order.
+        float64, the numbers in order.
     runs
-        int64 (K, 4), lines without a comment between them: number of the first line that holds numbers,
-        from 0; index of its first value and after the last value; numbers a line. A comment before the
-        run has filled a row with widths of 0.
+        int64 (K, 4), runs of lines without a comment: number of the first line with numbers, from
+        0; index of its first value and after its last value; numbers per line. A comment before the
+        run fills a row with widths of 0.
     hard
-        int64 (N, 3): index of a value that the caller has to read, its first byte and the byte after.
+        int64 (N, 3): index of a value that the caller has to read, its first byte, and the byte
+        after it.
 
     Returns
     -------
     lines, values, runs, hard
-        Their numbers; lines is −1 for a text that is not made of numbers in equal lines, comments and
-        printed ASCII.
+        Numbers of entries; lines is −1 if the text is not made of numbers in equal lines, comments
+        and printable ASCII.
     """
     bad = (-1, 0, 0, 0)
     line = count = used = left = 0
-    width = 0  # Numbers per line of the open run; 0 without an open run
+    width = 0  # numbers per line of the open run; 0 without an open run
     on_line = 0  # numbers on this line
     i, size = 0, text.size
     while i < size:
@@ -103,7 +104,7 @@ def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[i
             width = 0
             continue
 
-        # Sign, digits with a point among them, exponent
+        # Read the sign, the digits with a decimal point, and the exponent
         start, negative = i, byte == _MINUS
         if byte in (_MINUS, _PLUS):
             i += 1

@@ -1,16 +1,18 @@
-"""The analysis: one question about an estimator with a sampler, declared once.
+"""Analyses: one declaration for each question about an estimator with a sampler.
 
-An `Analysis` is a frozen struct whose fields are its options. It says what it needs (`need`) and how
-it is computed (`reduction`); Python's functions, study files, verbs, the explorer, the registered
-variables of results and the docs derive from it. `ANALYSES` finds analyses by name, those of other
-packages too (entry points ``mcspectra.analyses``).
+An `Analysis` is a frozen struct whose fields are its options. Its method `need` returns its cost,
+its method `reduction` returns the computation. The Python functions, study files, commands of the
+command line, the explorer, the registered variables of results and the docs derive from it.
+`ANALYSES` finds analyses by name, also those of other packages (entry points
+``mcspectra.analyses``).
 
-Computing is one contract. A `Reduction` cuts realizations into atomic blocks, whose number and limits
-depend on the size of the problem alone; each block gives a state, and states merge in a fixed binary
-tree over the blocks (`MergeTree`). The result is therefore the same bits whether one thread computes
-all blocks or many machines compute *chunks* of them: a chunk is an aligned run of 2^k blocks, which is
-a node of that tree. An analysis that decides later what to draw (stopping at a precision) is a
-generator: it yields lists of reductions, is sent their merged states, and returns its dataset.
+All analyses are computed in one way. A `Reduction` cuts realizations into atomic blocks. Their
+number and limits depend only on the size of the problem. Each block gives a state, and states merge
+in a fixed binary tree over the blocks (`MergeTree`). The result is therefore the same bits whether
+one thread computes all blocks or many machines compute *chunks* of them. A chunk is an aligned run
+of 2^k blocks, which is a node of that tree. An analysis whose later draws depend on earlier
+results, for example because it stops at a precision, is a generator. It yields lists of reductions,
+is sent their merged states, and returns its dataset.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ from mcspectra.core.records import merged
 from mcspectra.core.registry import Registry, classes_of
 from mcspectra.core.results import Variable, attributes_of, check_variables
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.core.tally import Tally, counting
+from mcspectra.core.tally import EvaluationTally, counting
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -69,7 +71,7 @@ __all__ = [
     "whole",
 ]
 
-# Names that options of analyses cannot have: verbs, public functions and study files have them
+# Option names that analyses cannot use, because commands, functions or study files already use them
 _TAKEN = frozenset(
     {
         "debug",
@@ -86,7 +88,7 @@ _TAKEN = frozenset(
         "workers",
     }
 )
-_TAKEN_BY_SUBJECTS = frozenset(  # but not by scenes
+_TAKEN_BY_SUBJECTS = frozenset(  # names that options of scene analyses may still use
     {"density", "dims", "estimator", "heuristic", "integrand", "mirror", "plus", "shares"}
 )
 
@@ -94,21 +96,24 @@ State = TypeVar("State")
 Result = TypeVar("Result")
 
 Chunk: TypeAlias = tuple[int, int]
-"""First atomic block and number of blocks: a power of two that divides the first, or the last ones."""
+"""First atomic block and number of blocks.
+
+The number is a power of two that divides the first block; the last chunk may have fewer blocks.
+"""
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """What is analyzed.
+    """The estimator, sampler and density that are analyzed.
 
     Attributes
     ----------
     estimator
-        An estimator; None where an analysis is about point sets or a scene alone. A list where the
-        analysis takes `several`.
+        The estimator; None if the analysis is about point sets or a scene. A list if the analysis
+        takes `several`.
     sampler
-        A sampler; a list where the analysis takes `several`.
+        The sampler; a list if the analysis takes `several`.
     density
         Importance density of the points, for analyses of point sets; by default the estimator's,
         if it has a single one.
@@ -132,16 +137,16 @@ class Subject:
 @final
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Need:
-    """What an analysis takes.
+    """Resources that an analysis needs.
 
     Attributes
     ----------
     cost
-        Work in arbitrary units, about proportional to time: evaluations of the integrand.
+        Work in arbitrary units, about proportional to time, such as evaluations of the integrand.
     memory
-        Bytes beyond those of the program itself, at most.
+        Most bytes of memory in addition to the program itself.
     evaluations
-        Evaluations of the integrand that are sure to be made.
+        Least number of evaluations of the integrand.
     """
 
     cost: float = 1.0
@@ -150,30 +155,31 @@ class Need:
 
 
 class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A question about an estimator with a sampler; subclasses are final, their fields are options.
+    """A question about an estimator with a sampler; subclasses are final, fields are options.
 
     The first line of a subclass's docstring is its summary everywhere.
 
     Attributes
     ----------
     function
-        Its public function in Python, as a name of `mcspectra`, dotted if the function is in a package;
-        empty without a public function.
+        Name of its public function in `mcspectra`, dotted if the function is in a package; empty
+        without a public function.
     verb
-        Its verb on the command line; empty if it has none.
+        Its command on the command line; empty without a command.
     split
-        What ``--split`` chooses it by, where several analyses share the verb.
+        Value of ``--split`` that chooses it, if several analyses share the command.
     about
-        What it takes: an estimator with a sampler, a sampler with a density at most, or a scene.
+        Its subject: an estimator with a sampler, a sampler with an optional density, or a scene.
     several
-        What it takes lists of, too: ``"estimator"``, ``"sampler"``, or both.
+        Subjects that may be lists: ``"estimator"``, ``"sampler"``, or both.
     variables
-        Names of its variables in `mcspectra.core.results.VARIABLES`, and `Variable`s of its own.
+        Names of its variables in `mcspectra.core.results.VARIABLES`, and its own `Variable`s.
     provenance
-        Attributes that its result is given: ``estimator`` and ``sampler`` by their spec strings,
-        ``stream_key``, and options by their names.
+        Attributes of its result: ``estimator`` and ``sampler`` hold their spec strings,
+        ``stream_key`` the key of the stream, and option names the values of the options.
     companions
-        Analyses that a study computes beside it with the same table, such as points of a spectrum.
+        Analyses that a study computes together with it from the same table, such as points of a
+        spectrum.
     """
 
     function: ClassVar[str] = ""
@@ -186,59 +192,64 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     companions: ClassVar[tuple[str, ...]] = ()
 
     def need(self, subject: Subject) -> Need:  # noqa: ARG002
-        """Return the cost and memory of the analysis of a subject, after refusing what cannot be.
+        """Return the cost and memory of the analysis of a subject, and reject impossible requests.
 
-        Options are clean (`mcspectra.core.options.checked`); here they are held against the
-        subject: counts that the sampler cannot do, dims that are too many.
+        The options were already checked (`mcspectra.core.options.checked`). This method checks them
+        against the subject, for example counts that the sampler cannot make or too many dims.
 
         Raises
         ------
         McspectraError
-            One sentence.
+            If the subject and the options do not fit; the message is one sentence.
         """
         return Need()
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[Any] | Steps:  # noqa: ARG002
-        """Return how it is computed, or a generator that yields reductions step by step.
+        """Return the computation, or a generator that yields reductions step by step.
 
         Parameters
         ----------
         subject
-            One that `need` has accepted.
+            A subject that `need` accepted.
         stream
             Random numbers of all realizations.
         """
         raise AnalysisError(
-            f"{type(self).__name__} has no reduction; define it, which says how it is computed."
+            f"{type(self).__name__} has no reduction; define this method, which returns the "
+            "computation."
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
-        """Return the reduction of a key, for a worker that has not seen the steps before it.
+        """Return the reduction of a key, for a worker that has not run the earlier steps.
 
-        By default one of the first step; analyses whose later steps depend on states override it.
+        The default finds reductions of the first step. Analyses whose later steps depend on states
+        override it.
 
         Raises
         ------
         NotImplementedError
-            The key is not one of the first step.
+            If the first step has no reduction with this key.
         """
         found = self.reduction(subject, stream)
         for each in [found] if isinstance(found, Reduction) else next(found):
             if each.key == key:
                 return each
         raise NotImplementedError(
-            f"The first step of {type(self).__name__} has no reduction of the key {shown(key)}: an analysis "
-            "of several steps overrides part."
+            f"The first step of {type(self).__name__} has no reduction with the key {shown(key)}: "
+            "an analysis of several steps must override part."
         )
 
     @classmethod
     def of(cls, arguments: Mapping[str, Any]) -> Self:
-        """Make one of the arguments of its public function, ``locals()``, named as its options."""
+        """Make an analysis from the arguments of its public function, ``locals()``.
+
+        Arguments have the names of the options.
+        """
         return cls(**{name: arguments[name] for name in cls.__struct_fields__})
 
     @classmethod
     def command(cls) -> str:
-        """Return the arguments of ``mcspectra`` that run it; empty without a verb."""
+        """Return the arguments of ``mcspectra`` that run the analysis; empty without a command."""
         return f"{cls.verb} --split {cls.split}" if cls.split else cls.verb
 
     @classmethod
@@ -248,15 +259,16 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
 
 class Counted(Analysis, frozen=True, kw_only=True):
-    """An analysis that evaluates an integrand, at most so often; with users' functions it says how often.
+    """An analysis that evaluates an integrand and counts the evaluations of a user's function.
 
-    The attribute ``evaluations`` of the result is their number, where Python's function was called.
+    The attribute ``evaluations`` of the result is their number if the integrand is a Python
+    function.
     """
 
     max_evaluations: Evaluations = None
 
     def limit(self, subject: Subject) -> int | None:  # noqa: ARG002
-        """Most evaluations of a subject's functions; by default those that were asked for."""
+        """Return the most evaluations of a subject's functions; by default `max_evaluations`."""
         return self.max_evaluations
 
 
@@ -285,12 +297,12 @@ ANALYSES = Registry(
 
 
 def check_names(kind: type[Analysis]) -> None:
-    """Refuse an analysis whose options cannot be told from what its verb or its function takes.
+    """Raise an error if an option has the same name as an argument of the command or the function.
 
     Raises
     ------
     AnalysisError
-        An option has a name, or a flag, that is taken.
+        If the name or the flag of an option is already used.
     """
     scene = kind.about == "scene"
     names = _TAKEN if scene else _TAKEN | _TAKEN_BY_SUBJECTS
@@ -317,18 +329,18 @@ class Reduction(Generic[State]):
     Attributes
     ----------
     kind
-        Type of the states: a record (`mcspectra.core.records`), a list of records, an array, a
-        dict of arrays, or a dataset.
+        Type of the states: a record (`mcspectra.core.records`), a list of records, an array, a dict
+        a dict of arrays, or a dataset.
     block
-        State of one atomic block, by its number.
+        Function that returns the state of the atomic block with a given number.
     blocks
         Number of atomic blocks.
     cost
-        Work of all blocks in the units of `Need.cost`.
+        Work of all blocks, in the units of `Need.cost`.
     key
-        A name, unique within the analysis: stored states are found by it.
+        A name that is unique within the analysis; stored states are found by it.
     result
-        Makes the dataset of the state of all blocks; None for those of a generator.
+        Function that makes the dataset from the state of all blocks; None if a generator makes it.
     """
 
     kind: Any
@@ -340,11 +352,11 @@ class Reduction(Generic[State]):
 
 
 Steps: TypeAlias = "Generator[list[Reduction[Any]], list[Any], xr.Dataset]"
-"""Yields the reductions of a step, is sent their merged states in that order, returns the result."""
+"""Yields reductions of a step, receives their merged states in order, and returns the result."""
 
 
 def whole(function: Callable[[], xr.Dataset], cost: float = 1.0) -> Reduction[xr.Dataset]:
-    """Return what cannot be cut as a reduction of one block, whose state is the dataset itself."""
+    """Return an indivisible computation as a reduction of one block; its state is the dataset."""
     import xarray as xr
 
     return Reduction(
@@ -353,16 +365,16 @@ def whole(function: Callable[[], xr.Dataset], cost: float = 1.0) -> Reduction[xr
 
 
 def needed(analysis: Analysis, subject: Subject) -> Need:
-    """Return what an analysis says that it needs.
+    """Return the resources that an analysis needs.
 
     Raises
     ------
     AnalysisError
-        That is no `Need`.
+        If `need` of the analysis does not return a `Need`.
     ParameterError
-        A list of what the analysis takes one of, or one sampler twice.
+        If a list is given where the analysis takes one object, or if a sampler is listed twice.
     McspectraError
-        As of its `need`.
+        If `need` of the analysis raises it.
     """
     _check_lists(analysis, subject)
     need: Any = analysis.need(subject)
@@ -372,16 +384,17 @@ def needed(analysis: Analysis, subject: Subject) -> Need:
         )
     most = _most(analysis, subject)
     if most is not None and need.evaluations > most:
-        Tally(_said(analysis), most, refused=need.evaluations).check()
+        EvaluationTally(_said(analysis), most, refused=need.evaluations).check()
     return need
 
 
 def _check_lists(analysis: Analysis, subject: Subject) -> None:
-    """Check that only parts that may be lists are lists, and that samplers differ."""
+    """Check that lists are given only where the analysis takes lists, and that samplers differ."""
     for what in ("estimator", "sampler"):
         if isinstance(getattr(subject, what), list | tuple) and what not in analysis.several:
             raise ParameterError(
-                _said(analysis), f" takes one {what} at a time; ask it for each of the list."
+                _said(analysis),
+                f" takes one {what} at a time; call it once for each item of the list.",
             )
     listed = subject.sampler if isinstance(subject.sampler, list | tuple) else ()
     names = [getattr(each, "spec", None) for each in listed]
@@ -399,18 +412,18 @@ def _most(analysis: Analysis, subject: Subject) -> int | None:
 
 
 def _said(analysis: Analysis) -> str | Function:
-    """The analysis in a sentence: its public function, or its class."""
+    """Name of the analysis in a message: its public function, or its class."""
     return Function(analysis.function) if analysis.function else type(analysis).__name__
 
 
 def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
-    """Return the steps of an analysis, one where it is a single reduction.
+    """Return the steps of an analysis; a single reduction is one step.
 
     Raises
     ------
     AnalysisError
-        It has no reduction or result, or a step has something else, or two have one key, or one has
-        no blocks.
+        If the analysis has no reduction or result, a step has another type, two reductions have the
+        same key, or a reduction has no blocks.
     """
     name = type(analysis).__name__
     found: Any = analysis.reduction(subject, stream)
@@ -434,11 +447,13 @@ def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
         for each in step:
             if each.key in keys:
                 raise AnalysisError(
-                    f"{name} has two reductions of the key {shown(each.key)}; give each a key of its own."
+                    f"{name} has two reductions of the key {shown(each.key)}; give each a key of "
+                    "its own."
                 )
             if not isinstance(each.blocks, numbers.Integral) or each.blocks < 1:
                 raise AnalysisError(
-                    f"{name} has a reduction of {shown(each.blocks)} blocks; give a whole number from 1."
+                    f"{name} has a reduction of {shown(each.blocks)} blocks; give a whole number "
+                    "from 1."
                 )
             keys.add(each.key)
         states = yield step
@@ -447,7 +462,7 @@ def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
         raise AnalysisError(f"{name} gives {shown(result)} as its result; it must be a dataset.")
     if not analysis.provenance:
         return result
-    # Say what it is of
+    # Record the components and options
     components = {"estimator": subject.estimator, "sampler": subject.sampler}
     known = {name: getattr(each, "spec", None) for name, each in components.items()}
     known |= {"stream_key": f"{stream.key:#x}", **msgspec.structs.asdict(analysis)}
@@ -456,7 +471,9 @@ def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
 
 def _single(reduction: Reduction[State], name: str) -> Steps:
     if reduction.result is None:
-        raise AnalysisError(f"{name} has a Reduction without result; say how its dataset is made.")
+        raise AnalysisError(
+            f"{name} has a Reduction without result; set the function that makes its dataset."
+        )
     (state,) = yield [reduction]
     return reduction.result(state)
 
@@ -464,16 +481,16 @@ def _single(reduction: Reduction[State], name: str) -> Steps:
 def finished(analysis: Analysis, result: xr.Dataset, rng: RngLike = None) -> xr.Dataset:
     """Check a result against the variables that its analysis declares; return it with its seed.
 
-    The seed is an attribute where `rng` is a whole number, by which the result can be had again: a
-    text from 2^63 on.
+    If `rng` is an integer, the attribute ``seed`` records it, so that the result can be reproduced.
+    Integers of at least 2^63 are recorded as text.
 
     Raises
     ------
     AnalysisError
-        A variable is not declared, or has other dims or another kind.
+        If a variable is not declared, or has other dims or another type.
     """
     check_variables(result, type(analysis).variables, type(analysis).__name__)
-    if isinstance(rng, int | numbers.Integral):  # of NumPy, too
+    if isinstance(rng, int | numbers.Integral):  # this includes NumPy's integers
         return result.assign_attrs(attributes_of(seed=rng))
     return result
 
@@ -481,7 +498,7 @@ def finished(analysis: Analysis, result: xr.Dataset, rng: RngLike = None) -> xr.
 def compute(
     analysis: Analysis, subject: Subject, rng: RngLike = 0, workers: int | None = None
 ) -> xr.Dataset:
-    """Compute an analysis with `workers` threads: the body of Python's public functions.
+    """Compute an analysis with `workers` threads: the body of the public functions of Python.
 
     The result does not depend on the number of threads. Progress is reported under the name of the
     public function.
@@ -489,11 +506,11 @@ def compute(
     Raises
     ------
     ParameterError
-        An option is out of range, or this is no analysis of a subject.
+        If an option is out of range, or the arguments are not an `Analysis` and a `Subject`.
     ConfigError
-        It needs more memory than there is.
+        If the analysis needs more memory than available.
     McspectraError
-        As of `needed` and `steps_of`.
+        If `needed` or `steps_of` raises it.
     """
     given: tuple[Any, Any] = analysis, subject
     if not isinstance(given[0], Analysis) or not isinstance(given[1], Subject):
@@ -506,7 +523,7 @@ def compute(
         check_memory(needed(clean, subject).memory, _said(clean))
 
         def states_of(step: list[Reduction[Any]]) -> Iterator[Any]:
-            # Merge the states of all blocks; tell how much of the step's cost is done
+            # Merge the states of all blocks; report the fraction of the step's cost that is done
             total, before = max(sum(each.cost for each in step), 1e-300), 0.0
             for each in step:
                 tree: MergeTree[Any] = MergeTree()
@@ -526,7 +543,7 @@ def compute(
 
 
 def driven(steps: Steps, states_of: Callable[[list[Reduction[Any]]], Iterable[Any]]) -> xr.Dataset:
-    """Result of steps, each of which is sent the merged states that `states_of` gives of it."""
+    """Return the result of steps; `states_of` gives the merged states of a step's reductions."""
     states: list[Any] | None = None
     try:
         while True:
@@ -537,7 +554,7 @@ def driven(steps: Steps, states_of: Callable[[list[Reduction[Any]]], Iterable[An
 
 
 def compute_chunk(reduction: Reduction[State], chunk: Chunk) -> State:
-    """State of a chunk of a reduction, computed in this thread."""
+    """Compute the state of a chunk of a reduction in this thread."""
     tree: MergeTree[State] = MergeTree()
     first, count = chunk
     for index in range(first, first + count):
@@ -546,16 +563,16 @@ def compute_chunk(reduction: Reduction[State], chunk: Chunk) -> State:
 
 
 class MergeTree(Generic[State]):
-    """Merges states of blocks as a binary counter does: neighbors of equal size first.
+    """Merges states of blocks like a binary counter: neighbors of equal size merge first.
 
-    What remains at the end merges from the right. The tree depends on the number of blocks alone,
-    not on the chunks they came in, nor on the order of these; of chunks in their order only log₂ of the
-    number of blocks are held at once.
+    At the end, the remaining nodes merge from the right. The tree depends only on the number of
+    blocks, not on the chunks or their order. If chunks come in order, it holds only log₂(blocks)
+    states at once.
 
     Attributes
     ----------
     nodes
-        Number of blocks and state of what is merged so far, by the first block.
+        Number of blocks and state of each merged node, by its first block.
     """
 
     def __init__(self) -> None:
@@ -563,12 +580,12 @@ class MergeTree(Generic[State]):
         self._next = 0
 
     def add(self, state: State, blocks: int = 1) -> None:
-        """Take in the state of the next `blocks` blocks, which make a `Chunk`."""
+        """Add the state of the next `blocks` blocks, which form a `Chunk`."""
         self.put((self._next, blocks), state)
         self._next += blocks
 
     def put(self, chunk: Chunk, state: State) -> int:
-        """Take in the state of any chunk; returns the first block of the node that it is in."""
+        """Add the state of any chunk; return the first block of the node that contains it."""
         first, count = chunk
         while count & (count - 1) == 0 and self.nodes.get(first ^ count, (0,))[0] == count:
             _, other = self.nodes.pop(first ^ count)
@@ -579,7 +596,7 @@ class MergeTree(Generic[State]):
         return first
 
     def total(self) -> State:
-        """State of all blocks together; of at least one."""
+        """Return the state of all blocks together; there must be at least one block."""
         parts = [self.nodes[first][1] for first in sorted(self.nodes)]
         self.nodes.clear()
         total = parts.pop()
@@ -596,9 +613,9 @@ def chunks(blocks: int, size: int) -> Iterator[Chunk]:
 def in_step(
     parts: Sequence[Generator[Reduction[Any], State, Result]],
 ) -> Generator[list[Reduction[Any]], list[State], list[Result]]:
-    """Drive generators of one reduction at a time side by side: a step has the next of each.
+    """Drive several generators together; each step has the next reduction of each generator.
 
-    Returns what each returned, in their order.
+    Returns the results of the generators in their order.
     """
     results: dict[int, Result] = {}
     states: Mapping[int, Any] = dict.fromkeys(range(len(parts)))

@@ -1,8 +1,9 @@
-"""Arrays that take seconds to make, kept in the user's cache folder under a key that says it all.
+"""A cache of arrays that take seconds to compute, in the user's cache folder.
 
-An entry is one file: the SHA-256 of what follows, then the key and the array as bytes of
-`mcspectra.core.records`. What is read is checked against both; a damaged entry is made again. The
-folder is the platform's cache folder, or ``MCSPECTRA_CACHE``.
+The key of an entry holds everything that the array depends on. An entry is one file: a SHA-256
+digest, then the key and the array as bytes of `mcspectra.core.records`. Reading an entry checks the
+digest and the key; a damaged entry is computed again. The folder is the platform's cache folder, or
+``MCSPECTRA_CACHE``.
 """
 
 from __future__ import annotations
@@ -23,14 +24,14 @@ from mcspectra.core.records import pack, unpack
 
 __all__ = ["cache_folder", "cache_size", "cached_array"]
 
-_FORMAT = "2 "  # before every key: entries of other formats have other names
-_WORTH_KEEPING = 0.05  # seconds: what is made faster is not written
-_LIMIT = 2**30  # bytes: beyond them the entries that are oldest go
+_FORMAT = "2 "  # prefix of every key, so that entries of other formats have other file names
+_WORTH_KEEPING = 0.05  # seconds; arrays that take less time are not written
+_LIMIT = 2**30  # bytes; above this limit the oldest entries are deleted
 _warn_once = lru_cache(warn)
 
 
 def cache_folder() -> Path:
-    """Return the folder of the cache: ``MCSPECTRA_CACHE`` if set, else the platform's own."""
+    """Return the folder of the cache: ``MCSPECTRA_CACHE`` if set, otherwise the platform's own."""
     chosen = os.environ.get("MCSPECTRA_CACHE")
     if chosen:
         return Path(chosen)
@@ -40,52 +41,55 @@ def cache_folder() -> Path:
 
 
 def cache_size() -> tuple[int, int]:
-    """Return the number of entries and their bytes."""
+    """Return the number of entries and their total size in bytes."""
     entries = _entries(cache_folder())
     return len(entries), sum(size for _, size, _ in entries)
 
 
 def cached_array(key: str, make: Callable[[], Array]) -> Array:
-    """Return the float64 array kept under `key`; make it, and keep it if that took long.
+    """Return the float64 array stored under `key`; compute it if missing, and store it if slow.
 
     Parameters
     ----------
     key
-        Everything the array depends on, the version of the method too.
+        Everything the array depends on, including the version of the method.
     make
-        What makes it, when there is no sound entry.
+        Function that computes the array if there is no valid entry.
 
     Raises
     ------
     ParameterError
-        The key is no text, or `make` cannot be called.
+        If the key is not a string, or `make` cannot be called.
 
     Warns
     -----
     CacheWarning
-        An entry is damaged (it is made again), or the folder cannot be written (once).
+        If an entry is damaged (it is computed again), or the folder cannot be written (once).
     """
     if not (isinstance(key, str) and callable(make)):  # type: ignore[redundant-expr]
-        raise ParameterError(f"{key!r:.80} and {make!r:.80} are not a text and a function.")
+        raise ParameterError(
+            f"{key!r:.80} and {make!r:.80} are not a key and a function; give a "
+            "string and a function."
+        )
     name = hashlib.sha256(f"{_FORMAT}{key}".encode()).hexdigest()
     file = cache_folder() / name[:2] / f"{name[2:34]}.array"
 
-    # Take a sound entry
-    with suppress(OSError):  # there is no entry, or none that can be read
+    # Use a valid entry
+    with suppress(OSError):  # the entry does not exist or cannot be read
         content = file.read_bytes()
         with suppress(FileFormatError, KeyError):
             if content[:32] == hashlib.sha256(content[32:]).digest():
                 found: Array = unpack(dict[str, Array], content[32:])[key]
                 return found
-        warn(f"The cache entry {file} is damaged; it is made again.", CacheWarning)
+        warn(f"The cache entry {file} is damaged; it is computed again.", CacheWarning)
 
-    # Make it
+    # Compute it
     start = time.perf_counter()
     made = make()
     if time.perf_counter() - start <= _WORTH_KEEPING:
         return made
 
-    # Keep what took long: other processes see all of an entry or nothing
+    # Store a slow result atomically: other processes read a whole entry or nothing
     packed = pack({key: np.asarray(made, np.float64)})
     part = file.with_suffix(f".{os.getpid()}-{time.monotonic_ns()}.part")
     try:
@@ -95,14 +99,14 @@ def cached_array(key: str, make: Callable[[], Array]) -> Array:
         _drop_oldest(cache_folder())
     except OSError as error:
         part.unlink(missing_ok=True) if file.parent.is_dir() else None
-        sentence = f"Sets are not kept in {cache_folder()}: {error.strerror or error}."
+        sentence = f"Point sets cannot be stored in {cache_folder()}: {error.strerror or error}."
         _warn_once(sentence, CacheWarning)
     return made
 
 
 @lru_cache
 def _drop_oldest(folder: Path) -> None:
-    """Keep the cache below its limit; looked at once a process, at its first new entry."""
+    """Delete the oldest entries above the limit; runs once per process, at its first new entry."""
     total = 0
     for _, size, entry in sorted(_entries(folder), reverse=True):
         total += size
@@ -111,7 +115,7 @@ def _drop_oldest(folder: Path) -> None:
 
 
 def _entries(folder: Path) -> list[tuple[float, int, Path]]:
-    """Time, bytes and file of each entry."""
+    """Return the time, the size in bytes and the file of each entry."""
     found = []
     for entry in folder.glob("*/*.array"):
         with suppress(OSError):  # another process has just removed it

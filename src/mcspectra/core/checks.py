@@ -1,4 +1,4 @@
-"""Checks of what users hand in: each returns the clean value or raises one clear sentence."""
+"""Checks of user input: each returns the clean value or raises one clear sentence."""
 
 from __future__ import annotations
 
@@ -37,21 +37,22 @@ __all__ = [
 Array = npt.NDArray[Any]
 
 BELOW_ONE = 1.0 - 2.0**-53
-"""The float64 before 1: the last of [0,1), and the last number of a stream."""
+"""Largest float64 below 1: the largest coordinate in [0,1), and the largest number of a stream."""
 
 MAX_DIMS = 1024
-"""Most dims of anything that does not say otherwise."""
+"""Largest number of dims without a more specific limit."""
 
 _LONGEST_NAME, _LONGEST_PATH = 255, 4096
 
 MAX_FREQUENCY = 2.0**40
-"""Largest frequency: phases m·x of 53-bit points keep 13 bits there."""
+"""Largest frequency: there, phases m·x of 53-bit points keep 13 bits."""
 
 
 def is_path(value: object) -> bool:
-    """Whether a value can be the path of a file, or a URL: a text that the system can write.
+    """Whether a value can be the path of a file or a URL: a text that the system can write.
 
-    Linux, macOS and Windows have names of at most 255 bytes; Linux has paths of at most 4096.
+    Linux, macOS and Windows allow names of at most 255 bytes; Linux allows paths of at most 4096
+    bytes.
     """
     if not isinstance(value, str | os.PathLike):
         return False
@@ -72,20 +73,20 @@ def as_path(name: str, value: object) -> Path:
 
 
 def as_instance(name: str, value: Any, kind: Any, what: str) -> Any:
-    """Return `value` if it is an instance of a type, or of one of several, which `what` describes."""
+    """Return `value` if it is an instance of `kind`, a type or several; `what` describes it."""
     if isinstance(value, kind):
         return value
     raise ParameterError(Parameter(name), f" is {shown(value)}; give {what}.")
 
 
 def as_instances(name: str, value: Any, kind: Any, what: str) -> list[Any]:
-    """Return a list or tuple as a list, if all of it are instances of a type, which `what` describes."""
+    """Return a list or tuple as a list if all items are of type `kind`; `what` names them."""
     as_instance(name, value, list | tuple, f"a list of {what}")
     return [as_instance(f"{name}[{k}]", each, kind, what) for k, each in enumerate(value)]
 
 
 def as_integer(name: str, value: object, *, least: int, most: int | None = None) -> int:
-    """Return `value` as an int within [least, most]; booleans and fractions are refused."""
+    """Return `value` as an int within [least, most]; reject booleans and fractions."""
     whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
     if not whole and isinstance(value, float | np.floating) and float(value).is_integer():
         whole = True
@@ -106,7 +107,10 @@ def as_real(
     most: float | None = None,
     below: float | None = None,
 ) -> float:
-    """Return `value` as a finite float: above, at least, at most and below the limits given."""
+    """Return `value` as a finite float within the given limits.
+
+    It must be greater than `above`, at least `least`, at most `most` and less than `below`.
+    """
     rules = [f"greater than {above:g}"] if above is not None else []
     rules += [f"at least {least:g}"] if least is not None else []
     rules += [f"at most {most:g}"] if most is not None else []
@@ -131,7 +135,8 @@ def as_reals(name: str, value: object, length: int, **limits: float | None) -> t
         if len(value) != length:
             raise ParameterError(
                 Parameter(name),
-                f" has {counted(len(value), 'value')}; give one number or one for each of the {length} dims.",
+                f" has {counted(len(value), 'value')}; give one number, or one for each of the "
+                f"{length} dims.",
             )
         return tuple(as_real(f"{name}[{i}]", v, **limits) for i, v in enumerate(value))
     return (as_real(name, value, **limits),) * length
@@ -154,8 +159,8 @@ def as_real_array(name: str, value: object) -> Array:
     Raises
     ------
     DomainError
-        Complex numbers, booleans, text, ragged lists or masked values: NumPy would convert them
-        to floats and lose what they mean.
+        If it holds complex numbers, booleans, text, ragged lists or masked values. NumPy would
+        convert them to floats and lose their meaning.
     """
     try:
         array = np.asarray(value)
@@ -173,7 +178,7 @@ def as_real_array(name: str, value: object) -> Array:
 
 
 def in_unit_cube(points: Array) -> bool:
-    """Whether all coordinates lie in [0,1]: NaN does not."""
+    """Whether all coordinates lie in [0,1]; false if there is a NaN."""
     return not points.size or bool(points.min() >= 0.0 and points.max() <= 1.0)
 
 
@@ -183,7 +188,7 @@ def as_unit_points(points: object, *, dims: int | None = None, name: str = "poin
     Raises
     ------
     DomainError
-        Empty, not numeric, wrong number of dims, NaN, infinite, or outside [0,1).
+        If points are empty, not numeric, of another number of dims, not finite, or outside [0,1).
     """
     x = as_real_array(name, points)
     if x.ndim == 0 or x.size == 0:
@@ -205,10 +210,10 @@ def as_unit_points(points: object, *, dims: int | None = None, name: str = "poin
 
 
 def distinct_points(points: Array) -> tuple[Array, Array, Array]:
-    """Return the different points of a set (n, d), the index of each given point, and their counts.
+    """Return the distinct points of a set (n, d), the index of each given point, and their counts.
 
-    Points are in ascending order of their coordinates. Coordinates below 2^-400 are rounded down to
-    multiples of 2^-500: the square of a smaller distance would underflow.
+    The points are in ascending order of their coordinates. Coordinates below 2^-400 are rounded
+    down to multiples of 2^-500, because the square of a smaller distance would underflow.
     """
     places = points
     if (tiny := points < 2.0**-400).any():
@@ -227,13 +232,13 @@ def as_frequencies(frequencies: object, dims: int) -> Array:
     m = as_real_array("frequencies", frequencies)
     if m.ndim == 0 or m.shape[-1] != dims or m.size == 0:
         raise ParameterError(
-            f"frequencies have shape {m.shape}; give shape (..., {dims}), one row a frequency."
+            f"frequencies have shape {m.shape}; give shape (..., {dims}), one row per frequency."
         )
     if not np.isfinite(m).all():
         raise ParameterError("frequencies hold NaN or infinity; give finite numbers.")
     if np.abs(m).max() > MAX_FREQUENCY:
         raise ParameterError(
             f"frequencies reach {np.abs(m).max():.3g}; beyond {MAX_FREQUENCY:.3g} the phases of "
-            "float64 points mean nothing."
+            "float64 points have no correct digits."
         )
     return m

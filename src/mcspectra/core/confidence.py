@@ -1,4 +1,4 @@
-"""How sure a mean is: its standard error, and quantiles and intervals of 95 %."""
+"""Precision of a mean: standard error, quantiles and 95 % intervals."""
 
 from __future__ import annotations
 
@@ -13,24 +13,28 @@ CONFIDENCE_Z = 1.959963984540054
 
 
 def standard_error(spread: Array, count: int) -> Array:
-    """Standard error of a mean of `count` values: the mean square minus the squared mean is given."""
+    """Standard error of a mean of `count` values; `spread` is mean square minus squared mean."""
     if count < 2:
         return np.full_like(spread, np.nan)
     return np.asarray(np.sqrt(np.maximum(spread, 0.0) / (count - 1)))
 
 
 def student_t(count: int) -> float:
-    """Half the 95 % interval of a mean of this many values in standard errors; two at least."""
+    """Half width of the 95 % interval of a mean of `count` values, in standard errors.
+
+    A `count` below 2 is treated as 2.
+    """
     from scipy.special import stdtrit
 
     return float(stdtrit(max(1, count - 1), 0.975))
 
 
 def log_mean_interval(mean: Array, se: Array, count: int) -> Array:
-    """95 % interval of a mean of values that are not negative, (..., 2), on a logarithmic scale.
+    """95 % interval of a mean of nonnegative values, shape (..., 2), on a logarithmic scale.
 
-    Student's t is applied to the logarithm of the mean. With 4 realizations of |S|² of a Gaussian S, which
-    is exponential, it covers 93 %, where mean ± t se covers 88 and the normal quantile 78.
+    Student's t is applied to the logarithm of the mean. For 4 realizations of |S|² of a Gaussian S,
+    which is exponentially distributed, it covers 93 %. There mean ± t·se covers 88 %, and the
+    normal quantile 78 %.
     """
     relative = np.divide(se, mean, out=np.array(se), where=mean > 0)
     factor = np.exp(student_t(count) * relative)

@@ -1,7 +1,8 @@
-"""Files of strangers: opened by the rules for all of them, and no larger in memory than is sensible.
+"""Reading of untrusted files, with a limit on the memory that decoding takes.
 
-A few kilobytes of a compressed format can hold gigabytes. Every reader works out from the headers what
-decoding, with the conversion to float64, takes at its peak, and asks `check_decoded_size` first.
+A few kilobytes of a compressed format can expand to gigabytes. Every reader computes from the
+headers the peak memory of decoding and of the conversion to float64, and first calls
+`check_decoded_size`.
 """
 
 from __future__ import annotations
@@ -24,18 +25,19 @@ from mcspectra.core.errors import FileFormatError, McspectraError, reason_of
 __all__ = ["check_decoded_size", "known_path", "opened", "path_to_write", "read_npy", "read_npz"]
 
 _MOST_BYTES = 2**31
-_MOST_RATIO = 64  # bytes of memory for each byte of a file
-_ALWAYS_READ = 2**28  # bytes, whatever the ratio: a flat picture of 3840 x 2160 pixels
-_NPY_HEADER = 2**14  # bytes: NumPy itself refuses headers of more than 10,000 characters
+_MOST_RATIO = 64  # largest number of bytes of memory for each byte of a file
+# bytes that are allowed for any file: an uncompressed image of 3840 x 2160 pixels
+_ALWAYS_READ = 2**28
+_NPY_HEADER = 2**14  # bytes; NumPy itself rejects headers of more than 10,000 characters
 
 
 def known_path(path: object, what: str, extensions: Sequence[str] = ()) -> Path:
-    """Return the path of a file that ends in one of the extensions, if given; `what` is such a file.
+    """Return `path` as a path with one of the extensions, if given; `what` describes the file.
 
     Raises
     ------
     FileFormatError
-        It is no path, or ends otherwise.
+        If `path` is not a path, or has another extension.
     """
     if not is_path(path) or not str(path):
         raise FileFormatError(f"{path!r:.80} is not a path, or too long; give the path of {what}.")
@@ -48,19 +50,21 @@ def known_path(path: object, what: str, extensions: Sequence[str] = ()) -> Path:
 
 
 def path_to_write(path: object, what: str, extensions: Sequence[str]) -> Path | None:
-    """Return the path of a file that can be written, before the work that fills it; None for None.
+    """Check that a file can be written before the work starts; return its path, or None for None.
 
     Raises
     ------
     FileFormatError
-        As of `known_path`; it is a folder, or there is no folder to write it in.
+        If `known_path` raises it, the path is a folder, or its folder does not exist or cannot be
+        written.
     """
     if path is None:
         return None
     file = known_path(path, what, extensions)
     if file.is_dir() or not os.access(file if file.exists() else file.parent, os.W_OK):
         raise FileFormatError(
-            f"{str(file)!r} cannot be written; give {what} in a folder that exists and can be written."
+            f"{str(file)!r} cannot be written; give {what} in a folder that exists and can be "
+            "written."
         )
     return file
 
@@ -69,12 +73,13 @@ def path_to_write(path: object, what: str, extensions: Sequence[str]) -> Path | 
 def opened(
     path: object, what: str, extensions: Sequence[str] = ()
 ) -> Iterator[tuple[IO[bytes], int, str, str]]:
-    """Open a file for a parser: its stream, its bytes, what messages call it, and its extension.
+    """Open a file for a parser: yields stream, size, name for messages and extension.
 
     Raises
     ------
     FileFormatError
-        As of `known_path`; no such file, a folder or a device, or whatever error of the parser.
+        If `known_path` raises it, the file does not exist, it is a folder or a device, or parsing
+        fails.
     """
     file = known_path(path, what, extensions)
     try:
@@ -88,37 +93,40 @@ def opened(
         raise
     except FileNotFoundError:
         raise FileFormatError(f"There is no file {file}; give the path of {what}.") from None
-    except Exception as error:  # noqa: BLE001 - whatever a parser makes of a broken file
+    except Exception as error:  # noqa: BLE001 - parsers raise any error for a broken file
         said = f"it is truncated, damaged or of another format ({reason_of(error, 200)})"
-        reason = getattr(error, "strerror", None) or said  # the system's own word, if it has one
+        # the message of the operating system, if there is one
+        reason = getattr(error, "strerror", None) or said
         raise FileFormatError(f"{file} cannot be read as {what}: {reason}.") from None
 
 
 def check_decoded_size(name: object, size: int, decoded: float) -> None:
-    """Refuse a file of `size` bytes that takes `decoded` bytes of memory at the peak of reading it.
+    """Reject a file of `size` bytes if reading it takes too much memory (peak `decoded` bytes).
 
     Raises
     ------
     FileFormatError
-        These are more than 2 GiB, or more than 256 MiB and 64 times the file's size.
+        If `decoded` exceeds 2 GiB, or exceeds both 256 MiB and 64 times the file's size.
     """
     most = min(_MOST_BYTES, max(_ALWAYS_READ, _MOST_RATIO * size))
     if decoded > most:
         raise FileFormatError(
-            f"{name}, of {size} bytes, would take {decoded / 1e6:,.0f} MB of memory to read; a file "
-            f"of this size may take {most / 1e6:,.0f} MB: make a smaller version of it."
+            f"{name}, of {size} bytes, would take {decoded / 1e6:,.0f} MB of memory to read; a "
+            f"file of this size may take {most / 1e6:,.0f} MB: make a smaller version of it."
         )
 
 
 def read_npy(stream: IO[bytes], size: int, name: str, held: int | None = None) -> Array:
-    """Return the array of a .npy stream of a file of `size` bytes, `held` in the stream if not all.
+    """Return the array of a .npy stream of a file of `size` bytes.
+
+    `held` is the number of bytes in the stream, if it is not the whole file.
 
     Raises
     ------
     FileFormatError
-        The array takes too much memory, or the header announces more bytes than there are.
+        If the array takes too much memory, or the header announces more bytes than the file has.
     ValueError
-        It is no .npy stream, or holds Python objects.
+        If the stream is not a .npy stream, or holds Python objects.
     """
     header = io.BytesIO(stream.read(_NPY_HEADER))
     first = np.lib.format.read_magic(header) == (1, 0)
@@ -130,7 +138,7 @@ def read_npy(stream: IO[bytes], size: int, name: str, held: int | None = None) -
             f"{name} announces an array of shape {shape}, {count * dtype.itemsize} bytes, but has "
             f"{held}."
         )
-    # The array, its float64 values if it has others, and two masks of them
+    # The array, a float64 copy if the type differs, and two masks
     check_decoded_size(name, size, count * (dtype.itemsize + 8 * (dtype != np.float64) + 2))
     stream.seek(0)
     return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
@@ -139,12 +147,13 @@ def read_npy(stream: IO[bytes], size: int, name: str, held: int | None = None) -
 def read_npz(
     stream: IO[bytes], size: int, name: str, array: str, *, or_only: bool = False
 ) -> Array:
-    """Return an array of a .npz file by its name, or else the only one there is.
+    """Return an array of a .npz file by its name, or the only array if `or_only` is true.
 
     Raises
     ------
     FileFormatError
-        There is no such array, it is compressed by another method than NumPy's, or as of `read_npy`.
+        If there is no such array, NumPy does not use its compression method, or `read_npy` raises
+        it.
     """
     with zipfile.ZipFile(stream) as archive:
         names = [entry[:-4] for entry in archive.namelist() if entry.endswith(".npy")]
@@ -153,10 +162,12 @@ def read_npz(
         if array not in names:
             found = ", ".join(map(repr, names))[:200] or "nothing"
             raise FileFormatError(
-                f"{name} has no array {array!r}; it holds {found}: call the one to read {array!r}."
+                f"{name} has no array {array!r}; it holds {found}: rename the intended "
+                f"array to {array!r}."
             )
         member = archive.getinfo(f"{array}.npy")
-        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):  # unbounded
+        # other methods decompress without a size limit
+        if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise FileFormatError(f"{name} is not compressed as NumPy does; use savez_compressed.")
         with archive.open(member) as content:
             return read_npy(content, size, name, member.file_size)

@@ -1,13 +1,14 @@
-"""Text of others as it is shown, and how components and results show themselves in notebooks.
+"""Display of text from outside, and of components and results in notebooks.
 
-Names, titles, paths and messages may come from a stranger's file: `printable` takes from them what would
-steer a terminal or reorder a line, `escape_html` and `csv_cell` what a browser or a spreadsheet would run.
-Errors and warnings of the package pass through `printable` where they are made, tables and answers where
-they are printed, pages and pictures where they are drawn.
+Names, titles, paths and messages may come from an untrusted file. `printable` escapes characters
+that would control a terminal or reorder a line. `escape_html` and `csv_cell` also escape text that
+a browser or a spreadsheet would run. The package applies `printable` to errors and warnings when
+they are created, to tables and answers when they are printed, and to pages and figures when they
+are drawn.
 
-What is drawn needs the modules of `mcspectra.report`, which lie above everything that is shown. They
-are named as text here and imported when something is shown for the first time, as a registry does
-with its classes: no module below imports one above, and nothing is loaded that nobody looks at.
+Drawing needs the modules of `mcspectra.report`, a higher layer. They are named as text here and
+imported when something is displayed for the first time, as a registry does with its classes. So no
+module imports from a higher layer, and nothing is loaded before it is displayed.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ __all__ = [
     "shown",
 ]
 
-# Characters of no width that str.isprintable lets pass: fillers, and marks that choose a variant
+# Zero-width characters that str.isprintable accepts: fillers, and variation selectors
 _INVISIBLE = re.compile(
     "[\u034f\u115f\u1160\u17b4\u17b5\u180b-\u180d\u3164\uffa0\U000e0100-\U000e01ef]"
 )
@@ -40,23 +41,24 @@ _BEGINS_FORMULA = ("=", "+", "-", "@", "\t", "\r", "＝", "＋", "－", "＠")
 _CUT = " … "
 
 QUOTED = 80
-"""Most characters of a text of others in a message."""
+"""Most characters of a quoted text in a message."""
 
 _PICTURES = "mcspectra.report.reprs"
 _RESULTS = "mcspectra.report.accessor"
 
 
 def printable(given: object, most: int | None = None, *, lines: bool = False) -> str:
-    r"""Return text of others, or a path, in one line that can be shown, of `most` characters if given.
+    r"""Return text from outside, or a path, in one safe line of at most `most` characters.
 
-    Characters that are not printed stand as escapes such as ``\x1b`` and ``\u202e``: controls, marks of
-    direction and others without width, line separators, surrogates, characters that Unicode has not
-    assigned. Blanks of other widths become plain ones. A text that is too long loses its middle.
+    Characters that do not print become escapes such as ``\x1b`` and ``\u202e``: controls, marks of
+    direction and other zero-width characters, line separators, surrogates, and characters that
+    Unicode has not assigned. Spaces of other widths become plain spaces. A text that is too long
+    loses its middle.
 
     Parameters
     ----------
     lines
-        Whether line feeds stay, for text of our own that holds text of others.
+        Whether to keep line feeds, for text of this package that quotes text from outside.
 
     Examples
     --------
@@ -78,14 +80,17 @@ def printable(given: object, most: int | None = None, *, lines: bool = False) ->
 
 
 def shown(value: object, most: int = QUOTED) -> str:
-    """Return the ``repr`` of a value as messages quote it: `printable` and short; for a long number its size.
+    """Return the ``repr`` of a value for a message, `printable` and short.
 
-    Python refuses to write integers of more than 4300 digits.
+    A long integer is replaced by its size: Python refuses to write integers of more than 4300
+    digits.
 
     Examples
     --------
-    >>> shown([16, "a\\n"]), shown(10**5000), shown([10**5000])
-    ("[16, 'a\\\\n']", 'an integer of about 5001 digits', 'a list with an integer of too many digits')
+    >>> shown([16, "a\\n"]), shown(10**5000)
+    ("[16, 'a\\\\n']", 'an integer of about 5001 digits')
+    >>> shown([10**5000])
+    'a list with an integer of too many digits'
     """
     try:
         return printable(repr(value), most)
@@ -96,7 +101,7 @@ def shown(value: object, most: int = QUOTED) -> str:
 
 
 def counted(number: int, one: str) -> str:
-    """Return a number with its noun, which is plural unless the number is 1.
+    """Return a number with its noun, in the plural unless the number is 1.
 
     Examples
     --------
@@ -118,15 +123,15 @@ def _escape(character: str) -> str:
 
 
 def escape_html(text: object) -> str:
-    """Return a text of others for HTML, in an element or an attribute: `printable`, its lines kept."""
+    """Escape text from outside for an HTML element or attribute; `printable`, but keeps lines."""
     return html.escape(printable(text, lines=True))
 
 
 def csv_cell(value: object) -> object:
-    """Return the cell of a table for spreadsheets: text that they would compute begins with ``'``.
+    """Return a spreadsheet cell; text that would run as a formula is prefixed with ``'``.
 
-    That is a text that begins with ``=``, ``+``, ``-``, ``@`` or a tab and is not a number. Numbers and
-    None are returned as they are; text is `printable`.
+    Such a text begins with ``=``, ``+``, ``-``, ``@`` or a tab and is not a number. Numbers and
+    None are returned unchanged; text is `printable`.
     """
     if not isinstance(value, str):
         return value
@@ -139,20 +144,20 @@ def csv_cell(value: object) -> object:
 
 
 def html_of(component: object) -> str | None:
-    """Return a picture and the main figures of a component as HTML; None where that fails.
+    """Return a picture and the main figures of a component as HTML, or None if this fails.
 
-    A notebook then shows the plain text instead: to look at an object never raises.
+    A notebook then shows the plain text instead, so that displaying an object never raises.
     """
     try:
         html: str = importlib.import_module(_PICTURES).component_html(component)
-    except Exception:  # noqa: BLE001 - components of others may raise anything
+    except Exception:  # noqa: BLE001 - external components may raise anything
         return None
     return html
 
 
 @functools.cache
 def register_accessor() -> None:
-    """Give xarray's datasets the accessor ``mcspectra``: see `mcspectra.report.accessor`."""
+    """Add the accessor ``mcspectra`` to xarray's datasets: see `mcspectra.report.accessor`."""
     import xarray as xr
 
     if not hasattr(xr.Dataset, "mcspectra"):

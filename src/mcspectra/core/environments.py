@@ -1,9 +1,10 @@
-"""Lat-long environment maps: radiance from all directions, as pixels on the unit square.
+"""Latitude-longitude environment maps: radiance from all directions, as pixels on the unit square.
 
 Conventions
 -----------
-x_0 is the azimuth φ = 2π x_0 and x_1 the polar angle θ = π x_1, from +z in the first row to −z in the
-last: ω = (sin θ cos φ, sin θ sin φ, cos θ). A solid angle is dω = sin θ dθ dφ = 2π² sin(π x_1) dx.
+x_0 is the azimuth φ = 2π x_0 and x_1 the polar angle θ = π x_1, from +z in the first row to −z in
+the last: ω = (sin θ cos φ, sin θ sin φ, cos θ). A solid angle is dω = sin θ dθ dφ = 2π² sin(π x_1)
+dx.
 """
 
 from __future__ import annotations
@@ -17,8 +18,9 @@ from mcspectra.core.errors import DomainError, ParameterError
 
 __all__ = ["directions", "environment_pixels", "row_solid_angles", "synthetic_sky"]
 
-_MOST_VALUES = 2**28  # 2 GiB, as of picture files
-_SUN = (0.62, 0.31, 14.0, 400.0)  # x_0, x_1, sharpness as of a von Mises-Fisher lobe, radiance
+_MOST_VALUES = 2**28  # 2 GiB, the same limit as for picture files
+# x_0, x_1, sharpness in the sense of a von Mises-Fisher lobe, radiance
+_SUN = (0.62, 0.31, 14.0, 400.0)
 _PATCHES = (  # x_0, x_1, half sizes, color
     (0.15, 0.30, 0.04, 0.06, (9.0, 1.0, 0.5)),
     (0.35, 0.45, 0.05, 0.04, (0.4, 7.0, 1.0)),
@@ -27,7 +29,7 @@ _PATCHES = (  # x_0, x_1, half sizes, color
 
 
 def synthetic_sky(height: int = 32, width: int = 64) -> Array:
-    """A sky of high dynamic range: gradients, a warm sun, and patches of three colors.
+    """Return a synthetic sky of high dynamic range: gradients, a warm sun and colored patches.
 
     Parameters
     ----------
@@ -37,8 +39,8 @@ def synthetic_sky(height: int = 32, width: int = 64) -> Array:
     Returns
     -------
     ndarray
-        Linear radiance (height, width, 3), above 0 everywhere, evaluated at pixel centers. Made for
-        tests and examples: no physical sky model.
+        Linear radiance (height, width, 3), positive everywhere, evaluated at pixel centers. It is
+        for tests and examples, not a physical sky model.
     """
     rows = as_integer("height", height, least=1, most=2**14)
     columns = as_integer("width", width, least=1, most=2**14)
@@ -58,7 +60,7 @@ def synthetic_sky(height: int = 32, width: int = 64) -> Array:
 
 
 def directions(x: Array) -> Array:
-    """Unit vectors (..., 3) of points x (..., 2)."""
+    """Return unit vectors (..., 3) of points x (..., 2)."""
     x = as_real_array("x", x)
     if x.shape[-1:] != (2,):
         raise ParameterError(f"x has shape {x.shape}; give points of shape (..., 2).")
@@ -68,9 +70,10 @@ def directions(x: Array) -> Array:
 
 
 def row_solid_angles(height: int) -> Array:
-    """Share of the sphere that each of `height` rows covers, (height,), sum 1.
+    """Return the fraction of the sphere that each of `height` rows covers, (height,), sum 1.
 
-    ½ (cos θ_j − cos θ_{j+1}) = sin θ sin(π/2h) at the row's center θ: exact, and without cancellation.
+    ½ (cos θ_j − cos θ_{j+1}) = sin θ sin(π/2h) at the row's center θ: exact, and without
+    cancellation.
     """
     height = as_integer("height", height, least=1)
     centers = (np.arange(height) + 0.5) / height
@@ -78,19 +81,19 @@ def row_solid_angles(height: int) -> Array:
 
 
 def environment_pixels(path: object, values: object) -> Array:
-    """Radiance (h, w, channels), from a file, from an array, or the synthetic sky if both are None.
+    """Return radiance (h, w, channels) of a file, an array, or the synthetic sky by default.
 
     Raises
     ------
     ParameterError
-        Both are given, or pixels of another shape, not finite, negative, or too many.
+        If both are given, or the pixels have another shape, are not finite, negative, or too many.
     FileFormatError
-        The file is missing or cannot be read.
+        If the file is missing or cannot be read.
     """
     if path is None and values is None:
         return synthetic_sky()
     if path is not None and values is not None:
-        raise ParameterError("environment needs path, of a picture file, or values, not both.")
+        raise ParameterError("environment has both path and values; give one of them.")
     if values is None:
         from mcspectra.core.images import read_image
 
@@ -104,8 +107,8 @@ def environment_pixels(path: object, values: object) -> Array:
             ) from None
         if given.ndim not in (2, 3) or not 0 < given.size <= _MOST_VALUES:
             raise ParameterError(
-                f"values have shape {given.shape}; give pixels of shape (h, w) or (h, w, channels); "
-                f"{_MOST_VALUES:.3g} numbers are read at most."
+                f"values have shape {given.shape}; give pixels of shape (h, w) or (h, w, "
+                f"channels); {_MOST_VALUES:.3g} numbers are the limit."
             )
         pixels = np.array(given).reshape(*given.shape[:2], -1)
     if not np.isfinite(pixels).all() or pixels.min() < 0:

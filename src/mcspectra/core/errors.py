@@ -1,12 +1,12 @@
 """Errors and warnings: each message says what was given, what is allowed and what to do.
 
-Every error a user can cause derives from `McspectraError`; the command line turns those into one
-sentence and exit code 2. Errors about values are also `ValueError` (or the built-in that fits), so
-that code which knows nothing of this package can catch them.
+Every error that a user can cause derives from `McspectraError`. The command line prints it as one
+sentence and exits with code 2. Errors about values also derive from `ValueError` or another fitting
+built-in, so that code outside this package can catch them.
 
-A sentence that names an option or a public function has it as a part, a `Parameter` or a `Function`:
-``ParameterError(Parameter("bins"), " is 0; give more.")``. Python writes ``bins is 0; give more.``,
-the command line ``--bins is 0; give more.``
+A message that names an option or a public function holds it as a separate part, a `Parameter` or a
+`Function`: ``ParameterError(Parameter("bins"), " is 0; give more.")``. Python shows
+``bins is 0; give more.``, the command line ``--bins is 0; give more.``
 """
 
 from __future__ import annotations
@@ -68,48 +68,49 @@ __all__ = [
 
 _PACKAGE = str(Path(__file__).parents[1]) + os.sep
 _FAILING = (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EFBIG)
-_COORDINATES = 6  # of a point in a message
-_LONGEST = 1000  # characters of a message; the longest of our own have 350
+_COORDINATES = 6  # largest number of coordinates of a point in a message
+# largest number of characters of a message; the package's own messages have at most 350
+_LONGEST = 1000
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """An option in a sentence: ``bins``, or with a value ``bins=100``."""
+    """An option in a message: ``bins``, or with a value ``bins=100``."""
 
     name: str
     value: Any = None
 
     def __str__(self) -> str:
-        """Return the name as Python code has it."""
+        """Return the name as in Python code."""
         return self.name if self.value is None else f"{self.name}={self.value!r}"
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class Function:
-    """A public function in a sentence, by its name in `mcspectra`."""
+    """A public function in a message, by its name in `mcspectra`."""
 
     name: str
 
     def __str__(self) -> str:
-        """Return the name as Python code has it."""
+        """Return the name as in Python code."""
         return self.name
 
 
 class McspectraError(Exception):
-    """Root of all errors raised on purpose by this package.
+    """Base class of all errors that this package raises on purpose.
 
-    `args` are the parts of its sentence: texts, options, functions, and sentences of other errors.
-    They hold text of others, such as names and paths: the sentence is one printable line.
+    `args` are the parts of the message: texts, options, functions, and other errors. They can
+    contain text from outside, such as names and paths; the message is one printable line.
     """
 
     def __str__(self) -> str:
-        """Return the sentence for Python."""
+        """Return the message for Python."""
         return self.sentence(str)
 
     def sentence(self, write: Callable[[Parameter | Function], str]) -> str:
-        """Return the sentence with options and functions as `write` writes them."""
+        """Return the message; `write` formats options and functions."""
         parts = []
         for part in self.args:
             if isinstance(part, McspectraError):
@@ -120,7 +121,7 @@ class McspectraError(Exception):
 
 
 Part: TypeAlias = str | Parameter | Function | McspectraError
-"""A part of the sentence of an error."""
+"""A part of the message of an error."""
 
 
 class ParameterError(McspectraError, ValueError):
@@ -132,7 +133,7 @@ class DomainError(ParameterError):
 
 
 class CountError(ParameterError):
-    """A sampler cannot make this many points; `nearest` holds the counts it can make next to it."""
+    """A sampler cannot make this number of points; `nearest` holds the nearest allowed counts."""
 
     def __init__(self, message: Part, nearest: tuple[int, ...] = ()) -> None:
         super().__init__(message)
@@ -140,11 +141,11 @@ class CountError(ParameterError):
 
 
 class BudgetError(ParameterError):
-    """What was asked for takes more calls of a function than were allowed: it was not called."""
+    """A request needs more function calls than allowed; the function was not called."""
 
 
 class DensityError(ParameterError):
-    """A density is not one: not positive where it must be, or pdf, sample and invert disagree."""
+    """A density is invalid: not positive where it must be, or pdf, sample and invert disagree."""
 
 
 class SpecError(ParameterError):
@@ -152,7 +153,7 @@ class SpecError(ParameterError):
 
 
 class UnknownName(SpecError):
-    """A name is not registered; `close` holds names that are."""
+    """A name is not registered; `close` holds similar registered names."""
 
     def __init__(self, message: str, close: tuple[str, ...] = ()) -> None:
         super().__init__(message)
@@ -164,7 +165,7 @@ class ConfigError(ParameterError):
 
 
 class FileFormatError(McspectraError, ValueError):
-    """A file is missing, empty, truncated or not what its name says."""
+    """A file is missing, empty, truncated, or its content does not match its name."""
 
 
 class StoreError(McspectraError, RuntimeError):
@@ -172,11 +173,11 @@ class StoreError(McspectraError, RuntimeError):
 
 
 class StorageError(StoreError):
-    """Results cannot be written: the disk is full, a quota is reached, the device fails."""
+    """Results cannot be written: the disk is full, a quota is reached, or the device fails."""
 
 
 class AnalysisError(McspectraError, TypeError):
-    """An analysis, such as another package's, breaks its contract: whoever wrote it has to mend it."""
+    """An analysis, such as another package's, breaks its contract; its author has to fix it."""
 
 
 class NoClosedForm(McspectraError, NotImplementedError):
@@ -192,7 +193,7 @@ MEASURE_IT: tuple[Part, ...] = (Function("convergence"), " or ", Function("varia
 
 
 class CorrelatedFrequenciesWarning(UserWarning):
-    """A sum over powers alone is not the variance: the frequencies of this set are correlated."""
+    """The variance is not a sum over powers alone: the frequencies of this set are correlated."""
 
 
 class CacheWarning(UserWarning):
@@ -200,11 +201,11 @@ class CacheWarning(UserWarning):
 
 
 class DependentRealizationsWarning(UserWarning):
-    """The realizations of a seed are not independent: variances and errors over them mislead."""
+    """Realizations of a seed are not independent: their variances and standard errors mislead."""
 
 
 class MissingPackageWarning(UserWarning):
-    """A file is left out because an optional package is not installed; the results are complete."""
+    """A file is not written because an optional package is missing; the results are complete."""
 
 
 class NotPowerOfTwoWarning(UserWarning):
@@ -212,47 +213,47 @@ class NotPowerOfTwoWarning(UserWarning):
 
 
 class InfiniteWeightVarianceWarning(UserWarning):
-    """∫1/p diverges: the variance of S_0 is infinite, although that of the estimate may not be."""
+    """∫1/p diverges: Var(S_0) is infinite, although the variance of the estimate may be finite."""
 
 
 class InfiniteVarianceWarning(UserWarning):
-    """f grows so fast that its variance is infinite: no interval of its integral holds."""
+    """f grows so fast that its variance is infinite: no interval of its integral is valid."""
 
 
 class PreasymptoticWarning(UserWarning):
-    """A fitted exponent still changes over the range that it is fitted to: it is no limit yet."""
+    """A fitted exponent still changes over the range of the fit: it is not yet the limit."""
 
 
 class UndefinedRatioWarning(UserWarning):
-    """f and p are both 0 at a sample: f/p counts as 0 there, whatever its limit."""
+    """f and p are both 0 at a sample: f/p counts as 0 there, whatever its limit is."""
 
 
 class DamagedResultsWarning(UserWarning):
-    """Stored results of an earlier run are damaged: they are named, and computed again."""
+    """Stored results of an earlier run are damaged; they are named and computed again."""
 
 
 class OtherVersionsWarning(UserWarning):
-    """Results of an earlier run go on with other versions of packages that numbers depend on."""
+    """A run continues earlier results with other versions of packages that affect the numbers."""
 
 
 class LargeStudyWarning(UserWarning):
-    """A study takes long to plan, before its first analysis begins."""
+    """Planning a study takes long, before its first analysis begins."""
 
 
 class IncompleteImageWarning(UserWarning):
-    """An image lacks a part of what the scene would show: a lens, a light, a specular surface."""
+    """An image lacks a part of the scene: a lens, a light, or a specular surface."""
 
 
 class NoGainWarning(UserWarning):
-    """A search found nothing better than the usual choice, which is its result."""
+    """A search found nothing better than the usual choice, and returns that choice."""
 
 
 def close_match_hint(
     given: str, allowed: Iterable[str], command: str = ""
 ) -> tuple[str, tuple[str, ...]]:
-    """Return `` Did you mean 'x'?`` (or all names, when few) and the close matches themselves.
+    """Return `` Did you mean 'x'?`` (or all names if there are few), and the close matches.
 
-    `command` is what shows all names, for messages where they are many.
+    `command` prints all names; messages mention it if there are many.
     """
     names = sorted(allowed)
     close = tuple(difflib.get_close_matches(given, names, n=3, cutoff=0.5))
@@ -265,7 +266,7 @@ def close_match_hint(
 
 
 def point_in_words(point: Iterable[float]) -> str:
-    """Return ``(0.1, 0.25)``; of many coordinates the first few and their number."""
+    """Return ``(0.1, 0.25)``; a long point is cut to its first coordinates and their number."""
     coordinates = [f"{float(c):.6g}" for c in point]
     more = len(coordinates) - _COORDINATES
     shown = ", ".join(coordinates[:_COORDINATES])
@@ -273,10 +274,13 @@ def point_in_words(point: Iterable[float]) -> str:
 
 
 def reason_of(error: BaseException, most: int = 1000) -> str:
-    """Return what an error says, of `most` characters, on one line without a full stop; or its class."""
+    """Return the message of an error in one line without a full stop, or the name of its class.
+
+    The message is cut to `most` characters.
+    """
     try:
         words = str(error)[: 2 * most]
-    except BaseException:  # noqa: BLE001 - whatever the code of others does
+    except BaseException:  # noqa: BLE001 - code outside the package may raise anything
         words = ""
     shown = printable(" ".join(words.split()))
     return shown[:most].rstrip(".") or type(error).__name__
@@ -286,9 +290,10 @@ def reason_of(error: BaseException, most: int = 1000) -> str:
 def writing(
     path: str | PathLike[str], kind: type[McspectraError] = FileFormatError
 ) -> Iterator[None]:
-    """Make an error of this kind, one sentence, of what the system says of a file that it cannot write.
+    """Convert an OSError while a file is written to an error of this class with one sentence.
 
-    Of a disk that is full or fails, which is not what the user has given, it is a StorageError.
+    If the disk is full or fails, the error is a StorageError, because the user's input is not the
+    cause.
     """
     try:
         yield
@@ -298,9 +303,10 @@ def writing(
 
 
 def warn(message: str, category: type[Warning]) -> None:
-    """Warn at the line that called the package: the first frame whose file is not in it.
+    """Warn at the line that called the package: the first frame whose file is outside the package.
 
-    Python 3.12 can do it by `skip_file_prefixes`; a number of frames would change with the code.
+    Python 3.12 has `skip_file_prefixes` for this. A fixed number of frames would change with the
+    code.
     """
     frame = sys._getframe(1)
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):

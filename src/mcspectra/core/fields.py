@@ -1,8 +1,8 @@
-"""Fields of frozen dataclasses that check, and convert, what they are given.
+"""Fields of frozen dataclasses that check and convert their values.
 
-A class declares ``strength: int = whole(1, least=1, most=2)``; `check_fields`, called once when an
-instance is made, puts the checked value in place of the given one: `mcspectra.core.spec.Component`
-does so for samplers, densities, integrands and their like. None stays None where it is the default.
+A class declares ``strength: int = whole(1, least=1, most=2)``. `check_fields`, called once when an
+instance is created, replaces the given value by the checked one. `mcspectra.core.spec.Component`
+does this for samplers, densities, integrands and the like. None stays None if it is the default.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ __all__ = ["check_fields", "checked", "choice", "each_axis", "flag", "real", "se
 def checked(
     check: Callable[..., object], default: object = dataclasses.MISSING, *, using: str | None = None
 ) -> Any:
-    """Declare a field that holds ``check(name, given)``.
+    """Declare a field whose value is ``check(name, given)``.
 
-    With `using`, the name of an attribute such as ``dims``, it holds ``check(name, given, dims)``.
+    If `using` names an attribute such as ``dims``, the value is ``check(name, given, dims)``.
     """
     return dataclasses.field(default=default, metadata={"check": check, "using": using})
 
@@ -38,12 +38,12 @@ def whole(
 
 
 def real(default: float | Any | None = dataclasses.MISSING, **limits: float) -> Any:
-    """Declare a field of finite floats within the limits of `core.checks.as_real`."""
+    """Declare a field for finite floats within the limits of `core.checks.as_real`."""
     return checked(lambda name, given: as_real(name, given, **limits), default)
 
 
 def choice(*allowed: str, default: str | None = None) -> Any:
-    """Declare a field of one of several words, the first of them by default."""
+    """Declare a field for one of several words; the first is the default."""
     return checked(lambda name, given: as_choice(name, given, allowed), default or allowed[0])
 
 
@@ -59,14 +59,14 @@ def _as_flag(name: str, given: object) -> bool:
 
 
 def each_axis(parameter: str) -> Any:
-    """Declare a property of values (d,), of a parameter that is one number or one for each axis."""
+    """Declare a property with values (d,) of a parameter that is one number or one per axis."""
     return property(
         lambda own: np.broadcast_to(np.asarray(getattr(own, parameter), float), own.dims)
     )
 
 
 def check_fields(component: Any) -> None:
-    """Check all fields of an instance that were declared so, `dims` first, on which others depend."""
+    """Check all declared fields of an instance; `dims` comes first because others depend on it."""
     for field in sorted(dataclasses.fields(component), key=lambda field: field.name != "dims"):
         check, given = field.metadata.get("check"), getattr(component, field.name)
         if check and not (given is None and field.default is None):
@@ -76,6 +76,6 @@ def check_fields(component: Any) -> None:
 
 
 def settle(component: object, **values: object) -> None:
-    """Set attributes of a frozen dataclass while it is made."""
+    """Set attributes of a frozen dataclass during its creation."""
     for name, value in values.items():
         object.__setattr__(component, name, value)

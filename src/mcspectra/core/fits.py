@@ -1,21 +1,26 @@
-"""Fits of straight lines, and of rates: the slope of log variance against log n.
+"""Fits of straight lines and of rates: the slope of log variance against log n.
 
-Weighted least squares: each variance is weighted by the inverse square of its relative standard
-error, which is known from the realizations, so that the 95 % interval of a straight line is normal.
-Where the lack of fit, χ² per degree of freedom, exceeds 1, it is widened by √χ²; where that is
-significant (`LACK_OF_FIT`), the errors are not what makes the scatter, which is estimated from the counts:
-√χ² times Student's t with as many degrees, three counts having one.
+The fits are weighted least squares. The weight of a variance is the inverse square of its relative
+standard error, which is estimated from the realizations. The 95 % interval of a straight line is
+therefore normal. If the lack of fit, χ² per degree of freedom, exceeds 1, the interval is widened
+by √χ². If the lack of fit is significant (`LACK_OF_FIT`), the standard errors do not explain the
+scatter. The scatter is then estimated from the counts: the factor is √χ² times Student's t with the
+degrees of freedom of the fit (one for three counts).
 
-Curves bend at small n (lower-order terms); a *window* is a number of the largest counts, and ``"auto"``
-takes the largest window of at least three counts that shows neither lack of fit (`LACK_OF_FIT`) nor
-curvature (`CURVATURE`, a test of one degree, which sees a bend that χ² spreads over all). A window that
-passed may still be bent by as much as the noise hides: its interval is that of the scatter even where
-χ² is below 1, if that is wider. It is no default: of a straight line it costs precision. Simulated,
-relative errors of 6 % (500 realizations), counts 4, 16, … 1024, the intervals of ``"auto"`` hold the
-asymptotic rate in 98 % for a straight line; in 97 % for a disk of radius 0.27 off the center, jittered;
-in 86 % for a Gaussian, jittered and shifted, whose exact slope is −1.42 … −1.50 over these counts: no
-test can detect that bend. A curve that is bent up to its last count, such as that of a disk centered on the
-strata (−1.39 between the last two), is not extrapolated. Exact variances at the same counts are better evidence.
+Curves bend at small n because of lower-order terms. A *window* is a number of the largest counts.
+``"auto"`` takes the largest window of at least three counts without significant lack of fit
+(`LACK_OF_FIT`) or curvature (`CURVATURE`). The test of curvature has one degree of freedom, so it
+detects bends that χ² spreads over all degrees. An accepted window may still be bent by as much as
+the noise hides. Its interval therefore uses the scatter even for χ² below 1, if that is wider.
+``"auto"`` is not the default because it loses precision for a straight line.
+
+In simulations with relative errors of 6 % (500 realizations) and counts 4, 16, … 1024, the
+intervals of ``"auto"`` hold the asymptotic rate in 98 % of the cases for a straight line. They hold
+it in 97 % for a disk of radius 0.27 off the center with jittered points. They hold it in 86 % for a
+Gaussian with jittered and shifted points, whose exact slope is −1.42 … −1.50 over these counts: no
+test can detect that bend. A curve that bends up to its last count is not extrapolated, such as that
+of a disk centered on the strata (−1.39 between the last two counts). Exact variances at the same
+counts are better evidence.
 """
 
 from __future__ import annotations
@@ -48,35 +53,36 @@ __all__ = [
 ]
 
 LACK_OF_FIT = 0.05
-"""Significance of χ² below which a window of counts is taken to be bent."""
+"""Significance level of χ² below which a window of counts is rejected as bent."""
 
 CURVATURE = 0.1
-"""Significance of a quadratic term in log n below which a window of counts is taken to be bent."""
+"""Significance level of a quadratic term in log n below which a window is rejected as bent."""
 
 UNRESOLVED = "not resolved: use more realizations or larger counts"
-"""Text instead of a rate whose interval is too wide; results keep the number."""
+"""Text that replaces a rate whose interval is too wide; results keep the number."""
 
-_WIDEST = 0.5  # half an interval of a rate that is a finding: −1 and −2 can be told apart
-_LEAST = 3  # counts that can show lack of fit
+_WIDEST = 0.5  # largest half-interval of a reported rate; it separates the rates −1 and −2
+_LEAST = 3  # smallest number of counts that can show lack of fit
 
 
 @dataclass(frozen=True)
 class LineFit:
-    """The line level + slope · (x − center), and how well it fits.
+    """The line level + slope · (x − center), with its goodness of fit.
 
     Attributes
     ----------
     slope
         Slope of the line.
     centre, level
-        Weighted means of x and y; the line goes through them, and their errors are independent of the
-        slope's.
+        Weighted means of x and y. The line passes through them, and their errors are independent of
+        the error of the slope.
     spread
-        Σ w (x − center)²: 1 over the variance of the slope where the weights are those of the errors.
+        Σ w (x − center)²: the inverse variance of the slope if the weights are inverse variances.
     residuals
-        y less the line, (N,).
+        y minus the line, (N,).
     chi2
-        Lack of fit, Σ w residual² per degree of freedom: about 1 for a straight line; NaN for two points.
+        Lack of fit, Σ w residual² per degree of freedom: about 1 for a straight line; NaN for two
+        points.
     """
 
     slope: float
@@ -87,19 +93,19 @@ class LineFit:
     chi2: float
 
     def at(self, x: Array | float, slope: float | None = None) -> Array:
-        """Values of the line at x, or of one through the same center with another slope."""
+        """Return values of the line at x; `slope` replaces its slope about the same center."""
         return np.asarray(self.level + (self.slope if slope is None else slope) * (x - self.centre))
 
 
 def line_fit(x: Array, y: Array, weight: Array) -> LineFit:
-    """Fit a straight line to two points or more.
+    """Fit a straight line to at least two points.
 
     Parameters
     ----------
     x, y
         Coordinates (N,), at least two different x.
     weight
-        1 over the variance of each y, (N,).
+        Inverse variance of each y, (N,).
     """
     centre, level = np.average(x, weights=weight), np.average(y, weights=weight)
     off = x - centre
@@ -114,11 +120,11 @@ def line_fit(x: Array, y: Array, weight: Array) -> LineFit:
 @final
 @dataclass(frozen=True, kw_only=True)
 class LineFits:
-    """Lines log V = level + rate · (log n − center) by `line_fits`, many at once: arrays (S, …).
+    """Many lines log V = level + rate · (log n − center), fitted by `line_fits`: arrays (S, …).
 
     The center is the weighted mean of log n, where the errors of level and rate are independent. A
-    rate is NaN where fewer than two values were fitted, or where the line is not known. chi2 is the
-    lack of fit per degree of freedom, NaN for two values.
+    rate is NaN if fewer than two values were fitted, or if `known` is false for the line. chi2 is
+    the lack of fit per degree of freedom, NaN for two values.
     """
 
     rate: Array
@@ -129,7 +135,7 @@ class LineFits:
     chi2: Array
 
     def of(self, rows: list[int]) -> LineFits:
-        """Return some of the lines."""
+        """Return the lines with these indices."""
         return LineFits(**{name: getattr(self, name)[rows] for name in self.__dataclass_fields__})
 
     def at(self, n: float) -> tuple[Array, Array]:
@@ -139,15 +145,15 @@ class LineFits:
 
 
 def line_fits(x: Array, y: Array, weight: Array, known: Array) -> LineFits:
-    """Fit many lines at once, with standard errors widened by the lack of fit as in `fit_rate`.
+    """Fit many lines at once, with standard errors widened by lack of fit as in `fit_rate`.
 
     Parameters
     ----------
     x, y, weight
-        Coordinates and 1 over the variance of each y, that broadcast to (S, N, …); values of weight 0
-        are left out.
+        Coordinates and the inverse variance of each y, which broadcast to (S, N, …); values of
+        weight 0 are ignored.
     known
-        Whether a line can be fitted to the values that are left, (S, …).
+        Whether a line can be fitted to the remaining values, (S, …).
     """
     from scipy.special import chdtrc, stdtrit
 
@@ -177,7 +183,7 @@ def line_fits(x: Array, y: Array, weight: Array, known: Array) -> LineFits:
 
 
 def _over_values(values: Array) -> Array:
-    """Sum over the second axis, one after the other whatever the number of lines."""
+    """Sum over the second axis one by one: the order is the same for any number of lines."""
     return np.asarray(functools.reduce(np.add, np.moveaxis(values, 1, 0)))
 
 
@@ -188,9 +194,10 @@ class RateFit:
     Attributes
     ----------
     rate, interval
-        Slope and its 95 % interval, widened by lack of fit; NaN where fewer than two variances could be fitted.
+        Slope and its 95 % interval, widened by lack of fit; NaN for fewer than two fitted
+        variances.
     first_n
-        Smallest count of the fit.
+        Smallest fitted count.
     chi2
         Lack of fit, χ² per degree of freedom: about 1 for a straight line; NaN for two counts.
     """
@@ -202,12 +209,12 @@ class RateFit:
 
 
 def is_resolved(low: float, high: float) -> bool:
-    """Whether a rate with this 95 % interval is a finding: known to ±0.5 or better."""
+    """Whether a rate with this 95 % interval is precise enough to report: ±0.5 or better."""
     return bool(high - low <= 2 * _WIDEST)
 
 
 def check_window(fit_last: int | str | None, counts: int) -> None:
-    """Refuse a window of more counts than there are."""
+    """Raise ParameterError if a window has more counts than there are."""
     if isinstance(fit_last, int) and fit_last > counts:
         raise ParameterError(
             Parameter("fit_last"), f" is {fit_last}; give at most {counts}, the number of counts."
@@ -222,12 +229,12 @@ def fit_rate(
     Parameters
     ----------
     ns, variance, relative_se, floor
-        Counts, variances, their relative standard errors, and the variances below which they are
-        rounding noise, which are left out: all (N,).
+        Counts, variances and their relative standard errors. Variances below `floor` are rounding
+        noise and are ignored. All have shape (N,).
     window
-        Number of the last counts to fit; None: all; ``"auto"``: as many as lie on a line, which is
-        the largest window of three or more without significant χ² (`LACK_OF_FIT`) or curvature
-        (`CURVATURE`), or the last three without such a window.
+        Number of the last counts to fit; None fits all. ``"auto"`` takes the largest window of
+        three or more counts without significant χ² (`LACK_OF_FIT`) or curvature (`CURVATURE`), or
+        the last three counts without such a window.
     """
     start = -window if isinstance(window, int) else 0
     ns, variance, relative_se, floor = (a[start:] for a in (ns, variance, relative_se, floor))
@@ -239,7 +246,7 @@ def fit_rate(
 
     first = 0
     while len(x) - first > _LEAST:
-        # Whether the points lie off a straight line, in all or as a parabola does
+        # Test for lack of fit to a straight line, in general and for a quadratic term
         own, weight = x[first:], se[first:] ** -2.0
         residual = line_fit(own, y[first:], weight).residuals / se[first:]
         straight = line_fit(own, (own - own.mean()) ** 2, weight).residuals / se[first:]
@@ -254,7 +261,10 @@ def fit_rate(
 def fit_rates(
     ns: Array, variance: Array, relative_se: Array, floor: Array, window: int | str | None = None
 ) -> dict[str, Array]:
-    """Fit every column of arrays (N, …): the fields of `RateFit`, (…), with the interval (…, 2)."""
+    """Fit every column of arrays (N, …); return the fields of `RateFit` as arrays.
+
+    The fields have shape (…), the interval (…, 2).
+    """
     columns = (a.reshape(len(ns), -1).T for a in (variance, relative_se, floor))
     fits = [fit_rate(ns, v, r, f, window) for v, r, f in zip(*columns, strict=True)]
     found = {
@@ -264,7 +274,7 @@ def fit_rates(
 
 
 def _line(x: Array, y: Array, se: Array, *, chosen: bool = False) -> RateFit:
-    """Weighted least squares of y against x; a window `chosen` by its data has the scatter's interval."""
+    """Weighted least squares of y against x; a window `chosen` by its data uses the scatter."""
     if len(x) < 2:
         return RateFit()
     fit = line_fit(x, y, se**-2.0)
@@ -281,7 +291,7 @@ def widening(degrees: int, chi2: float) -> float:
 
 
 def _quantile(degrees: int, chi2: float, *, chosen: bool) -> float:
-    """Half an interval, in units of the standard error that the errors alone give the slope."""
+    """Half-interval of the slope, in units of its standard error from the errors alone."""
     if not degrees:
         return CONFIDENCE_Z
     from scipy.special import chdtrc, stdtrit

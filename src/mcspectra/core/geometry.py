@@ -1,4 +1,4 @@
-"""Vectors, triangles and rectangles in space, as users give them, and the solid angle of a triangle."""
+"""Checks and lengths of vectors and lights in space, and the solid angle of a triangle."""
 
 from __future__ import annotations
 
@@ -10,8 +10,10 @@ from mcspectra.core.errors import ParameterError
 __all__ = ["as_vector", "check_light", "norm", "triangle_angle"]
 
 _LARGEST = 1e9
-_FLAT = 1e-9  # sine of the angle between edges, and edges over distances, that count as zero
-_GRAZING = 1e-6  # height over the plane of a light / largest distance to it
+# sine of the angle between edges, and edge over distance, below which a light has no area
+_FLAT = 1e-9
+# smallest height above the plane of a light, relative to the largest distance to it
+_GRAZING = 1e-6
 
 
 def as_vector(name: str, value: object) -> tuple[float, float, float]:
@@ -20,7 +22,7 @@ def as_vector(name: str, value: object) -> tuple[float, float, float]:
     Raises
     ------
     ParameterError
-        Not three numbers, or not finite.
+        If `value` does not hold three finite numbers.
     """
     if not isinstance(value, list | tuple | np.ndarray) or np.shape(value) != (3,):
         raise ParameterError(f"{name} is {value!r:.80}; give three numbers [x, y, z].")
@@ -43,22 +45,22 @@ def _vectors(v: Array) -> Array:
 
 
 def check_light(what: str, corner: Array, edge0: Array, edge1: Array) -> float:
-    """Return the height of the origin over the plane of a light's corner and edges, all (3,).
+    """Return the height of the origin above the plane of a light; corner and edges have shape (3,).
 
     Parameters
     ----------
     what
-        What messages call the light.
+        Name of the light in messages.
     corner
-        One corner, relative to the point that is lit.
+        One corner, relative to the lit point.
     edge0, edge1
-        Edges from it.
+        Edges from this corner.
 
     Raises
     ------
     ParameterError
-        The light has no area, is too small for its distance, or lies in a plane with the point:
-        lower than 1e-6 of the largest distance to it.
+        If the light has no area, is too small for its distance, or lies in a plane with the point:
+        the height is below 1e-6 of the largest distance to the light.
     """
     corner, edge0, edge1 = map(_vectors, (corner, edge0, edge1))
     lengths = norm(np.stack([edge0, edge1]))
@@ -68,8 +70,8 @@ def check_light(what: str, corner: Array, edge0: Array, edge1: Array) -> float:
     reach = float(norm(corner + np.stack([0 * edge0, edge0, edge1, edge0 + edge1])).max())
     if lengths.min() < _FLAT * reach:
         raise ParameterError(
-            f"The {what} has an edge of {lengths.min():.3g} at a distance of {reach:.3g}; nothing "
-            f"is left of it in float64 below {_FLAT:g} of the distance."
+            f"The {what} has an edge of {lengths.min():.3g} at a distance of {reach:.3g}, too "
+            f"small for float64; edges must be at least {_FLAT:g} of the distance."
         )
     height = abs(float(corner @ (normal / norm(normal))))
     if height < _GRAZING * reach:
@@ -81,12 +83,12 @@ def check_light(what: str, corner: Array, edge0: Array, edge1: Array) -> float:
 
 
 def triangle_angle(volume: Array, a: Array, b: Array, c: Array) -> Array:
-    """Solid angle at the origin of triangles with corners (..., 3), in steradians.
+    """Return the solid angle at the origin of triangles with corners (..., 3), in steradians.
 
     Parameters
     ----------
     volume
-        |a · (b × c)|, which callers know without the cancellation of that formula.
+        |a · (b × c)|, which callers can compute without the cancellation of that formula.
     a, b, c
         Corners.
 

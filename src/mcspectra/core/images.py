@@ -6,9 +6,9 @@ Pixel (row i, column j) of an image of h rows and w columns covers the points x 
 ``j/w <= x[..., 0] < (j+1)/w`` and ``i/h <= x[..., 1] < (i+1)/h``: x[..., 0] runs to the right along
 the width, x[..., 1] runs *down* from the top row, like film coordinates.
 
-Radiometry needs linear values. PNG and JPEG files hold values encoded by the sRGB transfer
-function (IEC 61966-2-1), which is undone unless ``linear=True`` says that a file holds data of
-another kind. EXR and NumPy files are linear already and are never changed.
+Radiometry needs linear values. PNG and JPEG files hold values encoded by the sRGB transfer function
+(IEC 61966-2-1). `read_image` undoes it unless ``linear=True``, for files that hold other data. EXR
+and NumPy files are linear already and are never changed.
 """
 
 from __future__ import annotations
@@ -51,20 +51,20 @@ __all__ = [
 ]
 
 ENCODED_EXTENSIONS = (".png", ".jpg", ".jpeg")
-"""Ends of names of pictures in sRGB, 8 bits a channel."""
+"""Extensions of sRGB pictures with 8 bits per channel."""
 
 LINEAR_EXTENSIONS = (".exr", ".pfm", ".npy", ".npz")
-"""Ends of names of images with values as they are."""
+"""Extensions of image files whose values are used unchanged."""
 
 IMAGE_EXTENSIONS = (*ENCODED_EXTENSIONS, *LINEAR_EXTENSIONS)
-"""Ends of names that `read_image` knows."""
+"""Extensions that `read_image` can read."""
 
 REC709 = np.array([0.2126, 0.7152, 0.0722])
 """Weights of red, green and blue in the luminance (ITU-R BT.709)."""
 _EXR_LINE = re.compile(rb"\(EXR_ERR_\w+\) |^Warning: Exception raised reading pixel data")
 _PRINTING = threading.Lock()
 _MOST_RINGS = 64
-_ENTRIES = 2**20  # of a picture that are looked up at a time
+_ENTRIES = 2**20  # pixels that are converted at a time
 
 
 def read_image(
@@ -79,33 +79,35 @@ def read_image(
     Parameters
     ----------
     path
-        A file with one of the names `IMAGE_EXTENSIONS`.
+        A file with one of the extensions `IMAGE_EXTENSIONS`.
 
-        * PNG, JPEG: gray gives 1 channel, color 3; alpha is dropped, not multiplied in. Values run
-          from 0 to 1. Pillow reads color PNG of 16 bits with 8 (gray keeps its 16).
-        * EXR: the R, G, B of the first layer that has them (the nameless layer first), else the
+        * PNG, JPEG: gray gives 1 channel, color 3. Alpha is dropped, not multiplied in. Values run
+          from 0 to 1. Pillow reads 16-bit color PNG with 8 bits (gray keeps its 16).
+        * EXR: the R, G, B of the first layer that has them (the unnamed layer first), else the
           first Y, in the data window.
-        * PFM: 1 or 3 channels, as they are.
-        * ``.npy``, ``.npz``: shape (height, width) or (height, width, channels), values as they
-          are; in ``.npz`` the array called ``image``, or the only one.
+        * PFM: 1 or 3 channels, unchanged.
+        * ``.npy``, ``.npz``: shape (height, width) or (height, width, channels), values unchanged.
+          In ``.npz`` the array called ``image``, or the only one.
     linear
-        Take the values of PNG and JPEG as they are, without undoing the sRGB transfer function.
+        Whether to use the values of PNG and JPEG unchanged, without undoing the sRGB transfer
+        function.
     layer
-        Of an EXR file: take the R, G, B, the Y, or the only channel of this layer.
+        Layer of an EXR file to read: its R, G, B, its Y, or its only channel.
     finite
-        Refuse pixels that are NaN or infinite.
+        Whether to reject pixels that are NaN or infinite.
 
     Raises
     ------
     FileFormatError
-        No such file, a folder, an unknown name, broken or truncated, no pixels or layer, pixels that are
-        NaN or infinite, or more of them than `mcspectra.core.decoding` lets a file of its size have.
+        If the file does not exist, is a folder, has an unknown extension, is broken or truncated,
+        or has no pixels or layer. If pixels are NaN or infinite, or need more memory than
+        `mcspectra.core.decoding` allows for a file of this size.
     MissingDependency
-        It is an EXR file, and OpenEXR is not installed.
+        If the file is an EXR file, and OpenEXR is not installed.
 
     Notes
     -----
-    The image file is opened with parsers for these formats only, and NumPy files without pickle.
+    Only parsers for these formats open the file; NumPy files are read without pickle.
     """
     with opened(path, "an image", IMAGE_EXTENSIONS) as (stream, size, file, extension):
         match extension:
@@ -124,7 +126,7 @@ def read_image(
     if pixels.ndim not in (2, 3) or pixels.size == 0:
         raise FileFormatError(
             f"{file} holds an array of shape {pixels.shape}; it must be (height, width) or "
-            "(height, width, channels), none of them 0."
+            "(height, width, channels), with no dimension of size 0."
         )
     image = np.asarray(pixels if pixels.ndim == 3 else pixels[..., None], np.float64)
     bad = image.size - int(np.count_nonzero(np.isfinite(image))) if finite else 0
@@ -136,14 +138,14 @@ def read_image(
 
 
 def check_picture_size(path: str | PathLike[str]) -> None:
-    """Refuse a PNG, JPEG or EXR file whose pixels take too much memory, for a reader of another library.
+    """Reject a PNG, JPEG or EXR file whose pixels would take too much memory in another library.
 
-    Of other files, and of those whose header cannot be read, there is nothing to say.
+    Other files, and those whose header cannot be read, are accepted.
 
     Raises
     ------
     FileFormatError
-        Same as in `mcspectra.core.decoding.check_decoded_size`.
+        If `mcspectra.core.decoding.check_decoded_size` rejects the size.
     """
     decoded = 0
     try:
@@ -163,12 +165,13 @@ def check_picture_size(path: str | PathLike[str]) -> None:
 def luminance(image: Array) -> Array:
     """Return the Rec. 709 luminance (height, width) of an image (height, width, 1 or 3).
 
-    Y = 0.2126 R + 0.7152 G + 0.0722 B of linear values (ITU-R BT.709); one channel is itself.
+    Y = 0.2126 R + 0.7152 G + 0.0722 B of linear values (ITU-R BT.709); a single channel is returned
+    unchanged.
 
     Raises
     ------
     ParameterError
-        The image has another number of channels.
+        If the image has another number of channels.
     """
     image = as_real_array("image", image)
     if image.ndim != 3 or image.shape[2] not in (1, 3):
@@ -180,28 +183,28 @@ def luminance(image: Array) -> Array:
 
 
 def _pillow_head(stream: IO[bytes]) -> PillowImage:
-    """The picture of a PNG or JPEG stream, of which the header alone has been read."""
+    """Open a PNG or JPEG stream with Pillow; only the header is read."""
     from PIL.JpegImagePlugin import JpegImageFile
     from PIL.PngImagePlugin import PngImageFile
 
-    # Not by Image.open, which warns of sizes that are read, or refuses them in other words
+    # Image.open is not used: it warns about large sizes, or rejects them with other messages
     is_png = stream.read(1) == b"\x89"
     stream.seek(0)
     return (PngImageFile if is_png else JpegImageFile)(stream)
 
 
 def _read_pillow(stream: IO[bytes], size: int, name: str, linear: bool) -> Array:
-    """Values in [0,1] of PNG and JPEG, (height, width, 1 or 3)."""
+    """Return values in [0,1] of PNG and JPEG, (height, width, 1 or 3)."""
     image = _pillow_head(stream)
     mode, (width, height) = image.mode, image.size
-    # Pillow's picture, a converted one, a channel and its bytes, and the channels as float64
+    # Memory: Pillow's picture, a converted copy, a channel and its bytes, the float64 channels
     channels = 3 if mode == "P" else len(image.getbands())
     check_decoded_size(name, size, width * height * (8 + 8 * channels))
     if mode not in ("L", "LA", "RGB", "RGBA") and not mode.startswith("I"):
-        # Palettes by way of RGBA, as they may hold alpha that RGB alone complains about
+        # Convert palettes to RGBA, because Pillow warns about their alpha if they become RGB
         image = image.convert({"1": "L", "P": "RGBA"}.get(mode, "RGB"))
 
-    # Look values up in a table of those that 8 bits, or the 16 of gray, can hold
+    # Convert values by a table of all 8-bit (or, for gray, 16-bit) values
     most = 65535 if mode.startswith("I") else 255
     levels = np.arange(most + 1) / most
     if not linear:  # undo the sRGB transfer function (IEC 61966-2-1)
@@ -217,7 +220,7 @@ def _read_pillow(stream: IO[bytes], size: int, name: str, linear: bool) -> Array
 
 
 def _read_pfm(stream: IO[bytes], size: int, name: str) -> Array:
-    """Values of a portable float map (height, width, 1 or 3), whose rows run from the bottom up."""
+    """Return values (height, width, 1 or 3) of a portable float map, stored bottom row first."""
     kind, width, height, scale = b" ".join(stream.readline(99) for _ in range(3)).split()
     shape = int(height), int(width), {b"Pf": 1, b"PF": 3}[kind]
     count = math.prod(shape)
@@ -234,18 +237,18 @@ def load_openexr() -> Any:
     Raises
     ------
     MissingDependency
-        It is not installed.
+        If OpenEXR is not installed.
     """
     return optional_package("OpenEXR", "frames", "EXR files need")
 
 
 def exr_attributes(path: str | PathLike[str]) -> dict[str, object]:
-    """Return what an EXR file's headers say, by name; the first part's word counts.
+    """Return the header attributes of an EXR file by name; the first part has priority.
 
     Raises
     ------
     FileFormatError
-        No such file, or broken.
+        If the file does not exist or is broken.
     """
     with opened(path, "an image", (".exr",)) as (_, _, file, _):
         parts = _exr_file(file, header_only=True).parts
@@ -253,12 +256,12 @@ def exr_attributes(path: str | PathLike[str]) -> dict[str, object]:
 
 
 def exr_layer(path: str | PathLike[str]) -> str:
-    """Return the layer of an EXR file that `read_image` takes by default; the nameless one is empty.
+    """Return the layer of an EXR file that `read_image` takes by default; unnamed is empty.
 
     Raises
     ------
     FileFormatError
-        No such file, or broken, or without a picture.
+        If the file does not exist, is broken or has no picture.
     """
     with opened(path, "an image", (".exr",)) as (_, _, file, _):
         parts = _exr_file(file, header_only=True).parts
@@ -267,10 +270,10 @@ def exr_layer(path: str | PathLike[str]) -> str:
 
 
 def _exr_file(name: str, *, header_only: bool) -> Any:
-    """Open an EXR file, without the lines that OpenEXR prints of a broken one.
+    """Open an EXR file and suppress the lines that OpenEXR prints for a broken one.
 
-    They go to standard output, where results are, some through Python, and hold the file's name as it is.
-    Lines that other threads print meanwhile are printed afterwards.
+    OpenEXR prints them to standard output, where results go, partly through Python, and with the
+    raw name of the file. Lines that other threads print during this time are printed afterwards.
     """
     OpenEXR = load_openexr()
 
@@ -283,7 +286,7 @@ def _exr_file(name: str, *, header_only: bool) -> Any:
         for descriptor in (1, 2):
             try:
                 saved = os.dup(descriptor)
-            except OSError:  # closed: nothing is printed
+            except OSError:  # standard output is closed: nothing is printed
                 continue
             held = stack.enter_context(tempfile.TemporaryFile())
             os.dup2(held.fileno(), descriptor)
@@ -300,8 +303,8 @@ def _exr_file(name: str, *, header_only: bool) -> Any:
 
 
 def _put_back(descriptor: int, saved: int, held: IO[bytes], name: str) -> None:
-    """Restore a file descriptor, and print the lines that were held back and are not OpenEXR's."""
-    ctypes.CDLL(None).fflush(None)  # buffers of C, which OpenEXR's lines are in
+    """Restore a file descriptor, and print the held lines that are not from OpenEXR."""
+    ctypes.CDLL(None).fflush(None)  # flush the buffers of C, which hold OpenEXR's lines
     os.dup2(saved, descriptor)
     held.seek(0)
     lines = held.read().replace(os.fsencode(name), b"").splitlines(keepends=True)
@@ -310,7 +313,7 @@ def _put_back(descriptor: int, saved: int, held: IO[bytes], name: str) -> None:
 
 
 def _exr_head(name: str) -> tuple[set[str], int, int]:
-    """Channels, bytes of their values and pixels of the largest part, by the header."""
+    """Return channels, bytes of their values and pixels of the largest part, from the header."""
     OpenEXR = load_openexr()
     head = _exr_file(name, header_only=True)
     listed: set[str] = set()
@@ -323,7 +326,7 @@ def _exr_head(name: str) -> tuple[set[str], int, int]:
         tiles = part.header.get("tiles")
         tile = tiles.xSize * tiles.ySize if tiles else 0
         listed |= {channel.name for channel in part.header["channels"]}
-        stored += 4 * len(part.header["channels"]) * (pixels + tile)  # values of 2 or 4 bytes
+        stored += 4 * len(part.header["channels"]) * (pixels + tile)  # a value has 2 or 4 bytes
         largest = max(largest, pixels)
     return listed, stored, largest
 
@@ -331,7 +334,8 @@ def _exr_head(name: str) -> tuple[set[str], int, int]:
 def _read_exr(name: str, size: int, layer: str | None) -> Array:
     listed, stored, largest = _exr_head(name)
     names = _picture_channels(name, listed, layer)
-    check_decoded_size(name, size, stored + 9 * len(names) * largest)  # float64, and a mask
+    # memory: float64 values and a mask
+    check_decoded_size(name, size, stored + 9 * len(names) * largest)
     parts = _exr_file(name, header_only=False).parts
     planes = {name: c.pixels for part in reversed(parts) for name, c in part.channels.items()}
     if any(planes.get(name) is None for name in names):
@@ -340,18 +344,19 @@ def _read_exr(name: str, size: int, layer: str | None) -> Array:
 
 
 def _picture_channels(name: str, listed: set[str], layer: str | None) -> list[str]:
-    """R, G, B, else Y, of the first layer that has them; the nameless layer comes first."""
+    """Return R, G, B, else Y, of the first layer that has them; the unnamed layer comes first."""
     layers = sorted({channel.rpartition(".")[0] for channel in listed})
     if layer is not None and layer not in (*layers, *listed):
         raise FileFormatError(
-            f"{name} has no layer {shown(layer)}, but {', '.join(map(repr, (*layers, *sorted(listed))))}."
+            f"{name} has no layer {shown(layer)}, but "
+            f"{', '.join(map(repr, (*layers, *sorted(listed))))}."
         )
     offers = [
         [f"{each}.{c}" if each else c for c in cs]
         for cs in ("RGB", "Y")
         for each in (layers if layer is None else [layer])
     ]
-    if layer is not None:  # a channel of that name, else the only one of the layer
+    if layer is not None:  # a channel with this name, else the only channel of the layer
         own = [c for c in listed if c.rpartition(".")[0] == layer]
         offers += [[layer], own[:1] if len(own) == 1 else [""]]
     names = next((offer for offer in offers if listed.issuperset(offer)), None)
@@ -365,14 +370,14 @@ def _picture_channels(name: str, listed: set[str], layer: str | None) -> list[st
 
 @final
 class Rings:
-    """Rings of radial frequency, of equal width up to half a cycle a pixel, of what `numpy.fft.rfft2` returns.
+    """Rings of radial frequency for `numpy.fft.rfft2`, of equal width up to 1/2 cycle per pixel.
 
     Attributes
     ----------
     radius
-        Their middles, in cycles a pixel.
+        Central radius of each ring, in cycles per pixel.
     sizes
-        Frequencies of each, NaN where there are none.
+        Number of frequencies in each ring; NaN if there are no frequencies.
     """
 
     def __init__(self, height: int, width: int) -> None:
@@ -380,7 +385,7 @@ class Rings:
         across = np.fft.rfftfreq(width)
         distance = np.hypot(np.fft.fftfreq(height)[:, None], across)
         self._ring = np.minimum((distance * 2 * count).astype(int), count).ravel()
-        # Columns that stand for their mirror images, too
+        # These columns also represent their mirror images
         both = np.where((across > 0) & (across < 0.5), 2.0, 1.0)
         self._weight = np.broadcast_to(both, distance.shape)
         sizes = np.bincount(self._ring, self._weight.ravel(), count + 1)
@@ -388,6 +393,6 @@ class Rings:
         self.radius = (np.arange(count) + 0.5) / (2 * count)
 
     def mean(self, power: Array) -> Array:
-        """Mean over each ring."""
+        """Return the mean over each ring."""
         sums = np.bincount(self._ring, (power * self._weight).ravel(), self.sizes.size + 1)
         return np.asarray(sums[:-1] / self.sizes)

@@ -1,8 +1,8 @@
-"""One numba decorator for every kernel, so that its flags are chosen once.
+"""The numba decorator of all kernels, with one choice of compiler flags.
 
-`nogil` lets a thread pool run kernels side by side; `cache` keeps compiled code between runs. No
-`parallel=True` and no cached `guvectorize`: both have open races under worker processes
-(numba issues 4807 and 10128).
+`nogil` lets a thread pool run kernels in parallel; `cache` keeps compiled code between runs.
+Kernels use neither `parallel=True` nor cached `guvectorize`: both have open race conditions under
+worker processes (numba issues 4807 and 10128).
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def kernel(function: Function) -> Function:
-    """Compile `function` with numba: no GIL, cached unless ``MCSPECTRA_NUMBA_CACHE=0``."""
+    """Compile `function` with numba without the GIL; cached unless ``MCSPECTRA_NUMBA_CACHE=0``."""
     cache = os.environ.get("MCSPECTRA_NUMBA_CACHE", "1") != "0"
     compiled: Any = numba.njit(nogil=True, cache=cache)(function)
     return compiled  # type: ignore[no-any-return]

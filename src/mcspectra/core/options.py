@@ -1,8 +1,8 @@
-"""Options of analyses: declared once, as annotations of a struct, and read, checked and described here.
+"""Options of analyses: declared once as annotations of a struct; this module reads and checks them.
 
-The meaning, the limits and the default of an option stand in the annotation of its field
-(`msgspec.Meta`). Python's functions, study files, the command line, the explorer and the docs all
-derive their doors from it: each hands a value to `Option.check` or a text to `Option.read`.
+The annotation of a field (`msgspec.Meta`) holds the meaning and the limits of its option, and the
+field its default. Python's functions, study files, the command line, the explorer and the docs
+derive their interfaces from it. Each passes a value to `Option.check` or a text to `Option.read`.
 """
 
 from __future__ import annotations
@@ -47,9 +47,10 @@ __all__ = [
     "whole_number",
 ]
 
-_NO_LIMIT = 2**31  # a larger limit only keeps numbers within 64 bits: no news to a reader
+# Larger limits only keep numbers within 64 bits, and messages leave them out
+_NO_LIMIT = 2**31
 _LISTS = (inspect.VarTupleType, inspect.TupleType)
-_SORTS: Mapping[type, Any] = {  # what values of a type are, whatever its limits
+_SORTS: Mapping[type, Any] = {  # Python types that fit a type, whatever its limits
     **dict.fromkeys((inspect.IntType, inspect.FloatType), (int, float, np.number)),
     **dict.fromkeys((inspect.StrType, inspect.LiteralType), str),
     **dict.fromkeys(_LISTS, (Sequence, np.ndarray)),
@@ -68,8 +69,8 @@ Evaluations = Annotated[
     ),
 ]
 
-# Options that several analyses have. `flag` and `metavar` in `extra` are of the command line;
-# `python`: in Python also what no text can say, such as an array, which the analysis checks itself.
+# Options that several analyses share. `flag` and `metavar` in `extra` are for the command line.
+# `python` marks options that also accept Python objects such as arrays; the analysis checks these.
 COUNT = Meta(
     ge=1, le=2**62, description="Points of each technique.", extra={"flag": "-n", "metavar": "N"}
 )
@@ -100,14 +101,16 @@ BASIS = Meta(
     extra={"choices": ("fourier", "cosine", "walsh", "haar", "auto")},
 )
 SPACE = Meta(
-    description="domain, or primary: the unit cube of the points; by default the domain, if there is one."
+    description="domain, or primary: the unit cube of the points; by default the domain, if there "
+    "is one."
 )
 BANDS = Meta(
     description="radial, dyadic, anova or wedge.",
     extra={"choices": ("radial", "dyadic", "anova", "wedge"), "python": True},
 )
 FIT_LAST = Meta(
-    description='Number of the last counts that the rate is fitted to; all by default; "auto": as many '
+    description='Number of the last counts that the rate is fitted to; all by default; "auto": as '
+    "many "
     "as lie on a line.",
     extra={"metavar": "K"},
 )
@@ -121,21 +124,21 @@ EPS = Meta(ge=1e-14, le=0.1, description="Relative accuracy of the transforms.")
 @final
 @dataclass(frozen=True)
 class Option:
-    """One option of a struct.
+    """An option of a struct.
 
     Attributes
     ----------
     name
-        As in Python and in study files.
+        Name in Python and in study files.
     kind
-        Its type with its limits, in msgspec's words.
+        Type with its limits, as an object of `msgspec.inspect`.
     default
-        `msgspec.NODEFAULT` if it must be given.
+        Default value; `msgspec.NODEFAULT` if the option is required.
     meaning
-        One sentence.
+        Description of one sentence.
     extra
-        Further entries of the annotation: ``flag``, ``metavar``, ``choices``, ``unit``, and ``help``, the
-        meaning of a flag that is not named as the option.
+        Further entries of the annotation: ``flag``, ``metavar``, ``choices``, ``unit``, and
+        ``help``, the description of a flag whose name differs from the option.
     """
 
     name: str
@@ -146,7 +149,7 @@ class Option:
 
     @property
     def required(self) -> bool:
-        """Whether it has no default."""
+        """Whether the option has no default."""
         return self.default is msgspec.NODEFAULT
 
     @property
@@ -156,28 +159,28 @@ class Option:
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """The texts that it can be; empty where any, or none, can."""
+        """Allowed texts; empty if any text is allowed, or none."""
         return _words(_kinds(self.kind)) or tuple(self.extra.get("choices", ()))
 
     @property
     def item_choices(self) -> tuple[str, ...]:
-        """The texts that each of a list can be; empty where any can, or it is no list."""
+        """Allowed texts of list items; empty if any text is allowed, or it is not a list."""
         return _words(self._items)
 
     @property
     def is_flag(self) -> bool:
-        """Whether it is true or false."""
+        """Whether the option is true or false."""
         return any(isinstance(kind, inspect.BoolType) for kind in _kinds(self.kind))
 
     @property
     def lists_texts(self) -> bool:
-        """Whether it is a list of texts, which may hold commas."""
+        """Whether the option is a list of texts, which may contain commas."""
         texts = inspect.StrType | inspect.LiteralType
         return any(isinstance(kind, texts) for kind in self._items)
 
     @property
     def _items(self) -> list[inspect.Type]:
-        """The plain types of the items, where it may be a list."""
+        """The plain types of the items, if the option may be a list."""
         lists = [each for each in _kinds(self.kind) if isinstance(each, _LISTS)]
         return [item for each in lists for item in _kinds(_item(each))]
 
@@ -189,15 +192,15 @@ class Option:
         value
             The value to check.
         label
-            Beginning of the sentence of an error; the option's name by default.
+            Subject of the error message; by default the name of the option.
         from_file
-            Whether the value is one of a file: it cannot be an array, and errors give the places of
-            items in lists, from 0.
+            Whether the value comes from a file. It cannot be an array then, and messages give the
+            index of list items, from 0.
 
         Raises
         ------
         ParameterError
-            The type is wrong or a limit is broken.
+            If the type is wrong or a limit is exceeded.
         """
         label = label or self.name
         if self.extra.get("python") and not (from_file or isinstance(value, str)):
@@ -215,12 +218,12 @@ class Option:
         return clean
 
     def read(self, text: str, label: str | None = None) -> Any:
-        """Return the clean value that a text of the command line, or of a form, stands for.
+        """Return the clean value of a text from the command line or a form.
 
         Raises
         ------
         ParameterError
-            As of `check`.
+            If `check` rejects the value.
         """
         return self.check(_read(self.kind, text), label or self.flag)
 
@@ -234,19 +237,19 @@ def options_of(struct: Any) -> tuple[Option, ...]:
     for field in kind.fields:
         about, extra = _annotation(field.type)
         given = field.default
-        if field.default_factory is not msgspec.NODEFAULT:  # such as of []
+        if field.default_factory is not msgspec.NODEFAULT:  # for example a new list
             given = field.default_factory()
         found.append(Option(field.name, field.type, given, about, extra))
     return tuple(found)
 
 
 def checked(struct: Any) -> Any:
-    """Return a struct whose options are clean: the one guard of Python's public functions.
+    """Return a struct with checked options: the only check of the public functions of Python.
 
     Raises
     ------
     ParameterError
-        An option has the wrong type or breaks its limits.
+        If an option has the wrong type or exceeds its limits.
     """
     options = options_of(type(struct))  # type: ignore[arg-type]
     clean = {each.name: each.check(getattr(struct, each.name)) for each in options}
@@ -254,9 +257,9 @@ def checked(struct: Any) -> Any:
 
 
 def whole_number(text: str) -> int | float | str:
-    """Return the number that a text is, such as 64 or 1e3, or the text if it is no finite number.
+    """Return the number in a text, such as 64 or 1e3; the text itself if it is not finite.
 
-    Whether the number is whole is for `as_integer` to say, which takes 1000.0 and refuses 1.5.
+    `as_integer` later checks whether the number is whole: it accepts 1000.0 and rejects 1.5.
     """
     for kind in (int, float):
         with suppress(ValueError):
@@ -266,7 +269,7 @@ def whole_number(text: str) -> int | float | str:
 
 
 def _annotation(kind: inspect.Type) -> tuple[str, dict[str, Any]]:
-    """Meaning and extra of the outermost annotation."""
+    """Return the description and `extra` of the outermost annotation."""
     if not isinstance(kind, inspect.Metadata):
         return "", {}
     own = dict(kind.extra or {})
@@ -276,7 +279,7 @@ def _annotation(kind: inspect.Type) -> tuple[str, dict[str, Any]]:
 
 
 def _kinds(kind: inspect.Type) -> list[inspect.Type]:
-    """The plain types that a type may be."""
+    """Return the plain types of a union or an annotated type."""
     if isinstance(kind, inspect.Metadata):
         return _kinds(kind.type)
     if isinstance(kind, inspect.UnionType):
@@ -290,7 +293,7 @@ def _words(kinds: list[inspect.Type]) -> tuple[str, ...]:
 
 
 def _item(kind: inspect.VarTupleType | inspect.TupleType) -> inspect.Type:
-    """The type of the items of a list."""
+    """Return the type of the items of a list."""
     return kind.item_type if isinstance(kind, inspect.VarTupleType) else kind.item_types[0]
 
 
@@ -311,9 +314,9 @@ def _clean(label: str, kind: inspect.Type, value: Any, from_file: bool) -> Any:
                 Parameter(label), f" is {shown(value)}; give {wanted}, or {offer}."
             )
 
-    # Of several types, take the one that is of the value's sort, whatever its limits
+    # If there are several types, choose the one that fits the value's type, whatever its limits
     fits = [each for each in kinds if isinstance(value, _SORTS.get(type(each), ()))]
-    if isinstance(value, str):  # a sequence, but no list
+    if isinstance(value, str):  # a string is a sequence, but not a list
         fits = [each for each in fits if not isinstance(each, _LISTS)]
     fitting = (fits or kinds)[0]
     match fitting:
@@ -335,14 +338,14 @@ def _clean(label: str, kind: inspect.Type, value: Any, from_file: bool) -> Any:
                 raise ParameterError(Parameter(label), f" is {shown(value)}; give a text.")
             if most is not None and len(value) > most:
                 raise ParameterError(
-                    Parameter(label), f" has {len(value)} characters; {most} are the most."
+                    Parameter(label), f" has {len(value)} characters; {most} are allowed."
                 )
             return value
         case inspect.VarTupleType() | inspect.TupleType():
             several = isinstance(value, Sequence) or (isinstance(value, np.ndarray) and value.ndim)
             if not several or isinstance(value, str | bytes):
                 raise ParameterError(Parameter(label), f" is {shown(value)}; give one flat list.")
-            # The length first: a range may have any
+            # Check the length first, because a range may have any length
             size = len(value)
             if isinstance(fitting, inspect.TupleType) and size != len(fitting.item_types):
                 raise ParameterError(
@@ -352,7 +355,7 @@ def _clean(label: str, kind: inspect.Type, value: Any, from_file: bool) -> Any:
             longest = getattr(fitting, "max_length", None) or _NO_LIMIT
             if size > longest:
                 raise ParameterError(
-                    Parameter(label), f" has {counted(size, 'value')}; {longest} are the most."
+                    Parameter(label), f" has {counted(size, 'value')}; {longest} are allowed."
                 )
             if any(np.ndim(each) > 0 for each in value if not isinstance(each, str)):
                 raise ParameterError(Parameter(label), f" is {shown(value)}; give one flat list.")
@@ -366,7 +369,7 @@ def _clean(label: str, kind: inspect.Type, value: Any, from_file: bool) -> Any:
 
 
 def _read(kind: inspect.Type, text: str) -> Any:
-    """What a text says in the most special type that can read it, else the text itself."""
+    """Convert a text to the most specific type that can read it, or return the text itself."""
     for each in _kinds(kind):
         if isinstance(each, _LISTS):
             return tuple(_read(_item(each), part.strip()) for part in text.split(","))

@@ -1,9 +1,9 @@
 """Linear algebra whose sums have a fixed order.
 
-BLAS cuts large sums into as many parts as it has threads, which would be seen in the last digits of
-results. Products here are `numpy.einsum`, which without `optimize` calls no BLAS (a quarter of its
-speed, and far below what points and transforms take), and factorizations are reflections: see
-docs/decisions/0015, which compares NumPy's.
+BLAS splits large sums by the number of its threads, which changes the last digits of results.
+Products here use `numpy.einsum` without `optimize`, which never calls BLAS. It runs at a quarter of
+the speed of BLAS, but takes far less time than points and transforms. Factorizations use
+Householder reflections; docs/decisions/0015 compares them with NumPy's.
 """
 
 from __future__ import annotations
@@ -18,18 +18,18 @@ __all__ = ["eigenpairs", "gram", "orthonormal", "product", "weighted_sum"]
 
 
 def product(a: Array, b: Array) -> Array:
-    """a b of matrices (I, J) and (J, K)."""
+    """Return the product a b of matrices (I, J) and (J, K)."""
     return np.asarray(np.einsum("ij,jk->ik", a, b))
 
 
 def weighted_sum(weights: Array, values: Array) -> Array:
-    """Σ w v over all axes of the weights, which are the first of the values."""
+    """Return Σ w v over all axes of the weights, which are the first axes of the values."""
     flat = values.reshape(weights.size, *values.shape[weights.ndim :])
     return np.asarray(np.einsum("i,i...->...", weights.ravel(), flat))
 
 
 def gram(x: Array) -> Array:
-    """Σ_r x_rm conj(x_rl) and beside it Σ_r x_rm x_rl, (H, 2H), of x (R, H)."""
+    """Return Σ_r x_rm conj(x_rl) and Σ_r x_rm x_rl next to each other, (H, 2H), for x (R, H)."""
     rows = np.ascontiguousarray(x.T)
     if not np.iscomplexobj(x):
         return np.tile(np.einsum("mr,lr->ml", rows, rows), 2)
@@ -45,7 +45,7 @@ def gram(x: Array) -> Array:
 
 
 def orthonormal(a: Array) -> Array:
-    """Orthonormal columns whose first k span those of a (D, K), for all k: the Q of a = Q R."""
+    """Return orthonormal columns whose first k span those of a (D, K), for all k: Q of a = Q R."""
     columns: Array = a.T.copy()
     reflectors: list[Array] = []
     for j, x in enumerate(columns):
@@ -60,10 +60,10 @@ def orthonormal(a: Array) -> Array:
 
 
 def eigenpairs(a: Array) -> tuple[Array, Array]:
-    """Eigenvalues (K,), descending, and eigenvectors (K, K) of the symmetric part of a (K, K)."""
+    """Return descending eigenvalues (K,) and eigenvectors (K, K) of the symmetric part of a."""
     from scipy.linalg import eigh_tridiagonal
 
-    # Reflect from both sides until three diagonals are left, whose eigenpairs LAPACK finds without BLAS
+    # Reflect from both sides until a is tridiagonal; LAPACK finds its eigenpairs without BLAS
     a, reflectors = 0.5 * (a + a.T), []
     for j in range(len(a) - 2):
         v = _reflector(a[j + 1 :, j])
@@ -77,12 +77,15 @@ def eigenpairs(a: Array) -> tuple[Array, Array]:
 
 
 def _reflector(x: Array) -> Array:
-    """v such that x − v vᵀ x is a multiple of the first unit vector; vᵀ v is 2, or 0 for x = 0."""
+    """Return v such that x − v vᵀ x is a multiple of the first unit vector.
+
+    vᵀ v is 2, or 0 for x = 0.
+    """
     v = x / (np.abs(x).max() or 1.0)
     v[0] += math.copysign(math.sqrt((v**2).sum()), v[0])
     return np.asarray(v * math.sqrt(2.0 / ((v**2).sum() or 1.0)))
 
 
 def _reflect(v: Array, a: Array) -> None:
-    """Subtract v vᵀ a in place from the last rows of a, as many as v has."""
+    """Subtract v vᵀ a in place from the last len(v) rows of a."""
     a[len(a) - len(v) :] -= np.multiply.outer(v, np.einsum("i,i...->...", v, a[len(a) - len(v) :]))

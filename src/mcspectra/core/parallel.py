@@ -1,7 +1,7 @@
-"""Work over realizations in blocks: a fixed partition, a thread pool, results in order.
+"""Work over realizations in blocks: a fixed partition, a thread pool, and results in order.
 
-The partition depends on the size of the problem alone, never on the number of workers, and block
-results come back in order, so that sums over them are the same bits for any number of workers.
+The partition depends only on the size of the problem, never on the number of workers. Block results
+come back in order, so that sums over them are the same bits for any number of workers.
 """
 
 from __future__ import annotations
@@ -33,14 +33,15 @@ Block = tuple[int, int]
 """First realization and number of realizations."""
 
 MAX_REALIZATIONS = 10**9
-"""Most realizations of one analysis."""
+"""Largest number of realizations of one analysis."""
 
-_BLOCK_NUMBERS = 2**21  # about 16 MiB of float64 a block: larger than any cache, far below memory
-_SLICE_NUMBERS = 2**19  # 4 MiB, one or two ms of work
+# about 16 MiB of float64 per block: larger than any cache, far below the memory of a machine
+_BLOCK_NUMBERS = 2**21
+_SLICE_NUMBERS = 2**19  # numbers in a slice: 4 MiB, one or two milliseconds of work
 
 
 def available_workers(workers: int | None = None) -> int:
-    """Return `workers`, by default the number of processors this process may use."""
+    """Return `workers`; by default the number of processors that this process may use."""
     if workers is not None:
         return as_integer("workers", workers, least=1, most=1024)
     affinity = getattr(os, "sched_getaffinity", None)
@@ -50,7 +51,7 @@ def available_workers(workers: int | None = None) -> int:
 @final
 @dataclass(frozen=True)
 class RealizationBlocks:
-    """Realizations `first` to `stop`, the latter not among them, in blocks of `size`."""
+    """Realizations from `first` up to `stop` (exclusive), in blocks of `size`."""
 
     first: int
     stop: int
@@ -70,9 +71,10 @@ class RealizationBlocks:
 def realization_blocks(
     realizations: int, numbers_each: int, *, multiple: int = 1, first: int = 0, least: int = 1
 ) -> RealizationBlocks:
-    """Split realizations into blocks of about `_BLOCK_NUMBERS` numbers, a multiple of `multiple`.
+    """Split realizations into blocks of about `_BLOCK_NUMBERS` numbers.
 
-    There are at least `least` blocks, if there are `multiple` realizations for each.
+    The size of a block is a multiple of `multiple`. There are at least `least` blocks if there are
+    enough realizations for `multiple` in each.
     """
     size = max(1, _BLOCK_NUMBERS // max(1, numbers_each) // multiple) * multiple
     size = min(size, max(1, realizations // least // multiple) * multiple)
@@ -80,12 +82,12 @@ def realization_blocks(
 
 
 def slices(block: Block, numbers_each: int) -> Iterator[Block]:
-    """Split a block into ones of about `_SLICE_NUMBERS` numbers.
+    """Split a block into slices of about `_SLICE_NUMBERS` numbers.
 
-    They bound memory and stay in a shared cache. Slices that fit a second-level cache are no faster
-    in one thread, and threads that take Python's lock between ufuncs wait for it, 0.1 ms each time as
-    an idle processor wakes: of two threads the efficiency was 0.39, 0.77, 0.87, 0.87 with slices of
-    2^16, 2^18, 2^19, 2^20 numbers, where two processes have 0.91 to 0.95 of two.
+    Slices limit memory and stay in a shared cache. Slices that fit a second-level cache are no
+    faster in one thread. Threads that take Python's lock between ufuncs wait for it, 0.1 ms each
+    time while an idle processor wakes. With two threads, the parallel efficiency was 0.39, 0.77,
+    0.87 and 0.87 for slices of 2^16, 2^18, 2^19 and 2^20 numbers. Two processes reach 0.91 to 0.95.
     """
     size = max(1, _SLICE_NUMBERS // max(1, numbers_each))
     start, stop = block[0], block[0] + block[1]
@@ -95,7 +97,7 @@ def slices(block: Block, numbers_each: int) -> Iterator[Block]:
 def map_in_order(
     function: Callable[[Item], Result], items: Iterable[Item], workers: int
 ) -> Iterator[Result]:
-    """Yield ``function(item)`` in order, computed by `workers` threads, few results ahead."""
+    """Yield ``function(item)`` in order, computed by `workers` threads a few results ahead."""
     if workers == 1:
         yield from map(function, items)
         return

@@ -1,22 +1,22 @@
 """Point-set files: UTK text and binary, npz, npy and csv, each a list of sets of points.
 
 ============  ====================================================================================
-``.dat``      UTK text: a point a line, coordinates between blanks; a line that begins
-              with ``#`` starts the next set (at the top of the file it is a comment)
-``.bin``      UTK binary: five 32-bit words (magic 0x214B5455 = "UTK!", type code, number
-              of sets, of points in a set, of dims), then all coordinates in order
+``.dat``      UTK text: one point per line, coordinates separated by blanks; a line that
+              begins with ``#`` starts the next set (at the top of the file it is a comment)
+``.bin``      UTK binary: five 32-bit words (magic 0x214B5455 = "UTK!", type code, numbers of
+              sets, of points per set and of dims), then all coordinates in order
 ``.npz``      array ``points`` of shape (n, d) or (R, n, d), text ``meta`` (JSON)
 ``.npy``      one array of shape (n, d) or (R, n, d)
-``.csv``      commas or semicolons, optional line of names; sets in a column ``set``, else
-              between blank lines
+``.csv``      commas or semicolons, optional header line; sets in a column ``set``, otherwise
+              separated by blank lines
 ============  ====================================================================================
 
-UTK is the Uni{corn|form} toolkit, https://github.com/utk-team/utk, whose
-``include/utk/utils/PointsetIO.hpp`` defines its formats: the type codes are 0 int32, 1 int64,
-2 uint32, 3 uint64, 4 float, 5 double, in the first byte of the second word; bytes are in the
-writer's order, which the magic word shows. Integers are read as fractions of their type's range.
+UTK is the Uni{corn|form} toolkit, https://github.com/utk-team/utk. Its file
+``include/utk/utils/PointsetIO.hpp`` defines the formats. The type code is the first byte of the
+second word: 0 int32, 1 int64, 2 uint32, 3 uint64, 4 float, 5 double. The magic word shows the byte
+order. Integers are read as fractions of their type's range.
 
-The sets of a file may differ in size; whether coordinates lie in [0,1) is for samplers to say.
+The sets of a file may differ in size. Samplers check whether coordinates lie in [0,1).
 """
 
 from __future__ import annotations
@@ -51,17 +51,19 @@ __all__ = [
 ]
 
 EXTENSIONS = (".dat", ".bin", ".npz", ".npy", ".csv")
-"""The file name extensions that `read_points` and `write_points` know."""
+"""Extensions of files that `read_points` and `write_points` support."""
 
-_SET_BYTES = 4096  # that count for a set besides its coordinates: many tiny ones take long, too
+# bytes that a set counts in addition to its coordinates, because many tiny sets also take long
+_SET_BYTES = 4096
 
 # UTK text and comma-separated values
-_LONGEST_LINE = 2**22  # bytes
+_LONGEST_LINE = 2**22  # largest number of bytes in a line
 _BLOCK = 2**20
 _COMPILED = (
     2**18
 )  # bytes; Python reads less in a fraction of the time that the kernel takes to compile
-_VALUE_BYTES = 24  # of a number in text: as it is read, in its set, and in the order of sets
+# bytes that a number in a text takes: as read, in its set, and in the order of sets
+_VALUE_BYTES = 24
 
 # UTK binary
 _MAGIC = 0x214B5455
@@ -70,14 +72,14 @@ _TYPES = ("i4", "i8", "u4", "u8", "f4", "f8")
 
 
 def read_points(path: str | PathLike[str]) -> list[Array]:
-    """Read the point sets of a file: float64 arrays of shape (n, d), one for each set.
+    """Read the point sets of a file as float64 arrays of shape (n, d), one for each set.
 
     Raises
     ------
     FileFormatError
-        The file is missing, empty, truncated, of an unknown or another format, takes too much
-        memory (see `mcspectra.core.decoding`), or holds something else than finite numbers; the
-        message names the line or the byte.
+        If the file is missing, empty, truncated, of an unknown format, takes too much memory (see
+        `mcspectra.core.decoding`), or holds anything but finite numbers. The message names the line
+        or the byte.
     """
     with opened(path, "a point set", EXTENSIONS) as (stream, size, name, extension):
         match extension:
@@ -112,23 +114,23 @@ def read_points(path: str | PathLike[str]) -> list[Array]:
 
 
 def matching_files(path: str | PathLike[str]) -> list[tuple[Path, int | None]]:
-    """Files that a path stands for, in the order of their names, numbers in these by value.
+    """Return the files that a path stands for, sorted by name; numbers in names sort by value.
 
     Parameters
     ----------
     path
-        A file; a folder, for all point-set files in it; or a pattern, in whose file name (or folders)
-        ``*`` and ``?`` stand for any characters and ``{n}`` for a whole number, everywhere the same.
+        A file; a folder, for all point-set files in it; or a pattern. In a pattern, ``*`` and ``?``
+        stand for any characters, and ``{n}`` for a whole number, the same in all places.
 
     Returns
     -------
     list
-        Each file with its number n, None where the pattern has none.
+        Each file with its number n; None if the pattern has no ``{n}``.
 
     Raises
     ------
     FileFormatError
-        The folder holds no such file, or none fits the pattern.
+        If the folder holds no point-set file, or no file matches the pattern.
     """
     text = str(path)
     pattern = any(mark in text for mark in ("*", "?", "{n}"))
@@ -142,13 +144,13 @@ def matching_files(path: str | PathLike[str]) -> list[tuple[Path, int | None]]:
         found: list[tuple[Path, int | None]] = [(f, n) for f, n in named if f.is_file()]
         said = f"The folder {file} holds no point set"
     else:
-        # Of what the shell's pattern finds, keep what has a number, the same, for each {n}
+        # From the matches of the shell pattern, keep those with one equal number for each {n}
         words = re.escape(text).replace(r"\{n\}", r"(?P<n>[0-9]+)", 1).replace(r"\{n\}", r"(?P=n)")
         exact = re.compile(words.replace(r"\*", "[^/]*").replace(r"\?", "[^/]"))
-        names = glob.glob(text.replace("[", "[[]").replace("{n}", "*"))  # noqa: PTH207 - of a whole path
+        names = glob.glob(text.replace("[", "[[]").replace("{n}", "*"))  # noqa: PTH207 - the pattern is a whole path
         fits = [(Path(name), exact.fullmatch(name)) for name in names]
         found = [(f, int(m["n"]) if "{n}" in text else None) for f, m in fits if m and f.is_file()]
-        said = f"No file fits {text!r}"
+        said = f"No file matches {text!r}"
     if not found:
         raise FileFormatError(f"{said}; give files {', '.join(EXTENSIONS)}.")
     runs = re.compile(r"([0-9]+)")
@@ -165,17 +167,17 @@ def write_points(
     Parameters
     ----------
     path
-        File to write; an existing one is replaced.
+        File to write; an existing file is replaced.
     sets
         One array (n, d) for each set; ``.bin``, ``.npz`` and ``.npy`` need sets of equal shape.
     meta
-        Description of the points, as JSON: kept by ``.npz`` and, as a comment, by ``.dat``; the
-        other formats have no place for it.
+        Description of the points, as JSON. ``.npz`` stores it, ``.dat`` stores it as a comment, and
+        the other formats ignore it.
 
     Raises
     ------
     FileFormatError
-        Unknown extension, sets that do not fit the format, or a file that cannot be written.
+        If the extension is unknown, the sets do not fit the format, or the file cannot be written.
     """
     file = known_path(path, "a point set", EXTENSIONS)
     content = _content(file.suffix.lower(), sets, meta, str(file))
@@ -184,29 +186,29 @@ def write_points(
 
 
 def parse_dat(text: str, name: str) -> list[Array]:
-    """Read UTK text, as `read_points` does; `name` is what messages call its source."""
+    """Read UTK text like `read_points`; `name` is the name of its source in messages."""
     if not isinstance(text, str):
         raise FileFormatError(f"{name} is {type(text).__name__}, not text; give lines of numbers.")
-    data = text.encode(errors="surrogatepass")  # refused where it is decoded
+    data = text.encode(errors="surrogatepass")  # the decoder rejects surrogates
     return _read_dat(io.BytesIO(data), len(data), name)
 
 
 def format_dat(sets: Iterable[object], meta: Mapping[str, Any] | None = None) -> str:
-    """Write UTK text, as `write_points` does; every float64 is read back to the same bits."""
+    """Write UTK text like `write_points`; every float64 is read back with the same bits."""
     return _content(".dat", sets, meta, "UTK text").decode()
 
 
 def _content(
     extension: str, sets: Iterable[object], meta: Mapping[str, Any] | None, name: str
 ) -> bytes:
-    """Return the bytes of a file, which messages call `name`."""
-    # Make arrays (n, d) of float64 of the sets, and JSON of what is said about them
+    """Return the bytes of a file; messages call it `name`."""
+    # Convert the sets to float64 arrays (n, d), and their description to JSON
     try:
         numbered, text = enumerate(sets), json.dumps(dict(meta or {}), default=str)
     except (TypeError, ValueError):
         raise FileFormatError(
-            f"What is given for {name} is {shown(sets)} and {shown(meta)}; give a list of arrays "
-            "(n, d), and names with values that JSON can hold."
+            f"The sets and the meta for {name} are {shown(sets)} and {shown(meta)}; give a list of "
+            "arrays (n, d), and names with values that JSON can hold."
         ) from None
     clean: list[Array] = []
     for k, given in numbered:
@@ -222,14 +224,16 @@ def _content(
     if not clean:
         raise FileFormatError(f"There are no sets to write to {name}; give at least one.")
 
-    # Refuse what the format cannot hold
+    # Reject sets that the format cannot hold
     several = len(clean) > 1
     if extension in (".bin", ".npz", ".npy") and len({points.shape for points in clean}) > 1:
         raise FileFormatError(
-            f"{name} needs sets of equal shape; write sets of different sizes as .dat or .csv."
+            f"{name} can hold only sets of equal shape; write other sets as .dat or .csv."
         )
     if extension == ".csv" and len({points.shape[1] for points in clean}) > 1:
-        raise FileFormatError(f"{name} needs sets of the same dims; write them to several files.")
+        raise FileFormatError(
+            f"{name} can hold only sets of the same dims; write the sets to several files."
+        )
 
     axes = [f"x{i}" for i in range(clean[0].shape[1])]
     buffer = io.BytesIO()
@@ -254,7 +258,7 @@ def _content(
 
 
 def _lines_of(points: Array, blank: str, start: str = "") -> str:
-    """A line of text for each point."""
+    """Return a line of text for each point."""
     return "".join(start + blank.join(map(repr, row)) + "\n" for row in points.tolist())
 
 
@@ -263,13 +267,13 @@ def _lines_of(points: Array, blank: str, start: str = "") -> str:
 
 def _read_dat(stream: IO[bytes], size: int, name: str) -> list[Array]:
     def rows() -> Iterator[tuple[int, list[str] | Array | None]]:
-        before = at = 0  # lines and bytes
+        before = at = 0  # numbers of lines and of bytes
         for chunk in _chunks(stream, size, name):
             if size >= _COMPILED and (found := _numbers(chunk)) is not None:
                 lines, runs = found
                 for line, points in runs:
                     yield before + line, points
-            else:  # Messages quote these texts
+            else:  # messages quote these texts
                 texts = _decoded(chunk, at, name)
                 lines = len(texts)
                 for number, text in enumerate(texts, before + 1):
@@ -282,10 +286,10 @@ def _read_dat(stream: IO[bytes], size: int, name: str) -> list[Array]:
 
 
 def _numbers(chunk: bytes) -> tuple[int, list[tuple[int, Array | None]]] | None:
-    """Read lines that hold numbers and nothing else; None if there is another one among them.
+    """Read lines that hold only numbers; return None if any other line is among them.
 
-    Returns the number of lines, and for each run of lines between comments the number of its first
-    line, from 1, and its points; None for a comment.
+    Returns the number of lines, and a pair for each run of lines between comments: the number of
+    its first line, from 1, and its points. The points of a comment are None.
     """
     from mcspectra.core._text_kernels import parse_lines
 
@@ -316,11 +320,12 @@ def _read_csv(stream: IO[bytes], size: int, name: str) -> list[Array]:
             line = line.strip()
             if line[:1] == "#":
                 continue
-            # "1,5;2,5" is how spreadsheets of half the world write two numbers.
+            # "1,5;2,5" is how spreadsheets with decimal commas write two numbers.
             if at_top and ";" in line:
                 separator = ";"
             fields = (line if separator == "," else line.replace(",", ".")).split(separator)
-            if at_top or column is not None or '"' in line:  # else they are numbers
+            # otherwise the line can hold only numbers
+            if at_top or column is not None or '"' in line:
                 fields = [field.strip().strip('"') for field in fields]
             if not (fields[0] or any(map(str.strip, fields))):
                 if column is None:
@@ -329,7 +334,7 @@ def _read_csv(stream: IO[bytes], size: int, name: str) -> list[Array]:
             if at_top:
                 at_top = False
                 if all(_number(field) is None for field in fields):
-                    # The line names the columns: one may be of sets
+                    # The line names the columns; the column of sets may be among them
                     names = [field.lower() for field in fields]
                     if "" in names:
                         raise FileFormatError(
@@ -355,9 +360,9 @@ def _read_csv(stream: IO[bytes], size: int, name: str) -> list[Array]:
 
 
 def _lines(stream: IO[bytes], size: int, name: str) -> Iterator[tuple[int, str]]:
-    """Lines of text with their numbers, from 1.
+    """Yield lines of text with their numbers, from 1.
 
-    Of blank lines that follow each other the first alone: there may be millions.
+    Only the first of consecutive blank lines is returned, because there may be millions.
     """
     number = at = 0
     blank = False
@@ -371,7 +376,7 @@ def _lines(stream: IO[bytes], size: int, name: str) -> Iterator[tuple[int, str]]
 
 
 def _decoded(chunk: bytes, at: int, name: str) -> list[str]:
-    """Lines of the text that begins at byte `at` of the file."""
+    """Return the lines of the text that begins at byte `at` of the file."""
     try:
         return chunk.decode("utf-8" if at else "utf-8-sig").splitlines()
     except UnicodeDecodeError as error:
@@ -381,11 +386,11 @@ def _decoded(chunk: bytes, at: int, name: str) -> list[str]:
 
 
 def _chunks(stream: IO[bytes], size: int, name: str) -> Iterator[bytes]:
-    """Whole lines of text, about `_BLOCK` bytes, after a check of the memory their numbers take."""
+    """Yield whole lines of text, about `_BLOCK` bytes each, after a check of their memory."""
     fields = lines = begun = 0
     while data := stream.read(_BLOCK):
         block = np.frombuffer(data, np.uint8)
-        # Bytes of each line that ends in this block, and of the one that has begun at its end
+        # Bytes of each line that ends in this block, and of the last, incomplete line
         ends = np.flatnonzero(block == ord("\n")) + 1
         sizes = np.diff(ends, prepend=-begun, append=len(block))
         if sizes.max() > _LONGEST_LINE:
@@ -400,7 +405,7 @@ def _chunks(stream: IO[bytes], size: int, name: str) -> Iterator[bytes]:
     stream.seek(0)
     rest = b""
     for data in itertools.chain(iter(lambda: stream.read(_BLOCK), b""), [b""]):
-        # All lines that are whole; at the end what there is
+        # All complete lines; at the end of the file the rest
         whole, end, rest = (rest + data).rpartition(b"\n") if data else (rest, b"\n", b"")
         if whole or (end and data):
             yield whole + end
@@ -409,9 +414,10 @@ def _chunks(stream: IO[bytes], size: int, name: str) -> Iterator[bytes]:
 def _sets_of_rows(
     rows: Iterable[tuple[int, list[str] | Array | None]], size: int, name: str
 ) -> list[Array]:
-    """Make an array of each set of rows: numbers of lines, and fields or, before a set, None.
+    """Convert rows to one array per set.
 
-    Rows that have been read come together, as an array of points with the number of the first line.
+    A row is a line number with its fields; None instead of fields starts a set. Rows that were
+    already converted come together, as an array of points with the number of their first line.
     """
     sets: list[Array] = []
     points = array("d")
@@ -440,7 +446,7 @@ def _sets_of_rows(
             values = list(map(float, fields))
         except ValueError:
             values = []
-        # Python reads 1_0 as 10, nobody else does.
+        # Only Python reads 1_0 as 10.
         if not (values and math.isfinite(sum(values))) or "_" in "".join(fields):
             for text in fields:
                 value = _number(text)
@@ -455,7 +461,7 @@ def _sets_of_rows(
 
 
 def _number(text: str) -> float | None:
-    """The number that a text is, if it is one."""
+    """Return the number in a text, or None if it is not a number."""
     try:
         return float(text)
     except ValueError:
@@ -463,7 +469,7 @@ def _number(text: str) -> float | None:
 
 
 def _split(points: Array, set_of_row: Array) -> list[Array]:
-    """Split rows into sets by the numbers, from 0, of their sets."""
+    """Split rows into sets; `set_of_row` holds the index of each row's set, from 0."""
     order = np.argsort(set_of_row, kind="stable")
     return np.split(points[order], np.cumsum(np.bincount(set_of_row))[:-1])
 
@@ -479,12 +485,12 @@ def _read_bin(stream: IO[bytes], size: int, name: str) -> Array:
     order = next((o for o in "<>" if struct.unpack_from(o + "I", data)[0] == _MAGIC), None)
     if order is None:
         raise FileFormatError(
-            f"{name} starts with {data[:4].hex()}, not with the magic word 55544b21 (UTK!) of UTK "
+            f"{name} begins with {data[:4].hex()}, not with the magic word 55544b21 (UTK!) of UTK "
             "binary files."
         )
     code, shape = data[4], struct.unpack_from(order + "3I", data, 8)
     if code >= len(_TYPES):
-        raise FileFormatError(f"{name}, byte 4: {code} is no type code; UTK has 0 to 5.")
+        raise FileFormatError(f"{name}, byte 4: the type code is {code}; UTK has 0 to 5.")
     announced = f"{name} announces {shape[0]} sets of {shape[1]} points in {shape[2]} dims"
     if 0 in shape:
         raise FileFormatError(f"{announced}; each must be at least 1.")
@@ -495,12 +501,14 @@ def _read_bin(stream: IO[bytes], size: int, name: str) -> Array:
             f"{announced}, that is {count * dtype.itemsize} bytes after the header, but has "
             f"{size - _HEADER_BYTES}."
         )
-    copies = 1 if dtype.kind == "f" else 3  # of integers in this machine's order, and shifted
+    # copies of integers: in the byte order of this machine, and shifted
+    copies = 1 if dtype.kind == "f" else 3
     check_decoded_size(name, size, count * (copies * dtype.itemsize + 17) + shape[0] * _SET_BYTES)
     values = np.fromfile(stream, dtype, count).reshape(shape)
     if dtype.kind != "f":  # integers are fractions of their range (UTK's integer nets fill it)
         bits = 8 * dtype.itemsize - (dtype.kind == "i")
-        spare = max(0, bits - 53)  # drop what a double cannot hold, lest 2^64 - 1 becomes 1.0
+        # drop bits that a double cannot hold, otherwise 2^64 - 1 becomes 1.0
+        spare = max(0, bits - 53)
         shifted = values.astype(dtype.newbyteorder("=")) >> spare
         values = np.ldexp(shifted.astype(np.float64), spare - bits)
     return values

@@ -1,8 +1,8 @@
-"""Progress of long work: whoever works reports, whoever wants to know listens.
+"""Progress of long work: workers report their progress, and listeners receive it.
 
-Work that takes seconds calls `report` now and then; without a listener that costs nothing. In a
-notebook or at Python's prompt, where somebody waits, a bar appears by itself; the command line shows
-one, and in scripts it takes `progress_bars`.
+Work that takes seconds calls `report` from time to time, which costs nothing without a listener. In
+a notebook or at Python's prompt, a progress bar appears automatically. The command line always
+shows a bar; scripts can use `progress_bars`.
 """
 
 from __future__ import annotations
@@ -18,23 +18,24 @@ from typing import Any, TypeAlias, final
 from mcspectra.core.display import printable
 from mcspectra.core.errors import ParameterError
 
-__all__ = ["Bars", "Listener", "listening", "progress_bars", "report"]
+__all__ = ["Listener", "ProgressBars", "listening", "progress_bars", "report"]
 
 Listener: TypeAlias = Callable[[str, float], object]
-"""Called with what is being done and the fraction of it, 0 to 1, that is; from any thread."""
+"""A function of the name of the work and the finished fraction, 0 to 1; called from any thread."""
 
 _listeners: list[Listener] = []
 
-_AFTER = 0.5  # seconds: what is done sooner needs no bar
-_BETWEEN = 0.1  # seconds from one drawing to the next
-_BETWEEN_LINES = 10.0  # seconds, where there is no terminal to draw in
-_LONGEST = 80  # Characters of a line of progress
-_FORGOTTEN = 30.0  # seconds of silence after which work counts as given up: an exception, say
+_AFTER = 0.5  # seconds; shorter work shows no bar
+_BETWEEN = 0.1  # seconds between two updates of the bar
+_BETWEEN_LINES = 10.0  # seconds between two lines, if there is no terminal to draw in
+_LONGEST = 80  # largest number of characters of a line of progress
+# seconds without a report after which work counts as abandoned, for example after an exception
+_FORGOTTEN = 30.0
 
 
 @contextmanager
 def listening(listener: Listener) -> Iterator[None]:
-    """Have `listener` called with the progress of everything done inside, in all threads.
+    """Call `listener` with the progress of all work inside the block, in all threads.
 
     Examples
     --------
@@ -50,20 +51,20 @@ def listening(listener: Listener) -> Iterator[None]:
 
 
 def progress_bars(shown: bool = True) -> AbstractContextManager[None]:
-    """Show a bar on standard error while something inside takes longer than half a second.
+    """Show a bar on standard error if work inside the block takes longer than half a second.
 
-    Notebooks and Python's prompt show it anyway. Where there is no terminal to draw in, a line tells
-    of it every ten seconds.
+    Notebooks and Python's prompt always show it. Without a terminal, a line every ten seconds
+    reports the progress.
 
     Parameters
     ----------
     shown
-        False hides bars instead.
+        Whether to show bars; False hides them.
 
     Raises
     ------
     ParameterError
-        `shown` is neither True nor False.
+        If `shown` is neither True nor False.
 
     Examples
     --------
@@ -78,12 +79,12 @@ def progress_bars(shown: bool = True) -> AbstractContextManager[None]:
 
 @contextmanager
 def _showing() -> Iterator[None]:
-    with closing(Bars(closes=True)) as bars, listening(bars):
+    with closing(ProgressBars(closes=True)) as bars, listening(bars):
         yield
 
 
 def report(what: str, fraction: float) -> None:
-    """Tell the innermost listener that `fraction` of `what` is done; 1 at its end."""
+    """Report to the innermost listener the finished `fraction` of `what`; 1 at its end."""
     listeners = _listeners[-1:]
     if not listeners and _somebody_waits():
         listeners = [_automatic]
@@ -95,32 +96,33 @@ def _somebody_waits() -> bool:
     """Whether this is a notebook, IPython, or Python's prompt."""
     if hasattr(sys, "ps1"):
         return True
-    # Asked only where something has imported it: IPython's own process always has.
+    # IPython is checked only if it has been imported; its own process always imports it.
     ipython = sys.modules.get("IPython")
     get = getattr(ipython, "get_ipython", None)
     return get is not None and get() is not None
 
 
 @final
-class Bars:
-    """A listener that draws a bar of what is under way, and names its parts that are beside it.
+class ProgressBars:
+    """A listener that draws a bar of the running work and lists the other running parts next to it.
 
     Parameters
     ----------
     closes
-        Whether `close` is called at the end. Else nothing has to be closed: after an exception the
-        bar stays as it was, and is forgotten.
+        Whether `close` is called at the end. If it is not, the bar stays after an exception, and
+        its work is dropped after a time.
     """
 
     def __init__(self, *, closes: bool = False) -> None:
         self._closes = closes
-        self._under_way: dict[str, tuple[float, float, float]] = {}  # begun, heard of, fraction
+        # start, time of the last report, fraction
+        self._under_way: dict[str, tuple[float, float, float]] = {}
         self._told_at = time.monotonic()
-        self._bar: Any = None  # rich's, while one is shown
+        self._bar: Any = None  # the bar of rich while one is shown
         self._lock = threading.Lock()
 
     def __call__(self, what: str, fraction: float) -> None:
-        """Take in that `fraction` of `what` is done; show it where that is worth the while."""
+        """Record that `fraction` of `what` is finished; show it if the work takes long enough."""
         now = time.monotonic()
         oldest = -math.inf if self._closes else now - _FORGOTTEN
         with self._lock:
@@ -147,16 +149,16 @@ class Bars:
                     print(f"mcspectra: {_listed(shown.items())}", file=sys.stderr, flush=True)
 
     def close(self) -> None:
-        """Wipe the bar."""
+        """Erase the bar."""
         if self._bar is not None:
             self._bar.update(self._bar.task_ids[0], visible=False, refresh=True)
-            # Notebooks know no codes that erase.
+            # Notebooks do not support escape codes that erase.
             self._bar.console.file.write(f"\r{' ' * self._bar.console.width}\r")
             self._bar.stop()
             self._bar = None
 
     def _draw(self, shown: dict[str, float]) -> None:
-        """Draw a bar of the first, which was begun before the others; rich is imported here alone."""
+        """Draw a bar of the work that began first; only this function imports rich."""
         from rich.console import Console
         from rich.markup import escape
         from rich.progress import Progress, TextColumn
@@ -172,12 +174,13 @@ class Bars:
                 console=Console(stderr=True, force_terminal=True, force_jupyter=False),
                 auto_refresh=False,
                 transient=True,
-                redirect_stdout=self._closes,  # what else is printed stands above the bar
+                redirect_stdout=self._closes,  # other output appears above the bar
                 redirect_stderr=self._closes,
             )
             self._bar.add_task(escape(first), total=1.0, **state)
             self._bar.start()
-            self._bar.console.show_cursor()  # it may never be closed
+            # show the cursor now, because the bar may never be closed
+            self._bar.console.show_cursor()
         self._bar.update(self._bar.task_ids[0], refresh=True, **state)
 
 
@@ -185,4 +188,4 @@ def _listed(works: Iterable[tuple[str, float]]) -> str:
     return ", ".join(f"{what} {fraction:.0%}" for what, fraction in works)
 
 
-_automatic = Bars()
+_automatic = ProgressBars()

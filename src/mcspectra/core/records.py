@@ -1,9 +1,9 @@
-"""States of reductions: flat records of arrays that merge and become bytes by one rule for all.
+"""States of reductions: flat records of arrays with common rules for merging and storing.
 
-A state is a dataclass whose fields are arrays, numbers or further records. Two states merge field by
-field: records by their own `merge` where they have one (moments, whose fields depend on each other),
-arrays and numbers by the rule in their annotation, `SUM`, `JOIN` or `SAME`. Bytes are one buffer: a
-header in MessagePack with names, types and shapes, then the numbers; no pickle, no code.
+A state is a dataclass whose fields are arrays, numbers or further records. Two states merge field
+by field. Records with a method `merge` use it (moments, whose fields depend on each other). Arrays
+and numbers follow the rule in their annotation, `SUM`, `JOIN` or `SAME`. The stored form is one
+buffer: a header in MessagePack with names, types and shapes, then the numbers; no pickle, no code.
 """
 
 from __future__ import annotations
@@ -36,26 +36,26 @@ __all__ = [
 
 @final
 class Join:
-    """Arrays are put one after the other, along an axis."""
+    """Arrays are concatenated along an axis."""
 
     def __init__(self, axis: int = 0) -> None:
         self.axis = axis
 
 
 SUM: TypeAlias = Annotated[Array, "sum"]
-"""Arrays are added, into the memory of the left one."""
+"""Arrays are added, in the memory of the left one."""
 
 JOIN: TypeAlias = Annotated[Array, Join(0)]
-"""Arrays are put one after the other along their first axis."""
+"""Arrays are concatenated along their first axis."""
 
 SAME: TypeAlias = Annotated[Array, "same"]
-"""Arrays are the same in all blocks."""
+"""Arrays are equal in all blocks."""
 
 
 @final
 @dataclass
 class MeanSums:
-    """Sums of arrays and of their squares over realizations: their mean with its standard error."""
+    """Sums over realizations of arrays and their squares, for the mean and its standard error."""
 
     total: SUM
     squares: SUM
@@ -63,18 +63,18 @@ class MeanSums:
 
     @staticmethod
     def of(values: Array) -> MeanSums:
-        """Sums of one realization."""
+        """Return the sums of one realization."""
         return MeanSums(np.array(values), values * values)
 
     @staticmethod
     def zeros(size: int) -> MeanSums:
-        """Sums of no realizations, for arrays (size,)."""
+        """Return the sums of no realizations, for arrays (size,)."""
         return MeanSums(np.zeros(size), np.zeros(size), 0)
 
     def mean_and_error(self, sets: int | None = None) -> tuple[Array, Array]:
-        """Mean over realizations and its standard error, NaN for a single one.
+        """Return the mean over realizations and its standard error, NaN for a single realization.
 
-        With `sets` realizations repeat the arrays of that many sets, each as often.
+        If `sets` is given, the realizations repeat that number of distinct sets equally often.
         """
         mean, count = self.total / self.count, self.count
         independent = count if sets is None else min(count, sets)
@@ -85,19 +85,19 @@ _MAGIC = b"mcs1"
 _Shape: TypeAlias = tuple[Annotated[int, msgspec.Meta(ge=0)], ...]
 _Kind: TypeAlias = Annotated[str, msgspec.Meta(pattern=r"^[<>|][biufcU]\d{1,9}$")]
 _HEADER = msgspec.msgpack.Decoder(tuple[msgspec.Raw, list[tuple[_Kind, _Shape]]])
-_MOST_LETTER = 0x10FFFF  # of Unicode
+_MOST_LETTER = 0x10FFFF  # largest code point of Unicode
 _UNIONS = (Union, UnionType)
 
 
 def merged(left: Any, right: Any) -> Any:
-    """State of two neighbors together; may reuse the memory of `left`."""
+    """Return the merged state of two neighbors; may reuse the memory of `left`."""
     own = getattr(left, "merge", None)
     if own is not None:
         return own(right)
     if isinstance(left, list | tuple):
         return type(left)(merged(a, b) for a, b in zip(left, right, strict=True))
     if not is_dataclass(left):
-        raise TypeError(f"A {type(left).__name__} has no rule to merge; make it part of a record.")
+        raise TypeError(f"A {type(left).__name__} has no merge rule; make it a field of a record.")
     kind: Any = type(left)
     values = {}
     for name, rule in _rules(kind).items():
@@ -115,7 +115,7 @@ def merged(left: Any, right: Any) -> Any:
 
 @functools.cache
 def _rules(kind: Any) -> dict[str, Any]:
-    """The rule of every field of a record; None for those that merge themselves."""
+    """Return the merge rule of every field of a record; None for a record with its own `merge`."""
     hints = get_type_hints(kind, include_extras=True)
     rules: dict[str, Any] = {}
     for field in fields(kind):
@@ -135,21 +135,23 @@ def pack(state: Any) -> bytes:
     Raises
     ------
     TypeError
-        Something holds Python objects, or an attribute is no number, text or list of them.
+        If a state holds Python objects, or an attribute is not a number, a text or a list of these.
     """
     arrays: list[Array] = []
 
     def plain(value: Any) -> Any:
-        """Arrays as their places in `arrays`, datasets as names and places."""
+        """Replace arrays by their places in `arrays`, and datasets by names and places."""
         if isinstance(value, np.ndarray):
             if value.dtype.kind not in "biufcU":
-                raise TypeError(f"An array holds {value.dtype}, which has no numbers.")
+                raise TypeError(
+                    f"An array holds {value.dtype}, not numbers; give an array of numbers."
+                )
             arrays.append(value)
             return len(arrays) - 1
         if isinstance(value, np.generic):
             return value.item()
         if not hasattr(value, "data_vars"):
-            raise TypeError(f"A {type(value).__name__} is no part of a result.")
+            raise TypeError(f"A {type(value).__name__} cannot be stored in a result.")
         variables = []
         for name, variable in value.variables.items():
             values = np.ascontiguousarray(variable.values).reshape(variable.shape)
@@ -165,22 +167,25 @@ def pack(state: Any) -> bytes:
 
 
 def _attributes(attributes: Mapping[Any, Any]) -> dict[str, Any]:
-    """Attributes, of which numbers, texts and lists of them come back."""
+    """Return the attributes; only numbers, texts and lists of these can be restored."""
     for name, value in attributes.items():
         if not isinstance(value, str | int | float | list | tuple | dict | np.generic):
-            raise TypeError(f"The attribute {name} is a {type(value).__name__}, which has no text.")
+            raise TypeError(
+                f"The attribute {name} is a {type(value).__name__}, which cannot be stored."
+            )
     return {str(name): value for name, value in attributes.items()}
 
 
 def unpack(kind: Any, payload: bytes) -> Any:
-    """Return what `pack` was given; `kind` is its type: a record, ``list[record]``, an array or dict.
+    """Return the state that `pack` stored.
 
-    Nothing larger than the payload is allocated.
+    `kind` is its type: a record, ``list[record]``, an array or a dict. The function allocates
+    nothing larger than the payload.
 
     Raises
     ------
     FileFormatError
-        The bytes are damaged, or of another kind.
+        If the bytes are damaged, or hold a state of another type.
     """
     try:
         if payload[:4] != _MAGIC:
@@ -192,7 +197,7 @@ def unpack(kind: Any, payload: bytes) -> Any:
             dtype, count = np.dtype(text), math.prod(shape)
             values = np.frombuffer(payload, dtype, count, start) if count else np.empty(0, dtype)
             if dtype.kind == "U" and np.max(values.view(f"{text[0]}u4"), initial=0) > _MOST_LETTER:
-                raise ValueError("a text with letters that there are not")
+                raise ValueError("a text with invalid characters")
             arrays.append(values.reshape(shape).copy())
             start += count * dtype.itemsize
         if start != len(payload):

@@ -1,4 +1,4 @@
-r"""Works cited: the entries of ``references.bib``, which docstrings cite by their keys as [Key]\_."""
+r"""Cited works: the entries of ``references.bib``; docstrings cite their keys as [Key]\_."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["ADDRESS", "FILE", "address", "bibtex", "entries", "works", "written_
 
 FILE = Path(__file__).with_name("references.bib")
 ADDRESS = re.compile(r"https://\S*[^\s.,:;]")
-"""Addresses of the web in a text, without the full stops and commas after them."""
+"""Web addresses in a text, without full stops and commas that follow them."""
 
 _ENTRY = re.compile(r"^@\w+\{(?P<key>\w+),\n(?P<fields>.*?)^\}", re.MULTILINE | re.DOTALL)
 _FIELD = re.compile(r"^\s*(\w+)\s*=\s*\{(.*?)\},?\s*$", re.MULTILINE)
@@ -29,7 +29,7 @@ _SITES = {"doi": "https://doi.org/", "eprint": "https://arxiv.org/abs/", "url": 
 
 
 def entries(source: str) -> dict[str, dict[str, str]]:
-    """Fields of each entry of a BibTeX file by its key, as plain text."""
+    """Return the fields of each entry of a BibTeX file by its key, as plain text."""
     return {
         entry["key"]: {name.lower(): _plain(text) for name, text in _FIELD.findall(entry["fields"])}
         for entry in _ENTRY.finditer(source)
@@ -47,7 +47,7 @@ def _plain(text: str) -> str:
 
 @lru_cache(maxsize=1)
 def works() -> dict[str, dict[str, str]]:
-    """Fields of each work of ``references.bib`` by its key, as plain text."""
+    """Return the fields of each work of ``references.bib`` by its key, as plain text."""
     return entries(FILE.read_text(encoding="utf-8"))
 
 
@@ -58,12 +58,12 @@ def bibtex(key: str) -> str:
 
 
 def address(fields: dict[str, str]) -> str:
-    """Where a work is found on the web, by its doi if it has one; else ``""``."""
+    """Return the web address of a work, by its DOI if it has one; otherwise ``""``."""
     return next((site + fields[name] for name, site in _SITES.items() if name in fields), "")
 
 
 def written_out(text: str) -> str:
-    r"""Return `text` with authors, year, title and address for each [Key]\_; other keys stay bare."""
+    r"""Return `text` with authors, year, title and address for each [Key]\_; keep unknown keys."""
 
     def work(found: re.Match[str]) -> str:
         if found[1] not in works():

@@ -1,7 +1,7 @@
-"""Registries: names in spec strings to classes, loaded when first asked for.
+"""Registries: map names in spec strings to classes, which are loaded on first use.
 
-Built-in names are ``"module:Class"`` strings, so that nothing is imported to know them. Other
-packages add names by the entry points in `Registry.group`. A built-in name always wins.
+Built-in classes are ``"module:Class"`` strings, so that listing names imports nothing. Other
+packages add names by the entry points in `Registry.group`. A built-in name always has priority.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from mcspectra.core.spec import Call, Component, kebab_case
 __all__ = ["DEFAULT_DIMS", "Registry", "classes_of", "optional_package"]
 
 DEFAULT_DIMS = 2
-"""Number of dims of a spec string when neither it nor its surroundings say: pictures are 2-D."""
+"""Default number of dims of a spec string: images have two."""
 
 
 class Registry(Mapping[str, str]):
@@ -32,13 +32,14 @@ class Registry(Mapping[str, str]):
     Parameters
     ----------
     kind
-        What messages call the component, e.g. ``"sampler"``.
+        Name of the component in messages, e.g. ``"sampler"``.
     group
         Entry-point group in which other packages register ``name = "module:Class"``.
     builtin
-        Name to ``"module:Class"``.
+        Mapping from name to ``"module:Class"``.
     base
-        Class that what is registered derives from; None of functions that make it.
+        Base class of all registered classes; None if functions that create components are
+        registered.
     """
 
     def __init__(
@@ -69,9 +70,9 @@ class Registry(Mapping[str, str]):
         Raises
         ------
         UnknownName
-            Nobody registered the name; the message offers close ones.
+            If the name is not registered; the message suggests close names.
         MissingDependency
-            The module needs a package that is not installed, or is broken.
+            If the module needs a package that is not installed or is broken.
         """
         target = self._builtin.get(name) or self._targets().get(name)
         if target is None:
@@ -83,26 +84,26 @@ class Registry(Mapping[str, str]):
             found: Any = getattr(importlib.import_module(module), attribute)
         except MissingDependency:
             raise
-        except (Exception, SystemExit) as error:  # whatever the code of others does
+        except (Exception, SystemExit) as error:  # the other package's code may raise anything
             raise MissingDependency(
                 f"The {self.kind} {shown(name)} ({target}) cannot be loaded: {reason_of(error)}."
             ) from error
         known = isinstance(found, type) and issubclass(found, self.base or object)
         if not (known if self.base else callable(found)):
             raise MissingDependency(
-                f"The {self.kind} {shown(name)} ({target}) is {shown(found)}, not a class that makes one; "
-                "mend the package that registers it."
+                f"The {self.kind} {shown(name)} ({target}) is {shown(found)}, not a class that "
+                "makes one; fix the package that registers it."
             )
         return found  # type: ignore[no-any-return]
 
     def build(self, call: Call, dims: int | None = None) -> Any:
-        """Make the component that `call` describes.
+        """Create the component that `call` describes.
 
-        `dims` is what the surroundings ask for; a ``dims=`` in the call must agree with it.
+        `dims` is the number of dims in its context; a ``dims=`` in the call must agree with it.
         """
         cls = self.load(call.name)
         allowed = inspect.signature(cls).parameters
-        # Specs say radius=0.7 where Python's field is radius_, its name being taken
+        # The field of the parameter radius is radius_ if the plain name is already used
         arguments = {
             f"{key}_" if f"{key}_" in allowed else key: value
             for key, value in call.arguments.items()
@@ -117,7 +118,7 @@ class Registry(Mapping[str, str]):
         if dims is not None:
             given = arguments.setdefault("dims", dims) if "dims" in allowed else dims
             if given != dims:
-                raise ParameterError(f"{call.name} says dims={given}, but {needed(dims, 'dim')}.")
+                raise ParameterError(f"{call.name} has dims={given}, but {needed(dims, 'dim')}.")
         missing = [
             p.name.rstrip("_")
             for p in allowed.values()
@@ -138,13 +139,13 @@ class Registry(Mapping[str, str]):
 
 
 def classes_of(modules: Mapping[str, str]) -> dict[str, str]:
-    """Names of classes of this package, each to its ``"module:Class"``, for a registry.
+    """Return names of classes of this package, mapped to ``"module:Class"``, for a registry.
 
     Parameters
     ----------
     modules
-        For each module the classes that it adds, blanks between, whose names are their own in kebab
-        case: ``RandomRotation``, or else are given with them: ``disk=DiskDensity``.
+        Classes of each module, separated by blanks. A name is either the class's own in kebab case,
+        as for ``RandomRotation``, or given explicitly, as in ``disk=DiskDensity``.
     """
     found = {}
     for module, classes in modules.items():
@@ -155,19 +156,20 @@ def classes_of(modules: Mapping[str, str]) -> dict[str, str]:
 
 
 def optional_package(name: str, extra: str, need: str) -> Any:
-    """Load a package, or a module of it, that not everybody has installed; return the package.
+    """Load an optional package, or a module of it; return the package.
 
     Parameters
     ----------
     name, extra
-        Such as ``"zarr.storage"``, and the extra of mcspectra that installs it.
+        Name of the package, such as ``"zarr.storage"``, and the extra of mcspectra that installs
+        it.
     need
-        Beginning of the sentence, such as ``"Stores .zarr need"``.
+        Beginning of the error message, such as ``"Stores .zarr need"``.
 
     Raises
     ------
     MissingDependency
-        It is not installed, or cannot be loaded.
+        If the package is not installed, or cannot be loaded.
     """
     package = name.partition(".")[0]
     try:
@@ -176,12 +178,12 @@ def optional_package(name: str, extra: str, need: str) -> Any:
         missing = getattr(error, "name", None) or ""
         install = f"install it with: pip install 'mcspectra[{extra}]'"
         if not (isinstance(error, ModuleNotFoundError) and missing.partition(".")[0] == package):
-            install = f"it cannot be loaded: {reason_of(error)}; mend its installation."
+            install = f"it cannot be loaded: {reason_of(error)}; reinstall it."
         raise MissingDependency(f"{need} the package {package}; {install}") from error
     return sys.modules[package]
 
 
 @functools.lru_cache(maxsize=64)
 def _registered(group: str, path: tuple[str, ...]) -> dict[str, str]:  # noqa: ARG001
-    """What other packages register: looked up once for a `sys.path`, in ten milliseconds."""
+    """Return names that other packages register; a search per `sys.path` takes ten milliseconds."""
     return {each.name: each.value for each in entry_points(group=group)}

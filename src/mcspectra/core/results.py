@@ -1,8 +1,8 @@
-"""Names of all result variables, and the one way to make a labeled dataset of them.
+"""Names of all result variables, and the function that makes a labeled dataset of them.
 
-Every variable an analysis returns is registered here once with its meaning, unit, dims and kind;
-`dataset` attaches meaning and unit as attributes, and the provenance (seed, versions, spec strings) to
-the whole; `check_variables` holds every result against what its analysis declares.
+Every variable that an analysis returns is registered here once with its meaning, unit, dims and
+type. `dataset` attaches meaning and unit as attributes, and the provenance (seed, versions, spec
+strings) to the dataset. `check_variables` compares a result with the declaration of its analysis.
 """
 
 from __future__ import annotations
@@ -41,14 +41,15 @@ class Variable(NamedTuple):
     Attributes
     ----------
     meaning, units
-        Become the attributes ``long_name`` and ``units``.
+        Values of the attributes ``long_name`` and ``units``.
     dims
-        Its dims in order: ``m`` stands for m0, m1, …; one that ends in ``?`` may be missing. The dims
-        estimator, sampler and channel may come besides. None where they differ.
+        Its dims in order. ``m`` stands for m0, m1, …; a dim that ends in ``?`` is optional. The
+        dims estimator, sampler and channel may be added. None if the dims vary.
     kind
-        Kinds of numbers, as NumPy's letters: ``f`` floats, ``i`` integers, ``c`` complex, ``b`` booleans.
+        Types of numbers, as NumPy's letters: ``f`` floats, ``i`` integers, ``c`` complex, ``b``
+        booleans.
     name
-        Of a variable that is not in `VARIABLES`, such as those of other packages.
+        Name of a variable that is not in `VARIABLES`, such as one of another package.
     """
 
     meaning: str
@@ -69,7 +70,8 @@ anisotropy_db | f | dB | radius | variance of power over direction / (mean power
 anisotropy_noise_db | f | dB | radius | anisotropy that noise alone makes
 band_covariance | f | f² | band band_other | covariance of band-limited estimates
 band_trace | f | f² | | sum of all eigenvalues of the covariance within the band
-bend_n | f | 1 | method? | number of points at which the predicted rate changes to its limit; NaN: none known
+bend_n | f | 1 | method? | \
+number of points at which the predicted rate changes to its limit; NaN: none known
 best_width | f | 1 | any | width of smoothed edges with the least mean squared error
 best_width_range | f | 1 | any | widths that may have the least mean squared error
 bias_squared | f | f² | any | (integral of the smoothed integrand minus the original)²
@@ -87,7 +89,8 @@ dc_term | f | f² | n? | dc term |f_0|² C_00
 cost | f | 1 | remedy step | evaluations of the integrand in an estimate
 error | f | f² | remedy | variance at the budget, mean squared error where biased
 error_at_cost | f | f² | remedy step | variance at each cost, mean squared error where biased
-error_ratio | f | 1 | remedy | variance (mean squared error where biased) / that of the set-up as given
+error_ratio | f | 1 | remedy | \
+variance (mean squared error where biased) / that of the set-up as given
 error_ratio_ci | f | 1 | remedy bound | simultaneous 95 % interval of the ratio of variances
 rank | f | 1 | sampler integrand | rank by n · variance at the largest n, 1: least
 rank_ci | f | 1 | sampler integrand bound | simultaneous 95 % interval of the rank
@@ -121,13 +124,16 @@ l2_star_discrepancy | f | 1 | any | L2 star discrepancy
 light_mean | f | f | light | what a light gives to the integral, mean over random paths
 light_probability | f | 1 | light | how often a light is chosen
 light_selection | f | 1 | light | how often a light had better be chosen, by second moments
-light_share | f | 1 | light | Cov(f_j, f) / Var(f), part of the variance of a random path that light j makes
-limit_rate | f | 1 | method? | exponent that the predicted variance tends to at large n; NaN: not known
+light_share | f | 1 | light | \
+Cov(f_j, f) / Var(f), part of the variance of a random path that light j makes
+limit_rate | f | 1 | method? | \
+exponent that the predicted variance tends to at large n; NaN: not known
 local_rate | f | 1 | method? n | exponent of the predicted variance between neighboring n
 low_frequency_exponent | f | 1 | | b of power ∝ |m|^b at low frequencies
 mean | f | f | strategy? quantity? n? y? x? | mean estimate
 mcse | f | f | quantity? | standard error of the mean of chains
-ess | f | 1 | quantity? | effective number of draws: variance of the draws / squared error of their mean
+ess | f | 1 | quantity? | \
+effective number of draws: variance of the draws / squared error of their mean
 burn_in | i | 1 | quantity? | draws at the start of each chain that are left out
 spectrum_at_zero | f | f² | quantity? | spectral density S(0) of a chain in time
 error_share | f | 1 | quantity? band | part of the squared error of the mean from these frequencies
@@ -174,7 +180,8 @@ star_discrepancy | f | 1 | any | star discrepancy
 strata_offset | f | 1 | any | offset of strata in sides of a stratum
 t_value | f | 1 | any | quality parameter t of the (t, m, d)-net
 tail_term | f | f² | | variance of what is beyond the half width, if points are random to it
-tail_variance | f | f² | method? n | part of the predicted variance beyond the terms that are counted
+tail_variance | f | f² | method? n | \
+part of the predicted variance beyond the terms that are counted
 technique_covariance | f | f² | n? technique technique_other | \
 covariance of the parts of the estimate of two techniques
 technique_cross_term | f | f² | n? technique technique_other | cross term of two techniques
@@ -215,21 +222,25 @@ dominant_technique | f | 1 | y x | technique of the larger variance; −1: undec
 mis_gain | f | 1 | y x | variance of the better single strategy / variance of MIS
 predicted_ratio | f | 1 | strategy y x | predicted / measured variance at the largest n
 path_variance | f | f² | y x | variance of one random path
-bounce_share | f | 1 | bounce y x | what a bounce adds to the variance that the bounces before it make / variance
-decision_share | f | 1 | decision y x | sum over bounces of what a decision adds to the variance that those before it make / variance
+bounce_share | f | 1 | bounce y x | \
+what a bounce adds to the variance that the bounces before it make / variance
+decision_share | f | 1 | decision y x | \
+sum over bounces of what a decision adds to the variance that those before it make / variance
 largest_bounce | f | 1 | y x | number of the bounce of the largest share; −1: undecided
 largest_decision | f | 1 | y x | number of the decision of the largest share; −1: undecided
 best_sampler | f | 1 | strategy y x | number of the sampler of the least variance; −1: no difference
 wraparound_discrepancy | f | 1 | any | wrap-around L2 discrepancy
 relative_rmse | f | 1 | n y x | σ / mean of one frame
-largest_share | f | 1 | n y x | share of the frame that is farthest from the mean in the sum of squares
+largest_share | f | 1 | n y x | \
+share of the frame that is farthest from the mean in the sum of squares
 picture_variance | f | f² | n | mean over the pixels of the variance of one frame
 picture_rate | f | 1 | | exponent of the mean variance in samples a pixel
 needed_spp | f | 1 | y x | samples a pixel at which the wanted σ / mean is reached
 error_spectrum | f | 1 | n radius | power of the standardized errors of a frame; white noise: 1
 error_correlation | f | 1 | n lag_y lag_x | correlation of the errors of pixels at a distance
 flip | f | 1 | n y x | FLIP of one frame against the mean
-predicted_power | f | f² | radius | power of an image of errors, from spectra; white noise: the variance
+predicted_power | f | f² | radius | \
+power of an image of errors, from spectra; white noise: the variance
 measured_power | f | f² | radius | power of an image of errors
 low_share | f | 1 | | power of errors at low frequencies between pixels / its mean; white noise: 1
 difference | f | f | y x | mean minus that of the other frames
@@ -265,7 +276,7 @@ VARIABLES: Mapping[str, Variable] = {
     },
     **_VARIABLES,
 }
-"""Variables by name; those with ``_se`` and ``_ci`` are the errors and intervals of the others."""
+"""Variables by name; ``_se`` marks standard errors and ``_ci`` intervals of other variables."""
 
 
 def dataset(
@@ -277,7 +288,7 @@ def dataset(
 ) -> xr.Dataset:
     """Make a dataset of registered variables, name -> (dims, values), with provenance attributes.
 
-    Dims to `drop` have one value, such as the channel of a scalar; they are left out.
+    Dims in `drop` have one value, such as the channel of a scalar; they are removed.
     """
     import xarray as xr
 
@@ -294,7 +305,10 @@ def dataset(
 
 
 def attributes_of(**provenance: Any) -> dict[str, str | int | float]:
-    """Return what every storage format can hold: numbers of 64 bits, strings, or JSON text; no None."""
+    """Convert attributes to types that every storage format holds; drop those that are None.
+
+    These types are 64-bit numbers, strings and JSON text.
+    """
     attributes = {}
     for key, value in provenance.items():
         plain = value.item() if isinstance(value, np.generic) else value
@@ -309,7 +323,7 @@ def attributes_of(**provenance: Any) -> dict[str, str | int | float]:
 
 
 def strict_json(value: Any) -> Any:
-    """Return what strict JSON can say: lists for arrays, null for NaN, texts for paths and ``inf``."""
+    """Convert a value to strict JSON: arrays become lists, NaN null, paths and ``inf`` text."""
     if isinstance(value, Mapping):
         return {str(key): strict_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -324,12 +338,12 @@ def strict_json(value: Any) -> Any:
 
 
 def check_variables(result: xr.Dataset, declared: Sequence[str | Variable], analysis: str) -> None:
-    """Hold a result against the variables that its analysis declares.
+    """Check a result against the variables that its analysis declares.
 
     Raises
     ------
     AnalysisError
-        A variable is not declared, or has other dims or another kind of numbers.
+        If a variable is not declared, or has other dims or another type of numbers.
     """
     known = {v if isinstance(v, str) else v.name: v for v in declared}
     for name, values in result.data_vars.items():
@@ -341,9 +355,9 @@ def check_variables(result: xr.Dataset, declared: Sequence[str | Variable], anal
         about = VARIABLES[about] if isinstance(about, str) else about
         if values.dtype.kind not in about.kind:
             raise AnalysisError(
-                f"{analysis}: {name} holds {values.dtype}, declared is {shown(about.kind)}."
+                f"{analysis}: {name} holds {values.dtype}, but {shown(about.kind)} is declared."
             )
-        # Hold the dims against a pattern in which m is any of m0, m1, …, and those with ? may be missing
+        # Match the dims with a pattern: m stands for any of m0, m1, …, and dims with ? are optional
         found = [str(d) for d in values.dims if d not in _FREE_DIMS or d in (about.dims or ())]
         pattern = ""
         for dim in about.dims or ():
@@ -353,13 +367,13 @@ def check_variables(result: xr.Dataset, declared: Sequence[str | Variable], anal
             pattern, "".join(f"{dim} " for dim in found)
         ):
             raise AnalysisError(
-                f"{analysis}: {name} has the dims {found}, declared are {about.dims}."
+                f"{analysis}: {name} has the dims {found}, but {about.dims} are declared."
             )
 
 
 @functools.cache
 def package_versions() -> dict[str, str]:
-    """Versions of this package and of those that its numbers depend on."""
+    """Return the versions of this package and of the packages that affect its numbers."""
     found = {}
     for name in ("mcspectra", "numpy", "scipy", "numba", "finufft"):
         try:

@@ -1,7 +1,7 @@
-"""Spec strings: ``name(key=value, ...) | name(...)``, the same on command line, in TOML, in Python.
+"""Spec strings ``name(key=value, ...) | name(...)`` for the command line, TOML and Python.
 
-Names are kebab-case, values Python literals read by `ast.literal_eval`; nothing is ever evaluated.
-`parse` turns text into `Call`s, `format_call` turns a component back into text.
+Names are in kebab case. Values are Python literals read by `ast.literal_eval`; no code is
+evaluated. `parse` converts text to `Call`s, `format_call` converts a component back to text.
 """
 
 from __future__ import annotations
@@ -21,15 +21,18 @@ from mcspectra.core.fields import check_fields
 __all__ = ["Call", "Component", "format_call", "kebab_case", "parse", "parse_chain", "short_spec"]
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)*")
-_CAPITALS = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")  # within a name
+_CAPITALS = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")  # a boundary between words in a class name
 _WORD = re.compile(r"[A-Za-z_][\w.-]*")
 _NO_NUMBERS = ("nan", "inf", "infinity")
-_FIRST = {"command": "run", "python": "function"}  # what stands first may have no name: code
+# components whose first value, which is code, needs no name
+_FIRST = {"command": "run", "python": "function"}
 _MAX_LENGTH = 20_000
-_FOLDERS = re.compile(r"""(?:\w+=)?(['"])[^'"]*/(?=[^'"/]+\1)""")  # of a file, with its key
+_FOLDERS = re.compile(
+    r"""(?:\w+=)?(['"])[^'"]*/(?=[^'"/]+\1)"""
+)  # the folders in a file name, with the name of its parameter
 _MARK = re.compile(
     r"""'(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|['"()\[\]{}|]""", re.DOTALL
-)  # texts are one
+)  # a quoted text counts as one mark
 
 
 @dataclass(frozen=True)
@@ -45,48 +48,49 @@ class Call:
 
 
 def kebab_case(name: str) -> str:
-    """Name of a class as spec strings have it: ``latin-hypercube`` of LatinHypercube."""
+    """Return the name of a class in spec strings: ``latin-hypercube`` for LatinHypercube."""
     return _CAPITALS.sub("-", name).lower()
 
 
 class _NameOfClass:
-    """The class's own name in kebab case."""
+    """Descriptor that returns the class's own name in kebab case."""
 
     def __get__(self, component: object, cls: type) -> str:
         return kebab_case(cls.__name__)
 
 
 class Component:
-    """What samplers, randomizations, densities and integrands share: a name and a spec string.
+    """Common base of samplers, randomizations, densities and integrands: a name and a spec string.
 
-    Subclasses are dataclasses; `spec` lists the fields that differ from their defaults. Those declared
-    by `mcspectra.core.fields` are checked when an instance is made, then all of it by `_check`. A class
-    whose name in spec strings is not its own in kebab case declares `name`.
+    Subclasses are dataclasses. `spec` lists the fields that differ from their defaults. Fields
+    declared by `mcspectra.core.fields` are checked when an instance is created, then `_check`
+    checks the whole instance. A class declares `name` if its spec name is not its own name in kebab
+    case.
     """
 
     name: ClassVar[str] = _NameOfClass()  # type: ignore[assignment]
     costly: ClassVar[bool] = False
-    """Whether a first look would take seconds, so that notebooks show no picture."""
+    """Whether a first picture would take seconds, so that notebooks show no picture."""
 
     def __post_init__(self) -> None:
         check_fields(self)
         self._check()
 
     def _check(self) -> None:
-        """Check what parameters, each checked by its field, mean together."""
+        """Check combinations of parameters; each field has been checked on its own."""
 
     def _repr_html_(self) -> str | None:
-        """A picture and the main figures, for notebooks."""
+        """Return a picture and the main figures as HTML, for notebooks."""
         return html_of(self)
 
     @property
     def spec(self) -> str:
-        """The spec string that makes this component again (`dims` left out)."""
+        """The spec string that recreates this component (without `dims`)."""
         return format_call(self)
 
     @classmethod
     def summary(cls) -> str:
-        """First line of the class's docstring."""
+        """Return the first line of the class's docstring."""
         return (cls.__doc__ or cls.__name__).strip().splitlines()[0].strip()
 
 
@@ -96,12 +100,12 @@ def parse_chain(text: str) -> list[Call]:
     Raises
     ------
     SpecError
-        Not a string, empty, unbalanced, or not of that form.
+        If `text` is not a string, is empty, unbalanced, or of another form.
     """
     if not isinstance(text, str):
-        raise SpecError(f"A spec is a string such as 'jittered | shift', not {shown(text)}.")
+        raise SpecError(f"The spec is {shown(text)}; give a string such as 'jittered | shift'.")
     if len(text) > _MAX_LENGTH:
-        raise SpecError(f"The spec has {len(text)} characters; {_MAX_LENGTH} at most are read.")
+        raise SpecError(f"The spec has {len(text)} characters; at most {_MAX_LENGTH} are allowed.")
     return [_parse_call(part, text) for part in _split(text)]
 
 
@@ -116,7 +120,7 @@ def parse(text: str) -> Call:
 
 
 def short_spec(text: str) -> str:
-    """Return a spec as pictures and tables show it: ``name=`` in place of a part, files by their names."""
+    """Return a short spec for figures: ``name=`` replaces its part, files lose their folders."""
     try:
         parts = zip(parse_chain(text), _split(text), strict=True)
         return " | ".join(
@@ -128,7 +132,7 @@ def short_spec(text: str) -> str:
 
 
 def format_call(component: object) -> str:
-    """Write a dataclass component as ``name(key=value)`` with the fields that are not defaults."""
+    """Write a dataclass component as ``name(key=value)`` with all non-default fields."""
     given = []
     for field in dataclasses.fields(component):  # type: ignore[arg-type]
         if field.name == "dims" or not field.init:
@@ -190,7 +194,7 @@ def _parse_call(part: str, whole: str) -> Call:
     if not (rest.startswith("(") and rest.endswith(")")):
         raise SpecError(f"{shown(part)} is not of the form name(key=value, ...).")
 
-    # Let Python's own parser read the brackets, as those of a call
+    # Parse the brackets with Python's own parser, as the arguments of a call
     source, written = f"f{rest}", printable(name + rest, QUOTED)
     try:
         tree = ast.parse(source, mode="eval").body
@@ -203,17 +207,17 @@ def _parse_call(part: str, whole: str) -> Call:
     if first and len(tree.args) == 1:
         keywords.insert(0, (first, tree.args[0]))
     elif tree.args:
-        # Not ast.unparse, which recurses and gives up on deep nesting.
+        # Do not use ast.unparse, which recurses and fails on deep nesting.
         nameless = ast.get_source_segment(source, tree.args[0]) or "a value"
         written = printable(nameless, QUOTED)
         raise SpecError(
-            f"{brief} was given {written} without a name; write parameter={written}, with the name of a "
-            "parameter that it has."
+            f"{brief} was given {written} without a name; write parameter={written}, with the name "
+            "of one of its parameters."
         )
     arguments: dict[str, Any] = {}
     for key, value in keywords:
         if key is None:
-            raise SpecError(f"{brief} was given '**'; only key=value is read.")
+            raise SpecError(f"{brief} was given '**'; only key=value is allowed.")
         if key in arguments:
             raise SpecError(f"{brief} was given {printable(key, QUOTED)} twice.")
         try:
@@ -227,7 +231,7 @@ def _parse_call(part: str, whole: str) -> Call:
 
 
 def _literal_advice(value: str) -> str:
-    """What to write in place of a value that is no literal: mostly a word without its quotes."""
+    """Return advice for a value that is not a literal; usually a word lacks its quotes."""
     constants = {"true": "True", "false": "False", "none": "None"}
     if value.lower() in constants:
         return f"write {constants[value.lower()]}"

@@ -1,21 +1,21 @@
-"""Counter-based random streams: any number of any realization, in any order, from its address.
+"""Counter-based random streams: direct access to any number of any realization, in any order.
 
 Method
 ------
 A *stream* is a 64-bit key. `Stream.from_rng` makes one from a user's seed (SPEC 7: an integer,
-`numpy.random.Generator`, `SeedSequence` or None), `Stream.child` derives independent ones for the
-parts of a sampler (points, shift, scramble, ...). For realization r the stream's key and r go
-through Philox4x32-10 [Salmon2011]_, a bijection of its 128-bit counter: different realizations of
-a stream therefore have *different* 128-bit keys (k0, k1) by construction. Number i of a
+`numpy.random.Generator`, `SeedSequence` or None). `Stream.child` derives independent streams for
+the parts of a sampler (points, shift, scramble, ...). For realization r, the stream's key and r
+pass through Philox4x32-10 [Salmon2011]_, a bijection of its 128-bit counter. Different realizations
+of a stream therefore have *different* 128-bit keys (k0, k1) by construction. Number i of a
 realization is a keyed 64-bit mix,
 
     x = (i xor k0) M1;  x ^= x >> 32;  x = (x + k1) M2;  x ^= x >> 29;  x *= M3;  x ^= x >> 32
 
-with the multipliers of SplitMix64 [Steele2014]_. k0 enters before and k1 after the first
-non-linear step, so that one stream is a shifted or permuted copy of another only if k1 agrees too.
-Philox alone would do as well; it took 1.8 ns a double at 7 rounds where the mix takes 1.3 and
-NumPy's PCG64 3.7 (one core, AVX-512, 2^17 doubles). `tests/core/test_streams.py` holds the
-statistics: moments, χ², serial correlation and collisions across realizations, indices and seeds.
+with the multipliers of SplitMix64 [Steele2014]_. k0 enters before and k1 after the first non-linear
+step, so that one stream is a shifted or permuted copy of another only if k1 also agrees. Philox
+alone would be sufficient, but it takes 1.8 ns per double at 7 rounds. The mix takes 1.3 ns and
+NumPy's PCG64 3.7 ns (one core, AVX-512, 2^17 doubles). `tests/core/test_streams.py` tests the
+statistics: moments, χ², serial correlation, and collisions across realizations, indices and seeds.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from mcspectra.core.jit import kernel
 
 __all__ = ["RngLike", "Stream", "golden_vector", "mix_bits", "mix_uniform", "uniforms"]
 
-_SEED_BITS = 4096  # results hold the seed as text, of which Python writes 4300 digits
+_SEED_BITS = 4096  # bits of a seed; results hold it as text, and Python writes at most 4300 digits
 
 RngLike: TypeAlias = "int | np.random.Generator | np.random.SeedSequence | None"
 
@@ -64,7 +64,7 @@ def mix_uniform(k0: np.uint64, k1: np.uint64, i: int) -> float:
 
 @kernel
 def _fill_uniforms(keys: Array, out: Array) -> None:
-    # keys (R, 2), out (R, size)
+    # shapes: keys (R, 2), out (R, size)
     for r in range(out.shape[0]):
         k0, k1 = keys[r, 0], keys[r, 1]
         row = out[r]
@@ -94,12 +94,12 @@ def _fill_keys(key: np.uint64, first: int, out: Array) -> None:
 
 
 def golden_vector(dims: int) -> Array:
-    """Steps (d,) of an additive recurrence k·α modulo 1 that fills the cube evenly [Roberts2018]_.
+    """Return steps (d,) of an additive recurrence that fills the cube evenly [Roberts2018]_.
 
-    α_j = g^−j with the root g of g^(d+1) = g + 1.
+    The points are k·α modulo 1; α_j = g^−j with the root g of g^(d+1) = g + 1.
     """
     root = 1.5
-    for _ in range(64):  # a contraction: each step halves the error at least
+    for _ in range(64):  # a contraction: each step at least halves the error
         root = (1.0 + root) ** (1.0 / (dims + 1))
     return np.asarray(root ** -np.arange(1.0, dims + 1))
 
@@ -113,7 +113,7 @@ def uniforms(keys: Array, size: int) -> Array:
 
 @dataclass(frozen=True)
 class Stream:
-    """An addressable source of random numbers: one 64-bit key, any number of realizations.
+    """A source of random numbers with direct access: one 64-bit key, any number of realizations.
 
     Attributes
     ----------
@@ -127,13 +127,13 @@ class Stream:
     def from_rng(rng: RngLike = None) -> Stream:
         """Make a stream from a seed in the sense of SPEC 7.
 
-        An integer or `SeedSequence` gives the same stream every time, a `Generator` is advanced by
-        one 64-bit draw, None takes fresh entropy.
+        An integer or `SeedSequence` always gives the same stream, a `Generator` is advanced by one
+        64-bit draw, and None uses fresh entropy.
 
         Raises
         ------
         ParameterError
-            `rng` is something else, or an integer that is negative or longer than 4096 bits.
+            If `rng` has another type, or is an integer that is negative or longer than 4096 bits.
         """
         if isinstance(rng, np.random.Generator):
             return Stream(int(rng.integers(0, 2**64, dtype=np.uint64)))
@@ -151,7 +151,7 @@ class Stream:
         return Stream(int(rng.generate_state(1, np.uint64)[0]))
 
     def child(self, label: int) -> Stream:
-        """Return an independent stream for a part of the work, named by a small integer."""
+        """Return an independent stream for a part of the work, identified by a small integer."""
         word, _ = _philox4x32(np.uint64(self.key), label, 0, 0, 1)
         return Stream(int(word))
 
@@ -166,9 +166,9 @@ class Stream:
         return uniforms(self.keys(first, count), size)
 
     def generator(self, realization: int) -> np.random.Generator:
-        """Return a NumPy generator for one realization, for libraries that want one.
+        """Return a NumPy generator for one realization, for libraries that need one.
 
-        It can spawn, which `scipy.stats.qmc` asks for: hence a SeedSequence, not a key.
+        It is made from a SeedSequence, because `scipy.stats.qmc` needs a generator that can spawn.
         """
         k0, k1 = self.keys(realization, 1)[0]
         return np.random.Generator(np.random.Philox(np.random.SeedSequence([int(k0), int(k1)])))

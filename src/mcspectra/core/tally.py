@@ -1,9 +1,9 @@
-"""Evaluations of users' functions, counted and limited: every call of one is spent here first.
+"""Counts and limits of evaluations of users' functions; each call is counted before it is made.
 
-`counting` opens a tally, which sees all that is spent inside of it, in this thread and in those of
-`mcspectra.core.parallel`; tallies may stand within each other. A limit holds before the function is
-called. Work that goes on without what was refused, as another method of a prediction, is made in vain:
-`Tally.check` says at the end that a limit was met.
+`counting` opens a tally. It counts all evaluations inside its block, in this thread and in the
+threads of `mcspectra.core.parallel`; tallies can be nested. A limit is checked before the function
+is called. If work continues without rejected evaluations, for example with another method of a
+prediction, its result is discarded: `EvaluationTally.check` raises an error at the end.
 """
 
 from __future__ import annotations
@@ -18,47 +18,48 @@ from typing import final
 from mcspectra.core.checks import as_integer
 from mcspectra.core.errors import BudgetError, Function, Parameter
 
-__all__ = ["Tally", "counting", "spend"]
+__all__ = ["EvaluationTally", "counting", "spend"]
 
 _lock = threading.Lock()
 
 
 @final
 @dataclass
-class Tally:
-    """Evaluations that something made, and the most that it may, None for any number."""
+class EvaluationTally:
+    """Number of evaluations of a computation, and its limit; None for no limit."""
 
     what: str | Function
     most: int | None = None
-    outer: Tally | None = None
+    outer: EvaluationTally | None = None
     made: int = 0
-    refused: int = 0  # how many would have been made, where the limit was met
+    # number of evaluations that would have exceeded the limit; 0 without such an attempt
+    refused: int = 0
 
     def foresee(self, evaluations: int) -> None:
-        """Raise BudgetError where so many more are beyond the most."""
+        """Raise BudgetError if further `evaluations` would exceed the limit."""
         if self.most is not None and self.made + evaluations > self.most:
             self.refused = max(self.refused, self.made + evaluations)
             self.check()
 
     def check(self) -> None:
-        """Raise BudgetError where evaluations were refused."""
+        """Raise BudgetError if evaluations were rejected."""
         if self.refused:
             raise BudgetError(
                 self.what,
                 f" takes at least {self.refused} evaluations of the integrand, and ",
                 Parameter("max_evaluations"),
-                f" is {self.most}; allow more, or ask for less.",
+                f" is {self.most}; allow more, or reduce the task.",
             )
 
 
-_innermost: ContextVar[Tally | None] = ContextVar("tally", default=None)
+_innermost: ContextVar[EvaluationTally | None] = ContextVar("tally", default=None)
 
 
 @contextmanager
-def counting(what: str | Function, most: int | None = None) -> Iterator[Tally]:
-    """Count the evaluations that `what` makes inside, `most` of them at most, an integer from 1 or None."""
+def counting(what: str | Function, most: int | None = None) -> Iterator[EvaluationTally]:
+    """Count the evaluations inside the block; `most` is their limit, at least 1, or None."""
     most = None if most is None else as_integer("max_evaluations", most, least=1)
-    tally = Tally(what, most, _innermost.get())
+    tally = EvaluationTally(what, most, _innermost.get())
     token = _innermost.set(tally)
     try:
         yield tally
@@ -67,12 +68,12 @@ def counting(what: str | Function, most: int | None = None) -> Iterator[Tally]:
 
 
 def spend(evaluations: int) -> None:
-    """Say that a function is about to be called at so many points.
+    """Count `evaluations` of a function before they are made.
 
     Raises
     ------
     BudgetError
-        A tally does not allow them; none counts them.
+        If a tally does not allow them; then no tally counts them.
     """
     with _lock:
         tally = _innermost.get()

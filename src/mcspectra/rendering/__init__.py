@@ -1,4 +1,4 @@
-"""Rendering: the bridge to Mitsuba 3, where a pixel is one more integrand."""
+"""Rendering: the interface to Mitsuba 3, in which the radiance of a pixel is an integrand."""
 
 import lazy_loader
 

@@ -1,11 +1,11 @@
-"""Mitsuba with a working LLVM: find the library, probe it in a subprocess, set the variant.
+"""Mitsuba with a working LLVM: find the library, test it in a subprocess, set the variant.
 
-Dr.Jit compiles for the CPU through libLLVM, and some versions of it end the process with SIGABRT
-when the first kernel is compiled (measured: LLVM 15 and 16 on an AVX-512 machine). So every
-candidate is tried in a subprocess first: the user's ``DRJIT_LIBLLVM_PATH``, then the library of the
-wheel karellen-llvm-core, then the system's, version 19 or newer. The verdict is kept in the
-folder of the cache (`mcspectra.core.cache`) under everything it depends on, so that only the first
-start pays for the trial.
+Dr.Jit compiles for the CPU through libLLVM. Some versions of it end the process with SIGABRT when
+the first kernel is compiled (measured: LLVM 15 and 16 on an AVX-512 machine). Every candidate is
+therefore tested in a subprocess first: the user's ``DRJIT_LIBLLVM_PATH``, then the library of the
+wheel karellen-llvm-core, then the system's, version 19 or newer. The verdict is stored in the cache
+folder (`mcspectra.core.cache`) with everything that it depends on, so that only the first start
+runs the test.
 """
 
 from __future__ import annotations
@@ -47,20 +47,20 @@ VARIANT = "llvm_ad_rgb"
 """The vectorized CPU variant, float32 and RGB."""
 
 SCALAR_VARIANT = "scalar_rgb"
-"""The variant that needs no LLVM: whole images by Mitsuba's own integrators, one ray at a time."""
+"""The variant without LLVM: whole images by Mitsuba's own integrators, one ray at a time."""
 
 LARGEST_SAMPLE = 1.0 - 2.0**-24
-"""The largest float32 below 1: rounding u up to 1 would leave the square."""
+"""The largest float32 below 1: rounding u up to 1 would leave the unit square."""
 
 LOCK = threading.RLock()
-"""Hold this around all Dr.Jit work: its traces and the variant belong to the whole process."""
+"""Lock for all work with Dr.Jit: its traces and the variant belong to the whole process."""
 
 _LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
 _OLDEST_LLVM = 19
 _PROBE_SECONDS = 120.0
 _INSTALL = "install it with: pip install 'mcspectra[render]'"
 _SYSTEM_FOLDERS = {
-    # platform: folder, pattern in it
+    # platform: folder, file pattern
     "Linux": (
         ("/usr/lib", "*/libLLVM*.so*"),
         ("/usr/lib", "llvm*/lib/libLLVM*.so*"),
@@ -78,8 +78,8 @@ _OWN_PLUGINS = """
 import mitsuba as mi, os
 mi.file_resolver().clear()
 mi.file_resolver().append(os.path.dirname(mi.__file__))
-"""  # the current folder, where Mitsuba would look first, may be a stranger's
-# Minimum, ray tracing and a rough conductor are what broke under unsuitable versions.
+"""  # Mitsuba would search the current folder first, which may be untrusted
+# These features failed with unsuitable versions: minimum, ray tracing and a rough conductor.
 _PROBE = f"""{_OWN_PLUGINS}
 mi.set_variant({VARIANT!r})
 import drjit as dr
@@ -105,7 +105,7 @@ _loaded: list[Any] = []
 
 @dataclass(frozen=True)
 class Verdict:
-    """Result of the trial of one library.
+    """Result of the test of one library.
 
     Attributes
     ----------
@@ -113,7 +113,7 @@ class Verdict:
         Path of libLLVM.
     works
         Whether the variant compiled and ran a kernel with it.
-    reason
+    Reason of the failure; empty if the library works.
         Why not, empty if it works.
     version
         Version of LLVM if it works, e.g. ``19.1.7``.
@@ -131,7 +131,7 @@ def load_mitsuba() -> Any:
     Raises
     ------
     MissingDependency
-        Mitsuba is not installed, or no libLLVM works; the message names the package to install.
+        If Mitsuba is not installed, or no libLLVM works; the message names the package to install.
     """
     with LOCK:
         if not _loaded:
@@ -152,16 +152,16 @@ def load_mitsuba() -> Any:
 
 
 def find_library(*, fresh: bool = False) -> tuple[Verdict | None, list[Verdict]]:
-    """Return the first libLLVM that works, if any, and the verdicts on those before it.
+    """Return the first working libLLVM, if any, and the verdicts on the libraries before it.
 
     Parameters
     ----------
     fresh
-        Probe again, whatever the cache says.
+        Whether to test again instead of using cached verdicts.
 
     Notes
     -----
-    A probe takes about a second, a cached verdict less than a millisecond.
+    A test takes about a second, a cached verdict less than a millisecond.
     """
     refused: list[Verdict] = []
     for library in _candidates():
@@ -173,15 +173,15 @@ def find_library(*, fresh: bool = False) -> tuple[Verdict | None, list[Verdict]]
 
 
 def describe() -> dict[str, Any]:
-    """Describe the backend of rendering, from fresh probes and without importing Mitsuba here.
+    """Describe the rendering backend from new tests, without importing Mitsuba in this process.
 
     Returns
     -------
     dict
         ``mitsuba`` and ``drjit`` (versions or None), ``library`` and ``llvm`` (path and version, or
-        None), ``variant`` (the vectorized one if it works, else None), ``variants`` (all that were
-        tried and work), ``refused`` (libraries tried before and why, or None), ``reason`` (why the
-        vectorized one does not work, else None).
+        None), ``variant`` (the vectorized one if it works, otherwise None), ``variants`` (all
+        tested variants that work), ``refused`` (rejected libraries with reasons, or None),
+        ``reason`` (why the vectorized variant does not work, or None).
     """
     found: dict[str, Any] = {name: _version(name) for name in ("mitsuba", "drjit")}
     found |= dict.fromkeys(("library", "llvm", "variant", "refused", "reason")) | {"variants": []}
@@ -200,15 +200,15 @@ def describe() -> dict[str, Any]:
 
 
 def import_mitsuba() -> Any:
-    """Return the module `mitsuba` with the library that `load_mitsuba` will need, no variant set.
+    """Return the module `mitsuba` with the library that `load_mitsuba` needs, without a variant.
 
-    Dr.Jit looks for libLLVM when it is imported, for any variant: a program that imports it in any
-    other way first may get one that ends the process later.
+    Dr.Jit searches libLLVM when it is imported, for any variant. A program that imports it in
+    another way first may load a library that ends the process later.
 
     Raises
     ------
     MissingDependency
-        Mitsuba is not installed. A missing libLLVM is not an error here.
+        If Mitsuba is not installed. A missing libLLVM is not an error here.
     """
     with LOCK:
         if importlib.util.find_spec("mitsuba") is None:
@@ -221,8 +221,8 @@ def import_mitsuba() -> Any:
 
 
 def _check_mapped() -> None:
-    """Refuse what Dr.Jit has loaded, by the caller's own import of it, if that ends the process later."""
-    try:  # where the system says what this process has loaded, as Linux does
+    """Raise an error if the caller's own import of Dr.Jit loaded an unsuitable libLLVM."""
+    try:  # Linux lists the libraries of this process
         lines = Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return
@@ -233,8 +233,8 @@ def _check_mapped() -> None:
     best, _ = find_library()
     order = "call mcspectra.rendering.load_mitsuba() before you import mitsuba or drjit"
     raise MissingDependency(
-        f"Mitsuba was imported before mcspectra could choose a libLLVM, and has loaded one that does not "
-        f"work ({_reasons(verdicts)}); "
+        "Mitsuba was imported before mcspectra could choose a libLLVM, and loaded one that does "
+        f"not work ({_reasons(verdicts)}); "
         + (
             f"{order}, or set {_LIBRARY_VARIABLE}={best.library}."
             if best
@@ -250,8 +250,8 @@ def _imported() -> Any:
     except ImportError as error:
         raise MissingDependency(f"Mitsuba is installed but cannot be imported: {error}.") from error
     if ours:
-        # Mitsuba would look for its plugins, which are code, in the current folder first. Files that
-        # are not in its own folder are still opened in the current one.
+        # Mitsuba would search its plugins, which are code, in the current folder first. Files
+        # outside its own folder are still opened relative to the current folder.
         module: Any = mitsuba
         resolver = module.file_resolver()
         resolver.clear()
@@ -261,13 +261,13 @@ def _imported() -> Any:
 
 @functools.cache
 def mitsuba_folder() -> Path | None:
-    """Return the folder of the package Mitsuba, with its plugins and data; None without it."""
+    """Return the folder of the package Mitsuba with its plugins and data; None if not installed."""
     spec = importlib.util.find_spec("mitsuba")
     return None if spec is None or spec.origin is None else Path(spec.origin).resolve().parent
 
 
 def _already_running() -> bool:
-    """Whether the caller's own program has set the variant before us: then LLVM works."""
+    """Whether the caller's program has already set the variant; then LLVM works."""
     module = sys.modules.get("mitsuba")
     return module is not None and module.variant() == VARIANT
 
@@ -279,7 +279,7 @@ def _no_mitsuba() -> str:
 def _no_library(refused: list[Verdict]) -> str:
     tried = _reasons(refused) or "none was found"
     return (
-        f"Mitsuba needs a libLLVM, version {_OLDEST_LLVM} or newer, that works ({tried}); {_INSTALL}"
+        f"Mitsuba needs a working libLLVM of version {_OLDEST_LLVM} or newer ({tried}); {_INSTALL}"
         f" (Linux x86-64), or install the system's LLVM ≥ {_OLDEST_LLVM} and set "
         f"{_LIBRARY_VARIABLE} to its library."
     )
@@ -290,7 +290,7 @@ def _reasons(refused: list[Verdict]) -> str:
 
 
 def _candidates() -> Iterator[str]:
-    """Yield paths of libraries in the order in which they are to be tried, each file once."""
+    """Yield paths of libraries in the order of their tests, each file once."""
     seen = set()
     given = os.environ.get(_LIBRARY_VARIABLE)
     for path in ([given] if given else []) + _wheel_library() + _system_libraries():
@@ -310,7 +310,7 @@ def _wheel_library() -> list[str]:
 
 
 def _system_libraries() -> list[str]:
-    """Return the system's libraries, newest first; those that say an old version are left out."""
+    """Return the system's libraries, newest first, without those named as old versions."""
     folders = _SYSTEM_FOLDERS.get(platform.system(), ())
     found = {str(path) for folder, pattern in folders for path in Path(folder).glob(pattern)}
     versions = {path: _llvm_version(path) for path in found}
@@ -319,7 +319,7 @@ def _system_libraries() -> list[str]:
 
 
 def _llvm_version(path: str) -> int | None:
-    """Return the major version that a path (its links followed) spells, or None."""
+    """Return the major version in a path after resolving links, or None."""
     match = re.search(r"(?:LLVM(?:-C)?|llvm)[-@.](?:so\.)?(\d+)", os.path.realpath(path))
     return int(match.group(1)) if match else None
 
@@ -331,7 +331,7 @@ def _verdict(library: str, fresh: bool) -> Verdict:
         return cached
     verdict, final = _probe(library)
     if final:
-        # A cache that cannot be written only costs the next start a probe.
+        # If the cache cannot be written, the next start repeats the test.
         draft = file.with_suffix(f".{os.getpid()}.tmp")
         kept = {name: getattr(verdict, name) for name in ("works", "reason", "version")}
         with contextlib.suppress(OSError):
@@ -342,7 +342,7 @@ def _verdict(library: str, fresh: bool) -> Verdict:
 
 
 def _fingerprint(library: str) -> str:
-    """Hash all that a verdict depends on; the host too, as home folders are shared by clusters."""
+    """Hash all that a verdict depends on; also the host, as clusters share home folders."""
     try:
         status = Path(library).stat()
         size, modified = status.st_size, status.st_mtime_ns
@@ -354,23 +354,23 @@ def _fingerprint(library: str) -> str:
 
 
 def _probe(library: str) -> tuple[Verdict, bool]:
-    """Try `library` in a subprocess; the second value is whether the verdict is worth keeping."""
+    """Test `library` in a subprocess; the second value is whether to store the verdict."""
     if not Path(library).is_file():
         return Verdict(library, False, "there is no such file"), False
     try:
         run = _tried(_PROBE, {_LIBRARY_VARIABLE: library})
     except (OSError, subprocess.TimeoutExpired) as error:
-        return Verdict(library, False, f"the trial did not finish: {error}"), False
+        return Verdict(library, False, f"the test did not finish: {error}"), False
     if _worked(run):
         return Verdict(library, True, "", run.stdout.partition("version ")[2].strip()), True
     lines = [line.strip() for line in run.stderr.splitlines() if line.strip()]
     ending = f"signal {-run.returncode}" if run.returncode < 0 else f"status {run.returncode}"
     last = f" ({lines[-1][:160]})" if lines else ""
-    return Verdict(library, False, f"the trial ended with {ending}{last}"), True
+    return Verdict(library, False, f"the test ended with {ending}{last}"), True
 
 
 def _tried(program: str, variables: Mapping[str, str] | None = None) -> _Run:
-    """Run a program in a process of its own, which imports nothing from the current folder."""
+    """Run a program in a separate process that imports nothing from the current folder."""
     command = [sys.executable, "-P", "-c", program]
     kept: dict[str, Any] = {"capture_output": True, "text": True, "timeout": _PROBE_SECONDS}
     return subprocess.run(command, env={**os.environ, **(variables or {})}, check=False, **kept)

@@ -1,4 +1,4 @@
-"""The built-in scenes, each a function that makes a Mitsuba dictionary with named points."""
+"""Built-in scenes: each function returns a Mitsuba dictionary with named points."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _Scene = TypeVar("_Scene", bound=Callable[..., dict[str, Any]])
 
 
 def named_points(**points: Point) -> Callable[[_Scene], _Scene]:
-    """Name points of the world that a scene's function makes; `named_pixels` finds their pixels."""
+    """Name world points of a scene; `named_pixels` finds their pixels."""
 
     def keep(scene: _Scene) -> _Scene:
         scene.named_points = points  # type: ignore[attr-defined]
@@ -35,12 +35,12 @@ def named_points(**points: Point) -> Callable[[_Scene], _Scene]:
 def perspective(
     origin: Point, target: Point, fov: float, width: int, height: int
 ) -> dict[str, Any]:
-    """Make a camera with +y up, a vertical field of view in degrees, and a film of box pixels.
+    """Return a camera with +y up, a vertical field of view in degrees, and a film of box pixels.
 
     Raises
     ------
     ParameterError
-        A film without pixels, or of more than 65536 along a side.
+        If the film has no pixels, or more than 65536 along a side.
     """
     size = {
         name: as_integer(name, value, least=1, most=_LARGEST_FILM)
@@ -56,9 +56,9 @@ def perspective(
 def rectangle(
     center: Sequence[float], across: Sequence[float], along: Sequence[float]
 ) -> dict[str, Any]:
-    """Make a parallelogram center ± across ± along that faces across × along.
+    """Return a parallelogram center ± across ± along that faces across × along.
 
-    `across` and `along` are half its sides, normal to each other.
+    `across` and `along` are half its sides and perpendicular to each other.
     """
     normal = np.cross(across, along)
     columns = [across, along, normal / np.linalg.norm(normal), center]
@@ -68,7 +68,7 @@ def rectangle(
 
 
 def diffuse(reflectance: float | Sequence[float], *, both_sides: bool = False) -> dict[str, Any]:
-    """Make a Lambertian BSDF, gray or of an RGB color; black from behind unless `both_sides`."""
+    """Return a Lambertian BSDF, gray or of an RGB color; black from behind unless `both_sides`."""
     value = reflectance if isinstance(reflectance, float) else list(reflectance)
     bsdf: dict[str, Any] = {"type": "diffuse", "reflectance": {"type": "rgb", "value": value}}
     return {"type": "twosided", "bsdf": bsdf} if both_sides else bsdf
@@ -81,9 +81,9 @@ def area_light(radiance: float | dict[str, Any]) -> dict[str, Any]:
 
 
 P: Point = (-1.2, 0.0, 0.7)
-"""A point of the floor that sees all of the light."""
+"""A floor point where the whole light is visible."""
 Q: Point = (0.9, 0.0, 0.4)
-"""A point of the floor from which the occluder hides a part of the light."""
+"""A floor point where the occluder hides a part of the light."""
 
 _HEIGHT, _HALF_SIDE, _RADIANCE = 2.0, 1.0, 9.0
 _OCCLUDER: Point = (1.5, 1.0, 0.0)
@@ -94,13 +94,13 @@ _TEXELS = 256
 
 @named_points(P=P, Q=Q)
 def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[str, Any]:
-    """A square light over a floor, and an occluder that hides part of the light from one of two points.
+    """A square light above a floor, and an occluder that hides part of it from one of two points.
 
     Parameters
     ----------
     edge
-        Share of the light's half side, from its border inwards, on which radiance rises from 0 to
-        full as a smoothstep, 3t² − 2t³; 0 is a light of constant radiance.
+        Fraction of the light's half side, from its border inwards, over which radiance rises from 0
+        to full as a smoothstep, 3t² − 2t³; 0 gives constant radiance.
     width, height
         Film size in pixels.
 
@@ -112,30 +112,30 @@ def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[s
     Raises
     ------
     ParameterError
-        `edge` is not within [0, 1], or a film without pixels.
+        If `edge` is not within [0, 1], or the film has no pixels.
 
     Notes
     -----
-    The arrangement is that of Figure 1 in [Singh2019]_, which gives no numbers; these are ours. The
-    floor is y = 0. The light is the square |x| ≤ 1, |z| ≤ 1 at y = 2 and faces down; the occluder
-    is a square of half side 0.7 at y = 1 around x = 1.5, z = 0, turned by 25° so that its shadow's
-    border is not parallel to strata. The named pixels P and Q see the points `P`, which sees all of
-    the light, and `Q`. Neither is below the light's center, where the integrand would be the same
-    at opposite borders and a shifted set would lose nothing.
+    The arrangement is that of Figure 1 in [Singh2019]_, which gives no numbers; these numbers are
+    our choice. The floor is y = 0. The light is the square |x| ≤ 1, |z| ≤ 1 at y = 2 and faces
+    down. The occluder is a square of half side 0.7 at y = 1 around x = 1.5, z = 0, rotated by 25°
+    so that its shadow's border is not parallel to strata. The named pixels P and Q show the points
+    `P`, from which the whole light is visible, and `Q`. Neither is below the light's center, where
+    the integrand would be equal at opposite borders and a shifted set would lose nothing.
 
-    With an edge, radiance is a texture of 256² texels, interpolated bilinearly, and Mitsuba
-    samples such a light texel by texel in proportion to it. For BSDF sampling the light has then no
-    silhouette: at P, jittered, its rate goes from −1.5 to −1.9 with ``edge=1``.
+    With an edge, radiance is a texture of 256² texels with bilinear interpolation. Mitsuba samples
+    such a light texel by texel in proportion to the texture. For BSDF sampling the light then has
+    no silhouette: at P, the rate of jittered points goes from −1.5 to −1.9 with ``edge=1``.
     """
     radiance: Any = _RADIANCE
     if as_real("edge", edge, least=0.0, most=1.0):
-        # A texture that rises from 0 at the ends of [0,1] to 1 at the distance edge / 2 as a smoothstep
+        # Texture that rises as a smoothstep from 0 at both ends of [0,1] to 1 at edge / 2
         u = (np.arange(_TEXELS) + 0.5) / _TEXELS
         t = np.minimum(2.0 * np.minimum(u, 1.0 - u), edge) / edge
         profile = np.asarray(t * t * (3.0 - 2.0 * t))
         values = _RADIANCE * np.outer(profile, profile).astype(np.float32)
         bitmap = load_mitsuba().Bitmap(np.repeat(values[..., None], 3, axis=2))
-        # Raw: radiance is linear, no color to be decoded; clamp: no wrapping at the borders.
+        # Raw: radiance is linear and must not be decoded; clamp: no wrapping at the borders.
         radiance = {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "clamp"}
     angle = np.deg2rad(_OCCLUDER_DEGREES)
     across = _OCCLUDER_HALF_SIDE * np.array([np.cos(angle), 0.0, -np.sin(angle)])
@@ -156,15 +156,15 @@ def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[s
 def smooth_light(*, edge: float = 0.5, width: int = 384, height: int = 256) -> dict[str, Any]:
     """The scene figure1 with a light whose radiance falls smoothly to 0 at its border.
 
-    Parameters, errors and notes are those of `figure1`.
+    Parameters, errors and notes are the same as in `figure1`.
     """
     return figure1(edge=edge, width=width, height=height)
 
 
 _LIGHT_Y, _LIGHT_HALF_SIDE, _PENUMBRA_RADIANCE = 3.0, 0.8, 16.0
 _BALL, _BALL_RADIUS = (-1.2, 1.0, 0.3), 0.4
-_ROD = ((-2.2, 0.7, 1.1), (0.2, 0.9, 1.3), 0.07)  # ends and radius
-_BLADES = (0.6, 1.15, 1.7)  # x of three parallel blades
+_ROD = ((-2.2, 0.7, 1.1), (0.2, 0.9, 1.3), 0.07)  # both ends and the radius of the rod
+_BLADES = (0.6, 1.15, 1.7)  # x coordinates of three parallel blades
 
 
 @named_points(
@@ -175,7 +175,7 @@ _BLADES = (0.6, 1.15, 1.7)  # x of three parallel blades
     blades=(1.25, 0.0, 0.45),
 )
 def penumbra(*, width: int = 384, height: int = 256) -> dict[str, Any]:
-    """A square light over a floor, behind a ball, a rod and three blades.
+    """A square light above a floor, behind a ball, a rod and three blades.
 
     Parameters
     ----------
@@ -190,12 +190,13 @@ def penumbra(*, width: int = 384, height: int = 256) -> dict[str, Any]:
     Raises
     ------
     ParameterError
-        A film without pixels.
+        If the film has no pixels.
 
     Notes
     -----
-    The named pixel ``lit`` sees all of the light; ``ball`` and ``rod`` lie in the penumbra of the
-    one, ``both`` in those of both, and ``blades`` in those of blade-0 and blade-1.
+    From the named pixel ``lit`` the whole light is visible. ``ball`` and ``rod`` lie in the
+    penumbra of the ball and of the rod, ``both`` in both penumbras, and ``blades`` in those of
+    blade-0 and blade-1.
     """
     light = rectangle((0, _LIGHT_Y, 0), (_LIGHT_HALF_SIDE, 0, 0), (0, 0, _LIGHT_HALF_SIDE))
     floor = rectangle((0, 0, 0), (6, 0, 0), (0, 0, -6))
@@ -210,7 +211,7 @@ def penumbra(*, width: int = 384, height: int = 256) -> dict[str, Any]:
         "floor": {**floor, "bsdf": diffuse(0.5)},
     }
     scene["rod"]["bsdf"] = gray  # type: ignore[index]
-    # Blades are turned by 20° about y and lean by 30°
+    # The blades are rotated by 20° about y and inclined by 30°
     turn, lean = math.radians(20.0), math.radians(30.0)
     along = (0.6 * math.sin(turn), 0.0, 0.6 * math.cos(turn))
     across = (
@@ -237,7 +238,8 @@ _MATERIALS: dict[str, tuple[float, dict[str, Any]]] = {
     ),
     "metal": (1.9, {"type": "roughconductor", "distribution": "ggx", "alpha": 0.15}),
 }
-_FRONT = 0.6 * _SKY_RADIUS  # of the named points, to the camera's side of a sphere and upwards
+# offset of the named points from a sphere's center, toward the camera and upwards
+_FRONT = 0.6 * _SKY_RADIUS
 _UP = _SKY_RADIUS + 0.8 * _SKY_RADIUS
 
 
@@ -264,15 +266,15 @@ def sky(*, width: int = 384, height: int = 256) -> dict[str, Any]:
     Raises
     ------
     ParameterError
-        A film without pixels.
+        If the film has no pixels.
 
     Notes
     -----
     The map is `mcspectra.integrands.synthetic_sky` with 64 × 128 pixels, its first row toward +y;
-    nothing is downloaded. Mitsuba places its columns at atan2(x, −z) = 2π (column + ½) / 128, its
-    rows at acos(y) = π row / 63, from pole to pole, and interpolates linearly.
-    The named pixels see the floor in the open and where the diffuse sphere touches it, and the
-    upper front of each sphere. The BSDF of plastic chooses between two lobes (``dims=3``).
+    nothing is downloaded. Mitsuba places its columns at atan2(x, −z) = 2π (column + ½) / 128 and
+    its rows at acos(y) = π row / 63, from pole to pole, and interpolates linearly. The named pixels
+    show the open floor, the floor where the diffuse sphere touches it, and the upper front of each
+    sphere. The BSDF of plastic chooses between two lobes (``dims=3``).
     """
     pixels = synthetic_sky(*_MAP_SIZE).astype(np.float32)
     scene = {
@@ -304,8 +306,9 @@ _PLATES: tuple[tuple[tuple[float, float], tuple[float, float], float], ...] = (
 )
 _PLATE_HALF_WIDTH = 4.0
 _FLOOR_Y, _WALL_Z = -4.14615, -2.0
-_HALF_WIDTH, _FRONT_Z, _WALL_TOP = 12.0, 15.0, 12.0  # ours: larger than what the camera sees
-_GRAY = 0.4  # ours too: reflectance of floor and wall
+# our choice: sizes larger than the camera's view
+_HALF_WIDTH, _FRONT_Z, _WALL_TOP = 12.0, 15.0, 12.0
+_GRAY = 0.4  # our choice: reflectance of floor and wall
 
 
 def _on_plate(i: int, x: float) -> Point:
@@ -317,7 +320,7 @@ def _on_plate(i: int, x: float) -> Point:
     **{
         "wall": (3.06, -0.73, _WALL_Z),
         "floor": (0.0, _FLOOR_Y, 4.6),
-        # Where the mirror image of the widest light is seen in each plate.
+        # Points where each plate shows the mirror image of the widest light.
         **{f"plate-{i}": _on_plate(i, x) for i, x in enumerate((3.3, 3.2, 3.1, 3.0))},
     }
 )
@@ -329,10 +332,10 @@ def veach(
     Parameters
     ----------
     lights
-        Which lights to keep: names among light-0 (smallest) … light-3 (widest) and fill-light.
-        All by default.
+        Lights to keep: names among light-0 (smallest) … light-3 (widest) and fill-light. By default
+        all.
     width, height
-        Film size in pixels. The plates fill a 3:2 frame; a square one crops them.
+        Film size in pixels. The plates fill a 3:2 frame; a square frame crops them.
 
     Returns
     -------
@@ -342,11 +345,11 @@ def veach(
     Raises
     ------
     ParameterError
-        An unknown light, an empty list of lights, or a film without pixels.
+        If a light is unknown, the list of lights is empty, or the film has no pixels.
 
     Notes
-    -----
-    Positions, radii, radiances, roughness and camera as in [Veach1997]_ and the scene files that
+    Positions, radii, radiances, roughness and camera come from [Veach1997]_ and from the scene
+    files that several renderers publish. Copper plates and gray floor and wall are our choice.
     several renderers publish. The plates are copper, floor and wall are gray: our choice.
     """
     allowed: Any = tuple(_SPHERES)

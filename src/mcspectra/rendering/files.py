@@ -1,4 +1,4 @@
-"""Rendered images as files: EXR with all measurements, PNG to look at."""
+"""Files of rendered images: EXR with all measurements, PNG for viewing."""
 
 from __future__ import annotations
 
@@ -39,24 +39,24 @@ def write_render(
     Parameters
     ----------
     path
-        ``.exr``: ``image`` as R, G, B, and the layers ``variance`` and ``image_se`` if there are
-        any, with the provenance as a comment. ``.png``: ``image`` alone, see `write_png`.
+        ``.exr``: ``image`` as R, G, B, and the layers ``variance`` and ``image_se`` if they exist,
+        with the provenance as a comment. ``.png``: ``image`` alone, see `write_png`.
     result
         A result of `render` or `reference`.
     exposure
-        Stops by which a PNG is made brighter; EXR holds radiance as it is.
+        Stops by which a PNG is brightened; EXR stores radiance unchanged.
 
     Returns
     -------
     list of str
-        Names of the layers written; that of the image is empty.
+        Names of the written layers; the name of the image is empty.
 
     Raises
     ------
     FileFormatError
-        Another extension, or the file cannot be written.
+        If the extension is another one, or the file cannot be written.
     ParameterError
-        `exposure` is not a number from −64 to 64, or `result` is not a result of `render`.
+        If `exposure` is not a number from −64 to 64, or `result` is not a result of `render`.
     """
     _check_result(path, result)
     file = check_image_path(path)
@@ -70,27 +70,27 @@ def write_render(
 
 
 def write_comparison(path: str | PathLike[str], images: Mapping[str, xr.Dataset]) -> list[str]:
-    """Write a result of `compare_strategies` as one EXR file, a layer for each image.
+    """Write a result of `compare_strategies` as one EXR file with a layer for each image.
 
     Parameters
     ----------
     path
-        A name that ends in ``.exr``.
+        File name that ends in ``.exr``.
     images
-        ``reference``, ``light``, …, of one size.
+        Images ``reference``, ``light``, … of equal size.
 
     Returns
     -------
     list of str
-        Names of the layers: those of the images, and ``reference.image_se``. The provenance of all
-        is the file's comment.
+        Names of the layers: the names of the images, and ``reference.image_se``. The file's comment
+        holds the provenance of all images.
 
     Raises
     ------
     FileFormatError
-        Another extension, or the file cannot be written.
+        If the extension is another one, or the file cannot be written.
     ParameterError
-        An image is not a result of `render`, or sizes differ.
+        If an image is not a result of `render`, or sizes differ.
     """
     file = check_image_path(path, (".exr",))
     layers: dict[str, Array] = {}
@@ -107,23 +107,23 @@ def write_comparison(path: str | PathLike[str], images: Mapping[str, xr.Dataset]
 def write_exr(path: str | PathLike[str], layers: Mapping[str, Array], *, comment: str = "") -> None:
     """Write layers as float32 channels of one EXR file (ZIP, scan lines).
 
-    Finite numbers beyond the range of float32 become its largest.
+    Finite numbers beyond the range of float32 are replaced by its largest number.
 
     Parameters
     ----------
     path
-        A name that ends in ``.exr``.
+        File name that ends in ``.exr``.
     layers
-        Name to array (height, width) or (height, width, 3), all of the same size. Channels are
-        called ``name.R`` and so on, or ``name.Y``; without the dot for the nameless layer.
+        Arrays (height, width) or (height, width, 3) by name, all of the same size. Channels are
+        called ``name.R`` and so on, or ``name.Y``; without the dot for the unnamed layer.
     comment
         Text for the file's header.
 
     Raises
     ------
-    FileFormatError
+    If the file cannot be written.
         The file cannot be written.
-    ParameterError
+    If there are no layers, or their shapes are invalid or differ.
         No layers, or layers of other or different shapes.
     """
     OpenEXR = load_openexr()
@@ -138,7 +138,7 @@ def write_exr(path: str | PathLike[str], layers: Mapping[str, Array], *, comment
             full = f"{name}.{letter}" if name else letter
             channels[full] = np.ascontiguousarray(values, np.float32)
     with writing(file), file.open("ab"):
-        pass  # OpenEXR does not say why it could not open a file
+        pass  # OpenEXR does not report why it could not open a file
     try:
         OpenEXR.File({**header, "comments": comment}, channels).write(str(file))
     except (OSError, RuntimeError) as error:
@@ -152,18 +152,19 @@ def write_png(path: str | PathLike[str], image: Array, *, exposure: float = 0.0)
     Parameters
     ----------
     path
-        A name that ends in ``.png``.
+        File name that ends in ``.png``.
     image
-        Radiance. Negative values become black, 1 and more (after the exposure) full intensity.
+        Radiance. Negative values become black; values of at least 1 after the exposure become
+        white.
     exposure
         Stops: radiance is multiplied by 2^exposure.
 
     Raises
     ------
     FileFormatError
-        The file cannot be written.
+        If the file cannot be written.
     ParameterError
-        `exposure` is not a number from −64 to 64, or the image has another shape.
+        If `exposure` is not a number from −64 to 64, or the image has another shape.
     """
     from PIL import Image
 
@@ -182,7 +183,7 @@ def encode_srgb(linear: Array) -> Array:
 
 
 def check_image_path(path: object, extensions: tuple[str, ...] = RENDER_EXTENSIONS) -> Path:
-    """Return `path` if its extension is one of those, and its folder exists."""
+    """Return `path` if it has one of the extensions, and its folder exists."""
     if not isinstance(path, str | PathLike) or not str(path):
         given = (
             repr(path)
@@ -196,7 +197,7 @@ def check_image_path(path: object, extensions: tuple[str, ...] = RENDER_EXTENSIO
     try:
         problem = "is a folder" if file.is_dir() else ""
         problem = problem or ("" if file.parent.is_dir() else "is in a folder that does not exist")
-    except OSError:  # a name too long
+    except OSError:  # the name is too long
         problem = "is not a possible file name"
     if "\0" in str(file):
         problem = "is not a possible file name"
@@ -206,7 +207,7 @@ def check_image_path(path: object, extensions: tuple[str, ...] = RENDER_EXTENSIO
 
 
 def _check_result(path: object, result: object) -> None:
-    """Refuse a result without an image, for instance the path if the two are swapped."""
+    """Raise an error for a result without an image, for example if path and result are swapped."""
     if "image" in getattr(result, "data_vars", ()):
         return
     swapped = "image" in getattr(path, "data_vars", ())

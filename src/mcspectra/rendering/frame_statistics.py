@@ -1,9 +1,9 @@
-"""Frames of any renderer: variance of the pixels, its rate, and how pixels and frames err together.
+"""Statistics of frames of any renderer: pixel variance, its rate, and error correlations.
 
-Frames are independent renders of one view, as files. Each is read twice, one at a time: for the moments
-of every pixel, then for what the deviations from the mean have in common. Deviations are divided by
-their pixel's standard deviation, so that bright corners do not drown the rest: white noise has the
-power 1 at all frequencies.
+Frames are independent renders of one view, as files. Each file is read twice, one file at a time:
+first for the moments of every pixel, then for correlations between the deviations from the mean.
+Deviations are divided by the standard deviation of their pixel, so that bright corners do not
+dominate. White noise then has power 1 at all frequencies.
 """
 
 from __future__ import annotations
@@ -45,21 +45,21 @@ Frames = str | PathLike[str] | Sequence[str | PathLike[str]]
 """A folder, a pattern, or files."""
 
 _MOST_SPP = 2**40
-_REACH = 8  # pixels to either side for which correlations are listed
-_FILTER = 2  # pixels that a reconstruction filter may join
-_SAMPLE = 2**14  # pixels by which frames are held against one another
-_TAIL = 64  # extreme deviations of a frame that are kept, as many as `Moments` looks at
-_TABLE = 4001  # correlations that are looked up
-_SIGNIFICANCE = 0.05  # of all pixels, frames or lags together
-_OUTLIER = 1e-3  # significance of Grubbs' test at each pixel
+_REACH = 8  # largest lag in pixels, to either side, for which correlations are listed
+_FILTER = 2  # pixels that a reconstruction filter may correlate
+_SAMPLE = 2**14  # pixels by which frames are compared with one another
+_TAIL = 64  # number of extreme deviations of a frame that are kept, as many as `Moments` uses
+_TABLE = 4001  # number of tabulated correlations
+_SIGNIFICANCE = 0.05  # significance level for all pixels, frames or lags together
+_OUTLIER = 1e-3  # significance level of Grubbs' test at each pixel
 _RELATED = 0.1  # correlation of two frames that matters, whatever its significance
-_REPEATED = 0.05  # correlation of far pixels that matters
-_LEAST_GRUBBS = 5  # frames
-_ONE_SQUARE = (
-    0.05  # share of one frame's error at one pixel in all squares, above which nothing is bounded
-)
-_WIDEST, _KNOWN_RATE = 15, 0.1  # pixels over which rates are averaged until their error is this
-_SLOWEST = -0.5  # rate by which a target is extrapolated
+_REPEATED = 0.05  # correlation of distant pixels that matters
+_LEAST_GRUBBS = 5  # least number of frames for Grubbs' test
+# Share of one frame's error at one pixel in all squares above which no upper limit is given
+_ONE_SQUARE = 0.05
+# Widest window, in pixels, that averages rates, and the standard error at which it stops growing
+_WIDEST, _KNOWN_RATE = 15, 0.1
+_SLOWEST = -0.5  # rate with which a target is extrapolated
 _SPP = re.compile(r"(?<![a-z0-9])(?:spp[_-]?(\d+)|(\d+)[_-]?spp)(?![a-z0-9])", re.IGNORECASE)
 
 
@@ -80,67 +80,71 @@ def frames(
     Parameters
     ----------
     paths
-        A folder (its images, and those of the folders in it), a pattern such as ``out/*_64spp.exr``, or
-        files: EXR, PFM or .npy of one size, linear values; two or more for each number of samples.
+        A folder (its images, and those in its subfolders), a pattern such as ``out/*_64spp.exr``,
+        or files: EXR, PFM or .npy of one size with linear values; at least two per number of
+        samples.
     spp
-        Samples a pixel of all frames. By default from names (``spp64``, ``64spp``, of the file or its
-        folder), else from EXR headers (pbrt's ``samplesPerPixel``, Blender's ``cycles.*.samples``).
+        Samples per pixel of all frames. By default from names (``spp64`` or ``64spp`` in the file
+        or folder name), otherwise from EXR headers (pbrt's ``samplesPerPixel``, Blender's
+        ``cycles.*.samples``).
     against
-        Frames of another renderer, integrator or setting, of the same view.
+        Frames of the same view by another renderer, integrator or setting.
     target
         Relative root mean square error (σ / mean) that pixels should reach.
     seconds, seconds_against
-        Time of a frame; by default from EXR headers (pbrt's ``renderTimeSeconds``, Blender's
+        Time per frame; by default from EXR headers (pbrt's ``renderTimeSeconds``, Blender's
         ``RenderTime``).
     layer
-        Of EXR files: the layer or channel to measure; by default the first picture.
+        Layer or channel of EXR files to measure; by default the first picture.
     tone_mapped
-        Take PNG and JPEG too, undoing the sRGB transfer function; clipped values have lost their noise.
+        Whether to accept PNG and JPEG and undo the sRGB transfer function. Clipped values have lost
+        their noise.
     flip
-        Compute FLIP where its package is there: it takes longer than all else together.
+        Whether to compute FLIP if its package is installed. It takes longer than all other steps.
 
     Returns
     -------
     xarray.Dataset
-        On the dims n (samples a pixel; 1 where they are unknown), y, x: ``mean``, ``variance`` of one
-        frame's luminance, ``variance_ci`` (bound), ``relative_rmse``, and ``largest_share``, that of one
-        frame in the sum of squares. With several n: ``rate``, ``rate_ci`` of the variance,
-        averaged over the attribute ``smoothing`` of pixels in x and y.
-        On n: ``picture_variance``, the mean over the pixels, with ``picture_variance_ci``;
-        ``picture_rate`` with its interval. ``needed_spp`` with a target.
-        ``error_spectrum(n, radius)`` with ``error_spectrum_ci``: power of the standardized errors over
-        radial frequency in cycles a pixel, white noise 1; ``error_correlation(n, lag_y, lag_x)``.
-        ``image(y, x, band)``: mean of the frames of most samples; ``flip(n, y, x)``, FLIP
-        [Andersson2021]_ of the first frame against it, if the package flip-evaluator is installed.
-        With `against`, at the largest n that both have: ``difference`` of the means,
-        ``difference_z`` by Welch's test, and ``variance_ratio``, ours over the other's; ``picture_ratio``
-        of the mean variances, and ``equal_time_ratio`` of variance × time; below 1 ours is better.
-        Attributes tell what `mcspectra.report.frames_page.frame_findings` says in words.
+        On the dims n (samples per pixel; 1 if unknown), y, x: ``mean``, ``variance`` of the
+        luminance of one frame, ``variance_ci`` (bound), ``relative_rmse``, and ``largest_share``,
+        the share of one frame in the sum of squares. With several n: ``rate`` and ``rate_ci`` of
+        the variance, averaged over a square of pixels whose side is the attribute ``smoothing``. On
+        n: ``picture_variance``, the mean over the pixels, with ``picture_variance_ci``;
+        ``picture_rate`` with its interval. With a target: ``needed_spp``. ``error_spectrum(n,
+        radius)`` with ``error_spectrum_ci``: power of the standardized errors by radial frequency
+        in cycles per pixel, 1 for white noise. ``error_correlation(n, lag_y, lag_x)``. ``image(y,
+        x, band)``: mean of the frames with most samples. ``flip(n, y, x)``: FLIP [Andersson2021]_
+        of the first frame against it, if the package flip-evaluator is installed. With `against`,
+        at the largest n that both have: ``difference`` of the means, ``difference_z`` by Welch's
+        test, and ``variance_ratio``, the variance of `paths` over that of `against`;
+        ``picture_ratio`` of the mean variances, and ``equal_time_ratio`` of variance × time. Ratios
+        below 1 favor `paths`. `mcspectra.report.frames_page.frame_findings` puts the attributes
+        into words.
 
     Raises
     ------
     FileFormatError
-        A file is missing, broken, of another kind, or tone-mapped.
+        If a file is missing, broken, of another type, or tone-mapped.
     ParameterError
-        Fewer than two frames of a number of samples, sizes that differ, no spread at all, or an option
-        out of range.
+        If a number of samples has fewer than two frames, sizes differ, the frames are all equal, or
+        an option is out of range.
 
     Notes
     -----
-    Memory is that of some 45 planes of float64 with the result (3 GB at 3840 × 2160), whatever the number
+    Memory is about 45 planes of float64 including the result (3 GB at 3840 × 2160) for any number
     of frames.
     """
     spp = None if spp is None else as_integer("spp", spp, least=1, most=_MOST_SPP)
     given = {"target": target, "seconds": seconds, "seconds_against": seconds_against}
     for name, value in given.items():
         given[name] = None if value is None else as_real(name, value, above=0.0)
-    read = _Reader(layer=layer, tone_mapped=tone_mapped, spp=spp)
+    read = _FrameReader(layer=layer, tone_mapped=tone_mapped, spp=spp)
     found = _measured(paths, read)
     best, ns = found[-1], np.array([each.spp for each in found])
     if layer is None and best.files[0].suffix.lower() == ".exr":
         layer = exr_layer(best.files[0]) or None
 
-    # Pixels and the picture at every number of samples
+    # Compute pixel variances and the whole picture for every number of samples
     stacked: dict[str, tuple[tuple[str, ...], list[Any]]] = {
         "mean": (("y", "x"), [each.moments.mean for each in found]),
         "variance": (("y", "x"), [each.moments.variance for each in found]),
@@ -162,7 +166,7 @@ def frames(
     if flips:
         variables["flip"] = (("n", "y", "x"), np.stack(flips))
 
-    # Rates, over windows of pixels that make them known, and with them the samples that the target needs
+    # Compute rates over windows that make them precise, and the samples that the target needs
     rate, window = np.full(best.moments.mean.shape, np.nan), None
     if len(found) > 1:
         relative, level = np.stack([_log_variance(each.moments) for each in found], axis=1)
@@ -225,35 +229,36 @@ _PICTURE = ("picture_variance", "picture_relative_se")
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class _Reader:
-    """Reads frames as the options say."""
+class _FrameReader:
+    """Reads frames according to the options."""
 
     layer: str | None
     tone_mapped: bool
     spp: int | None
 
     def color(self, file: Path) -> Array:
-        """Values (y, x, 1 or 3); NaN where they are not finite."""
+        """Return values (y, x, 1 or 3), with NaN for nonfinite values."""
         if file.suffix.lower() in ENCODED_EXTENSIONS and not self.tone_mapped:
             raise FileFormatError(
-                f"{file} is a tone-mapped picture, whose noise is not the renderer's; give EXR, PFM or "
-                ".npy, or say tone_mapped=True (--tone-mapped) to undo the sRGB curve."
+                f"{file} is a tone-mapped picture, which no longer has the renderer's noise; give "
+                "EXR, PFM or .npy, or set tone_mapped=True (--tone-mapped) to undo the sRGB curve."
             )
         image = read_image(file, layer=self.layer, finite=False)
         image[~np.isfinite(image)] = np.nan
         return image[..., :3] if image.shape[2] > 2 else image[..., :1]
 
     def plane(self, file: Path, shape: tuple[int, ...] | None) -> tuple[Array, Array]:
-        """Luminance (y, x) and color of a frame, which must have that shape, if any."""
+        """Return luminance (y, x) and color of a frame, after a check of its shape."""
         image = self.color(file)
         if shape is not None and image.shape != shape:
             raise ParameterError(
-                f"{file} has the shape {image.shape}, the frames before it {shape}; give frames of one view."
+                f"{file} has the shape {image.shape}, but earlier frames have {shape}; give "
+                "frames of one view."
             )
         return luminance(image), image
 
     def about(self, file: Path) -> tuple[int | None, float | None]:
-        """Samples a pixel and seconds of a frame, as far as its name and header tell."""
+        """Return samples per pixel and seconds of a frame, if its name or header contains them."""
         named = _SPP.search(file.stem) or _SPP.search(file.parent.name)
         own = int(named[1] or named[2]) if named else None
         told, seconds = None, None
@@ -264,12 +269,12 @@ class _Reader:
                     told = told or int(str(value))
                 elif key == "renderTimeSeconds":
                     seconds = float(str(value))
-                elif key == "RenderTime":  # of Blender, [hours:]minutes:seconds
+                elif key == "RenderTime":  # Blender's format is [hours:]minutes:seconds
                     parts = reversed(str(value).split(":"))
                     seconds = sum(float(part) * 60.0**k for k, part in enumerate(parts))
         except ValueError:
             raise FileFormatError(
-                f"{file} says {key} = {value!r}; give ",
+                f"{file} has {key} = {value!r} in its header; give ",
                 Parameter("spp"),
                 " and ",
                 Parameter("seconds"),
@@ -278,13 +283,13 @@ class _Reader:
         spp = told if own is None else own
         if self.spp is None and None not in (own, told) and own != told:
             raise ParameterError(
-                f"{file} has {own} samples a pixel by its name and {told} by its header; give ",
+                f"{file} has {own} samples per pixel in its name and {told} in its header; give ",
                 Parameter("spp"),
                 ", or change the name.",
             )
         if self.spp is None and spp is not None and not 1 <= spp <= _MOST_SPP:
             raise ParameterError(
-                f"{file} has {spp} samples a pixel by its name or header; give ",
+                f"{file} has {spp} samples per pixel in its name or header; give ",
                 Parameter("spp"),
                 ".",
             )
@@ -294,7 +299,7 @@ class _Reader:
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Group:
-    """What is known of the frames of one number of samples; `told` goes into attributes."""
+    """Statistics of the frames of one number of samples; `told` is stored in attributes."""
 
     spp: int
     seconds: float | None
@@ -313,41 +318,45 @@ class _Group:
 
     @property
     def relative_rmse(self) -> Array:
-        """σ / mean of one frame, too small as often as too large; NaN where the mean is not positive."""
+        """Median-unbiased σ / mean of one frame; NaN if the mean is not positive."""
         from scipy.special import chdtri
 
-        degrees = self.moments.count - 1  # of normal noise: s² is below σ² more often than above
+        # For normal noise, s² is more often below σ² than above it
+        degrees = self.moments.count - 1
         positive = np.where(self.moments.mean > 0, self.moments.mean, np.nan)
         s = np.sqrt(degrees / chdtri(degrees, 0.5) * self.moments.variance)
         return np.asarray(s / positive)
 
-    def within(self, pixels: Array, read: _Reader) -> _Group:
-        """The same of some pixels alone, where other frames have numbers, too."""
+    def within(self, pixels: Array, read: _FrameReader) -> _Group:
+        """Return the same statistics for pixels where both these and other frames have numbers."""
         mean, m2 = (np.where(pixels, v, np.nan) for v in (self.moments.mean, self.moments.m2))
         means = [float(read.plane(file, None)[0][pixels].mean()) for file in self.files]
         return replace(self, moments=replace(self.moments, mean=mean, m2=m2), means=np.array(means))
 
     @property
     def picture_variance(self) -> float:
-        """Mean over the pixels."""
+        """Return the mean variance over the pixels."""
         return float(np.nanmean(self.moments.variance))
 
     @property
     def picture_relative_se(self) -> float:
-        """Of independent pixels, times what their correlations ρ add: √Σρ² over all lags."""
+        """Relative standard error: that of independent pixels times √Σρ² over all lags.
+
+        ρ is the correlation of the errors at a lag.
+        """
         each = self.moments.relative_se * self.moments.variance
         return float(np.sqrt(self.alike * np.nansum(each**2)) / np.nansum(self.moments.variance))
 
     @property
     def picture_variance_ci(self) -> Array:
-        """On a logarithmic scale; without an upper end where single pixels are most of it."""
+        """Logarithmic interval; without an upper end if a few pixels dominate the variance."""
         half = CONFIDENCE_Z * self.picture_relative_se
         low, high = self.picture_variance * np.exp([-half, half])
         return np.array([low, high if self.resolved else np.inf])
 
 
-def _measured(paths: Frames, read: _Reader) -> list[_Group]:
-    """Frames by their number of samples, ascending, each group measured."""
+def _measured(paths: Frames, read: _FrameReader) -> list[_Group]:
+    """Group frames by number of samples, ascending, and measure each group."""
     groups: dict[int | None, list[tuple[Path, float | None]]] = defaultdict(list)
     for file in _listed(paths):
         spp, seconds = read.about(file)
@@ -357,25 +366,26 @@ def _measured(paths: Frames, read: _Reader) -> list[_Group]:
         if len(told) > 1:
             raise ParameterError(
                 Parameter("spp"),
-                f" is {read.spp}, and the frames are of {' and '.join(map(str, told))} samples a pixel "
-                "by their names or headers; give frames of one number, or leave ",
+                f" is {read.spp}, but the frames have {' and '.join(map(str, told))} samples per "
+                "pixel in their names or headers; give frames with one number of samples, or "
+                "leave ",
                 Parameter("spp"),
                 " out.",
             )
         groups = {read.spp: [each for members in groups.values() for each in members]}
     if None in groups and len(groups) > 1:
         raise ParameterError(
-            f"{groups[None][0][0]} does not tell its samples a pixel, others do; name it such as "
-            "x_64spp.exr, or give ",
+            f"{groups[None][0][0]} has no number of samples per pixel in its name, but other "
+            "frames do; rename it, such as x_64spp.exr, or give ",
             Parameter("spp"),
             ".",
         )
     for spp, members in groups.items():
         if len(members) < 2:
-            count = "" if spp is None else f" of {spp} samples a pixel"
+            count = "" if spp is None else f" of {spp} samples per pixel"
             raise ParameterError(
-                f"There is one frame{count}, {members[0][0]}; give two or more independent renders of "
-                "each number of samples."
+                f"There is one frame{count}, {members[0][0]}; give two or more independent renders "
+                "of each number of samples."
             )
     total, done = 2 * sum(map(len, groups.values())), 0
     found: list[_Group] = []
@@ -387,29 +397,31 @@ def _measured(paths: Frames, read: _Reader) -> list[_Group]:
         done += 2 * len(files)
         if found[-1].moments.mean.shape != found[0].moments.mean.shape:
             raise ParameterError(
-                f"{files[0]} has the size {found[-1].moments.mean.shape}, {found[0].files[0]} "
-                f"{found[0].moments.mean.shape}; give frames of one view."
+                f"{files[0]} has the size {found[-1].moments.mean.shape}, but {found[0].files[0]} "
+                f"has {found[0].moments.mean.shape}; give frames of one view."
             )
     return found
 
 
 def _listed(paths: Any) -> list[Path]:
-    """The files of a folder, a pattern or a list, in order."""
+    """Return the files of a folder, a pattern or a list, in order."""
     if not isinstance(paths, str | PathLike):
         if not isinstance(paths, Sequence) or not paths or not all(map(is_path, paths)):
             raise ParameterError(f"paths is {paths!r:.80}; give a folder, a pattern or files.")
         if folder := next((each for each in paths if Path(each).is_dir()), None):
             raise ParameterError(
-                f"{folder} is a folder; give one alone, or files such as {folder}/*.exr."
+                f"{folder} is a folder in a list; give one folder alone, or files such as "
+                f"{folder}/*.exr."
             )
         return [Path(each) for each in paths]
     place = Path(paths)
     if not place.is_dir():
-        named = glob(str(paths), recursive=True)  # noqa: PTH207 - Path's takes no absolute patterns
+        named = glob(str(paths), recursive=True)  # noqa: PTH207 - Path.glob does not accept absolute patterns
         matching = sorted(map(Path, named))
         if not matching:
             raise FileFormatError(
-                f"There is no {printable(place, QUOTED)}; give a folder of frames, a pattern or files."
+                f"There is no {printable(place, QUOTED)}; give a folder of frames, a pattern or "
+                "files."
             )
         return matching
     inside = sorted([*place.glob("*"), *place.glob("*/*")])
@@ -417,12 +429,12 @@ def _listed(paths: Any) -> list[Path]:
     for kinds in (
         LINEAR_EXTENSIONS,
         ENCODED_EXTENSIONS,
-    ):  # pictures beside the frames are their previews
+    ):  # pictures next to the frames are previews of them
         if files := [file for file in inside if file.suffix.lower() in kinds]:
             return files
     raise FileFormatError(
-        f"{place} holds no {', '.join(LINEAR_EXTENSIONS + ENCODED_EXTENSIONS)} files; give a folder of "
-        "frames."
+        f"{place} holds no {', '.join(LINEAR_EXTENSIONS + ENCODED_EXTENSIONS)} files; give a "
+        "folder of frames."
     )
 
 
@@ -431,10 +443,15 @@ def _said(paths: Frames) -> str:
 
 
 def _group(
-    spp: int | None, files: list[Path], seconds: float | None, read: _Reader, done: int, total: int
+    spp: int | None,
+    files: list[Path],
+    seconds: float | None,
+    read: _FrameReader,
+    done: int,
+    total: int,
 ) -> _Group:
     """Read the frames of one number of samples twice."""
-    # Moments and ranges of the pixels
+    # Compute moments and ranges of the pixels
     count, shape = len(files), None
     moments: Moments | None = None
     low: Any = np.inf
@@ -454,16 +471,16 @@ def _group(
     varied = moments.variance > 0
     if not varied.any():
         reason = (
-            "are the same to the last bit" if np.isfinite(moments.mean).any() else "have no number"
+            "are the same to the last bit" if np.isfinite(moments.mean).any() else "hold only NaN"
         )
         raise ParameterError(
-            f"The {count} frames like {files[0]} {reason}; give independent renders, each with a seed of "
-            "its own."
+            f"The {count} frames like {files[0]} {reason}; give independent renders, each with a "
+            "seed of its own."
         )
     farthest = np.maximum(high - moments.mean, moments.mean - low) ** 2
     share = np.divide(farthest, moments.m2, out=np.full_like(farthest, np.nan), where=varied)
 
-    # Deviations: their power, their tail, and what the frames have in common
+    # Compute statistics of deviations: power, tail, and correlations between frames
     height, width = moments.mean.shape
     unit = np.zeros((height, width))
     np.divide(math.sqrt(count / (count - 1)), np.sqrt(moments.variance), out=unit, where=varied)
@@ -476,7 +493,7 @@ def _group(
     sample = np.empty((count, chosen.size))
     for k, file in enumerate(files):
         error = np.where(varied, read.plane(file, shape)[0] - moments.mean, 0.0)
-        # Moments and extremes, without sorting all of them
+        # Find moments and extremes without a full sort
         values = ends = error[varied]
         if values.size > 2 * _TAIL:
             parts = np.partition(values, (_TAIL - 1, values.size - _TAIL))
@@ -491,20 +508,20 @@ def _group(
     assert tail is not None
     half = student_t(count) * curves.std(axis=0, ddof=1) / math.sqrt(count)
 
-    # Correlations without their bias, and the spectrum of those
+    # Compute correlations without bias, and their spectrum
     every = np.fft.irfft2(power, s=(height, width))
     every, loss = _unbiased(every / every[0, 0], count)
     measured, curve = rings.mean(power), np.maximum(rings.mean(np.fft.rfft2(every).real), 0.0)
     half *= np.divide(curve, measured, out=np.ones_like(curve), where=measured > 0)
-    # Deviations of two frames are each other's negatives, without spread: at least what normal noise has,
-    # the mean of (R − 1) exponentials for each pair of conjugate frequencies
+    # With two frames, the deviations are each other's negatives, without spread. Use at least the
+    # spread of normal noise: the mean of (R − 1) exponentials per conjugate pair
     independent = (count - 1) * loss**2
     half = np.maximum(half, CONFIDENCE_Z * measured * np.sqrt(2.0 / (rings.sizes * independent)))
-    # The sum of their squares holds that of their errors, each the true sum / (pixels · (R − 1) · loss²)
+    # Their squares include squared errors, each the true sum / (pixels · (R − 1) · loss²)
     alike = max(1.0, float((every**2).sum()) / (1.0 + 1.0 / independent))
     near, repeat, repeated = _lags(every, alike / (varied.sum() * independent))
     pair, relation = _related(sample, alike)
-    # Outliers of more than twice the mean, and how many normal noise would make
+    # Count outliers above twice the mean, and the number expected from normal noise
     above, limit = high - moments.mean, _grubbs(count)
     outliers = (share > limit) & (above > np.maximum(moments.mean, moments.mean - low))
     expected = _OUTLIER / 2 * int((limit * moments.m2[varied] > moments.mean[varied] ** 2).sum())
@@ -542,7 +559,7 @@ def _group(
 
 
 def _log_variance(moments: Moments) -> tuple[Array, Array]:
-    """Standard error of log s² and log σ² without the bias that log s² of few values has.
+    """Standard error of log s², and log σ² without the bias that log s² of few values has.
 
     log s² of ν + 1 normal values has the mean log σ² + ψ(ν/2) − log(ν/2) and the variance ψ'(ν/2).
     """
@@ -555,7 +572,7 @@ def _log_variance(moments: Moments) -> tuple[Array, Array]:
 
 
 def _unbiased(correlation: Array, count: int) -> tuple[Array, float]:
-    """Correlations that mean sample correlations of `count` normal pairs stand for, and their loss near 0.
+    """Correct correlations of `count` normal pairs for bias; also return their loss near 0.
 
     ⟨r⟩ = ρ (2/ν) [Γ((ν+1)/2) / Γ(ν/2)]² ₂F₁(½, ½; ν/2 + 1; ρ²), ν = count − 1 [Hotelling1953]_.
     """
@@ -569,7 +586,7 @@ def _unbiased(correlation: Array, count: int) -> tuple[Array, float]:
 
 
 def _lags(every: Array, variance: float) -> tuple[Array, list[int] | None, float]:
-    """Correlation at small lags; the nearest lag (y, x) of the far ones where it is largest."""
+    """Correlation at small lags, and the nearest far lag (y, x) with the largest one."""
     height, width = every.shape
     down, right = np.rint(np.fft.fftfreq(height) * height), np.rint(np.fft.fftfreq(width) * width)
     near = [np.abs(lag) <= min(_REACH, (lag.size - 1) // 2) for lag in (down, right)]
@@ -583,11 +600,11 @@ def _lags(every: Array, variance: float) -> tuple[Array, list[int] | None, float
     largest = float(far.max())
     if largest < limit:
         return listed, None, math.nan
-    # A pattern repeats at multiples: the nearest of those
+    # A pattern repeats at multiples of its period: take the nearest of these lags
     rows, columns = np.nonzero(far >= 0.9 * largest)
     nearest = np.argmin(np.hypot(down[rows], right[columns]))
     lag = int(down[rows[nearest]]), int(right[columns[nearest]])
-    # It may have a smaller period, among the lags that are near
+    # The period may be smaller, among the near lags
     for part in range(2, math.gcd(*lag) + 1):
         inner = lag[0] // part, lag[1] // part
         whole = math.gcd(*lag) % part == 0 and max(map(abs, inner)) > _FILTER
@@ -598,9 +615,9 @@ def _lags(every: Array, variance: float) -> tuple[Array, list[int] | None, float
 
 
 def _related(sample: Array, alike: float) -> tuple[tuple[int, int] | None, float]:
-    """The two frames whose errors are most alike, if significantly, and their correlation.
+    """Return the two frames with the most correlated errors, if significant, and the correlation.
 
-    Deviations from a common mean of R frames have the correlation −1/(R − 1) where errors have none.
+    Deviations from the mean of R frames have the correlation −1/(R − 1) if errors are independent.
     """
     count, pixels = sample.shape
     if count < 3:
@@ -614,7 +631,7 @@ def _related(sample: Array, alike: float) -> tuple[tuple[int, int] | None, float
 
 
 def _grubbs(count: int) -> float:
-    """Largest share of one square of `count` normal values, by Grubbs' test [Grubbs1950]_."""
+    """Largest share of one square among `count` normal values, by Grubbs' test [Grubbs1950]_."""
     if count < _LEAST_GRUBBS:
         return math.inf
     from scipy.special import stdtrit
@@ -624,7 +641,7 @@ def _grubbs(count: int) -> float:
 
 
 def _sidak(count: int) -> float:
-    """Normal quantile that `count` values stay within, together with 95 %."""
+    """Normal quantile that `count` values together do not exceed with 95 % probability."""
     from scipy.special import ndtri
 
     return -float(ndtri(-math.expm1(math.log1p(-_SIGNIFICANCE) / max(count, 1)) / 2))
@@ -635,7 +652,7 @@ def _number(value: float) -> float | None:
 
 
 def _flip(reference: Array, test: Array) -> Array | None:
-    """FLIP of a picture of radiance, if its package is there."""
+    """FLIP of a radiance picture, or None if its package is not installed."""
     try:
         from flip_evaluator import evaluate
     except ImportError:
@@ -651,9 +668,9 @@ def _compared(
     ours: list[_Group],
     others: list[_Group],
     times: tuple[float | None, float | None],
-    read: _Reader,
+    read: _FrameReader,
 ) -> tuple[dict[str, tuple[tuple[str, ...], Any]], dict[str, Any]]:
-    """Means and variances of two sets of frames against each other."""
+    """Compare means and variances of two sets of frames."""
     common = {each.spp for each in ours} & {each.spp for each in others}
     a, b = (
         max((each for each in both if not common or each.spp in common), key=lambda each: each.spp)
@@ -661,13 +678,14 @@ def _compared(
     )
     if a.moments.mean.shape != b.moments.mean.shape:
         raise ParameterError(
-            f"{b.files[0]} has the size {b.moments.mean.shape}, {a.files[0]} {a.moments.mean.shape}; give "
-            "frames of one view."
+            f"{b.files[0]} has the size {b.moments.mean.shape}, but {a.files[0]} has "
+            f"{a.moments.mean.shape}; give frames of one view."
         )
     both = np.isfinite(a.moments.mean) & np.isfinite(b.moments.mean)
     if not both.any():
         raise ParameterError(
-            f"{a.files[0]} and {b.files[0]} have no pixel with numbers in all frames of both; give others."
+            f"{a.files[0]} and {b.files[0]} have no pixel that is finite in all frames of both; "
+            "give other frames."
         )
     if not both.all():
         a, b = (each.within(both, read) for each in (a, b))
@@ -682,7 +700,7 @@ def _compared(
     error = math.hypot(a.picture_relative_se, b.picture_relative_se)
     level = math.log(a.picture_variance / b.picture_variance)
     value, bounds = ratio(np.asarray(level), np.asarray(error))
-    # A variance without an upper end bounds no ratio on that side
+    # A variance without an upper end leaves the ratio unbounded on that side
     bounds = np.where([b.resolved, a.resolved], bounds, [0.0, np.inf])
     found: dict[str, tuple[tuple[str, ...], Any]] = {
         "difference": (("y", "x"), a.moments.mean - b.moments.mean),
@@ -708,7 +726,7 @@ def _compared(
 
 
 def _welch(a: tuple[Any, Any, int], b: tuple[Any, Any, int]) -> Array:
-    """Difference of two means as a normal deviate, by Welch's test; each is mean, variance, count."""
+    """Difference of two means as a normal deviate (Welch's test); each is mean, variance, count."""
     from scipy.special import ndtri, stdtr
 
     (mean, variance, count), (other, other_variance, other_count) = a, b
@@ -717,7 +735,7 @@ def _welch(a: tuple[Any, Any, int], b: tuple[Any, Any, int]) -> Array:
         t = (mean - other) / np.sqrt(first + second)
         degrees = (first + second) ** 2 / (first**2 / (count - 1) + second**2 / (other_count - 1))
         deviate = -ndtri(np.maximum(stdtr(degrees, -np.abs(t)), 1e-300)) * np.sign(t)
-    # A few equal values are no certainty
+    # Equality of a few values does not prove that they are always equal
     sure = np.inf if min(count, other_count) >= _LEAST_GRUBBS else np.nan
     certain = np.where(mean == other, 0.0, np.copysign(sure, mean - other))
     return np.asarray(np.where(first + second == 0, certain, deviate))

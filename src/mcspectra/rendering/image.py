@@ -1,10 +1,11 @@
 """Images of direct illumination by our own samplers, with the error of each pixel.
 
-Every pixel has a point set of its own: in image r (of R independent ones) pixel number y·width + x
-takes realization y·width + x of the sampler, from a random stream of that image. So a crop has the
-bits of the same part of the whole image. Binary nets scrambled by ``owen`` are computed in the
-kernel, by its hash (`kernel_nets`). A sampler that ends in ``decorrelate(…)`` gives all pixels
-of an image one set, moved in each: that is what renderers do, and cheaper than a set for each.
+Every pixel has its own point set. In image r of R independent images, pixel number y·width + x uses
+realization y·width + x of the sampler, from a random stream of that image. A crop therefore has the
+same bits as this part of the whole image. Binary nets scrambled by ``owen`` are computed in the
+kernel, by its hash (`kernel_nets`). A sampler that ends in ``decorrelate(…)`` gives all pixels of
+an image one set, which is moved at each pixel. Renderers work this way, and it is cheaper than a
+set for each pixel.
 """
 
 from __future__ import annotations
@@ -39,8 +40,8 @@ __all__ = ["CHANNELS", "compare_strategies", "reference", "render"]
 
 CHANNELS = ("R", "G", "B")
 _TILE_LANES = 2**19  # samples of a tile: 32 MiB of float64 points in 8 dims
-_MOST_SAMPLES = 2**20  # a pixel, in one image
-_MOST_PIXELS = 2**26  # 5 GiB of moments
+_MOST_SAMPLES = 2**20  # limit of samples per pixel in one image
+_MOST_PIXELS = 2**26  # limit of pixels: 5 GiB of moments
 
 
 def render(
@@ -57,29 +58,31 @@ def render(
     rng: RngLike = 0,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Render a scene's direct illumination, lights that the camera sees included.
+    """Render a scene's direct illumination, including directly visible lights.
 
-    Rays start at the center of the lens, halfway through the shutter's time: a camera with a lens or
-    a shutter gives an `IncompleteImageWarning`, and so does a strategy that leaves out a light or a
-    surface because it is a delta function.
+    Rays start at the center of the lens and at the midpoint of the shutter's time. A camera with a
+    lens or a shutter therefore gives an `IncompleteImageWarning`. So does a strategy that misses a
+    light or a surface because it is a delta function.
 
     Parameters
     ----------
     scene
-        A scene, as for `load_scene`.
+        A scene, same as for `load_scene`.
     strategy
-        ``"light"``, ``"bsdf"``, their shares of multiple importance sampling ``"mis-light"`` and
-        ``"mis-bsdf"``, or ``"mis"``, both.
+        ``"light"``, ``"bsdf"``, their parts of multiple importance sampling ``"mis-light"`` and
+        ``"mis-bsdf"``, or their sum ``"mis"``.
     sampler
-        A sampler or its spec, in as many dims as the strategy takes: see `Wavefront.dims`.
+        A sampler or its spec, with the number of dims that the strategy needs: see
+        `Wavefront.dims`.
     spp
-        Samples a pixel; for ``"mis"`` of each technique, as renderers count.
+        Samples per pixel; for ``"mis"`` of each technique, as renderers count.
     realizations
-        Number R of independent images. From 2 on there is a variance for each pixel.
+        Number R of independent images. At least 2 are needed for the variance of each pixel.
     crop
-        x, y, width and height of a part of the film, in pixels; all of it by default.
+        x, y, width and height of a part of the film, in pixels; by default the whole film.
     film
-        ``"sampled"``: positions in the pixel are sampled too, with a box filter. ``"center"``.
+        ``"sampled"``: positions in the pixel are also sampled, with a box filter. ``"center"``:
+        rays pass through the pixel's center.
     light
         Index or name of the only light to use.
     heuristic
@@ -87,24 +90,24 @@ def render(
     rng
         Seed in the sense of SPEC 7.
     workers
-        Threads that draw points while others are rendered; they do not change the result.
+        Threads that draw points while others render; they do not change the result.
 
     Returns
     -------
     xarray.Dataset
-        ``image`` (y, x, channel): mean of R images; with R > 1 ``variance``, that of one image
-        (ddof = 1), and ``image_se``, the standard error of ``image``. Coordinates are pixels of
-        the film. The attribute ``camera`` says where rays start.
+        ``image`` (y, x, channel): mean of R images. With R > 1 also ``variance``, the variance of
+        one image (ddof = 1), and ``image_se``, the standard error of ``image``. Coordinates are
+        pixels of the film. The attribute ``camera`` describes where rays start.
 
     Raises
     ------
     ParameterError
-        A parameter is out of range, `crop` leaves the film, an environment map is scaled or has
-        pixels that are no radiance, or the scene cannot be rendered.
+        If a parameter is out of range, `crop` leaves the film, an environment map is scaled or has
+        pixels that are not a radiance, or the scene cannot be rendered.
     CountError
-        The sampler cannot make `spp` points.
+        If the sampler cannot make `spp` points.
     MissingDependency
-        Mitsuba or LLVM is missing.
+        If Mitsuba or LLVM is missing.
     """
     waves = Wavefront(scene, light, film, heuristic=heuristic, emission=True)
     check_environment(scene, light)
@@ -117,7 +120,7 @@ def render(
     warn_integrator(scene)
     warn_missed(scene, strategy, light)
 
-    # Tiles and images that are rendered at once, all images of a tile in succession
+    # Choose tiles and images that are rendered together; all images of a tile follow each other
     count = width * height
     size = min(count, max(1, _TILE_LANES // spp))
     together = max(1, _TILE_LANES // (size * spp))
@@ -128,7 +131,7 @@ def render(
     )
 
     def draw(block: tuple[range, range]) -> tuple[range, Callable[[], Array]]:
-        """Draw the points of a tile in some images; what is returned gives the means (images · P, 3)."""
+        """Draw the points of a tile; return a function that computes means (images · P, 3)."""
         tile, images = block
         lines = np.arange(tile.start // width, (tile.stop - 1) // width + 1)
         grid = np.empty((len(lines), width, 2), np.int64)
@@ -141,18 +144,18 @@ def render(
             keys = np.array([scramble_key(each) for each in streams], np.uint64)
             points = NetPoints(net, spp, keys, numbers.astype(np.uint32))
             return images, lambda: waves.net_means(strategy, everywhere, points)
-        # Samplers draw successive realizations only.
+        # Samplers draw only consecutive realizations.
         runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1)
         parts = [(each, int(run[0]), len(run)) for each in streams for run in runs]
         u = np.concatenate([source.draw_stream(spp, *part) for part in parts])
         return images, lambda: waves.means(strategy, everywhere, u)
 
-    # Moments over images, tile by tile; where kernels compute the points there is nothing to be drawn meanwhile
+    # Sum moments over images tile by tile; kernels that compute the points need no drawing
     moments: list[Moments] = []
     finished, threads = 0, available_workers(workers)
     for images, evaluate in map_in_order(draw, blocks, threads if net is None else 1):
         means = evaluate()
-        if realizations == 1:  # a third of the time of an image of 4 samples
+        if realizations == 1:  # skipping this saves a third of the time of an image with 4 samples
             found = Moments(1, means, *[np.zeros(())] * 3)
         else:
             found = Moments.of(means.reshape(len(images), -1, len(CHANNELS)))
@@ -191,21 +194,21 @@ def render(
 
 
 def reference(scene: Scene, spp: int = 1024, *, batches: int = 16, **options: Any) -> xr.Dataset:
-    """Render with many samples and tell the error of every pixel from independent batches.
+    """Render with many samples, and estimate the error of every pixel from independent batches.
 
     Parameters
     ----------
     scene, options
-        As those of `render`.
+        Same as in `render`.
     spp
-        Samples a pixel in all batches together.
+        Samples per pixel in all batches together.
     batches
-        Number of independent images that are averaged, at least 2; `spp` is a multiple of it.
+        Number of independent images that are averaged, at least 2; `spp` must be a multiple of it.
 
     Returns
     -------
     xarray.Dataset
-        As for `render`; ``image_se`` has `batches` − 1 degrees of freedom.
+        Same as in `render`; ``image_se`` has `batches` − 1 degrees of freedom.
     """
     count = as_integer("batches", batches, least=2, most=_MOST_SAMPLES)
     each, rest = divmod(as_integer("spp", spp, least=count), count)
@@ -217,22 +220,22 @@ def reference(scene: Scene, spp: int = 1024, *, batches: int = 16, **options: An
 def compare_strategies(
     scene: Scene, spp: int = 4, *, reference_spp: int = 1024, **options: Any
 ) -> dict[str, xr.Dataset]:
-    """Render a scene by each strategy at equal samples, and a reference.
+    """Render a scene by each strategy with equal samples, and a reference.
 
     Parameters
     ----------
     scene, options
-        As those of `render`.
+        Same as in `render`.
     spp
-        Samples a pixel, an even number: multiple importance sampling takes half of them from each
+        Samples per pixel, an even number: multiple importance sampling takes half of them from each
         technique.
     reference_spp
-        Samples a pixel of each technique in the reference, see `reference`.
+        Samples per pixel of each technique in the reference, see `reference`.
 
     Returns
     -------
     dict
-        ``reference``, ``light``, ``bsdf`` and ``mis``, each as for `render`.
+        ``reference``, ``light``, ``bsdf`` and ``mis``, each with the variables of `render`.
     """
     count = as_integer("spp", spp, least=2, most=_MOST_SAMPLES)
     if count % 2:
@@ -262,6 +265,7 @@ def _as_crop(crop: object, waves: Wavefront) -> tuple[int, int, int, int]:
         raise ParameterError(f"{str(error).rstrip('.')}; {film}.") from None
     if width * height > _MOST_PIXELS:
         raise ParameterError(
-            f"{width * height:.3g} pixels are too many for one image; crop to at most {_MOST_PIXELS:.3g}."
+            f"{width * height:.3g} pixels are too many for one image; give a crop of at most "
+            f"{_MOST_PIXELS:.3g}."
         )
     return x, y, width, height

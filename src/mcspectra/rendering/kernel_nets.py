@@ -1,12 +1,12 @@
-"""Scrambled digital nets in base 2, computed inside Dr.Jit's kernels instead of drawn as tables.
+"""Scrambled digital nets in base 2, computed in Dr.Jit's kernels instead of drawn as tables.
 
 Method
 ------
-Coordinate j of point i is the XOR of the columns of its generator matrix that the bits of i select,
-and its nested uniform scrambling is the hash of ``owen(method='hash')``: with the same keys, the
-same points as float32 numbers (`NetPoints`). Sets in a random order (`Pads`), as renderers take
-them for one or two numbers at a time, are scrambled by one round of that hash, with 63 random bits,
-and ordered at random.
+Coordinate j of point i is the XOR of the columns of its generator matrix that the bits of i select.
+Its nested uniform scrambling is the hash of ``owen(method='hash')``: with the same keys, it gives
+the same points as float32 numbers (`NetPoints`). Renderers take sets in a random order, for one or
+two numbers at a time. Such sets (`Pads`) are scrambled by one round of that hash, with 63 random
+bits, and ordered at random.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ from mcspectra.samplers.scrambles import Owen
 
 __all__ = ["Net", "NetPoints", "Pads", "net_of", "scramble_key"]
 
-_ORDER_NUMBERS = 2**16  # of the table of permutations: 256 KiB, if they are not too few
+# Numbers in the table of permutations: 256 KiB, unless this gives too few permutations
+_ORDER_NUMBERS = 2**16
 _FEWEST_ORDERS = 16
 _FIRST_STEP = 1 << 16  # label of the stream of a sampler's first randomization
 _M1, _M2, _M3 = 0x9E3779B97F4A7C15, 0xBF58476D1CE4E5B9, 0x94D049BB133111EB
@@ -41,11 +42,11 @@ class Net(Protocol):
         """Number of dims."""
 
     def direction_numbers(self, n: int) -> Array:
-        """Columns of the generator matrices for n points: uint32 (dims, 32), 2^31 being ½."""
+        """Columns of the generator matrices for n points: uint32 (dims, 32); 2^31 stands for ½."""
 
 
 def net_of(sampler: Sampler | None) -> Net | None:
-    """Return the net whose points `sampler` scrambles by owen and nothing else, None for others."""
+    """Return the net that `sampler` scrambles by owen alone, or None for other samplers."""
     if not isinstance(sampler, Randomized) or not isinstance(sampler.base, Net):
         return None
     first, *others = sampler.steps
@@ -55,12 +56,12 @@ def net_of(sampler: Sampler | None) -> Net | None:
 
 
 def scramble_key(stream: Stream) -> int:
-    """Key of the stream by which a sampler with one randomization scrambles realizations."""
+    """Key of the stream with which a sampler with one randomization scrambles realizations."""
     return stream.child(_FIRST_STEP).key
 
 
 def net_words(module: Any, net: Net, count: int, index: Any) -> list[Any]:
-    """Coordinates of points of a net of `count` points, UInt32, the lowest bit being ½."""
+    """Coordinates of points of a net of `count` points as UInt32 whose lowest bit stands for ½."""
     bits = max(1, (count - 1).bit_length())
     chosen = [module.UInt32(0) - ((index >> k) & 1) for k in range(bits)]
     words = []
@@ -77,7 +78,7 @@ def net_words(module: Any, net: Net, count: int, index: Any) -> list[Any]:
 
 
 def mix_bits(module: Any, k0: Any, k1: Any, i: Any) -> Any:
-    """As `core.streams.mix_bits`, UInt64."""
+    """Same as `core.streams.mix_bits`, for UInt64."""
     x = (module.UInt64(i) ^ k0) * _M1
     x ^= x >> 32
     x = (x + k1) * _M2
@@ -87,7 +88,7 @@ def mix_bits(module: Any, k0: Any, k1: Any, i: Any) -> Any:
 
 
 def _philox(module: Any, key: Any, number: Any) -> tuple[Any, Any]:
-    """As `core.streams.Stream.keys` for the realization of a number below 2^32."""
+    """Same as `core.streams.Stream.keys`, for a realization number below 2^32."""
     wide, low = module.UInt64, 0xFFFFFFFF
     a, b, c, d = wide(number), wide(0), wide(0), wide(0)
     k0, k1 = key & low, key >> 32
@@ -99,12 +100,12 @@ def _philox(module: Any, key: Any, number: Any) -> tuple[Any, Any]:
 
 
 def _halves(module: Any, bits: Any) -> tuple[Any, Any]:
-    """A random summand and an odd factor."""
+    """Return a random summand and an odd factor."""
     return module.UInt32(bits >> 32), module.UInt32(bits) | 1
 
 
 def _unit(module: Any, word: Any) -> Any:
-    """The number in [0,1) of a word whose lowest bit is ½."""
+    """Return the number in [0,1) of a word whose lowest bit stands for ½."""
     import drjit
 
     return module.Float(drjit.brev(word) >> 8) * 2.0**-24
@@ -113,10 +114,10 @@ def _unit(module: Any, word: Any) -> Any:
 @final
 @dataclass(frozen=True)
 class NetPoints:
-    """Points 0 … count−1 of scrambled nets: for each stream the realizations with these numbers.
+    """Points 0 … count−1 of scrambled nets: for each stream, the realizations with these numbers.
 
-    They are those of ``owen(method='hash')``, rounded down to float32. Streams are given by their
-    keys, uint64 (S,), numbers are uint32 (R,).
+    They are the points of ``owen(method='hash')``, rounded down to float32. Streams are given by
+    their keys, uint64 (S,), and numbers are uint32 (R,).
     """
 
     net: Net
@@ -126,11 +127,11 @@ class NetPoints:
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Sets, points of each, and dims."""
+        """Number of sets, points per set, and dims."""
         return len(self.streams) * len(self.numbers), self.count, self.net.dims
 
     def lanes(self, module: Any, row: Any) -> Callable[[Any], list[Any]]:
-        """Return a function of the index of a point that gives its coordinates, for lanes of sets."""
+        """Return a function from the index of a point to its coordinates, for lanes of sets."""
         import drjit
 
         stream = row // drjit.opaque(module.UInt32, len(self.numbers))
@@ -151,7 +152,7 @@ class NetPoints:
 
 
 def _hashed(x: Any, *keys: tuple[Any, Any]) -> Any:
-    """A word scrambled in one round or two: every bit hangs on those below it only, see `Owen`."""
+    """Scramble a word in one or two rounds; a bit depends only on lower bits, see `Owen`."""
     x = x ^ (x * 0x3D20ADEA)
     x = (x + keys[0][0]) * keys[0][1]
     x ^= x * 0x05526C56
@@ -161,11 +162,11 @@ def _hashed(x: Any, *keys: tuple[Any, Any]) -> Any:
 
 
 class Pads:
-    """Sets of 2^m points of nets in one dim and in two, each in a random order, one point at a time.
+    """Sets of 2^m points of nets in one and two dims, each in a random order, point by point.
 
-    An order is one of a table of random permutations, the same in every process, its argument
-    shifted and its values XORed by random numbers. Sets are scrambled independently, so that an
-    image is unbiased whatever their orders.
+    An order is a row of a table of random permutations. The table is the same in every process;
+    random numbers shift its argument and are XORed to its values. Sets are scrambled independently,
+    so that an image is unbiased for any orders.
     """
 
     def __init__(self, module: Any, nets: tuple[Net, Net], count: int, stream: Stream) -> None:
@@ -177,11 +178,11 @@ class Pads:
         self._orders, self._last = module.UInt32(orders.ravel()), len(orders) - 1
 
     def following(self, request: Any) -> Any:
-        """Number of the next request."""
+        """Return the number of the next request."""
         return request + 1
 
     def draw(self, dims: int, pixel: Any, request: Any, index: Any, _: Any = True) -> list[Any]:
-        """Point number `index` of the set in 1 or 2 dims that a pixel's request asks for."""
+        """Return point number `index` of the set in 1 or 2 dims that a pixel's request uses."""
         import drjit
 
         module, (k0, k1) = self._module, self._key
@@ -200,7 +201,7 @@ class Pads:
 
 @functools.lru_cache(maxsize=4)
 def _orders(count: int) -> Array:
-    """Random permutations of `count` numbers, a power of two of them: uint32 (T, count)."""
+    """Random permutations of `count` numbers: uint32 (T, count); T is a power of two."""
     sets = max(_FEWEST_ORDERS, _ORDER_NUMBERS // count)
     numbers = np.broadcast_to(np.arange(count, dtype=np.uint32), (sets, count))
     return np.asarray(Stream(0).generator(0).permuted(numbers, axis=1))

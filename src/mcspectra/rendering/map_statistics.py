@@ -1,15 +1,15 @@
-"""Statistics of variances over an image: rates, the technique that decides them, gains of MIS, shares.
+"""Statistics of variances over an image: rates, the bottleneck technique, gains of MIS, and shares.
 
-Rates are fitted to log variance against log n at every pixel (`mcspectra.core.fits.line_fits`), with
-weights from the relative standard errors. Arrays are (strategy, n, y, x) and (strategy, y, x).
+Rates are fitted to log variance against log n at every pixel (`mcspectra.core.fits.line_fits`),
+with weights from the relative standard errors. Arrays are (strategy, n, y, x) and (strategy, y, x).
 
-Shares of a path's variance (`path_shares`) are by requests k for random numbers, in their order:
-Var f = Σ_k (Var E[f | x_1 … x_k] − Var E[f | x_1 … x_{k−1}]), no part of which is negative; what
-requests do only together counts for the last of them. With h_k = f(x_1 … x_k, y_{k+1} … y_K) of two
-independent paths x and y, part k is the mean of (h_k − h_{k−1}) (h_K − c), pick-freeze [Sobol2001]_, so that
-K + 1 evaluations give all parts. Any c in h_k + h_{k−1} is right; the regression of h_K on this sum has the
-least error, where early parts are small as where late ones are. Its slope is of the same chains: a bias of
-order 1/R.
+`path_shares` divides the variance of a path among its requests k for random numbers, in their
+order: Var f = Σ_k (Var E[f | x_1 … x_k] − Var E[f | x_1 … x_{k−1}]). No part is negative;
+interactions of requests count for the last of them. With h_k = f(x_1 … x_k, y_{k+1} … y_K) of two
+independent paths x and y, part k is the mean of (h_k − h_{k−1}) (h_K − c), pick-freeze
+[Sobol2001]_. So K + 1 evaluations give all parts. Any c is valid that is a function of h_k +
+h_{k−1}. The regression of h_K on this sum has the least error, both where early parts are small and
+where late parts are small. Its slope comes from the same chains, which gives a bias of order 1/R.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ __all__ = [
 
 UNDECIDED = -1.0
 
-_ULPS = 4.0  # of float32: below, variances are the rounding of Mitsuba's values
+# Multiple of the float32 rounding unit below which a variance is rounding of Mitsuba's values
+_ULPS = 4.0
 
 
 def fit_lines(
@@ -45,9 +46,9 @@ def fit_lines(
 ) -> LineFits:
     """Fit all lines at once to variances, their relative errors and the means, (S, N, …).
 
-    Variances that are rounding of float32 are left out, and like zeros those of a relative standard
-    error above `largest_se`: they come of very few realizations that met what is rare, and most
-    often they are far too small.
+    Variances at rounding level of float32 are ignored. Zeros and variances with a relative standard
+    error above `largest_se` are also ignored: they come from very few realizations that hit a rare
+    event, and most often they are far too small.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         floor = (_ULPS * np.finfo(np.float32).eps * mean) ** 2
@@ -55,7 +56,7 @@ def fit_lines(
         weight = np.where(used, relative_se**-2.0, 0.0)
         y = np.where(used, np.log(variance), 0.0)
         x = np.log(ns.astype(float)).reshape(1, -1, *[1] * (variance.ndim - 2))
-        # Left out before a variance that is not: n was too small to meet what is rare.
+        # Ignored before a used variance: n was too small to hit the rare event.
         missed = np.maximum.accumulate(used[:, ::-1], axis=1)[:, ::-1] & ~used
         return line_fits(x, y, weight, known=np.asarray(~missed.any(axis=1)))
 
@@ -63,9 +64,9 @@ def fit_lines(
 def smooth(rate: Array, rate_se: Array, window: int, independent: bool) -> tuple[Array, Array]:
     """Average rates (S, y, x) over window × window pixels, weighted by their precision.
 
-    Pixels without a rate take no part and stay without. With `independent` pixels, which have
-    points of their own, standard errors fall with their number. Otherwise the mean standard error
-    stands: right for errors that are the same everywhere, too large for others.
+    Pixels without a rate are ignored and stay without one. With `independent` pixels, which have
+    their own points, standard errors fall with the number of pixels. Otherwise the mean standard
+    error is used. It is correct for errors that are equal everywhere, and too large for others.
     """
     if window == 1:
         return rate, rate_se
@@ -86,30 +87,30 @@ def interval(value: Array, se: Array) -> Array:
 
 
 def ratio(log_ratio: Array, se: Array) -> tuple[Array, Array]:
-    """Ratio and its 95 % interval (…, 2), from the logarithm and its standard error."""
+    """Ratio and its 95 % interval (…, 2), from its logarithm and standard error."""
     return np.exp(log_ratio), np.exp(interval(log_ratio, se))
 
 
 def slowest(rate: Array, rate_se: Array) -> Array:
-    """Which of two techniques (2, y, x) has the slower rate, by the interval of their difference.
+    """Technique of two (2, y, x) with the slower rate, by the interval of the difference.
 
-    They must have points of their own: then the standard errors add up as squares. Intervals that are
-    apart would ask for 1.4 times the difference, at equal errors.
+    The techniques must have their own points, so that the squares of the standard errors add up. A
+    test for separate intervals would need 1.4 times the difference at equal errors.
     """
     return _larger(rate[0] - rate[1], rate_se, np.isnan(rate).all(axis=0))
 
 
 def dominant(variance: Array, relative_se: Array) -> Array:
-    """Which of two techniques (2, y, x) has the larger variance, by the interval of their ratio."""
+    """Technique of two (2, y, x) with the larger variance, by the interval of the ratio."""
     with np.errstate(invalid="ignore", divide="ignore"):
         log_ratio = np.log(variance[0]) - np.log(variance[1])
         return _larger(log_ratio, relative_se, np.isnan(log_ratio))
 
 
 def least(variance: Array, relative_se: Array) -> Array:
-    """Which of S samplers (S, …) has the least variance, by the intervals of its ratios to all others.
+    """Sampler of S (S, …) with the least variance, by the intervals of its ratios to others.
 
-    Undecided where one of them contains 1; NaN where a sampler has no variance above 0.
+    Undecided if one interval contains 1; NaN if a sampler has no positive variance.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         log = np.where(variance > 0.0, np.log(variance), np.nan)
@@ -122,26 +123,27 @@ def least(variance: Array, relative_se: Array) -> Array:
 
 
 def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, Array]:
-    """Variance of a path, shares of it, and the largest of each partition's.
+    """Variance of a path, its shares, and the largest share of each partition.
 
     Parameters
     ----------
     chains
         Values h_0 … h_K of R chains at P pixels, (R, K + 1, P).
     partitions
-        Which requests (K,) each part has, (G, K): every request belongs to one part.
+        Which requests (K,) belong to each part, (G, K); every request belongs to one part.
 
     Returns
     -------
     tuple
         Variance and standard error (2, P). Shares with the ends of their 95 % intervals, of all
-        partitions one after the other (3, ΣG, P): by Student's t of as many degrees of freedom as
-        chains carry the variance; NaN where its standard error is more than half of it. The largest part of
-        each partition, if its differences from all others are apart from 0 (partitions, P).
+        partitions in succession (3, ΣG, P). The intervals use Student's t with one degree of
+        freedom for each chain that carries the variance; they are NaN if its standard error exceeds
+        half of it. The largest part of each partition, if its differences from all others exclude 0
+        (partitions, P).
     """
     from scipy.special import stdtrit
 
-    # The part of each request in each chain, with its control
+    # Compute the part of each request in each chain, with its control variate
     count, mean = len(chains), chains.mean(axis=(0, 1))
     values = chains - mean
     last, steps = values[:, -1:], np.diff(values, axis=1)
@@ -158,7 +160,7 @@ def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, A
         known = np.where((whole > floor) & (error <= 0.5 * whole), whole, np.nan)
 
     def shared(own: Array) -> tuple[Array, Array]:
-        """Means of (R, G, P) as shares, and half their intervals: the delta method."""
+        """Return means of (R, G, P) as shares, and half-intervals by the delta method."""
         share = own.mean(axis=0) / known
         squares = (own - share * every[:, None]) ** 2
         total, fourth = squares.sum(axis=0), (squares**2).sum(axis=0)
@@ -184,10 +186,11 @@ def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, A
 def gain(single: LineFits, mis: LineFits, total: float, missed: Array) -> tuple[Array, Array]:
     """Variance of the best single strategy over that of MIS at `total` samples in all.
 
-    Where a strategy `missed` light, its variance is too small to count.
+    A strategy that `missed` light is excluded, because its variance is too small.
 
-    Both are read off the fitted lines, MIS at half as many samples of each technique. The standard
-    error takes them as independent: they share points, which makes it too large rather than small.
+    Both variances come from the fitted lines, for MIS at half as many samples of each technique.
+    The standard error treats them as independent. They share points, which makes it too large
+    rather than too small.
     """
     levels, errors = single.at(total)
     levels = np.where(missed, np.nan, levels)
@@ -198,14 +201,17 @@ def gain(single: LineFits, mis: LineFits, total: float, missed: Array) -> tuple[
 
 
 def _larger(difference: Array, se: Array, unknown: Any) -> Array:
-    """0 or 1, whichever is larger by the interval of their difference, or undecided; NaN if unknown."""
+    """Index, 0 or 1, of the larger value by the interval of the difference, or undecided.
+
+    NaN if `unknown`.
+    """
     half = CONFIDENCE_Z * np.hypot(*se)
     sure = [unknown, difference > half, -difference > half]
     return np.select(sure, [np.nan, 0.0, 1.0], UNDECIDED)
 
 
 def _box(image: Array, window: int) -> Array:
-    """Sum over window × window pixels of (S, y, x), zero beyond the border."""
+    """Sum over window × window pixels of (S, y, x), with zeros outside the border."""
     reach = window // 2
     for axis in (1, 2):
         margin = [(reach, reach) if a == axis else (0, 0) for a in range(3)]

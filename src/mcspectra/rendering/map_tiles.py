@@ -1,33 +1,37 @@
-"""Estimates of many pixels by many realizations: one Dr.Jit loop over the samples of each.
+"""Estimates of many pixels in many realizations by one Dr.Jit loop over the samples of each pixel.
 
-A lane is one realization of one pixel and runs over its samples in a recorded loop, which adds up
-float32 values in float64. So what is copied is one number a lane, memory does not grow with the
-number of samples, and a lane has the same bits whichever others run beside it. A technique's plain
-estimate and its weighted one, for multiple importance sampling, come from one evaluation. Measured
-against one lane a sample with a sum over blocks: 2 to 3 times as fast (two cores, Veach's scene).
+A lane is one realization of one pixel. It runs over its samples in a recorded loop, which adds up
+float32 values in float64. So only one number per lane is copied, memory does not grow with the
+number of samples, and a lane has the same bits for any set of other lanes. One evaluation gives a
+technique's plain estimate and its weighted one for multiple importance sampling. This is 2 to 3
+times as fast as one lane per sample with a sum over blocks (measured with two cores and Veach's
+scene).
 
-PREDICTION Variance predicted from values of the integrand alone, for many pixels by one table of samples.
+Predictions
+-----------
+Variances are predicted from values of the integrand alone, for many pixels by one table of samples.
 
-*Jittered* points: Var = n⁻² Σ_j Var_j(g) over the strata j, each Var_j = ∫g² − (∫g)² from pairs of
-independent samples in the cells of a grid in the stratum. The square of ∫g is the product of the two means, so
-that the prediction is unbiased; its standard error comes from two such predictions a stratum.
+*Jittered* points: Var = n⁻² Σ_j Var_j(g) over the strata j. Each Var_j = ∫g² − (∫g)² comes from
+pairs of independent samples in the cells of a grid in the stratum. The product of the two means
+estimates the square of ∫g, so that the prediction is unbiased. Its standard error comes from two
+such predictions per stratum.
 
 *Random* points: Var = (∫g² − (∫g)²)/n on a midpoint grid.
 
-*Shifted* points and others that are the same after any translation, in two dims:
-Var = Σ_{m≠0} |g_m|² ⟨|S_m|²⟩, with g_m from the FFT of a midpoint grid, onto whose frequencies those
-beyond are folded. A power without a closed form adds its own error.
+*Shifted* points and other stationary points, in two dims: Var = Σ_{m≠0} |g_m|² ⟨|S_m|²⟩. The g_m
+come from the FFT of a midpoint grid, onto whose frequencies all higher frequencies are folded. A
+power without a closed form adds its own error.
 
-*Nets* in base 2 with nested scrambling, in two dims: n Var = Σ_l Γ_l σ²_l with the gains Γ_l of levels l
-and the parts σ²_l of g that vary with l_j digits of coordinate j, from means over blocks of a grid with
-a random point in each cell.
+*Nets* in base 2 with nested scrambling, in two dims: n Var = Σ_l Γ_l σ²_l with the gains Γ_l of
+levels l. The parts σ²_l of g vary with l_j digits of coordinate j. They come from means over blocks
+of a grid with a random point in each cell.
 
-Grids of half the resolution give the standard error of all three. Other samplers are not predicted:
-terms between frequencies are not seen here.
+Grids of half the resolution give the standard error of the last three. Other samplers are not
+predicted, because these formulas ignore terms between frequencies.
 
-None of these sees a light that is so rare that no sample hits it. Where one technique saw more
-light than another (`surely`), the other's prediction takes what it missed as a part of its error
-(`unmet`).
+No prediction detects a light that is so rare that no sample hits it. If one technique hit more
+light than another (`surely`), the prediction of the other includes the missed light as a part of
+its error (`unmet`).
 """
 
 from __future__ import annotations
@@ -89,14 +93,15 @@ __all__ = [
 MAP_STRATEGIES: Final = ("light", "bsdf", "mis-light", "mis-bsdf", "mis")
 
 TILE_LANES = 2**19
-"""Pixels times realizations in one kernel; some 100 MiB with what is made of them."""
+"""Pixels times realizations in one kernel; some 100 MiB including their results."""
 
 _BLOCK_REALIZATIONS = 1024
-_TABLE_NUMBERS = 2**23  # of one table of points, 64 MiB
-_KEPT_NUMBERS = 2**24  # of all tables that are kept for the next tile
-_PREDICTED_VALUES = 2**21  # integrand values at once
-_CHAIN_VALUES = 2**20  # of paths in chains at once
-_PREDICTION, _CHAIN = 0x9D1C7, 0xC4A17  # labels of streams: the prediction's samples, chains
+_TABLE_NUMBERS = 2**23  # limit of numbers in one table of points: 64 MiB
+_KEPT_NUMBERS = 2**24  # limit of numbers in all tables that are kept for the next tile
+_PREDICTED_VALUES = 2**21  # limit of integrand values computed at once
+_CHAIN_VALUES = 2**20  # limit of path values in chains computed at once
+# labels of the streams for the prediction's samples and for chains
+_PREDICTION, _CHAIN = 0x9D1C7, 0xC4A17
 
 
 _Pixels = Annotated[Array, Join(-1)]
@@ -105,10 +110,10 @@ _Pixels = Annotated[Array, Join(-1)]
 @final
 @dataclass(frozen=True)
 class Maps:
-    """Results at pixels P: status (P,), moments (strategies, counts, P), predictions (strategies, P).
+    """Results at P pixels: status, moments (strategies, counts, P), predictions (strategies, P).
 
-    The predicted variances are those at the largest count; NaN where there is nothing to estimate. The last
-    three are those of `path_shares`: (2, P), (3, parts, P) and (2, P).
+    The predicted variances are for the largest count; NaN if there is nothing to estimate. The last
+    three are the results of `path_shares`: (2, P), (3, parts, P) and (2, P).
     """
 
     status: _Pixels
@@ -125,13 +130,14 @@ class Maps:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """The measurement made at every pixel; most attributes are those of `Map`.
+    """The measurement at every pixel; most attributes are the same as in `Map`.
 
-    With a `tracer` it is one of whole paths, by the only strategy ``path``; `uses` are those of its
-    coordinates, and `chains` gives shares of the variance, if any.
+    With a `tracer` it measures whole paths, by the only strategy ``path``. `uses` are the
+    dimensions of the path's coordinates, and `chains`, if any, give shares of the variance.
 
-    Realization r of n points is that of ``stream.child(n)``, as in `convergence`; with points of
-    their `own`, pixels have number (y·width + x)·realizations + r.
+    Realization r of n points is realization r of ``stream.child(n)``, as in `convergence`. If
+    pixels have their `own` points, pixel number y·width + x uses number (y·width + x)·realizations
+    + r.
     """
 
     lighting: Lighting
@@ -154,13 +160,13 @@ class Measurement:
 
     @property
     def block(self) -> int:
-        """Realizations in one kernel, whatever the tile: sums over them keep their order."""
+        """Realizations in one kernel for any tile, so that sums over them keep their order."""
         fitting = _TABLE_NUMBERS // (self.counts[-1] * self.sampler.dims)
         return max(1, min(self.realizations, _BLOCK_REALIZATIONS, fitting))
 
     @property
     def tile_pixels(self) -> int:
-        """Pixels of a tile."""
+        """Number of pixels of a tile."""
         lanes = TILE_LANES
         if self.own:
             lanes = min(lanes, _TABLE_NUMBERS // (self.counts[-1] * self.sampler.dims))
@@ -168,7 +174,7 @@ class Measurement:
 
     @property
     def partitions(self) -> tuple[dict[Any, Array], dict[Any, Array]]:
-        """Which requests (K,) each bounce has, and each decision; none without chains."""
+        """Return the requests (K,) of each bounce and of each decision; empty without chains."""
         requests = self._requests if self.chains else []
         bounces, decisions = ([each[k] for each in requests] for k in (0, 1))
         both = ({v: np.array([w == v for w in of]) for v in of} for of in (bounces, decisions))
@@ -176,17 +182,17 @@ class Measurement:
 
     @property
     def _requests(self) -> list[tuple[int, str]]:
-        """Bounce and decision of each request, in their order."""
+        """Bounce and decision of each request, in order."""
         return list(dict.fromkeys((use.bounce, use.decision) for use in self.uses))
 
     def prediction(self) -> Prediction | None:
-        """How variances at the largest count are predicted."""
+        """Return the method that predicts variances at the largest count."""
         if not self.predict_every or self.tracer is not None:
             return None
         return prediction_for(self.sampler, self.counts[-1], self.stream.child(_PREDICTION))
 
     def tile(self, pixels: Array, prediction: Prediction | None) -> Maps:
-        """Measure pixels (P, 2), x and y of each."""
+        """Measure pixels (P, 2), given as x and y."""
         receivers = Receivers(self.lighting, pixels) if self.tracer is None else None
         status = np.zeros(len(pixels), np.int8) if receivers is None else receivers.status
         shape = (len(self.strategies), len(self.counts), len(pixels))
@@ -206,13 +212,13 @@ class Measurement:
             and receivers.chooses_lobe()
         ):
             raise ParameterError(
-                f"A visible BSDF of {scene_name(self.lighting.scene)} selects a lobe by an extra random "
-                "number; give ",
+                f"A visible BSDF of {scene_name(self.lighting.scene)} selects a lobe by an extra "
+                "random number; give ",
                 Parameter("dims", 3),
-                ", the third coordinate is that number.",
+                ": the third coordinate then selects the lobe.",
             )
 
-        # Moments over realizations of each strategy
+        # Compute moments over realizations of each strategy
         for i, n in enumerate(self.counts):
             total: list[Moments] = []
             for first in range(0, self.realizations, self.block):
@@ -229,7 +235,7 @@ class Measurement:
                 for name in ("mean", "variance", "relative_se"):
                     getattr(found, name)[s, i, seen] = getattr(moments, name)[: len(seen)]
 
-        # Shares of the variance of one path, a chunk of pixels at a time
+        # Compute shares of the variance of one path, for one chunk of pixels at a time
         if self.chains:
             most = _TABLE_NUMBERS // len(self.uses) if self.own else _CHAIN_VALUES
             step = max(1, most // (self.chains * (len(self._requests) + 1)))
@@ -240,7 +246,7 @@ class Measurement:
                 for array, values in zip((path_variance, shares, largest), told, strict=True):
                     array[..., part] = values[..., : len(pixels[part])]
 
-        # Predictions at every so many pixels, a chunk at a time
+        # Predict at every `predict_every`-th pixel, one chunk at a time
         if prediction is None:
             return found
         chosen = seen[(pixels[seen] % self.predict_every == 0).all(axis=1)]
@@ -251,8 +257,8 @@ class Measurement:
             each = {t: receivers.values(t, prediction.samples) for t in self.techniques}
             there = np.max([surely(prediction, plain) for plain, _ in each.values()], axis=0)
             for s, strategy in enumerate(self.strategies):
-                # Variances of independent techniques add up; the error has a part for the light that
-                # another technique sees and this strategy does not
+                # Variances of independent techniques add up. The error includes the light that
+                # another technique hits and this strategy does not
                 terms = ("mis-light", "mis-bsdf") if strategy == "mis" else (strategy,)
                 both = [prediction.variance(combined(term, each)) for term in terms]
                 whole = combined("mis" if strategy.startswith("mis") else strategy, each)
@@ -263,7 +269,7 @@ class Measurement:
         return found
 
     def _chains(self, pixels: Array) -> Array:
-        """Values (R, K + 1, P) of paths that take k requests from one random path, the others from another."""
+        """Values (R, K + 1, P) of paths that share their first k requests with another path."""
         uses, dims = [(use.bounce, use.decision) for use in self.uses], len(self.uses)
         request = np.array([self._requests.index(each) for each in uses])
         first = np.zeros(1, int)
@@ -279,7 +285,7 @@ class Measurement:
         )
 
     def _traced(self, pixels: Array, u: Array) -> Array:
-        """Means of paths, as of `Tracer`; a single pixel stands twice, as among receivers."""
+        """Means of paths as in `Tracer`; a single pixel is computed twice, as in `Receivers`."""
         assert self.tracer is not None
         twice = np.repeat(pixels, 2, axis=0) if len(pixels) == 1 else pixels
         if u.ndim == 4 and len(twice) > u.shape[1]:
@@ -287,7 +293,7 @@ class Measurement:
         return self.tracer.means(u, twice)
 
     def _points(self, pixels: Array, n: int, block: Block) -> list[Array]:
-        """Points of each technique, (R, n, d), or (R, P, n, d) where pixels have their own."""
+        """Points of each technique, (R, n, d), or (R, P, n, d) if pixels have their own points."""
 
         def draw(own: Block) -> list[Array]:
             if self.tracer is not None:
@@ -306,7 +312,7 @@ class Measurement:
 
 
 def combined(strategy: str, both: dict[str, tuple[Array, Array]]) -> Array:
-    """Estimate of a strategy, from the plain and weighted ones of the techniques."""
+    """Return the estimate of a strategy from plain and weighted estimates of the techniques."""
     if strategy == "mis":
         return both["light"][1] + both["bsdf"][1]
     return both[strategy.removeprefix("mis-")][int(strategy.startswith("mis-"))]
@@ -314,7 +320,7 @@ def combined(strategy: str, both: dict[str, tuple[Array, Array]]) -> Array:
 
 TECHNIQUES = ("light", "bsdf")
 RECEIVER, NOTHING, SHINES, SPECULAR = range(4)
-"""What a pixel sees: a surface that is lit, nothing, a light, a perfectly specular surface."""
+"""Object visible in a pixel: a lit surface, nothing, a light, a perfectly specular surface."""
 
 _SAMPLE: Final = {"light": sample_light, "bsdf": sample_bsdf}
 
@@ -322,7 +328,7 @@ _SAMPLE: Final = {"light": sample_light, "bsdf": sample_bsdf}
 @final
 @dataclass(frozen=True, kw_only=True)
 class Lighting:
-    """Which light is estimated, as for `Pixel`; `size` is that of the grid laid over the film."""
+    """The light that is estimated, as in `Pixel`; `size` is the size of the pixel grid."""
 
     scene: Scene
     light: int | str | None
@@ -332,25 +338,27 @@ class Lighting:
 
 
 class Receivers:
-    """The lit surface points that pixels (P, 2) of the grid see, and estimates of their light.
+    """The lit surface points visible in pixels (P, 2) of the grid, and estimates of their light.
 
     Attributes
     ----------
     status
-        What each pixel sees, int8 (P,): `RECEIVER` where there is something to estimate.
+        Object visible in each pixel, int8 (P,): `RECEIVER` if there is something to estimate.
     pixels
-        Those of the receivers, whose estimates are made; a single one stands twice.
+        Pixels of the receivers, which are estimated; a single pixel is listed twice.
     """
 
     def __init__(self, lighting: Lighting, pixels: Array) -> None:
         self._lighting = lighting
         with LOCK:
-            load_mitsuba()  # before anyone imports Dr.Jit: it picks the libLLVM that works
+            # this must come before Dr.Jit is imported, because it chooses the working libLLVM
+            load_mitsuba()
             self.status = self._look(pixels)[0]
             seen = pixels[self.status == RECEIVER]
-            # NumPy adds up a single column in another order than many: one pixel stands twice.
+            # NumPy adds up a single column in another order than several columns: one pixel is
+            # listed twice.
             self.pixels = np.repeat(seen, 2, axis=0) if len(seen) == 1 else seen
-            # Traced again for these alone, so that no lane is spent on the others.
+            # Trace these pixels alone again, so that no lane is spent on the others.
             self._kept = self._look(self.pixels)[1] if len(self.pixels) else None
 
     def __len__(self) -> int:
@@ -359,7 +367,8 @@ class Receivers:
     def estimates(self, technique: str, u: Array) -> tuple[Array, Array]:
         """Return plain and weighted estimates: float64 (R, P) each, means over samples.
 
-        Samples u are (R, n, dims) for all pixels alike, or (R, P, n, dims); of 3 dims the third
+        Samples u are (R, n, dims), equal for all pixels, or (R, P, n, dims). If there are 3 dims,
+        the third selects a light or a lobe. Values that are not finite raise a ParameterError.
         selects a light or a lobe. Values that are not finite are a ParameterError.
         """
         with LOCK:
@@ -373,10 +382,10 @@ class Receivers:
         return self.estimates(technique, u[:, None, :])
 
     def chooses_lobe(self) -> bool:
-        """Whether a BSDF asks for a third random number, which two dims cannot give it."""
+        """Whether a BSDF needs a third random number, which two dims cannot provide."""
         import drjit
 
-        tries = 8  # directions at every point
+        tries = 8  # number of tested directions at every point
         with LOCK:
             mitsuba = load_mitsuba()
             lane = drjit.arange(mitsuba.UInt32, len(self) * tries)
@@ -384,7 +393,7 @@ class Receivers:
             return chooses_lobe(self._gathered(lane // tries), u)
 
     def _look(self, pixels: Array) -> tuple[Array, Any]:
-        """Status of pixels and their first hits, as data: kernels are shared by all pixels."""
+        """Status of pixels and their first hits, as data, so that all pixels share kernels."""
         import drjit
 
         mitsuba, scene = load_mitsuba(), load_scene(self._lighting.scene)
@@ -427,25 +436,27 @@ class Receivers:
         return pixel_sums(u, len(self), 2, at)
 
 
-_REPEATS = 2  # predictions a stratum, for their standard error
-_CELLS = 4096  # of all strata, about, to meet small lights; each has 2 or more along each axis
-_GRIDS = {2: 64, 3: 16}  # dims to midpoints along each axis, an even number
+_REPEATS = 2  # predictions per stratum, for their standard error
+# Approximate number of cells of all strata, to hit small lights; a stratum has at least 2 per axis
+_CELLS = 4096
+_GRIDS = {2: 64, 3: 16}  # number of midpoints along each axis by dims, an even number
 _POWER_REALIZATIONS = 1024
-_SURE = 3.0  # standard errors
+_SURE = 3.0  # number of standard errors below an estimate
 
 
 def surely(prediction: Prediction, values: Array) -> Array:
-    """Lower bound (P,) of the integral of values (N, P): three standard errors below its estimate."""
+    """Lower bound (P,) of the integral of values (N, P): estimate minus three standard errors."""
     mean, se = prediction.mean(values)
     return mean - _SURE * se
 
 
 def unmet(prediction: Prediction, values: Array, there: Array) -> Array:
-    """Error (P,) of a variance predicted from values (N, P) whose integral is `there` at least.
+    """Error (P,) of a variance predicted from values (N, P) whose integral is at least `there`.
 
-    A part M of the integral on a share q of the cube has the variance M²/(q n), however the n points
-    are stratified, as they meet it rarely; if none of N samples met it, q is about 1/N at most. Where
-    M is beyond what the values' own error explains, q may be anything: the error is infinite.
+    A part M of the integral on a fraction q of the cube has the variance M²/(q n) for any
+    stratification of the n points, because they hit it rarely. If none of N samples hit it, q is at
+    most about 1/N. If M exceeds what the values' own error explains, q is arbitrary: the error is
+    infinite.
     """
     mean, se = prediction.mean(values)
     missed = np.maximum(there - mean, 0.0)
@@ -454,7 +465,7 @@ def unmet(prediction: Prediction, values: Array, there: Array) -> Array:
 
 
 def prediction_for(sampler: Sampler, n: int, stream: Stream) -> Prediction | None:
-    """Return how to predict the variance of `n` points; None where it is not known."""
+    """Return a method to predict the variance of `count` points, or None if there is none."""
     law = sampler.law(n)
     if isinstance(law, Strata) and law.jittered:
         return _Strata.of(law.sides, stream)
@@ -469,7 +480,7 @@ def prediction_for(sampler: Sampler, n: int, stream: Stream) -> Prediction | Non
     if isinstance(law, Scrambled) and nested and isinstance(law.inner, Fixed):
         side = _GRIDS[2]
         gains = gains_at(law.inner, law.bases, side.bit_length() - 1)
-        # Points anywhere in their cells, in C order, see what varies within these, too
+        # Random points in the cells, in C order, also measure variation within the cells
         u = Jittered(dims=2, sides_=(side, side)).draw_stream(side * side, stream, 0, 1)[0]
         u = u[np.lexsort(np.floor(u * side).T[::-1])]
         return _Grid(method="gains", count=n, samples=u, gains=gains)
@@ -517,47 +528,49 @@ class _Strata:
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Grid:
-    """Values on a midpoint grid, with the power or the gains of the points; neither: random points."""
+    """Values on a midpoint grid, with the points' power or gains; random points by default."""
 
     method: str
     count: int
     samples: Array = field(repr=False)
-    power: Array | None = field(repr=False, default=None)  # entry m is frequency m, also < 0
+    power: Array | None = field(repr=False, default=None)  # entry m is frequency m, also for m < 0
     power_se: Array = field(repr=False, default_factory=lambda: np.zeros(()))
-    gains: Array | None = field(repr=False, default=None)  # by level of each axis
+    gains: Array | None = field(repr=False, default=None)  # gains by the level of each axis
 
     def variance(self, values: Array) -> tuple[Array, Array]:
-        """Variance, its error from the grids of half the resolution and from that of the power."""
+        """Variance, with its error from the power and from grids of half the resolution."""
         grid, *coarse = self._grids(values)
         whole, *parts = map(self._of_grid, (grid, *coarse))
         if self.power is None:
             return whole, _error_of_mean(parts)
-        # The powers of m and −m are one number: their errors add up, those of other pairs do not.
+        # The powers of m and −m are the same number: their errors add up. The errors of other pairs
+        # do not.
         doubled = np.sqrt(2.0 * _sum(self.power_se**2, _energy(grid) ** 2))
         return whole, np.hypot(_error_of_mean(parts), doubled)
 
     def mean(self, values: Array) -> tuple[Array, Array]:
-        """Integral, and its error from the grids of half the resolution."""
+        """Integral, with its error from the grids of half the resolution."""
         parts = [part.reshape(-1, part.shape[-1]).mean(axis=0) for part in self._grids(values)[1:]]
         return values.mean(axis=0), _error_of_mean(parts)
 
     def _grids(self, values: Array) -> list[Array]:
-        """Values on the grid, and on those of half the resolution, every other node along each axis."""
+        """Values on the grid, and on every other node along each axis (half the resolution)."""
         dims = self.samples.shape[-1]
         grid = values.reshape(*[_GRIDS[dims]] * dims, -1)
         offsets = itertools.product((0, 1), repeat=dims)
         return [grid, *(grid[tuple(slice(k, None, 2) for k in each)] for each in offsets)]
 
     def _of_grid(self, grid: Array) -> Array:
-        """Variance by the values of one grid."""
+        """Variance from the values of one grid."""
         if self.power is not None:
             return _sum(self.power, _energy(grid))
         if self.gains is None:
             return np.asarray(grid.reshape(-1, grid.shape[-1]).var(axis=0) / self.count)
-        # Σ_l Γ_l σ²_l / n
+        # Compute Σ_l Γ_l σ²_l / n
         side, pixels = grid.shape[1:]
         levels = range(side.bit_length())
-        squares = np.empty((len(levels), len(levels), pixels))  # of block means: σ² up to a level
+        # squares of block means: σ² up to a level
+        squares = np.empty((len(levels), len(levels), pixels))
         for i, j in itertools.product(levels, levels):
             blocks = grid.reshape(2**i, side >> i, 2**j, side >> j, pixels).mean(axis=(1, 3))
             squares[i, j] = (blocks**2).mean(axis=(0, 1))
@@ -567,13 +580,13 @@ class _Grid:
 
 
 Prediction: TypeAlias = _Strata | _Grid
-"""How the variance of `count` points of a sampler is predicted from values (N, P) at its `samples`."""
+"""Methods that predict the variance of `count` points from values (N, P) at their `samples`."""
 
 
 def _student(squares: Array) -> Array:
-    """Quantile of Student's t over that of the normal, for the sum of squares (J, P) over strata.
+    """Quantile of Student's t over the normal quantile, for the sum of squares (J, P) over strata.
 
-    Where one stratum has nearly all of the sum, its standard error has one degree of freedom.
+    If one stratum has nearly all of the sum, its standard error has one degree of freedom.
     """
     from scipy.special import stdtrit
 
@@ -594,7 +607,7 @@ def _energy(grid: Array) -> Array:
 
 
 def _sum(power: Array, energy: Array) -> Array:
-    """Sum of energy times power over the frequencies of the energy, of its own or a finer grid."""
+    """Sum of energy times power over the frequencies of `energy`; `power` may have a finer grid."""
     side = len(energy)
     m = np.fft.fftfreq(side, 1.0 / side).astype(int)
     return np.tensordot(power[np.ix_(m, m)], energy, axes=2)

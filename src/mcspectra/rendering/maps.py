@@ -1,9 +1,9 @@
-"""Maps over an image: variance, its rate, the technique that decides it, the gain of MIS.
+"""Maps over an image: variance, its rate, the bottleneck technique, and the gain of MIS.
 
-Every pixel is the integrand `Pixel` with the ray through its center, and is measured as
-`convergence` does it: variances over realizations at several counts, and the slope of log variance
-against log n. So few realizations as an image can afford leave wide intervals (the standard error of
-a variance of 64 normal estimates is 18 %), which all results carry.
+Every pixel is the integrand `Pixel` with the ray through its center, and is measured as in
+`convergence`: variances over realizations at several counts, and the slope of log variance against
+log n. An image can afford only few realizations. All results therefore carry wide intervals: the
+standard error of a variance of 64 normal estimates is 18 %.
 """
 
 from __future__ import annotations
@@ -53,9 +53,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Map", "compared", "missed", "variance_map"]
 
-_MOST_NUMBERS = 2**27  # of a result: 1 GiB
+_MOST_NUMBERS = 2**27  # limit of numbers in a result: 1 GiB
 _LONGEST_SIDE = 65_536
-_FILM = (256, 256)  # where the scene has not been read
+_FILM = (256, 256)  # assumed film size before the scene is read
 
 _DIMS = {
     "variance": ("strategy", "n", "y", "x"),
@@ -140,8 +140,8 @@ class Map(Analysis, frozen=True, kw_only=True):
     dims: Annotated[
         _Dims | None,
         Meta(
-            description="2, or 3 with a third coordinate that selects lights and lobes; for whole paths by "
-            "default all coordinates.",
+            description="2, or 3 with a third coordinate that selects lights and lobes; for whole "
+            "paths by default all coordinates.",
             extra={"flag": "-d", "metavar": "D"},
         ),
     ] = None
@@ -173,26 +173,27 @@ class Map(Analysis, frozen=True, kw_only=True):
     chains: Annotated[
         Annotated[int, Meta(ge=0, le=_MOST_CHAINS)] | None,
         Meta(
-            description=f"Whole paths: pairs of paths for the shares of bounces and decisions, by default {_CHAINS}; 0: no shares.",
+            description="Whole paths: pairs of paths for the shares of bounces and decisions, by "
+            f"default {_CHAINS}; 0: no shares.",
             extra={"metavar": "R"},
         ),
     ] = None
 
     def need(self, subject: Subject) -> Need:
-        """The need as far as it is known without the scene."""
+        """Return an estimate of the needed resources without reading the scene."""
         check_channel(self.channel, ("luminance",))
         direct = {"light": None, "strategies": MAP_STRATEGIES, "heuristic": "balance"}
-        refused, way = direct, "is for direct light; leave it out with an integrator"
+        refused, way = direct, "is for direct light; leave it out if you give an integrator"
         if self.integrator is None:
             as_integer("dims", self.points_dims, least=2, most=3)
-            refused, way = {"chains": None}, "is for whole paths; give an integrator too"
+            refused, way = {"chains": None}, "is for whole paths; also give an integrator"
         for name, usual in refused.items():
             if getattr(self, name) != usual:
                 raise ParameterError(Parameter(name), f" {way}.")
         if self.chains and self.chains < _LEAST_CHAINS:
             raise ParameterError(
                 Parameter("chains"),
-                f" is {self.chains}; give 0, for no shares, or {_LEAST_CHAINS} at least.",
+                f" is {self.chains}; give 0 for no shares, or at least {_LEAST_CHAINS}.",
             )
         counts = self._counts(subject.sampler)
         if self.smoothing % 2 == 0:
@@ -210,7 +211,7 @@ class Map(Analysis, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[Maps]:
-        """All pixels, row by row; a block is a tile."""
+        """Reduce all pixels, row by row; a block is a tile."""
         measurement, window = self.measurement(subject, stream)
         x0, y0, width, height = window
         pixels, step = width * height, measurement.tile_pixels
@@ -224,8 +225,8 @@ class Map(Analysis, frozen=True, kw_only=True):
         def result(found: Maps) -> xr.Dataset:
             if not (found.status == RECEIVER).any():
                 nothing = (
-                    f"No pixel of the crop {list(window)} of {scene_name(self.scene)} sees a surface "
-                    "that scatters light; choose another crop."
+                    f"No pixel of the crop {list(window)} of {scene_name(self.scene)} sees a "
+                    "surface that scatters light; choose another crop."
                 )
                 raise ParameterError(
                     " ".join([nothing, *check_scene(self.scene, light=self.light)])
@@ -243,7 +244,7 @@ class Map(Analysis, frozen=True, kw_only=True):
         )
 
     def measurement(self, subject: Subject, stream: Stream) -> tuple[Measurement, _Window]:
-        """What is measured at each pixel of which window, with the scene read."""
+        """Read the scene; return the measurement of each pixel and the window."""
         scene = as_scene(self.scene)
         with LOCK:
             sensor_of(scene)
@@ -281,9 +282,9 @@ class Map(Analysis, frozen=True, kw_only=True):
         return measurement, window
 
     def of_samplers(self, subjects: Sequence[Subject]) -> list[Map]:
-        """The map of each sampler: shares are measured with the first one alone.
+        """Return the map of each sampler; only the first map measures shares.
 
-        Refuses samplers that cannot be compared, and what else can be known before the work.
+        Rejects samplers that cannot be compared, and other errors that are known before the work.
         """
         counts: dict[str, tuple[int, ...]] = {}
         for subject in subjects:
@@ -296,7 +297,7 @@ class Map(Analysis, frozen=True, kw_only=True):
             )
         if not set.intersection(*map(set, counts.values())):
             each = "; ".join(f"{spec} {list(ns)}" for spec, ns in counts.items())
-            raise ParameterError(f"No count is that of all samplers ({each}); give counts.")
+            raise ParameterError(f"The samplers have no common count ({each}); give counts.")
         others = self if self.integrator is None else structs.replace(self, chains=0)
         return [self, *[others] * (len(subjects) - 1)]
 
@@ -307,11 +308,11 @@ class Map(Analysis, frozen=True, kw_only=True):
 
     @property
     def default_sampler(self) -> str:
-        """What samples if no sampler is named."""
+        """Sampler that is used by default."""
         return "jittered" if self.integrator is None else "sobol | owen"
 
     def _counts(self, sampler: Sampler) -> tuple[int, ...]:
-        """Those given, which are checked; by default the usual ones, or the nearest in these dims."""
+        """Return the given counts after a check; by default the usual ones or the nearest."""
         usual = _DIRECT_COUNTS if self.integrator is None else _PATH_COUNTS
         near = tuple(sorted({sampler.nearest_count(n) for n in usual}))
         counts = near if self.counts is None else self.counts
@@ -327,7 +328,7 @@ class Map(Analysis, frozen=True, kw_only=True):
 
     @property
     def _strategies(self) -> tuple[str, ...]:
-        """In their usual order, with the shares of MIS where that is one of them."""
+        """Strategies in their usual order; ``"mis"`` adds the shares of MIS."""
         if self.integrator is not None:
             return ("path",)
         given = (self.strategies,) if isinstance(self.strategies, str) else self.strategies
@@ -335,7 +336,7 @@ class Map(Analysis, frozen=True, kw_only=True):
         return tuple(s for s in MAP_STRATEGIES if s in chosen)
 
     def _window(self, grid: tuple[int, int]) -> _Window:
-        """The crop within the grid, all of it by default, whose result fits."""
+        """Return the crop within the grid, by default the whole grid, after a check of its size."""
         window = (0, 0, *grid)
         if self.crop is not None:
             limits = zip(("x0", "y0", "width", "height"), self.crop, (0, 0, 1, 1), strict=True)
@@ -353,8 +354,9 @@ class Map(Analysis, frozen=True, kw_only=True):
         numbers = 3 * width * height * strategies * counts
         if numbers > _MOST_NUMBERS:
             raise ParameterError(
-                f"A map of {width} × {height} pixels, {strategies} strategies and {counts} counts has "
-                f"{numbers:.3g} numbers, more than {_MOST_NUMBERS:.3g}; give a crop or a smaller size."
+                f"A map of {width} × {height} pixels, {strategies} strategies and {counts} counts "
+                f"has {numbers:.3g} numbers, more than {_MOST_NUMBERS:.3g}; give a crop or a "
+                "smaller size."
             )
         return window
 
@@ -385,103 +387,105 @@ def variance_map(
     Parameters
     ----------
     scene
-        A scene, as for `load_scene`.
+        A scene, same as for `load_scene`.
     strategies
-        Some of ``"light"``, ``"bsdf"``, the shares of multiple importance sampling ``"mis-light"``
-        and ``"mis-bsdf"``, and ``"mis"``, their sum, with n samples of each technique, which brings
-        its shares along.
+        Some of ``"light"``, ``"bsdf"``, the parts of multiple importance sampling ``"mis-light"``
+        and ``"mis-bsdf"``, and their sum ``"mis"``, with n samples of each technique. ``"mis"``
+        also adds its two parts.
     sampler
-        Sampler or its spec string, by default ``"jittered"``, with an integrator ``"sobol | owen"``;
-        each technique has points of its own. Or several of them, to be compared.
+        Sampler or its spec string, by default ``"jittered"``, with an integrator ``"sobol |
+        owen"``. Each technique has its own points. A list of samplers compares them.
     counts
-        Numbers of samples n of a technique, ascending, at least two; by default (4, 9, 16, 36, 64), with
-        an integrator (4, 16, 64), or the nearest that the sampler can do in its dims.
+        Numbers of samples n of a technique, ascending, at least two. By default (4, 9, 16, 36, 64),
+        with an integrator (4, 16, 64), or the nearest that the sampler can make in its dims.
     realizations
         Independent realizations for each n, at least 2.
     crop
-        x0, y0, width and height of the part that is measured; all by default. A crop gives the
-        same numbers as the whole.
+        x0, y0, width and height of the measured part; by default all pixels. A crop gives the same
+        numbers as the whole image.
     size
         Width and height of a grid of pixels laid over the film; by default the film's own. Another
-        aspect ratio samples the film unevenly, it changes nothing that the camera sees.
+        aspect ratio samples the film unevenly; it does not change the camera's view.
     light, heuristic, channel
-        As those of `Pixel`; one channel at a time.
+        Same as in `Pixel`; one channel at a time.
     dims
-        2, the default, or 3 to leave the choice of a light, or of a lobe of the BSDF, to a third
-        coordinate; with an integrator as of `PathPixel`: all that paths through 256 of the pixels ask for.
+        2, the default, or 3: then the third coordinate chooses a light, or a lobe of the BSDF. With
+        an integrator same as in `PathPixel`: by default all that paths through 256 of the pixels
+        use.
     integrator
-        Measure whole paths, as `PathPixel` does, by the one strategy ``"path"``; the scene's own
-        with ``"scene"``. By default direct light by `strategies`.
+        Measure whole paths like `PathPixel`, by the one strategy ``"path"``; ``"scene"`` is the
+        scene's own integrator. By default direct light by `strategies`.
     points
-        ``"shared"``: all pixels have the same points in the same realization. Each pixel's numbers
-        are as good as with its own, faster to make, and give smooth maps; but the errors of
-        neighbors are alike, so that structure in a map may be that of one set of points.
-        ``"own"``: every pixel has realizations of its own, the errors are noise.
+        ``"shared"``: in a realization, all pixels have the same points. The numbers of a pixel are
+        as good as with its own points, faster to compute, and give smooth maps. But the errors of
+        neighbors are correlated, so that structure in a map may come from one set of points.
+        ``"own"``: every pixel has its own realizations, and the errors are noise.
     smoothing
-        Odd number of pixels: rates are averaged over a window of so many squared, which blurs them.
-        Their standard errors fall accordingly with ``points="own"`` only.
+        Odd width in pixels of a square window over which rates are averaged, which blurs them.
+        Their standard errors fall accordingly only with ``points="own"``.
     predict_every
-        Predict the variance at the largest count at pixels whose x and y are multiples of this; 0:
-        nowhere. By stratum quadrature for jittered points, exactly for random ones; in 2-D from the
-        power spectrum of points that are shifted, and from gains of scrambled nets in base 2.
-        Others are not predicted.
+        Predict the variance at the largest count at pixels whose x and y are multiples of this; 0
+        for no predictions. Jittered points use stratum quadrature; random points are exact. In 2-D,
+        shifted points use the power spectrum, and scrambled nets in base 2 use gains. Other
+        samplers are not predicted.
     chains
-        Of whole paths: pairs of random paths, K + 1 paths each for K requests of random numbers, that give
-        the shares of the variance; by default 128, 0 for none.
+        Number of pairs of random paths for the shares of the variance of whole paths; by default
+        128, 0 for no shares. A pair takes K + 1 paths for K requests of random numbers.
     rng
         Seed (SPEC 7).
     workers
-        Threads; all processors by default. Results do not depend on it.
+        Threads; by default all processors. Results do not depend on it.
 
     Returns
     -------
     xarray.Dataset
-        On (y, x), NaN where a pixel sees no surface, a light or a perfectly specular surface:
+        On (y, x), NaN if a pixel shows no surface, a light or a perfectly specular surface:
         ``variance(strategy, n)``, ``variance_relative_se(strategy, n)``; ``mean(strategy)`` and
         ``mean_se(strategy)`` at the largest n; ``rate(strategy)``, ``rate_se``, ``rate_ci(bound)``,
-        ``fit_chi2``; with ``"mis"``: ``bottleneck``, the technique whose share of MIS has the slower
-        rate (0 light, 1 BSDF, −1 if the 95 % interval of their difference contains 0),
-        ``dominant_technique``, the one with the larger variance at the largest n, likewise; with the
-        single strategies too: ``mis_gain``,
-        variance of the better of them over that of MIS at the same total of samples (the largest n,
-        from the fitted lines; a strategy whose estimates met surely less light than another is left out),
-        and ``mis_gain_ci``; ``predicted_ratio(strategy)``, predicted over
-        measured variance at the largest n, and ``predicted_ratio_ci``, NaN where the relative standard
-        error of the prediction is more than ½, or that of the measurement more than rates allow. That
-        error counts light that another strategy sees and the prediction's samples did not meet; NaN,
-        too, where the measured estimates met surely less light than those of another strategy.
+        ``fit_chi2``. With ``"mis"``: ``bottleneck``, the technique whose part of MIS has the slower
+        rate (0 light, 1 BSDF, −1 if the 95 % interval of the difference contains 0), and
+        ``dominant_technique``, the technique with the larger variance at the largest n, with the
+        same codes. If the single strategies are also measured: ``mis_gain`` and ``mis_gain_ci``,
+        the variance of the better single strategy over that of MIS at the same total of samples
+        (the largest n, from the fitted lines). A strategy whose estimates significantly miss light
+        is left out there. ``predicted_ratio(strategy)`` and ``predicted_ratio_ci``: predicted over
+        measured variance at the largest n. They are NaN if the relative standard error of the
+        prediction exceeds ½, or that of the measurement exceeds the limit for rates. The error
+        includes light that another strategy hits and the prediction's samples missed. They are also
+        NaN if the measured estimates significantly miss light that another strategy hits.
 
-        With an integrator: ``path_variance``, that of one random path, with ``_se``;
-        ``bounce_share(bounce)``, what the numbers of a bounce (0: the camera's) add to the variance that
-        the bounces before it make, over the variance; ``decision_share(decision)``, the sum over bounces of
-        what each decision adds to all before it: both sum to 1, what numbers do only together counts for
-        the last of them. Estimates may be negative, and intervals ``_ci`` go below 0; NaN where the
-        standard error of ``path_variance`` is more than a half of it. ``largest_bounce`` and ``largest_decision``
-        are the numbers of those that take most, −1 if the 95 % interval of a difference contains 0.
+        With an integrator: ``path_variance``, the variance of one random path, with ``_se``.
+        ``bounce_share(bounce)``: variance that the numbers of a bounce (0: the camera's) add to
+        that of earlier bounces, over the total variance. ``decision_share(decision)``: the same for
+        each kind of decision, summed over bounces. Both sum to 1; interactions count for the last
+        number involved. Estimates may be negative, and intervals ``_ci`` extend below 0. They are
+        NaN if the standard error of ``path_variance`` exceeds half of it. ``largest_bounce`` and
+        ``largest_decision`` are the indices of the largest shares, −1 if the 95 % interval of a
+        difference contains 0.
 
-        Of several samplers: all but the shares on (sampler), at the counts that all have, and
-        ``best_sampler(strategy)``, the number of that with the least variance at the largest n, −1 if the
-        95 % interval of its ratio to another contains 1.
+        With several samplers: all variables except the shares have the dim (sampler), at the counts
+        that all samplers share. ``best_sampler(strategy)`` is the index of the sampler with the
+        least variance at the largest n, −1 if the 95 % interval of its ratio to another contains 1.
 
     Raises
     ------
     ParameterError
-        A parameter is not one of those allowed, the crop is outside, no pixel sees a surface, or
-        Mitsuba gives values that are not finite.
+        If a parameter is not allowed, the crop is outside, no pixel shows a surface, or Mitsuba
+        gives values that are not finite.
     CountError
-        A sampler cannot make one of the counts.
+        If a sampler cannot make one of the counts.
 
     Notes
     -----
-    Shares come of the same chains and lean on those that are far off: with 128 chains a share of a few
-    per cent that rare paths make is mostly too small, and so is its interval.
+    Shares come from the same chains and depend on outliers. With 128 chains, a share of a few per
+    cent that rare paths cause is mostly too small, and so is its interval.
 
-    Memory: about 200 MiB plus the result, whatever the size of the image: pixels are measured in
-    tiles. A study keeps the tiles that are finished and resumes. Where few realizations hit a light, variances are mostly far too small at the smaller n:
-    there is no rate where one is zero, or has a standard error of more than a half of it, at a
-    smaller n than others; more realizations give one. ``bottleneck`` is one comparison a
-    pixel, of techniques with points of their own, at 95 %: where both rates are equal a pixel in 20 is
-    decided all the same.
+    Memory is about 200 MiB plus the result for any size of the image, because pixels are measured
+    in tiles. A study keeps finished tiles and can resume. If few realizations hit a light,
+    variances are mostly far too small at the smaller n. There is no rate if a variance is zero or
+    has a relative standard error above one half at a smaller n than others; more realizations give
+    one. ``bottleneck`` is one comparison per pixel, at 95 %, of techniques with their own points.
+    If both rates are equal, one pixel in 20 is decided by chance.
     """
     analysis = Map.of(locals())
     given = analysis.default_sampler if sampler is None else sampler
@@ -489,7 +493,8 @@ def variance_map(
     with _threads(workers):
         subjects = []
         for each in several:
-            whole = integrator is not None and not isinstance(each, str)  # dims are seen later
+            # the reduction checks the dims later
+            whole = integrator is not None and not isinstance(each, str)
             source = as_sampler(each, None if whole else analysis.points_dims)
             subjects.append(Subject(None, source))
         single = len(subjects) == 1
@@ -503,7 +508,7 @@ def variance_map(
 
 @contextmanager
 def _threads(workers: int | None) -> Iterator[None]:
-    """Have Dr.Jit, whose threads are those of the whole process, use so many of them inside."""
+    """Let Dr.Jit use this number of threads inside the block; it serves the whole process."""
     if workers is None:
         yield
         return
@@ -518,8 +523,8 @@ def _threads(workers: int | None) -> Iterator[None]:
         drjit.set_thread_count(before)
 
 
-_LARGEST_PREDICTED_SE = 0.5  # relative; beyond, a prediction is not reported
-_SURE_LEVEL = 0.99865  # one-sided, three standard errors of a normal mean
+_LARGEST_PREDICTED_SE = 0.5  # largest relative standard error of a reported prediction
+_SURE_LEVEL = 0.99865  # one-sided level: three standard errors of a normal mean
 _SHARES = ("mis-light", "mis-bsdf")
 _SINGLE = ("light", "bsdf")
 
@@ -535,7 +540,7 @@ def labelled(
     x0, y0, width, height = window
     lighting, tracer = measurement.lighting, measurement.tracer
     variance, relative_se = maps.variance, maps.relative_se
-    # Few realizations leave every variance uncertain, without anything rare.
+    # With few realizations, every variance is uncertain, even without rare events.
     largest_se = max(0.5, 1.5 * (2.0 / (measurement.realizations - 1)) ** 0.5)
     fits = statistics.fit_lines(
         np.array(measurement.counts), variance, relative_se, maps.mean, largest_se
@@ -605,7 +610,7 @@ def labelled(
 
 
 def compared(maps: Sequence[xr.Dataset]) -> xr.Dataset:
-    """Maps by several samplers as one, with the sampler of the least variance at each pixel."""
+    """Combine the maps of several samplers, and find the best sampler at each pixel."""
     import xarray as xr
 
     shares = [name for name in _SHARES_OF_PATHS if name in maps[0]]
@@ -625,9 +630,10 @@ def compared(maps: Sequence[xr.Dataset]) -> xr.Dataset:
 
 
 def missed(row: dict[str, int], mean: Array, se: Array, realizations: int) -> Array:
-    """Return where a strategy (S, y, x) met surely less light than another, by Student's t of the means.
+    """Whether a strategy (S, y, x) significantly missed light that another hit, by Student's t.
 
-    Its variance lacks what it did not meet. Shares of MIS have means of their own: never.
+    The variance of such a strategy lacks the missed part. The parts of MIS have means of their own
+    and are never marked.
     """
     from scipy.special import stdtrit
 
@@ -640,10 +646,10 @@ def missed(row: dict[str, int], mean: Array, se: Array, realizations: int) -> Ar
 
 
 def _predicted(maps: Maps, largest_se: float, missed: Array) -> dict[str, Array]:
-    """Predicted over measured variance at the largest count, both uncertain.
+    """Predicted over measured variance at the largest count, with an interval from both errors.
 
-    NaN where either comes of very few samples that met what is rare, or of none: such values are
-    most often far too small, and so are their errors.
+    NaN if either comes from very few samples that hit a rare event, or from none: such variances
+    are most often far too small, and so are their errors.
     """
     predicted, measured = maps.predicted, maps.variance[:, -1]
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -2,23 +2,26 @@
 
 Method
 ------
-An integrator asks a sampler for numbers: a sampler that hands out the coordinates of u in [0,1)^D, in
-the order of the requests, makes its radiance a function of u, whose integral over the cube is the mean over
-a pixel (of a box filter). Position in the pixel, lens and time of the shutter come first, as in
-Mitsuba's own loop. A request moves on whether or not a path needs its number, so that a column
-has the same meaning for all paths: those of bounces that a path does not reach leave it as it is.
+An integrator requests numbers from a sampler. A sampler that returns the coordinates of u in
+[0,1)^D, in the order of the requests, makes the radiance a function of u. Its integral over the
+cube is the mean over a pixel with a box filter. Position in the pixel, lens and time of the shutter
+come first, as in Mitsuba's own loop. The sampler advances for each request, even if a path does not
+need the number, so that a column has the same meaning for all paths. Numbers of bounces that a path
+does not reach do not affect it.
 
-A dry run with the loop evaluated, not recorded, finds D, and the bounce of each number: between two
-turns of the loop Dr.Jit evaluates the count of numbers. What a number decides is known where the requests of
-a bounce are those of an integrator of Mitsuba; else requests are numbered. Mitsuba selects a light by stretching the first
-coordinate of its point, so that both are one decision.
+A dry run with the loop evaluated, not recorded, finds D and the bounce of each number, because
+Dr.Jit evaluates the count of numbers between two iterations of the loop. The decision that a number
+controls is known if the requests of a bounce match those of an integrator of Mitsuba; otherwise
+requests are numbered. Mitsuba selects a light by stretching the first coordinate of its point, so
+that both are one decision.
 
-Numbers beyond D, of rare paths or because fewer dims were asked for, are hashed from the last two
-coordinates: the integrand stays a function of u, and such dims are random whatever the points.
+Numbers beyond D, of rare paths or because fewer dims were requested, are hashed from the last two
+coordinates. The integrand remains a function of u, and these dims are random for any points.
 
-Integrators return the radiance of all lights together. Paths are chosen whatever lights emit, so that
-the radiance is linear in it path by path: with all lights but one dimmed to 2^-30 it is that light's part. None is turned
-off, as the points on a textured light are chosen by its texture.
+Integrators return the radiance of all lights together. The choice of paths does not depend on the
+emission, so that the radiance is linear in it path by path. With all lights but one dimmed to
+2^-30, the radiance is the part of that light. No light is turned off, because its texture chooses
+the points on a textured light.
 """
 
 from __future__ import annotations
@@ -75,20 +78,22 @@ __all__ = [
 ]
 
 SCENE_INTEGRATOR = "scene"
-"""Means the integrator that the scene itself names."""
+"""Name of the integrator that the scene itself contains."""
 
-_DRY_LANES, _DRY_PIXELS = 2**14, 16  # pixels: along each side of a window
+# number of dry paths, and of pixels along each side of a window
+_DRY_LANES, _DRY_PIXELS = 2**14, 16
 _PAIR = ("x", "y")
-_MOST_DIMS = 64  # unless more are asked for: analyses by axes take no more
-_TABLE_NUMBERS, _LANES = 2**25, 2**20  # of one kernel: 128 MiB
-_DIMMED = 2.0**-30  # exact in float32, and nothing beside what is not dimmed
+_MOST_DIMS = 64  # default limit of dims, because analyses by axes support no more
+# limits of one kernel: numbers in its table (128 MiB) and lanes
+_TABLE_NUMBERS, _LANES = 2**25, 2**20
+_DIMMED = 2.0**-30  # factor for other lights: exact in float32, and negligible
 _EMITTED = r"(\w+_)?scale|(radiance|intensity|irradiance)\.(.+\.)?(value|data)"
 _PATH = ((2, "light"), (1, "lobe"), (2, "direction"), (1, "roulette"))
 _ORDERS = {
-    # class: requests of one bounce, how many numbers each and what they decide
+    # class: requests of one bounce, with the count of numbers and their decisions
     "PathIntegrator": (_PATH,),
     "PRBIntegrator": (_PATH,),
-    # compilers differ in which argument they evaluate first
+    # compilers differ in the order in which they evaluate arguments
     "DirectIntegrator": (_PATH[:3], (_PATH[0], _PATH[2], _PATH[1])),
 }
 
@@ -96,17 +101,18 @@ _ORDERS = {
 @final
 @dataclass(frozen=True)
 class Dimension:
-    """What one coordinate is used for.
+    """Use of one coordinate.
 
     Attributes
     ----------
     bounce
-        0 for the camera, else the turn of the integrator's loop, from 1.
+        0 for the camera, otherwise the iteration of the integrator's loop, from 1.
     decision
-        ``film``, ``lens``, ``time``; ``light`` (which one, and the point on it), ``lobe``,
-        ``direction``, ``roulette``; or ``request K``, where the integrator's order is not known.
+        ``film``, ``lens``, ``time``; ``light`` (choice of the light and of a point on it),
+        ``lobe``, ``direction``, ``roulette``; or ``request K`` if the integrator's order is
+        unknown.
     part
-        ``x`` or ``y`` of a pair, else empty.
+        ``x`` or ``y`` of a pair, otherwise empty.
     """
 
     bounce: int
@@ -121,7 +127,7 @@ class Dimension:
 @final
 @dataclass(frozen=True, kw_only=True)
 class PathPixel(MitsubaIntegrand):
-    """Radiance seen in one pixel by any sampling integrator, as a function of all its random numbers.
+    """Radiance of one pixel by any sampling integrator, as a function of all its random numbers.
 
     Parameters
     ----------
@@ -130,29 +136,30 @@ class PathPixel(MitsubaIntegrand):
     x, y
         Pixel, counted from the left and from the top. The integral is the mean over its square.
     integrator
-        ``"scene"``, the scene's own; or the plugin's name with its properties, such as
-        ``"path(max_depth=5, rr_depth=100)"``; plugins of your own that are registered with Mitsuba too.
+        ``"scene"``, the scene's own; or a plugin name with its properties, such as
+        ``"path(max_depth=5, rr_depth=100)"``. Your own plugins that are registered with Mitsuba
+        also work.
     channel
         ``"luminance"`` (Rec. 709), 0, 1 or 2 for red, green or blue, or ``"rgb"`` for all three.
     dims
-        Number of coordinates D; by default as many as 16,384 random paths ask for, 64 at most. The
-        numbers that a path takes beyond D are pseudo-random.
+        Number of coordinates D; by default the number that 16,384 random paths use, at most 64.
+        Numbers that a path takes beyond D are pseudo-random.
     selection
-        How often each light is chosen, positive numbers in the order of `emitter_names`, in place of
-        the scene's sampling weights.
+        Probability weight of each light, positive numbers in the order of `emitter_names`. They
+        replace the scene's sampling weights.
 
     Attributes
     ----------
     dimensions
-        What each coordinate is used for, a tuple of `Dimension`.
+        Use of each coordinate, a tuple of `Dimension`.
 
     Raises
     ------
     ParameterError
-        The pixel is outside the film; the scene has no integrator; there is none of that name, it
-        refuses its properties, or it is not one that follows a ray from the camera.
+        If the pixel is outside the film; the scene has no integrator; the integrator is unknown,
+        rejects its properties, or does not follow a ray from the camera.
     MissingDependency
-        Mitsuba or LLVM is missing.
+        If Mitsuba or LLVM is missing.
     """
 
     scene: Any = checked(lambda _, given: as_scene(given), "veach")
@@ -172,8 +179,8 @@ class PathPixel(MitsubaIntegrand):
                 given = np.atleast_1d(self.selection).tolist()
                 if len(given) != len(lights):
                     raise ParameterError(
-                        f"selection has {counted(len(given), 'value')}; give a positive number for each of the "
-                        f"lights {', '.join(lights)}."
+                        f"selection has {counted(len(given), 'value')}; give a positive number for "
+                        f"each of the lights {', '.join(lights)}."
                     )
                 weights = [as_real("selection", w, above=0.0) for w in given]
                 settle(self, selection=tuple(w / math.fsum(weights) for w in weights))
@@ -184,12 +191,12 @@ class PathPixel(MitsubaIntegrand):
 
     @property
     def dimensions(self) -> tuple[Dimension, ...]:
-        """What each coordinate is used for; those beyond the longest path that was met are unknown."""
+        """Use of each coordinate; coordinates beyond the longest dry path have an unknown use."""
         return self._tracer.dimensions(((self.x, self.y),), self.dims)
 
     @property
     def numbers_per_path(self) -> float:
-        """How many numbers random paths ask for after the camera's, on average, as many in each turn of the loop."""
+        """Mean count of numbers per path after the camera's; each iteration uses equally many."""
         return self._tracer.dry_run(((self.x, self.y),))[1]
 
     @property
@@ -216,7 +223,7 @@ def path_pixel(
     dims: int | None = None,
     selection: Sequence[float] | None = None,
 ) -> PathPixel:
-    """Return a pixel's radiance as an integrand; parameters and errors as those of `PathPixel`.
+    """Return a pixel's radiance as an integrand; parameters and errors as in `PathPixel`.
 
     `integrator` None is the scene's own.
     """
@@ -225,16 +232,16 @@ def path_pixel(
 
 
 def light_selection(scene: Scene) -> Array:
-    """How often Mitsuba chooses each light, in the order of `emitter_names`: (L,), of sum 1."""
+    """Probability that Mitsuba chooses each light, in the order of `emitter_names`: (L,), sum 1."""
     with LOCK:
         weights = np.array([float(e.sampling_weight()) for e in load_scene(scene).emitters()])
     return np.asarray(weights / weights.sum())
 
 
 def parts_by_light(f: PathPixel, u: Array) -> Array:
-    """What each light gives to the values of f at points u (..., D): (L, ...), which sum to those.
+    """Part of each light in the values of f at points u (..., D): (L, ...); the sum is f.
 
-    A light whose emission Mitsuba lets nobody change, such as a black body, is a ParameterError.
+    A light whose emission cannot be changed in Mitsuba, such as a black body, is a ParameterError.
     """
     with LOCK:
         lights = len(load_scene(f.scene).emitters())
@@ -245,9 +252,9 @@ def parts_by_light(f: PathPixel, u: Array) -> Array:
 def window_dimensions(
     tracer: Tracer, window: tuple[int, int, int, int], dims: int | None
 ) -> tuple[Dimension, ...]:
-    """What so many coordinates of paths through a window (x0, y0, width, height) are used for.
+    """Use of each coordinate of paths through a window (x0, y0, width, height).
 
-    By default as many as paths through 256 pixels, evenly laid over the window, ask for, 64 at most.
+    By default as many as paths through 256 pixels, spread evenly over the window, use, at most 64.
     """
     x0, y0, width, height = window
     xs = np.unique(x0 + np.linspace(0, width - 1, _DRY_PIXELS).astype(int)).tolist()
@@ -256,7 +263,7 @@ def window_dimensions(
 
 
 def in_dims(sampler: Sampler, dims: int) -> Sampler:
-    """The same sampler in other dims, whose scrambles take the bases of its coordinates anew."""
+    """Return the sampler in other dims; its scrambles use the bases of the new coordinates."""
     made = as_sampler(sampler.plain.spec, dims)
     for step in sampler.randomizations:
         own: Any = step
@@ -275,16 +282,16 @@ class Tracer:
     integrator: str
     channel: str | int
     size: tuple[int, int]
-    # How often each light is chosen, and the one that is not dimmed; None: as in the scene, and none is
+    # Probabilities of the lights, and the only undimmed light; None keeps the scene's choice
     selection: tuple[float, ...] | None = None
     light: int | None = None
 
     def dimensions(
         self, pixels: tuple[tuple[int, int], ...], dims: int | None = None
     ) -> tuple[Dimension, ...]:
-        """What so many coordinates of random paths through these pixels are used for.
+        """Use of each coordinate of random paths through these pixels; `dims` is their number.
 
-        By default as many as they ask for, 64 at most; what is beyond these is unknown.
+        By default as many as the paths use, at most 64; the use of later coordinates is unknown.
         """
         found = self.dry_run(pixels)[0]
         count = min(len(found), _MOST_DIMS) if dims is None else dims
@@ -292,15 +299,16 @@ class Tracer:
         return (*found[:count], *[beyond] * (count - len(found)))
 
     def dry_run(self, pixels: tuple[tuple[int, int], ...]) -> tuple[tuple[Dimension, ...], float]:
-        lit = replace(self, selection=None, light=None)  # which changes nothing here
+        # selection and light do not affect the dry run
+        lit = replace(self, selection=None, light=None)
         with LOCK:
             return dimensions_of(load_scene(self.scene))(lit, pixels)
 
     def means(self, u: Array, pixels: Array) -> Array:
         """Means over samples at pixels (P, 2): float64 (R, P) or (R, P, 3).
 
-        Samples u are (R, n, D) for all pixels alike, or (R, P, n, D). Values that are not finite are
-        a ParameterError.
+        Samples u are (R, n, D), equal for all pixels, or (R, P, n, D). Values that are not finite
+        raise a ParameterError.
         """
         numbers = max(u[0].size, 1) if len(u) else 1
         step = max(1, min(_TABLE_NUMBERS // numbers, _LANES // len(pixels)))
@@ -315,7 +323,7 @@ class Tracer:
 
     @contextlib.contextmanager
     def _lights(self) -> Iterator[None]:
-        """The scene with lights chosen and dimmed as is asked for, while the lock is held."""
+        """Yield the scene with the requested lights chosen and dimmed, while the lock is held."""
         if self.selection is None and self.light is None:
             yield
             return
@@ -325,13 +333,14 @@ class Tracer:
                 parameters = load_mitsuba().traverse(emitter)
                 values = {} if self.selection is None else {"sampling_weight": self.selection[k]}
                 if self.light not in (None, k):
-                    # What a light's radiance is proportional to
+                    # Find the parameter to which the light's radiance is proportional
                     keys = list(parameters.keys())
                     emitted = [p for p in keys if re.fullmatch(_EMITTED, p)]
                     if not emitted:
                         raise ParameterError(
-                            f"The light {emitter_name(emitter)} ({emitter.class_name()}) has no radiance "
-                            f"that can be dimmed, only {', '.join(keys)}: its part is not known."
+                            f"The light {emitter_name(emitter)} ({emitter.class_name()}) has no "
+                            f"radiance that can be dimmed, only {', '.join(keys)}; its part cannot "
+                            "be computed."
                         )
                     values |= {p: parameters[p] * _DIMMED for p in emitted}
                 changed.append(
@@ -346,7 +355,7 @@ class Tracer:
             loaded.parameters_changed([])
 
     def _sums(self, u: Array, pixels: Array) -> Array:
-        """Sums over samples, (R, P, channels), by a lane for each of R and P."""
+        """Sums over samples, (R, P, channels), with one lane for each realization and pixel."""
         import drjit
 
         mitsuba, corners = load_mitsuba(), corners_of(pixels)
@@ -366,7 +375,7 @@ class Tracer:
         return np.moveaxis(pixel_sums(u, len(pixels), 3 if self.channel == "rgb" else 1, at), 0, -1)
 
     def _trace(self, sampler: Any, x: Any, y: Any) -> Any:
-        """Radiance along a path through pixels x and y, as Mitsuba's own loop over pixels has it."""
+        """Radiance along a path through pixels x and y, as in Mitsuba's own loop over pixels."""
         mitsuba, loaded = load_mitsuba(), load_scene(self.scene)
         sensor, integrator = sensor_of(self.scene), find_integrator(self.scene, self.integrator)
         film = sampler.next_2d()
@@ -379,22 +388,30 @@ class Tracer:
         if isinstance(integrator, mitsuba.ad.integrators.common.ADIntegrator):
             import drjit
 
-            # One of Mitsuba's differentiable integrators, whose samples have a mode
+            # Mitsuba's differentiable integrators sample in a mode
             found = integrator.sample(
-                mode=drjit.ADMode.Primal, scene=loaded, sampler=sampler, ray=ray,
-                depth=mitsuba.UInt32(0), δL=None, δaovs=None, state_in=None, active=mitsuba.Bool(True),
-            )  # fmt: skip
+                mode=drjit.ADMode.Primal,
+                scene=loaded,
+                sampler=sampler,
+                ray=ray,
+                depth=mitsuba.UInt32(0),
+                δL=None,
+                δaovs=None,
+                state_in=None,
+                active=mitsuba.Bool(True),
+            )
         else:
             found = integrator.sample(loaded, sampler, ray, sensor.get_medium(), True)
         return weight * found[0]
 
 
 def find_integrator(scene: Scene, spec: object) -> Any:
-    """Return the integrator of this spec, or of the scene, if it can be asked for one ray."""
+    """Return the integrator of this spec, or of the scene, if it can trace a single ray."""
     if not isinstance(spec, str) or not spec.strip():
         raise ParameterError(
             Parameter("integrator"),
-            f" is {shown(spec)}; give 'scene', or a plugin of Mitsuba's such as 'path(max_depth=5)'.",
+            f" is {shown(spec)}; give 'scene', or a plugin of Mitsuba's such as "
+            "'path(max_depth=5)'.",
         )
     if spec == SCENE_INTEGRATOR:
         found, called = load_scene(scene).integrator(), f"The integrator of {scene_name(scene)}"
@@ -408,33 +425,33 @@ def find_integrator(scene: Scene, spec: object) -> Any:
         found, called = _made(spec), f"The integrator {spec!r}"
     if not isinstance(found, load_mitsuba().SamplingIntegrator):
         raise ParameterError(
-            f"{called} ({_kind(found)}) follows no ray from the camera; give one that does, such as "
-            "'path', 'volpath' or 'direct'."
+            f"{called} ({_kind(found)}) cannot follow a ray from the camera; give another one, "
+            "such as 'path', 'volpath' or 'direct'."
         )
     return found
 
 
 @functools.lru_cache(maxsize=8)
 def _made(spec: str) -> Any:
-    """The integrator of a plugin's name with its properties."""
+    """Create the integrator of a plugin name with its properties."""
     plugin = integrator_plugin(spec)
     try:
         return load_mitsuba().load_dict(plugin)
     except (RuntimeError, TypeError, KeyError) as error:
         raise ParameterError(
-            f"The integrator {shown(spec)} cannot be made: {mitsuba_reason(error)}; give 'scene', or a plugin "
-            "of Mitsuba's with its properties, such as 'path(max_depth=5)'."
+            f"The integrator {shown(spec)} cannot be made: {mitsuba_reason(error)}; give 'scene', "
+            "or a plugin of Mitsuba's with its properties, such as 'path(max_depth=5)'."
         ) from None
 
 
 def _kind(found: Any) -> str:
-    """The class of an integrator, by Mitsuba or in Python."""
+    """Class of an integrator, in Mitsuba or in Python."""
     name = str(found.class_name())
     return type(found).__name__ if name == "SamplingIntegrator" else name
 
 
 class _Numbers:
-    """Coordinates of points in Dr.Jit's memory; no dataclass, so that no loop takes a table as its state."""
+    """Coordinates of points in Dr.Jit's memory; not a dataclass, so loops do not copy it."""
 
     def __init__(self, table: Any, dims: Any, first: Any) -> None:
         import drjit
@@ -448,7 +465,7 @@ class _Numbers:
         self._seeds = mitsuba.sample_tea_32(*seeds)
 
     def __call__(self, k: Any, active: Any) -> Any:
-        """Coordinate k, or what stands for it beyond the last."""
+        """Return coordinate k, or the hashed number that replaces it beyond the last."""
         import drjit
 
         mitsuba = load_mitsuba()
@@ -467,7 +484,7 @@ def _sampler_class() -> Any:
     mitsuba = load_mitsuba()
 
     class Coordinates(mitsuba.Sampler):  # type: ignore[misc,name-defined]
-        """Hands out numbers in order; `requests` has how many, and whether a loop's turn began."""
+        """Returns numbers in order; `requests` holds their sizes and each iteration's start."""
 
         def __init__(self, numbers: _Numbers) -> None:
             super().__init__(mitsuba.Properties())
@@ -499,7 +516,7 @@ def _sampler_class() -> Any:
 
 @functools.lru_cache(maxsize=4)
 def dimensions_of(scene: Any) -> Callable[..., tuple[tuple[Dimension, ...], float]]:
-    """The dry runs of one scene, whose last ones are remembered; few scenes are kept alive by it."""
+    """Return the dry runs of one scene with a cache; it keeps only a few scenes alive."""
     del scene
     return functools.lru_cache(maxsize=256)(_dry_run)
 
@@ -507,7 +524,7 @@ def dimensions_of(scene: Any) -> Callable[..., tuple[tuple[Dimension, ...], floa
 def _dry_run(
     tracer: Tracer, pixels: tuple[tuple[int, int], ...]
 ) -> tuple[tuple[Dimension, ...], float]:
-    """Follow random paths with loops evaluated, and see what is asked for in which turn."""
+    """Follow random paths with evaluated loops, and record the requests of each iteration."""
     import drjit
 
     mitsuba = load_mitsuba()
@@ -521,14 +538,14 @@ def _dry_run(
             color = tracer._trace(sampler, x, y)
         except (RuntimeError, TypeError) as error:
             raise ParameterError(
-                f"Mitsuba cannot trace paths of {shown(tracer.integrator)} through {scene_name(tracer.scene)}: "
-                f"{mitsuba_reason(error)}; choose another integrator."
+                f"Mitsuba cannot trace paths of {shown(tracer.integrator)} through "
+                f"{scene_name(tracer.scene)}: {mitsuba_reason(error)}; choose another integrator."
             ) from None
         drjit.eval(color, sampler.count)
     counts = sampler.count.numpy()
     asked, mean = int(np.max(counts)), float(np.mean(counts))
 
-    # The camera's requests, then those of each turn of the loop
+    # Split the requests into the camera's and those of each iteration of the loop
     sensor = sensor_of(tracer.scene)
     camera = ["film", *["lens"] * sensor.needs_aperture_sample()]
     camera += ["time"] * (sensor.shutter_open_time() > 0.0)
@@ -538,7 +555,8 @@ def _dry_run(
         if began and turns[-1]:
             turns.append([])
         turns[-1].append(number)
-    if len(decided) + sum(map(sum, turns)) != asked:  # paths skip requests: no order is that of all
+    # paths skip requests: they have no common order
+    if len(decided) + sum(map(sum, turns)) != asked:
         rest = range(1, asked - len(decided) + 1)
         unknown = (Dimension(1, f"request {k}") for k in rest)
         return (*decided, *unknown), mean - len(decided)

@@ -2,19 +2,19 @@
 
 Method
 ------
-The camera ray through the pixel's center fixes one surface point, once and for all. Its direct
-illumination is ∫ f_r L_e V cos over directions, and each strategy is the primary-space integrand
-g(u) = f/p at the direction that is made of u in [0,1)²: ``light`` samples a light, ``bsdf`` the
-BSDF, ``environment`` a density of ours (`skies`). With ``mis-light`` and ``mis-bsdf`` each is
-weighted by a heuristic [VeachGuibas1995]_ for equal numbers of samples, so that their sum, with
-independent points, is multiple importance sampling; `pixel_mis` has all heuristics, any counts and
-any techniques, which share directions but no warp: each has a unit cube of its own, there is no domain
-view, and densities are per steradian. Light that reaches the camera directly is not part of it.
+The camera ray through the pixel's center fixes one surface point. Its direct illumination is
+∫ f_r L_e V cos over directions. Each strategy is the primary-space integrand g(u) = f/p at the
+direction that belongs to u in [0,1)²: ``light`` samples a light, ``bsdf`` the BSDF, ``environment``
+one of our densities (`skies`). ``mis-light`` and ``mis-bsdf`` weight these by a heuristic
+[VeachGuibas1995]_ for equal numbers of samples, so that their sum, with independent points, is
+multiple importance sampling. `pixel_mis` has all heuristics, any counts and any techniques. These
+share directions but no warp: each has its own unit cube, there is no domain view, and densities are
+per steradian. Light that reaches the camera directly is excluded.
 
-Mitsuba computes in float32: values carry relative errors of about 1e-7, and averages of them are
-taken in float64. One light alone is the clean experiment. With all lights Mitsuba selects one
-(uniformly, or by ``sampling_weight``) by stretching the first coordinate, which cuts the square
-into strips and adds discontinuities; a selecting coordinate takes that out. The columns of u:
+Mitsuba computes in float32: values carry relative errors of about 1e-7, and averages are taken in
+float64. Use a single light for a clean experiment. With all lights, Mitsuba selects one
+(uniformly, or by ``sampling_weight``) by stretching the first coordinate. This cuts the square into
+strips and adds discontinuities; a separate selecting coordinate avoids them. The columns of u:
 
 ===========  ==================================================================================
 ``dims=2``   direction
@@ -23,19 +23,19 @@ into strips and adds discontinuities; a selecting coordinate takes that out. The
 ``dims=5``   position; direction; selection
 ===========  ==================================================================================
 
-With positions the integral is the mean over the pixel; it is 0 where a ray leaves the scene or sees
-a light.
+With positions, the integral is the mean over the pixel; the integrand is 0 if a ray leaves the
+scene or hits a light.
 
-Densities of all techniques at one draw (`View.draws`): a technique is ``"light"``, ``"bsdf"`` or a
-`Sky`; a light and skies are not combined, as both would sample the environment. Where f is 0 only
-the technique that drew a direction is said to be able to: a path without light belongs to nobody
-else, which keeps every p_t integrate to 1 where rays that are blocked by a surface say nothing of
-the light behind it.
+`PixelView.draws` returns densities of all techniques at one draw. A technique is ``"light"``,
+``"bsdf"`` or a `Sky`; a light and skies are not combined, because both would sample the
+environment. Where f is 0, only the technique that drew a direction gets a positive density; others
+count as unable to draw it. So every p_t still integrates to 1, although a ray that is blocked by a
+surface does not reveal the light behind it.
 
-The integral is the mean of independently scrambled Sobol' points: a pixel jumps along curves (edges
-of lights and of what occludes them) that no axis follows, so boxes of Gauss-Legendre nodes do not
-converge on it. Those points are unbiased whatever the integrand, and their spread is an error that
-can be trusted [Owen1997]_.
+The integral is the mean of independently scrambled Sobol' points. A pixel jumps along curves (edges
+of lights and of occluders) that no axis follows, so boxes of Gauss-Legendre nodes do not converge.
+The scrambled points are unbiased for any integrand, and their spread is a reliable error
+[Owen1997]_.
 """
 
 from __future__ import annotations
@@ -94,8 +94,8 @@ __all__ = [
     "MitsubaIntegrand",
     "Pixel",
     "PixelMIS",
+    "PixelView",
     "Technique",
-    "View",
     "check_channel",
     "check_view",
     "describe_pixel",
@@ -106,14 +106,14 @@ __all__ = [
 ]
 
 STRATEGIES = ("light", "bsdf", "mis-light", "mis-bsdf")
-"""Those of any scene."""
+"""Strategies for any scene."""
 
 ENVIRONMENT = "environment"
-"""The strategy for scenes with an environment."""
+"""Strategy for scenes with an environment."""
 
 
 class MitsubaIntegrand(Integrand):
-    """Values by Mitsuba of one channel or all, whose integral is a mean of points."""
+    """Mitsuba's values of one channel or all, whose integral is estimated by a mean of points."""
 
     costly: ClassVar[bool] = True
     stock_samplers: ClassVar[tuple[str, ...]] = (
@@ -125,12 +125,12 @@ class MitsubaIntegrand(Integrand):
 
     @property
     def channels(self) -> int:  # type: ignore[override]
-        """3 with ``channel="rgb"``, else 0."""
+        """3 with ``channel="rgb"``, otherwise 0."""
         return 3 if self.channel == "rgb" else 0
 
     @property
     def integral_source(self) -> str:
-        """The means behind `integral`; `integral_accuracy` has their standard error."""
+        """Method of `integral`; `integral_accuracy` is its standard error."""
         return SOURCE
 
     def _estimated_integral(self) -> Estimate:
@@ -140,7 +140,7 @@ class MitsubaIntegrand(Integrand):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Pixel(MitsubaIntegrand):
-    """Direct illumination seen in one pixel of a scene, by light or BSDF sampling.
+    """Direct illumination of one pixel of a scene, by light or BSDF sampling.
 
     Parameters
     ----------
@@ -150,32 +150,33 @@ class Pixel(MitsubaIntegrand):
         Pixel, counted from the left and from the top. The ray goes through its center if ``dims``
         is below 4.
     strategy
-        ``"light"``, ``"bsdf"``, or their shares of multiple importance sampling, ``"mis-light"``
-        and ``"mis-bsdf"``, which belong together; ``"environment"`` samples directions by `density`.
+        ``"light"``, ``"bsdf"``, or their parts of multiple importance sampling, ``"mis-light"`` and
+        ``"mis-bsdf"``, which are used together. ``"environment"`` samples directions by `density`.
     light
-        Index or name of the only light to use; the others are dark but still occlude. All
-        lights by default.
+        Index or name of the only light to use; other lights are dark but still occlude. By default
+        all lights.
     heuristic
         ``"balance"`` or ``"power"`` (β = 2), for the two ``mis-`` strategies.
     channel
         ``"luminance"`` (Rec. 709), 0, 1 or 2 for red, green or blue, or ``"rgb"`` for all three.
     dims
-        2; 3 to leave the choice of a light, or of a lobe of the BSDF, to a third coordinate; 4 or 5
-        for the same with positions in the pixel first.
+        2; or 3, with a third coordinate that chooses a light, or a lobe of the BSDF; or 4 or 5, the
+        same after two coordinates for the position in the pixel.
     density
         For ``"environment"``: a `Density` in 2 dims over the square of latitude and longitude, or
-        its spec, such as ``"environment(interpolation='bilinear', channel=0)"``, which without a
-        ``path`` means the scene's own map; by default that one, bilinear, by `channel`. Where the
-        density is 0 nothing is sampled: one with compensation is for `pixel_mis`.
+        its spec, such as ``"environment(interpolation='bilinear', channel=0)"``. Without a ``path``
+        this is the scene's own map; by default that map, bilinear, by `channel`. Nothing is sampled
+        where the density is 0, so that densities with compensation are for `pixel_mis` only.
 
     Raises
     ------
     ParameterError
-        The pixel is outside the film, sees nothing or a light; its BSDF or a light that counts is
-        a delta function; its BSDF needs one dim more; there is no such light; lights other than
-        the environment count with ``"environment"``; or a parameter is not one of those allowed.
+        If the pixel is outside the film, or shows nothing or a light; if its BSDF or a used light
+        is a delta function; if its BSDF needs one more dim; if there is no such light; if lights
+        other than the environment are used with ``"environment"``; or if a parameter is not
+        allowed.
     MissingDependency
-        Mitsuba or LLVM is missing.
+        If Mitsuba or LLVM is missing.
     """
 
     scene: Any = checked(lambda _, given: as_scene(given), "veach")
@@ -191,10 +192,11 @@ class Pixel(MitsubaIntegrand):
     def _check(self) -> None:
         if self.density is not None and self.strategy != ENVIRONMENT:
             raise ParameterError(
-                f"density is for strategy='environment', not for {shown(self.strategy)}; leave it out."
+                f"density is for strategy='environment', not for {shown(self.strategy)}; leave it "
+                "out."
             )
         view = check_view(self._view, bsdf=self.strategy.endswith("bsdf"))
-        # NumPy's integers become Python's
+        # Convert NumPy's integers to Python's
         settle(self, x=view.x, y=view.y, channel=view.channel, dims=view.dims)
         self._technique()
 
@@ -203,8 +205,8 @@ class Pixel(MitsubaIntegrand):
         return self._view.values(self._technique(), x, heuristic)
 
     @property
-    def _view(self) -> View:
-        return View(self.scene, self.x, self.y, self.light, self.channel, self.dims)
+    def _view(self) -> PixelView:
+        return PixelView(self.scene, self.x, self.y, self.light, self.channel, self.dims)
 
     def _technique(self) -> Technique:
         if self.strategy != ENVIRONMENT:
@@ -223,15 +225,15 @@ def pixel_strategies(
     channel: str | int = "luminance",
     dims: int = 2,
 ) -> dict[str, Integrand]:
-    """Return all strategies of a pixel by name; parameters and errors as those of `Pixel`."""
+    """Return all strategies of a pixel by name; parameters and errors as in `Pixel`."""
     same: dict[str, Any] = locals()
     return {strategy: Pixel(**same, strategy=strategy) for strategy in STRATEGIES}
 
 
-def check_view(view: View, *, bsdf: bool) -> View:
-    """Return a pixel with its numbers as Python integers; a ParameterError as for `Pixel`.
+def check_view(view: PixelView, *, bsdf: bool) -> PixelView:
+    """Return a pixel with its numbers as Python integers; a ParameterError as in `Pixel`.
 
-    `bsdf` says whether its BSDF will be sampled, which may need a dim more.
+    `bsdf` is true if its BSDF will be sampled, which may need one more dim.
     """
     channel = check_channel(view.channel)
     dims = as_integer("dims of a pixel", view.dims, least=2, most=MOST_DIMS)
@@ -239,7 +241,7 @@ def check_view(view: View, *, bsdf: bool) -> View:
     with LOCK:
         x, y = check_pixel(view.scene, view.x, view.y)
         check_lights(view.scene, view.light)
-        checked = View(view.scene, x, y, view.light, channel, dims)
+        checked = PixelView(view.scene, x, y, view.light, channel, dims)
         if checked.on_film:
             check_film_receivers(view.scene, x, y, single_lobe=single_lobe)
             return checked
@@ -250,19 +252,19 @@ def check_view(view: View, *, bsdf: bool) -> View:
 
 
 def describe_pixel(scene: Scene, x: int, y: int) -> dict[str, Any]:
-    """Describe the surface that the ray through a pixel's center meets.
+    """Describe the surface that the ray through a pixel's center hits.
 
     Returns
     -------
     dict
-        ``shape`` (id), ``bsdf`` (type), ``light`` (name if the shape emits, else None),
-        ``position`` and ``normal`` (three floats each, world space); all None where the ray leaves
+        ``shape`` (id), ``bsdf`` (type), ``light`` (name if the shape emits, otherwise None),
+        ``position`` and ``normal`` (three floats each, world space). All are None if the ray leaves
         the scene.
 
     Raises
     ------
     ParameterError
-        The pixel is outside the film.
+        If the pixel is outside the film.
     """
     with LOCK:
         hit = primary_hit(load_scene(scene), *check_pixel(scene, x, y))
@@ -278,7 +280,7 @@ def describe_pixel(scene: Scene, x: int, y: int) -> dict[str, Any]:
 
 
 CHUNK = 2**20
-"""Samples in one kernel: some 100 MiB of Dr.Jit's memory, and no faster if larger."""
+"""Samples in one kernel: some 100 MiB of Dr.Jit's memory; larger kernels are not faster."""
 
 MOST_DIMS = 5
 _WITH_FILM = 4
@@ -289,7 +291,10 @@ Technique = str | Sky
 
 @dataclass(frozen=True)
 class Draws:
-    """f/p of M samples of one technique, (M,) or (M, 3), and densities per steradian of all, (T, M)."""
+    """f/p of M samples of one technique, (M,) or (M, 3), and densities of all techniques, (T, M).
+
+    Densities are per steradian.
+    """
 
     values: Array
     pdfs: Array
@@ -297,8 +302,8 @@ class Draws:
 
 @final
 @dataclass(frozen=True)
-class View:
-    """A pixel of a scene, with the light that is used; attributes as those of `Pixel`."""
+class PixelView:
+    """A pixel of a scene and the light that is used; attributes as in `Pixel`."""
 
     scene: Scene
     x: int
@@ -309,7 +314,7 @@ class View:
 
     @property
     def channels(self) -> int:
-        """3 with ``channel="rgb"``, else 0."""
+        """3 with ``channel="rgb"``, otherwise 0."""
         return 3 if self.channel == "rgb" else 0
 
     @property
@@ -318,7 +323,7 @@ class View:
         return self.dims >= _WITH_FILM
 
     def values(self, technique: Technique, u: Array, heuristic: str | None = None) -> Array:
-        """f/p at u (..., dims), times the weight of a heuristic of `POWERS`: (...) or (..., 3)."""
+        """f/p at u (..., dims), times the weight of a heuristic in `POWERS`: (...) or (..., 3)."""
         found = self.draws(technique, u.reshape(-1, self.dims), (), heuristic).values
         return found.reshape((*u.shape[:-1], *found.shape[1:]))
 
@@ -329,7 +334,7 @@ class View:
         among: Sequence[Technique],
         heuristic: str | None = None,
     ) -> Draws:
-        """f/p, times the weight of a heuristic, and the densities of all techniques at u (M, dims)."""
+        """Return f/p, times a heuristic's weight, and all densities at u (M, dims)."""
         values = np.empty((len(u), 3) if self.channels else len(u))
         pdfs = np.zeros((len(among), len(u)))
         for start in range(0, len(u), CHUNK):
@@ -343,10 +348,10 @@ class View:
     def _drawn(
         self, technique: Technique, u: Array, among: Sequence[Technique], heuristic: str | None
     ) -> Draws:
-        """`draws` in one kernel."""
+        """Same as `draws`, in one kernel."""
         import drjit
 
-        # Evaluate f/p, the densities of light and BSDF, and the directions if other techniques ask
+        # Evaluate f/p, the densities of light and BSDF, and directions that other techniques need
         mitsuba, scene, count = load_mitsuba(), load_scene(self.scene), len(u)
         hit = primary_hit(scene, self.x, self.y)
         if self.on_film:
@@ -359,7 +364,7 @@ class View:
             directions, own = technique.sample(u[:, :2])
             towards = mitsuba.Vector3f(*(np.ascontiguousarray(c, np.float32) for c in directions.T))
             value, bsdf = look_at_sky(hit, emitter, towards, hit.active)
-            drjit.eval(value, bsdf)  # one kernel, not one for each
+            drjit.eval(value, bsdf)  # evaluate both in one kernel
             f = np.asarray(_numbers(value, self.channel, count), np.float64)
             scaled = own if f.ndim == 1 else own[:, None]
             values = np.divide(f, scaled, out=np.zeros_like(f), where=scaled > 0)
@@ -386,7 +391,7 @@ class View:
                 directions = np.asarray(_spread(towards.numpy().T, (count, 3)), np.float64)
             values = _numbers(value, self.channel, count)
 
-        # Where f is 0, none of the others is said to be able to make the direction
+        # Where f is 0, other techniques count as unable to draw the direction
         lit = values != 0.0 if values.ndim == 1 else (values != 0.0).any(axis=1)
         rows = np.zeros((len(among), count))
         for row, other in zip(rows, among, strict=True):
@@ -397,7 +402,7 @@ class View:
 
 
 def check_channel(channel: object, names: Sequence[str] = ("luminance", "rgb")) -> str | int:
-    """Return a channel, one of these names or 0, 1 or 2; anything else is a ParameterError."""
+    """Return a channel: one of `names` or 0, 1 or 2; otherwise raise a ParameterError."""
     if isinstance(channel, str) and channel in names:
         return str(channel)
     try:
@@ -417,7 +422,7 @@ def _numbers(color: Any, channel: str | int, count: int) -> Array:
 
 
 def _spread(found: Any, shape: int | tuple[int, ...]) -> Array:
-    """An array of a shape: Dr.Jit keeps constants at width 1."""
+    """Return an array of this shape: Dr.Jit keeps constants at width 1."""
     return np.broadcast_to(np.asarray(found), shape)
 
 
@@ -430,12 +435,12 @@ def incident_light(
     channel: str | int = "luminance",
     resolution: int = 128,
 ) -> xr.Dataset:
-    """Look from the point that a pixel's center sees in all directions of the upper hemisphere.
+    """Compute the light from all directions of the upper hemisphere at the pixel's surface point.
 
     Parameters
     ----------
     scene, x, y, light
-        As for `Pixel`.
+        Same as in `Pixel`.
     channel
         ``"luminance"``, 0, 1 or 2.
     resolution
@@ -444,15 +449,15 @@ def incident_light(
     Returns
     -------
     xarray.Dataset
-        On (elevation, azimuth), in degrees above the surface and around its shading normal, at the
-        centers of cells: ``incident_radiance``, L_e of the lights that count, where nothing is in
-        the way; ``reflected_radiance``, f_r L_e cos per steradian, whose integral over directions is
-        that of every strategy of `Pixel`. "Above" is the side of the camera.
+        On (elevation, azimuth), in degrees above the surface and around its shading normal, at cell
+        centers: ``incident_radiance``, L_e of the used lights where no surface blocks it;
+        ``reflected_radiance``, f_r L_e cos per steradian. Its integral over directions is the
+        integral of every strategy of `Pixel`. "Above" is the side of the camera.
 
     Raises
     ------
     ParameterError
-        As for `Pixel`, or `resolution` is out of range, or the channel is ``"rgb"``.
+        As in `Pixel`, or if `resolution` is out of range or the channel is ``"rgb"``.
     """
     request = as_scene(scene)
     rows = as_integer("resolution", resolution, least=4, most=1024)
@@ -470,13 +475,13 @@ def incident_light(
         emitter = None if light is None else find_emitter(request, light)
         import drjit
 
-        # Unit vectors (3, rows · columns) in the frame of the surface, to the side of the camera
+        # Unit vectors (3, rows · columns) in the frame of the surface, on the camera's side
         mitsuba, at = load_mitsuba(), hit.interaction
         up, around = np.meshgrid(np.radians(elevation), np.radians(azimuth), indexing="ij")
         level, side = np.cos(up), np.where(at.wi.z.numpy() < 0.0, -1.0, 1.0).item()
         vectors = (level * np.cos(around), level * np.sin(around), side * np.sin(up))
         towards = mitsuba.Vector3f(*(v.astype(np.float32).ravel() for v in vectors))
-        # L and f_r L cos along each; UV: without texture coordinates textured lights come out wrong.
+        # Compute L and f_r L cos in each direction. Without UV, textured lights would be wrong.
         ray = at.spawn_ray(at.to_world(towards))
         met = hit.scene.ray_intersect(ray, mitsuba.RayFlags.UV, False)
         found = met.emitter(hit.scene)
@@ -500,15 +505,16 @@ def incident_light(
 
 
 SOURCE = "mean of 16 Owen-scrambled sets of 2^17 Sobol' points"
-"""What `integral_source` says."""
+"""Value of `integral_source`."""
 
 _POINTS, _SETS = 2**17, 16
 _SEED = 20_170_623
-_SINGLE = float(np.finfo(np.float32).eps)  # of values, which a spread does not show
+# relative rounding of values, which their spread does not show
+_SINGLE = float(np.finfo(np.float32).eps)
 
 
 def mean_of_points(integrand: Integrand) -> Estimate:
-    """∫ g, (C,) with 1 for a scalar, and its standard error, the largest of the channels."""
+    """∫ g, (C,), with C = 1 for a scalar, and its largest standard error over the channels."""
     sampler, stream = as_sampler("sobol | owen", integrand.dims), Stream.from_rng(_SEED)
     drawn = (sampler.draw_stream(_POINTS, stream, k, 1)[0] for k in range(_SETS))
     means = np.stack([integrand(u).reshape(_POINTS, -1).mean(axis=0) for u in drawn])
@@ -525,18 +531,18 @@ class PixelMIS(AbstractEstimator):
     Attributes
     ----------
     techniques
-        ``"light"``, ``"bsdf"`` and densities, as they were given.
+        ``"light"``, ``"bsdf"`` and densities, as given.
     heuristic
         Spec of the heuristic.
     shares
-        Counts of the techniques, times the factors of a heuristic that knows f.
+        Counts of the techniques, times the factors of a heuristic that uses f.
     control
-        α_t (T,) or (T, 3) where the weights have a control variate (``optimal``), else None.
+        α_t (T,) or (T, 3) if the weights have a control variate (``optimal``), otherwise None.
     """
 
     def __init__(
         self,
-        view: View,
+        view: PixelView,
         techniques: tuple[Density | str, ...],
         *,
         heuristic: Heuristic | str,
@@ -576,7 +582,7 @@ class PixelMIS(AbstractEstimator):
         return _Weighted(self, technique)
 
     def primary_values(self, technique: int, u: Array) -> Array:
-        """w_t f/p_t, which with optimal weights is α_t + (f − Σ α_s p_s) w_t/p_t."""
+        """w_t f/p_t; with optimal weights this is α_t + (f − Σ α_s p_s) w_t/p_t."""
         flat = u.reshape(-1, self.dims)
         values = self._weigh(technique, self.draws(technique, flat))
         return values.reshape((*u.shape[:-1], *values.shape[1:]))
@@ -586,32 +592,32 @@ class PixelMIS(AbstractEstimator):
         return self.view.draws(self._bound[technique], u, self._bound)
 
     def with_heuristic(self, heuristic: str) -> PixelMIS:
-        """The same techniques, counts and sets with the heuristic of this spec."""
+        """Return the same techniques, counts and sets with the heuristic of this spec."""
         return PixelMIS(
             self.view, self.techniques, heuristic=heuristic, counts=self.counts, sets=self.sets
         )
 
     def alone(self, technique: int) -> Estimator:
-        """One technique without the others."""
+        """Return one technique alone."""
         given = self.techniques[technique]
         if isinstance(given, str) and given in (*_BY_NAME, ENVIRONMENT):
             return Estimator(Pixel(strategy=given, **vars(self.view)))
         return Estimator(Pixel(strategy=ENVIRONMENT, density=given, **vars(self.view)))
 
     def technique_name(self, technique: int) -> str:
-        """``light``, ``bsdf`` or the spec of a density."""
+        """Return ``light``, ``bsdf`` or the spec of a density."""
         given = self.techniques[technique]
         return given.spec if isinstance(given, Density) else given
 
     def _weigh(self, technique: int, draws: Draws) -> Array:
-        """g_t from what a technique drew: (M,) or (M, 3)."""
+        """Compute g_t from the draws of a technique: (M,) or (M, 3)."""
         own = draws.pdfs[technique]
         q = np.asarray(self.shares)[:, None] * draws.pdfs
         over = self.shares[technique] * self._weights.ratio(q, technique)  # w_t/p_t
         if self.control is None:
             return scale(draws.values, own * over)
         left = scale(draws.values, own) - draws.pdfs.T @ self.control
-        # A sample that was lost, below the surface say, is no sample of p_t: nothing is added.
+        # A lost sample, for example below the surface, is not a sample of p_t: it adds nothing.
         sampled = own > 0.0 if left.ndim == 1 else (own > 0.0)[:, None]
         return np.where(sampled, self.control[technique] + scale(left, over), 0.0)
 
@@ -619,7 +625,7 @@ class PixelMIS(AbstractEstimator):
 @final
 @dataclass(frozen=True, eq=False)
 class _Weighted(MitsubaIntegrand):
-    """g_t of a pixel's multiple importance sampling."""
+    """g_t in the multiple importance sampling of a pixel."""
 
     name: ClassVar[str] = "pixel-technique"
     estimator: PixelMIS
@@ -637,7 +643,7 @@ class _Weighted(MitsubaIntegrand):
 
     @property
     def spec(self) -> str:
-        """Text for messages."""
+        """Name in messages."""
         return f"{self.estimator.technique_name(self.technique)} of {self.estimator.spec}"
 
     def _evaluate(self, x: Array) -> Array:
@@ -654,11 +660,11 @@ class _PixelPilot(Pilot):
 
     @property
     def channels(self) -> int:  # type: ignore[override]
-        """Channels of the pixel."""
+        """Number of channels of the pixel."""
         return self.estimator.channels
 
     def points(self, technique: int, count: int, seed: int) -> Array:
-        """Densities and f of random samples of a technique: (count, T + C)."""
+        """Return densities and f of random samples of a technique: (count, T + C)."""
         stream, dims = Stream.from_rng(seed).child(technique), self.estimator.dims
         drawn = self.estimator.draws(
             technique, stream.uniforms(0, 1, count * dims).reshape(-1, dims)
@@ -667,11 +673,11 @@ class _PixelPilot(Pilot):
         return np.concatenate([drawn.pdfs.T, f], axis=1)
 
     def pdfs(self, x: Array) -> Array:
-        """p_t: (T, k)."""
+        """Densities p_t: (T, k)."""
         return x[:, : len(self.shares)].T
 
     def values(self, x: Array) -> Array:
-        """f: (k, C)."""
+        """Values f: (k, C)."""
         return x[:, len(self.shares) :]
 
 
@@ -688,29 +694,29 @@ def pixel_mis(
     channel: str | int = "luminance",
     dims: int = 2,
 ) -> PixelMIS:
-    """Make multiple importance sampling of one pixel.
+    """Return the multiple importance sampling estimator of one pixel.
 
     Parameters
     ----------
     scene, x, y, light, channel, dims
-        As for `Pixel`.
+        Same as in `Pixel`.
     heuristic
         A name or spec of `mcspectra.estimators.HEURISTICS`, or an object. ``optimal`` and
-        ``variance-aware`` use a pilot of 4096 random samples with seed 0 unless their spec says
-        otherwise; a quadrature is not possible here.
+        ``variance-aware`` use a pilot of 4096 random samples with seed 0 by default; a quadrature
+        is not possible here.
     techniques
-        ``"light"``, ``"bsdf"``, and densities for the environment as for `Pixel`, or
-        ``"environment"`` for the scene's own map; any number of densities, but not together
-        with ``"light"``.
+        ``"light"``, ``"bsdf"``, and densities for the environment as in `Pixel`, or
+        ``"environment"`` for the scene's own map. Any number of densities is allowed, but not
+        together with ``"light"``.
     counts
-        Samples of each technique as multiples of n; the same for all by default.
+        Samples of each technique as multiples of n; by default equal.
     sets
-        How the points of the techniques belong together: `mcspectra.estimators.sets`.
+        Dependence between the points of the techniques: `mcspectra.estimators.sets`.
 
     Raises
     ------
     ParameterError
-        As for `Pixel`; or techniques, counts or heuristic are not as above.
+        As in `Pixel`; or if techniques, counts or heuristic are invalid.
 
     Examples
     --------
@@ -728,16 +734,16 @@ def pixel_mis(
     repeated = sum(t == "light" for t in given) > 1 or sum(t == "bsdf" for t in given) > 1
     if repeated or ("light" in given and any(t not in _BY_NAME for t in given)):
         raise ParameterError(
-            f"techniques is {shown(techniques)}; give 'light' and 'bsdf' at most once, and densities "
-            "without 'light', which samples the environment too."
+            f"techniques is {shown(techniques)}; give 'light' and 'bsdf' at most once, and "
+            "densities without 'light', which also samples the environment."
         )
-    asked = View(as_scene(scene), x, y, light, channel, dims)
+    asked = PixelView(as_scene(scene), x, y, light, channel, dims)
     view = check_view(asked, bsdf="bsdf" in given)
     return PixelMIS(view, given, heuristic=heuristic, counts=counts, sets=sets)
 
 
-def _bound(view: View, technique: Density | str) -> Technique:
-    """The technique as `View` knows it."""
+def _bound(view: PixelView, technique: Density | str) -> Technique:
+    """Return the technique as `PixelView` uses it."""
     if isinstance(technique, str) and technique in _BY_NAME:
         return technique
     environment_of(view.scene, view.light)

@@ -1,19 +1,18 @@
 """Our samplers as plugins of Mitsuba: ``<sampler type="mcspectra">`` in any scene.
 
-Mitsuba's own executable runs no Python and so cannot know the plugin: `render_file` and the verb
-``render`` take its place.
+Mitsuba's own executable does not run Python, so it cannot load the plugin: use `render_file` or the
+command ``render`` instead.
 
 Method
 ------
-Padding, as in pbrt: every request for two numbers (or one) takes a two-dimensional (or one-
-dimensional) set of its own, its points in a random order of its own, so that requests are
-independent of one another and each is as well distributed as the sampler makes it
-[KolligKeller2002]_.
+Padding, as in pbrt: every request for two numbers (or one) uses its own two-dimensional (or
+one-dimensional) set, with its points in a separate random order. Requests are therefore independent
+of one another, and each is as well distributed as the sampler's points [KolligKeller2002]_.
 
-In vectorized variants lane i is sample i mod n of pixel ⌊i / n⌋. Scrambled nets are computed where
-they are asked for (`kernel_nets`); sets of other samplers are float32 tables in Dr.Jit's memory, from
-which requests are gathered as `Rounds` lays out. In scalar variants Mitsuba seeds the sampler for
-each pixel, whose sets are then drawn.
+In vectorized variants, lane i is sample i mod n of pixel ⌊i / n⌋. Scrambled nets are computed in
+the kernel (`kernel_nets`). Sets of other samplers are float32 tables in Dr.Jit's memory, and
+requests gather from them in the layout of `Rounds`. In scalar variants, Mitsuba seeds the sampler
+for each pixel, and the pixel's sets are drawn then.
 """
 
 from __future__ import annotations
@@ -53,36 +52,36 @@ PLUGIN = "mcspectra"
 """Type of the sampler in a scene."""
 
 PLUGIN_VARIANTS = ("llvm_ad_rgb", "scalar_rgb")
-"""Variants of Mitsuba for which the plugin is made by default."""
+"""Variants of Mitsuba that get the plugin by default."""
 
-_UNKNOWN = 2**32 - 1  # Mitsuba's wavefront size for "as before"
+_UNKNOWN = 2**32 - 1  # Mitsuba's wavefront size for "unchanged"
 
 
 def register_samplers(variant: str | Sequence[str] | None = None) -> tuple[str, ...]:
-    """Register ``<sampler type="mcspectra">`` with Mitsuba; a second call changes nothing.
+    """Register ``<sampler type="mcspectra">`` with Mitsuba; a second call has no effect.
 
-    The plugin's properties are ``spec`` (string, default ``"sobol | owen"``), ``sample_count``,
-    ``seed``, ``joint_dims`` (integer: the first so many coordinates of a sample come from one set
-    in as many dims; 0, the default, pads every request with a set of its own) and
-    ``samples_per_pass`` (integer: needed if the integrator splits a pixel's samples over passes).
+    The plugin's properties are ``spec`` (string, default ``"sobol | owen"``), ``sample_count`` and
+    ``seed``. The integer ``joint_dims`` is the number of first coordinates of a sample that come
+    from one joint set; with 0, the default, every request has its own set. The integer
+    ``samples_per_pass`` is needed if the integrator splits a pixel's samples into passes.
 
     Parameters
     ----------
     variant
-        One of Mitsuba's variants or several; by default `PLUGIN_VARIANTS`, without ``llvm_ad_rgb``
+        One or several of Mitsuba's variants; by default `PLUGIN_VARIANTS`, without ``llvm_ad_rgb``
         if there is no LLVM for it.
 
     Returns
     -------
     tuple of str
-        The variants that know the plugin.
+        Variants that have the plugin.
 
     Raises
     ------
     ParameterError
-        Mitsuba has no such variant.
+        If Mitsuba has no such variant.
     MissingDependency
-        Mitsuba is missing, or LLVM for a variant that was asked for.
+        If Mitsuba is missing, or LLVM is missing for a requested variant.
     """
     with LOCK:
         known = import_mitsuba().variants()
@@ -115,7 +114,7 @@ class _Options:
         return _Options(*(properties.get(name, value) for name, value in vars(default).items()))
 
     def sets(self, count: int) -> PaddedSets:
-        """Sets of `count` points, which are checked."""
+        """Return checked sets of `count` points."""
         most = self.samples_per_pass
         if most < 0 or (most and count % most):
             raise ParameterError(
@@ -124,18 +123,18 @@ class _Options:
         return PaddedSets(spec=self.spec, count=count, joint=self.joint_dims)
 
     def stream(self, seed: int) -> Stream:
-        """Random stream of one seeding."""
+        """Return the random stream of one seed."""
         base = as_integer("seed", self.seed, least=0)
         return Stream.from_rng(np.random.SeedSequence([base, seed]))
 
 
 @functools.cache
 def _plugin_class(variant: str) -> Any:
-    """Derive a class from a variant's `Sampler` and register it; all its state but counts is in `state`."""
+    """Derive a class from a variant's `Sampler` and register it; its data is in `state`."""
     mitsuba = import_mitsuba()
     if variant.startswith("llvm"):
         before = mitsuba.variant()
-        load_mitsuba()  # looks for LLVM, and says what is missing
+        load_mitsuba()  # checks for LLVM, and reports missing packages
         if before is not None:
             mitsuba.set_variant(before)
     try:
@@ -148,7 +147,7 @@ def _plugin_class(variant: str) -> Any:
         ) from None
     seed_state: Any = PixelState.of if variant.startswith("scalar") else seed_lanes
 
-    # Workers of Mitsuba fork the sampler while the caller holds LOCK, which is not for them.
+    # Worker threads of Mitsuba fork the sampler while the caller holds LOCK; they must not take it.
     new_properties = import_mitsuba().Properties
 
     class McspectraSampler(module.Sampler):  # type: ignore[misc]
@@ -169,12 +168,13 @@ def _plugin_class(variant: str) -> Any:
             self.per_pass = samples_per_wavefront
 
         def seed(self, seed: Any, wavefront_size: int = _UNKNOWN) -> None:
-            if self.seeding:  # by the base class, which calls what overrides it if Python called it
+            # the base class also calls this method, if Python called the base class
+            if self.seeding:
                 super().seed(seed, wavefront_size)
                 return
             self._seed_base(seed, wavefront_size)
             per_pass = self.per_pass or self.options.samples_per_pass or self.sets.count
-            # Mitsuba's own integrators set the samples of a pass where Python cannot see it.
+            # Mitsuba's own integrators set the samples per pass without calling Python.
             self.per_pass = None
             number = int(seed) if isinstance(seed, int) else int(seed.numpy()[0])
             stream = self.options.stream(number)
@@ -227,8 +227,8 @@ def _seeded(state: LaneState | PixelState | None) -> LaneState | PixelState:
 
 
 _TAKEN = ("coordinate", "single_offset", "pair_offset")
-_REQUESTS = 4  # sets of each pixel that no other has: film, light, BSDF and one more
-_MOST_REQUESTS = 2**16  # of a pixel, in scalar variants
+_REQUESTS = 4  # sets that belong to one pixel alone: film, light, BSDF and one more
+_MOST_REQUESTS = 2**16  # largest number of requests of a pixel in scalar variants
 
 
 class PixelState:
@@ -243,23 +243,23 @@ class PixelState:
 
     @staticmethod
     def of(_: Any, sets: PaddedSets, stream: Stream, *__: int) -> PixelState:
-        """State of a pixel that a scalar variant has seeded."""
+        """Return the state of a pixel that a scalar variant has seeded."""
         return PixelState(sets, stream)
 
     def copy(self) -> PixelState:
-        """Return a state that goes on by itself; sets are drawn anew when it asks for them."""
+        """Return an independent copy of the state; it draws its sets again when needed."""
         twin = PixelState(self._sets, self._stream)
         twin._index, twin._coordinate = self._index, self._coordinate
         twin._requests = dict(self._requests)
         return twin
 
     def advance(self) -> None:
-        """Go on to the next sample, after the last one to the first."""
+        """Advance to the next sample, or from the last sample to the first."""
         self._index = (self._index + 1) % self._sets.count
         self._restart()
 
     def schedule(self) -> None:
-        """Do nothing: there is nothing to evaluate."""
+        """Do nothing: a scalar state needs no evaluation."""
 
     def single(self, _: object) -> float:
         """Return one number."""
@@ -293,7 +293,7 @@ class PixelState:
 def seed_lanes(
     module: Any, sets: PaddedSets, stream: Stream, wavefront_size: int, per_pass: int
 ) -> LaneState | None:
-    """State of a wavefront, None if it is none: renderers let go of memory by a wavefront of 1."""
+    """Return the state of a wavefront; None for size 1, which renderers use to release memory."""
     pixels, rest = divmod(wavefront_size, per_pass)
     if rest:
         return None
@@ -309,7 +309,7 @@ def seed_lanes(
     )
     joint = None
     if sets.joint:
-        joint = _Table(module, sets.joints(stream, 0, min(pixels, rounds.size)))
+        joint = _DeviceSets(module, sets.joints(stream, 0, min(pixels, rounds.size)))
     return LaneState(
         module=module,
         count=sets.count,
@@ -323,10 +323,10 @@ def seed_lanes(
     )
 
 
-class _Table:
-    """Sets in Dr.Jit's memory, made of float32 (sets, count, dims); `size` of them.
+class _DeviceSets:
+    """Point sets in Dr.Jit's memory, made from float32 (sets, count, dims); `size` is their number.
 
-    No dataclass, nor are the others: Dr.Jit would make tables part of a loop's state.
+    The classes here are not dataclasses: Dr.Jit would make their tables part of a loop's state.
     """
 
     def __init__(self, module: Any, sets: Array) -> None:
@@ -336,7 +336,7 @@ class _Table:
         self.size, self._count = (drjit.opaque(module.UInt32, k) for k in sets.shape[:2])
 
     def draw(self, dims: int, number: Any, start: Any, index: Any, active: Any) -> list[Any]:
-        """Coordinates from `start` on of one point of the set with this number."""
+        """Return coordinates from `start` of one point of the set with this number."""
         import drjit
 
         first, kind = (number * self._count + index) * self.dims + start, type(self._numbers)
@@ -344,20 +344,20 @@ class _Table:
 
 
 class _TablePads:
-    """Sets for requests of one and of two numbers; a request's offset is among those of its pixel."""
+    """Sets for requests of one and two numbers; an offset counts the requests of a pixel."""
 
     def __init__(self, module: Any, sets: PaddedSets, stream: Stream, rounds: Rounds) -> None:
         import drjit
 
         self._stride = drjit.opaque(module.UInt32, rounds.stride)
-        self._sets = {k: _Table(module, sets.pads(k, stream, 0, rounds.size)) for k in (1, 2)}
+        self._sets = {k: _DeviceSets(module, sets.pads(k, stream, 0, rounds.size)) for k in (1, 2)}
 
     def following(self, offset: Any) -> Any:
-        """Offset of the next request."""
+        """Return the offset of the next request."""
         return self._wrapped(offset + self._stride)
 
     def draw(self, dims: int, pixel: Any, offset: Any, index: Any, active: Any) -> list[Any]:
-        """Numbers of requests with this offset."""
+        """Return the numbers of requests with this offset."""
         number = self._wrapped(pixel % self._sets[dims].size + offset)
         return self._sets[dims].draw(dims, number, 0, index, active)
 
@@ -372,8 +372,8 @@ class _TablePads:
 class LaneState:
     """State of a wavefront: a dataclass, so that Dr.Jit carries its arrays through loops.
 
-    Of each lane: its pixel, the index of its sample, and what that has taken so far, numbers and
-    where its next sets are. `done` counts the samples of passes before.
+    For each lane it holds the pixel, the index of the sample, the count of used numbers, and the
+    offsets of the next sets. `done` counts the samples of earlier passes.
     """
 
     module: Any
@@ -381,7 +381,7 @@ class LaneState:
     per_pass: int
     done: int
     pads: _TablePads | Pads
-    joint: _Table | None
+    joint: _DeviceSets | None
     pixel: Any
     index: Any
     coordinate: Any
@@ -389,20 +389,20 @@ class LaneState:
     pair_offset: Any
 
     def copy(self) -> LaneState:
-        """Return a state that goes on by itself."""
+        """Return an independent copy of the state."""
         kind = self.module.UInt32
         names = ("pixel", "index", *_TAKEN)
         return replace(self, **{name: kind(getattr(self, name)) for name in names})
 
     def advance(self) -> None:
-        """Go on to the samples of the next pass."""
+        """Advance to the samples of the next pass."""
         zero = self.module.UInt32(0)
         self.done += self.per_pass
         self.index = self.index + self.per_pass
         self.coordinate, self.single_offset, self.pair_offset = zero, zero, zero
 
     def schedule(self) -> None:
-        """Have the arrays evaluated with the next kernel."""
+        """Schedule the arrays for evaluation with the next kernel."""
         import drjit
 
         drjit.schedule(self.index, self.coordinate, self.single_offset, self.pair_offset)
@@ -422,7 +422,7 @@ class LaneState:
 
         if self.done + self.per_pass > self.count:
             raise ParameterError(
-                f"All {self.count} samples of each pixel are used; an integrator that "
+                f"All {self.count} samples of each pixel have been used; an integrator that "
                 "renders in passes needs the sampler's integer samples_per_pass."
             )
         following = self.pads.following(offset)
@@ -438,17 +438,17 @@ class LaneState:
 
 
 MOST_SAMPLES = 2**16
-"""Most samples a pixel: with the fewest sets, a table is then as large as it may be."""
+"""Most samples per pixel: with the fewest sets, a table then has its largest size."""
 
-_MOST_NUMBERS = 2**27  # of one table: 512 MiB
-_FEWEST_SETS = 509  # a prime: requests of one pixel beyond it meet their first sets again
-_BLOCK_NUMBERS = 2**19  # drawn at once: 4 MiB of float64
+_MOST_NUMBERS = 2**27  # limit of numbers in one table: 512 MiB
+_FEWEST_SETS = 509  # a prime number; later requests of one pixel use its first sets again
+_BLOCK_NUMBERS = 2**19  # numbers drawn at once: 4 MiB of float64
 _GOLDEN = (5**0.5 - 1) / 2
 
 
 @kernel
 def _shuffle(points: Array, keys: Array, largest: Any, out: Array) -> None:
-    # Fisher and Yates inside out; points (R, n, d) float64, keys (R, 2), out (R, n, d) float32.
+    # Fisher-Yates shuffle, inside out; shapes: points and out (R, n, d), keys (R, 2).
     for r in range(points.shape[0]):
         for i in range(points.shape[1]):
             j = int(mix_bits(keys[r, 0], keys[r, 1], i) % np.uint64(i + 1))
@@ -460,10 +460,10 @@ def _shuffle(points: Array, keys: Array, largest: Any, out: Array) -> None:
 @final
 @dataclass(frozen=True)
 class Rounds:
-    """Which set each request of each pixel takes: set (pixel + request · stride) mod size.
+    """Assignment of sets to requests: set (pixel + request · stride) mod size.
 
-    The stride is relatively prime to the size, so that so many first requests of a pixel meet as many
-    sets.
+    The stride is relatively prime to the size, so that the first `size` requests of a pixel use
+    different sets.
     """
 
     size: int
@@ -471,7 +471,7 @@ class Rounds:
 
     @staticmethod
     def of(pixels: int, requests: int, numbers_each: int) -> Rounds:
-        """Lay out sets for the first `requests` of every pixel, as many as memory permits."""
+        """Lay out sets for the first `requests` of every pixel, as far as memory allows."""
         size = max(_FEWEST_SETS, pixels * requests + 1)
         size = min(size, _MOST_NUMBERS // numbers_each)
         golden = int(size * _GOLDEN)
@@ -482,9 +482,9 @@ class Rounds:
 @final
 @dataclass(frozen=True, kw_only=True)
 class PaddedSets:
-    """Sets of one sampler for requests of one and of two numbers, and joint sets in more dims.
+    """Sets of one sampler for requests of one and two numbers, and joint sets in more dims.
 
-    A ParameterError if the spec, the count or the dims are not possible.
+    Raises a ParameterError if the spec, the count or the dims are not possible.
     """
 
     spec: str
@@ -503,26 +503,26 @@ class PaddedSets:
         try:
             single = as_sampler(self.spec, 1)
             single.check_count(count)
-        except ParameterError:  # the first coordinates of pairs then serve
+        except ParameterError:  # single requests then use the first coordinate of pairs
             single = pair
         settle(self, _samplers=(single, pair, joint))
 
     @property
     def nets(self) -> tuple[Net, Net] | None:
-        """The nets in one dim and in two that are scrambled, if sets can be made in kernels."""
+        """The scrambled nets in one and two dims if kernels can compute the sets, or None."""
         single, pair = (net_of(sampler) for sampler in self._samplers[:2])
         if single is None or pair is None or self.count & (self.count - 1):
             return None
         return single, pair
 
     def pads(self, dims: int, stream: Stream, first: int, sets: int) -> Array:
-        """Sets first … first+sets−1 in 1 or 2 dims, shuffled: float32 (sets, count, dims)."""
+        """Return sets first … first+sets−1 in 1 or 2 dims, shuffled: (sets, count, dims)."""
         sampler = self._samplers[dims - 1]
         assert sampler is not None
         return self._filled(sampler, dims, stream.child(dims), first, sets, shuffled=True)
 
     def joints(self, stream: Stream, first: int, sets: int) -> Array:
-        """Joint sets, in the sampler's own order: float32 (sets, count, joint)."""
+        """Return joint sets in the sampler's own order: float32 (sets, count, joint)."""
         sampler = self._samplers[2]
         assert sampler is not None
         return self._filled(sampler, self.joint, stream.child(3), first, sets, shuffled=False)

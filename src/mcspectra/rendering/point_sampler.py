@@ -1,8 +1,8 @@
 """Mitsuba's own samplers as point sets, by name or as objects.
 
-Those by name run in the variant ``scalar_rgb`` without setting it: the variant of the process, on which
-pixels depend, stays what it is. The module is here and not among the samplers because it needs
-`backend`, which sees to it that importing Mitsuba leaves rendering possible.
+Samplers by name run in the variant ``scalar_rgb`` without setting it: pixels depend on the variant
+of the process, which does not change. The module belongs to rendering because it needs `backend`,
+which imports Mitsuba in a way that keeps rendering possible.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ _SEEDS = 2**32
 @final
 @dataclass(frozen=True, kw_only=True)
 class MitsubaSampler(Sampler):
-    """One of Mitsuba 3's samplers, drawn dimension by dimension as an integrator does.
+    """One of Mitsuba 3's samplers, drawn dimension by dimension like an integrator.
 
-    1 to 1024 dims: pairs of them are drawn by ``next_2d``, the last one of an odd number by
+    It has 1 to 1024 dims: pairs are drawn by ``next_2d``, the last one of an odd number by
     ``next_1d``. Counts are those that Mitsuba does not round: any for ``independent``, s² for
     ``stratified``, s², s(s + 1) and s(s + 2) for ``multijitter``, squares of primes for
-    ``orthogonal``, powers of 4 from 4 for ``ldsampler``; 2^20 at most.
+    ``orthogonal``, powers of 4 from 4 for ``ldsampler``; at most 2^20.
 
     Attributes
     ----------
@@ -46,14 +46,14 @@ class MitsubaSampler(Sampler):
         ``"independent"``, ``"stratified"``, ``"multijitter"`` (Kensler 2013), ``"orthogonal"``
         (Jarosz et al. 2019) or ``"ldsampler"`` ((0,2)-sequence, Kollig & Keller 2002).
     jitter
-        Whether points lie anywhere in their strata, or in the middle; for the three that have
-        strata.
+        Whether points are random in their strata or at the centers, for the three samplers that
+        have strata.
 
     Notes
     -----
     Points are float32 numbers; a coordinate that Mitsuba rounded up to 1 becomes the largest
-    float32 below 1. Its seeds have 32 bits: realizations 2^32 apart are the same. Every point is a
-    call into Mitsuba: some hundred thousand points a second.
+    float32 below 1. Its seeds have 32 bits: realizations 2^32 apart are equal. Every point is a
+    call of Mitsuba, some hundred thousand points per second.
 
     References
     ----------
@@ -85,11 +85,12 @@ class MitsubaSampler(Sampler):
         return _drawn(self._source(n), (count, n, self.dims), stream, first)
 
     def _source(self, n: int) -> Any:
-        """An object of the scalar variant, built by Mitsuba's parser."""
+        """Return an object of the scalar variant, built by Mitsuba's parser."""
         options = {} if self.jitter else {"jitter": False}
         with LOCK:
             parser = import_mitsuba().parser
-            importlib.import_module("mitsuba.scalar_rgb")  # registers the classes of its objects
+            # this registers the classes of its objects
+            importlib.import_module("mitsuba.scalar_rgb")
             config = parser.ParserConfig("scalar_rgb")
             state = parser.parse_dict(config, {"type": self.sampler, "sample_count": n, **options})
             return parser.instantiate(config, state)
@@ -102,13 +103,13 @@ class MitsubaSampler(Sampler):
 
 
 def _drawn(source: Any, shape: tuple[int, int, int], stream: Stream, first: int) -> Array:
-    """Points (R, n, d) of an object, each realization with a seed of its own."""
+    """Return points (R, n, d) of an object; each realization has its own seed."""
     (count, n, dims), out = shape, np.empty(shape)
     start = int(stream.keys(0, 1)[0, 0]) + first
     pairs, odd = divmod(dims, 2)
     scalar = "scalar" in source.variant_name()
     for r in range(count):
-        if not scalar:  # all points at once
+        if not scalar:  # vectorized variants return all points at once
             source.set_samples_per_wavefront(n)
             source.seed((start + r) % _SEEDS, n)
             columns = [source.next_2d().numpy() for _ in range(pairs)]
@@ -146,7 +147,7 @@ class MitsubaObject(Sampler):
 
     @property
     def spec(self) -> str:
-        """The object's class and count; no spec string can make the object again."""
+        """The object's class and count; a spec string cannot recreate the object."""
         count = self.source.sample_count()
         return f"mitsuba-object({self.source.class_name()}, sample_count={count})"
 
@@ -166,36 +167,37 @@ class MitsubaObject(Sampler):
 
 
 def from_mitsuba(source: Any, dims: int = DEFAULT_DIMS) -> MitsubaObject:
-    """Make a sampler of a sampler object of Mitsuba, e.g. ``scene.sensors()[0].sampler()``.
+    """Return a sampler for a sampler object of Mitsuba, e.g. ``scene.sensors()[0].sampler()``.
 
     Parameters
     ----------
     source
-        An object of any variant and class, plugins written in Python included. It is forked, so
-        that it stays unchanged.
+        An object of any variant and class, including plugins in Python. It is forked, so that it
+        does not change.
     dims
-        Number of dims; pairs of them are requests of two numbers.
+        Number of dims; a pair of dims is a request of two numbers.
 
     Returns
     -------
     MitsubaObject
-        Makes the counts that the object takes without rounding (it is asked each time).
+        A sampler with the counts that the object makes without rounding (the object is queried each
+        time).
 
     Raises
     ------
     ParameterError
-        `source` is not a Mitsuba sampler.
+        If `source` is not a Mitsuba sampler.
 
     Notes
     -----
-    Every realization is a seeding of its own, so that it does not depend on how many are drawn at
-    once. In vectorized variants that is one wavefront of n lanes, some milliseconds.
+    Every realization has its own seed, so that it does not depend on the number drawn at once. In
+    vectorized variants it is one wavefront of n lanes and takes some milliseconds.
     """
     return MitsubaObject(source=source, dims=dims)
 
 
 _STRATA = ("stratified", "multijitter", "orthogonal")
-_ROOTS = range(1, 1032)  # to the first prime beyond 2^10
+_ROOTS = range(1, 1032)  # roots up to the first prime above 2^10
 _COUNTS: dict[str, Sequence[int]] = {
     "independent": range(1, 2**20 + 1),
     "stratified": [s * s for s in _ROOTS],

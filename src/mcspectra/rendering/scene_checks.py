@@ -38,29 +38,30 @@ def check_scene(scene: Scene, *, light: int | str | None = None) -> list[str]:
     Parameters
     ----------
     scene
-        A scene, as for `load_scene`.
+        A scene, same as for `load_scene`.
     light
-        The only light to use; all by default. The others may then be of any kind.
+        The only light to use; by default all lights. Other lights may then be of any type.
 
     Returns
     -------
     list of str
         A sentence for each: no camera, a camera with a lens or a shutter, no lights, participating
-        media, an integrator of more than direct light, lights that are delta functions (point, spot, directional, …), an environment that
-        is scaled or has pixels that are no radiance, shapes whose BSDF has a delta function
-        (dielectric, smooth conductor, mask, …). Empty if everything is supported. Shapes inside
-        instances are not listed; a pixel that sees one reports it.
+        media, an integrator of more than direct light, lights that are delta functions (point,
+        spot, directional, …), an environment that is scaled or has pixels that are not a radiance,
+        shapes whose BSDF has a delta function (dielectric, smooth conductor, mask, …). Empty if
+        everything is supported. Shapes inside instances are not listed; a pixel that shows one
+        reports it.
 
     Raises
     ------
     ParameterError
-        There is no such light.
+        If no light has this name or index.
     UnknownName, FileFormatError, MissingDependency
-        The scene cannot be loaded.
+        If the scene cannot be loaded.
 
     Notes
     -----
-    A shape with a delta BSDF only excludes the pixels that see it.
+    A shape with a delta BSDF excludes only the pixels that show it.
     """
     with LOCK:
         loaded = load_scene(scene)
@@ -77,16 +78,16 @@ def check_scene(scene: Scene, *, light: int | str | None = None) -> list[str]:
 
 
 def check_media(scene: Scene) -> None:
-    """Raise a ParameterError if a scene has participating media; the message says which shapes."""
+    """Raise a ParameterError if a scene has participating media; the message names the shapes."""
     with LOCK:
         _raise_first(_media(scene, load_scene(scene)))
 
 
 def check_lights(scene: Scene, light: int | str | None = None) -> None:
-    """Raise a ParameterError unless the lights that count can be sampled and reach surfaces.
+    """Raise a ParameterError unless the used lights can be sampled and reach surfaces.
 
-    There must be at least one light, no delta functions and no participating media; an
-    environment must not be scaled, and its pixels must be radiances.
+    There must be at least one light, no delta functions and no participating media. An environment
+    must not be scaled, and its pixels must be radiances.
     """
     check_media(scene)
     with LOCK:
@@ -97,7 +98,7 @@ def check_lights(scene: Scene, light: int | str | None = None) -> None:
 def check_environment(scene: Scene, light: int | str | None = None) -> None:
     """Raise a ParameterError if the environment is used and is scaled or has broken pixels.
 
-    Mitsuba does not report a scale: its light sampling is then wrong by the factor of the scale.
+    Mitsuba does not report a scale; its light sampling is then wrong by that factor.
     """
     with LOCK:
         _raise_first(_environment(scene, light))
@@ -112,31 +113,32 @@ def warn_lens(scene: Scene) -> None:
 
 
 def integrator_note(scene: Scene) -> str:
-    """Say that a scene's own integrator is not what is analyzed; empty if it is, or there is none."""
+    """Return a note if a scene's own integrator is not analyzed, otherwise an empty text."""
     with LOCK:
         return "".join(_integrator(scene, load_scene(scene)))
 
 
 def filter_note(scene: Scene) -> str:
-    """Say that renders filter pixels otherwise than paths of one pixel do; empty for a box filter."""
+    """Return a note if renders use another pixel filter than paths do; empty for a box filter."""
     with LOCK:
         rfilter = sensor_of(scene).film().rfilter()
         if rfilter.is_box_filter():
             return ""
     return (
-        f"The film of {scene_name(scene)} has a {rfilter.class_name()}, which averages over neighboring "
-        "pixels; a map is of the paths through each pixel's square, as of a box filter."
+        f"The film of {scene_name(scene)} has a {rfilter.class_name()}, which averages over "
+        "neighboring pixels; a map measures the paths through each pixel's square, which is a box "
+        "filter."
     )
 
 
 def warn_integrator(scene: Scene) -> None:
-    """Warn of `integrator_note`."""
+    """Warn with the text of `integrator_note`."""
     if note := integrator_note(scene):
         warn(note, IncompleteImageWarning)
 
 
 def camera_rays(scene: Scene) -> str:
-    """Say where camera rays start: results of cameras with a lens or a shutter are of one ray."""
+    """Describe where camera rays start; results of a lens or shutter camera use one ray."""
     with LOCK:
         sensor = load_scene(scene).sensors()[0]
         lens, shutter = _aperture(sensor) > 0.0, sensor.shutter_open_time() > 0.0
@@ -145,10 +147,10 @@ def camera_rays(scene: Scene) -> str:
 
 
 def warn_missed(scene: Scene, strategy: str, light: int | str | None = None) -> None:
-    """Warn of the light that one strategy alone leaves out of an image.
+    """Warn of light that a single strategy leaves out of an image.
 
-    BSDF sampling never hits a light that is a delta function; light sampling is 0 on a BSDF that is
-    one.
+    BSDF sampling never hits a light that is a delta function; light sampling gives 0 for a BSDF
+    that is a delta function.
     """
     with LOCK:
         if strategy == "bsdf":
@@ -176,7 +178,7 @@ def delta_light(emitter: Any) -> bool:
 
 
 def delta_bsdf(bsdf: Any, shape: str) -> str:
-    """Say that the BSDF of `shape` has a delta function; empty if it has none."""
+    """Return a sentence if the BSDF of `shape` has a delta function, otherwise an empty text."""
     if not int(bsdf.flags()) & int(load_mitsuba().BSDFFlags.Delta):
         return ""
     return (
@@ -191,7 +193,7 @@ def _raise_first(sentences: list[str]) -> None:
 
 
 def _lens(scene: Scene, loaded: Any) -> list[str]:
-    """What of the first camera is not sampled: rays start at the lens's center at one time."""
+    """Sentences on a lens or shutter of the first camera: rays start at its center at one time."""
     sensors = loaded.sensors()[:1]
     found = {
         f"a lens (of radius {radius:.3g})": radius > 0.0 for radius in map(_aperture, sensors)
@@ -205,7 +207,7 @@ def _lens(scene: Scene, loaded: Any) -> list[str]:
 
 
 def _aperture(sensor: Any) -> float:
-    """Radius of a camera's lens, 0 for a pinhole."""
+    """Radius of a camera's lens; 0 for a pinhole."""
     if not sensor.needs_aperture_sample():
         return 0.0
     parameters = load_mitsuba().traverse(sensor)
@@ -221,7 +223,7 @@ def _media(scene: Scene, loaded: Any) -> list[str]:
     holders += [_called("camera", s.id()) for s in loaded.sensors() if s.get_medium()]
     where = f"The scene {scene_name(scene)} has participating media ({', '.join(holders)})"
     advice = "give an integrator for whole paths, or remove them"
-    return [f"{where}, which direct light leaves out; {advice}."] if holders else []
+    return [f"{where}, which direct light ignores; {advice}."] if holders else []
 
 
 def _integrator(scene: Scene, loaded: Any) -> list[str]:
@@ -229,9 +231,9 @@ def _integrator(scene: Scene, loaded: Any) -> list[str]:
     if found is None or found.class_name() == "DirectIntegrator":
         return []
     note = (
-        f"The integrator of {scene_name(scene)} ({found.class_name()}) is not what is measured, which is "
-        "direct light alone; pixel and map measure its whole paths by integrator='scene' (--integrator "
-        "scene)."
+        f"The integrator of {scene_name(scene)} ({found.class_name()}) is not used: this measures "
+        "direct light alone; pixel and map measure whole paths with integrator='scene' "
+        "(--integrator scene)."
     )
     return [note]
 
@@ -242,28 +244,29 @@ def _lights(scene: Scene, light: int | str | None) -> list[str]:
         return [f"The scene {scene_name(scene)} has no lights; add an emitter to it."]
     loaded = load_scene(scene)
     return [
-        f"The light {emitter_name(e, loaded)!r} of {scene_name(scene)} ({e.class_name()}) is a delta "
-        "function, which BSDF sampling never meets; replace it, or choose another with light=."
+        f"The light {emitter_name(e, loaded)!r} of {scene_name(scene)} ({e.class_name()}) is a "
+        "delta function, which BSDF sampling never hits; replace it, or choose another with "
+        "light=."
         for e in chosen
         if delta_light(e)
     ]
 
 
 def _chosen(scene: Scene, light: int | str | None) -> list[Any]:
-    """Lights that count."""
+    """Return the lights that are used."""
     if light is None:
         return list(load_scene(scene).emitters())
     return [find_emitter(scene, light)]
 
 
 def _environment(scene: Scene, light: int | str | None) -> list[str]:
-    """What is wrong with the environment, if it counts: a scale, or pixels that are no radiance."""
+    """Sentences on the environment, if used: a scale, or pixels that are not a radiance."""
     found, chosen = [], _chosen(scene, light)
     import drjit
 
     for emitter in chosen:
         parameters = load_mitsuba().traverse(emitter) if emitter.is_environment() else {}
-        if "to_world" in parameters:  # one that is the same on all sides may be scaled
+        if "to_world" in parameters:  # a uniform environment may be scaled
             try:
                 rotation_of(emitter)
             except ParameterError as error:
@@ -272,8 +275,8 @@ def _environment(scene: Scene, light: int | str | None) -> list[str]:
             values = parameters["data"].array
             if not drjit.all(drjit.isfinite(values) & (values >= 0.0)):
                 found.append(
-                    f"The map of the environment {emitter_name(emitter)!r} has pixels that are NaN, "
-                    "infinite or negative; replace them."
+                    f"The map of the environment {emitter_name(emitter)!r} has pixels that are "
+                    "NaN, infinite or negative; replace them."
                 )
     return found
 

@@ -1,6 +1,6 @@
-"""Scenes by name, file or dictionary, loaded once a process; their pixels, cameras and lights.
+"""Scenes by name, file or dictionary, loaded once per process; their pixels, cameras and lights.
 
-`render_file` renders a scene by Mitsuba's own integrators, with our samplers known to it.
+`render_file` renders a scene by Mitsuba's own integrators, with our samplers registered.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ __all__ = [
 ]
 
 Scene: TypeAlias = "str | Path | DictScene | Mapping[str, Any]"
-"""What names a scene: a name in `SCENES`, an XML file, a Mitsuba dictionary."""
+"""Specification of a scene: a name in `SCENES`, an XML file, or a Mitsuba dictionary."""
 
 _SEEDS, _MOST_SAMPLES = 2**32, 2**24
 
@@ -88,16 +88,16 @@ SCENES = Registry(
     },
     base=None,
 )
-"""Names to functions that return a scene as a Mitsuba dictionary."""
+"""Functions, by name, that return a scene as a Mitsuba dictionary."""
 
 
 def as_scene(scene: object) -> str | Path | DictScene:
-    """Return a hashable request for a scene: a name, a path, or a dictionary made a `DictScene`.
+    """Return a hashable key of a scene: a name, a path, or a dictionary as a `DictScene`.
 
     Raises
     ------
     ParameterError
-        `scene` has another type, or is a dictionary without a scene.
+        If `scene` has another type, or is a dictionary without a scene.
     """
     if isinstance(scene, Path | DictScene):
         return scene
@@ -105,7 +105,8 @@ def as_scene(scene: object) -> str | Path | DictScene:
         return DictScene(scene)
     if not isinstance(scene, str) or not scene.strip():
         raise ParameterError(
-            f"scene is {shown(scene)}; give the name of a scene, an XML file or a Mitsuba dictionary."
+            f"scene is {shown(scene)}; give the name of a scene, an XML file or a Mitsuba "
+            "dictionary."
         )
     return scene
 
@@ -116,26 +117,27 @@ def scene_name(scene: Scene) -> str:
 
 
 def load_scene(scene: Scene) -> Any:
-    """Return a Mitsuba scene, the same object for the same request.
+    """Return a Mitsuba scene; equal requests return the same object.
 
     Parameters
     ----------
     scene
-        A name in `SCENES`, with parameters in brackets if need be (``"veach(width=384)"``), the
-        path of a Mitsuba XML file, or a dictionary for `mitsuba.load_dict`. A file is read again if
-        it, or a texture, mesh or other file that it refers to, has changed; what it refers to by a
-        relative path is looked for beside it.
+        A name in `SCENES`, with optional parameters in brackets (``"veach(width=384)"``), the path
+        of a Mitsuba XML file, or a dictionary for `mitsuba.load_dict`. A file is read again if it,
+        or a texture, mesh or other file that it names, has changed. Relative paths start in its
+        folder.
 
     Raises
     ------
     UnknownName
-        No scene of that name.
+        If no scene has this name.
     ParameterError
-        Not a scene at all, or Mitsuba cannot evaluate a material or a light of it.
+        If `scene` is not a scene, or Mitsuba cannot evaluate one of its materials or lights.
     FileFormatError
-        The file is missing, or Mitsuba cannot read it or the dictionary; its reason is quoted.
+        If the file is missing, or Mitsuba cannot read it or the dictionary; the message has the
+        reason.
     MissingDependency
-        Mitsuba or LLVM is missing.
+        If Mitsuba or LLVM is missing.
     """
     request = as_scene(scene)
     with LOCK:
@@ -162,28 +164,29 @@ def render_file(
     definitions: Mapping[str, object] | None = None,
     out: str | Path | None = None,
 ) -> Array:
-    """Render a scene by one of Mitsuba's integrators, with our samplers known to it.
+    """Render a scene by one of Mitsuba's integrators, with our samplers registered.
 
     Parameters
     ----------
     scene
-        A Mitsuba XML file, whose sampler may be ``<sampler type="mcspectra">``, or a name in `SCENES`.
+        A Mitsuba XML file, whose sampler may be ``<sampler type="mcspectra">``, or a name in
+        `SCENES`.
     variant
         One of Mitsuba's variants; by default ``llvm_ad_rgb``, or ``scalar_rgb`` without LLVM.
     integrator
-        A plugin of Mitsuba's, such as ``"path(max_depth=5)"``; by default the scene's own.
+        Mitsuba plugin, such as ``"path(max_depth=5)"``; by default the scene's own.
     sampler
-        Spec of one of our samplers, which takes the place of the scene's own; the file is not changed.
+        Spec of one of our samplers, which replaces the scene's own; the file is not changed.
     spp
-        Samples a pixel instead of the file's.
+        Samples per pixel, instead of the file's.
     seed
         Seed of the image, an integer from 0 to 2^32 − 1.
     sensor
         Index of the camera.
     definitions
-        Values of the file's ``$name``.
+        Values for ``$name`` in the file.
     out
-        EXR file to write the film to.
+        EXR file for the film.
 
     Returns
     -------
@@ -193,13 +196,13 @@ def render_file(
     Raises
     ------
     FileFormatError
-        The file is missing, or Mitsuba cannot read or render it; its reason is quoted.
+        If the file is missing, or Mitsuba cannot read or render it; the message quotes the reason.
     ParameterError
-        A parameter is out of range, or the integrator or the sampler is not possible.
+        If a parameter is out of range, or the integrator or the sampler is not possible.
     UnknownName
-        There is no scene of this name.
+        If no scene has this name.
     MissingDependency
-        Mitsuba is missing, or LLVM for the variant.
+        If Mitsuba is missing, or LLVM is missing for the variant.
     """
     options = {"seed": as_integer("seed", seed, least=0, most=_SEEDS - 1)}
     if spp is not None:
@@ -219,21 +222,21 @@ def render_file(
     )
     plugin = None if integrator is None else integrator_plugin(integrator)
     if sampler is not None:
-        as_sampler(sampler, 2)  # a sentence of ours, not one in Mitsuba's words
+        as_sampler(sampler, 2)  # check here, so that the message is ours instead of Mitsuba's
     with LOCK:
         (known,), mitsuba = register_samplers(variant)[:1], import_mitsuba()
         before, resolver = mitsuba.variant(), mitsuba.file_resolver()
         mitsuba.set_variant(known)
         try:
-            # Read the scene, and give its cameras our sampler
+            # Read the scene, and replace the samplers of its cameras
             parser = mitsuba.parser
             config = parser.ParserConfig(known)
             if path is None:
                 state = parser.parse_dict(config, SCENES.build(parse(named.strip())))
             elif not path.is_file():
                 raise FileFormatError(
-                    f"There is no scene file {shown(named)}; give a Mitsuba XML file or one of the names "
-                    f"{', '.join(SCENES)}."
+                    f"There is no scene file {shown(named)}; give a Mitsuba XML file or one of the "
+                    f"names {', '.join(SCENES)}."
                 )
             else:
                 beside = mitsuba.FileResolver(resolver)
@@ -262,7 +265,7 @@ def render_file(
                 camera.film().write(str(target))
             return np.array(image, dtype=np.float64)
         except (RuntimeError, TypeError) as error:
-            if isinstance(error.__cause__, McspectraError):  # raised by our sampler
+            if isinstance(error.__cause__, McspectraError):  # our sampler raised the error
                 raise error.__cause__ from None
             reason = mitsuba_reason(error)
             raise FileFormatError(f"Mitsuba cannot render {shown(named)}: {reason}.") from None
@@ -273,7 +276,7 @@ def render_file(
 
 
 def _replace_samplers(mitsuba: Any, state: Any, spec: str, spp: int | None) -> None:
-    """Make the sampler of every camera of a parsed scene ours, of `spp` samples or as many as it had."""
+    """Replace the sampler of every camera by ours, with `spp` samples or its own number."""
     kinds, reference = mitsuba.ObjectType, mitsuba.Properties.ResolvedReference
     nodes = state.nodes
     samplers = {k for k in range(len(nodes)) if nodes[k].type == kinds.Sampler}
@@ -305,9 +308,9 @@ def integrator_plugin(spec: str) -> dict[str, Any]:
     Raises
     ------
     ParameterError
-        The spec cannot be read.
+        If the spec cannot be read.
     """
-    # Names of Mitsuba's plugins may have underscores, which those of specs have not
+    # Names of Mitsuba's plugins may have underscores, but names in specs may not
     plugin, bracket, rest = spec.strip().partition("(")
     try:
         found = {"type": plugin, **parse(f"integrator{bracket}{rest}").arguments}
@@ -315,14 +318,14 @@ def integrator_plugin(spec: str) -> dict[str, Any]:
         raise ParameterError(f"The integrator {shown(spec)} cannot be read: {error}") from None
     if reach_of(found) is not None:
         raise ParameterError(f"The integrator {shown(spec)} names a file or code; remove it.")
-    _copied(found)  # checked as a dictionary is
+    _copied(found)  # this makes the same check as for a dictionary
     return found
 
 
 def named_pixels(scene: Scene) -> dict[str, tuple[int, int]]:
-    """Return the pixels (x, y) to which a built-in scene gives names; none for other scenes.
+    """Return the named pixels (x, y) of a built-in scene; empty for other scenes.
 
-    A name is left out where the film, by its shape, does not show the point.
+    A name is left out if the film's shape hides the point.
     """
     request = as_scene(scene)
     if isinstance(request, DictScene) or _as_file(request) is not None:
@@ -339,7 +342,7 @@ def named_pixels(scene: Scene) -> dict[str, tuple[int, int]]:
 
 
 def sensor_of(scene: Scene) -> Any:
-    """Return the first camera of a scene; a scene without one is a ParameterError."""
+    """Return the first camera of a scene; a scene without a camera is a ParameterError."""
     sensors = load_scene(scene).sensors()
     if not sensors:
         raise ParameterError(f"The scene {scene_name(scene)} has no camera; add a <sensor> to it.")
@@ -347,28 +350,28 @@ def sensor_of(scene: Scene) -> Any:
 
 
 def sized(scene: str, **sizes: int) -> str:
-    """The spec of a built-in scene with a film of another ``width`` and ``height``."""
+    """Return the spec of a built-in scene with another film ``width`` and ``height``."""
     call = parse(scene)
     shown = ", ".join(f"{key}={value!r}" for key, value in {**call.arguments, **sizes}.items())
     return f"{call.name}({shown})"
 
 
 def film_size(scene: Scene) -> tuple[int, int]:
-    """Return width and height of a scene's film (of its crop window, if it has one), in pixels."""
+    """Return width and height of a scene's film, or of its crop window, in pixels."""
     width, height = sensor_of(scene).film().crop_size()
     return int(width), int(height)
 
 
 def project(scene: Scene, point: Sequence[float]) -> tuple[float, float]:
-    """Return the film coordinates, in pixels, at which the camera sees a point of the world.
+    """Return the film coordinates, in pixels, of a world point in the camera's view.
 
-    Pixel (i, j) covers [i, i+1) × [j, j+1), so its number is the floor of the result. Objects
+    Pixel (i, j) covers [i, i+1) × [j, j+1), so its indices are the floor of the result. Objects
     between the camera and the point are ignored; see `describe_pixel`.
 
     Raises
     ------
     ParameterError
-        The point is not three finite numbers, or lies outside the camera's view.
+        If the point is not three finite numbers, or lies outside the camera's view.
     """
     if not isinstance(point, Sequence | np.ndarray):
         raise ParameterError(f"point is {shown(point)}; give three numbers, x, y and z.")
@@ -391,7 +394,7 @@ def find_emitter(scene: Scene, light: int | str) -> Any:
     Raises
     ------
     ParameterError
-        There is no such light; the message lists all lights.
+        If no light has this name or index; the message lists all lights.
     """
     emitters, names = load_scene(scene).emitters(), emitter_names(scene)
     if isinstance(light, str):
@@ -408,10 +411,10 @@ def find_emitter(scene: Scene, light: int | str) -> Any:
 
 
 def emitter_name(emitter: Any, scene: Any = None) -> str:
-    """Return the id of the shape that an emitter sits on, else its own.
+    """Return the id of an emitter's shape, or its own id if it has no shape.
 
-    One without an id is called ``emitter-K``, K its number among those of `scene`, a Mitsuba scene;
-    by its class if there is no `scene`.
+    Without an id, the name is ``emitter-K`` with its index K in `scene`, a Mitsuba scene, or its
+    class if `scene` is not given.
     """
     shape = emitter.get_shape()
     name = str(shape.id() if shape is not None else emitter.id())
@@ -421,23 +424,23 @@ def emitter_name(emitter: Any, scene: Any = None) -> str:
 
 
 def emitter_names(scene: Scene) -> list[str]:
-    """Return the names of all lights of a scene, in their order."""
+    """Return the names of all lights of a scene, in order."""
     loaded = load_scene(scene)
     return [emitter_name(emitter, loaded) for emitter in loaded.emitters()]
 
 
 @functools.lru_cache(maxsize=16)
 def _built(request: str | Path | DictScene, _state: Hashable = None) -> Any:
-    """The scene of a name, of a file in this state, or of a dictionary."""
+    """Build the scene of a name, of a file in this state, or of a dictionary."""
     mitsuba, name = load_mitsuba(), str(request)
     load: Any = mitsuba.load_file
     source: Any = name
     if not isinstance(request, Path):
         load = mitsuba.load_dict
         source = SCENES.build(parse(name)) if isinstance(request, str) else request.contents
-    register_samplers(VARIANT)  # the scene may name one of ours
+    register_samplers(VARIANT)  # the scene may use one of our samplers
     try:
-        # Unoptimised: merging would rename shapes and shuffle their order.
+        # Not optimized: merging would rename shapes and change their order.
         scene = load(source, optimize=False)
     except (RuntimeError, TypeError) as error:
         raise FileFormatError(
@@ -449,19 +452,19 @@ def _built(request: str | Path | DictScene, _state: Hashable = None) -> Any:
     if found is None:
         return scene
     part, reason = found[0], mitsuba_reason(found[1])
-    # Its materials are traced with those of every other scene as long as they live.
+    # Dr.Jit traces its materials with those of every other scene as long as they exist.
     del scene, found
     gc.collect()
     raise ParameterError(
-        f"Mitsuba cannot evaluate {part} in the scene {shown(name)}: {reason}; change its parameters "
-        "or textures."
+        f"Mitsuba cannot evaluate {part} in the scene {shown(name)}: {reason}; change its "
+        "parameters or textures."
     )
 
 
 def mitsuba_reason(error: Exception) -> str:
-    """Return Mitsuba's words on one line, without the places in its own source code.
+    """Return Mitsuba's message on one line, without places in its own source code.
 
-    Of an error in a plugin written in Python that is the last line, after the error's name.
+    For an error in a Python plugin, this is the last line, after the error's name.
     """
     text = str(error).strip()
     if "Traceback" in text:
@@ -471,7 +474,7 @@ def mitsuba_reason(error: Exception) -> str:
 
 
 def _as_file(request: str | Path) -> Path | None:
-    """Return the path that a request means, None if it means a name."""
+    """Return the path in a request, or None if it is a name."""
     if isinstance(request, Path):
         return request.expanduser()
     looks = request.lower().endswith(".xml")
@@ -481,23 +484,24 @@ def _as_file(request: str | Path) -> Path | None:
 
 @final
 class DictScene:
-    """A Mitsuba scene dictionary as a key of caches: equal if the contents are.
+    """A Mitsuba scene dictionary as a cache key; keys are equal if the contents are.
 
     Parameters
     ----------
     scene
-        A dictionary for `mitsuba.load_dict`. Its dictionaries, lists and arrays are copied: changing
-        them later changes nothing here. Transforms, bitmaps and arrays compare by their numbers,
+        A dictionary for `mitsuba.load_dict`. Its dictionaries, lists and arrays are copied, so that
+        later changes have no effect. Transforms, bitmaps and arrays are compared by their numbers,
         objects that Mitsuba has already built by identity.
 
     Raises
     ------
     ParameterError
-        The root's ``type`` is not ``"scene"``, a key is not a string, or the nesting is too deep.
+        If the root's ``type`` is not ``"scene"``, a key is not a string, or the nesting is too
+        deep.
 
     Notes
     -----
-    It prints as ``dict``. It can be pickled only if it holds no objects of Mitsuba's.
+    It prints as ``dict``. It can be pickled only if it holds no Mitsuba objects.
     """
 
     def __init__(self, scene: Mapping[str, Any]) -> None:
@@ -511,7 +515,7 @@ class DictScene:
 
     @property
     def contents(self) -> dict[str, Any]:
-        """A copy of the dictionary."""
+        """Return a copy of the dictionary."""
         return dict(_copied(self._copy))
 
     def __eq__(self, other: object) -> bool:
@@ -524,14 +528,15 @@ class DictScene:
         return "dict"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return DictScene, (self._copy,)  # addresses are others in another process
+        return DictScene, (self._copy,)  # addresses differ in another process
 
 
 def _copied(value: Any, depth: int = 0) -> Any:
-    """Copy a scene dictionary; a file that it names must be one."""
+    """Copy a scene dictionary; paths in it must be regular files."""
     if depth > DEEPEST:
         raise ParameterError(
-            f"The scene dictionary is nested more than {DEEPEST} deep; remove parts that contain themselves."
+            f"The scene dictionary is nested more than {DEEPEST} deep; remove parts that contain "
+            "themselves."
         )
     if isinstance(value, Mapping):
         for name in value:
@@ -554,42 +559,45 @@ def _copied(value: Any, depth: int = 0) -> Any:
 
 
 def _key(value: Any) -> Hashable:
-    # The order of entries is kept: it is that of the lights, which have numbers.
+    # The order of entries matters: it is the order of the lights, which have indices.
     if isinstance(value, Mapping):
         return "dict", tuple((name, _key(entry)) for name, entry in value.items())
     if isinstance(value, list):
         return "list", tuple(map(_key, value))
     if isinstance(value, str | int | float | bool | None):
         return type(value).__name__, value
-    # The numbers of an array, a bitmap or a transform
+    # Use the numbers of an array, a bitmap or a transform
     holder = getattr(value, "matrix", value)
     readable = hasattr(holder, "__array__") or hasattr(holder, "__array_interface__")
     numbers = np.asarray(holder if readable else None)
     if numbers.dtype == object:
-        return "object", id(value)  # the scene holds it, so that its address is not used again
+        return "object", id(value)  # the scene holds the object, so that its address is not reused
     digest = hashlib.sha256(np.ascontiguousarray(numbers).tobytes()).hexdigest()
     return type(value).__name__, numbers.shape, str(numbers.dtype), digest
 
 
 State: TypeAlias = "tuple[tuple[Path, int, int], ...]"
-"""Paths, sizes in bytes and times of change in nanoseconds."""
+"""Paths, sizes in bytes, and times of change in nanoseconds."""
 
 DEEPEST = 64
-"""Elements of a scene in one another, the same for dictionaries: shapes in groups with nested materials and
-textures reach 12; some 10,000 end the process."""
+"""Largest nesting of elements, also in dictionaries.
+
+Shapes in groups with nested materials and textures reach 12; some 10,000 end the process.
+"""
 
 MOST_ELEMENTS = 2**21
-"""Elements of a scene, those of included files each time: 700,000 shapes, which load in 20 s."""
+"""Largest number of elements, with repeated includes: 700,000 shapes load in 20 s."""
 
 MOST_XML = 2**26
-"""Bytes of an XML file: a million elements take about 32 MB."""
+"""Largest size of an XML file in bytes: a million elements take about 32 MB."""
 
-_LONGEST_REASON = 300  # characters of Mitsuba's words in a message
-_INCLUDES = 16  # levels of includes; Mitsuba refuses more than 15
-_MOST_NAMES = 64  # values of one text with parameters
-_MOST_ROUNDS = 64  # over all names: each follows one more include or default
-_LONGEST_PATH = 4096  # characters, of Linux; a longer text names no file
-_LONGEST_PARAMETER, _LONGEST_TEXT = 64, 2**20  # characters, of a parameter's name and of its values
+_LONGEST_REASON = 300  # largest number of characters of Mitsuba's message
+_INCLUDES = 16  # levels of includes; Mitsuba allows at most 15
+_MOST_NAMES = 64  # largest number of values of one text with parameters
+# largest number of passes over all names; each follows one more include or default
+_MOST_ROUNDS = 64
+_LONGEST_PATH = 4096  # largest number of characters of a path in Linux; a longer text is not a file
+_LONGEST_PARAMETER, _LONGEST_TEXT = 64, 2**20  # characters of a parameter's name, and of its values
 _PARAMETER = re.compile(rf"\w{{1,{_LONGEST_PARAMETER}}}", re.ASCII)
 _PLUGIN_NAME = re.compile(r"[\w-]+")
 _LIBRARIES = (".so", ".dylib", ".dll")
@@ -598,10 +606,10 @@ _watched: dict[Path, State] = {}
 
 
 def watched_state(scene: Path) -> State:
-    """Return the state of a scene's file and of all that it refers to, to be compared.
+    """Return the state of a scene's file and all files that it names, for comparison.
 
-    The XML is read again only if one of the files has changed since the last call: otherwise this
-    asks the file system for each, a few microseconds a file.
+    The XML is read again only if one of the files has changed since the last call. Otherwise this
+    checks each file in the file system, which takes a few microseconds per file.
     """
     file = scene.resolve()
     known = _watched.get(file, ())
@@ -613,29 +621,31 @@ def watched_state(scene: Path) -> State:
 def referenced_files(
     scene: Path, definitions: Mapping[str, str] | None = None, trust: Trust | None = None
 ) -> set[Path]:
-    """Return the files that exist among those that a scene's XML names, included XML too.
+    """Return the existing files that a scene's XML names, including XML in includes.
 
-    A name is looked for in the folders of the scene, of the file that names it, and of every
-    ``<path>``; if it is in none of them, in the folder where the process runs. A file that is no XML
-    refers to nothing. Everything that Mitsuba would parse is checked on the way.
+    A name is searched in the folders of the scene, of the file that names it, and of every
+    ``<path>``; if it is in none of them, in the current folder. A file that is not XML names no
+    other file. All XML that Mitsuba would parse is checked.
 
     Parameters
     ----------
     scene
-        The XML file.
+        XML file.
     definitions
-        Values of its ``$name``; those of ``<default>`` are added.
+        Values for its ``$name``; values of ``<default>`` are added.
     trust
-        Files that a scene of a stranger may name; None for every file, as for a scene that a person names.
+        Files that an untrusted scene may name; None allows every file, for a scene that a person
+        names.
 
     Raises
     ------
     FileFormatError
-        A file is larger, or has more or deeper elements, than the limits of this module; it has a document
-        type with entities; it is no well-formed XML but long; a name is that of a device or a pipe; a
-        picture takes too much memory (see `mcspectra.core.decoding`); a plugin is not Mitsuba's own.
+        If a file is larger, or has more or deeper elements, than the limits of this module; if it
+        has a document type with entities; if it is long and not well-formed XML; if a name belongs
+        to a device or a pipe; if a picture takes too much memory (see `mcspectra.core.decoding`);
+        or if a plugin is not Mitsuba's own.
     ConfigError
-        A name, or a link, leads out of the folders of `trust`, whether there is a file or not.
+        If a name or a link points outside the folders of `trust`, whether a file exists or not.
     """
     first = scene.resolve()
     if trust is not None and trust.reads_all:
@@ -645,19 +655,19 @@ def referenced_files(
     values: dict[str, dict[str, None]] = {k: {v: None} for k, v in (definitions or {}).items()}
     folders, here = {first.parent: None}, Path.cwd()
     files: dict[Path, _SceneFile] = {}
-    places_of: dict[tuple[Path, int], dict[Path, None]] = {}  # Keys: file, and index in its `names`
+    places_of: dict[tuple[Path, int], dict[Path, None]] = {}  # keys: file, and index in its `names`
     found: set[Path] = set()
 
     @functools.cache
     def places(name: str, where: tuple[Path, ...], named_in: str) -> list[Path]:
-        """Where files of this name are; with a trust, none may be outside of it."""
+        """Return the places of files with this name; with a trust, each must be inside."""
         beside = [place for folder in where if (place := _regular(folder / name, first))]
         if not beside and (elsewhere := _regular(here / name, first)):
             beside = [elsewhere]
         if trust is not None:
             for folder in where:
                 trust.check_scene_file(folder / name, name, named_in)
-            # Mitsuba looks for the others in its own folder, and where the process runs
+            # Mitsuba searches other files in its own folder and in the current folder
             if not _exists(first.parent / name):
                 if _exists(here / name):
                     trust.check_scene_file(here / name, name, named_in)
@@ -667,26 +677,27 @@ def referenced_files(
 
     before = (-1, -1, -1)
     rounds = 0
-    # All names again in each round: a file that was read may have named a folder or a value
+    # Search all names again in each pass: a file may have defined a folder or a value
     while before != (now := (len(files), len(folders), sum(map(len, values.values())))):
         before, rounds = now, rounds + 1
         if rounds > _MOST_ROUNDS:
             raise FileFormatError(
-                f"The scene {str(scene)!r} has defaults that refer to later ones; define each before it is used."
+                f"The scene {str(scene)!r} has defaults that refer to later ones; define each "
+                "before it is used."
             )
         if first not in files:
             files[first] = _parsed(first)
         for file, parsed in list(files.items()):
             if trust is not None and parsed.unclear:
                 raise FileFormatError(
-                    f"The scene file {str(file)!r} {parsed.unclear}; a scene of a study must be plain XML in "
-                    "UTF-8: correct it."
+                    f"The scene file {str(file)!r} {parsed.unclear}; the scene file of a study "
+                    "must be plain XML in UTF-8: correct it."
                 )
             for parameter, text in parsed.defaults:
                 if trust is not None and not _PARAMETER.fullmatch(parameter):
                     raise FileFormatError(
-                        f"The scene file {str(file)!r} has the parameter {parameter[:80]!r}; its name must be "
-                        "letters, digits and underscores."
+                        f"The scene file {str(file)!r} has the parameter {parameter[:80]!r}; its "
+                        "name must be letters, digits and underscores."
                     )
                 known = values.setdefault(parameter, {})
                 known.update(dict.fromkeys(_expanded(text, values, file)))
@@ -698,7 +709,7 @@ def referenced_files(
                     around = tuple(folders | {file.parent: None})
                     if trust is not None and tag == "string":
                         trust.check_scene_spec(name, where)
-                        for ending in ("eta", "k"):  # Mitsuba looks up materials there
+                        for ending in ("eta", "k"):  # Mitsuba searches materials in these files
                             places(f"data/ior/{name}.{ending}.spd", around, where)
                     if tag == "path":
                         for folder in (*around, here):
@@ -720,7 +731,7 @@ def referenced_files(
                 for name in _expanded(text, values, file):
                     check_plugin(name, (*folders, file.parent, here))
 
-    # Elements, and how deep they are, with all includes in their places
+    # Count elements and their depth, with all includes expanded
     @functools.cache
     def extent(file: Path, level: int) -> tuple[int, int]:
         count, deepest = files[file].elements, files[file].depth
@@ -734,8 +745,8 @@ def referenced_files(
     count, deepest = extent(first, 0)
     if count > MOST_ELEMENTS:
         raise FileFormatError(
-            f"The scene {str(scene)!r} has {count} elements, with those that it includes; give at most "
-            f"{MOST_ELEMENTS}."
+            f"The scene {str(scene)!r} has {count} elements, with those that it includes; give at "
+            f"most {MOST_ELEMENTS}."
         )
     if deepest > DEEPEST:
         raise FileFormatError(
@@ -746,14 +757,14 @@ def referenced_files(
 
 @dataclass
 class _SceneFile:
-    """Contents of an XML file that are checked: its ``<default>`` values, files and plugins.
+    """Checked contents of an XML file: its ``<default>`` values, files and plugins.
 
     Attributes
     ----------
     names
-        Element, depth, text and line of all that may name a file.
+        Element, depth, text and line of every entry that may name a file.
     unclear
-        Why Mitsuba's parser may read another text than this one; empty if it does not.
+        Why Mitsuba's parser may read another text than this module does; otherwise empty.
     """
 
     elements: int = 0
@@ -765,7 +776,7 @@ class _SceneFile:
 
 
 def _parsed(file: Path) -> _SceneFile:
-    """Read an XML file without building its tree; nothing of one that is short and no XML."""
+    """Read an XML file without building its tree; empty for a short file that is not XML."""
     try:
         size = file.stat().st_size
         data = file.read_bytes() if size <= MOST_XML else b""
@@ -773,14 +784,14 @@ def _parsed(file: Path) -> _SceneFile:
         return _SceneFile()
     if size > MOST_XML:
         raise FileFormatError(
-            f"The scene file {str(file)!r} has {size} bytes; give at most {MOST_XML}, and meshes as "
-            "files of their own."
+            f"The scene file {str(file)!r} has {size} bytes; give at most {MOST_XML}, and meshes "
+            "as files of their own."
         )
     try:
         return _elements(file, data)
     except ExpatError as error:
         wrong = error
-    # Mitsuba's parser takes "--" in comments, and much else that is not XML
+    # Mitsuba's parser allows "--" in comments, and much else that is not XML
     if b"<![CDATA[" not in data and data.count(b"<?") < 2:
         plain = _COMMENT.sub(lambda m: b"<!--" + m[1].replace(b"-", b" ") + b"-->", data)
         with contextlib.suppress(ExpatError):
@@ -801,8 +812,8 @@ def _elements(file: Path, data: bytes) -> _SceneFile:
         value = attributes.get("value", "")
         name = attributes.get("filename") or (value if tag in ("string", "path") else "")
         if found.depth > DEEPEST or found.elements > MOST_ELEMENTS:
-            return  # too much already: counted on, for the message
-        # With a default that ends in a backslash, a text after it has the escape, too
+            return  # the limit is exceeded; counting continues for the message
+        # After a default that ends in a backslash, a text also contains the escape
         if any("\\$" in each for each in attributes.values()) or (
             tag == "default" and "\\" in value
         ):
@@ -841,16 +852,16 @@ def _elements(file: Path, data: bytes) -> _SceneFile:
     except (
         LookupError,
         ValueError,
-    ) as error:  # An encoding that Python does not know, or of several bytes
+    ) as error:  # an encoding that Python cannot decode, or a multi-byte one
         raise ExpatError(str(error)) from None
     return found
 
 
 def _expanded(text: str, values: Mapping[str, Iterable[str]], file: Path) -> list[str]:
-    """The text with each value of its ``$name``; one without a value stays.
+    """Return the text with each value of its ``$name``; a name without a value stays.
 
-    Mitsuba replaces what is known when it comes to the text: in ``$ab`` the value of ``a`` if there is
-    none of ``ab`` yet.
+    Mitsuba replaces the names that are defined when it reads the text: in ``$ab`` it inserts the
+    value of ``a`` if ``ab`` has no value yet.
     """
     beginning, *rest = text.split("$")
     found = [beginning]
@@ -867,25 +878,25 @@ def _expanded(text: str, values: Mapping[str, Iterable[str]], file: Path) -> lis
 
 def _too_many(file: Path, text: str) -> FileFormatError:
     return FileFormatError(
-        f"The scene file {str(file)!r} has more than {_MOST_NAMES} values for {text[:80]!r}, or longer ones "
-        f"than {_LONGEST_TEXT} characters; give its parameters one value each."
+        f"The scene file {str(file)!r} has more than {_MOST_NAMES} values for {text[:80]!r}, or "
+        f"longer ones than {_LONGEST_TEXT} characters; give its parameters one value each."
     )
 
 
 def check_plugin(name: str, folders: Iterable[Path]) -> None:
-    """Refuse a plugin that is a library in one of these folders: Mitsuba would run its code.
+    """Reject a plugin that is a library in one of these folders: Mitsuba would run its code.
 
     Raises
     ------
     FileFormatError
-        There is such a library, or the name is that of a path.
+        If a library with this name exists, or the name is a path.
     """
-    if "$" in name:  # a parameter without a value, which Mitsuba refuses
+    if "$" in name:  # a parameter without a value, which Mitsuba rejects
         return
     if not _PLUGIN_NAME.fullmatch(name):
         raise FileFormatError(
-            f"A scene has the plugin {shown(name)}; names of plugins have letters, digits, hyphens and "
-            "underscores."
+            f"A scene has the plugin {shown(name)}; names of plugins have letters, digits, hyphens "
+            "and underscores."
         )
     home = mitsuba_folder()
     own = None if home is None else home / "plugins"
@@ -894,13 +905,13 @@ def check_plugin(name: str, folders: Iterable[Path]) -> None:
             place = folder / "plugins" / f"{name}{ending}"
             if _exists(place) and place.resolve().parent != own:
                 raise FileFormatError(
-                    f"The plugin {shown(name)} is in {str(place)!r}; a scene's own libraries are not run: remove it, "
-                    "or put it into Mitsuba's folder of plugins."
+                    f"The plugin {shown(name)} is in {str(place)!r}; a scene's own libraries are "
+                    "not run: remove it, or put it into Mitsuba's folder of plugins."
                 )
 
 
 def _exists(place: Path, kind: Callable[[int], bool] = bool) -> bool:
-    """Whether there is a file, of this kind, at a place, whose name may be too long for one."""
+    """Whether a file of this type exists at a place; its name may be too long."""
     try:
         return kind(place.stat().st_mode)
     except (OSError, ValueError):
@@ -908,11 +919,11 @@ def _exists(place: Path, kind: Callable[[int], bool] = bool) -> bool:
 
 
 def _regular(place: Path, scene: Path) -> Path | None:
-    """The resolved path of a file, None if it does not exist; a device or a pipe is refused."""
+    """Return the resolved path of a file, or None if missing; reject a device or a pipe."""
     try:
         place = place.resolve()
         mode = place.stat().st_mode
-    except (OSError, RuntimeError, ValueError):  # RuntimeError: a loop of links
+    except (OSError, RuntimeError, ValueError):  # RuntimeError means a loop of links
         return None
     if stat.S_ISREG(mode):
         return place
@@ -924,7 +935,7 @@ def _regular(place: Path, scene: Path) -> Path | None:
 
 
 def _states(files: Iterable[Path]) -> State:
-    """States of those files that exist."""
+    """Return the states of existing files."""
     found = []
     for file in files:
         with contextlib.suppress(OSError):
@@ -934,16 +945,16 @@ def _states(files: Iterable[Path]) -> State:
 
 
 def what_fails(scene: Any) -> tuple[str, RuntimeError] | None:
-    """Return the first material or light that cannot be evaluated, and the error; None if all can.
+    """Return the first material or light that cannot be evaluated, and the error; otherwise None.
 
-    A virtual call of Dr.Jit traces every BSDF that is alive in the process, whatever scene it
-    belongs to: one whose evaluation fails makes all other scenes fail with it. So each is called
-    once, by itself, before a scene is used; calls that are only traced take microseconds. Hold
-    `backend.LOCK` around the call.
+    A virtual call of Dr.Jit traces every BSDF in the process, whatever scene it belongs to. If the
+    evaluation of one fails, all other scenes fail as well. So each is called once, alone, before a
+    scene is used; calls that are only traced take microseconds. Hold `backend.LOCK` around the
+    call.
     """
     import drjit
 
-    # A surface point in its own frame
+    # Create a surface point in its own frame
     mitsuba = load_mitsuba()
     at = drjit.zeros(mitsuba.SurfaceInteraction3f)
     at.n = at.wi = mitsuba.Normal3f(0.0, 0.0, 1.0)

@@ -1,8 +1,8 @@
-"""Our densities of directions for the environment of a scene, in place of Mitsuba's.
+"""Our densities of directions for the environment of a scene, instead of Mitsuba's.
 
-A density on [0,1)² (see `mcspectra.core.environments`: x_0 is φ/2π, x_1 is θ/π) becomes one of
-directions, p(x)/(2π² sin πx_1) per steradian. Mitsuba's maps have their first row at +y and φ runs
-from −z to +x, before the emitter's ``to_world``: ω = (sin θ sin φ, cos θ, −sin θ cos φ).
+A density on [0,1)² (see `mcspectra.core.environments`: x_0 is φ/2π, x_1 is θ/π) becomes a density
+of directions, p(x)/(2π² sin πx_1) per steradian. In Mitsuba's maps, the first row is at +y and φ
+runs from −z to +x, before the emitter's ``to_world``: ω = (sin θ sin φ, cos θ, −sin θ cos φ).
 """
 
 from __future__ import annotations
@@ -25,25 +25,25 @@ __all__ = ["Sky", "environment_of", "rotation_of", "sky_pixels", "sky_technique"
 
 _ROWS = 512
 _MOST_ROWS = 2**12
-_ORTHONORMAL = 1e-4  # of float32 matrices that several rotations make
-_SMALLEST_SINE = 1e-12  # at the poles, where a density per steradian has no bound
+_ORTHONORMAL = 1e-4  # tolerance for float32 matrices from several rotations
+_SMALLEST_SINE = 1e-12  # limit at the poles, where a density per steradian is unbounded
 
 
 @final
 @dataclass(frozen=True, eq=False)
 class Sky:
-    """A density on [0,1)², of directions toward an environment; `rotation` is its frame in the world."""
+    """A density of directions toward an environment; `rotation` is its frame in the world."""
 
     density: Density
     rotation: Array
 
     def sample(self, u: Array) -> tuple[Array, Array]:
-        """Directions (M, 3) in the world, and their densities per steradian (M,), of u (M, 2)."""
+        """Return directions (M, 3) in the world and densities per steradian (M,) for u (M, 2)."""
         x = self.density.sample(u)
         return _local(x) @ self.rotation.T, self._per_steradian(x)
 
     def pdf(self, directions: Array) -> Array:
-        """Density per steradian (M,) of unit vectors (M, 3) in the world."""
+        """Return the density per steradian (M,) of unit vectors (M, 3) in the world."""
         a, b, c = (directions @ self.rotation).T
         azimuth = np.arctan2(a, -c) / (2.0 * np.pi) % 1.0
         polar = np.arccos(np.clip(b, -1.0, 1.0)) / np.pi
@@ -55,12 +55,12 @@ class Sky:
 
 
 def environment_of(scene: Scene, light: int | str | None = None) -> Any:
-    """Return the environment emitter of a scene if it is the one light that counts.
+    """Return the environment emitter of a scene if it is the only used light.
 
     Raises
     ------
     ParameterError
-        There is no environment, or other lights are used too.
+        If the scene has no environment, or other lights are also used.
     """
     loaded = load_scene(scene)
     found = loaded.environment()
@@ -74,31 +74,31 @@ def environment_of(scene: Scene, light: int | str | None = None) -> Any:
         raise ParameterError(
             f"Directions are sampled toward the environment of {scene_name(scene)} only; give ",
             Parameter("light", emitter_name(found)),
-            ", so that no other light counts.",
+            ", so that no other light is used.",
         )
     return found
 
 
 def sky_pixels(scene: Scene, rows: int = _ROWS) -> Array:
-    """Radiance of a scene's environment as a lat-long map, in the emitter's own frame.
+    """Return the radiance of a scene's environment as a lat-long map, in the emitter's frame.
 
     Parameters
     ----------
     scene
-        A scene, as for `load_scene`.
+        A scene, same as for `load_scene`.
     rows
-        Pixels along θ; along φ there are twice as many.
+        Number of pixels along θ; there are twice as many along φ.
 
     Returns
     -------
     ndarray
-        Linear radiance (rows, 2 rows, 3) at pixel centers, to be given to `EnvironmentDensity`. Mitsuba's
-        maps have the centers of their first and last row at the poles: pixels are no copies of theirs.
+        Linear radiance (rows, 2 rows, 3) at pixel centers, for `EnvironmentDensity`. Mitsuba's maps
+        have the centers of the first and last row at the poles, so these pixels are not copies.
 
     Raises
     ------
     ParameterError
-        The scene has no environment, or rows are too few or too many.
+        If the scene has no environment, or rows are too few or too many.
     """
     height = as_integer("rows", rows, least=2, most=_MOST_ROWS)
     with LOCK:
@@ -112,10 +112,10 @@ def sky_pixels(scene: Scene, rows: int = _ROWS) -> Array:
 
 
 def sky_technique(scene: Scene, density: Density | str | None, channel: str | int) -> Sky:
-    """Return a density in two dims, or that of a spec, bound to the environment of a scene.
+    """Bind a density in two dims, or that of a spec, to the environment of a scene.
 
-    A spec of ``environment`` without a path means the scene's own environment, `sky_pixels`; None is
-    the same, bilinear, by `channel` (by luminance for ``"rgb"``).
+    A spec of ``environment`` without a path means the scene's own environment, `sky_pixels`. With
+    None, this environment is bilinear, by `channel` (by luminance for ``"rgb"``).
     """
     if density is None:
         chosen = "luminance" if channel == "rgb" else channel
@@ -128,7 +128,7 @@ def sky_technique(scene: Scene, density: Density | str | None, channel: str | in
 def _sky(loaded: Any, name: str, density: Density | str) -> Sky:
     made = as_density(density, 2) if isinstance(density, str) else density
     if isinstance(density, str) and isinstance(made, EnvironmentDensity):
-        # That of an environment map is the scene's unless it names another
+        # An environment map is the scene's unless the spec names another
         given = parse(density).arguments
         if not {"path", "values"} & set(given):
             made = EnvironmentDensity(values=_pixels(loaded.environment(), _ROWS), **given)
@@ -140,7 +140,7 @@ def _sky(loaded: Any, name: str, density: Density | str) -> Sky:
 
 
 def _pixels(emitter: Any, rows: int) -> Array:
-    """Radiance (rows, 2 rows, 3) at pixel centers."""
+    """Return radiance (rows, 2 rows, 3) at pixel centers."""
     x_1, x_0 = np.meshgrid(
         (np.arange(rows) + 0.5) / rows, (np.arange(2 * rows) + 0.5) / (2 * rows), indexing="ij"
     )
@@ -156,7 +156,7 @@ def _pixels(emitter: Any, rows: int) -> Array:
 
 
 def rotation_of(emitter: Any) -> Array:
-    """Return the frame of an emitter in the world, (3, 3), a ParameterError if it is scaled."""
+    """Return the frame of an emitter in the world, (3, 3); a scaled one is a ParameterError."""
     matrix = np.asarray(emitter.world_transform().matrix, np.float64).reshape(4, 4)[:3, :3]
     if not np.allclose(matrix.T @ matrix, np.eye(3), atol=_ORTHONORMAL):
         raise ParameterError(
@@ -167,7 +167,7 @@ def rotation_of(emitter: Any) -> Array:
 
 
 def _local(x: Array) -> Array:
-    """Unit vectors (M, 3) of x (M, 2) in the emitter's own frame."""
+    """Return unit vectors (M, 3) of x (M, 2) in the emitter's own frame."""
     phi, theta = 2.0 * np.pi * x[:, 0], np.pi * x[:, 1]
     sine = np.sin(theta)
     return np.stack([sine * np.sin(phi), np.cos(theta), -sine * np.cos(phi)], axis=-1)

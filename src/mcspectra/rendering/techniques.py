@@ -1,8 +1,9 @@
-"""Surface points that pixels see, and the techniques of their direct illumination.
+"""Visible surface points of pixels, and the techniques of their direct illumination.
 
-A technique, light or BSDF sampling, makes a direction of u in [0,1)² at every point and returns
-f/p, its own density and that of the other technique, per solid angle [VeachGuibas1995]_. Points may
-be one for all samples or one a sample. Hold `backend.LOCK` around every call.
+A technique, light or BSDF sampling, computes a direction from u in [0,1)² at every point. It
+returns f/p, its own density and the density of the other technique, per solid angle
+[VeachGuibas1995]_. There is one point for all samples, or one point per sample. Hold `backend.LOCK`
+around every call.
 """
 
 from __future__ import annotations
@@ -46,29 +47,29 @@ __all__ = [
 ]
 
 POWERS = {"balance": 1, "power": 2}
-"""Heuristics to their exponent β."""
+"""Exponents β of heuristics, by name."""
 
 Techniques = tuple[Any, Any, Any]
 """Value f/p, own density, density of the other technique."""
 
-_SCENES, _PIXELS = 4, 256  # whose hits are kept; of each scene
-_PROBES = 16  # positions along each side of a pixel at which `check_film_receivers` looks
+_SCENES, _PIXELS = 4, 256  # number of scenes whose hits are kept, and of pixels in each
+_PROBES = 16  # tested positions along each side of a pixel in `check_film_receivers`
 
 
 @dataclass(frozen=True)
 class Hit:
-    """Surface points met by rays: of one ray, or an array of many.
+    """Surface points hit by rays: by one ray, or by an array of many.
 
     Attributes
     ----------
     scene, interaction
         The Mitsuba scene, and the surface interactions.
     bsdf
-        The BSDF, None if the ray meets nothing; of many rays, a pointer for each.
+        The BSDF; None if a single ray hits nothing; for many rays, a pointer for each.
     active
-        Whether there is a surface that does not shine: one bool, or a mask.
+        Whether there is a surface that is not a light: one bool, or a mask.
     shape, light
-        Of one ray: id of the shape, and name of the light it meets or None.
+        For one ray: id of the shape, and name of the light it hits, or None.
     """
 
     scene: Any
@@ -86,10 +87,10 @@ def primary_hit(scene: Any, x: int, y: int) -> Hit:
 
 @functools.lru_cache(maxsize=_SCENES)
 def hits_of(scene: Any) -> Callable[[int, int], Hit]:
-    """Return `primary_hit` of one scene, which remembers its last pixels.
+    """Return `primary_hit` for one scene, with a cache of its last pixels.
 
-    Hits keep their scene alive, with its meshes and textures, and BSDFs that Dr.Jit then traces
-    for all scenes: so those of few scenes are remembered.
+    Hits keep their scene in memory with its meshes and textures, and with BSDFs that Dr.Jit traces
+    for all scenes. Therefore only a few scenes are cached.
     """
     return functools.lru_cache(maxsize=_PIXELS)(functools.partial(_primary_hit, scene))
 
@@ -97,7 +98,7 @@ def hits_of(scene: Any) -> Callable[[int, int], Hit]:
 def _primary_hit(scene: Any, x: int, y: int) -> Hit:
     import drjit
 
-    # Opaque: position and point become data, so that all pixels share their compiled kernels.
+    # Opaque: position and point become data, so that all pixels share compiled kernels.
     position = load_mitsuba().Point2f(*_on_film(scene, x, y))
     drjit.make_opaque(position)
     interaction = follow_camera(scene, position)
@@ -111,9 +112,9 @@ def _primary_hit(scene: Any, x: int, y: int) -> Hit:
 
 
 def film_hits(scene: Any, x: int, y: int, film: Array) -> Hit:
-    """Follow a ray through each position (M, 2) in [0,1)² of a pixel, and the center of the lens.
+    """Follow a ray through each position (M, 2) in [0,1)² of a pixel, and the lens's center.
 
-    A float32 tells positions apart that differ by 2⁻²⁴ of the whole film.
+    A float32 resolves positions to 2⁻²⁴ of the whole film.
     """
     import drjit
 
@@ -125,22 +126,23 @@ def film_hits(scene: Any, x: int, y: int, film: Array) -> Hit:
 
 
 def follow_camera(scene: Any, position: Any) -> Any:
-    """First hits of rays through positions of the film in [0,1)², halfway through the shutter's time."""
+    """First hits of rays through film positions in [0,1)², halfway through the shutter's time."""
     sensor = scene.sensors()[0]
     time = sensor.shutter_open() + 0.5 * sensor.shutter_open_time()
     mitsuba = load_mitsuba()
     ray, _ = sensor.sample_ray(time, 0.5, position, mitsuba.Point2f(0.5))
-    return scene.ray_intersect(ray, mitsuba.RayFlags.All, True)  # coherent: 10 % of an image's time
+    # coherent rays save 10 % of an image's time
+    return scene.ray_intersect(ray, mitsuba.RayFlags.All, True)
 
 
 def _on_film(scene: Any, x: int, y: int, dx: Any = 0.5, dy: Any = 0.5) -> tuple[Any, Any]:
-    """Coordinates in [0,1) of a position in a pixel on the film's crop window, in float64."""
+    """Coordinates in [0,1) of a pixel position on the film's crop window, in float64."""
     width, height = scene.sensors()[0].film().crop_size()
     return (x + dx) / int(width), (y + dy) / int(height)
 
 
 def check_pixel(scene: Scene, x: object, y: object) -> tuple[int, int]:
-    """Return x and y as Python integers; a pixel off the scene's film is a ParameterError."""
+    """Return x and y as Python integers; a pixel outside the film is a ParameterError."""
     width, height = film_size(scene)
     try:
         column = as_integer("x", x, least=0, most=width - 1)
@@ -153,7 +155,7 @@ def check_pixel(scene: Scene, x: object, y: object) -> tuple[int, int]:
 def check_receiver(scene: Scene, x: int, y: int) -> Hit:
     """Return the surface at the pixel's center if its reflection can be sampled.
 
-    A ParameterError if it sees nothing, a light, or a BSDF that is a delta function.
+    It is a ParameterError if the ray hits nothing, a light, or a BSDF that is a delta function.
     """
     hit = primary_hit(load_scene(scene), x, y)
     where = f"Pixel ({x}, {y}) of {scene_name(scene)}"
@@ -170,8 +172,8 @@ def check_receiver(scene: Scene, x: int, y: int) -> Hit:
 def check_film_receivers(scene: Scene, x: int, y: int, *, single_lobe: bool) -> None:
     """Raise a ParameterError unless the surfaces on a grid of positions can be sampled.
 
-    Parts of the pixel may see a light or nothing, but not all. With `single_lobe` a BSDF must do
-    without a third random number.
+    Parts of the pixel may show a light or nothing, but not all. With `single_lobe`, a BSDF must not
+    need a third random number.
     """
     middles = (np.arange(_PROBES) + 0.5) / _PROBES
     film = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
@@ -202,7 +204,7 @@ def _raise_delta(where: str, bsdf: Any, shape: str) -> None:
 
 
 def check_single_lobe(hit: Hit, dims: int) -> None:
-    """Refuse a BSDF that needs one random number more than `dims` has."""
+    """Raise an error if a BSDF needs one more random number than `dims` has."""
     mitsuba = load_mitsuba()
     grid = (np.arange(8, dtype=np.float32) + 0.5) / 8
     u = mitsuba.Point2f(*(mitsuba.Float(c.ravel()) for c in np.meshgrid(grid, grid)))
@@ -211,7 +213,7 @@ def check_single_lobe(hit: Hit, dims: int) -> None:
             f"The BSDF of the shape {hit.shape!r} ({hit.bsdf.class_name()}) selects a lobe by "
             "an extra random number; give ",
             Parameter("dims", dims + 1),
-            ", the last coordinate is that number.",
+            ": the last coordinate then selects the lobe.",
         )
 
 
@@ -240,16 +242,16 @@ def corners_of(pixels: Array) -> list[Any]:
 def lane_sums(
     lanes: int, count: int, numbers: int, values: Callable[[Any], Callable[[Any], Sequence[Any]]]
 ) -> Array:
-    """Sums of float32 numbers over k below `count`, in float64, of each lane: (lanes, numbers).
+    """Sum float32 numbers over k < `count` in float64 for each lane: (lanes, numbers).
 
-    One loop is recorded, so that memory does not grow with `count`; `values` of the lanes' numbers
-    gives the function of k.
+    One loop is recorded, so that memory does not grow with `count`. `values` maps the lane numbers
+    to a function of k.
     """
     import drjit
 
     mitsuba = load_mitsuba()
     real: Any = drjit.float64_array_t(mitsuba.Float)
-    # Opaque: numbers written into the kernel would have it compiled anew for each.
+    # Opaque: constants in the kernel would cause a new compilation for each number.
     end, at = drjit.opaque(mitsuba.UInt32, count), values(drjit.arange(mitsuba.UInt32, lanes))
 
     def add(k: Any, *sums: Any) -> tuple[Any, ...]:
@@ -264,9 +266,10 @@ def lane_sums(
 def pixel_sums(
     u: Array, pixels: int, numbers: int, values: Callable[[Any], Callable[[Any], Sequence[Any]]]
 ) -> Array:
-    """Sums over samples u (R, n, D), of all pixels alike, or (R, P, n, D): (numbers, R, P).
+    """Sum over samples u: (R, n, D), equal for all pixels, or (R, P, n, D); gives (numbers, R, P).
 
-    A lane is a realization of a pixel; `values` of the lanes' pixels gives the function of the row of u.
+    A lane is a realization of a pixel. `values` maps the lanes' pixels to a function of the row of
+    u.
     """
     import drjit
 
@@ -283,13 +286,13 @@ def pixel_sums(
 
 
 def chosen_channel(color: Any, channel: str | int) -> Any:
-    """The luminance of a color, or a channel by its number."""
+    """Return the luminance of a color, or a channel by its index."""
     return load_mitsuba().luminance(color) if channel == "luminance" else color[channel]
 
 
 def check_finite(values: Array, scene: Scene, pixels: Array) -> None:
-    """Refuse NaN and infinity among values (P, …) at pixels (P, 2)."""
-    if np.isfinite(values.sum()):  # a fraction of the time of looking at each
+    """Raise an error for NaN and infinity among values (P, …) at pixels (P, 2)."""
+    if np.isfinite(values.sum()):  # the sum is much faster than a test of each value
         return
     bad = ~np.isfinite(values)
     if bad.any():
@@ -303,10 +306,10 @@ def check_finite(values: Array, scene: Scene, pixels: Array) -> None:
 def sample_light(
     hit: Hit, emitter: Any, u: Any, extra: Any = None, active: Any = True
 ) -> Techniques:
-    """Sample the one light that counts, or with None one of all, by samples u, a `Point2f`.
+    """Sample the only light, or one of all lights if `emitter` is None, by samples u, a `Point2f`.
 
-    A third number in [0,1), `extra`, selects the light; None takes it from the first of u. The value
-    is 0 where points are not `active`.
+    A third number in [0,1), `extra`, selects the light; None takes it from the first coordinate of
+    u. The value is 0 at points that are not `active`.
     """
     import drjit
 
@@ -326,7 +329,7 @@ def sample_light(
     value *= weight
     useful = active & (sample.pdf > 0.0) & drjit.any(value != 0.0)
     visible = useful & ~hit.scene.ray_test(at.spawn_ray_to(sample.p), useful)
-    # BSDF sampling never meets a light that is a delta function: its density there is 0.
+    # BSDF sampling never hits a light that is a delta function: its density there is 0.
     other = drjit.select(sample.delta, 0.0, bsdf_pdf)
     return drjit.select(visible, value, 0.0), sample.pdf, other
 
@@ -334,7 +337,7 @@ def sample_light(
 def sample_bsdf(
     hit: Hit, emitter: Any, u: Any, extra: Any = None, active: Any = True
 ) -> Techniques:
-    """Sample the BSDF; parameters as those of `sample_light`, `extra` selects the lobe."""
+    """Sample the BSDF; parameters as in `sample_light`, but `extra` selects the lobe."""
     value, own, other, _ = follow_bsdf(hit, emitter, u, extra, active)
     return value, own, other
 
@@ -342,7 +345,7 @@ def sample_bsdf(
 def follow_bsdf(
     hit: Hit, emitter: Any, u: Any, extra: Any = None, active: Any = True
 ) -> tuple[Any, Any, Any, Any]:
-    """`sample_bsdf` with the direction in the world, a `Vector3f`."""
+    """Same as `sample_bsdf`, and also return the direction in the world, a `Vector3f`."""
     import drjit
 
     mitsuba, at, scene = load_mitsuba(), hit.interaction, hit.scene
@@ -350,14 +353,14 @@ def follow_bsdf(
     sample, weight = hit.bsdf.sample(mitsuba.BSDFContext(), at, lobe, u, active)
     useful = active & (sample.pdf > 0.0) & drjit.any(weight != 0.0)
     ray = at.spawn_ray(at.to_world(sample.wo))
-    # UV: without texture coordinates textured lights come out wrong by 10-15 %.
+    # UV: without texture coordinates, textured lights are wrong by 10-15 %.
     met = scene.ray_intersect(ray, mitsuba.RayFlags.UV, False, useful)
     found = met.emitter(scene, useful)
-    # A ray that meets no light has a null pointer, whose calls give zero.
+    # A ray that hits no light has a null pointer, whose calls return zero.
     shines = useful if emitter is None else useful & (found == mitsuba.EmitterPtr(emitter))
     value = drjit.select(shines, weight * found.eval(met, shines), 0.0)
     direction = mitsuba.DirectionSample3f(scene, met, at)
-    # Light sampling never gives the one direction of a specular lobe: its density there is 0.
+    # Light sampling never gives the exact direction of a specular lobe: its density there is 0.
     rough = shines & ~mitsuba.has_flag(sample.sampled_type, mitsuba.BSDFFlags.Delta)
     if emitter is None:
         light_pdf = scene.pdf_emitter_direction(at, direction, rough)
@@ -367,7 +370,7 @@ def follow_bsdf(
 
 
 def look_at_sky(hit: Hit, emitter: Any, direction: Any, active: Any = True) -> tuple[Any, Any]:
-    """Evaluate f_r L V cos and the BSDF's density in directions in the world to an environment."""
+    """Evaluate f_r L V cos and the BSDF's density in world directions toward an environment."""
     import drjit
 
     mitsuba, at = load_mitsuba(), hit.interaction
@@ -380,7 +383,7 @@ def look_at_sky(hit: Hit, emitter: Any, direction: Any, active: Any = True) -> t
 
 
 def heuristic_weight(own: Any, other: Any, power: int) -> Any:
-    """Return own^β / (own^β + other^β), from the ratio: squares overflow float32 for mirrors."""
+    """Return own^β / (own^β + other^β) from the ratio: squares overflow float32 for mirrors."""
     import drjit
 
     ratio = drjit.select(own > 0.0, other / own, 0.0)

@@ -2,14 +2,14 @@
 
 Method
 ------
-All samples of a chunk of pixels run in one kernel, the strategies are those of `techniques`, and
-values are added up over the samples of each pixel in float64 before they leave it. Chunks bound the
-memory by their number of samples, whatever the number of pixels and samples a pixel.
+All samples of a chunk of pixels run in one kernel, by the strategies of `techniques`. The kernel
+adds up values over the samples of each pixel in float64. The number of samples in a chunk bounds
+the memory, for any number of pixels and of samples per pixel.
 
-The columns of u are, in this order: two for the position in the pixel, if that is sampled; then
-two for the direction, or three if the third selects (a light, or a lobe of the BSDF). The strategy
-``mis`` adds up both techniques at the same surface point, so it has one such block for the light
-and then one for the BSDF.
+The columns of u are, in this order: two for the position in the pixel, if it is sampled; then two
+for the direction, or three if the third selects a light or a lobe of the BSDF. The strategy ``mis``
+adds up both techniques at the same surface point, so it has such a block for the light and then one
+for the BSDF.
 """
 
 from __future__ import annotations
@@ -51,10 +51,10 @@ __all__ = ["CHUNK_SAMPLES", "FILMS", "WAVEFRONT_STRATEGIES", "Wavefront"]
 WAVEFRONT_STRATEGIES = ("light", "bsdf", "mis-light", "mis-bsdf", "mis")
 FILMS = ("center", "sampled")
 CHUNK_SAMPLES = 2**20
-"""Samples in one kernel: some 200 MiB of Dr.Jit's memory, and no faster if larger."""
+"""Samples in one kernel: some 200 MiB of Dr.Jit's memory; larger kernels are not faster."""
 
-_LOOP_SAMPLES = 16  # most samples that a lane runs over: more would leave too few lanes
-_MOST_VALUES = 2**26  # lanes whose values are returned one by one: 768 MiB of float32
+_LOOP_SAMPLES = 16  # most samples that a lane runs over; more would leave too few lanes
+_MOST_VALUES = 2**26  # limit of lanes whose values are returned individually: 768 MiB of float32
 
 
 class Wavefront:
@@ -63,26 +63,26 @@ class Wavefront:
     Parameters
     ----------
     scene
-        A scene, as for `load_scene`.
+        A scene, same as for `load_scene`.
     light
-        Index or name of the only light to use; all by default.
+        Index or name of the only light to use; by default all lights.
     film
-        ``"center"``: rays through the pixels' centers. ``"sampled"``: through a point of the pixel
-        that the first two columns of u choose, uniformly (a box filter).
+        ``"center"``: rays through the pixels' centers. ``"sampled"``: rays through a point of the
+        pixel that the first two columns of u choose uniformly (a box filter).
     heuristic
         ``"balance"`` or ``"power"`` (β = 2), for the ``mis`` strategies.
     emission
-        Whether lights that the camera sees are part of the image.
+        Whether the image includes directly visible lights.
 
     Raises
     ------
     ParameterError
-        A parameter is not one of those allowed, or the scene has no camera or no lights.
+        If a parameter is not allowed, or the scene has no camera or no lights.
 
     Notes
     -----
-    Rays start at the center of the lens, in the middle of the shutter's time. A light that is a
-    delta function has no part in ``bsdf``, nor a specular lobe in ``light``; ``mis`` has both.
+    Rays start at the center of the lens, in the middle of the shutter's time. ``bsdf`` excludes
+    lights that are delta functions, and ``light`` excludes specular lobes; ``mis`` includes both.
     """
 
     def __init__(
@@ -105,7 +105,7 @@ class Wavefront:
             self._request, self._scene = scene, load_scene(scene)
             check_media(scene)
             self.width, self.height = film_size(scene)
-            # As data of kernels: division by a number written into one is rounded otherwise
+            # Passed as data: division by a constant in a kernel would round differently
             sides = (float(side) for side in (self.width, self.height))
             self._size = [drjit.opaque(load_mitsuba().Float, side) for side in sides]
             self._emitter = None if light is None else find_emitter(scene, light)
@@ -113,7 +113,7 @@ class Wavefront:
                 raise ParameterError(
                     f"The scene {scene_name(scene)} has no lights; add an emitter."
                 )
-            # A BSDF with several components on a side chooses among them by a random number
+            # A BSDF with several components on a side selects one by a random number
             flags = load_mitsuba().BSDFFlags
             bsdfs = [shape.bsdf() for shape in self._scene.shapes()]
             self.selects_lobe = any(
@@ -121,14 +121,14 @@ class Wavefront:
                 for b in bsdfs
                 for side in (flags.FrontSide, flags.BackSide)
             )
-        # Tiles are evaluated again and again with other points, so their first hits are kept.
+        # Tiles are evaluated repeatedly with other points, so their first hits are cached.
         self._center_hits = functools.lru_cache(maxsize=4)(self._trace_centers)
 
     def dims(self, strategy: str, *, select: bool | None = None) -> int:
-        """Return the number of columns that a strategy takes.
+        """Return the number of columns that a strategy uses.
 
-        With `select` the third of each block selects; by default where a BSDF of the scene needs
-        that.
+        With `select`, the third column of each block selects; by default this is used if a BSDF of
+        the scene needs it.
         """
         as_choice("strategy", strategy, WAVEFRONT_STRATEGIES)
         if select is None:
@@ -139,14 +139,14 @@ class Wavefront:
     def values(self, strategy: str, pixels: Any, u: Any) -> Array:
         """Return the estimate of every sample of every pixel: float32 (P, S, 3).
 
-        Parameters and errors as those of `means`; more than 2^26 samples are refused too.
+        Parameters and errors are the same as in `means`; more than 2^26 samples are an error.
         """
         pixels, u = self._checked(strategy, pixels, u)
         count = u.shape[-2]
         if len(pixels) * count > _MOST_VALUES:
             raise ParameterError(
                 f"{len(pixels)} pixels with {count} samples are {len(pixels) * count:.3g} values; "
-                f"ask for {_MOST_VALUES:.3g} at a time, or for means."
+                f"compute at most {_MOST_VALUES:.3g} at a time, or use means."
             )
         out = np.empty((len(pixels), count, 3), np.float32)
         for rows, columns, samples in _chunks(len(pixels), u):
@@ -159,12 +159,12 @@ class Wavefront:
         Parameters
         ----------
         strategy
-            ``"light"``, ``"bsdf"``, their shares of multiple importance sampling ``"mis-light"``
-            and ``"mis-bsdf"``, or ``"mis"``, their sum.
+            ``"light"``, ``"bsdf"``, their parts of multiple importance sampling ``"mis-light"`` and
+            ``"mis-bsdf"``, or their sum ``"mis"``.
         pixels
             Integers (P, 2): x and y, counted from the left and from the top.
         u
-            Samples in [0,1), (P, S, dims), or (S, dims) for all pixels alike; see `dims`.
+            Samples in [0,1), (P, S, dims), or (S, dims), equal for all pixels; see `dims`.
 
         Returns
         -------
@@ -174,10 +174,10 @@ class Wavefront:
         Raises
         ------
         ParameterError
-            An unknown strategy, pixels outside the film, u of the wrong shape, or NaN and infinite
-            values from the renderer.
+            If the strategy is unknown, pixels are outside the film, u has the wrong shape, or the
+            renderer returns NaN or infinite values.
         DomainError
-            Samples that are NaN or outside [0,1).
+            If samples are NaN or outside [0,1).
         """
         pixels, u = self._checked(strategy, pixels, u)
         out = np.zeros((len(pixels), 3))
@@ -187,7 +187,7 @@ class Wavefront:
         return out
 
     def net_means(self, strategy: str, pixels: Array, points: NetPoints) -> Array:
-        """`means` by points that the kernel computes, a set for each pixel; nothing is checked."""
+        """Same as `means` for points computed by the kernel, one set per pixel; without checks."""
         sums = self._sums(strategy, pixels, points)
         sums /= points.count
         return sums
@@ -238,7 +238,7 @@ class Wavefront:
         return sums
 
     def _parts(self, strategy: str, pixels: Array, points: Array | NetPoints, each: int) -> Array:
-        """Sums over `each` samples in succession, by a lane: float64 (P, n / each, 3)."""
+        """Sums over `each` consecutive samples per lane: float64 (P, n / each, 3)."""
         import drjit
 
         mitsuba, count, at_center = load_mitsuba(), points.shape[-2], self.film == "center"
@@ -270,13 +270,13 @@ class Wavefront:
                 else:
                     at = self._trace(x + blocks[0], y + blocks[1])
                     hits, blocks = Hit(self._scene, at, at.bsdf()), blocks[2:]
-                if strategy == "mis":  # a block of columns for each technique
+                if strategy == "mis":  # one block of columns for each technique
                     half = len(blocks) // 2
                     found = self._technique("mis-light", hits, blocks[:half])
                     found += self._technique("mis-bsdf", hits, blocks[half:])
                 else:
                     found = self._technique(strategy, hits, blocks)
-                if self.emission:  # light that the camera sees itself
+                if self.emission:  # add directly visible lights
                     seen = hits.interaction.emitter(self._scene)
                     emitter = self._emitter
                     counts = True if emitter is None else seen == mitsuba.EmitterPtr(emitter)
@@ -316,7 +316,7 @@ class Wavefront:
 
 
 def _chunks(pixels: int, u: Array) -> Iterator[tuple[slice, slice, Array]]:
-    """Slices of pixels and of at most `CHUNK_SAMPLES` samples in all, and these as contiguous float32."""
+    """Yield slices of pixels and of at most `CHUNK_SAMPLES` samples, as contiguous float32."""
     width = min(u.shape[-2], CHUNK_SAMPLES)
     height = max(1, CHUNK_SAMPLES // width)
     for row in range(0, pixels, height):

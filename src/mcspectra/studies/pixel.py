@@ -35,7 +35,7 @@ from mcspectra.quality.jumps import curve_length
 from mcspectra.rendering.backend import LOCK
 from mcspectra.rendering.pixel import (
     Pixel,
-    View,
+    PixelView,
     check_view,
     describe_pixel,
     incident_light,
@@ -197,7 +197,7 @@ def analyse_pixel(
         raise ParameterError(
             Parameter("channel"), " is 'rgb'; give 'luminance', 0, 1 or 2, one at a time."
         )
-    view = check_view(View(request, x, y, light, channel, dims), bsdf=True)
+    view = check_view(PixelView(request, x, y, light, channel, dims), bsdf=True)
     warn_integrator(request)
     chosen = EFFORTS[as_choice("effort", effort, tuple(EFFORTS))]
     asked = chosen.counts[dims] if counts is None else counts
