@@ -40,10 +40,10 @@ from mcspectra.spectra.transforms import FrequencyGrid, IndexGrid, Transform, gi
 __all__ = [
     "BASES",
     "Basis",
-    "Cosine",
-    "Fourier",
-    "Haar",
-    "Walsh",
+    "CosineBasis",
+    "FourierBasis",
+    "HaarBasis",
+    "WalshBasis",
     "fitting_basis",
     "hadamard",
     "make_basis",
@@ -83,7 +83,7 @@ class Basis(IndexGrid, ABC):
 
 @final
 @dataclass(frozen=True)
-class Fourier(Basis):
+class FourierBasis(Basis):
     """Fourier basis: complex; the coefficients of −m are conjugates of those of m and not kept."""
 
     name: ClassVar[str] = "fourier"
@@ -109,7 +109,7 @@ class Fourier(Basis):
 
 @final
 @dataclass(frozen=True)
-class Cosine(Basis):
+class CosineBasis(Basis):
     """Cosine basis: no jump from f(1) to f(0), so that smooth f converge fast, periodic or not."""
 
     name: ClassVar[str] = "cosine"
@@ -203,7 +203,7 @@ class _Dyadic(Basis):
 
 @final
 @dataclass(frozen=True)
-class Walsh(_Dyadic):
+class WalshBasis(_Dyadic):
     """Walsh basis in Paley order, as in the theory of digital nets."""
 
     name: ClassVar[str] = "walsh"
@@ -218,7 +218,7 @@ class Walsh(_Dyadic):
 
 @final
 @dataclass(frozen=True)
-class Haar(_Dyadic):
+class HaarBasis(_Dyadic):
     """Haar basis: index 2^j + t is the wavelet of level j in the t-th interval of length 2^-j."""
 
     name: ClassVar[str] = "haar"
@@ -246,7 +246,9 @@ def hadamard(values: Array) -> Array:
     return values
 
 
-_CLASSES: dict[str, type[Basis]] = {c.name: c for c in (Fourier, Cosine, Walsh, Haar)}
+_CLASSES: dict[str, type[Basis]] = {
+    c.name: c for c in (FourierBasis, CosineBasis, WalshBasis, HaarBasis)
+}
 BASES = tuple(_CLASSES)
 """Names of the bases."""
 

@@ -23,7 +23,7 @@ from mcspectra.core.tally import counting
 from mcspectra.integrands import Integrand, as_integrand
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.samplers.law import Fixed, Law, Scrambled
-from mcspectra.spectra.bases import Walsh
+from mcspectra.spectra.bases import WalshBasis
 from mcspectra.spectra.closed_forms import points_at
 
 if TYPE_CHECKING:
@@ -129,7 +129,7 @@ def nested_variances(
     """
     levels = as_integer("levels", levels, least=1, most=24)
     integrand = as_integrand(integrand)
-    basis = Walsh(integrand.dims, 2 ** (levels - 1))
+    basis = WalshBasis(integrand.dims, 2 ** (levels - 1))
     with counting("nested_variances", max_evaluations):
         coefficients, _ = basis.integrand(integrand)
     squares = basis.full(np.abs(coefficients) ** 2)
