@@ -68,7 +68,13 @@ from mcspectra.samplers.law import (
     scrambled,
 )
 
-__all__ = ["Moments", "closed_form_covariance", "closed_form_power", "moments_of", "points_at"]
+__all__ = [
+    "SpectralMoments",
+    "closed_form_covariance",
+    "closed_form_power",
+    "moments_of",
+    "points_at",
+]
 
 _SCRAMBLED_BITS = 32
 """Bits that are scrambled; lower ones are uniform and independent."""
@@ -195,7 +201,7 @@ def closed_form_covariance(
 
 @final
 @dataclass(frozen=True)
-class Moments:
+class SpectralMoments:
     """Exact moments of S_ν."""
 
     mean: Callable[[Array], Array]  # ⟨S_ν⟩ of frequencies (..., d): complex (...)
@@ -209,7 +215,7 @@ class Moments:
         return np.asarray(self.covariance(nu, nu).real + np.abs(self.mean(nu)) ** 2)
 
 
-def moments_of(law: Law, name: str, *frequencies: Array) -> Moments:
+def moments_of(law: Law, name: str, *frequencies: Array) -> SpectralMoments:
     """Return the exact moments of a law, if they are known at the given frequencies.
 
     Raises
@@ -250,24 +256,24 @@ def _check_integers(name: str, *frequencies: Array) -> None:
 
 
 @singledispatch
-def _moments(law: Law) -> Moments | None:  # noqa: ARG001
+def _moments(law: Law) -> SpectralMoments | None:  # noqa: ARG001
     """Moments of a law, None where they are not known."""
     return None
 
 
 @_moments.register
-def _(law: Independent) -> Moments:
+def _(law: Independent) -> SpectralMoments:
     point = UniformPoint()
     return _motifs((1,) * law.dims, law.n, point)
 
 
 @_moments.register
-def _(law: Strata) -> Moments:
+def _(law: Strata) -> SpectralMoments:
     return _motifs(law.sides, law.n // law.motif.size, law.motif)
 
 
 @_moments.register
-def _(law: PairedAxes) -> Moments:
+def _(law: PairedAxes) -> SpectralMoments:
     strata, parts = np.array(law.strata), np.array(law.parts)
 
     def pairs(m: Array, other: Array) -> Array:
@@ -285,7 +291,7 @@ def _(law: PairedAxes) -> Moments:
 
 
 @_moments.register
-def _(law: Product) -> Moments | None:
+def _(law: Product) -> SpectralMoments | None:
     # Pairs of different points, and single points, are independent over the groups of axes
     n, parts = law.n, []
     for part, axes in zip(law.parts, law.axes, strict=True):
@@ -306,16 +312,16 @@ def _(law: Product) -> Moments | None:
         second = mean(m - other) / n + (1.0 - 1.0 / n) * different
         return np.asarray(second - mean(m) * np.conj(mean(other)))
 
-    return Moments(mean, covariance, any(each.integer for each, _ in parts))
+    return SpectralMoments(mean, covariance, any(each.integer for each, _ in parts))
 
 
 @_moments.register
-def _(law: Stationary) -> Moments | None:
+def _(law: Stationary) -> SpectralMoments | None:
     return None if law.power is None else _stationary(law.power)
 
 
 @_moments.register
-def _(law: Shifted) -> Moments | None:
+def _(law: Shifted) -> SpectralMoments | None:
     if isinstance(law.inner, Fixed) and law.inner.sides is not None:
         return _offset_grid(np.asarray(law.inner.sides, float))
     inner = _moments(law.inner)
@@ -323,12 +329,12 @@ def _(law: Shifted) -> Moments | None:
 
 
 @_moments.register
-def _(law: Moved) -> Moments | None:
+def _(law: Moved) -> SpectralMoments | None:
     inner = _moments(law.inner)
     return None if inner is None else _moved(inner, np.array(law.by))
 
 
-def _motifs(sides: tuple[int, ...], count: int, motif: Motif) -> Moments:
+def _motifs(sides: tuple[int, ...], count: int, motif: Motif) -> SpectralMoments:
     """`count` independent motifs, spread evenly over the cells; their moments in units of cells."""
     s = np.asarray(sides, float)
 
@@ -337,10 +343,12 @@ def _motifs(sides: tuple[int, ...], count: int, motif: Motif) -> Moments:
         within = motif.second(a, b) - motif.mean(a) * np.conj(motif.mean(b))
         return np.asarray(_product(_comb(m - other, s)) * within / count)
 
-    return Moments(lambda nu: _product(_comb(nu, s)) * motif.mean(nu / s), covariance, motif.wraps)
+    return SpectralMoments(
+        lambda nu: _product(_comb(nu, s)) * motif.mean(nu / s), covariance, motif.wraps
+    )
 
 
-def _offset_grid(s: Array) -> Moments:
+def _offset_grid(s: Array) -> SpectralMoments:
     """A grid of s points along each axis, with one uniform offset within a cell."""
 
     def covariance(m: Array, other: Array) -> Array:
@@ -348,21 +356,21 @@ def _offset_grid(s: Array) -> Moments:
         offset = offset - _product(_interval(m / s)) * np.conj(_product(_interval(other / s)))
         return np.asarray(_product(_comb(m, s)) * np.conj(_product(_comb(other, s))) * offset)
 
-    return Moments(lambda nu: _product(_comb(nu, s) * _interval(nu / s)), covariance)
+    return SpectralMoments(lambda nu: _product(_comb(nu, s) * _interval(nu / s)), covariance)
 
 
-def _stationary(power: Callable[[Array], Array]) -> Moments:
+def _stationary(power: Callable[[Array], Array]) -> SpectralMoments:
     """Moments at integers of a set that is the same after any translation: unbiased, and diagonal."""
 
     def covariance(m: Array, other: Array) -> Array:
         same = np.all(m == other, axis=-1)
         return np.asarray(np.where(same, power(m) - _is_zero(m), 0.0) + 0j)
 
-    return Moments(lambda nu: _is_zero(nu) + 0j, covariance, integer=True)
+    return SpectralMoments(lambda nu: _is_zero(nu) + 0j, covariance, integer=True)
 
 
 @_moments.register
-def _(law: Fixed) -> Moments:
+def _(law: Fixed) -> SpectralMoments:
     # A set that is the same every time: S_ν itself, by the dual lattice or by summing it
     def mean(nu: Array) -> Array:
         if law.sides is not None:
@@ -380,17 +388,19 @@ def _(law: Fixed) -> Moments:
 
         return mean_of_terms(law.n, nu, terms)
 
-    return Moments(mean, lambda m, other: np.zeros(np.broadcast(m, other).shape[:-1], complex))
+    return SpectralMoments(
+        mean, lambda m, other: np.zeros(np.broadcast(m, other).shape[:-1], complex)
+    )
 
 
-def _of_pairs(n: int, pairs: Callable[[Array, Array], Array]) -> Moments:
+def _of_pairs(n: int, pairs: Callable[[Array, Array], Array]) -> SpectralMoments:
     """Moments of n points each uniform, from (1/n²) Σ over pairs of different points."""
 
     def covariance(m: Array, other: Array) -> Array:
         second = _product(_interval(m - other)) / n + pairs(m, other)
         return np.asarray(second - _product(_free(m, other)))
 
-    return Moments(lambda nu: _product(_interval(nu)), covariance)
+    return SpectralMoments(lambda nu: _product(_interval(nu)), covariance)
 
 
 def _free(m: Array, other: Array) -> Array:
@@ -413,7 +423,7 @@ def _level_mates(m: Array, other: Array, s: int | Array, parts: int | Array | No
 
 
 @_moments.register
-def _(law: Scrambled) -> Moments | None:
+def _(law: Scrambled) -> SpectralMoments | None:
     net = law.inner
     if isinstance(net, Product):  # the digits of each axis are permuted independently
         parts = tuple(
@@ -541,13 +551,13 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
     return np.asarray(total.reshape(m.shape[:-1]) / (n * rows))
 
 
-def _moved(moments: Moments, by: Array) -> Moments:
+def _moved(moments: SpectralMoments, by: Array) -> SpectralMoments:
     """After a fixed translation, at integer frequencies: phases."""
 
     def phase(nu: Array) -> Array:
         return np.asarray(np.exp(-2j * np.pi * np.remainder((nu * by).sum(axis=-1), 1.0)))
 
-    return Moments(
+    return SpectralMoments(
         lambda nu: moments.mean(nu) * phase(nu),
         lambda m, other: moments.covariance(m, other) * phase(m - other),
         integer=True,
