@@ -14,12 +14,12 @@ from mcspectra.samplers.law import (
     Choice,
     Fixed,
     Folded,
+    GroupedAxes,
     Independent,
     Law,
     Mirrored,
     Moved,
     PairedAxes,
-    Product,
     Scrambled,
     Shifted,
     Stationary,
@@ -243,7 +243,7 @@ class LatticeWithStrata(mcs.Sampler):
         side = round(n**0.5)
         lattice = Fixed(n=n, dims=3, vector=tuple(self.vector(n).tolist()), even=True)
         strata = Strata(n=n, dims=2, sides=(side, side))
-        return Product(n=n, dims=5, parts=(shifted(lattice), strata))
+        return GroupedAxes(n=n, dims=5, parts=(shifted(lattice), strata))
 
 
 class TestProduct:
@@ -318,7 +318,7 @@ class TestProduct:
         law = self.sampler.law(16)
         assert (shifted(law).stationary, law.stationary, law.uniform) == (True, False, True)
         parts = tuple(shifted(part) for part in law.parts)
-        both = Product(n=16, dims=5, parts=parts)
+        both = GroupedAxes(n=16, dims=5, parts=parts)
         assert shifted(both) is both
         shift = self.sampler.then(mcs.samplers.Shift())
         m = np.array([[1, 0, 0, 1, 0], [0, 0, 0, 4, 0], [0, 0, 0, 1, 0]])
@@ -329,8 +329,8 @@ class TestProduct:
         assert isinstance(lattice, Scrambled)
         net = Fixed(n=4, dims=2, bases=(2, 2), digital=True).of(mcs.sampler("sobol", dims=2))
         strata = Strata(n=4, dims=1, sides=(4,))
-        product = scrambled(Product(n=4, dims=3, parts=(net, strata)), "nested", (2,) * 3)
-        own = Product(n=4, dims=3, parts=(scrambled(net, "nested", (2, 2)), strata))
+        product = scrambled(GroupedAxes(n=4, dims=3, parts=(net, strata)), "nested", (2,) * 3)
+        own = GroupedAxes(n=4, dims=3, parts=(scrambled(net, "nested", (2, 2)), strata))
         m = np.random.default_rng(1).integers(-5, 6, (30, 3)).astype(float)
         np.testing.assert_allclose(
             moments_of(product, "product", m).power(m), moments_of(own, "own", m).power(m)
@@ -341,14 +341,16 @@ def test_a_latin_hypercube_is_a_product_of_strata_of_single_axes():
     n, m = 8, np.random.default_rng(1).uniform(-9, 9, (50, 3))
     other = m[::-1].copy()
     single = Strata(n=n, dims=1, sides=(n,))
-    product = moments_of(Product(n=n, dims=3, parts=(single,) * 3), "product", m, other)
+    product = moments_of(GroupedAxes(n=n, dims=3, parts=(single,) * 3), "product", m, other)
     latin = moments_of(latin_hypercube(n, 3), "latin", m, other)
     np.testing.assert_allclose(product.power(m), latin.power(m), atol=1e-14)
     np.testing.assert_allclose(product.covariance(m, other), latin.covariance(m, other), atol=1e-14)
     # Groups may be any axes
     pair = Strata(n=9, dims=2, sides=(3, 3))
-    split = Product(n=9, dims=3, parts=(pair, Strata(n=9, dims=1, sides=(9,))), axes=((0, 2), (1,)))
-    straight = Product(n=9, dims=3, parts=split.parts)
+    split = GroupedAxes(
+        n=9, dims=3, parts=(pair, Strata(n=9, dims=1, sides=(9,))), axes=((0, 2), (1,))
+    )
+    straight = GroupedAxes(n=9, dims=3, parts=split.parts)
     swap = [0, 2, 1]
     np.testing.assert_allclose(
         moments_of(split, "split", m).power(m),
@@ -364,4 +366,4 @@ def test_a_latin_hypercube_is_a_product_of_strata_of_single_axes():
 def test_products_that_do_not_fit_are_refused(n, axes, words):
     part = Strata(n=8, dims=1, sides=(8,))
     with pytest.raises(ParameterError, match=words):
-        Product(n=n, dims=2, parts=(part, part), axes=axes)
+        GroupedAxes(n=n, dims=2, parts=(part, part), axes=axes)

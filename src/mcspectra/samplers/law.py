@@ -16,7 +16,7 @@ A law is a small tree of frozen classes. Leaves describe how points are drawn:
     Fixed         the same set every time
     Stationary    a set whose law is the same after any translation of the torus
     Choice        one of several laws, chosen at random
-    Product       independent sets in groups of axes, their points paired at random
+    GroupedAxes   independent sets in groups of axes, their points paired at random
     Unknown       anything that can only be drawn
 
 Operators describe how a set is randomized:
@@ -53,6 +53,7 @@ __all__ = [
     "Fixed",
     "Folded",
     "GaussianPoint",
+    "GroupedAxes",
     "Independent",
     "Law",
     "Mirrored",
@@ -60,7 +61,6 @@ __all__ = [
     "Moved",
     "PairPattern",
     "PairedAxes",
-    "Product",
     "Scramble",
     "Scrambled",
     "Shifted",
@@ -500,7 +500,7 @@ class Choice(Law):
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Product(Law):
+class GroupedAxes(Law):
     """Independent sets in groups of axes, whose points are paired in random orders.
 
     Point i of the whole set has the coordinates of point π_g(i) of the set of each group g, with independent
@@ -822,7 +822,7 @@ def independent_sets(law: Law) -> int | None:
             return law.sets
         case Shifted() | Moved() | Scrambled() | Folded() | Mirrored():
             return independent_sets(law.inner)
-        case Product():
+        case GroupedAxes():
             known = [independent_sets(part) for part in law.parts]
             return min((sets for sets in known if sets is not None), default=None)
     return None

@@ -53,12 +53,12 @@ from mcspectra.integrands._quadrature import AxisRule
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.samplers.law import (
     Fixed,
+    GroupedAxes,
     Independent,
     Law,
     Motif,
     Moved,
     PairedAxes,
-    Product,
     Scrambled,
     Shifted,
     Stationary,
@@ -291,7 +291,7 @@ def _(law: PairedAxes) -> SpectralMoments:
 
 
 @_moments.register
-def _(law: Product) -> SpectralMoments | None:
+def _(law: GroupedAxes) -> SpectralMoments | None:
     # Pairs of different points, and single points, are independent over the groups of axes
     n, parts = law.n, []
     for part, axes in zip(law.parts, law.axes, strict=True):
@@ -425,7 +425,7 @@ def _level_mates(m: Array, other: Array, s: int | Array, parts: int | Array | No
 @_moments.register
 def _(law: Scrambled) -> SpectralMoments | None:
     net = law.inner
-    if isinstance(net, Product):  # the digits of each axis are permuted independently
+    if isinstance(net, GroupedAxes):  # the digits of each axis are permuted independently
         parts = tuple(
             scrambled(part, law.kind, [law.bases[axis] for axis in axes], shifts=law.shifts)
             for part, axes in zip(net.parts, net.axes, strict=True)
