@@ -12,7 +12,7 @@ from mcspectra.core.spec import Call
 from mcspectra.samplers.base import Sampler
 from mcspectra.samplers.registry import SAMPLERS
 
-__all__ = ["Facts", "sampler_facts"]
+__all__ = ["SamplerFacts", "sampler_facts"]
 
 _DIMS_TRIED = 8
 _COUNTS_TRIED = 100
@@ -21,7 +21,7 @@ _COUNTS_SHOWN = 6
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Facts:
+class SamplerFacts:
     """A sampler's name, summary, dims, counts and sources, in words.
 
     Attributes
@@ -41,7 +41,7 @@ class Facts:
     sources: str
 
 
-def sampler_facts(name: str) -> Facts:
+def sampler_facts(name: str) -> SamplerFacts:
     """Return the facts of a registered sampler with its default parameters.
 
     Raises
@@ -55,7 +55,7 @@ def sampler_facts(name: str) -> Facts:
     made = {dims: _made(name, dims) for dims in range(1, _DIMS_TRIED + 1)}
     possible = {dims: sampler for dims, sampler in made.items() if sampler is not None}
     shown = possible.get(2) or next(iter(possible.values()), None)
-    return Facts(
+    return SamplerFacts(
         name=name,
         summary=cls.summary(),
         dims=_dims_in_words(list(possible), cls.max_dims),
