@@ -609,7 +609,7 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
             )
         highest, power = _highest(m, other), np.ones(m.shape[:-1])
         for i, (p, s) in enumerate(zip(_factors(density), law.sides, strict=True)):
-            axis = _Axis(p, s, *_all_offsets(p, s, 1.0 / s, highest))
+            axis = _StrataAxis(p, s, *_all_offsets(p, s, 1.0 / s, highest))
             power = power * axis.mean_product(axis.of_grid, m[..., i], other[..., i])
         return np.asarray(power - zero)
     reciprocal = _reciprocal(density, m - other)
@@ -631,7 +631,7 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
     highest, pairs = _highest(m, other), np.ones(m.shape[:-1])
     for i, (p, s) in enumerate(zip(_factors(density), sides, strict=True)):
         rule = np.remainder(np.arange(s) / s + offset[i], 1.0), np.full(s, 1.0 / s)
-        axis = _Axis(p, s, *(_all_offsets(p, s, 1.0, highest) if shifted else rule))
+        axis = _StrataAxis(p, s, *(_all_offsets(p, s, 1.0, highest) if shifted else rule))
         same = axis.mean_product(axis.of_stratum, m[..., i], other[..., i])
         if latin:  # points of two different strata; one stratum has no such pair
             free = (m[..., i] == 0) & (other[..., i] == 0)
@@ -644,7 +644,7 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
 
 @final
 @dataclass(frozen=True)
-class _Axis:
+class _StrataAxis:
     """One axis: s strata or points, the starts t of the strata with weights, and the 1-D density."""
 
     density: Density

@@ -348,7 +348,7 @@ def low_frequency_exponent(
     reason = None
     if empty:
         reason = f"{empty} of {len(power)} lengths have no power: there is no power law."
-        fit = _Fit(math.nan, 0.0, (math.nan, math.nan), math.nan, len(lengths), "all")
+        fit = _LowFrequencyFit(math.nan, 0.0, (math.nan, math.nan), math.nan, len(lengths), "all")
     else:
         fit = _over_directions(half, label, lengths)
         low, high = fit.interval
@@ -383,7 +383,7 @@ def low_frequency_exponent(
 
 @final
 @dataclass(frozen=True)
-class _Fit:
+class _LowFrequencyFit:
     """Slope, log power at the lowest frequency, interval, lack of fit, and what was fitted."""
 
     slope: float
@@ -394,7 +394,7 @@ class _Fit:
     directions: str
 
 
-def _over_directions(half: _HalfSpectrum, label: Array, lengths: Array) -> _Fit:
+def _over_directions(half: _HalfSpectrum, label: Array, lengths: Array) -> _LowFrequencyFit:
     """Fit all directions where they agree, else the class with the largest power at the low end."""
     whole = _fit_class(half, label, lengths, "all", 1)
     assert whole is not None
@@ -427,7 +427,7 @@ def _over_directions(half: _HalfSpectrum, label: Array, lengths: Array) -> _Fit:
 
 def _fit_class(
     half: _HalfSpectrum, label: Array, lengths: Array, name: str, classes: int
-) -> _Fit | None:
+) -> _LowFrequencyFit | None:
     """Fit the lengths of one class that have power; None where fewer than three have."""
     from scipy.special import stdtrit
 
@@ -441,7 +441,7 @@ def _fit_class(
     quantile = float(stdtrit(len(x) - 2, 1 - (1 - _LEVEL) / (2 * classes)))
     wide = quantile * math.sqrt(max(fit.chi2, 1.0) / fit.spread)
     interval = (fit.slope - wide, fit.slope + wide)
-    return _Fit(fit.slope, float(fit.at(0.0)), interval, fit.chi2, len(x), name)
+    return _LowFrequencyFit(fit.slope, float(fit.at(0.0)), interval, fit.chi2, len(x), name)
 
 
 def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
