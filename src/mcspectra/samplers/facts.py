@@ -22,16 +22,16 @@ _COUNTS_SHOWN = 6
 @final
 @dataclass(frozen=True, kw_only=True)
 class SamplerFacts:
-    """A sampler's name, summary, dims, counts and sources, in words.
+    """Name, summary, dims, counts and sources of a sampler in words.
 
     Attributes
     ----------
     dims
-        For instance ``any``, ``2`` or ``1–1111``; ``as given`` where parameters decide.
+        For instance ``any``, ``2`` or ``1–1111``; ``as given`` if parameters determine them.
     counts
-        For instance ``any`` or ``1, 4, 9, 16, 25, 36, …`` (in 2-D where it can do 2-D).
+        For instance ``any`` or ``1, 4, 9, 16, 25, 36, …`` (in 2-D if the sampler allows 2-D).
     sources
-        The references of its docstring, one line: authors, year, title and address of each work.
+        References of the docstring in one line: authors, year, title and address of each work.
     """
 
     name: str
@@ -47,9 +47,9 @@ def sampler_facts(name: str) -> SamplerFacts:
     Raises
     ------
     UnknownName
-        The name is not registered.
+        If the name is not registered.
     MissingDependency
-        It needs a package that is not installed.
+        If the sampler needs a package that is not installed.
     """
     cls = SAMPLERS.load(name)
     made = {dims: _made(name, dims) for dims in range(1, _DIMS_TRIED + 1)}
@@ -67,7 +67,7 @@ def sampler_facts(name: str) -> SamplerFacts:
 def _made(name: str, dims: int) -> Sampler | None:
     try:
         return SAMPLERS.build(Call(name, {}), dims)  # type: ignore[no-any-return]
-    except Exception:  # noqa: BLE001 - samplers from elsewhere may raise anything
+    except Exception:  # noqa: BLE001 - external samplers may raise anything
         return None
 
 
