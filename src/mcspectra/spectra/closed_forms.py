@@ -1,31 +1,36 @@
-"""Expected power spectra and covariances of S_m that are known exactly, one sampler after another.
+"""Exact expected power spectra and covariances of S_m, for samplers with a known law.
 
-Random, jittered and lattice points are derived in docs/theory.md, "Closed forms". At *integer* m a
-Cranley-Patterson shift multiplies S_m by a random phase: it leaves the power as it is and makes C_ml
+Random, jittered and lattice points are derived in docs/theory.md, "Closed forms". At *integer* m, a
+Cranley-Patterson shift multiplies S_m by a random phase. It does not change the power, and makes
+C_ml
 diagonal.
 
 Method
 ------
-Three kinds of sets are known. Notation: χ(ν) = sinc(πν) exp(−iπν), the transform of the unit
-interval; A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/s), that of a grid; products over the axes throughout.
+Three kinds of sets are covered. Notation: χ(ν) = sinc(πν) exp(−iπν) is the transform of the unit
+interval, and A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/s) that of a grid. All are products over the axes.
 
-* Independent motifs, one in each of N cells: with M(ν) the mean of exp(−2πi ν·ξ) over the points of
-  one motif, in units of cells, ⟨S_ν⟩ = A(ν) ⟨M(ν/s)⟩ and
-  C_ml = (1/N) A(m − l) [⟨M(m/s) conj M(l/s)⟩ − ⟨M(m/s)⟩ conj⟨M(l/s)⟩]. Random points are n motifs in one
-  cell, jittered, box-jitter and gaussian-jitter one point in each cell, antithetic-jittered two.
-* Sets the same every time, and grids with a common offset: S_ν itself is known.
+* Independent motifs, one in each of N cells. M(ν) is the mean of exp(−2πi ν·ξ) over the points of
+  one motif, in units of cells. Then ⟨S_ν⟩ = A(ν) ⟨M(ν/s)⟩ and
+  C_ml = (1/N) A(m − l) [⟨M(m/s) conj M(l/s)⟩ − ⟨M(m/s)⟩ conj⟨M(l/s)⟩]. Random points are n motifs
+  in one cell. Jittered, box-jitter and gaussian-jitter have one point in each cell,
+  antithetic-jittered has two.
+* Sets that are the same every time, and grids with a common offset: S_ν itself is known.
 * Sets with a known law of pairs: C_ml + ⟨S_m⟩ conj⟨S_l⟩ = (1/n²) Σ over ordered pairs of points of
-  ⟨exp(−2πi (m·x − l·y))⟩. A point with itself gives χ(m − l) on each axis. For two different points the
-  axes are independent, given which strata they share, and each axis is one of three laws: *free*,
-  independent uniform points, χ(m) conj χ(l); *same*, independent points of one of s strata,
-  A_s(m − l) χ(m/s) conj χ(l/s); *apart*, points of two different ones of s strata,
-  (s free − same) / (s − 1). Determinantal sets are known by their pairs, too.
+  ⟨exp(−2πi (m·x − l·y))⟩. A point with itself contributes χ(m − l) on each axis. For two different
+  points the axes are independent, given the strata they share, and each axis has one of three laws.
+  *Free* points are independent and uniform: χ(m) conj χ(l). *Same* points are independent in one of
+  s strata: A_s(m − l) χ(m/s) conj χ(l/s). *Apart* points lie in two different strata of s:
+  (s free − same) / (s − 1). Determinantal sets also have a known law of pairs.
 
-Importance-sampled points, x = T(u) with weights 1/(n p), are known for densities that are products over
-the axes with monotone warps: M_t(m) of the stratum that starts at t takes the place of its transform,
-*same* and *apart* are means over the strata, or over all t where a random shift follows. A grid with one
-offset δ has C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0 δ_l0 with A_δ(m) the S_m of the grid of offset δ
-on one axis.
+Importance-sampled points, x = T(u) with weights 1/(n p), are covered for densities that are
+products
+over the axes with monotone warps. The transform M_t(m) of the stratum that starts at t replaces
+that
+of the interval. *Same* and *apart* are means over the strata, or over all t if a random shift
+follows. A grid with one offset δ has C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0 δ_l0, where
+A_δ(m)
+is the S_m of the grid of offset δ on one axis.
 """
 
 from __future__ import annotations
@@ -77,15 +82,15 @@ __all__ = [
 ]
 
 _SCRAMBLED_BITS = 32
-"""Bits that are scrambled; lower ones are uniform and independent."""
+"""Number of bits that are scrambled; lower bits are uniform and independent."""
 _MOST_PAIR_TERMS = 2**31
-"""Most terms of sums over pairs of digits and frequencies: about half a minute."""
+"""Largest number of terms of sums over pairs of digits and frequencies; half a minute."""
 _TERMS_AT_ONCE = 2**22
-"""Terms that are in memory together: 64 MB of complex numbers."""
+"""Number of terms held in memory at a time: 64 MB of complex numbers."""
 
-# With a density
-_BLOCK = 2**20  # numbers at once
-_MAX_STRATA_WORK = 2**31  # strata times pairs of frequencies: some minutes
+# Constants of closed forms with a density
+_BLOCK = 2**20  # numbers processed at a time
+_MAX_STRATA_WORK = 2**31  # largest product of strata and pairs of frequencies; some minutes
 _ORDER = 16
 _CELLS = 64
 _HIGHEST = 2**16
@@ -103,25 +108,26 @@ def closed_form_power(
     Parameters
     ----------
     sampler, n
-        Sampler (or spec string) and number of points. Known are random, jittered, regular grids,
-        lattices, Latin hypercubes, orthogonal arrays of strength 2, multi-jittered, jitters around
-        a grid, determinantal sets and nets; each also with shift.
+        Sampler (or spec string) and number of points. Supported are random, jittered, regular
+        grids, lattices, Latin hypercubes, orthogonal arrays of strength 2, multi-jittered, jitters
+        around a grid, determinantal sets and nets, each also with shift.
     frequencies
-        Real frequencies ν, shape (..., d), in cycles per unit; integers only after a shift, and
-        for sets that are wrapped around the torus.
+        Real frequencies ν, shape (..., d), in cycles per unit. Only integers are allowed after a
+        shift, and for sets that are wrapped around the torus.
     density
-        Importance density. For random points any; a product over the axes for jittered, latin-hypercube
-        and grids, alone or with shift or strata-shift, at integer frequencies.
+        Importance density. Any density is allowed for random points. At integer frequencies, a
+        product over the axes is allowed for jittered, latin-hypercube and grids, alone or with
+        shift or strata-shift.
 
     Returns
     -------
     ndarray
-        float64 (...). Infinite, with a warning, where ∫1/p diverges.
+        float64 (...). Infinite, with a warning, if ∫1/p diverges.
 
     Raises
     ------
     NoClosedForm
-        None is known for this combination.
+        If no closed form is known for this combination.
 
     Examples
     --------
@@ -159,9 +165,9 @@ def closed_form_covariance(
     Parameters
     ----------
     sampler, n, density
-        As for `closed_form_power`.
+        Same as for `closed_form_power`.
     frequencies, others
-        m and l, shapes (..., d) that broadcast; integers only with a density.
+        m and l, with shapes (..., d) that broadcast; only integers with a density.
 
     Returns
     -------
@@ -171,7 +177,7 @@ def closed_form_covariance(
     Raises
     ------
     NoClosedForm
-        None is known for this combination, or C_ml are infinite because ∫1/p diverges.
+        If no closed form is known for this combination, or C_ml are infinite because ∫1/p diverges.
 
     Examples
     --------
@@ -202,12 +208,12 @@ def closed_form_covariance(
 @final
 @dataclass(frozen=True)
 class SpectralMoments:
-    """Exact moments of S_ν."""
+    """Exact moments of S_ν under a sampler's law."""
 
-    mean: Callable[[Array], Array]  # ⟨S_ν⟩ of frequencies (..., d): complex (...)
-    # C_ml of two arrays of frequencies of the same shape (..., d): complex (...)
+    mean: Callable[[Array], Array]  # ⟨S_ν⟩ at frequencies (..., d): complex (...)
+    # C_ml at two arrays of frequencies of the same shape (..., d): complex (...)
     covariance: Callable[[Array, Array], Array]
-    # Whether they hold at integer frequencies only: points wrapped around the torus
+    # Whether they are valid at integer frequencies only, because points wrap around the torus
     integer: bool = False
 
     def power(self, nu: Array) -> Array:
@@ -221,7 +227,7 @@ def moments_of(law: Law, name: str, *frequencies: Array) -> SpectralMoments:
     Raises
     ------
     NoClosedForm
-        They are not known; the sentence has the sampler's `name`.
+        If they are unknown; the message contains the sampler's `name`.
     """
     moments = _moments(law)
     if moments is None:
@@ -234,8 +240,8 @@ def moments_of(law: Law, name: str, *frequencies: Array) -> SpectralMoments:
 def points_at(
     sampler: Sampler | str, frequencies: Any, density: Density | str | None = None
 ) -> tuple[Sampler, Density | None, Array]:
-    """The sampler, with the dims of the frequencies where it is a spec, the density, and these."""
-    # An empty list has no dims: it is refused as such, not for them.
+    """Return the sampler (a spec gets the frequencies' dims), the density and the frequencies."""
+    # An empty list has no dims; `as_frequencies` reports it
     dims = np.shape(frequencies)[-1] or None if np.ndim(frequencies) else None
     drawn = getattr(density, "primary_dims", dims)
     source = as_sampler(sampler, None if isinstance(sampler, Sampler) else drawn)
@@ -257,7 +263,7 @@ def _check_integers(name: str, *frequencies: Array) -> None:
 
 @singledispatch
 def _moments(law: Law) -> SpectralMoments | None:  # noqa: ARG001
-    """Moments of a law, None where they are not known."""
+    """Return the moments of a law, None if they are unknown."""
     return None
 
 
@@ -282,17 +288,20 @@ def _(law: PairedAxes) -> SpectralMoments:
             "same": _same(m, other, strata),
             "mates": _level_mates(m, other, strata, parts),
         }
-        return np.asarray(sum(
-            each.share * _product(np.stack([relations[r][..., j] for j, r in enumerate(each.axes)], -1))
-            for each in law.patterns
-        ))  # fmt: skip
+        return np.asarray(
+            sum(
+                each.share
+                * _product(np.stack([relations[r][..., j] for j, r in enumerate(each.axes)], -1))
+                for each in law.patterns
+            )
+        )
 
     return _of_pairs(law.n, pairs)
 
 
 @_moments.register
 def _(law: GroupedAxes) -> SpectralMoments | None:
-    # Pairs of different points, and single points, are independent over the groups of axes
+    # Pairs of different points, and single points, are independent between groups of axes
     n, parts = law.n, []
     for part, axes in zip(law.parts, law.axes, strict=True):
         moments = _moments(part)
@@ -335,7 +344,7 @@ def _(law: Moved) -> SpectralMoments | None:
 
 
 def _motifs(sides: tuple[int, ...], count: int, motif: Motif) -> SpectralMoments:
-    """`count` independent motifs, spread evenly over the cells; their moments in units of cells."""
+    """Return moments of `count` independent motifs, distributed evenly over the cells."""
     s = np.asarray(sides, float)
 
     def covariance(m: Array, other: Array) -> Array:
@@ -349,7 +358,7 @@ def _motifs(sides: tuple[int, ...], count: int, motif: Motif) -> SpectralMoments
 
 
 def _offset_grid(s: Array) -> SpectralMoments:
-    """A grid of s points along each axis, with one uniform offset within a cell."""
+    """Return moments of a grid of s points along each axis, with one uniform offset in a cell."""
 
     def covariance(m: Array, other: Array) -> Array:
         offset = _product(_interval((m - other) / s))
@@ -360,7 +369,7 @@ def _offset_grid(s: Array) -> SpectralMoments:
 
 
 def _stationary(power: Callable[[Array], Array]) -> SpectralMoments:
-    """Moments at integers of a set that is the same after any translation: unbiased, and diagonal."""
+    """Return moments at integers of a stationary set: unbiased and diagonal."""
 
     def covariance(m: Array, other: Array) -> Array:
         same = np.all(m == other, axis=-1)
@@ -371,14 +380,14 @@ def _stationary(power: Callable[[Array], Array]) -> SpectralMoments:
 
 @_moments.register
 def _(law: Fixed) -> SpectralMoments:
-    # A set that is the same every time: S_ν itself, by the dual lattice or by summing it
+    # S_ν of a fixed set, by the dual lattice or by summation
     def mean(nu: Array) -> Array:
         if law.sides is not None:
             s = np.asarray(law.sides, float)
             corner = np.exp(-2j * np.pi * np.remainder(law.corner * nu / s, 1.0))
             return _product(_comb(nu, s) * corner)
         if law.vector is not None and np.array_equal(nu, np.rint(nu)):
-            # 1 where m·z ≡ 0 modulo n; residues are multiplied, so that nothing overflows
+            # 1 where m·z ≡ 0 modulo n; residues are multiplied to avoid overflow
             n, vector = law.n, np.asarray(law.vector, np.int64)
             residues = np.rint(np.remainder(nu, n)).astype(np.int64) * (vector % n) % n
             return np.asarray((residues.sum(axis=-1) % n == 0) + 0j)
@@ -394,7 +403,7 @@ def _(law: Fixed) -> SpectralMoments:
 
 
 def _of_pairs(n: int, pairs: Callable[[Array, Array], Array]) -> SpectralMoments:
-    """Moments of n points each uniform, from (1/n²) Σ over pairs of different points."""
+    """Return moments of n uniform points, from (1/n²) Σ over pairs of different points."""
 
     def covariance(m: Array, other: Array) -> Array:
         second = _product(_interval(m - other)) / n + pairs(m, other)
@@ -414,11 +423,11 @@ def _same(m: Array, other: Array, s: int | Array) -> Array:
 def _apart(m: Array, other: Array, s: int | Array) -> Array:
     strata = np.asarray(s, float)
     difference = strata * _free(m, other) - _same(m, other, s)
-    return np.asarray(difference / np.maximum(strata - 1.0, 1.0))  # one stratum has no such pair
+    return np.asarray(difference / np.maximum(strata - 1.0, 1.0))  # no such pair if s = 1
 
 
 def _level_mates(m: Array, other: Array, s: int | Array, parts: int | Array | None = None) -> Array:
-    """Two points of one of s strata, in different ones of its `parts` (s if not given)."""
+    """Two points in one of s strata, in different parts of its `parts` (default s)."""
     return _comb(m - other, s) * _apart(m / s, other / s, s if parts is None else parts)
 
 
@@ -442,10 +451,11 @@ def _(law: Scrambled) -> SpectralMoments | None:
 
 
 def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> Array:
-    """(1/n²) Σ over pairs of different points after nested scrambling: by the digits that agree.
+    """Return (1/n²) Σ over pairs of different points after nested scrambling, by agreeing digits.
 
-    Two coordinates that agree in just a digits lie in one of b^a strata, in different ones of its b parts,
-    and are uniform in these [Owen1997]_.
+    Two coordinates that agree in exactly a digits lie in one of b^a strata, in different parts of
+    its
+    b parts, and are uniform in these [Owen1997]_.
     """
     n, levels = law.n, [_levels(law.points[:, j], b) for j, b in enumerate(bases)]
     most = max(levels)
@@ -457,20 +467,20 @@ def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> A
         shares = np.concatenate([shares[:-1] - shares[1:], shares[-1:]])
         shares = np.moveaxis(shares, 0, axis)
 
-    # Contract one axis after the other, for all frequencies
+    # Contract one axis after another, for all frequencies
     total = shares[..., None]
     flat, far = (np.broadcast_to(a, m.shape).reshape(-1, law.dims) for a in (m, other))
     if float(shares.size) * len(flat) > _MOST_PAIR_TERMS:
         raise NoClosedForm(
-            f"The covariances of {n} scrambled points at {len(flat)} pairs of frequencies take more than "
-            f"{_MOST_PAIR_TERMS:.2g} terms; use ",
+            f"The covariances of {n} scrambled points at {len(flat)} pairs of frequencies take "
+            f"more than {_MOST_PAIR_TERMS:.2g} terms; use ",
             Function("power_spectrum"),
             ", or ask for fewer.",
         )
     for axis in range(law.dims - 1, -1, -1):
         b, row, column = bases[axis], flat[:, axis : axis + 1], far[:, axis : axis + 1]
         by_level = [_level_mates(row, column, b**a, b)[:, 0] for a in range(most)]
-        # The same in all of these: equal coordinates, which stay so to the last scrambled digit
+        # Last entry: equal coordinates, which stay equal to the last scrambled digit
         by_level.append(_same(row, column, b ** _scrambled_digits(b))[:, 0])
         total = np.einsum("...af,af->...f", total, np.array(by_level))
     return np.asarray(total.reshape(m.shape[:-1]))
@@ -481,7 +491,7 @@ def _scrambled_digits(base: int) -> int:
 
 
 def _levels(x: Array, base: int) -> int:
-    """Number of digits that tell all coordinates apart, or as many as are scrambled."""
+    """Return the number of digits that distinguish all coordinates, at most those scrambled."""
     most = _scrambled_digits(base)
     different = len(np.unique(x))
     for level in range(most):
@@ -491,12 +501,13 @@ def _levels(x: Array, base: int) -> int:
 
 
 def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, other: Array) -> Array:
-    """(1/n²) Σ over pairs of different points after one change of each place of digits.
+    """Return (1/n²) Σ over pairs of different points after a random change of each place of digits.
 
-    With `shifted` a random digit is added to each place, else its digits are permuted at random. The images
-    of two digits depend on their difference, or on whether they are equal; places are independent, so that
-    each gives a factor, and digits below all places move by one uniform number. Of digits that are a
-    group the pairs with one point stand for all.
+    With `shifted` a random digit is added to each place, otherwise its digits are permuted at
+    random.
+    The images of two digits depend on their difference, or on whether they are equal. Places are
+    independent, so each gives a factor, and digits below all places move by one uniform number. If
+    the digits form a group, the pairs with one point represent all pairs.
     """
     n, dims, points = net.n, net.dims, net.points
     flat, far = (np.broadcast_to(a, m.shape).reshape(-1, dims) for a in (m, other))
@@ -504,8 +515,8 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
     rows = 1 if net.digital else n
     if float(rows * n) * len(flat) * sum(places) > _MOST_PAIR_TERMS:
         raise NoClosedForm(
-            f"The covariances of {n} points with changed digits at {len(flat)} pairs of frequencies take "
-            f"more than {_MOST_PAIR_TERMS:.2g} terms; use ",
+            f"The covariances of {n} points with changed digits at {len(flat)} pairs of "
+            f"frequencies take more than {_MOST_PAIR_TERMS:.2g} terms; use ",
             Function("power_spectrum"),
             ", or ask for fewer.",
         )
@@ -529,7 +540,8 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
         factors.append(own)
 
     total = np.zeros(len(flat), complex)
-    # Digits of each axis, the highest first; coordinates rounded down to below a digit count as that digit
+    # Digits of each axis, the highest first; the nudge corrects coordinates rounded down below a
+    # digit
     digits = []
     for axis, b in enumerate(bases):
         nudge = 0.0 if b & (b - 1) == 0 else 2.0**-52
@@ -552,7 +564,7 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
 
 
 def _moved(moments: SpectralMoments, by: Array) -> SpectralMoments:
-    """After a fixed translation, at integer frequencies: phases."""
+    """Return moments after a fixed translation, at integer frequencies: phase factors."""
 
     def phase(nu: Array) -> Array:
         return np.asarray(np.exp(-2j * np.pi * np.remainder((nu * by).sum(axis=-1), 1.0)))
@@ -565,19 +577,19 @@ def _moved(moments: SpectralMoments, by: Array) -> SpectralMoments:
 
 
 def _interval(nu: Array) -> Array:
-    """Transform of the unit interval, χ(ν), of each coordinate."""
+    """Return the transform of the unit interval, χ(ν), of each coordinate."""
     return np.asarray(np.sinc(nu) * np.exp(-1j * np.pi * np.remainder(nu, 2.0)))
 
 
 def _comb(nu: Array, sides: Any) -> Array:
-    """Transform of the grid {j/s}, A_s(ν), of each coordinate; period s."""
+    """Return the transform of the grid {j/s}, A_s(ν), of each coordinate; its period is s."""
     s = np.asarray(sides, float)
-    rest = nu - s * np.rint(nu / s)  # within half a period the quotient is safe
+    rest = nu - s * np.rint(nu / s)  # within half a period the quotient is well defined
     return np.asarray(_interval(rest) / _interval(rest / s))
 
 
 def _product(values: Array) -> Array:
-    """Π over the axes."""
+    """Return the product over the axes."""
     return np.asarray(np.prod(values, axis=-1))
 
 
@@ -589,10 +601,10 @@ def _is_zero(m: Array) -> Array:
 
 
 def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: Density) -> Array:
-    """C_ml of importance-sampled points at integers m, l of one shape (..., d): complex (...)."""
+    """Return C_ml of importance-sampled points at integers m, l of one shape (..., d)."""
     zero = np.all(m == 0, axis=-1) & np.all(other == 0, axis=-1)
 
-    # Take the translations off the law of the set
+    # Remove the translations from the law
     n, offset, shifted = law.n, np.zeros(density.dims), False
     while isinstance(law, Shifted | Moved):
         if isinstance(law, Moved):
@@ -603,7 +615,7 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
     if isinstance(law, Fixed) and law.sides is not None:
         if not shifted:
             raise NoClosedForm(
-                f"{name} is the same every time, so that nothing varies; add shift, or use ",
+                f"{name} is the same every time, so its points do not vary; add shift, or use ",
                 Function("power_spectrum"),
                 ".",
             )
@@ -627,13 +639,13 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
             Function("variance_terms"),
             ".",
         )
-    # Strata of each axis: where they are, or everywhere if a random shift follows
+    # Strata of each axis at their positions, or at all offsets if a random shift follows
     highest, pairs = _highest(m, other), np.ones(m.shape[:-1])
     for i, (p, s) in enumerate(zip(_factors(density), sides, strict=True)):
         rule = np.remainder(np.arange(s) / s + offset[i], 1.0), np.full(s, 1.0 / s)
         axis = _StrataAxis(p, s, *(_all_offsets(p, s, 1.0, highest) if shifted else rule))
         same = axis.mean_product(axis.of_stratum, m[..., i], other[..., i])
-        if latin:  # points of two different strata; one stratum has no such pair
+        if latin:  # two different strata; a single one has no such pair
             free = (m[..., i] == 0) & (other[..., i] == 0)
             same = (n * free - same) / max(n - 1, 1)
         pairs = pairs * same
@@ -645,7 +657,7 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
 @final
 @dataclass(frozen=True)
 class _StrataAxis:
-    """One axis: s strata or points, the starts t of the strata with weights, and the 1-D density."""
+    """One axis with s strata or points: starts t of the strata, weights, and the 1-D density."""
 
     density: Density
     sides: int
@@ -670,14 +682,14 @@ class _StrataAxis:
         return out.reshape(m.shape)
 
     def of_stratum(self, m: Array) -> Array:
-        """M_t(m): (frequencies, starts); strata beyond 1 go on at 0."""
+        """M_t(m): (frequencies, starts); strata beyond 1 continue at 0."""
         end = self.starts + 1.0 / self.sides
         over = np.maximum(end - 1.0, 0.0)
         first = _strips(m, self._warp(self.starts), self._warp(np.minimum(end, 1.0)))
         return np.asarray(self.sides * (first + _strips(m, np.zeros(1), self._warp(over))))
 
     def of_grid(self, m: Array) -> Array:
-        """A_δ(m), the starts being the offsets: (frequencies, offsets)."""
+        """A_δ(m) with the starts as offsets: (frequencies, offsets)."""
         total = np.zeros((m.size, self.starts.size), complex)
         for j in range(self.sides):
             x = self._warp(self.starts + j / self.sides)
@@ -685,13 +697,13 @@ class _StrataAxis:
         return total / self.sides
 
     def _warp(self, u: Array) -> Array:
-        """T(u), 1 at 1; rounding may have left [0,1)."""
+        """T(u), with T(1) = 1; u outside [0,1) by rounding is clipped."""
         x = self.density.sample(np.clip(u, 0.0, 1.0)[:, None])[:, 0]
         return np.where(u <= 0.0, 0.0, np.where(u >= 1.0, 1.0, x))
 
 
 def _strips(m: Array, low: Array, high: Array) -> Array:
-    """∫ exp(−2πi m x) dx from low to high: (frequencies, intervals)."""
+    """Return ∫ exp(−2πi m x) dx from low to high: (frequencies, intervals)."""
     width, middle = high - low, 0.5 * (low + high)
     return np.asarray(
         width * np.sinc(np.outer(m, width)) * np.exp(-2j * np.pi * np.outer(m, middle))
@@ -699,7 +711,7 @@ def _strips(m: Array, low: Array, high: Array) -> Array:
 
 
 def _all_offsets(density: Density, sides: int, length: float, highest: int) -> tuple[Array, Array]:
-    """Rule for the mean over t in [0, length): cut where a stratum's ends meet breaks or the seam."""
+    """Return a quadrature rule over t in [0, length), split where strata end at breaks or 0."""
     breaks = np.array([0.0, *density.breaks[0]])
     ends = np.concatenate([breaks, breaks - 1.0 / sides]) % 1.0 % length
     cells = max(_CELLS, 2 * highest)
@@ -717,7 +729,7 @@ def _highest(m: Array, other: Array) -> int:
 
 
 def _factors(density: Density) -> list[Density]:
-    """The density of each axis, if it is known to be a product over them with monotone warps."""
+    """Return the density of each axis; raise an error if it is not a product of monotone warps."""
     if density.dims == 1:
         factors = [density]
     elif isinstance(density, Linear):
@@ -731,7 +743,7 @@ def _factors(density: Density) -> list[Density]:
         ]
     else:
         factors = list(getattr(density, "parts", ())) if density.name == "product" else []
-    # Probe whether the warps are monotone
+    # Check at probe points that the warps are monotone
     u = (np.arange(_PROBES) / _PROBES)[:, None]
     monotone = all(
         p.dims == 1
@@ -750,7 +762,7 @@ def _factors(density: Density) -> list[Density]:
 
 
 def _reciprocal(density: Density, k: Array) -> Array:
-    """(1/p)^_k at integers k (..., d)."""
+    """Return the Fourier coefficients of 1/p at integers k (..., d)."""
     try:
         factors = _factors(density)
     except NoClosedForm:
