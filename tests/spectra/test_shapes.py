@@ -327,7 +327,7 @@ def test_bad_wedges(wedges):
 
 
 def test_wrong_dims():
-    with pytest.raises(ParameterError, match="wedges are of two"):
+    with pytest.raises(ParameterError, match="wedges need two"):
         mcs.spectra.wedge_means(_made(_length, 3, 2))
     with pytest.raises(ParameterError, match="up to 4 dims, not 5"):
         mcs.spectra.slices(_made(_length, 5, 1))

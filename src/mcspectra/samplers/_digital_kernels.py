@@ -67,11 +67,10 @@ def fill_binary(directions: Array, out: Array) -> None:
 
 @kernel
 def fill_base(columns: Array, base: int, out: Array) -> None:
-    """Fill `out` with points 0 … n − 1 of a digital net; columns int64 (d, m, rows), base^rows ≤
-    2^53.
+    """Fill `out` with points 0 … n − 1 of a digital net; columns int64 (d, m, rows).
 
     The kernel counts like an odometer. A digit of the index that goes up by one, or from base − 1
-    to 0 (also one up, modulo the base), adds its column once.
+    to 0 (also one up, modulo the base), adds its column once. base^rows is at most 2^53.
     """
     n, dims = out.shape
     _, places, rows = columns.shape

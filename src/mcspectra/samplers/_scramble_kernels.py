@@ -144,8 +144,8 @@ def _reversed(word: Any) -> Any:
 @kernel
 def _hashed(word: Any, add: Any, factor: Any, add_2: Any, factor_2: Any) -> Any:
     # Hash of a reversed word in which every bit depends only on the bits below it. XOR with
-    # products
-    # by even numbers, and odd multiples of sums, have this property. All uint32, factors odd.
+    # products by even numbers, and odd multiples of sums, have this property. All uint32, factors
+    # odd.
     x = np.uint32(word)
     x = np.uint32(x ^ np.uint32(x * np.uint32(0x3D20ADEA)))
     x = np.uint32(np.uint32(x + add) * factor)
@@ -324,8 +324,7 @@ def _group_images(images: Array, most: int) -> Array:
 
 @kernel
 def permute_digits(keys: Array, bases: Array, shift: bool, points: Array, out: Array) -> None:
-    """Apply a random permutation (`shift`: addition modulo b) to each digit, the same for all
-    points.
+    """Permute each digit at random (with `shift`, add modulo b), equally for all points.
 
     The part below the last digit is one uniform number per coordinate, the same for all points.
     """

@@ -61,8 +61,7 @@ def add_to_buckets(i: int, x: Array, buckets: Any) -> None:
 @kernel
 def _shell_cell(x: Array, code: int, ring: int, buckets: Any, wrap: bool) -> int:
     # Cell number `code` of the cube of cells within `ring` of x; −1 for cells inside the shell
-    # (already
-    # visited) and outside the domain.
+    # (already visited) and outside the domain.
     side, axes = buckets[0], buckets[1]
     cell, reach = 0, 0
     for j in range(axes):
@@ -223,8 +222,7 @@ def throw_darts(
     """Throw darts until n are accepted or `trials` darts in a row are rejected.
 
     A dart is accepted at squared distances ≥ `limit`; `points` (n, d) is filled. Return the number
-    of
-    points and the index of the next random number.
+    of points and the index of the next random number.
     """
     n, dims = points.shape
     buckets = empty_buckets(n, dims, side)
@@ -245,8 +243,7 @@ def throw_darts(
 @kernel
 def _lower_ceilings(x: Array, side: int, ceilings: Array) -> None:
     # Lower the bounds of the cells around a new point at x. No place in a cell is farther from it
-    # than
-    # the cell's center plus half the diagonal. Cells beyond the reach keep their bounds.
+    # than the cell's center plus half the diagonal. Cells beyond the reach keep their bounds.
     dims = x.size
     half = 0.5 * np.sqrt(dims) + _ROUNDING
     reach = min(_REACH, side // 2)
@@ -263,8 +260,8 @@ def _lower_ceilings(x: Array, side: int, ceilings: Array) -> None:
 @kernel
 def _grids(points: Array, placed: int, room: int) -> Any:
     # Buckets for `room` points, about one point in each when full, of which the first `placed`
-    # exist;
-    # and ceilings, bounds for much smaller cells (for a single cell in many dims, without effect).
+    # exist; and ceilings, bounds for much smaller cells (for a single cell in many dims, without
+    # effect).
     dims = points.shape[1]
     buckets = empty_buckets(room, dims, max(1, int(room ** (1.0 / min(dims, _AXES)))))
     side = 4 * buckets[0] if dims <= _AXES else 1
@@ -346,8 +343,7 @@ def fill_holes(points: Array, placed: int, wrap: bool) -> None:
 
     The method is branch and bound, on the torus or in the cube. In a box with center c no place is
     farther from all points than c plus half the diagonal. Boxes wait in a heap, the largest bound
-    on
-    top. New points only lower bounds, so stale bounds are updated when their box is popped.
+    on top. New points only lower bounds, so stale bounds are updated when their box is popped.
     """
     n, dims = points.shape
     buckets = empty_buckets(n, dims, max(1, int(n ** (1.0 / dims))))

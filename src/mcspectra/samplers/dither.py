@@ -61,8 +61,7 @@ def dither_mask(size: int, keys: Array) -> Array:
     -------
     ndarray
         int64 (size, size): the ranks 0 … size² − 1. For every k, the k cells of rank below k form a
-        blue-noise set.
-        k cells, for every k.
+        blue-noise set. k cells, for every k.
 
     References
     ----------
@@ -381,13 +380,11 @@ def _snap_line(low: int, chunk: int, line: int, positions: Array, out: Array) ->
 def snap_in_chunks(
     k0: np.uint64, k1: np.uint64, number: int, chunk: int, points: Array, out: Array
 ) -> None:
-    """Move points to a low-discrepancy set that keeps their order in chunks; out (s, s, 2) in
-    [0,1).
+    """Move points to a low-discrepancy set, keeping their order in chunks; out (s, s, 2).
 
     The s cells of each column, and likewise of each row, divide the s intervals of their width
-    among
-    them. Within a chunk, intervals follow the order of the points. Chunks follow the van der Corput
-    sequence with randomly shifted digits. A point is random within its interval.
+    among them. Within a chunk, intervals follow the order of the points. Chunks follow the van der
+    Corput sequence with randomly shifted digits. A point is random within its interval.
     """
     side = points.shape[0]
     for line in range(side):

@@ -1,7 +1,7 @@
 """Points from outside the package: given arrays and files, functions, and programs.
 
-Functions and programs make one realization at a time, each with fresh randomness.
-A spec that names code runs only if that code is allowed: `allow_code`, ``--allow-code``.
+Functions and programs make one realization at a time, each with fresh randomness. A spec that names
+code runs only if that code is allowed: `allow_code`, ``--allow-code``.
 """
 
 from __future__ import annotations

@@ -89,8 +89,8 @@ class PerturbedLattice(GridSampler):
         """⟨|S_m|²⟩ at integer m, of shape (..., d); the common translation does not change it.
 
         It is (1/n) Σ_r exp(−2πi m·r/s) exp(−4π² |m|² (width/s)² (1 − ρ(r))) over the positions r of
-        the
-        grid. ρ is the correlation of displacements at distance r ([Gabrielli2004]_, Gaussian case).
+        the grid. ρ is the correlation of displacements at distance r ([Gabrielli2004]_, Gaussian
+        case).
         """
         sides = self._sides(n)
         if self.correlation == 0.0:
@@ -376,8 +376,7 @@ def _append(re: Array, im: Array, basis: tuple[Array, Array], i: int, cr: Array,
 @kernel
 def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], out: Array) -> None:
     # Draw one realization. Proposals that are untested when a point is found remain for later
-    # points,
-    # since the tests they passed remain valid.
+    # points, since the tests they passed remain valid.
     n, dims = out.shape
     x, most, within = np.empty((_BATCH, dims)), np.empty(_BATCH), np.empty(_BATCH)
     re, im = np.empty((_BATCH, n)), np.empty((_BATCH, n))
@@ -426,10 +425,8 @@ def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], ou
 @kernel
 def _fill_determinantal(keys: Array, m: Array, out: Array) -> None:
     # The projection process of the frequencies m (n, d); out (R, n, d). After i points, the density
-    # of
-    # the next point is ‖P φ(x)‖²/(n − i). φ(x) is the feature vector, and P projects out the
-    # feature
-    # vectors of the drawn points. ‖φ‖² = n bounds it.
+    # of the next point is ‖P φ(x)‖²/(n − i). φ(x) is the feature vector, and P projects out the
+    # feature vectors of the drawn points. ‖φ‖² = n bounds it.
     n = out.shape[1]
     shape = ((n + _BLOCK - 1) // _BLOCK, n, _BLOCK)
     basis = np.empty(shape), np.empty(shape)

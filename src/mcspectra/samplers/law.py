@@ -646,8 +646,7 @@ class Scrambled(Law):
         The law of the set before the digits are randomized.
     kind
         Kind of randomization. Nested and linear scrambles have the same law of pairs of points,
-        hence
-        the same variances.
+        hence the same variances.
     bases
         Base of the digits of each coordinate.
     shifts
@@ -728,8 +727,8 @@ def scrambled(law: Law, kind: Scramble, bases: Sequence[int], *, shifts: bool = 
     """Return the law after the digits in the given bases are randomized.
 
     Strata keep their law if their sides are powers of the base, and so do strata of axes: cells map
-    to
-    cells, in which points are already uniform. Samplers refuse scrambles that break their strata.
+    to cells, in which points are already uniform. Samplers refuse scrambles that break their
+    strata.
     """
     digits = tuple(map(int, bases))
     if isinstance(law, Scrambled) and law.bases == digits:
@@ -778,8 +777,8 @@ def bases_to_scramble(laws: Sequence[Law]) -> tuple[int, ...] | None:
     """Return bases in which sets of all these laws are nets, so that scrambling suits them best.
 
     The result is None for lattices, which scrambling breaks, and for sets that are not nets; a
-    shift
-    suits both. A set of a few points can be both a net and a lattice; the other sets then decide.
+    shift suits both. A set of a few points can be both a net and a lattice; the other sets then
+    decide.
     """
     found = {law.bases if isinstance(law, Fixed | Unknown) else None for law in laws}
     if len(found) > 1 or all(isinstance(law, Fixed) and law.even for law in laws):

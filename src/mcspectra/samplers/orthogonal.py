@@ -208,9 +208,8 @@ def _prime_powers_near(n: int, power: int, dims: int) -> tuple[int | None, int]:
 @kernel
 def _bush_levels(s: int, strength: int, out: Array) -> None:
     # Bush's array: row i has the values of a polynomial whose coefficients are the digits of i in
-    # base
-    # s. Out int32 (s^strength, d), d ≤ s + 1: column 0 is the leading coefficient ("the value at
-    # infinity"), column j + 1 the value at j modulo the prime s.
+    # base s. Out int32 (s^strength, d), d ≤ s + 1: column 0 is the leading coefficient ("the value
+    # at infinity"), column j + 1 the value at j modulo the prime s.
     n, dims = out.shape
     for i in range(n):
         out[i, 0] = i // (n // s)
@@ -227,10 +226,8 @@ def _fill_orthogonal(
     keys: Array, slots: Array, levels: int, shared: bool, side: float, out: Array
 ) -> None:
     # Point i is jittered in stratum slots[i, j] of axis j, after a shuffle. A level is a run of
-    # equally
-    # many strata. Levels are shuffled, and so are the strata within each level: equally in all
-    # levels
-    # if `shared`. Slots int32 (n, d); out (R, n, d); `side` of a stratum.
+    # equally many strata. Levels are shuffled, and so are the strata within each level: equally in
+    # all levels if `shared`. Slots int32 (n, d); out (R, n, d); `side` of a stratum.
     count, n, dims = out.shape
     strata = slots[:, 0].max() + 1
     width = strata // levels

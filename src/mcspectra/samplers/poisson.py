@@ -8,18 +8,15 @@ restarted, which keeps the law translation-invariant.
 
 Darts are thrown only where they can be accepted. A grid of cells of diagonal r (at most one point
 per cell) lists the cells that may have room. From time to time, the remaining cells are halved
-along
-every axis, and children that a disk covers are dropped [Ebeida2012]_. Accepted darts are still
-uniform on the uncovered region, so this changes the time but not the law. The set is maximal when
-no
-cell remains.
+along every axis, and children that a disk covers are dropped [Ebeida2012]_. Accepted darts are
+still uniform on the uncovered region, so this changes the time but not the law. The set is maximal
+when no cell remains.
 
 For "maximal" sets, r is the smallest of an increasing sequence at which the darts jam with at most
-n
-points. The missing points, a few percent, go one by one into the largest empty disk. Its radius is
-the largest minimum distance that has room for one more point [Schloemer2011]_. Hence the n-th point
-is at least as far from the others as any place in the domain is from all n points: no further disk
-of the set's minimum distance fits.
+n points. The missing points, a few percent, go one by one into the largest empty disk. Its radius
+is the largest minimum distance that has room for one more point [Schloemer2011]_. Hence the n-th
+point is at least as far from the others as any place in the domain is from all n points: no further
+disk of the set's minimum distance fits.
 """
 
 from __future__ import annotations
@@ -176,8 +173,7 @@ class PoissonDisk(Sampler):
 @final
 @dataclass(frozen=True, kw_only=True)
 class DartThrowing(Sampler):
-    """Random points, each rejected if it is too close to an earlier one, until n are accepted
-    (Cook).
+    """Random points, rejected if too close to an earlier one, until n are accepted (Cook).
 
     The law equals that of `poisson-disk`, which is faster, but up to 8 dims are allowed. Distances
     are on the torus. A set restarts after 100,000 rejected darts in a row.

@@ -62,8 +62,7 @@ class PMJ(_PlaneSequence):
     """Progressive multi-jittered sequence (2-D).
 
     Any count. The first 2^k points have one in each interval of width 2^-k along either axis. If
-    2^k
-    is a square 4^j, they also have one in each of 2^j × 2^j cells; if it is 2·4^j, two diagonal
+    2^k is a square 4^j, they also have one in each of 2^j × 2^j cells; if it is 2·4^j, two diagonal
     points in each cell. Other counts cause a `NotPowerOfTwoWarning`.
 
     Notes
@@ -154,8 +153,7 @@ class PMJ02BlueNoise(_PlaneSequence):
 
 @lru_cache(maxsize=1)
 def pairings() -> Array:
-    """Partners of pmj02: the partner of point i on axis j in pass k is i xor out[j, k]; uint64 (2,
-    31).
+    """Return partners of pmj02, uint64 (2, 31): i xor out[j, k] for point i, axis j, pass k.
 
     Consider the bits of the index as coefficients, over GF(2), in the basis 1, t, b, b·t, b², b²·t,
     … with b = t² + t. The digits of x are the coefficients of this polynomial in powers of t, and

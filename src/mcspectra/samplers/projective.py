@@ -3,16 +3,14 @@
 Method
 ------
 Dart throwing: a dart is accepted if, for each k from 1 to d, its distance from all earlier points
-is
-at least r_k in every projection on k of the d axes. Let g_1 ≤ … ≤ g_d be the sorted gaps of two
+is at least r_k in every projection on k of the d axes. Let g_1 ≤ … ≤ g_d be the sorted gaps of two
 points along the axes. Among projections on k axes, that on the k smallest gaps has the smallest
 distance. So d partial sums, g_1² + … + g_k² ≥ r_k², check all 2^d − 1 projections.
 
 The projections on single axes leave little room, but these axes are independent. Each coordinate is
 therefore drawn until it is free on its own axis, before the other projections are checked. This
 changes the time but not the law. On the torus the law is invariant under translation, so every
-point
-is uniform.
+point is uniform.
 """
 
 from __future__ import annotations
@@ -86,8 +84,7 @@ def _free_coordinate(
 ) -> tuple[float, int]:
     # Draw x until no point of the axis is nearer than `radius`; −1 if that fails. `cells` has the
     # number of the point in each cell of the axis, −1 if there is none. A cell is at most as large
-    # as
-    # the radius, and larger than half of it.
+    # as the radius, and larger than half of it.
     side = cells.size
     for _ in range(_DRAWS):
         x = mix_uniform(k0, k1, at)

@@ -298,14 +298,11 @@ def series_energy(sigma: float, points: Array) -> tuple[float, Array]:
 @final
 @dataclass(frozen=True, kw_only=True)
 class FarthestPoint(PlaneSampler, OptimisedSampler):
-    """Farthest-point optimized points: minimum distance near that of the densest packing (2-D
-    torus).
+    """Farthest-point optimized points: minimum distance near the densest packing (2-D torus).
 
     Starting from random points, each point in turn is moved to the center of the largest empty
-    disk,
-    the place farthest from all others. The minimum distance never decreases. One sweep over n
-    points
-    takes O(n²) with a small constant: 1024 points and 30 sweeps take 2 s.
+    disk, the place farthest from all others. The minimum distance never decreases. One sweep over n
+    points takes O(n²) with a small constant: 1024 points and 30 sweeps take 2 s.
 
     Attributes
     ----------

@@ -37,12 +37,9 @@ class SlicedOptimalTransport(OptimisedSampler):
     -----
     On every direction θ, the k-th point in the order of θ·x moves toward the quantile (k − ½)/n of
     the projected cube. The paper does so in the ball, and maps the ball to the cube. Here the
-    target
-    is the cube itself: its projection is a sum of d uniform numbers of widths |θ_j|. Points near
-    the
-    faces and corners of the cube are not quite uniform, so means are not exact. A `shift` makes
-    them
-    exact, and so does a number of `sets`, which are translated.
+    target is the cube itself: its projection is a sum of d uniform numbers of widths |θ_j|. Points
+    near the faces and corners of the cube are not quite uniform, so means are not exact. A `shift`
+    makes them exact, and so does a number of `sets`, which are translated.
 
     References
     ----------

@@ -5,8 +5,7 @@ given. Points come in row-major order of their cells, the last coordinate fastes
 
 Legend of the kernels: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`;
 ``out`` float64 (R, n, d). Random number i·d + j of a realization belongs to coordinate j of point
-i;
-numbers for shuffles follow.
+i; numbers for shuffles follow.
 """
 
 from __future__ import annotations
@@ -483,9 +482,8 @@ def _fill_correlated(
     keys: Array, columns: int, rows: int, wide: float, high: float, out: Array
 ) -> None:
     # One shuffle of the columns and one of the rows, for all points. Point p is in the p-th of the
-    # n
-    # strata of the second axis, and so in row ⌊p / columns⌋; the last row may be incomplete. `wide`
-    # and `high` are the sides of the strata of the two axes.
+    # n strata of the second axis, and so in row ⌊p / columns⌋; the last row may be incomplete.
+    # `wide` and `high` are the sides of the strata of the two axes.
     n, slots = out.shape[1], columns * rows
     across, down = np.empty(columns, np.int64), np.empty(rows, np.int64)
     for r in range(out.shape[0]):
@@ -512,8 +510,7 @@ class Hexagonal(PlaneSampler, FixedSet):
     deterministic. On a square torus no such array is exactly regular, because that needs b = a/√3.
     The chosen b differs from it by at most ½. The ratio of the two distances between neighbors is
     then 1.41, 1.12, 1.11, 1.12, 1.03 and 1.12 at the first six counts. It is at most 1.06 for n ≥
-    56
-    and 1.02 for n ≥ 780.
+    56 and 1.02 for n ≥ 780.
 
     References
     ----------
@@ -582,8 +579,7 @@ def cell_side(s: int) -> float:
     """Return 1/s minus 2^-52, so that k/s + side·u stays below (k + 1)/s for all u < 1.
 
     k/s, the product, the sum and (k + 1)/s are each rounded by at most 2^-54 below 1; the
-    subtracted
-    2^-52 is four times that.
+    subtracted 2^-52 is four times that.
     """
     return 1.0 / s - _SLACK
 
@@ -608,13 +604,11 @@ def _moved_centers(sides: tuple[int, ...], displacements: Array) -> Array:
 @final
 @dataclass(frozen=True, kw_only=True)
 class SharedCells(Sampler):
-    """One of W sets of n cells, chosen at random; together they hold each of W n cells of a grid
-    once.
+    """One of W sets of n cells, chosen at random; together they cover a grid of W n cells once.
 
     A realization draws one offset, a uniform point of a cell. Each cell of its set uses this
-    offset,
-    possibly reflected along some axes. Every point is uniform on [0,1)^d for any sets, so estimates
-    are unbiased. `design` makes such sets.
+    offset, possibly reflected along some axes. Every point is uniform on [0,1)^d for any sets, so
+    estimates are unbiased. `design` makes such sets.
 
     Attributes
     ----------

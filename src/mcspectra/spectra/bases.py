@@ -1,11 +1,9 @@
 """Orthonormal bases of functions on the unit cube, in which a variance is decomposed.
 
 With an orthonormal basis φ_m of L²([0,1]^d), f_m = ∫ f conj(φ_m) and S_m = Σ_k w_k conj(φ_m(x_k)).
-In
-any basis the estimate is Σ_m conj(f_m) S_m, and its variance is dc + power + cross
-(docs/theory.md).
-Bases differ in the size of the cross term, which measures how badly a basis fits the sampler's
-randomization, and in the rate of convergence of the sum over m:
+In any basis the estimate is Σ_m conj(f_m) S_m, and its variance is dc + power + cross
+(docs/theory.md). Bases differ in the size of the cross term, which measures how badly a basis fits
+the sampler's randomization, and in the rate of convergence of the sum over m:
 
 =========  ==========================================  =====================================
 basis      φ_m, in each dim                            no cross term for
@@ -277,11 +275,10 @@ def fitting_basis(law: Law, half_width: int) -> str:
     number per side is 2^k.
 
     In all other cases cosine is a compromise. For smooth functions, jittered sets leave little
-    cross
-    term in it, and the sum over m converges fast because it has no boundary term. For discontinuous
-    functions the cross term is as large as in Fourier (a disk, n = 64: −0.40 of the variance).
-    Strata of 2^k per side leave no cross term in Haar and Walsh, but there sums of smooth functions
-    converge slowly.
+    cross term in it, and the sum over m converges fast because it has no boundary term. For
+    discontinuous functions the cross term is as large as in Fourier (a disk, n = 64: −0.40 of the
+    variance). Strata of 2^k per side leave no cross term in Haar and Walsh, but there sums of
+    smooth functions converge slowly.
     """
     mirrored = False
     while isinstance(law, Folded | Mirrored | Moved):

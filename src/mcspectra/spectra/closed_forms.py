@@ -2,8 +2,7 @@
 
 Random, jittered and lattice points are derived in docs/theory.md, "Closed forms". At *integer* m, a
 Cranley-Patterson shift multiplies S_m by a random phase. It does not change the power, and makes
-C_ml
-diagonal.
+C_ml diagonal.
 
 Method
 ------
@@ -11,10 +10,9 @@ Three kinds of sets are covered. Notation: χ(ν) = sinc(πν) exp(−iπν) is 
 interval, and A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/s) that of a grid. All are products over the axes.
 
 * Independent motifs, one in each of N cells. M(ν) is the mean of exp(−2πi ν·ξ) over the points of
-  one motif, in units of cells. Then ⟨S_ν⟩ = A(ν) ⟨M(ν/s)⟩ and
-  C_ml = (1/N) A(m − l) [⟨M(m/s) conj M(l/s)⟩ − ⟨M(m/s)⟩ conj⟨M(l/s)⟩]. Random points are n motifs
-  in one cell. Jittered, box-jitter and gaussian-jitter have one point in each cell,
-  antithetic-jittered has two.
+  one motif, in units of cells. Then ⟨S_ν⟩ = A(ν) ⟨M(ν/s)⟩ and C_ml = (1/N) A(m − l) [⟨M(m/s) conj
+  M(l/s)⟩ − ⟨M(m/s)⟩ conj⟨M(l/s)⟩]. Random points are n motifs in one cell. Jittered, box-jitter and
+  gaussian-jitter have one point in each cell, antithetic-jittered has two.
 * Sets that are the same every time, and grids with a common offset: S_ν itself is known.
 * Sets with a known law of pairs: C_ml + ⟨S_m⟩ conj⟨S_l⟩ = (1/n²) Σ over ordered pairs of points of
   ⟨exp(−2πi (m·x − l·y))⟩. A point with itself contributes χ(m − l) on each axis. For two different
@@ -24,13 +22,10 @@ interval, and A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/s) that of a grid. All ar
   (s free − same) / (s − 1). Determinantal sets also have a known law of pairs.
 
 Importance-sampled points, x = T(u) with weights 1/(n p), are covered for densities that are
-products
-over the axes with monotone warps. The transform M_t(m) of the stratum that starts at t replaces
-that
-of the interval. *Same* and *apart* are means over the strata, or over all t if a random shift
-follows. A grid with one offset δ has C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0 δ_l0, where
-A_δ(m)
-is the S_m of the grid of offset δ on one axis.
+products over the axes with monotone warps. The transform M_t(m) of the stratum that starts at t
+replaces that of the interval. *Same* and *apart* are means over the strata, or over all t if a
+random shift follows. A grid with one offset δ has C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0
+δ_l0, where A_δ(m) is the S_m of the grid of offset δ on one axis.
 """
 
 from __future__ import annotations
@@ -454,8 +449,7 @@ def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> A
     """Return (1/n²) Σ over pairs of different points after nested scrambling, by agreeing digits.
 
     Two coordinates that agree in exactly a digits lie in one of b^a strata, in different parts of
-    its
-    b parts, and are uniform in these [Owen1997]_.
+    its b parts, and are uniform in these [Owen1997]_.
     """
     n, levels = law.n, [_levels(law.points[:, j], b) for j, b in enumerate(bases)]
     most = max(levels)
@@ -504,10 +498,9 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
     """Return (1/n²) Σ over pairs of different points after a random change of each place of digits.
 
     With `shifted` a random digit is added to each place, otherwise its digits are permuted at
-    random.
-    The images of two digits depend on their difference, or on whether they are equal. Places are
-    independent, so each gives a factor, and digits below all places move by one uniform number. If
-    the digits form a group, the pairs with one point represent all pairs.
+    random. The images of two digits depend on their difference, or on whether they are equal.
+    Places are independent, so each gives a factor, and digits below all places move by one uniform
+    number. If the digits form a group, the pairs with one point represent all pairs.
     """
     n, dims, points = net.n, net.dims, net.points
     flat, far = (np.broadcast_to(a, m.shape).reshape(-1, dims) for a in (m, other))

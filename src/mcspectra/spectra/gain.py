@@ -1,8 +1,7 @@
 """Exact results for scrambled nets: gain coefficients, nested variances, and Walsh power.
 
 Owen [Owen1997]_ splits f into parts ν_l, l = (l_1, …, l_d), by the digits of the coordinates on
-which
-it depends (docs/theory.md, "Gains of scrambled nets"). (His u is {j: l_j > 0}, and his k_j is
+which it depends (docs/theory.md, "Gains of scrambled nets"). (His u is {j: l_j > 0}, and his k_j is
 l_j − 1.) In base 2, ν_l is the part of f in the Walsh functions of index 2^(l_j − 1) ≤ m_j < 2^l_j.
 All of these have the expected power Γ_l / n. A digital shift does not change the power of a Walsh
 function: it is 1 on the dual net and 0 elsewhere. The dual net has the indices to which all columns

@@ -77,10 +77,9 @@ def pair_correlation(
     -----
     g = pairs in a shell / (n(n−1)/2 · volume of the shell). With the border correction, g = ordered
     pairs / (n(n−1) · volume of the shell · (1−2r)^d), where (1−2r)^d is the volume in which the
-    first
-    point may lie; this is unbiased if the set is stationary. Only points whose first coordinates
-    differ by less than max_distance are compared. The cost is O(n log n + n² max_distance) per
-    realization.
+    first point may lie; this is unbiased if the set is stationary. Only points whose first
+    coordinates differ by less than max_distance are compared. The cost is O(n log n + n²
+    max_distance) per realization.
     """
     analysis = PairCorrelation.of(locals())
     return compute(analysis, Subject(None, as_sampler(sampler)), rng, workers)
@@ -223,10 +222,9 @@ def closed_form_pair_correlation(sampler: Sampler | str, n: int, r: Any) -> Arra
     Notes
     -----
     Two points of a jittered set are independent, except that they cannot share a cell. Two places
-    at
-    offset h share a cell of sides 1/s_i with probability Π max(0, 1 − s_i |h_i|). An axis with one
-    cell contributes a factor of 1, also across the border of the torus. g is n/(n−1) times 1 minus
-    the mean of this probability over directions.
+    at offset h share a cell of sides 1/s_i with probability Π max(0, 1 − s_i |h_i|). An axis with
+    one cell contributes a factor of 1, also across the border of the torus. g is n/(n−1) times 1
+    minus the mean of this probability over directions.
 
     Examples
     --------

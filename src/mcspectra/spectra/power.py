@@ -130,9 +130,8 @@ def power_spectrum(
 
     Notes
     -----
-    Power is ⟨|S_m|²⟩, as in the slides. Multiply by n for the convention of UTK, random = 1.
-    The cost is O(n log^d(1/eps) + M log M) for a pair of realizations with M frequencies. Memory
-    does
+    Power is ⟨|S_m|²⟩, as in the slides. Multiply by n for the convention of UTK, random = 1. The
+    cost is O(n log^d(1/eps) + M log M) for a pair of realizations with M frequencies. Memory does
     not depend on the number of realizations. A thread takes at most 100 M bytes, and for its points
     (and phases, in the direct engine) up to 64 MB or, if two sets are larger, 100 n d bytes.
 
@@ -433,9 +432,8 @@ class _PolarMeans:
     """Rings of one frequency step and, in two dims, wedges, over which power is averaged."""
 
     # Cell of each frequency of the half grid, ring · (wedges + 1) + wedge: int64 (H,). One more
-    # cell
-    # holds m = 0 and frequencies beyond the rings. The last wedge is outside the circle of the half
-    # width
+    # cell holds m = 0 and frequencies beyond the rings. The last wedge is outside the circle of the
+    # half width
     label: Array
     cells: Array  # number of frequencies in each cell: (rings, wedges + 1)
     radius: Array  # mean |m|/step of each ring

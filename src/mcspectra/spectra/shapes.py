@@ -1,14 +1,12 @@
 """Shapes of a measured spectrum: rings, slices, wedges, its exponent, and the predicted variance.
 
 All functions take the dataset of `power_spectrum`. Standard errors are over realizations, of the
-means
-over rings and wedges of each realization.
+means over rings and wedges of each realization.
 
 Directions may have different exponents. A Latin hypercube has m² along its axes and the power of
 random points elsewhere; the largest power decides. If the power of a length depends on direction,
 each class of directions is fitted separately: frequencies by the axes that they involve and, in
-2-D,
-by wedges.
+2-D, by wedges.
 """
 
 from __future__ import annotations
@@ -180,9 +178,9 @@ def slices(spectrum: xr.Dataset) -> xr.Dataset:
     -------
     xarray.Dataset
         ``slice_power`` and ``slice_power_se`` on dims slice and multiple: the power at ν = multiple
-        ·
-        frequency step · direction. slice is labeled by its direction, such as (1, -1), axes first.
-        The coordinate ``slice_radius`` is |ν|. There are 1, 4, 13 or 40 slices in one to four dims.
+        · frequency step · direction. slice is labeled by its direction, such as (1, -1), axes
+        first. The coordinate ``slice_radius`` is |ν|. There are 1, 4, 13 or 40 slices in one to
+        four dims.
     """
     half = _HalfSpectrum.of(spectrum)
     grid = half.grid
@@ -228,9 +226,8 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
     -------
     xarray.Dataset
         ``wedge_power`` and ``wedge_power_se`` on dim angle (degrees, centers of the wedges); NaN
-        for
-        wedges without frequencies. For numbers of wedges other than the spectrum's, errors are NaN
-        for points with a density, and treat frequencies as uncorrelated for uniform points.
+        for wedges without frequencies. For numbers of wedges other than the spectrum's, errors are
+        NaN for points with a density, and treat frequencies as uncorrelated for uniform points.
     """
     half = _HalfSpectrum.of(spectrum)
     wedges = as_integer("wedges", wedges, least=1, most=MAX_WEDGES)

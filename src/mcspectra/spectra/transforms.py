@@ -242,8 +242,7 @@ class Transform:
         self._packs = engine == "nufft" and grid.dims <= 3
         self.single = single and self._packs
         # A finer grid is more accurate, takes longer to transform and less time to spread on: in
-        # double
-        # precision its kernels have 11 cells per side instead of 15
+        # double precision its kernels have 11 cells per side instead of 15
         spreading = 0.0 if self.single else density * (15.0**dims - 11.0**dims)
         finer = self.eps < 1e-9 or spreading > _CELL_COST * (2.0**dims - 1.25**dims)
         coarse = 1.12 if self.single and self.eps >= 1e-5 else 1.25
