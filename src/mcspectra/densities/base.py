@@ -141,8 +141,9 @@ class Density(Component, ABC):
         return np.empty((0, self.dims))
 
     def reciprocal_integral(self) -> float:
-        """Return ∫ 1/p over [0,1)^d, infinite if it diverges; it is 1 + n Var(S_0) of random
-        points.
+        """Return ∫ 1/p over [0,1)^d, infinite if it diverges.
+
+        For random points it equals 1 + n Var(S_0).
 
         The value is exact if an implementation has a closed form, and a quadrature otherwise.
         """
@@ -362,8 +363,9 @@ class FunctionDensity(_ByFunctions):
 class NumericalDensity(_ByFunctions):
     """Given by its pdf alone, in 1-D or 2-D; the warp is computed.
 
-    Create it with `Density.from_functions`. The pdf is called with read-only float64 arrays (...,
-    d) of points within the domain. In 2-D every sampled point costs a few hundred evaluations.
+    Create it with `Density.from_functions`. The pdf is called with read-only float64 arrays
+    (..., d) of points within the domain. In 2-D every sampled point costs a few hundred
+    evaluations.
 
     Details of the pdf, such as a peak, a gap or a box, are resolved if they are wider than 2^-18 in
     1-D, or 1/500 along both axes in 2-D. Narrower details and their mass may be missed; then
@@ -454,8 +456,7 @@ def plain(value: Any) -> Any:
 
 
 def bounded_product(factors: Array, spec: str) -> Array:
-    """Return the product over the last axis of finite factors ≥ 0, even if partial products
-    overflow.
+    """Return the product over the last axis of finite factors ≥ 0, without partial overflow.
 
     Raises
     ------
@@ -550,8 +551,8 @@ def reciprocal_integral(density: Density) -> float:
     zeros of p. Let p ~ r^a at distance r from a zero. The unresolved part then shrinks per level by
     2^{a−1} next to a point in 1-D or a line in 2-D, and by 2^{a-2} next to a point in 2-D. The
     integral diverges if that ratio reaches 1. Ratios above 0.98 count as divergent, so a > 0.97
-    cannot be distinguished from 1. The rest of the geometric series is added (Aitken). Cells with p
-    = 0 make the integral infinite. Relative errors are about 1e-7 in 1-D, and 1e-4 in 2-D if p
+    cannot be distinguished from 1. The rest of the geometric series is added (Aitken). Cells with
+    p = 0 make the integral infinite. Relative errors are about 1e-7 in 1-D, and 1e-4 in 2-D if p
     jumps along curves.
 
     In three or more dims, and in 2-D if p jumps all over the domain, this is a heuristic. It uses

@@ -8,11 +8,9 @@ A mixture p = Σ_t w_t p_t [OwenZhou2000]_ has two ways in which one point choos
   strata are kept, but the warp jumps at the borders of the shares w_t. So does g(u) = f/p, which
   costs jittered and low-discrepancy points their rate.
 * ``"extra"``: a further, last coordinate chooses the part. Each part gets all other coordinates,
-but
-  the estimator needs a sampler of d+1 dims, and g still jumps along the last one.
+  but the estimator needs a sampler of d+1 dims, and g still jumps along the last one.
 * A *deterministic split* draws n w_t points of each part. It is not a warp of one point, but
-several
-  techniques with the balance heuristic: `mcspectra.estimators.split_mixture`.
+  several techniques with the balance heuristic: `mcspectra.estimators.split_mixture`.
 """
 
 from __future__ import annotations

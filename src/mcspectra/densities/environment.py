@@ -1,16 +1,15 @@
 """Densities of pictures and of environment maps, and MIS compensation of tables.
 
 Maps are in latitude and longitude with the conventions of `mcspectra.core.environments`: x_0 is
-φ/2π, x_1 is θ/π, and rows run from θ = 0. The density of *directions*, per steradian, is p(x)/(2π²
-sin(π x_1)).
+φ/2π, x_1 is θ/π, and rows run from θ = 0. The density of *directions*, per steradian, is
+p(x)/(2π² sin(π x_1)).
 
 Compensation lowers a table where other techniques already sample enough. With the balance heuristic
 and f proportional to a table p, the points of all techniques together should be distributed as p.
 Technique τ has a share β_τ = n_τ/Σ n of the points. Its own density should be the part that the
 other techniques leave, β_τ p'_τ = max(0, λ p − Σ_{s≠τ} β_s p_s), with λ such that p'_τ is a density
 [Karlik2019]_. This p'_τ minimizes ∫ f²/(β_τ p'_τ + Σ β_s p_s), hence the second moment. If nothing
-is
-cut off, λ = 1 and the estimate of f has no variance.
+is cut off, λ = 1 and the estimate of f has no variance.
 """
 
 from __future__ import annotations

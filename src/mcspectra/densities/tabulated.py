@@ -7,28 +7,26 @@ determines where the primary-space integrand g(u) = f(T(u))/p(T(u)) jumps, and h
 `warp` chooses one of four, for exactly the same pdf (h rows of w columns):
 
 * ``"marginal"`` [Shirley1992]_ [Pharr2016]_ (§13.6.7): u_1 chooses the row by the marginal cdf, u_0
-the
-  column by the cdf within that row. T_1 is continuous; T_0 jumps from row to row. All jumps lie on
-  axis-aligned segments: whole lines ``u_1 = row border``, and within a row pieces
-  ``u_0 = column border`` that differ from row to row. A line along u_0 crosses no jump of T, a line
-  along u_1 at most h − 1. If all rows are proportional (a separable table), T is continuous, and g
-  jumps only where p does, on whole lines.
+  the column by the cdf within that row. T_1 is continuous; T_0 jumps from row to row. All jumps lie
+  on axis-aligned segments: whole lines ``u_1 = row border``, and within a row pieces ``u_0 = column
+  border`` that differ from row to row. A line along u_0 crosses no jump of T, a line along u_1 at
+  most h − 1. If all rows are proportional (a separable table), T is continuous, and g jumps only
+  where p does, on whole lines.
 * ``"hierarchical"`` [McCoolHarwood1997]_ [Clarberg2005]_ halves the table repeatedly, always the
   longer side, down to the cells. Each split takes its share of u along that side. Neighborhoods
   stay compact in both axes, but a split is a jump for every other split that it crosses: lines
   along u_0 cross at most w − 1 jumps, lines along u_1 h − 1.
 * ``"alias"`` [Walker1977]_ [Vose1991]_ costs O(1): u_0 chooses one of h·w bins of equal size and
-one of
-  the two cells in it. The remainder of u_0 gives the position along x_0, u_1 that along x_1. A line
-  along u_0 crosses up to 2hw − 1 jumps, to arbitrary places; sets are stratified in u_1 only,
-  within cells. Several bins may map to the whole of a cell, so T is many-to-one and has *no
+  one of the two cells in it. The remainder of u_0 gives the position along x_0, u_1 that along x_1.
+  A line along u_0 crosses up to 2hw − 1 jumps, to arbitrary places; sets are stratified in u_1
+  only, within cells. Several bins may map to the whole of a cell, so T is many-to-one and has *no
   inverse*.
 * ``"hilbert"`` [SteiglederMcCool2003]_: u_0 chooses a cell by the cdf along a Hilbert curve. Its
-  remainder gives the position in the direction in which the curve leaves the cell, u_1 the
-  position across it. A line along u_0 crosses up to hw − 1 jumps, at turns of the curve. Each jump
-  stays within two neighboring cells if the table is a square of side 2^k (else the curve leaves the
-  table and returns). A line along u_1 crosses no jumps. This warp is made for n strata in u_0:
-  square strata in 2-D provide only √n of them along the curve.
+  remainder gives the position in the direction in which the curve leaves the cell, u_1 the position
+  across it. A line along u_0 crosses up to hw − 1 jumps, at turns of the curve. Each jump stays
+  within two neighboring cells if the table is a square of side 2^k (else the curve leaves the table
+  and returns). A line along u_1 crosses no jumps. This warp is made for n strata in u_0: square
+  strata in 2-D provide only √n of them along the curve.
 
 *Bilinear* tables (`bilinear`) make p, and so g along rows, continuous. They are the remedy if jumps
 reduce the rate.

@@ -36,7 +36,7 @@ __all__ = ["Decorrelate", "Mirror", "RandomRotation", "Shift", "StrataShift", "f
 
 _MOST_IMAGED = 30  # largest dims of the uniform mode, which makes 2^d images
 _MASK_KEY = 0x3A5C  # arbitrary number: the mask is fixed, its place is random
-_FIRST_REACH = 0.6  # half-side of a window that nearly always holds n + 1 points
+_FIRST_REACH = 0.6  # half-side of a window of area 1.44; it nearly always holds n + 1 points
 _REACH = 1.12  # half-side that always does: a disk of radius √5/2 holds two domains
 
 # Structures that remain. A translation of the torus moves strata and elementary intervals away

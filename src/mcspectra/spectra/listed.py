@@ -2,8 +2,8 @@
 
 Grids of frequencies are limited to a few dims; lists of them are not. Examples are slices along the
 axes, planes of two axes (the projections of a set), and the frequencies of one ANOVA subset.
-`power_at` takes any list. `axis_frequencies` and similar functions return such lists, float64 (F,
-d), with only one of ν and −ν if a whole line contains both, since S_{−ν} = conj S_ν.
+`power_at` takes any list. `axis_frequencies` and similar functions return such lists, float64
+(F, d), with only one of ν and −ν if a whole line contains both, since S_{−ν} = conj S_ν.
 
 Engines
 -------

@@ -47,7 +47,8 @@ __all__ = [
 
 _MAX_SLICE_DIMS = 4
 _LEVEL = 0.95
-_ISOTROPIC = 0.1  # largest excess of (spread over direction / mean)² over noise
+# Largest excess of (spread over direction / mean)² over noise; 0.001 for jittered points
+_ISOTROPIC = 0.1
 _CLASS_WEDGES = 8
 _SUSPECT = 3.0  # χ² per degree of freedom above which directions are compared
 _SAME = 1e-7  # relative standard errors of powers at rounding level
@@ -177,8 +178,8 @@ def slices(spectrum: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        ``slice_power`` and ``slice_power_se`` on dims slice and multiple: the power at ν = multiple
-        · frequency step · direction. slice is labeled by its direction, such as (1, -1), axes
+        ``slice_power`` and ``slice_power_se`` on dims slice and multiple: the power at
+        ν = multiple · frequency step · direction. slice is labeled by its direction, such as (1, -1), axes
         first. The coordinate ``slice_radius`` is |ν|. There are 1, 4, 13 or 40 slices in one to
         four dims.
     """
