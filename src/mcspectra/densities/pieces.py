@@ -4,7 +4,7 @@
 volume. The borders of such strata miss an edge, unless n times its position is a whole number.
 Strata of other volumes need weights. A warp provides both. Each piece between edges gets k_j of s
 strata, at least one and in proportion to its length L_j. The piecewise constant density p =
-k_j/(s L_j) maps the edges to (k_0 + … + k_j)/s in primary space, on borders of the s equal strata there.
+k_j/(s L_j) maps the edges to (k_0 + … + k_j)/s in primary space, on borders of the s equal strata.
 Weights 1/p differ from 1 only by the rounding of the k_j, and the estimator is unbiased. (Rounding
 the k_j at random, with equal weights, is an alternative, but then an edge still cuts strata and
 determines the variance.)

@@ -179,9 +179,9 @@ def slices(spectrum: xr.Dataset) -> xr.Dataset:
     -------
     xarray.Dataset
         ``slice_power`` and ``slice_power_se`` on dims slice and multiple: the power at
-        ν = multiple · frequency step · direction. slice is labeled by its direction, such as (1, -1), axes
-        first. The coordinate ``slice_radius`` is |ν|. There are 1, 4, 13 or 40 slices in one to
-        four dims.
+        ν = multiple · frequency step · direction. slice is labeled by its direction, such as
+        (1, -1), axes first. The coordinate ``slice_radius`` is |ν|. There are 1, 4, 13 or 40 slices
+        in one to four dims.
     """
     half = _HalfSpectrum.of(spectrum)
     grid = half.grid
