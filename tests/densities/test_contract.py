@@ -57,9 +57,8 @@ def test_invert_undoes_sample(density):
     assert back.min() >= 0
     assert back.max() < 1
     # x has a rounding error of eps, and u one of |du/dx| <= p in 1-D. In products and tables p is
-    # that
-    # of one axis, at most the product of p's maximum and the other axes' lengths. Logarithms of
-    # truncated normals at z = 15 add |log Φ| = 118 times eps.
+    # that of one axis, at most the product of p's maximum and the other axes' lengths. Logarithms
+    # of truncated normals at z = 15 add |log Φ| = 118 times eps.
     steep = max(1.0, float(density.pdf(x).max()))
     close = (np.abs(back - u) <= 500 * EPS * steep).all(axis=-1)
     # At a pole of the warp many u map to one x, so compare x there

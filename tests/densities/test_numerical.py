@@ -105,8 +105,10 @@ def test_normalization():
     [
         "linear(slope=[1, -1.5])",
         "product(parts=['exponential(rate=3)', 'truncated-normal(mean=0.2, sigma=0.05)'])",
-        "product(parts=['piecewise-linear(values=[1, 3, 0.5])', "
-        "'piecewise-constant(values=[1, 4])'])",
+        (
+            "product(parts=['piecewise-linear(values=[1, 3, 0.5])', "
+            "'piecewise-constant(values=[1, 4])'])"
+        ),
     ],
 )
 def test_products_in_two_dims(spec):

@@ -275,8 +275,7 @@ def jumps(p, axis, other):
     """Return where T jumps on the line u = (·, other) or (other, ·).
 
     Intervals of 2^-15 in which T moves by more than 0.002 are halved, toward the larger step, down
-    to
-    2^-45, where slopes are negligible.
+    to 2^-45, where slopes are negligible.
     """
 
     def at(shares):

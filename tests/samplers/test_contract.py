@@ -41,13 +41,13 @@ CHAINS = {
     " | subset(of={more})": False,
     " | mirror | shift": True,
 }
-"""What follows the sampler, and whether it makes every point uniform.
+"""Randomizations after a sampler, and whether they make every point uniform.
 
-{n} is the count of the case, {more} a larger one that the sampler can make.
+{n} is the count of the case, {more} a larger allowed count of the sampler.
 """
 
 FIXED = ("", " | strata-shift", " | skip(count={n})", " | subset")
-"""What leaves a fixed set the same in every realization."""
+"""Randomizations that keep a fixed set equal in every realization."""
 
 TYPICAL = (
     "random",
@@ -61,7 +61,7 @@ TYPICAL = (
     "poisson-disk",
     "points(path='{path}')",
 )
-"""Samplers of every structure, with digits in several bases, that the randomizations follow."""
+"""Samplers of every structure, with digits in several bases, before randomizations."""
 
 
 @dataclass(frozen=True)

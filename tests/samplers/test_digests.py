@@ -1,10 +1,8 @@
 """Points do not change between versions: digests of every registered sampler and of chains.
 
 ``digests.json`` has SHA-256 digests (12 digits) for each spec and count: of realizations 1 and 2
-for
-seeds 7 and 8, or of realization 1 if sets are optimized. Delete a line and run
-``python -m tests.samplers.test_digests`` to store new digests; explain in the changelog why points
-changed.
+for seeds 7 and 8, or of realization 1 if sets are optimized. Delete a line and run ``python -m
+tests.samplers.test_digests`` to store new digests; explain in the changelog why points changed.
 """
 
 import hashlib

@@ -23,7 +23,7 @@ UNLISTABLE = {
     "no-sampler": "mcspectra.samplers.randomizations:Shift",
     "no-signature": "unsigned_foreign:Thing",
 }
-"""What is a component, but none that can be described as a sampler."""
+"""Registered components that cannot be described as samplers."""
 
 UNSIGNED = """
 from mcspectra.samplers import Sampler

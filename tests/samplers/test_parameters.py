@@ -1,8 +1,7 @@
 """Parameters that a sampler or randomization refuses, and the names in the error message.
 
 The checks themselves (fractions, NaN, text for numbers) are tested in `core.checks`. Here is one
-case
-for each field, and one for each rule of a class.
+case for each field, and one for each rule of a class.
 """
 
 import pytest

@@ -13,8 +13,7 @@ SMOOTH = "christensen-gaussian"
     ("spec", "integrand", "counts", "rate", "bend"),
     [
         # Discontinuous functions: −1.5 in 2-D if strata, or the dual of a lattice, are even. `bend`
-        # is
-        # the bend of the curve at small n
+        # is the bend of the curve at small n
         ("fibonacci | shift", DISK, [21, 89, 377, 1597], -1.5, 0.05),
         # The constant oscillates: a factor 2 between the ends tilts the fit by log
         # 2/log(n_last/n_first)

@@ -231,8 +231,7 @@ def test_stratified_points_have_exponent_2(spec, dims, n, axis):
     """One point per stratum: P = (1 − Π sinc²(πm_i/s))/n, along an axis also for nets (s = n).
 
     Its slope d ln P / d ln |m| falls from 2 to the value at πm/s = π/8 along an axis, where it is
-    least.
-    A fit with positive weights averages slopes, so it lies between.
+    least. A fit with positive weights averages slopes, so it lies between.
     """
     s = n if axis is not None else round(n ** (1 / dims))
     up_to = max(s / 8, 3.0)
