@@ -300,7 +300,7 @@ def power_diagram(points: Array, weights: Array) -> Diagram:
         i = order[s]
         size, visits = _cut_cell(s, sites, (side, starts), heaviest, cell, spare)
         work += visits
-        if used + size > len(neighbors):  # more than the 6 n faces of general position
+        if used + size > len(neighbors):  # 6 n faces suffice in general position
             neighbors = np.append(neighbors, np.empty(used + size, np.int64))
             couplings = np.append(couplings, np.empty(used + size))
 

@@ -61,7 +61,7 @@ def dither_mask(size: int, keys: Array) -> Array:
     -------
     ndarray
         int64 (size, size): the ranks 0 … size² − 1. For every k, the k cells of rank below k form a
-        blue-noise set. k cells, for every k.
+        blue-noise set.
 
     References
     ----------

@@ -447,7 +447,7 @@ class Fixed(Law):
                 found[at] = np.sum(np.bincount(cells).astype(float) ** 2) / self.n
                 return
             for level in range(levels + 1):
-                # First digits as whole numbers; k/b^level that was rounded down counts as k
+                # First digits as whole numbers; a k/b^level that was rounded down counts as k
                 base, scale = bases[axis], float(bases[axis] ** level)
                 nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-50
                 digits = np.floor(points[:, axis] * scale + nudge)
@@ -596,7 +596,7 @@ class Shifted(Law):
 
 @dataclass(frozen=True, kw_only=True)
 class _Image(Law):
-    """The law of a set after a map of its points that preserves whether it is fixed or uniform."""
+    """The law of a mapped set, which is fixed or uniform if the set is."""
 
     inner: Law
 

@@ -165,7 +165,7 @@ def _directions_of_file(path: str, base: int) -> Array:
     try:
         stamp = Path(path).stat().st_mtime_ns
     except (OSError, ValueError, TypeError):
-        stamp = 0  # reading raises the error
+        stamp = 0  # the attempt to read raises the error
     return _read_directions(path, base, stamp)
 
 

@@ -47,9 +47,10 @@ class ProjectiveBlueNoise(Sampler):
     ----------
     dims
         1 to 6.
-    Minimum distance in every projection on k axes, relative to that of the densest known
-    packing of n points in k dims; 0.01 to 1. The default is 0.65, 0.6, 0.5, 0.4, 0.33 and
-    0.25 in 1 to 6 dims, slightly below the largest at which darts place 1000 points.
+    radius_
+        Minimum distance in every projection on k axes, relative to that of the densest known
+        packing of n points in k dims; 0.01 to 1. The default is 0.65, 0.6, 0.5, 0.4, 0.33 and
+        0.25 in 1 to 6 dims, slightly below the largest at which darts place 1000 points.
 
     References
     ----------

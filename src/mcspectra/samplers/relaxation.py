@@ -126,9 +126,9 @@ class Bnot(_CentroidSampler):
     Notes
     -----
     The start is random, and the method does not depend on the origin, so every point is uniform.
-    The paper also jitters regions that have become regular; here the descent ends before. The
-    method generalizes capacity-constrained Voronoi tessellations [Balzer2009]_, which swap samples
-    of the density between points.
+    The paper also jitters regions that have become regular; here the descent ends before. An
+    earlier, discrete form of the method is capacity-constrained Voronoi tessellations
+    [Balzer2009]_, which swap samples of the density between points.
 
     References
     ----------

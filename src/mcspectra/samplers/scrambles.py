@@ -73,7 +73,7 @@ class _OfDigits(Randomization):
         return self if self.base is not None or set(bases) == {2} else replace(self, base=bases)  # type: ignore[type-var]
 
     def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
-        """For strata, allow only powers of the base, whose strata have powers as sides."""
+        """For strata, allow only powers of the base, so that sides of strata are powers too."""
         if not sampler.powers_only:
             return sampler._counts_near(n)
         base, places = self._bases(sampler.dims)[0], 0

@@ -1,4 +1,4 @@
-"""Random points, grids, jitter in their cells, multi-jittered sets, shared cells, hexagons.
+"""Random points, square and hexagonal grids, jittered and multi-jittered sets, shared cells.
 
 The unit cube is divided into n cells of equal volume, s per side (n = s^d) unless other sides are
 given. Points come in row-major order of their cells, the last coordinate fastest.
