@@ -75,7 +75,7 @@ class Quadrature:
 
     @property
     def isolated(self) -> bool:
-        """Whether the record is conclusive: infinite, resolved, or unresolved on ever less."""
+        """Whether the integral is infinite or resolved, or unresolved cells shrink quickly."""
         if not math.isfinite(self.totals[-1]) or self.unresolved[-1] == 0:
             return True
         volumes = self.volumes

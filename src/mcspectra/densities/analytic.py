@@ -233,8 +233,8 @@ class Power(_Separable):
     Attributes
     ----------
     exponent
-        Exponent a, from −0.99 to 1000: one number for all dims or one per dim. Below 0 the density
-        is unbounded at 0; above 0 it is 0 there. ∫1/p diverges for a ≥ 1.
+        Exponent a, from −0.99 to 1000: one number for all dims or one per dim. For a < 0 the
+        density is unbounded at 0; for a > 0 it vanishes at 0. ∫1/p diverges for a ≥ 1.
     """
 
     exponent: float | tuple[float, ...] = per_dim(1.0, least=_LEAST_EXPONENT, most=_MOST_EXPONENT)

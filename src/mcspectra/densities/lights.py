@@ -30,7 +30,7 @@ __all__ = ["SphericalRectangle", "SphericalTriangle"]
 Vector = tuple[float, float, float]
 
 _PERPENDICULAR = 1e-9  # largest cosine of the angle between edges of a rectangle
-_MOST = 120  # most iterations: bisection needs 53, at most doubled by Newton steps
+_MOST = 120  # largest number of iterations: bisection needs 53, at most doubled by Newton steps
 _EPS = float(np.finfo(float).eps)
 
 

@@ -341,8 +341,8 @@ def _set_bound(box: Array, points: Array, buckets: Any, wrap: bool) -> None:
 def fill_holes(points: Array, placed: int, wrap: bool) -> None:
     """Place the points (n, d) after the first `placed`, each as far as possible from all others.
 
-    The method is branch and bound, on the torus or in the cube. In a box with center c no place is
-    farther from all points than c plus half the diagonal. Boxes wait in a heap, the largest bound
+    The method is branch and bound, on the torus or in the cube. No place in a box is farther from
+    all points than its center is, plus half the diagonal. Boxes wait in a heap, the largest bound
     on top. New points only lower bounds, so stale bounds are updated when their box is popped.
     """
     n, dims = points.shape

@@ -39,7 +39,7 @@ __all__ = [
 ]
 
 MAX_COUNT = 2**31
-"""Most points in one realization, and most numbers in one `draw` of a sampler (16 GiB)."""
+"""Limits on points per realization and on numbers per `draw` of a sampler (16 GiB)."""
 
 FIRST_STEP = 1 << 16
 """Label of the first randomization's stream; lower labels are free for the samplers."""

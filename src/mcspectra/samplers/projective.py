@@ -74,7 +74,7 @@ class ProjectiveBlueNoise(Sampler):
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         limits = np.square(self.radii(n))
-        attempts = 3 + 100 // n  # few points jam often, at random
+        attempts = 3 + 100 // n  # with few points, random failures are frequent
         throw, some = partial(_throw_set, limits), f" with {_TRIALS} darts; give a smaller radius."
         return thrown(throw, self, n, stream.keys(first, count), attempts, some)
 

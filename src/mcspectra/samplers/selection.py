@@ -252,7 +252,7 @@ def _pick(keys: Array, run: bool, points: Array, out: Array) -> None:
         start = int(mix_uniform(k0, k1, 0) * size)
         taken = 0
         for i in range(size):
-            # Selection sampling: take a point with probability (still wanted)/(still available)
+            # Selection sampling: take a point with probability (still needed)/(still available)
             if run:
                 if taken == n:
                     break
