@@ -178,7 +178,7 @@ PYTHON = _rows(
             "mcs.spectra.wedge_means(mcs.power_spectrum(mcs.sampler('random', dims=1), 4, "
             "half_width=2))"
         ),
-        "wedges are of two",
+        "wedges need two",
     ),
     ("mcs.spectra.wedge_means(mcs.power_spectrum('random', 4, half_width=2), 10**9)", "360"),
     ("mcs.spectra.wedge_means(mcs.power_spectrum('random', 4, half_width=2), float('nan'))", "360"),
@@ -430,7 +430,7 @@ COMMAND = _rows(
         "balance",
     ),
     ("spectrum random -n 16 --show rings", "radial, slices, wedges, exponent"),
-    ("spectrum random -n 16 -d 3 --half-width 2 --show wedges", "wedges are of two"),
+    ("spectrum random -n 16 -d 3 --half-width 2 --show wedges", "wedges need two"),
     ("spectrum random -n 16 --half-width 1 --show exponent", "three lengths"),
     ("pcf random -n 1", "'mcspectra pcf' needs n of at least 2"),
     ("pcf random -n 64 --bins 0", "--bins"),

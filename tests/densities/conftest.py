@@ -1,4 +1,4 @@
-"""Densities of all kinds, for the tests that every density has to pass."""
+"""Densities of all kinds for the tests that every density must pass."""
 
 import json
 
@@ -11,24 +11,24 @@ from mcspectra.densities.learned import DEGREE, SplineDensity
 
 
 def table(*shape):
-    """Relative densities over three decades, a quarter of them 0."""
+    """Return relative densities over three decades, a quarter of them 0."""
     rng = np.random.default_rng(shape)
     return 10 ** rng.uniform(-3, 0, shape) * (rng.random(shape) > 0.25)
 
 
 def pixel_centers(height, width):
-    """Centers of pixels, (height, width, 2): x_0 over columns, x_1 over rows."""
+    """Return centers of pixels, (height, width, 2): x_0 over columns, x_1 over rows."""
     rows, columns = ((np.arange(k) + 0.5) / k for k in (height, width))
     return np.stack(np.meshgrid(columns, rows), axis=-1)
 
 
 def midpoints(side):
-    """Centers of side × side cells, (side², 2)."""
+    """Return centers of side × side cells, (side², 2)."""
     return pixel_centers(side, side).reshape(-1, 2)
 
 
 def with_a_jump(x):
-    """2x/3 to the left of ½, 2 (1 − x)/3 + 1 to the right."""
+    """Return 2x/3 to the left of ½, and 2 (1 − x)/3 + 1 to the right."""
     left = x[..., 0] < 0.5
     return np.where(left, x[..., 0], (1 - x[..., 0]) + 1.5)
 
@@ -126,7 +126,7 @@ MADE = {
 
 
 def splines(kind, dims):
-    """Tables of a density of splines, with narrow cells, small weights and a share of 0.02."""
+    """Return tables of a spline density with narrow cells, small weights and a share of 0.02."""
     rng = np.random.default_rng(dims)
     inner = np.sort(10 ** rng.uniform(-1.5, 0, (dims, 6)), axis=1)
     knots = np.concatenate([np.zeros((dims, 1)), inner, np.ones((dims, 1))], axis=1)

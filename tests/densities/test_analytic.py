@@ -45,11 +45,11 @@ def test_the_inverse_is_the_integral_of_the_pdf(spec):
         mass, error = quad(
             lambda t: float(p.pdf([t])), 0, x, points=[0.2, 0.5], epsabs=1e-13, epsrel=1e-13
         )
-        # The last float below 1 is what invert may give at most
+        # The last float below 1 is the largest result of invert
         assert p.invert([x])[0] == pytest.approx(mass, abs=2 * error + 1e-13)
 
 
-def test_half_plus_x():
+def test_the_density_half_plus_x():
     p = mcs.density("linear(slope=1)", dims=1)
     np.testing.assert_allclose(p.pdf(U), 0.5 + U[:, 0], rtol=1e-15)
     assert p.reciprocal_integral() == pytest.approx(math.log(3), rel=1e-15)
@@ -58,7 +58,7 @@ def test_half_plus_x():
 def test_slopes_of_two_are_squares_and_roots():
     np.testing.assert_allclose(Linear(dims=1, slope=2).sample(U), np.sqrt(U), rtol=1e-15)
     falling = Linear(dims=1, slope=-2).sample(U)
-    # 1 − √(1−u), written without cancellation
+    # 1 − √(1−u) without cancellation
     np.testing.assert_allclose(falling, U / (1 + np.sqrt(1 - U)), rtol=1e-15)
 
 
@@ -70,18 +70,18 @@ def test_small_slopes_approach_the_identity(slope):
 
 
 @pytest.mark.parametrize(("mean", "sigma"), [(0.5, 0.2), (0.1, 0.05), (1.3, 0.3), (-0.4, 0.5)])
-def test_truncated_normal_is_scipys(mean, sigma):
+def test_truncated_normal_agrees_with_scipy(mean, sigma):
     p = TruncatedNormal(dims=1, mean=mean, sigma=sigma)
     reference = truncnorm((0 - mean) / sigma, (1 - mean) / sigma, mean, sigma)
     np.testing.assert_allclose(p.pdf(U), reference.pdf(U[:, 0]), rtol=1e-12)
-    within = U[:-1]  # at the last float below 1, x is known to 2^-53/p only
+    within = U[:-1]  # at the last float below 1, x is accurate to 2^-53/p only
     np.testing.assert_allclose(p.sample(within)[:, 0], reference.ppf(within[:, 0]), atol=1e-12)
     np.testing.assert_allclose(p.invert(U)[:, 0], reference.cdf(U[:, 0]), atol=1e-13)
 
 
 @pytest.mark.parametrize("mean", [3.0, 20.0, -3.0, -19.0])
 def test_far_tails_are_nearly_exponential(mean):
-    """At distance z sigma the density decays like exp(−z t/σ) (1 + O(1/z²)) from the near end."""
+    """At z sigma, the density decays like exp(−z t/σ) (1 + O(1/z²)) from the near end."""
     p = TruncatedNormal(dims=1, mean=mean, sigma=0.2)
     x = p.sample(U[1:-1])[:, 0]
     from_end = 1 - x if mean > 0 else x
@@ -92,7 +92,7 @@ def test_far_tails_are_nearly_exponential(mean):
 
 
 @pytest.mark.parametrize("exponent", [-0.9, -0.5, 0.5, 3.0, 1000.0])
-def test_powers_are_scipys_beta(exponent):
+def test_powers_agree_with_scipys_beta(exponent):
     p = Power(dims=1, exponent=exponent)
     reference = beta(exponent + 1, 1)
     inner = U[1:-1]
@@ -101,7 +101,7 @@ def test_powers_are_scipys_beta(exponent):
 
 
 @pytest.mark.parametrize("rate", [0.1, 1.0, 50.0, 700.0])
-def test_exponentials_are_scipys(rate):
+def test_exponentials_agree_with_scipy(rate):
     p = Exponential(dims=1, rate=rate)
     reference = truncexpon(rate, scale=1 / rate)
     np.testing.assert_allclose(p.pdf(U), reference.pdf(U[:, 0]), rtol=1e-11)
@@ -111,7 +111,7 @@ def test_exponentials_are_scipys(rate):
 @pytest.mark.parametrize("rate", [1e-17, 0.5, 700.0])
 def test_a_negative_rate_is_the_reflection(rate):
     falling, rising = Exponential(dims=1, rate=rate), Exponential(dims=1, rate=-rate)
-    x = np.linspace(0, 1, 65)[:, None]  # reflections of these are exact
+    x = np.linspace(0, 1, 65)[:, None]  # points whose reflections are exact
     np.testing.assert_allclose(rising.pdf(x), falling.pdf(1 - x), rtol=1e-12)
     np.testing.assert_allclose(rising.sample(x[:-1]), 1 - falling.sample(1 - x[:-1]), atol=1e-12)
 
@@ -132,7 +132,7 @@ def test_small_shares_keep_their_digits():
 
 
 def test_exponent_next_to_minus_one():
-    """x = u^100; all but (1e-308)^(1/100) = 8e-4 of the shares come back."""
+    """x = u^100; all shares but (1e-308)^(1/100) = 8e-4 of them are recovered."""
     p = Power(dims=1, exponent=-0.99)
     u = U[1:]
     np.testing.assert_allclose(p.sample(u), u**100, rtol=1e-12)
@@ -145,14 +145,14 @@ def test_exponent_next_to_minus_one():
     assert p.reciprocal_integral() == pytest.approx(by_quadrature, abs=2 * error)
 
 
-def test_cosine_weighted_is_the_polar_angle_of_the_hemisphere():
-    """Directions by Malley's method: a uniform point on the disk, lifted; θ = arcsin √u."""
+def test_cosine_weighted_agrees_with_the_polar_angle_of_the_hemisphere():
+    """Malley's method: directions are uniform points on the disk, lifted; θ = arcsin √u."""
     p = CosineWeighted(dims=1)
     theta = 0.5 * np.pi * p.sample(U)[:, 0]
     np.testing.assert_allclose(np.sin(theta) ** 2, U[:, 0], atol=1e-15)
     x = U[1:-1]
     np.testing.assert_allclose(p.pdf(x), np.pi / 2 * np.sin(np.pi * x[:, 0]), rtol=1e-12)
-    # The angle in flatland: the sine is uniform on [−1, 1]
+    # In flatland, the sine of the angle is uniform on [−1, 1]
     np.testing.assert_allclose(
         np.sin(np.pi * (p.sample(U)[:, 0] - 0.5)), 2 * U[:, 0] - 1, atol=2e-15
     )

@@ -1,4 +1,4 @@
-"""What densities refuse at the door: one table of fields and their bad values."""
+"""Refusals of densities: a table of fields and bad values."""
 
 import math
 
@@ -28,7 +28,7 @@ NO_WARPS = ["aliased", "", None, 3, ["alias"], "Alias"]
 PARTS = [Tent(dims=1, peak=0.3), Linear(dims=1, slope=1)]
 SKY = synthetic_sky(6, 10)
 
-# Name of a density, with what it needs, to bad values of its fields: the error names the field
+# Density name, required fields, bad values of other fields; the error names the field
 FIELDS = [
     ("uniform", {}, {"dims": [*NO_COUNTS, None]}),
     ("linear", {}, {"dims": NO_COUNTS, "slope": [*NO_NUMBERS, 2.0001, -2.5]}),
@@ -143,7 +143,7 @@ def test_bad_values_of_a_field_are_named(name, needed, field, values):
         ("product", {"parts": ["linear | linear"]}, ParameterError, "chains"),
     ],
 )
-def test_what_does_not_go_together_is_said(name, options, error, says):
+def test_incompatible_options_are_named(name, options, error, says):
     with pytest.raises(error, match=says) as caught:
         DENSITIES.load(name)(**options)
     assert "\n" not in str(caught.value)

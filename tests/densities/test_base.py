@@ -1,4 +1,4 @@
-"""Ratios f/p where p vanishes, and pdfs that floats cannot hold."""
+"""Ratios f/p where p vanishes, and pdfs that overflow floats."""
 
 import warnings
 
@@ -14,7 +14,7 @@ IDENTITY = mcs.Integrand.from_function(lambda x: x[..., 0], dims=1, integral=0.5
 
 @pytest.mark.parametrize("sampler", ["halton", "sobol"])
 def test_a_sample_at_a_common_zero_warns(sampler):
-    """f/p = ½ everywhere but at the origin, where both are 0: the mean is 15/32, not ½."""
+    """f/p = ½ everywhere except at the origin, where both are 0: the mean is 15/32, not ½."""
     estimator = mcs.Estimator(IDENTITY, "linear(slope=2)")
     with pytest.warns(
         UndefinedRatioWarning, match=r"\(0\).*whatever its limit.*\| shift"
@@ -34,13 +34,13 @@ def test_the_warning_is_shown_once_for_an_estimator():
     assert len(caught) == 1
 
 
-def test_randomised_samplers_do_not_warn():
+def test_randomized_samplers_do_not_warn():
     estimator = mcs.Estimator(IDENTITY, "linear(slope=2)")
     found = mcs.convergence(estimator, "sobol | shift", [16], realizations=4)
     assert float(found["mean"][0]) == pytest.approx(0.5, abs=1e-15)
 
 
-def test_zeros_of_the_density_alone_are_errors_that_say_what_to_do():
+def test_zeros_of_the_density_alone_are_errors_with_advice():
     x = np.array([[0.0], [0.5]])
     with pytest.raises(
         DensityError, match=r"where f is not 0; .* randomize the sampler .* else choose"
@@ -59,13 +59,13 @@ def test_one_zero_of_many_channels_is_enough():
     np.testing.assert_array_equal(found, [[0, 0], [0.5, 2]])
 
 
-def test_points_in_words_are_cut():
+def test_points_in_messages_are_truncated():
     assert point_in_words([0.25, 1 / 3]) == "(0.25, 0.333333)"
     assert point_in_words(np.zeros(6)) == "(0, 0, 0, 0, 0, 0)"
     assert point_in_words(np.zeros(1024)) == "(0, 0, 0, 0, 0, 0, … 1018 more)"
 
 
-def test_products_that_overflow_on_the_way_only():
+def test_products_whose_partial_products_overflow():
     factors = np.array([[1e200, 1e200, 1e-300], [2, 3, 4], [1e200, 1e200, 0]])
     np.testing.assert_allclose(bounded_product(factors, "name"), [1e100, 24, 0], rtol=1e-12)
     with pytest.raises(DensityError, match=r"name reaches exp\(921.034\), more than a float"):
@@ -81,7 +81,7 @@ def test_products_that_overflow_on_the_way_only():
         ("tent", 0.5),
     ],
 )
-def test_a_pdf_beyond_the_floats_is_an_error(spec, point):
+def test_a_pdf_that_overflows_is_an_error(spec, point):
     p = mcs.density(spec, dims=1024)
     with pytest.raises(DensityError, match="more than a float can hold") as caught:
         p.pdf(np.full(1024, point))

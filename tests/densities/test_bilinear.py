@@ -1,4 +1,4 @@
-"""Bilinear tables: values between nodes, continuity, quadratures, seams, and what they refuse."""
+"""Bilinear tables: values between nodes, continuity, quadratures, seams, and refusals."""
 
 import math
 
@@ -18,7 +18,7 @@ def grid(n):
 
 
 @pytest.mark.parametrize("nodes", ["corners", "centers"])
-def test_values_between_nodes_are_those_of_scipy(nodes):
+def test_values_between_nodes_agree_with_scipy(nodes):
     height, width = VALUES.shape
     p = Bilinear(values=VALUES, nodes=nodes)
     if nodes == "corners":
@@ -27,15 +27,15 @@ def test_values_between_nodes_are_those_of_scipy(nodes):
         ys, xs = ((np.arange(k) + 0.5) / k for k in (height, width))
     reference = RegularGridInterpolator((ys, xs), VALUES)
     x = grid(40)
-    held = np.clip(x, [xs[0], ys[0]], [xs[-1], ys[-1]])  # centers: the outermost values go on
+    held = np.clip(x, [xs[0], ys[0]], [xs[-1], ys[-1]])  # centers: outermost values continue
     expected = reference(held[..., ::-1])
     ratio = p.pdf(x)[expected > 0] / expected[expected > 0]
     np.testing.assert_allclose(ratio, ratio[0], rtol=1e-12)
 
 
 @pytest.mark.parametrize("options", [{"nodes": "corners"}, {}, {"periodic": True}])
-def test_the_marginal_and_the_conditional_cdf_are_those_of_quadrature(options):
-    """Midpoints: exact where p is linear, off by a fraction of a squared step at a knot."""
+def test_the_marginal_and_the_conditional_cdf_agree_with_quadrature(options):
+    """Midpoints are exact where p is linear, and off by a fraction of a squared step at a knot."""
     p = Bilinear(values=VALUES, **options)
     line = (np.arange(600) + 0.5) / 600
     for x, y in ([0.3, 0.6], [0.81, 0.07], [0.95, 0.97]):
@@ -47,7 +47,7 @@ def test_the_marginal_and_the_conditional_cdf_are_those_of_quadrature(options):
 
 
 def test_the_warp_is_continuous():
-    """Steps of T halve with those of u on lines in both directions; those of tables do not."""
+    """Steps of T halve with steps of u on lines in both directions; for tables they do not."""
     values = np.random.default_rng(1).uniform(0.5, 2, (6, 5))
 
     def largest(p, axis, n):
@@ -86,7 +86,7 @@ def test_products_of_lines_by_hand():
 
 
 def test_no_cancellation_in_nearly_even_cells():
-    """u is recovered to rounding where nodes differ by 1e-15 to 1e15 times."""
+    """u is recovered to rounding if nodes differ by factors of 1e-15 to 1e15."""
     u = np.random.default_rng(3).random((2000, 2))
     for ratio in (1 + 1e-15, 1 + 1e-8, 1e-8, 1e-15):
         p = Bilinear(values=[[1, ratio], [1, ratio]], nodes="corners")
@@ -103,7 +103,7 @@ def test_empty_areas_are_never_sampled():
     assert (p.pdf(x) > 0).all()
     assert np.abs(p.invert(x) - u).max() < 1e-12
     empty = p.zero_points()
-    assert len(empty) == 25 - 4 - 6  # of 25 rectangles, 4 touch the first node, 6 the two others
+    assert len(empty) == 25 - 4 - 6  # 10 of 25 rectangles touch a node
     assert (p.pdf(empty) == 0).all()
 
 
@@ -113,7 +113,8 @@ def test_small_and_narrow_tables(values):
     u = grid(40).reshape(-1, 2)
     x = p.sample(u)
     assert np.abs(p.invert(x) - u).max() < 1e-12
-    # midpoints of 360 = 8 · 45: every knot of these tables is a border, so the rule is exact to x^2
+    # Midpoints of 360 = 8 · 45 cells: every knot of these tables is a border, so the rule is exact
+    # to x²
     assert p.pdf(grid(360)).mean() == pytest.approx(1, rel=1e-12)
     one = Bilinear(values=[[7]])
     np.testing.assert_allclose(one.sample(u), u, rtol=0, atol=1e-15)
@@ -126,8 +127,8 @@ def test_scale_does_not_matter():
     np.testing.assert_array_equal(tiny.pdf(u), large.pdf(u))
 
 
-def test_bilinear_densities_restore_the_rate():
-    """Jittered, f/p smooth: Var = ∫|∇g|²/(12 n²) as of smooth g; tables jump on lines, n^-1.5."""
+def test_bilinear_densities_restore_the_smooth_rate():
+    """Jittered, f/p smooth: Var = ∫|∇g|²/(12 n²); tables jump on lines, which gives n^-1.5."""
     values = np.random.default_rng(6).uniform(0.5, 2, (5, 5))
     n, realizations = 64**2, 400
 
@@ -145,6 +146,6 @@ def test_bilinear_densities_restore_the_rate():
         for step in (np.array([h, 0]), np.array([0, h]))
     ]
     limit = sum((slope**2).mean() for slope in slopes) / (12 * n**2)
-    # Sums of many strata are normal: a variance has the standard error √(2/(R−1)) of itself
+    # Sums of many strata are normal: a variance has the relative standard error √(2/(R−1))
     assert found[0] == pytest.approx(limit, rel=4 * math.sqrt(2 / (realizations - 1)))
     assert found[1] > 2 * limit

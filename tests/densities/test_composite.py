@@ -1,4 +1,4 @@
-"""Mixtures and products: the selecting piece, an extra coordinate, defensive shares, nested specs."""
+"""Mixtures and products: the choosing coordinate, extra coordinates, defensive shares, specs."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def test_the_pdf_is_the_weighted_sum_for_either_selection():
         np.testing.assert_allclose(p.pdf(x), expected, rtol=1e-15)
 
 
-def test_pieces_of_the_coordinate_are_the_warps_of_the_parts():
+def test_parts_of_the_choosing_coordinate_use_the_warps_of_the_parts():
     p = Mixture(parts=PARTS, weights=[1, 3])
     v = np.random.default_rng(1).random((200, 1))
     np.testing.assert_allclose(p.sample(0.25 * v), PARTS[0].sample(v), atol=1e-14)
@@ -36,7 +36,7 @@ def test_pieces_of_the_coordinate_are_the_warps_of_the_parts():
     assert p.breaks == ((0.3 * 0.25, 0.25),)
 
 
-def test_an_extra_coordinate_leaves_the_others_alone():
+def test_an_extra_coordinate_does_not_change_the_others():
     p = Mixture(parts=PARTS, weights=[1, 3], selection="extra")
     u = np.random.default_rng(2).random((500, 2))
     first = u[:, 1] < 0.25
@@ -48,7 +48,7 @@ def test_an_extra_coordinate_leaves_the_others_alone():
 
 
 @pytest.mark.parametrize("axis", [0, 1])
-def test_the_axis_that_chooses_is_stretched(axis):
+def test_the_choosing_axis_is_stretched(axis):
     parts = [Linear(dims=2, slope=2), Linear(dims=2, slope=-2)]
     p = Mixture(parts=parts, weights=[1, 1], axis=axis)
     v = np.random.default_rng(3).random((100, 2))
@@ -70,7 +70,7 @@ def test_a_mixture_of_tables_is_the_table_of_the_sum(dims):
     x = rng.random((1000, dims))
     np.testing.assert_allclose(p.pdf(x), whole.pdf(x), rtol=1e-13)
     assert p.reciprocal_integral() == pytest.approx(whole.reciprocal_integral(), rel=1e-6)
-    # Shares of a fine jittered set in the cells are the masses, but for strata cut by borders
+    # Shares of a fine jittered set in the cells are the masses, except for strata cut by borders
     side = 4096 if dims == 1 else 128
     grid = (np.stack(np.meshgrid(*[np.arange(side)] * dims, indexing="ij"), -1) + 0.5) / side
     cells = np.minimum((p.sample(grid.reshape(-1, dims)) * 4).astype(int), 3)
@@ -96,7 +96,7 @@ def test_zeros_are_those_of_all_parts():
         mcs.Estimator("constant", p)
 
 
-def test_preimages_lead_back():
+def test_preimages_map_back_to_the_points():
     p = Mixture(parts=PARTS, weights=[1, 3])
     x = np.random.default_rng(5).random((50, 1))
     u = p.preimages(x)
@@ -104,8 +104,8 @@ def test_preimages_lead_back():
     np.testing.assert_allclose(p.sample(u), np.concatenate([x, x]), atol=1e-12)
 
 
-def test_exact_variances_know_the_jumps():
-    """Random points: Var = (∫ f²/p − I²)/n whatever the selection; quadrature over x, not u."""
+def test_exact_variances_account_for_the_jumps():
+    """Random points: Var = (∫ f²/p − I²)/n for any selection; quadrature over x, not u."""
     f = mcs.integrand("step(at=0.4)", dims=1)
     x = (np.arange(2_000_000) + 0.5) / 2_000_000
     for selection in ("coordinate", "extra"):
@@ -116,7 +116,7 @@ def test_exact_variances_know_the_jumps():
             found = mcs.exact_variance(e, "random", 1)
             assert found == pytest.approx(expected, rel=1e-6)
         d = mcs.convergence(e, "random", [1], realizations=20_000, rng=1)
-        # The estimate's standard error from the fourth moment, by the interval's own width
+        # Standard error of the estimate from the fourth moment, by the width of the interval
         low, high = d["variance_ci"].values[0]
         middle, half = 0.5 * (low + high), 0.5 * (high - low)
         assert abs(middle - expected) <= 2.5 * half  # five standard errors
@@ -168,7 +168,7 @@ def test_one_technique_of_several_has_no_extra_coordinate():
 @pytest.mark.parametrize("dims", [1, 2, 4])
 @pytest.mark.parametrize("selection", ["coordinate", "extra"])
 def test_the_check_finds_wrong_shares(dims, selection):
-    """The samples of one mixture with the pdf of another one."""
+    """Combine the samples of one mixture with the pdf of another."""
     parts = [mcs.density(s, dims=dims) for s in ("linear", "power")]
     right = Mixture(parts=parts, weights=[1, 3], selection=selection)
     check_density(right)
@@ -203,7 +203,7 @@ def test_parts_act_on_their_own_axes():
     assert p.breaks == (*Tent(dims=1).breaks, *table.breaks)
 
 
-def test_a_product_of_lines_is_the_line_in_more_dims():
+def test_a_product_of_linear_densities_is_linear_in_more_dims():
     whole = Linear(dims=3, slope=[1, -2, 0.5])
     p = Product(parts=["linear(slope=1)", "linear(dims=2, slope=[-2, 0.5])"])
     np.testing.assert_allclose(p.pdf(X), whole.pdf(X), rtol=1e-14)
@@ -222,7 +222,7 @@ def test_specs_keep_the_dims_of_parts():
     np.testing.assert_array_equal(again.sample(u), nested.sample(u))
 
 
-def test_mixtures_in_products_bring_their_extra_coordinate():
+def test_mixtures_in_products_add_their_extra_coordinate():
     p = Product(parts=["tent", "mixture(parts=['tent', 'uniform'], selection='extra')", "linear"])
     assert (p.dims, p.primary_dims, p.has_inverse) == (3, 4, False)
     u = np.random.default_rng(3).random((100, 4))
@@ -239,7 +239,7 @@ def test_zeros_of_a_part_are_probed():
     zeros = p.zero_points()
     assert zeros.shape == (1, 2)
     several = Product(parts=["linear", PiecewiseConstant(values=[1] + [0] * 8)]).zero_points()
-    assert len(np.unique(several[:, 0])) == 4  # places of the other coordinate
+    assert len(np.unique(several[:, 0])) == 4  # positions of the other coordinate
     assert (p.pdf(zeros) == 0).all()
     with pytest.raises(DensityError, match="would miss"):
         mcs.Estimator("constant", p)

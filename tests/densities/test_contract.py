@@ -1,4 +1,4 @@
-"""What every density promises: warp and inverse, shapes, range, mass, and samples that follow it."""
+"""The contract of densities: warp and inverse, shapes, range, mass, and samples of the pdf."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from mcspectra.densities.adaptive import integrate
 
 EPS = np.finfo(float).eps
 LAST = np.nextafter(1.0, 0.0)
-FALSE_ALARM = 1e-6  # of the whole module
+FALSE_ALARM = 1e-6  # false-alarm probability of the whole module
 SIDE = {1: 1024, 2: 128}  # the environment has 32 × 64 pixels, one of them the sun
 BINS = 8
 SAMPLES = 10_000
@@ -20,13 +20,13 @@ CLOSE = 1e-6
 
 
 def dense(dims, rows=2000):
-    """Points with both ends, tiny numbers and everything between, mixed over the dims."""
+    """Return points with both ends, tiny numbers and values between, mixed over the dims."""
     line = np.concatenate([[0, 5e-324, 1e-300, 1e-17, LAST], np.linspace(0, LAST, rows)])
     return np.stack([np.roll(line, 7 * i) for i in range(dims)], axis=-1)
 
 
 def test_samples_are_in_the_unit_cube_and_keep_their_shape(density):
-    """Also: the points that are handed in are left alone."""
+    """Samples have the shape of the given points, which do not change."""
     u = dense(density.primary_dims)
     kept = u.copy()
     x = density.sample(u)
@@ -56,17 +56,17 @@ def test_invert_undoes_sample(density):
     back = density.invert(x)
     assert back.min() >= 0
     assert back.max() < 1
-    # x carries a rounding error of eps, u that of |du/dx| <= p in 1-D; in products and tables p is
+    # x has a rounding error of eps, and u one of |du/dx| <= p in 1-D. In products and tables p is
     # that of one axis, at most the product of p's maximum and the other axes' lengths. Logarithms
     # of truncated normals at z = 15 add |log Φ| = 118 times eps.
     steep = max(1.0, float(density.pdf(x).max()))
     close = (np.abs(back - u) <= 500 * EPS * steep).all(axis=-1)
-    # At a pole of the warp many u are one x: there x has to come back
+    # At a pole of the warp many u map to one x, so compare x there
     again = (np.abs(density.sample(back) - x) <= 4 * EPS).all(axis=-1)
     assert (close | again).all()
 
 
-def test_samples_with_their_density_are_both(density):
+def test_sample_pdf_agrees_with_sample_and_pdf(density):
     u = dense(density.primary_dims, 500)
     x, pdf = density.sample_pdf(u)
     np.testing.assert_array_equal(x, density.sample(u))
@@ -74,7 +74,7 @@ def test_samples_with_their_density_are_both(density):
 
 
 def test_samples_follow_a_pdf_of_mass_one(density):
-    """χ² of samples in cells against the integral of the pdf; the Jacobian in 3-D and more."""
+    """χ² of samples in cells against integrals of the pdf; the Jacobian in three or more dims."""
     dims = density.dims
     x = density.sample(np.random.default_rng(3).random((20_000, density.primary_dims)))
     assert (density.pdf(x) > 0).all()
@@ -82,7 +82,7 @@ def test_samples_follow_a_pdf_of_mass_one(density):
         density.check()
         return
     found = integrate(density.pdf, dims, cells=16, most_cells=2**14)
-    assert abs(found.totals[-1] - 1) <= 2e-4  # what jumps between nodes may hide (check_density)
+    assert abs(found.totals[-1] - 1) <= 2e-4  # jumps between nodes (check_density)
     masses = found.cells.reshape((16,) * dims)
     counts, _ = np.histogramdd(x, bins=[16] * dims, range=[(0, 1)] * dims)
     assert counts[masses == 0].sum() == 0
@@ -92,12 +92,12 @@ def test_samples_follow_a_pdf_of_mass_one(density):
 
 
 def agree(counts, expected, freedom):
-    """Whether a χ² test tells counts from what is expected, at Šidák's level for all tests."""
+    """Return whether a χ² test accepts the counts, at Šidák's level for all tests."""
     statistic = ((counts - expected) ** 2 / expected).sum()
     return statistic <= chi2.isf(1 - (1 - FALSE_ALARM) ** (1 / TESTS), freedom)
 
 
-def test_breaks_are_shares_and_the_reciprocal_integral_is_that_of_the_quadrature(density):
+def test_breaks_are_shares_and_the_reciprocal_integral_agrees_with_quadrature(density):
     assert len(density.breaks) == density.primary_dims
     for axis in density.breaks:
         assert all(0 < b < 1 for b in axis)
@@ -112,10 +112,10 @@ def test_breaks_are_shares_and_the_reciprocal_integral_is_that_of_the_quadrature
         if np.isfinite(exact):
             np.testing.assert_allclose(found, exact, rtol=1e-9 if not density.breaks[0] else 1e-3)
     else:
-        assert exact >= 1  # Jensen
+        assert exact >= 1  # Jensen's inequality
 
 
-def test_spec_makes_it_again(density):
+def test_the_spec_makes_an_equal_density(density):
     if density.name == "function" or "<array" in density.spec:
         return
     again = mcs.density(density.spec, dims=density.dims)
@@ -125,7 +125,7 @@ def test_spec_makes_it_again(density):
 
 
 def squares(density, side):
-    """Masses (side²,) by 4 × 4 Gauss points a cell; jumps within cells cost what a cell holds."""
+    """Return masses (side²,) by 4 × 4 Gauss points per cell; jumps within cells cause errors."""
     node, weight = np.polynomial.legendre.leggauss(4)
     line = ((np.arange(side)[:, None] + 0.5 * (node + 1)) / side).ravel()
     values = density.pdf(np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1))
@@ -135,15 +135,16 @@ def squares(density, side):
 
 
 def increasing(density):
-    """Whether the warp is the inverse of the cdf: in 1-D, but for alias tables and mixtures."""
+    """Return whether the warp is the inverse cdf: in 1-D, except alias tables and mixtures."""
     return density.dims == 1 and density.has_inverse and getattr(density, "warp", "") != "alias"
 
 
-def test_pdf_and_warp_are_those_of_the_table_of_cell_masses(density):
-    """A second implementation, within what cells resolve.
+def test_pdf_and_warp_agree_with_a_table_of_cell_masses(density):
+    """Compare with a second implementation, within the resolution of cells.
 
     ∫|p − mean of p in its cell| is at most the width of a cell times the variation of p. Warps that
-    invert the cdf go to the same cells; T of one and then T⁻¹ of the other is uniform for all.
+    invert the cdf map to the same cells. For all warps, T of one and then T⁻¹ of the other is
+    uniform.
     """
     side, dims = SIDE.get(density.dims), density.dims
     if side is None:
@@ -175,7 +176,7 @@ def test_pdf_and_warp_are_those_of_the_table_of_cell_masses(density):
 
 
 def uniform(v):
-    """Whether a χ² test of bins does not tell points (k, d) from uniform ones."""
+    """Return whether a χ² test of bins accepts points (k, d) as uniform."""
     dims = v.shape[-1]
     counts, _ = np.histogramdd(v, bins=[BINS] * dims, range=[(0, 1)] * dims)
     return agree(counts, len(v) / BINS**dims, BINS**dims - 1)

@@ -1,4 +1,4 @@
-"""The disk and directions: moments, references of the maps, special points, poles and seams."""
+"""The disk and directions: moments, reference maps, special points, poles and seams."""
 
 import math
 
@@ -21,7 +21,7 @@ each = pytest.mark.parametrize("density", ALL, ids=lambda p: p.spec)
 
 
 def directions(density, x):
-    """Unit vectors (..., 3) of points of the lat-long square."""
+    """Return unit vectors (..., 3) of points of the lat-long square."""
     theta = x[..., 1] * (math.pi if density.name == "sphere" else math.pi / 2)
     phi = 2 * math.pi * x[..., 0]
     return np.stack(
@@ -30,7 +30,7 @@ def directions(density, x):
 
 
 def moments(density):
-    """E ω_2, E ω_0² and E ω_2², in closed form."""
+    """Return E ω_2, E ω_0² and E ω_2² in closed form."""
     if density.name == "sphere":
         return 0.0, 1 / 3, 1 / 3
     return (0.5, 1 / 3, 1 / 3) if density.weighting == "uniform" else (2 / 3, 1 / 4, 1 / 2)
@@ -38,7 +38,7 @@ def moments(density):
 
 @each
 def test_moments(density):
-    """By the midpoint rule in u; its error is of order side^-2, side^-1.5 at the end of a root."""
+    """Midpoint rule in u; its error is of order side^-2, or side^-1.5 at the end of a root."""
     w = directions(density, density.sample(midpoints(256)))
     mean, side, up = moments(density)
     error = 2 * 256**-1.5
@@ -72,12 +72,12 @@ def test_the_two_warps_share_one_pdf_and_jacobian(density):
         (density.sample(u + e) - density.sample(u - e)) / (2 * step) for e in step * np.eye(2)
     ]
     area = np.abs(np.linalg.det(np.stack(slopes, axis=-1)))
-    # Relative third derivatives within 1e-3 of a pole or crease: step²·1e6, and rounding eps/step
+    # Relative third derivatives within 1e-3 of a pole or crease: step²·1e6; rounding is eps/step
     np.testing.assert_allclose(area * density.pdf(density.sample(u)), 1.0, rtol=1e-5)
 
 
 def octahedral(a, b):
-    """The equal-area map in Cartesian form, a and b in [-1, 1]: slow and scalar."""
+    """Return the equal-area map in Cartesian form, a and b in [-1, 1]; slow and scalar."""
     signed = 1 - (abs(a) + abs(b))
     radius = 1 - abs(signed)
     phi = math.pi / 4 * (1.0 if radius == 0 else (abs(b) - abs(a)) / radius + 1)
@@ -90,7 +90,7 @@ def octahedral(a, b):
     ]
 
 
-def test_the_octahedral_map_in_another_form():
+def test_the_octahedral_map_agrees_with_its_cartesian_form():
     density = SphereDensity()
     u = np.concatenate([np.random.default_rng(3).random((500, 2)), midpoints(9)])
     expected = np.array([octahedral(*(2 * each - 1)) for each in u])
@@ -98,7 +98,7 @@ def test_the_octahedral_map_in_another_form():
 
 
 def test_concentric_directions_are_continuous():
-    """Also across seams, folds and, on the sphere, from a side to its mirror image."""
+    """Continuity across seams, folds and, on the sphere, from a side to its mirror image."""
     h = 1e-4
     u = np.random.default_rng(4).uniform(0, 1 - h, (20_000, 2))
     u[:5000, 1] = 0.5 - h / 2
@@ -137,8 +137,8 @@ def test_poles_and_seams():
 
 
 @pytest.mark.parametrize("spec", ['sphere(warp="polar")', "sphere"])
-def test_digits_next_to_both_poles(spec):
-    """u at 1e-12 of a pole comes back with the digits that it had."""
+def test_digits_are_kept_next_to_both_poles(spec):
+    """u at 1e-12 from a pole is recovered with its digits."""
     density = mcs.density(spec)
     near = [[0.5 + 1e-12, 0.5 + 3e-12], [1 - 1e-12, 1 - 3e-12], [1e-12, 3e-12], [0.3, 1e-12]]
     np.testing.assert_allclose(density.invert(density.sample(near)), near, rtol=0, atol=4e-16)
@@ -161,7 +161,7 @@ def test_special_points_of_the_polar_warp():
 
 
 def test_special_points_of_the_concentric_warp():
-    """Sides' middles to the axes, corners to the diagonals, squares to circles; π/8 up at half way."""
+    """Midpoints of sides map to the axes, corners to the diagonals, squares to circles."""
     disk = DiskDensity()
     c = 0.5 * math.sqrt(0.5)
     angle = math.pi / 8
@@ -181,16 +181,16 @@ def test_special_points_of_the_concentric_warp():
 
 
 @pytest.mark.parametrize("warp", WARPS)
-def test_invert_away_from_the_centre(warp):
+def test_invert_away_from_the_center(warp):
     disk = DiskDensity(warp=warp, radius=0.4, center=(0.45, 0.5))
     u = np.random.default_rng(2).random((2000, 2))
     x = disk.sample(u)
     rho = np.hypot(*(x - [0.45, 0.5]).T)
-    # x is known to an ulp: so is an angle, over ρ
+    # x is accurate to an ulp, and so is the angle divided by ρ
     assert (np.abs(disk.invert(x) - u).max(axis=1) <= 8e-16 * (1 + 1 / rho)).all()
 
 
-def test_the_rim_is_inside_and_the_rest_is_not():
+def test_the_rim_belongs_to_the_disk():
     for warp in WARPS:
         disk = DiskDensity(radius=1e-6, center=(0.1, 0.9), warp=warp)
         rim = np.linspace(0, 1, 4001)
@@ -204,7 +204,7 @@ def test_the_rim_is_inside_and_the_rest_is_not():
     assert mcs.density("disk(radius=0.2)").pdf([0.5, 0.7000001]) == 0
 
 
-def test_points_outside_go_to_the_rim():
+def test_points_outside_map_to_the_rim():
     u = DiskDensity(warp="polar", radius=0.25).invert([[0.5, 1.0], [0.0, 0.5]])
     np.testing.assert_allclose(u, [[0.25, LAST], [0.5, LAST]], atol=1e-15)
 

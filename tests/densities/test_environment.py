@@ -27,7 +27,7 @@ REC709 = np.array([0.2126, 0.7152, 0.0722])
 
 
 def solid_angles(height):
-    """Shares of the rows, by the difference of cosines."""
+    """Return the shares of the rows, by differences of cosines."""
     return -np.diff(np.cos(np.pi * np.arange(height + 1) / height)) / 2
 
 
@@ -78,14 +78,14 @@ def test_channels_and_floor(tmp_path):
 
 
 @pytest.mark.parametrize("channel", ["luminance", 0, 1, 2])
-def test_pixels_hold_radiance_times_solid_angle(channel):
+def test_pixels_have_mass_radiance_times_solid_angle(channel):
     p = EnvironmentDensity(values=SKY, channel=channel)
     radiance = SKY @ REC709 if channel == "luminance" else SKY[..., channel]
     masses = radiance * solid_angles(6)[:, None]
     np.testing.assert_allclose(p.pdf(pixel_centers(6, 10)), masses / masses.mean(), rtol=1e-12)
 
 
-def test_without_solid_angles_it_is_a_picture():
+def test_without_solid_angles_a_map_is_a_picture():
     p = EnvironmentDensity(values=SKY[..., 0], sin_theta=False)
     np.testing.assert_allclose(
         p.pdf(pixel_centers(6, 10)), SKY[..., 0] / SKY[..., 0].mean(), rtol=1e-12
@@ -93,7 +93,7 @@ def test_without_solid_angles_it_is_a_picture():
 
 
 def test_an_even_map_samples_directions_evenly():
-    """cos θ of the samples is uniform, up to the steps of rows: its cdf at row borders is exact."""
+    """cos θ of the samples is uniform up to rows; its cdf at row borders is exact."""
     p = EnvironmentDensity(values=np.ones((16, 4)))
     u = np.stack(np.full((2, 1001), 0.5), axis=-1)
     u[:, 1] = np.linspace(0, np.nextafter(1, 0), 1001)
@@ -125,7 +125,7 @@ def test_compensation_subtracts_the_mean_over_directions(compensation, multiple)
 
 
 def test_compensated_maps_need_another_technique():
-    """Alone an error, as p is 0 where f is not; in MIS unbiased, and better than without."""
+    """Alone an error, since p is 0 where f is not; in MIS unbiased, and better than without."""
     f = mcs.integrand("environment(channel=1)")
     plain, compensated = (
         mcs.density(f"environment(channel=1, compensation={c})") for c in (False, True)
@@ -158,7 +158,7 @@ def test_the_default_is_the_synthetic_sky():
 
 
 @pytest.mark.parametrize("warp", WARPS)
-def test_warps_of_pictures_and_maps_are_those_of_tables(tmp_path, warp):
+def test_warps_of_pictures_and_maps_equal_the_warps_of_tables(tmp_path, warp):
     values = np.random.default_rng(5).random((5, 12))
     np.save(tmp_path / "p.npy", values)
     picture = ImageDensity(path=tmp_path / "p.npy", warp=warp)
@@ -178,15 +178,15 @@ TABLE = [1.0, 1.0, 4.0, 2.0, 0.5, 8.0]
 
 
 def _second_moment(own, f, other, share):
-    """∫ f²/(β p' + (1 − β) p_s), cells of equal size."""
+    """Return ∫ f²/(β p' + (1 − β) p_s) for cells of equal size."""
     mix = share * own + (1 - share) * other
     return np.mean(np.where(f > 0, f**2 / np.where(mix > 0, mix, 1e-300), 0))
 
 
 @pytest.mark.parametrize("counts", [(1, 1), (1, 3), (5, 1)])
 @pytest.mark.parametrize("other", [[1.0] * 6, [6, 5, 4, 3, 2, 1], [0, 0, 1, 5, 5, 5]])
-def test_it_is_the_density_of_least_second_moment(counts, other):
-    """Against a constrained minimizer that knows nothing of λ."""
+def test_compensation_minimizes_the_second_moment(counts, other):
+    """Compare with a constrained minimizer that does not use λ."""
     f = np.array(TABLE) / np.mean(TABLE)
     second = np.array(other) / np.mean(other)
     share = counts[0] / sum(counts)
@@ -208,8 +208,8 @@ def test_it_is_the_density_of_least_second_moment(counts, other):
     np.testing.assert_allclose(own, found.x, atol=2e-2)
 
 
-def test_nothing_cut_off_leaves_no_variance():
-    """The mixture is p itself, so that f/mixture is constant."""
+def test_without_a_cutoff_there_is_no_variance():
+    """The mixture is p itself, so f/mixture is constant."""
     table = PiecewiseConstant(values=[2, 3, 4, 5])
     own = compensated(table, ["uniform"], (3, 1))
     p = np.array([2, 3, 4, 5]) / 3.5
@@ -237,20 +237,21 @@ def test_variance_goes_down_and_the_support_stays_covered():
         assert mcs.exact_variance(e, "random", 1) == pytest.approx(expected, rel=1e-6)
     partly = PiecewiseConstant(values=[1, 0, 1, 0, 1, 0, 1, 0, 1, 0])
     kept = compensated(table, [partly])
-    assert (np.array(kept.values) > 0).all()  # every cell of the table holds a gap of the other
+    assert (np.array(kept.values) > 0).all()  # the other density has a gap in every cell
 
 
 def test_two_dims_have_rows_along_axis_1():
     values = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, 9.0]])
     own = compensated(PiecewiseConstant(values=values), ["linear(slope=1)"], (2, 1))
     x = np.stack(np.meshgrid((np.arange(3) + 0.5) / 3, [0.25, 0.75]), axis=-1)
-    other = mcs.density("linear(slope=1)", dims=2).pdf(x)  # linear: its mean is that at the center
+    # The mean of a linear density is its value at the center
+    other = mcs.density("linear(slope=1)", dims=2).pdf(x)
     left = values / values.mean() - other / 3
     assert (left > 0).all()
     np.testing.assert_allclose(own.values, left * 1.5, rtol=1e-12)
 
 
-def test_alone_it_is_the_table_and_its_warp_is_kept():
+def test_without_others_the_table_and_its_warp_are_kept():
     table = PiecewiseConstant(values=[[1, 2], [3, 4]], warp="hierarchical")
     own = compensated(table, [])
     np.testing.assert_allclose(own.values, np.array([[1, 2], [3, 4]]) / 2.5)
@@ -258,7 +259,7 @@ def test_alone_it_is_the_table_and_its_warp_is_kept():
 
 
 def test_tables_of_several_blocks_of_cells():
-    """Where it is not cut off, its share and the others' together are λ p."""
+    """Where nothing is cut off, its share and those of other techniques add up to λ p."""
     p = np.random.default_rng(1).random((300, 500)) ** 4
     own = compensated(PiecewiseConstant(values=p), ["uniform", "linear(slope=1)"]).values
     assert np.mean(own) == pytest.approx(1, abs=1e-9)

@@ -1,4 +1,4 @@
-"""Solid-angle sampling: Ω by quadrature and formulas, the papers' maps, tiny, huge and grazing lights."""
+"""Solid-angle sampling: Ω by quadrature and formulas; tiny, huge and grazing lights."""
 
 import math
 
@@ -36,7 +36,7 @@ def name(density):
 
 
 def on_light(density, x):
-    """Points of the light about the origin: what the docstrings say of (s, t)."""
+    """Return points of the light relative to the origin, by the meaning of (s, t) in docstrings."""
     s, t = x[..., :1], x[..., 1:]
     if isinstance(density, SphericalRectangle):
         point = np.array(density.corner) + s * np.array(density.edge0) + t * np.array(density.edge1)
@@ -47,7 +47,7 @@ def on_light(density, x):
 
 
 def gauss(function, order=60):
-    """Integral over the unit square; t = τ² takes the root out of the triangle's map."""
+    """Integral over the unit square; t = τ² removes the root of the triangle's map."""
     node, weight = np.polynomial.legendre.leggauss(order)
     line, w = 0.5 * (node + 1), 0.5 * weight
     x = np.stack(np.meshgrid(line, line**2, indexing="ij"), axis=-1)
@@ -55,7 +55,7 @@ def gauss(function, order=60):
 
 
 def jacobian(density, x):
-    """|∂ω/∂(s, t)| by differences of unit vectors."""
+    """Return |∂ω/∂(s, t)| by differences of unit vectors."""
     step = 1e-6
     sides = []
     for e in step * np.eye(2):
@@ -68,7 +68,7 @@ def jacobian(density, x):
 @pytest.mark.parametrize("density", [*RECTANGLES, *TRIANGLES], ids=name)
 def test_solid_angle_by_quadrature_of_the_jacobian(density):
     value = gauss(lambda x: jacobian(density, np.clip(x, 2e-6, 1 - 2e-6)), 120)
-    # Nodes resolve a kernel of width 0.1/3; the ends are cut by 2e-6, of a density of up to 10
+    # Nodes resolve a kernel of width 0.1/3; the ends omit 2e-6, with a density of up to 10
     assert density.solid_angle == pytest.approx(value, rel=1e-4)
     x = np.random.default_rng(1).uniform(0.05, 0.95, (50, 2))
     np.testing.assert_allclose(
@@ -77,7 +77,7 @@ def test_solid_angle_by_quadrature_of_the_jacobian(density):
 
 
 def test_known_solid_angles():
-    """A face of a cube about the origin, an octant, and a rectangle as two triangles."""
+    """A face of a cube around the origin, an octant, and a rectangle as two triangles."""
     face = SphericalRectangle(corner=(-1, -1, 1), edge0=(2, 0, 0), edge1=(0, 2, 0))
     assert face.solid_angle == pytest.approx(4 * math.pi / 6, rel=1e-15)
     assert TRIANGLES[1].solid_angle == pytest.approx(math.pi / 2, rel=1e-15)
@@ -87,7 +87,7 @@ def test_known_solid_angles():
 
 @pytest.mark.parametrize("density", FAR, ids=name)
 def test_far_and_tiny_lights_keep_their_digits(density):
-    """∫p = 1 by quadrature: p holds 1/Ω, and Ω is down to 1e-16."""
+    """∫p = 1 by quadrature, where p contains 1/Ω and Ω is as small as 1e-16."""
     assert density.solid_angle < 1e-11
     assert gauss(density.pdf, 12) == pytest.approx(1.0, rel=1e-12)
     u = np.random.default_rng(2).random((2000, 2))
@@ -96,20 +96,20 @@ def test_far_and_tiny_lights_keep_their_digits(density):
 
 @pytest.mark.parametrize("density", NEAR, ids=name)
 def test_lights_next_to_the_origin(density):
-    """Ω close to 2π; p is peaked like 1/z², and u comes back as far as the digits of x allow."""
+    """Ω is close to 2π; p has a peak like 1/z², and u is recovered to the digits of x."""
     assert 6.28 < density.solid_angle < 2 * math.pi
     u = np.random.default_rng(3).random((2000, 2))
     x = density.sample(u)
     w = on_light(density, x)
     w /= np.linalg.norm(w, axis=-1, keepdims=True)
-    # Uniform over nearly a hemisphere: cos θ is uniform, of mean ½ and variance 1/12
+    # Over almost a hemisphere, cos θ is uniform with mean ½ and variance 1/12
     assert abs(w[:, 2].mean() - 0.5) < 5 / math.sqrt(12 * 2000)
     back = density.invert(x)
     assert np.abs(back - u).max() < 1e-15 * density.pdf(x).max() ** 0.5 * 100
 
 
 def urena(density, u):
-    """The closed form of the paper in local coordinates: (s, t)."""
+    """Return the paper's closed form in local coordinates: (s, t)."""
     corner = on_light(density, np.zeros(2))
     e0, e1 = np.array(density.edge0, float), np.array(density.edge1, float)
     l0, l1 = np.linalg.norm(e0), np.linalg.norm(e1)
@@ -133,12 +133,13 @@ def urena(density, u):
 @pytest.mark.parametrize("density", RECTANGLES, ids=name)
 def test_the_map_of_urena_fajardo_and_king(density):
     u = np.random.default_rng(5).random((500, 2))
-    # The closed form subtracts angles of order 1: 1e-15 over Ω, and roots of it where cos is 1
+    # The closed form subtracts angles of order 1: errors of 1e-15 over Ω, and their roots if cos is
+    # 1
     np.testing.assert_allclose(density.sample(u), urena(density, u), atol=1e-10)
 
 
 def arvo(density, u):
-    """Directions of Arvo's closed form."""
+    """Return directions of Arvo's closed form."""
     corners = [on_light(density, np.array(p, float)) for p in ((0, 1), (0, 0), (1, 1))]
     a, b, c = (v / np.linalg.norm(v) for v in corners)
 
@@ -161,7 +162,7 @@ def test_the_map_of_arvo(density):
     u = np.random.default_rng(6).uniform(0.01, 0.99, (500, 2))
     w = on_light(density, density.sample(u))
     w /= np.linalg.norm(w, axis=-1, keepdims=True)
-    # The closed form's angles are 1e-16 of 1, over Ω = 2e-3 in the smallest; √(1 − z²) takes a root
+    # The closed form's angles have errors of 1e-16 over Ω = 2e-3 at least; √(1 − z²) takes a root
     np.testing.assert_allclose(w, arvo(density, u), atol=1e-10)
 
 

@@ -1,4 +1,4 @@
-"""∫1/p, divergence, and a check that finds each kind of mismatch."""
+"""∫1/p, divergence, and a check that detects each kind of mismatch."""
 
 import math
 
@@ -65,10 +65,10 @@ def test_divergence_is_found(pdf, dims):
             1,
             2e3 * math.atan(500),
             1e-9,
-        ),  # nearly divergent, finite
+        ),  # nearly divergent but finite
         (lambda x: (0.5 + X(x)) * (0.5 + Y(x)), 2, math.log(3) ** 2, 1e-10),
         (lambda x: 2.25 * np.sqrt(X(x) * Y(x)), 2, 16 / 9, 1e-5),
-        # p jumps along a circle: 1/p = 2 in a quarter of area π R²/4, R² = 0.6, and ½ outside
+        # p jumps along a circle: 1/p = 2 in a quarter disk of area π R²/4, R² = 0.6, and ½ outside
         (lambda x: np.where((x**2).sum(-1) < 0.6, 0.5, 2), 2, 0.5 + 0.225 * math.pi, 1e-4),
     ],
 )
@@ -78,7 +78,7 @@ def test_values(pdf, dims, expected, relative):
 
 def test_values_in_three_dims_are_estimates():
     found = reciprocal_integral(of_pdf(lambda x: 0.5 + X(x), 3))
-    # 1/p lies in [2/3, 2]: 131 072 plain random points would have a standard error of 1e-3
+    # 1/p lies in [2/3, 2]; 131 072 random points would have a standard error of 1e-3
     assert found == pytest.approx(math.log(3), abs=1e-3)
 
 
@@ -175,13 +175,13 @@ def test_valid_densities_raise_no_alarm():
     weights = np.random.default_rng(3).random(500) ** 4
     weights *= 0.999 / weights.mean()
     weights += 0.001
-    steps = PiecewiseConstant(values=weights, warp="alias")  # jumps all over, and no inverse
+    steps = PiecewiseConstant(values=weights, warp="alias")  # many jumps, and no inverse
     valid = [
         {"pdf": steps.pdf, "sample": steps.sample},
         {"pdf": lambda x: 0.5 / np.sqrt(X(x)), "sample": np.square, "invert": np.sqrt},
         {"pdf": lambda x: 0.1 * X(x) ** -0.9, "sample": lambda u: u**10},
         {"pdf": lambda x: 2.0 * (X(x) < 0.5), "sample": lambda u: u / 2},
-        {"pdf": one, "sample": lambda u: 1 - np.abs(1 - 2 * u)},  # two to one
+        {"pdf": one, "sample": lambda u: 1 - np.abs(1 - 2 * u)},  # a two-to-one warp
         {"pdf": one, "sample": lambda u: (u + 0.3) % 1, "invert": lambda x: (x - 0.3) % 1},
         {
             "pdf": one,
@@ -217,12 +217,12 @@ def test_from_functions_without_an_inverse():
     ("dims", "error"), [(1, 0.015), (1, -0.005), (1, 0.002), (2, 0.015), (2, -0.005)]
 )
 def test_samples_that_are_slightly_wrong_everywhere_are_found(dims, error):
-    """T(u) = u + e u (1 − u) on every axis puts 1/2 + e/4 of the mass to the left, not 1/2."""
+    """T(u) = u + e u (1 − u) on every axis gives 1/2 + e/4 of the mass to the left half."""
     with pytest.raises(DensityError, match="do not follow its pdf"):
         mcs.Density.from_functions(pdf=one, sample=lambda u: u + error * u * (1 - u), dims=dims)
 
 
-def test_one_cell_of_64_that_is_wrong_is_found():
+def test_one_wrong_cell_of_64_is_found():
     """A kink moves 3 % of the mass of one cell to its neighbor."""
     width = 1 / 64
 

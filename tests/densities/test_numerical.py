@@ -1,4 +1,4 @@
-"""Warps computed from a pdf alone, against closed forms, and what they refuse."""
+"""Warps computed from a pdf alone, against closed forms, and their refusals."""
 
 import math
 
@@ -42,7 +42,7 @@ def of(pdf, dims=1, **more):
         "mixture(parts=['tent', 'power(exponent=3)'])",
     ],
 )
-def test_the_warp_is_that_of_the_closed_form(spec):
+def test_the_warp_agrees_with_the_closed_form(spec):
     exact = mcs.density(spec, dims=1)
     p = of(exact.pdf)
     if exact.has_inverse:
@@ -85,7 +85,7 @@ def test_a_table_of_many_jumps():
     np.testing.assert_allclose(p.breaks[0], table.breaks[0], atol=1e-12)
 
 
-def test_normalised_or_not():
+def test_normalization():
     def pdf(x):
         return np.exp(-X(x))
 
@@ -105,7 +105,10 @@ def test_normalised_or_not():
     [
         "linear(slope=[1, -1.5])",
         "product(parts=['exponential(rate=3)', 'truncated-normal(mean=0.2, sigma=0.05)'])",
-        "product(parts=['piecewise-linear(values=[1, 3, 0.5])', 'piecewise-constant(values=[1, 4])'])",
+        (
+            "product(parts=['piecewise-linear(values=[1, 3, 0.5])', "
+            "'piecewise-constant(values=[1, 4])'])"
+        ),
     ],
 )
 def test_products_in_two_dims(spec):
@@ -117,7 +120,7 @@ def test_products_in_two_dims(spec):
 
 
 def test_rows_that_differ():
-    """p = e^{xy}/c: given y the cdf of x is (e^{xy} − 1)/(e^y − 1)."""
+    """p = e^{xy}/c: given y, the cdf of x is (e^{xy} − 1)/(e^y − 1)."""
     p = of(lambda x: np.exp(X(x) * Y(x)), 2, normalize=True)
     u = np.random.default_rng(2).random((2000, 2))
     x = p.sample(u)
@@ -180,7 +183,7 @@ def test_input_is_read_only_for_the_pdf():
 
 @pytest.mark.parametrize("sides", [(0.008, 0.008), (0.1, 0.0025)])
 def test_narrow_boxes_keep_their_mass(sides):
-    """1 + 1000 in a box: the mass of the box counts, to rounding."""
+    """1 + 1000 in a box: the mass of the box counts, up to rounding."""
     low = np.array([0.5083, 0.2277])
 
     def pdf(x):
@@ -218,7 +221,7 @@ def test_narrow_peaks_keep_their_mass(sigma):
 
 @pytest.mark.parametrize("at", [0.25 + 1e-6, 0.25 - 1e-6, 1 / 256 + 1e-9, 0.5 - 1e-12])
 def test_jumps_next_to_borders_of_cells(at):
-    """A jump within a thousandth of a cell from its border: nodes are not so close to it."""
+    """A jump within a thousandth of a cell from its border, closer than any node."""
     p = of(lambda x: np.where(X(x) < at, 1.0, 9.0), normalize=True)
     mass = at + 9 * (1 - at)
     assert float(p.pdf([0.1 * at])) == pytest.approx(1 / mass, rel=1e-13)
@@ -235,13 +238,13 @@ def test_jumps_next_to_borders_of_cells(at):
         (lambda x: 1 / np.abs(X(x) - 0.5), "a pole at 0 only"),
     ],
 )
-def test_poles_away_from_zero_are_refused_with_what_to_do(pdf, says):
+def test_poles_away_from_zero_are_refused_with_advice(pdf, says):
     with pytest.raises(DensityError, match=says):
         of(pdf, normalize=True)
 
 
 def test_a_mild_pole_at_one_next_to_a_pole_at_zero():
-    """Beta(0.3, 0.7): what is not resolved next to 1 is 1e-11 of the mass."""
+    """Beta(0.3, 0.7): the unresolved part next to 1 is 1e-11 of the mass."""
     from scipy.stats import beta
 
     p = of(lambda x: X(x) ** -0.7 * (1 - X(x)) ** -0.3, normalize=True)

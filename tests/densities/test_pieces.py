@@ -1,4 +1,4 @@
-"""Lines between nodes and bins of equal shares: exact cdfs, empty cells, the exact ∫1/p."""
+"""Lines between nodes and bins of equal shares: exact cdfs, empty cells, exact ∫1/p."""
 
 import itertools
 import math
@@ -15,7 +15,7 @@ U = np.linspace(0, np.nextafter(1.0, 0.0), 2001)[:, None]
 
 
 def exact_cdf(nodes, x):
-    """Trapezoids in rational arithmetic."""
+    """Return the cdf by trapezoids in rational arithmetic."""
     nodes, x = [Fraction(v) for v in nodes], Fraction(x)
     h = Fraction(1, len(nodes) - 1)
     total = below = Fraction(0)
@@ -29,7 +29,7 @@ def exact_cdf(nodes, x):
 @pytest.mark.parametrize(
     "nodes", [[1, 1], [0, 1], [3, 0], [0, 2, 0], [1, 1e-9, 0, 0, 5, 2], [0, 0, 1e-300, 0]]
 )
-def test_the_cdf_is_that_of_rational_arithmetic(nodes):
+def test_the_cdf_agrees_with_rational_arithmetic(nodes):
     p = PiecewiseLinear(values=nodes)
     for x in np.linspace(0, 1, 38)[:-1]:
         assert p.invert([x])[0] == pytest.approx(exact_cdf(nodes, x), abs=4e-16)
@@ -67,7 +67,7 @@ def test_small_cells_are_not_lost_where_they_come_first():
     np.testing.assert_allclose(p.invert(p.sample(u)), u, rtol=1e-13)
 
 
-def test_reciprocal_integral_is_that_of_quadrature():
+def test_reciprocal_integral_agrees_with_quadrature():
     nodes = [0.5, 2, 2, 1e-3, 1]
     p = PiecewiseLinear(values=nodes)
     found, error = quad(lambda x: 1 / float(p.pdf([x])), 0, 1, points=[0.25, 0.5, 0.75], limit=200)
@@ -75,7 +75,7 @@ def test_reciprocal_integral_is_that_of_quadrature():
     assert PiecewiseLinear(values=[0, 1]).reciprocal_integral() == math.inf
 
 
-def test_long_tables_are_not_written_out():
+def test_long_tables_are_abbreviated():
     p = PiecewiseLinear(values=np.ones(1000))
     assert p.spec == "piecewise-linear(values=<array 1000>)"
     assert p.breaks == ((),)

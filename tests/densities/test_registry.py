@@ -8,7 +8,7 @@ from mcspectra.core.errors import ParameterError, UnknownName
 from mcspectra.densities import DENSITIES, Linear, as_density
 
 
-def test_all_names_load_and_say_what_they_are():
+def test_all_names_load_and_have_a_summary():
     expected = {"image", "linear", "piecewise-constant", "truncated-normal", "uniform"}
     assert expected <= set(DENSITIES)
     for name in DENSITIES:
@@ -46,7 +46,7 @@ def test_as_density():
         mcs.density(None)
 
 
-def test_an_unknown_name_says_which_list_to_ask_for():
+def test_the_error_for_an_unknown_name_names_the_list():
     with pytest.raises(UnknownName, match="'mcspectra list densities' shows them"):
         mcs.density("qqq")
 

@@ -1,6 +1,6 @@
 """Piecewise constant tables: cells, borders, breaks, and four warps of one table.
 
-The warps have the same pdf, masses and cells; different jumps, and so variances.
+The warps have the same pdf, masses and cells, but different jumps and thus variances.
 """
 
 import math
@@ -17,11 +17,11 @@ from mcspectra.densities.tabulated import WARPS, _Hilbert
 
 INVERTIBLE = tuple(w for w in WARPS if w != "alias")
 SHAPES = [(1, 1), (1, 7), (7, 1), (8, 8), (5, 12), (16, 3)]
-FALSE_ALARM = 1e-6  # of the whole module
+FALSE_ALARM = 1e-6  # false-alarm probability of the whole module
 
 
 def table(*shape):
-    """Over two decades, a quarter of the cells empty, but for the first."""
+    """Return values over two decades; a quarter of the cells is empty, but not the first."""
     rng = np.random.default_rng(shape)
     values = 10 ** rng.uniform(-2, 0, shape) * (rng.random(shape) > 0.25)
     values.flat[0] = 1.0
@@ -29,7 +29,7 @@ def table(*shape):
 
 
 def gentle(height, width):
-    """Values from 1 to 3: no warp stretches anything by more than 3 w or 3 h."""
+    """Return values from 1 to 3, so that no warp stretches by more than 3 w or 3 h."""
     return np.random.default_rng(4).uniform(1, 3, (height, width))
 
 
@@ -67,7 +67,7 @@ def test_separable_tables_have_breaks_along_both_axes():
 
 @pytest.mark.parametrize("cells", [3, 7, 10, 49, 613, 1000])
 def test_every_border_belongs_to_one_cell(cells):
-    """Samples at the ends of every cell are looked up in that cell, whatever i/k rounds to."""
+    """Samples at the ends of every cell are looked up in that cell, however i/k rounds."""
     rng = np.random.default_rng(cells)
     weights = rng.random(cells) * (rng.random(cells) > 0.5) + 0.0
     weights[0] = 1.0
@@ -133,7 +133,7 @@ def test_counts_in_cells_follow_the_masses(shape, warp):
 
 @pytest.mark.parametrize("warp", WARPS)
 def test_positions_within_cells_are_even(warp):
-    """χ² over quarters of cells: the remainders that place are uniform, in x_0, x_1 and jointly."""
+    """χ² over quarters of cells: positions are uniform in x_0, x_1 and jointly."""
     shape = (5, 6)
     x = PiecewiseConstant(values=gentle(*shape), warp=warp).sample(
         np.random.default_rng(3).random((40_000, 2))
@@ -154,12 +154,12 @@ def test_round_trips_both_ways(shape, warp):
     np.testing.assert_allclose(p.invert(x), u, rtol=0, atol=1e-15 * 50 * steep)
     again = p.sample(p.invert(x))
     close = np.abs(again - x).max(axis=1) < 1e-9
-    assert close.mean() > 0.999  # next to a border rounding may cross it
+    assert close.mean() > 0.999  # rounding may cross an adjacent border
 
 
 @pytest.mark.parametrize("warp", INVERTIBLE)
 def test_the_jacobian_is_the_pdf(warp):
-    """|∂T/∂u| p = 1 by differences that stay within a cell."""
+    """|∂T/∂u| p = 1, by differences that stay within a cell."""
     p = PiecewiseConstant(values=table(5, 12), warp=warp)
     u = np.random.default_rng(5).random((500, 2)) * 0.99
     h = 1e-7
@@ -171,7 +171,7 @@ def test_the_jacobian_is_the_pdf(warp):
 
 
 @pytest.mark.parametrize("warp", WARPS)
-def test_one_cell_holds_all(warp):
+def test_one_cell_has_all_the_mass(warp):
     values = np.zeros((6, 5))
     values[4, 2] = 7
     x = PiecewiseConstant(values=values, warp=warp).sample(midpoints(64))
@@ -182,7 +182,7 @@ def test_one_cell_holds_all(warp):
 
 @pytest.mark.parametrize("warp", WARPS)
 def test_ends_stay_inside_cells_with_mass(warp):
-    """Coordinates 0, the least and the last float; cells at the corners are empty."""
+    """Coordinates 0, the smallest and the largest float; cells at the corners are empty."""
     values = np.ones((4, 4))
     values[0, 0] = values[0, 3] = values[3, 0] = values[3, 3] = 0
     ends = np.array([0.0, 5e-324, 1e-17, np.nextafter(1, 0), 1.0])
@@ -202,7 +202,7 @@ def test_one_dimension_has_one_monotone_warp():
 
 
 def test_alias_by_hand():
-    """Masses ½, 3/2 of two bins: bin 0 keeps ½ of cell 0, the rest and bin 1 are cell 1."""
+    """Masses ½, 3/2 of two bins: bin 0 keeps ½ for cell 0; its rest and bin 1 are cell 1."""
     p = mcs.density("piecewise-constant(values=[1, 3], warp='alias')")
     u = np.array([[0.0], [0.125], [0.25], [0.375], [0.5], [0.75]])
     np.testing.assert_allclose(p.sample(u)[:, 0], [0, 0.25, 0.5, 0.75, 0.5, 0.75])
@@ -213,7 +213,7 @@ def test_alias_by_hand():
 
 
 def test_hierarchical_by_hand():
-    """Rows 1/4 and 3/4, then columns: 1/2 in the upper, 1/3 in the lower row."""
+    """Rows have 1/4 and 3/4; then columns have 1/2 in the upper and 1/3 in the lower row."""
     p = PiecewiseConstant(values=[[1, 1], [2, 4]], warp="hierarchical")
     np.testing.assert_allclose(p.sample([0.25, 0.125]), [0.25, 0.5 * 0.5])
     np.testing.assert_allclose(p.sample([1 / 6, 0.625]), [0.25, 0.75])
@@ -222,7 +222,7 @@ def test_hierarchical_by_hand():
 
 
 def recursive(values, u):
-    """Hierarchical warp of powers of two, written on tables rather than heaps, one point."""
+    """Hierarchical warp for powers of two, of one point, on tables instead of heaps."""
     (x0, x1), (w0, w1), u = [0.0, 0.0], [1.0, 1.0], list(u)
     while values.size > 1:
         axis = 1 if values.shape[0] >= values.shape[1] else 0
@@ -251,7 +251,7 @@ def test_hierarchical_against_a_slow_reference(shape):
 
 @pytest.mark.parametrize("side", [2, 4, 16, 32])
 def test_the_curve_visits_neighbors(side):
-    """Each cell once, each step to one of four neighbors, in the direction of its heading."""
+    """Each cell once; each step goes to one of four neighbors, in the direction of the heading."""
     curve = _Hilbert(np.ones((side, side)))
     assert sorted(curve.order) == list(range(side * side))
     row, column = np.divmod(curve.order, side)
@@ -262,7 +262,7 @@ def test_the_curve_visits_neighbors(side):
     np.testing.assert_array_equal(headings[-1], steps[-1])
 
 
-def test_the_curve_is_followed_closely():
+def test_steps_along_the_curve_stay_within_two_cells():
     """On a square of 2^k, T along u_0 moves within two neighboring cells at any border."""
     p = PiecewiseConstant(values=gentle(8, 8), warp="hilbert")
     line = np.stack([(np.arange(2**14) + 0.5) / 2**14, np.full(2**14, 0.3)], axis=-1)
@@ -272,10 +272,10 @@ def test_the_curve_is_followed_closely():
 
 
 def jumps(p, axis, other):
-    """Where T jumps on the line u = (·, other) or (other, ·).
+    """Return where T jumps on the line u = (·, other) or (other, ·).
 
-    Intervals of 2^-15 in which T moves by more than 0.002 are halved, toward the larger step, to
-    2^-45, which leaves nothing of a slope.
+    Intervals of 2^-15 in which T moves by more than 0.002 are halved, toward the larger step, down
+    to 2^-45, where slopes are negligible.
     """
 
     def at(shares):
@@ -310,7 +310,7 @@ def test_jumps_on_lines():
 
 
 def test_whole_lines_of_jumps_are_breaks():
-    """Wherever T jumps on *every* line, a break says so; there are none elsewhere."""
+    """If T jumps on *every* line, a break is given; otherwise there is none."""
     for warp in WARPS:
         p = PiecewiseConstant(values=gentle(4, 16), warp=warp)
         for axis in (0, 1):
@@ -332,16 +332,16 @@ def test_hierarchical_breaks_of_a_wide_table():
     assert len(PiecewiseConstant(values=gentle(1, 8), warp="hierarchical").breaks[0]) == 7
 
 
-def test_breaks_of_large_tables_are_left_out():
+def test_breaks_of_large_tables_are_omitted():
     values = gentle(80, 80)
     for warp in ("alias", "hilbert"):
         assert PiecewiseConstant(values=values, warp=warp).breaks == ((), ())
 
 
-def test_jumps_cost_variance():
+def test_jumps_increase_the_variance():
     """Jittered, f/p smooth: marginal and hierarchical < Hilbert < alias < random, by intervals.
 
-    Strata of 32 × 32 cut 64 cells: those of the alias table hold pieces from all over the domain.
+    32 × 32 strata divide 64 cells; strata of the alias table contain pieces from the whole domain.
     """
     values = gentle(8, 8)
     p = PiecewiseConstant(values=values)

@@ -1,4 +1,4 @@
-"""The samplers that are held to the contract: one row each, more where parameters change much."""
+"""Samplers that the contract tests cover: one row each, and more if parameters change much."""
 
 from dataclasses import dataclass
 
@@ -7,11 +7,11 @@ __all__ = ["ANY", "GRIDS", "ROWS", "Row"]
 
 @dataclass(frozen=True)
 class Row:
-    """A sampler to hold to the contract: spec, dims and a count that it can make in each."""
+    """A sampler of the contract tests: spec, dims and an allowed count for each."""
 
     spec: str
     counts: dict[int, int]
-    fixed: bool = False  # the same points in every realization
+    fixed: bool = False  # whether all realizations have the same points
     unbiased: bool = True
 
 

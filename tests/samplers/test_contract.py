@@ -1,9 +1,8 @@
-"""The contract of samplers: every registered one in all its dims, typical ones after randomizations.
+"""The contract of samplers: every registered sampler in all its dims, and some with randomizations.
 
-That points are uniform is asked of registered samplers in one dims; of randomizations their own tests ask it.
-
-A new sampler is one row of `rows.ROWS`; a new randomization one entry of `CHAINS`. What the base class
-does for all of them (counts, dims, seeds that are none) is tested once.
+Uniformity of points is tested for registered samplers in one number of dims; randomizations have
+their own tests. A new sampler is one row of `rows.ROWS`, a new randomization one entry of `CHAINS`.
+Behavior of the base class (counts, dims, bad seeds) is tested once.
 """
 
 import warnings
@@ -21,7 +20,7 @@ from mcspectra.core.streams import Stream
 from mcspectra.samplers import RANDOMIZATIONS, SAMPLERS, Randomized, sampler
 from mcspectra.samplers.base import MAX_COUNT, Structure
 
-FALSE_ALARMS = 1e-6  # for the whole file
+FALSE_ALARMS = 1e-6  # false-alarm probability of the whole file
 GIVEN_SETS = 5
 
 CHAINS = {
@@ -42,13 +41,13 @@ CHAINS = {
     " | subset(of={more})": False,
     " | mirror | shift": True,
 }
-"""What follows the sampler, and whether it makes every point uniform.
+"""Randomizations after a sampler, and whether they make every point uniform.
 
-{n} is the count of the case, {more} a larger one that the sampler can make.
+{n} is the count of the case, {more} a larger allowed count of the sampler.
 """
 
 FIXED = ("", " | strata-shift", " | skip(count={n})", " | subset")
-"""What leaves a fixed set the same in every realization."""
+"""Randomizations that keep a fixed set equal in every realization."""
 
 TYPICAL = (
     "random",
@@ -62,12 +61,12 @@ TYPICAL = (
     "poisson-disk",
     "points(path='{path}')",
 )
-"""Samplers of every structure, with digits in several bases, that the randomizations follow."""
+"""Samplers of every structure, with digits in several bases, before randomizations."""
 
 
 @dataclass(frozen=True)
 class Case:
-    """A row with its dims and what follows it."""
+    """A row with its dims and its randomizations."""
 
     row: Row
     dims: int
@@ -90,26 +89,26 @@ class Case:
 
 
 def parts_of(chain):
-    """Names of the randomizations of a chain."""
+    """Return the names of the randomizations of a chain."""
     return [part.strip().partition("(")[0] for part in chain.split("|") if part.strip()]
 
 
 def fits(row, chain):
-    """Whether every step of the chain keeps what the steps before it have left."""
+    """Return whether every step of the chain preserves the remaining structure."""
     cls = SAMPLERS.load(row.spec.partition("(")[0])
     structure = cls.structure
     for name in parts_of(chain):
         if name == "skip" and not (cls.sequence or structure is Structure.UNKNOWN):
             return False
-        if cls.antithetic and name in ("owen", "lms"):  # these part the pairs
+        if cls.antithetic and name in ("owen", "lms"):  # these separate the pairs
             return False
         structure = RANDOMIZATIONS.load(name).fits.get(structure)
     return structure is not None
 
 
 def made(row, chain):
-    """Whether the chain can be tried: digits of strata, and of n-ths, keep powers of two only."""
-    if "{" in chain and row.spec.startswith("points"):  # these have no more points
+    """Return whether the chain can be drawn; digits of strata and of i/n need powers of two."""
+    if "{" in chain and row.spec.startswith("points"):  # given points have no other counts
         return False
     powers = SAMPLERS.load(row.spec.partition("(")[0]).structure is Structure.STRATA
     digits = {"digital-shift", "owen", "permute", "lms"}.intersection(parts_of(chain))
@@ -134,7 +133,7 @@ every_sampler = pytest.mark.parametrize("case", ONCE, ids=str)
 
 @pytest.fixture(scope="session")
 def make(tmp_path_factory):
-    """Build the sampler of a case; given points are written to a file first."""
+    """Return a function that builds the sampler of a case; given points are written to a file."""
     folder = tmp_path_factory.mktemp("points")
 
     def build(case):
@@ -158,7 +157,7 @@ def make(tmp_path_factory):
 
 
 def test_rows_cover_the_registries():
-    code = {"command", "python"}  # which test_external holds to it
+    code = {"command", "python"}  # covered by test_external
     assert {row.spec.partition("(")[0] for row in ROWS} == set(SAMPLERS) - code
     assert {part for chain in CHAINS for part in parts_of(chain)} == set(RANDOMIZATIONS)
     assert {row.spec for row in ROWS} > set(TYPICAL)
@@ -171,7 +170,7 @@ def test_randomizations_that_break_a_set_are_refused_with_a_reason(case, make):
 
 
 @every_case
-def test_points_are_the_same_bits_in_any_call_and_thread_and_as_said(case, make):
+def test_points_have_the_same_bits_in_any_call_and_thread_and_the_declared_properties(case, make):
     source = make(case)
     whole = source.draw(case.n, realizations=GIVEN_SETS, rng=7)
     assert whole.shape == (GIVEN_SETS, case.n, case.dims)
@@ -186,13 +185,13 @@ def test_points_are_the_same_bits_in_any_call_and_thread_and_as_said(case, make)
         parts = list(pool.map(lambda r: again.draw(case.n, rng=7, first=r)[0], range(GIVEN_SETS)))
     np.testing.assert_array_equal(parts, whole)
 
-    # That a subset of all points is no choice is not known before the count is.
+    # Whether a subset takes all points depends on the count
     assert (len(np.unique(whole.reshape(GIVEN_SETS, -1), axis=0)) == 1) == case.fixed
     assert source.fixed == (case.fixed and case.chain != " | subset")
     given = case.row.spec.startswith("points") and case.chain in FIXED
     assert np.array_equal(whole[:1], source.draw(case.n, rng=8)) == (case.fixed or given)
 
-    # What it says of itself
+    # Compare the declared properties with the points
     assert source.unbiased == case.unbiased
     assert source.check_count(case.n) == case.n
     assert source.nearest_count(case.n) == case.n
@@ -218,16 +217,16 @@ def test_every_point_is_uniform(case, make):
     ],
 )
 @pytest.mark.parametrize(("dims", "n"), [(1, 16), (2, 16), (3, 64)])
-def test_that_test_sees_bias_within_strata(spec, dims, n):
+def test_the_uniformity_test_detects_bias_within_strata(spec, dims, n):
     assert p_of_uniformity(sampler(spec, dims), n, dims) < FALSE_ALARMS / len(UNIFORM)
 
 
 def p_of_uniformity(source, n, dims):
-    """χ² over 35 cells, of one point picked from each realization: least p of all pairs of neighbors.
+    """Least p of χ² tests over 35 cells of one point per realization, for pairs of neighbor axes.
 
-    5 × 7 cells are not those of any set here, so that strata do not hide what is within them.
+    5 × 7 cells differ from the strata of every set here, so that strata do not hide their interior.
     """
-    realizations = 350  # 10 a cell
+    realizations = 350  # 10 per cell
     points = source.draw(n, realizations=realizations, rng=20)
     picked = np.random.default_rng(dims).integers(n, size=realizations)
     x = points[np.arange(realizations), picked]
@@ -283,7 +282,7 @@ def test_one_point_is_made_or_refused_with_the_nearest_count(case, make):
     assert error.value.nearest == (nearest,)
 
 
-# What the base class does, once for a sampler of any count, one of few and a chain
+# Behavior of the base class, tested for a sampler of any count, one of few counts, and a chain
 BASES = ["random", "jittered", "sobol | owen"]
 
 
@@ -320,7 +319,7 @@ def test_too_many_numbers_are_refused_before_they_are_made(spec):
 
 @pytest.mark.parametrize("spec", ["random", "antithetic-jittered", "latin-hypercube"])
 @pytest.mark.parametrize("name", list(RANDOMIZATIONS))
-def test_randomizations_leave_their_input_alone(spec, name):
+def test_randomizations_do_not_change_their_input(spec, name):
     points = sampler(spec).draw(18, realizations=2, rng=1)
     before = points.copy()
     RANDOMIZATIONS.load(name)().apply(points, Stream(5), 0)
@@ -339,6 +338,6 @@ def test_then_is_the_chain_of_the_spec_string(spec, name):
     )
 
 
-def test_then_wants_a_randomization():
+def test_then_requires_a_randomization():
     with pytest.raises(ParameterError, match="not a randomization"):
         mcs.samplers.Random(dims=2).then("shift")

@@ -1,8 +1,8 @@
-"""Points do not change from one version to the next: digests of every registered sampler and of chains.
+"""Points do not change between versions: digests of every registered sampler and of chains.
 
-``digests.json`` holds, for each spec and count, SHA-256 digests (12 digits) of realizations 1 and 2 of
-seeds 7 and 8 (of realization 1 where sets are optimized). Delete a line and run
-``python -m tests.samplers.test_digests`` to store new ones; say in the changelog why points changed.
+``digests.json`` has SHA-256 digests (12 digits) for each spec and count: of realizations 1 and 2
+for seeds 7 and 8, or of realization 1 if sets are optimized. Delete a line and run ``python -m
+tests.samplers.test_digests`` to store new digests; explain in the changelog why points changed.
 """
 
 import hashlib
@@ -19,7 +19,7 @@ TABLE = Path(__file__).with_name("digests.json")
 SEEDS = (7, 8)
 STORED = json.loads(TABLE.read_text()) if TABLE.exists() else {}
 
-# Cheap parameters where sets are optimized, and counts that nearly all can make
+# Cheap parameters for optimized sets, and counts that nearly all samplers allow
 QUICK = {
     "bnot": "bnot(iterations=5)",
     "digital-net": "digital-net(matrices=[[8, 4, 2, 1, 16, 32], [8, 12, 10, 15, 17, 51]])",
@@ -53,7 +53,7 @@ CHAINS = [
     "points",
     *[f"{base} | {step}" for base in ("sobol", "halton", "random") for step in RANDOMIZATIONS],
 ]
-OF_OTHERS = ("command", "points", "python", "shared-cells")  # their points are not ours
+OF_OTHERS = ("command", "points", "python", "shared-cells")  # points from outside the package
 SPECS = [*(QUICK.get(name, name) for name in SAMPLERS if name not in OF_OTHERS), *CHAINS]
 
 
@@ -64,7 +64,7 @@ def source_of(spec):
 
 
 def digests_of(spec):
-    """Digests of three counts, of fewer where there are no three."""
+    """Return digests for three counts, or for fewer if the sampler allows fewer."""
     source = source_of(spec)
     optimised = isinstance(source, OptimisedSampler)
     found = {}
@@ -85,7 +85,7 @@ def test_the_table_holds_every_registered_name():
     "ignore::mcspectra.core.errors.NotPowerOfTwoWarning", "ignore::UserWarning"
 )
 @pytest.mark.parametrize("spec", SPECS)
-def test_points_are_those_stored(spec):
+def test_points_match_the_stored_digests(spec):
     assert digests_of(spec) == STORED[spec]
 
 

@@ -1,4 +1,4 @@
-"""Void and cluster: every step is the best there is; low-discrepancy blue noise: exact strata."""
+"""Void and cluster: every step is optimal; low-discrepancy blue noise: strata are exact."""
 
 import numpy as np
 import pytest
@@ -13,19 +13,19 @@ from mcspectra.samplers.dither import dither_mask, snap_in_chunks
 
 SIDE = 32
 HALF = SIDE * SIDE // 2
-FIRST = round(0.1 * SIDE * SIDE)  # ones of the first pattern
-CUT = 1e-5  # what the Gaussians' tails beyond their cut can add up to
+FIRST = round(0.1 * SIDE * SIDE)  # number of ones in the first pattern
+CUT = 1e-5  # bound of the sum of the Gaussians' tails beyond the cutoff
 KEYS = Stream(3).keys(0, 4)
 
 
 def gaussian(side, sigma):
-    """Gaussian around cell (0, 0) of the torus."""
+    """Return a Gaussian around cell (0, 0) of the torus."""
     offsets = np.minimum(np.arange(side), side - np.arange(side))
     return np.exp(-(offsets[:, None] ** 2 + offsets**2) / (2 * sigma**2))
 
 
 def energies(pattern, sigma=1.5):
-    """Sum of Gaussians around the ones, through the spectrum."""
+    """Return the sum of Gaussians around the ones, computed by a Fourier transform."""
     transform = np.fft.rfft2(pattern) * np.fft.rfft2(gaussian(len(pattern), sigma))
     return np.fft.irfft2(transform, s=pattern.shape)
 
@@ -54,7 +54,7 @@ def test_the_first_pattern_cannot_be_relaxed(mask):
 
 
 def test_every_rank_is_the_tightest_cluster_or_the_largest_void(mask):
-    """Below the first pattern, between it and a half, and above, where zeros are the minority."""
+    """Ranks below the first pattern, between it and a half, and above a half."""
     for rank in range(FIRST // 2, FIRST, 7):
         energy = energies(mask <= rank)
         assert energy[mask == rank] > energy[mask <= rank].max() - CUT
@@ -68,7 +68,7 @@ def test_every_rank_is_the_tightest_cluster_or_the_largest_void(mask):
 
 @pytest.mark.parametrize("keys", KEYS, ids=range(4))
 def test_all_prefixes_and_all_rests_keep_their_distance(keys):
-    """At least half of that in a hexagonal lattice, however few they are: the Gaussian must reach."""
+    """Distances are at least half the hexagonal lattice's, so the Gaussian is wide enough."""
     ranks = dither_mask(64, keys)
     for k in (2, 3, 5, 10, 30, 100, 300):
         for chosen in (ranks < k, ranks >= 64 * 64 - k):
@@ -82,14 +82,14 @@ def test_impossible_sizes(size):
         dither_mask(size, KEYS[0])
 
 
-def test_points_are_in_cells_of_their_own():
+def test_every_point_has_its_own_cell():
     points = VoidAndCluster(cells=16).draw(100, realizations=5, rng=1)
     cells = np.floor(points * 40) @ [40, 1]
     assert all(len(np.unique(row)) == 100 for row in cells)
 
 
 def test_prefixes_are_spread_evenly():
-    """At least half of the distance in a square lattice."""
+    """Distances are at least half of that in a square lattice."""
     for points in VoidAndCluster().draw(256, realizations=4, rng=2):
         for k in (2, 4, 16, 64, 128):
             assert toroidal_distances(points[:k]).min() > 0.5 / np.sqrt(k)
@@ -99,7 +99,7 @@ COUNTS = [1, 4, 16, 64, 256, 1024]
 
 
 def draw(n, realizations=10, **parameters):
-    """Realizations with few sweeps: what is exact does not depend on them."""
+    """Draw realizations with few sweeps; exact properties do not depend on the sweeps."""
     source = LowDiscrepancyBlueNoise(sweeps=3, **parameters)
     return source.draw(n, realizations=realizations, rng=1)
 
@@ -146,8 +146,8 @@ def test_chunks_are_in_the_order_of_shifted_van_der_corput_points():
         assert len(np.unique(low[:, 0, 0])) == 4
 
 
-def test_discrepancy_is_that_of_nets():
-    """L2 star discrepancy: within 1.5 of scrambled Sobol' points', squared a tenth of random ones'."""
+def test_discrepancy_is_comparable_with_nets():
+    """Squared L2 star discrepancy: within 1.5 of scrambled Sobol', a tenth of random points."""
 
     def squares(spec):
         sets = mcs.samplers.sampler(spec).draw(256, realizations=20, rng=2)
@@ -155,12 +155,12 @@ def test_discrepancy_is_that_of_nets():
 
     mine = squares("ldbn")
     assert mine < 1.5**2 * squares("sobol | owen")
-    assert mine < 0.1 * (1 / 4 - 1 / 9) / 256  # exact for random points
+    assert mine < 0.1 * (1 / 4 - 1 / 9) / 256  # exact value for random points
 
 
 @pytest.mark.parametrize(("spec", "most"), [("void-and-cluster", 0.1), ("ldbn", 0.05)])
 def test_low_frequencies_are_suppressed(spec, most):
-    """Mean power below half the frequency √n of the spacing; that of random points is 1."""
+    """Mean power below half the frequency √n of the spacing; random points have power 1."""
     n = 256
     power = mcs.power_spectrum(spec, n, half_width=8, realizations=50, rng=3)["power"].values
     norm = np.hypot(*np.meshgrid(np.arange(-8, 9), np.arange(-8, 9)))

@@ -36,7 +36,7 @@ from mcspectra.samplers.law import bases_to_scramble
 from mcspectra.testing import check_sampler
 
 FALSE_ALARMS = 1e-6
-CHECKS = 8  # statistical tests in this file
+CHECKS = 8  # number of statistical tests in this file
 LEVEL = 1 - (1 - FALSE_ALARMS) ** (1 / CHECKS)  # Šidák
 
 SETS = np.random.default_rng(0).random((3, 5, 2))
@@ -44,7 +44,7 @@ SETS = np.random.default_rng(0).random((3, 5, 2))
 
 @pytest.fixture
 def files(tmp_path):
-    """Two files of two sets and one."""
+    """Write two files, of two sets and of one set."""
     write_points(tmp_path / "a.dat", SETS[:2])
     write_points(tmp_path / "b.bin", SETS[2:])
     return [str(tmp_path / "a.dat"), str(tmp_path / "b.bin")]
@@ -90,7 +90,7 @@ class TestGivenPoints:
         with pytest.raises(ValueError, match="read-only"):
             source.points[0, 0, 0] = 0.5
 
-    def test_what_was_not_given_is_refused(self, files):
+    def test_points_that_were_not_given_are_an_error(self, files):
         source = mcs.Sampler.from_files(*files)
         refused(
             CountError, "holds 3 realizations, but 4 are needed", source.draw, 5, realizations=4
@@ -181,7 +181,7 @@ class TestGivenPoints:
 
 @pytest.fixture
 def folder(tmp_path):
-    """Sets of 4 and of 16 points in files that their names tell, and one that is no set."""
+    """Write sets of 4 and 16 points to files with their counts in the name, and another file."""
     rng = np.random.default_rng(1)
     sets = {}
     for n, k, extension in ((4, 2, "dat"), (4, 10, "npy"), (16, 1, "csv")):
@@ -192,13 +192,13 @@ def folder(tmp_path):
 
 
 class TestPatterns:
-    """A folder or a pattern stands for the sets of many files, and offers the counts that they have."""
+    """A folder or a pattern stands for the sets of many files, with the counts of these sets."""
 
     @pytest.mark.parametrize("pattern", ["", "n*_*", "n{n}_*", "n?*_?*"])
-    def test_sets_are_told_apart_by_their_counts(self, folder, pattern):
+    def test_sets_are_grouped_by_their_counts(self, folder, pattern):
         root, sets = folder
         source = sampler(f"points(path={str(root / pattern)!r}, name='mine')")
-        # 2 before 10: the numbers of names go by value
+        # 2 before 10: numbers in names are ordered by value
         np.testing.assert_array_equal(
             source.draw(4, realizations=2), np.stack([sets[4, 2], sets[4, 10]])
         )
@@ -213,7 +213,7 @@ class TestPatterns:
         assert short_spec(f"{source.spec} | shift") == "mine | shift"
         assert short_spec("sobol(directions='a/b c/joe.txt') | owen") == "sobol('joe.txt') | owen"
 
-    def test_a_pattern_takes_what_it_says(self, folder):
+    def test_a_pattern_selects_matching_files(self, folder):
         root, _ = folder
         assert list(sampler(f"points(path={str(root / 'n4_*')!r})").sets) == [4]
         assert len(sampler(f"points(path={str(root / 'n{n}_2.*')!r})").sets[4]) == 1
@@ -258,11 +258,11 @@ def draw_and_leave(n, rng):
 
 
 class TestPythonSampler:
-    """A function by its name, which must be allowed before a spec may say it."""
+    """A function given by name, which must be allowed before a spec may name it."""
 
     NAME = f"{__name__}:draw_uniform"
 
-    def test_it_is_the_function(self):
+    def test_points_equal_those_of_the_function(self):
         source = PythonSampler(function=self.NAME, dims=3)
         given = mcs.Sampler.from_function(draw_uniform, dims=3)
         np.testing.assert_array_equal(
@@ -316,7 +316,7 @@ if how == "fail":
 
 @pytest.fixture
 def program(tmp_path):
-    """A program that prints uniform points, and fails as it is told."""
+    """Write a program that prints uniform points and fails on request."""
     file = tmp_path / "mine"
     file.write_text(PROGRAM.format(python=sys.executable))
     file.chmod(0o755)
@@ -324,7 +324,7 @@ def program(tmp_path):
 
 
 class TestCommandSampler:
-    """A program that prints points, one run for each realization."""
+    """A program that prints points, run once per realization."""
 
     def test_realizations_are_keyed_by_the_seed(self, program):
         source = mcs.Sampler.from_command(f"{program} {{n}} {{seed}}", dims=2)
@@ -336,7 +336,7 @@ class TestCommandSampler:
         assert sampler(source.spec, 2) == source
         assert pickle.loads(pickle.dumps(source)) == source
 
-    def test_what_it_prints_is_read_as_numbers(self, program):
+    def test_the_output_is_read_as_numbers(self, program):
         import random
 
         source = mcs.Sampler.from_command(f"{program} {{n}} 7", dims=2)
@@ -344,7 +344,7 @@ class TestCommandSampler:
         expected = [[random.random(), random.random()] for _ in range(3)]
         np.testing.assert_array_equal(source.draw(3)[0], expected)
 
-    def test_without_a_seed_it_runs_once_a_draw(self, program, monkeypatch):
+    def test_without_a_seed_it_runs_once_per_draw(self, program, monkeypatch):
         source = mcs.Sampler.from_command(f"{program} {{n}} 7", dims=2)
         runs = []
         printed = CommandSampler._printed
@@ -367,11 +367,11 @@ class TestCommandSampler:
             ("endless", ParameterError, "printed more than"),
         ],
     )
-    def test_what_it_must_not_do(self, program, how, error, words):
+    def test_bad_output_and_failures_are_errors(self, program, how, error, words):
         source = mcs.Sampler.from_command(f"{program} {{n}} {{seed}} {how}", dims=2)
         refused(error, words, source.draw, 4, rng=1)
 
-    def test_a_program_that_does_not_end_is_ended(self, program):
+    def test_a_program_that_does_not_end_is_stopped(self, program):
         source = CommandSampler(run=f"{program} {{n}} {{seed}} late", timeout=0.5)
         refused(ParameterError, "took more than 0.5 s", source.draw, 4, rng=1)
 
@@ -427,7 +427,7 @@ class TestFunctionSampler:
             (lambda n, g: [[0.5], [0.5, 0.5]], DomainError, "not an array of real numbers"),
         ],
     )
-    def test_what_it_returns_is_checked(self, draw, error, words):
+    def test_the_returned_points_are_checked(self, draw, error, words):
         source = mcs.Sampler.from_function(draw, dims=2)
         refused(error, words, source.draw, 4, rng=2)
 
@@ -435,14 +435,14 @@ class TestFunctionSampler:
         refused(ParameterError, "is not callable", mcs.Sampler.from_function, "draw", dims=2)
         refused(ParameterError, "dims is 0", mcs.Sampler.from_function, draw_uniform, dims=0)
 
-    def test_errors_of_the_function_are_its_own(self):
+    def test_errors_of_the_function_are_not_changed(self):
         source = mcs.Sampler.from_function(lambda n, g: 1 / 0, dims=2)
         with pytest.raises(ZeroDivisionError):
             source.draw(4)
 
 
 class Tilted(qmc.QMCEngine):
-    """An engine of somebody else, with an argument of its own."""
+    """An external engine with its own argument."""
 
     def __init__(self, d, *, tilt=0.25, rng=None):
         super().__init__(d=d, rng=rng)
@@ -454,7 +454,7 @@ class Tilted(qmc.QMCEngine):
 
 
 class Old(qmc.QMCEngine):
-    """An engine written for `seed=`."""
+    """An engine written for the old argument `seed=`."""
 
     def __init__(self, d, seed=None):
         super().__init__(d=d, seed=seed)
@@ -465,7 +465,7 @@ class Old(qmc.QMCEngine):
 
 
 class Forgetful(Tilted):
-    """Does not keep its argument."""
+    """An engine that does not store its argument."""
 
     def __init__(self, d, *, secret=1, rng=None):
         super().__init__(d, rng=rng)
@@ -473,21 +473,21 @@ class Forgetful(Tilted):
 
 
 class Open(Tilted):
-    """Takes anything."""
+    """An engine that accepts any argument."""
 
     def __init__(self, **anything):
         super().__init__(**anything)
 
 
 class Fixed(Tilted):
-    """Takes no generator."""
+    """An engine that accepts no generator."""
 
     def __init__(self, d=2):
         super().__init__(d, rng=0)
 
 
 class Flat(Tilted):
-    """Always in 3-D."""
+    """An engine that is always in 3-D."""
 
     def __init__(self, rng=None):
         super().__init__(3, rng=rng)
@@ -511,13 +511,13 @@ ENGINES = [
 
 
 def engine_name(engine):
-    """Return a name without an address, the same in every process."""
+    """Return a name without an address, equal in every process."""
     named = engine if isinstance(engine, str | int | type) else type(engine)
     return getattr(named, "__name__", str(named))
 
 
 class TestScipySampler:
-    """Fresh engines, one for each realization."""
+    """An engine is created for each realization."""
 
     @pytest.mark.parametrize(("engine", "n"), ENGINES, ids=engine_name)
     def test_realizations_are_reproducible_and_independent(self, engine, n):
@@ -529,7 +529,7 @@ class TestScipySampler:
         assert len(np.unique(whole)) == whole.size
         assert not np.array_equal(source.draw(n, rng=2), whole[:1])
 
-    def test_points_are_those_of_the_engine(self):
+    def test_points_equal_those_of_the_engine(self):
         source = ScipySampler(engine="Sobol", scramble=False)
         expected = qmc.Sobol(2, scramble=False).random(8)
         np.testing.assert_array_equal(source.draw(8, rng=1)[0], expected)
@@ -581,7 +581,7 @@ class TestScipySampler:
         assert sampler(spec, source.dims) == source
         assert hash(source) == hash(sampler(spec, source.dims))
 
-    def test_the_spec_names_what_it_cannot_make(self):
+    def test_the_spec_names_engines_that_it_cannot_rebuild(self):
         assert "Tilted" in mcs.Sampler.from_scipy(Tilted(2, tilt=0.5)).spec
         assert "'tilt': 0.5" in mcs.Sampler.from_scipy(Tilted(2, tilt=0.5)).spec
 
@@ -597,12 +597,12 @@ class TestScipySampler:
             (Tilted, {}, False),
         ],
     )
-    def test_unbiased_is_what_is_known(self, engine, arguments, unbiased):
+    def test_unbiased_is_declared_for_known_engines_only(self, engine, arguments, unbiased):
         assert ScipySampler(engine=engine, **arguments).unbiased == unbiased
 
     @pytest.mark.parametrize("engine", ["Sobol", "Halton", "LatinHypercube"])
     def test_scrambled_engines_are_uniform_across_realizations(self, engine):
-        """χ² on 4×4 cells of point 3 of 2000 realizations: the generators are independent."""
+        """χ² on 4×4 cells of point 3 of 2000 realizations: generators are independent."""
         x = np.floor(4 * ScipySampler(engine=engine).draw(4, realizations=2000, rng=4)[:, 3])
         counts = np.bincount((4 * x[:, 0] + x[:, 1]).astype(int), minlength=16)
         assert stats.chisquare(counts).pvalue > LEVEL
@@ -632,18 +632,18 @@ class TestScipySampler:
             (lambda rng: 5, {}, "returned 5; it must return a QMCEngine"),
         ],
     )
-    def test_what_is_no_engine_is_refused(self, engine, arguments, words):
+    def test_other_objects_than_engines_are_refused(self, engine, arguments, words):
         with pytest.raises(ParameterError, match=words) as caught:
             mcs.Sampler.from_scipy(engine, **arguments)
         assert "\n" not in str(caught.value)
         assert str(caught.value).endswith((".", "?"))
 
-    def test_dims_that_an_engine_has_not(self):
+    def test_dims_that_an_engine_does_not_support(self):
         refused(ParameterError, "in 3 dims, not in 2", ScipySampler, engine=Flat, dims=2)
         refused(ParameterError, "options are 5", ScipySampler, options=5)
         refused(ParameterError, "d is not an option", ScipySampler, options={"d": 3})
 
-    def test_counts_that_an_engine_cannot_make(self):
+    def test_counts_that_an_engine_does_not_support(self):
         few = mcs.Sampler.from_scipy(qmc.PoissonDisk(2, radius=0.3))
         refused(CountError, r"returned \d+ of 1000 points", few.draw, 1000, rng=1)
         square = mcs.Sampler.from_scipy("LatinHypercube", d=2, strength=2)
@@ -655,7 +655,7 @@ class TestScipySampler:
 
 
 def test_scipy_stats_is_imported_only_for_engines():
-    """It takes half a second, which nobody else should pay."""
+    """The import takes half a second, which only users of engines should wait for."""
     code = (
         "import sys; from mcspectra.samplers import external, poisson, sampler; "
         "sampler('points(points=[[0.5]])').draw(1); print('scipy.stats' in sys.modules)"
@@ -665,7 +665,7 @@ def test_scipy_stats_is_imported_only_for_engines():
 
 
 class TestRecognition:
-    """What given sets are, by their points alone."""
+    """Recognition of nets and lattices from their points alone."""
 
     @staticmethod
     def law(spec, dims, n, seed=1):
@@ -720,7 +720,7 @@ class TestRecognition:
         assert not any(law.bases or law.even for law in laws)
 
     def test_small_sets_of_a_sequence_follow_the_largest(self):
-        """16 points of Sobol' in 8 dims fill halves alone, and so do many sets that are not nets."""
+        """16 points of Sobol' in 8 dims fill only halves evenly, as many other sets do."""
         sets = {n: mcs.sampler("sobol", dims=8).draw(n)[0] for n in (16, 64, 256, 1024)}
         both = mcs.samplers.GivenPoints.from_sets(sets.values(), "both")
         assert all(both.law(n).bases == (2,) * 8 for n in sets)
@@ -731,7 +731,7 @@ class TestRecognition:
         assert bases_to_scramble([mixed.law(n) for n in sets]) is None
 
     def test_digits_are_scrambled_in_the_base_of_the_net(self):
-        """Nets in base 3 were scrambled in base 2, which breaks them."""
+        """Nets in base 3 were once scrambled in base 2, which breaks them."""
         source = mcs.Sampler.from_points(mcs.sampler("faure", dims=3).draw(81)[0])
         scrambled = source.then(Owen()).draw(81, realizations=3, rng=1)
         assert all(net_t_value(points, 3) == 0 for points in scrambled)

@@ -1,4 +1,4 @@
-"""What samplers say they can do is what they can do, and where they come from is said."""
+"""Declared dims, counts and sources of samplers are correct and present."""
 
 import re
 
@@ -16,7 +16,7 @@ OWN = {
     "qmcpy",
     "mitsuba",
     "shared-cells",
-}  # nothing to cite
+}  # samplers without references
 YEAR = re.compile(r"\((1[89]|20)\d\d\)|[A-Za-z](1[89]|20)\d\d\]")
 BUILT_IN = [name for name, target in SAMPLERS.items() if target.startswith("mcspectra.")]
 
@@ -31,7 +31,7 @@ BUILT_IN = [name for name, target in SAMPLERS.items() if target.startswith("mcsp
         ("points", "as given", "as given"),
     ],
 )
-def test_dims_and_counts_are_those_of_the_sampler(name, dims, counts):
+def test_dims_and_counts_are_correct(name, dims, counts):
     facts = sampler_facts(name)
     assert (facts.dims, facts.counts) == (dims, counts)
 

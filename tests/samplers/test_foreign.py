@@ -1,4 +1,4 @@
-"""Samplers that other packages register: whatever is wrong with them, the others are listed."""
+"""Samplers that other packages register: a broken one does not hide the others."""
 
 import json
 import os
@@ -23,7 +23,7 @@ UNLISTABLE = {
     "no-sampler": "mcspectra.samplers.randomizations:Shift",
     "no-signature": "unsigned_foreign:Thing",
 }
-"""What is a component, but none that can be described as a sampler."""
+"""Registered components that cannot be described as samplers."""
 
 UNSIGNED = """
 from mcspectra.samplers import Sampler
@@ -71,7 +71,7 @@ def test_broken_entries_are_one_sentence(environment):
         assert line.startswith(f"mcspectra: The sampler {name!r} ({target}) ")
 
 
-def test_chains_have_an_end():
+def test_chains_have_a_largest_length():
     with pytest.raises(
         ParameterError, match="32 randomizations, the most allowed; leave the others out"
     ):

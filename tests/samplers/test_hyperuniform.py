@@ -1,4 +1,4 @@
-"""Hyperuniform sets: spectra, pairs and moments against closed forms; no power, exactly."""
+"""Hyperuniform sets: spectra, pairs and moments against closed forms; exactly zero power."""
 
 import itertools
 from collections import Counter
@@ -23,19 +23,19 @@ SIGMAS = stats.norm.isf(LEVEL / 2)
 
 
 def powers(points, frequencies):
-    """n|S_m|² of every realization and frequency."""
+    """Return n|S_m|² of every realization and frequency."""
     sums = np.exp(2j * np.pi * points @ np.transpose(frequencies)).sum(axis=1)
     return np.abs(sums) ** 2 / points.shape[1]
 
 
 def assert_mean(values, expected):
-    """Mean over the first axis within SIGMAS standard errors."""
+    """Assert that the mean over the first axis is within SIGMAS standard errors."""
     error = np.std(values, axis=0, ddof=1) / np.sqrt(len(values))
     np.testing.assert_array_less(np.abs(values.mean(axis=0) - expected), SIGMAS * error + 1e-12)
 
 
 def lattice_power(m, sides, width, beta):
-    """n⟨|S_m|²⟩ from the covariances of a Gaussian field, written as sums over grid and lags."""
+    """Return n⟨|S_m|²⟩ from the covariances of a Gaussian field, summed over grid and lags."""
     dims = len(m)
     wave = np.array(list(itertools.product(range(sides), repeat=dims)))
     folded = np.minimum(wave, sides - wave)
@@ -44,7 +44,7 @@ def lattice_power(m, sides, width, beta):
     if beta != 0:
         weight = np.where(norm > 0, np.where(norm > 0, norm, 1.0) ** -beta, 0.0)
     weight *= (width / sides) ** 2 / weight.sum()
-    covariance = np.cos(2 * np.pi * wave @ wave.T / sides) @ weight  # by lag
+    covariance = np.cos(2 * np.pi * wave @ wave.T / sides) @ weight  # covariance by lag
     decay = np.exp(-4 * np.pi**2 * np.dot(m, m) * (weight.sum() - covariance))
     return float(np.sum(np.cos(2 * np.pi * wave @ m / sides) * decay))
 
@@ -52,7 +52,7 @@ def lattice_power(m, sides, width, beta):
 @pytest.mark.parametrize("beta", [-1.5, 0.0, 1.0, 2.0])
 @pytest.mark.parametrize(("sides", "dims"), [(9, 1), (4, 2), (3, 3)])
 def test_spectrum_of_perturbed_lattices(beta, sides, dims):
-    """Frequencies below, at and above those of the grid."""
+    """Frequencies below, at and above the frequencies of the grid."""
     sampler = PerturbedLattice(dims=dims, width=0.3, correlation=beta)
     points = sampler.draw(sides**dims, realizations=3000, rng=2)
     m = np.array([[k] + [1] * (dims - 1) for k in (1, 2, 3)] + [[sides] + [0] * (dims - 1)])
@@ -69,7 +69,7 @@ def test_independent_displacements_have_the_simple_closed_form():
 
 
 @pytest.mark.parametrize("beta", [0.0, 1.0])
-def test_displacements_of_width_zero_leave_the_grid(beta):
+def test_displacements_of_width_zero_do_not_change_the_grid(beta):
     points = PerturbedLattice(width=0.0, correlation=beta).draw(16, rng=1)[0]
     steps = (points - points[0]) * 4
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-14)
@@ -80,7 +80,7 @@ def test_displacements_have_the_width_along_each_axis():
     points = source.draw(64, realizations=2000, rng=3)
     grid = np.stack(np.meshgrid(*[np.arange(8) / 8] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
     moves = (points - points[:, :1] - grid + 0.5) % 1.0 - 0.5  # relative to the first point
-    relative = moves[:, 36]  # half the torus away: variance 2 (c(0) − c(½, ½))
+    relative = moves[:, 36]  # at half the torus the variance is 2 (c(0) − c(½, ½))
     wave = np.array(list(itertools.product(range(8), repeat=2)))
     norm = np.hypot(*np.minimum(wave, 8 - wave).T)
     weight = 1 / np.where(norm > 0, norm, np.inf)
@@ -100,7 +100,7 @@ def test_normal_numbers_are_normal_and_independent():
     ("n", "dims", "chi"),
     [(64, 1, 0.3), (64, 2, 0.1), (100, 2, 0.4), (200, 2, 0.45), (100, 3, 0.4), (20, 6, 0.4)],
 )
-def test_stealthy_sets_have_no_power_and_only_there(n, dims, chi):
+def test_stealthy_sets_have_zero_power_at_the_constrained_frequencies_only(n, dims, chi):
     sampler = StealthyHyperuniform(dims=dims, stealthiness=chi)
     frequencies = sampler.constrained(n)
     assert 0 < len(frequencies) <= chi * dims * (n - 1)
@@ -138,7 +138,7 @@ def test_sets_too_small_for_any_constraint_are_random(n):
 
 
 def test_variance_of_a_smooth_function_vanishes():
-    """cos 2π(x + 2y) has no frequency beyond K: integrated without any error."""
+    """cos 2π(x + 2y) has no frequency above K, so it is integrated exactly."""
     points = StealthyHyperuniform().draw(64, realizations=3, rng=1)
     means = np.cos(2 * np.pi * points @ [1, 2]).mean(axis=1)
     np.testing.assert_allclose(means, 0.0, atol=1e-11)
@@ -152,7 +152,7 @@ def test_sets_that_are_not_found_are_an_error():
 
 
 def closed_form_power(frequencies, k):
-    """n⟨|S_k|²⟩: one less the part of M that lies in M moved by k."""
+    """Return n⟨|S_k|²⟩: one minus the fraction of M that lies in M moved by k."""
     members = {tuple(m) for m in frequencies.tolist()}
     moved = sum(tuple(np.add(m, k)) in members for m in members)
     return 1 - moved / len(members)
@@ -191,7 +191,7 @@ def test_moments_are_those_of_random_unitary_matrices():
 
 
 def test_variance_of_the_disk():
-    """Σ |f_k|² times the closed form of the power, at three counts, and so the fitted rate."""
+    """Σ |f_k|² times the closed-form power, at three counts, and the fitted rate."""
     counts, radius = [9, 25, 81], 0.25
     f = mcs.integrand(f"disk(radius={radius})")
     d = mcs.convergence(mcs.Estimator(f), "determinantal", counts, realizations=300, rng=5)
@@ -205,7 +205,7 @@ def test_variance_of_the_disk():
         power = np.array(
             [closed_form_power(m, q) if q @ q <= 4 * m[-1] @ m[-1] else 1.0 for q in k]
         )
-        beyond = area - area**2 - energy.sum()  # Parseval
+        beyond = area - area**2 - energy.sum()  # remaining energy, by Parseval's identity
         expected.append((energy @ power + beyond) / n)
     low, high = d["rate_ci"].values
     slope = np.polyfit(np.log(counts), np.log(expected), 1)[0]
@@ -213,7 +213,7 @@ def test_variance_of_the_disk():
     assert slope < -1.25  # toward −3/2 with a logarithm: Bardenet and Hardy, n^(−1−1/d)
 
 
-def test_frequencies_are_those_of_least_norm():
+def test_frequencies_have_the_smallest_norms():
     for n, dims in ((9, 2), (30, 3), (100, 2), (50, 7)):
         m = Determinantal(dims=dims).frequencies(n)
         assert m.shape == (n, dims)
@@ -245,10 +245,10 @@ def test_half_shells_are_whole(most, dims):
 
 
 def test_pairs_are_apart_in_sets_larger_than_a_batch_of_proposals():
-    """Pairs nearer than r: ½ n² ∫ (1 − |K|²/n²) ≈ π² n³ r⁴/4, here 0.24 in all; at random, 15."""
+    """Expected pairs nearer than r: ½ n² ∫ (1 − |K|²/n²) ≈ π² n³ r⁴/4 = 0.24; random points 15."""
     n, r, close = 200, 0.007, 0
     for points in Determinantal().draw(n, realizations=5, rng=6):
         delta = points[:, None] - points
         distance = np.linalg.norm(delta - np.round(delta), axis=-1)
         close += np.count_nonzero(distance[np.triu_indices(n, 1)] < r)
-    assert close <= 5  # Poisson: more has probability 2e-7
+    assert close <= 5  # more pairs have probability 2e-7 (Poisson)

@@ -1,4 +1,4 @@
-"""Lattices and Kronecker points: dual lattices and multiples exactly, searches, gaps, discrepancy."""
+"""Lattices and Kronecker points: dual lattices, multiples, searches, gaps, discrepancy."""
 
 import itertools
 import math
@@ -15,7 +15,7 @@ from mcspectra.samplers.lattice import golden_steps
 
 
 def worst_case_error(vector, n, power=2):
-    """P_2 with weights 1/j^power, as in the classes' notes, summed as it stands."""
+    """Return P_2 with weights 1/j^power, as in the classes' notes, summed directly."""
     x = np.arange(n)[:, None] * np.asarray(vector) % n / n
     weights = 1.0 / np.arange(1, len(vector) + 1) ** power
     kernel = 2 * np.pi**2 * (x * x - x + 1 / 6)
@@ -41,7 +41,7 @@ def test_exponential_sums_are_one_on_the_dual_lattice_and_zero_off_it(source, n)
     points = source.draw(n)[0]
     m = np.array(list(itertools.product(range(-6, 7), repeat=source.dims)))
     sums = np.exp(2j * np.pi * m @ points.T).mean(axis=1)
-    # Phases up to 18 cycles have 18·2π·eps of rounding each
+    # Each phase of up to 18 cycles has a rounding error of 18·2π·eps
     np.testing.assert_allclose(sums, m @ z % n == 0, atol=18 * 2 * np.pi * np.finfo(float).eps)
 
 
@@ -79,7 +79,8 @@ def test_fibonacci_points_and_counts():
 
 @pytest.mark.parametrize("n", [89, 233, 610])
 def test_fibonacci_lattices_are_well_spread(n):
-    """Shortest toroidal distance at least sqrt(2/(sqrt(5) n)), that of the limit lattice less 5 %.
+    """Shortest toroidal distance at least sqrt(2/(sqrt(5) n)), that of the limit lattice, minus 5
+    %.
 
     Hexagonal lattices, the best, have sqrt(2/(sqrt(3) n)).
     """
@@ -89,7 +90,7 @@ def test_fibonacci_lattices_are_well_spread(n):
 
 
 def test_shifted_lattices_have_the_variance_of_their_dual_lattice():
-    """Var = Σ |f_m|² over the dual lattice: cos(2π(8x − y)) has 1/2 at n = 13, others none."""
+    """Var = Σ |f_m|² over the dual lattice: cos(2π(8x − y)) has 1/2 at n = 13, others have 0."""
     points = mcs.sampler("fibonacci | shift").draw(13, realizations=100, rng=1)
     on = np.cos(2 * np.pi * points @ [8, -1]).mean(axis=1)
     off = np.cos(2 * np.pi * points @ [7, -1]).mean(axis=1)
@@ -113,7 +114,7 @@ def test_vectors_of_fewer_dims_are_the_beginning_of_longer_ones():
 
 
 def test_thinned_search_is_still_better_than_most_vectors():
-    """n = 2^14: 1,024 of 4,096 candidates; the best of them is in the best 1 % of 300 drawn."""
+    """n = 2^14: 1,024 of 4,096 candidates; the best is among the best 1 % of 300 random ones."""
     n = 2**14
     found = worst_case_error(Rank1Lattice(dims=2).generating_vector(n), n)
     others = np.random.default_rng(1).integers(0, n // 2, 300) * 2 + 1
@@ -127,8 +128,8 @@ def test_axes_hold_one_point_in_each_nth():
 
 
 @pytest.mark.parametrize("dims", [1, 2, 10])
-def test_searches_of_large_lattices_end(dims):
-    """The thinned search takes 16 candidates of 2^18 points."""
+def test_searches_of_large_lattices_take_little_time(dims):
+    """The thinned search tests 16 candidates with 2^18 points."""
     vector = Korobov(dims=dims).generating_vector(2**18)
     assert vector[0] == 1
     assert len(vector) == dims
@@ -136,7 +137,7 @@ def test_searches_of_large_lattices_end(dims):
 
 @pytest.mark.parametrize("dims", [1, 2, 3, 10, 100])
 def test_steps_are_the_powers_of_the_golden_ratio_of_their_dims(dims):
-    """x = 1/phi solves x^(d+1) + x^d = 1 between x ± 2^-64, in whole numbers."""
+    """x = 1/phi solves x^(d+1) + x^d = 1 between x ± 2^-64, in exact integers."""
     steps = [Fraction(int(s), 2**64) for s in golden_steps(dims)]
     below, above = steps[0], steps[0] + Fraction(1, 2**64)
     assert below ** (dims + 1) + below**dims <= 1 < above ** (dims + 1) + above**dims
@@ -157,7 +158,7 @@ def test_points_are_the_multiples_to_the_last_bit():
         np.testing.assert_array_equal(points[:, j], expected)
 
 
-def test_differences_hang_on_those_of_the_indices():
+def test_differences_depend_on_differences_of_indices_only():
     points = Kronecker(dims=3).draw(2000)[0]
     for lag in (1, 7, 500):
         difference = (points[lag:] - points[:-lag]) % 1.0
@@ -167,7 +168,7 @@ def test_differences_hang_on_those_of_the_indices():
 @pytest.mark.parametrize("alpha", [None, [0.41421356237309503], [0.1234567]])
 @pytest.mark.parametrize("n", [2, 10, 100, 1000])
 def test_three_gaps(alpha, n):
-    """Steinhaus: n multiples cut the circle into gaps of at most three lengths."""
+    """Steinhaus: n multiples divide the circle into gaps of at most three lengths."""
     x = np.sort(Kronecker(dims=1, alpha=alpha).draw(n)[0, :, 0] * 2.0**53).astype(np.int64)
     gaps = np.sort(np.diff(x, append=x[0] + 2**53))
     assert 1 + np.count_nonzero(np.diff(gaps) > 2) <= 3
@@ -175,7 +176,7 @@ def test_three_gaps(alpha, n):
 
 @pytest.mark.parametrize("n", [13, 100, 1000])
 def test_golden_points_are_evenly_spaced(n):
-    """The gaps of the golden ratio differ by a factor phi² at most: none below 1/(phi² n)."""
+    """The gaps of the golden ratio differ by a factor of at most phi²: all exceed 1/(phi² n)."""
     x = np.sort(Kronecker(dims=1).draw(n)[0, :, 0])
     phi = (1 + 5**0.5) / 2
     assert np.diff(x, append=x[0] + 1).min() > 1 / (phi**2 * n)
@@ -183,13 +184,13 @@ def test_golden_points_are_evenly_spaced(n):
 
 @pytest.mark.parametrize("dims", [2, 3, 5])
 def test_discrepancy_is_far_below_that_of_random_points(dims):
-    """The expected squared centered L2 discrepancy of n random points is ((5/4)^d − (13/12)^d)/n."""
+    """Random points: expected squared centered L2 discrepancy ((5/4)^d − (13/12)^d)/n."""
     n = 512
     squared = qmc.discrepancy(Kronecker(dims=dims).draw(n)[0], method="CD")
     assert squared < 0.2 * (1.25**dims - (13 / 12) ** dims) / n
 
 
-def test_one_number_will_do_in_one_dim():
+def test_a_plain_number_is_allowed_in_one_dim():
     np.testing.assert_array_equal(
         Kronecker(dims=1, alpha=0.3).draw(9), Kronecker(dims=1, alpha=[0.3]).draw(9)
     )

@@ -1,4 +1,4 @@
-"""Laws of samplers: what they state agrees with what is declared and drawn, and all that follows from them."""
+"""Laws of samplers agree with their declared properties and their points."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -14,12 +14,12 @@ from mcspectra.samplers.law import (
     Choice,
     Fixed,
     Folded,
+    GroupedAxes,
     Independent,
     Law,
     Mirrored,
     Moved,
     PairedAxes,
-    Product,
     Scrambled,
     Shifted,
     Stationary,
@@ -77,7 +77,7 @@ def test_the_root_of_a_law(spec, root):
     assert law.dims == 2
 
 
-def test_scrambles_add_up_to_the_strongest():
+def test_successive_scrambles_become_the_strongest_one():
     law = mcs.sampler("sobol | digital-shift | lms | permute", dims=2).law(64)
     assert isinstance(law, Scrambled)
     assert (law.kind, law.nested_pairs, law.xor) == ("linear", True, False)
@@ -93,8 +93,8 @@ STEPS = ["", *(f" | {name}" for name in RANDOMIZATIONS)]
 @pytest.mark.parametrize(
     "row", [row for row in ROWS if "{path}" not in row.spec], ids=lambda row: row.spec
 )
-def test_laws_agree_with_what_samplers_declare(row):
-    """Uniform points, fixed sets and the number of points, of every sampler with every step it accepts."""
+def test_laws_agree_with_declared_properties(row):
+    """Uniformity, fixed sets and counts, for every sampler with every step that it accepts."""
     dims, count = next(iter(row.counts.items()))
     for step in STEPS:
         try:
@@ -124,7 +124,7 @@ def test_independent_sets(spec, sets):
 
 
 def test_errors_of_power_follow_the_number_of_sets():
-    """Realizations that repeat four sets told errors that fell as if all were sets of their own."""
+    """Errors of realizations that repeat four sets must not fall as for independent sets."""
     sampler = mcs.sampler("gaussian-blue-noise(sets=4, iterations=20) | shift", dims=2)
     errors = []
     for realizations in (4, 40, 160):
@@ -136,7 +136,7 @@ def test_errors_of_power_follow_the_number_of_sets():
 
 
 def test_nested_and_linear_scrambles_have_one_variance():
-    """They have the same law of pairs; lms fell to an extrapolation in four dims."""
+    """Both have the same law of pairs; lms once fell back to an extrapolation in four dims."""
     f = mcs.integrand("genz-gaussian", dims=4)
     owen, lms = (mcs.predict(f, f"sobol | {s}", [256, 1024]) for s in ("owen", "lms"))
     assert lms["method"].values.tolist() == owen["method"].values.tolist()
@@ -144,7 +144,7 @@ def test_nested_and_linear_scrambles_have_one_variance():
 
 
 def test_offsets_of_the_probe_are_not_the_points():
-    """Points and offsets were multiples of one vector: 0.24 of the variance in four dims, ± 7 %."""
+    """Points and offsets were once multiples of one vector: 0.24 of the variance in 4-D, ± 7 %."""
     f = mcs.Integrand.from_function(lambda x: (((x - 0.5) ** 2).sum(-1) < 0.2) * 1.0, dims=4)
     n = 1024
     found = mcs.predict(f, "kronecker | shift", [n])
@@ -157,7 +157,7 @@ def test_offsets_of_the_probe_are_not_the_points():
 
 @dataclass(frozen=True, kw_only=True)
 class Slabs(mcs.Sampler):
-    """One uniform point in each of n slabs along the first axis: a sampler from outside, with a law."""
+    """One uniform point in each of n slabs along the first axis: an external sampler with a law."""
 
     name: ClassVar[str] = "slabs"
     dims: int = 3
@@ -171,8 +171,8 @@ class Slabs(mcs.Sampler):
         return Strata(n=n, dims=self.dims, sides=(n, *(1,) * (self.dims - 1)))
 
 
-class TestStranger:
-    """A sampler that no module of the package knows is predicted by its law."""
+class TestExternalSamplerWithLaw:
+    """Predictions for an external sampler follow from its law."""
 
     sampler = Slabs()
     integrand = mcs.integrand("gaussian(center=0.3, width=0.4)", dims=3)
@@ -214,7 +214,7 @@ class TestStranger:
 
 @dataclass(frozen=True, kw_only=True)
 class LatticeWithStrata(mcs.Sampler):
-    """A shifted rank-1 lattice in the first 3 of 5 dims, with jittered points in random order in the rest."""
+    """A shifted rank-1 lattice in 3 of 5 dims, and jittered points in random order in the rest."""
 
     name: ClassVar[str] = "lattice-with-strata"
     min_dims: ClassVar[int] = 5
@@ -243,11 +243,11 @@ class LatticeWithStrata(mcs.Sampler):
         side = round(n**0.5)
         lattice = Fixed(n=n, dims=3, vector=tuple(self.vector(n).tolist()), even=True)
         strata = Strata(n=n, dims=2, sides=(side, side))
-        return Product(n=n, dims=5, parts=(shifted(lattice), strata))
+        return GroupedAxes(n=n, dims=5, parts=(shifted(lattice), strata))
 
 
-class TestProduct:
-    """A sampler whose groups of axes have different laws, known to no module of the package."""
+class TestGroupedAxes:
+    """An external sampler whose groups of axes have different laws."""
 
     sampler = LatticeWithStrata()
 
@@ -267,7 +267,7 @@ class TestProduct:
         products = (s - s.mean(axis=0)) * (t - t.mean(axis=0)).conj()
         exact = mcs.spectra.closed_form_covariance(self.sampler, n, m, other)
         error = products.std(axis=0) / np.sqrt(len(points))
-        # Normal to a good approximation: 40 numbers, each within 4.5 errors
+        # Approximately normal: 40 numbers, each within 4.5 standard errors
         assert (np.abs(products.mean(axis=0) - exact) < 4.5 * error + 1e-12).all()
         power = mcs.closed_form_power(self.sampler, n, m)
         own = np.abs(s) ** 2
@@ -282,7 +282,7 @@ class TestProduct:
         ],
     )
     def test_variances_of_waves_that_mix_both_groups(self, text):
-        """Sums over pairs of frequencies are all of it."""
+        """Sums over pairs of frequencies give the whole variance."""
         f = mcs.integrand(f"formula(expression='{text}')", dims=5)
         predicted = mcs.predict(f, self.sampler, [64], method="covariance", half_width=1)
         curve = mcs.convergence(f, self.sampler, [64], realizations=4000, rng=3)
@@ -295,15 +295,15 @@ class TestProduct:
         "text", ["exp(x0+x1/2+x2/3+x3+x4/2)", "where(x0+x1-x3+0.5*x4<0.6,1,0)", "max(x2+x3-1,0)*x1"]
     )
     def test_predictions_of_functions_that_mix_both_groups(self, text, step):
-        """With a shift from pairs of points, else from other counts: intervals cover."""
+        """Intervals from pairs of points (with a shift) or from other counts cover the variance."""
         f = mcs.integrand(f"formula(expression='{text}')", dims=5)
         sampler = self.sampler.then(mcs.samplers.Shift()) if step else self.sampler
         predicted = mcs.predict(f, sampler, [64])
         curve = mcs.convergence(f, sampler, [64], realizations=4000, rng=4)
         measured = float(curve["variance"][0])
         low, high = predicted["predicted_variance_ci"].values[0]
-        assert low - 0.1 * measured < measured < high + 0.1 * measured  # 4.5 errors of 2.2 %
-        if step and "where" not in text:  # jumps across many axes take other counts
+        assert low - 0.1 * measured < measured < high + 0.1 * measured  # 4.5 × 2.2 % (s.e.)
+        if step and "where" not in text:  # jumps across many axes need other counts
             assert str(predicted["method"].values[0]) != "extrapolated"
 
     def test_profile_and_bench(self):
@@ -318,19 +318,19 @@ class TestProduct:
         law = self.sampler.law(16)
         assert (shifted(law).stationary, law.stationary, law.uniform) == (True, False, True)
         parts = tuple(shifted(part) for part in law.parts)
-        both = Product(n=16, dims=5, parts=parts)
+        both = GroupedAxes(n=16, dims=5, parts=parts)
         assert shifted(both) is both
         shift = self.sampler.then(mcs.samplers.Shift())
         m = np.array([[1, 0, 0, 1, 0], [0, 0, 0, 4, 0], [0, 0, 0, 1, 0]])
         power = mcs.closed_form_power(shift, 16, m)
         np.testing.assert_allclose(power, mcs.closed_form_power(self.sampler, 16, m))
-        # Strata in powers of the base keep their law, and the lattice is scrambled by itself
+        # Strata in powers of the base keep their law, and the lattice is scrambled separately
         lattice = scrambled(law.parts[0], "digital-shift", (2,) * 3)
         assert isinstance(lattice, Scrambled)
         net = Fixed(n=4, dims=2, bases=(2, 2), digital=True).of(mcs.sampler("sobol", dims=2))
         strata = Strata(n=4, dims=1, sides=(4,))
-        product = scrambled(Product(n=4, dims=3, parts=(net, strata)), "nested", (2,) * 3)
-        own = Product(n=4, dims=3, parts=(scrambled(net, "nested", (2, 2)), strata))
+        product = scrambled(GroupedAxes(n=4, dims=3, parts=(net, strata)), "nested", (2,) * 3)
+        own = GroupedAxes(n=4, dims=3, parts=(scrambled(net, "nested", (2, 2)), strata))
         m = np.random.default_rng(1).integers(-5, 6, (30, 3)).astype(float)
         np.testing.assert_allclose(
             moments_of(product, "product", m).power(m), moments_of(own, "own", m).power(m)
@@ -341,14 +341,16 @@ def test_a_latin_hypercube_is_a_product_of_strata_of_single_axes():
     n, m = 8, np.random.default_rng(1).uniform(-9, 9, (50, 3))
     other = m[::-1].copy()
     single = Strata(n=n, dims=1, sides=(n,))
-    product = moments_of(Product(n=n, dims=3, parts=(single,) * 3), "product", m, other)
+    product = moments_of(GroupedAxes(n=n, dims=3, parts=(single,) * 3), "product", m, other)
     latin = moments_of(latin_hypercube(n, 3), "latin", m, other)
     np.testing.assert_allclose(product.power(m), latin.power(m), atol=1e-14)
     np.testing.assert_allclose(product.covariance(m, other), latin.covariance(m, other), atol=1e-14)
-    # Groups may be any axes
+    # Groups may consist of any axes
     pair = Strata(n=9, dims=2, sides=(3, 3))
-    split = Product(n=9, dims=3, parts=(pair, Strata(n=9, dims=1, sides=(9,))), axes=((0, 2), (1,)))
-    straight = Product(n=9, dims=3, parts=split.parts)
+    split = GroupedAxes(
+        n=9, dims=3, parts=(pair, Strata(n=9, dims=1, sides=(9,))), axes=((0, 2), (1,))
+    )
+    straight = GroupedAxes(n=9, dims=3, parts=split.parts)
     swap = [0, 2, 1]
     np.testing.assert_allclose(
         moments_of(split, "split", m).power(m),
@@ -361,7 +363,7 @@ def test_a_latin_hypercube_is_a_product_of_strata_of_single_axes():
     ("n", "axes", "words"),
     [(8, ((0,), (0,)), "list each of its 2 axes once"), (9, ((0,), (1,)), "must have n = 9")],
 )
-def test_products_that_do_not_fit_are_refused(n, axes, words):
+def test_groups_with_wrong_axes_or_counts_are_refused(n, axes, words):
     part = Strata(n=8, dims=1, sides=(8,))
     with pytest.raises(ParameterError, match=words):
-        Product(n=n, dims=2, parts=(part, part), axes=axes)
+        GroupedAxes(n=n, dims=2, parts=(part, part), axes=axes)

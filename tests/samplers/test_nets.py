@@ -1,4 +1,4 @@
-"""Digital nets: against SciPy, slow references and theory; matrices; the quality t by two ways."""
+"""Digital nets against SciPy, slow references and theory; matrices; the quality parameter t."""
 
 import os
 from itertools import product
@@ -31,7 +31,7 @@ from mcspectra.samplers.nets import _irreducible, _sobol_directions
 
 
 def slow_net(matrices, base, n):
-    """Points from matrices (d, rows, columns), one digit at a time, in whole numbers."""
+    """Return points from matrices (d, rows, columns), one digit at a time, in exact integers."""
     points = []
     for i in range(n):
         index = [i // base**k % base for k in range(len(matrices[0][0]))]
@@ -43,7 +43,7 @@ def slow_net(matrices, base, n):
 
 
 def slow_t(points, base):
-    """The quality t straight from its definition."""
+    """Return the quality t by its definition."""
     n, dims = points.shape
     m = round(np.log(n) / np.log(base))
     for t in range(m + 1):
@@ -62,11 +62,11 @@ def random_matrices(base, dims, size, seed):
 @pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize(("base", "dims", "size"), [(2, 2, 5), (2, 4, 4), (3, 3, 3), (5, 2, 2)])
 def test_points_and_quality_of_random_matrices(base, dims, size, seed):
-    """Matrices of random digits: all t occur. Points by hand, t by definition and by count."""
+    """Random matrices give all values of t; points by a slow sum, t by definition and by counts."""
     matrices = random_matrices(base, dims, size, seed)
     points = DigitalNet(matrices=matrices, base=base).draw(base**size)[0]
     np.testing.assert_array_equal(points, slow_net(matrices, base, base**size))
-    # Multiples of 1/b^m are floats just below or at what they are: test their middles
+    # Multiples of 1/b^m may be rounded down as floats, so test the middles of intervals
     t = slow_t(points + 0.5 / base**size, base)
     assert net_t_value(points, base) == t
     assert [elementary_intervals(points, base, q) for q in range(size + 1)] == [
@@ -80,7 +80,7 @@ def test_quality_of_other_sets():
     assert net_t_value(Random(dims=2).draw(12, rng=1)[0]) is None
     assert net_t_value(np.full((64, 2), 0.3)) == 6
     grid = sampler("regular", 2).draw(64)[0]
-    assert net_t_value(grid) == 3  # 8 points in each column of width 1/8, none between
+    assert net_t_value(grid) == 3  # 8 points per column of width 1/8
 
 
 @pytest.mark.parametrize("dims", [1, 2, 3, 4, 5, 7])
@@ -114,7 +114,7 @@ def test_faure_by_hand(dims, base, digits):
 
 @pytest.mark.filterwarnings("ignore::mcspectra.core.errors.NotPowerOfTwoWarning")
 def test_faure_is_a_sequence():
-    """Fewer points are the first of more, to the last bit, however many digits are kept."""
+    """Smaller sets are exact prefixes of larger ones, for any number of stored digits."""
     many = Faure(dims=10).draw(11**3 + 5)[0]
     for n in (1, 2, 11, 12, 121, 1000):
         np.testing.assert_array_equal(Faure(dims=10).draw(n)[0], many[:n])
@@ -132,7 +132,7 @@ def test_faure_warns_of_unbalanced_counts():
         Faure(dims=3).draw(10)
 
 
-def test_rows_and_columns_say_the_same():
+def test_matrices_as_rows_and_as_columns_agree():
     rows = [[[1, 0, 0], [0, 1, 0], [0, 0, 1]], [[1, 1, 1], [0, 1, 0], [0, 0, 1]]]
     columns = [[4, 2, 1], [4, 6, 5]]
     by_rows, by_columns = DigitalNet(matrices=rows), DigitalNet(matrices=columns)
@@ -198,7 +198,7 @@ def test_missing_and_binary_files(tmp_path):
 
 
 @pytest.mark.parametrize("points", [[[0.5, 1.0]], [[float("nan"), 0.5]], [], [["x", "y"]]])
-def test_quality_of_what_are_no_points(points):
+def test_quality_of_bad_points_is_an_error(points):
     with pytest.raises(DomainError):
         net_t_value(points)
 
@@ -226,7 +226,7 @@ def bit_reversed(n):
 
 @pytest.mark.parametrize("dims", [1, 2, 10, 37, 1111])
 @pytest.mark.parametrize("bits", [0, 1, 5, 10])
-def test_points_are_scipys_in_the_order_of_gray_codes(dims, bits):
+def test_points_equal_scipys_in_gray_code_order(dims, bits):
     i = np.arange(2**bits)
     theirs = qmc.Sobol(d=dims, scramble=False, bits=32).random_base2(bits)
     np.testing.assert_array_equal(Sobol(dims=dims).draw(2**bits)[0, i ^ (i >> 1)], theirs)
@@ -250,7 +250,7 @@ def test_dims_do_not_repeat():
 
 
 def test_direction_numbers_are_odd_multiples_of_their_place():
-    """v_i = m_i 2^(32−i) with m_i odd and below 2^i: what makes every axis stratified."""
+    """v_i = m_i 2^(32−i) with m_i odd and below 2^i; this stratifies every axis."""
     v = _sobol_directions().astype(np.int64)
     place = np.int64(1) << np.arange(31, -1, -1)
     assert v.shape == (1111, 32)
@@ -280,13 +280,13 @@ def test_dims_end_with_the_table():
 
 
 def multiplied(a, b):
-    """Product of polynomials over two elements, by their lists of coefficients."""
+    """Return the product of polynomials over two elements, from lists of coefficients."""
     product = np.convolve(*([int(c) for c in f"{p:b}"] for p in (a, b))) % 2
     return int("".join(map(str, product)), 2)
 
 
 def test_irreducible_polynomials():
-    """No product is among them, and there are as many of each degree as Gauss's formula says."""
+    """No product is among them, and their number for each degree follows Gauss's formula."""
     polynomials = _irreducible()
     assert polynomials[:9] == (
         0b10,
@@ -307,12 +307,12 @@ def test_irreducible_polynomials():
 
 @pytest.mark.parametrize("dims", [2, 5, 20])
 def test_niederreiter_matrices_are_laurent_series(dims):
-    """Row q e + u times p^(q+1) is x^u: every coefficient of a negative power vanishes."""
+    """Row q e + u times p^(q+1) is x^u: all coefficients of negative powers vanish."""
     columns = Niederreiter(dims=dims).direction_numbers(1)[-1].astype(np.int64)
     p = _irreducible()[dims - 1]
     degree = p.bit_length() - 1
     for row in range(12):
-        series = [int(columns[k] >> (31 - row)) & 1 for k in range(32)]  # of x^-1, x^-2, …
+        series = [int(columns[k] >> (31 - row)) & 1 for k in range(32)]  # at x^-1, x^-2, …
         q, u = divmod(row, degree)
         power = 1
         for _ in range(q + 1):
@@ -345,7 +345,7 @@ def test_niederreiter_repeats_no_dim():
 
 @pytest.mark.parametrize("bits", [0, 1, 2, 6, 10])
 def test_larcher_pillichshammer_by_hand(bits):
-    """x = i/n; digit r of y is the parity of the digits of i from the r-th lowest on."""
+    """x = i/n; digit r of y is the parity of the digits of i from the r-th lowest upward."""
     n = 2**bits
     points = LarcherPillichshammer().draw(n)[0]
     np.testing.assert_array_equal(points[:, 0], np.arange(n) / n)
@@ -355,7 +355,7 @@ def test_larcher_pillichshammer_by_hand(bits):
 
 
 def test_larcher_pillichshammer_is_better_than_hammersley():
-    """Star discrepancy at n = 256."""
+    """Compare star discrepancies at n = 256."""
     ours, other = (
         sampler(name, 2).draw(256)[0] for name in ("larcher-pillichshammer", "hammersley")
     )
@@ -363,7 +363,7 @@ def test_larcher_pillichshammer_is_better_than_hammersley():
 
 
 def star_discrepancy(points):
-    """By definition: closed and open boxes with corners on the grid of coordinates."""
+    """Return the star discrepancy by definition: closed and open boxes on the grid."""
     xs, ys = (np.append(np.unique(c), 1.0) for c in points.T)
     volume = np.outer(xs, ys)
     closed = (points[:, 0, None] <= xs).T.astype(float) @ (points[:, 1, None] <= ys)
@@ -386,9 +386,9 @@ d	s	a	m_i
 2	1	4	1
 3	1	5	2
 """
-"""The first polynomials over the field of three elements of [Ostromoukhov2024]_, of degree 1 or 2."""
+"""First polynomials over the field of three elements of [Ostromoukhov2024]_, degree 1 or 2."""
 
-# What the authors' program prints for these
+# Output of the authors' program for these polynomials
 TERNARY_MATRICES = [
     [[1, 0, 0, 0, 0], [0, 1, 0, 0, 0], [0, 0, 1, 0, 0], [0, 0, 0, 1, 0], [0, 0, 0, 0, 1]],
     [[1, 1, 2, 2, 1], [0, 1, 0, 2, 0], [0, 0, 1, 1, 1], [0, 0, 0, 1, 0], [0, 0, 0, 0, 1]],
@@ -397,15 +397,15 @@ TERNARY_MATRICES = [
 ]
 
 
-class TestDirectionNumbersOfOthers:
-    """Tables of direction numbers, in base 2 and in base 3, with the scrambles of their base."""
+class TestExternalDirectionNumbers:
+    """Tables of direction numbers in base 2 and base 3, with the scrambles of their base."""
 
     @pytest.fixture
     def ternary(self, tmp_path):
         (tmp_path / "gf3.dat").write_text(TERNARY)
         return str(tmp_path / "gf3.dat")
 
-    def test_joe_and_kuos_own_table_gives_their_points(self, tmp_path):
+    def test_joe_and_kuos_table_gives_the_built_in_points(self, tmp_path):
         (tmp_path / "jk.txt").write_text(
             "d s a m_i\n2 1 0 1\n3 2 1 1 3\n4 3 1 1 3 1\n5 3 2 1 1 1\n"
         )
@@ -421,7 +421,7 @@ class TestDirectionNumbersOfOthers:
         points = Sobol(directions=str(tmp_path / "one.txt"), dims=3).draw(64)
         np.testing.assert_array_equal(points, Sobol(dims=3).draw(64)[..., [0, 2, 1]])
 
-    def test_base_3_is_as_its_authors_have_it(self, ternary):
+    def test_base_3_agrees_with_the_authors_program(self, ternary):
         source = Sobol(directions=ternary, base=3, dims=4)
         columns = source.direction_numbers(1)
         np.testing.assert_array_equal(columns[:, :5, :5].transpose(0, 2, 1), TERNARY_MATRICES)
@@ -446,18 +446,18 @@ class TestDirectionNumbersOfOthers:
     @pytest.mark.parametrize(
         ("text", "base", "words"),
         [
-            ("2 1 0 2\n", 2, "line 1, is not"),  # m even
-            ("d s a\n2 1 0 3\n", 2, "line 2, is not"),  # m_1 of two digits
+            ("2 1 0 2\n", 2, "line 1, is not"),  # an even m
+            ("d s a\n2 1 0 3\n", 2, "line 2, is not"),  # an m_1 of two digits
             ("2 3 1 1 3\n", 2, "line 1, is not"),  # too few numbers
             ("2 3 9 1 3 1\n", 2, "line 1, is not"),  # polynomial of too high a degree
             ("2 1 0 x\n", 2, "line 1, is not"),
             ("2 33 1 1\n", 2, "line 1, is not"),
-            ("2 1 0 1\n", 3, "line 1, is not"),  # of base 2
+            ("2 1 0 1\n", 3, "line 1, is not"),  # numbers of base 2
             ("1 1 6 1\n", 3, "line 1, is not"),  # leading coefficient 2
             ("d s a\n", 2, "holds no direction numbers"),
         ],
     )
-    def test_files_that_are_no_tables(self, tmp_path, text, base, words):
+    def test_bad_tables_are_refused(self, tmp_path, text, base, words):
         (tmp_path / "t.txt").write_text(text)
         with pytest.raises(FileFormatError, match=words):
             Sobol(directions=str(tmp_path / "t.txt"), base=base)
@@ -482,10 +482,10 @@ class TestDirectionNumbersOfOthers:
         assert net.digit_bases == (3,) * 4
         assert net_t_value(net.then(Owen()).draw(243, rng=1)[0], 3) == 1
         with pytest.raises(FileFormatError, match="must be|from 0 to 1"):
-            DigitalNet(matrices=str(file))  # digits 2 in base 2
+            DigitalNet(matrices=str(file))  # the digit 2 is not allowed in base 2
 
 
-# Their licenses are not known, so that they are no files of ours: MCSPECTRA_NETS names their folder
+# Their licenses are unknown, so they are not in the repository: MCSPECTRA_NETS is their folder
 PUBLISHED = [
     (Path(os.environ.get("MCSPECTRA_NETS", "nowhere")) / name, base, t)
     for name, base, t in (("onetwo_init_tab.dat", 2, 1), ("quad_optimized_gf3.dat", 3, 0))
@@ -495,7 +495,7 @@ if all(file.is_file() for file, *_ in PUBLISHED):
 
     @pytest.mark.parametrize(("file", "base", "t"), PUBLISHED)
     def test_the_published_tables(file, base, t):
-        """Consecutive pairs are (t, 2)-sequences of the t that the papers promise."""
+        """Consecutive pairs of dims are (t, 2)-sequences with the t stated in the papers."""
         net = Sobol(directions=str(file), base=base, dims=24)
         points = net.draw(base**6)[0]
         for j in range(0, 24, 2):

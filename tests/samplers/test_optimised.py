@@ -1,4 +1,4 @@
-"""What optimized samplers share: cache, progress, sets used again, descent."""
+"""The base of optimized samplers: cache, progress, reuse of sets, descent."""
 
 from dataclasses import dataclass
 from typing import ClassVar, final
@@ -18,7 +18,7 @@ CALLS = []
 @final
 @dataclass(frozen=True, kw_only=True)
 class Slow(OptimisedSampler):
-    """Uniform points that count how often they are made."""
+    """Uniform points that count how often they are computed."""
 
     name: ClassVar[str] = "slow"
     dims: int = 2
@@ -57,7 +57,7 @@ def test_each_realization_is_made_once_and_kept():
         (Slow(table=np.arange(2000)), 8, 1),
     ],
 )
-def test_the_key_is_all_that_a_set_depends_on(sampler, n, rng):
+def test_the_cache_key_contains_everything_a_set_depends_on(sampler, n, rng):
     Slow().draw(8, rng=1)
     Slow(table=(*range(1999), 0)).draw(8, rng=1)
     Slow(table=np.arange(2000) % 1999).draw(8, rng=1)
@@ -73,7 +73,7 @@ def test_another_version_of_the_method_is_another_set(monkeypatch):
     assert len(CALLS) == 2
 
 
-def test_another_source_of_a_sampler_from_elsewhere_is_another_set(monkeypatch):
+def test_a_changed_source_of_an_external_sampler_gives_another_set(monkeypatch):
     from mcspectra.samplers import optimised
 
     Slow().draw(8, rng=1)
@@ -84,13 +84,13 @@ def test_another_source_of_a_sampler_from_elsewhere_is_another_set(monkeypatch):
     assert len(CALLS) == 2
 
 
-def test_sets_used_again_are_translated_and_the_same_for_every_seed():
+def test_reused_sets_are_translated_and_equal_for_every_seed():
     points = Slow(sets=2).draw(8, realizations=5, rng=1)
     other = Slow(sets=2).draw(8, realizations=2, rng=2)
     assert len(CALLS) == 2
     assert len(np.unique(points[:, 0, 0])) == 5
 
-    def shape(x):  # differences on the torus do not change under translation
+    def shape(x):  # translations preserve differences on the torus
         away = (x - x[0] + 0.5) % 1.0
         return np.round(away, 12)
 
@@ -100,7 +100,7 @@ def test_sets_used_again_are_translated_and_the_same_for_every_seed():
     np.testing.assert_array_equal(Slow(sets=2).draw(8, rng=1, first=4)[0], points[4])
 
 
-def test_progress_is_reported_unless_the_set_is_there():
+def test_progress_is_reported_unless_the_set_is_cached():
     heard = []
     with listening(lambda *what: heard.append(what)):
         Slow().draw(8, rng=1)
@@ -138,7 +138,7 @@ def test_minimize_finds_the_least_value_and_stops_there():
     assert reports == sorted(reports)
 
 
-def test_minimize_leaves_a_place_without_slope():
+def test_minimize_leaves_a_stationary_point():
     start = np.full((2, 2), 0.5)
     same = minimize(
         lambda x: (1.0, np.zeros_like(x)), start, iterations=9, longest=1.0, report=print

@@ -1,4 +1,4 @@
-"""Latin hypercubes and orthogonal arrays: every projection that must be stratified, exactly."""
+"""Latin hypercubes and orthogonal arrays: every projection is stratified exactly as declared."""
 
 import itertools
 
@@ -11,12 +11,12 @@ from mcspectra.core.errors import CountError
 from mcspectra.samplers import LatinHypercube, NRooks, OrthogonalArray, sampler
 from mcspectra.samplers.orthogonal import _slots
 
-LEVEL = 1 - (1 - 1e-6) ** (1 / 5)  # Šidák: the χ² tests of this file share 1e-6
+LEVEL = 1 - (1 - 1e-6) ** (1 / 5)  # Šidák: the χ² tests of this file share a level of 1e-6
 JITTERS = ("jittered", "multi-jittered", "correlated-multi-jittered")
 
 
 def assert_each_once(numbers, many):
-    """Assert that every row of `numbers` is a permutation of 0 … many−1."""
+    """Assert that every row of `numbers` is a permutation of 0 … many − 1."""
     expected = np.tile(np.arange(many), (len(numbers), 1))
     np.testing.assert_array_equal(np.sort(numbers, axis=1), expected)
 
@@ -36,7 +36,7 @@ def assert_stratified(points, s, strength):
 
 
 def pattern_counts(points):
-    """How often each assignment of the points to strata of each axis was drawn."""
+    """Count how often each assignment of the points to strata of each axis was drawn."""
     strata = np.floor(points * points.shape[1]).reshape(len(points), -1)
     return np.unique(strata, axis=0, return_counts=True)[1]
 
@@ -88,8 +88,8 @@ def test_orthogonal_array_projections(jitter, s, strength, dims):
 
 @pytest.mark.parametrize("s", [2, 3, 5, 7])
 @pytest.mark.parametrize("strength", [2, 3])
-def test_the_array_is_bushs(s, strength):
-    """Polynomials written out: coefficients are the digits of the row, values taken modulo s."""
+def test_the_array_is_that_of_bush(s, strength):
+    """Polynomials written out: the digits of the row are coefficients, values are modulo s."""
     dims = s + 1
     slots = _slots(s, dims, strength, "jittered")
     for row, levels in enumerate(slots):
@@ -106,7 +106,7 @@ def test_latin_hypercube_of_strength_2_is_the_default_orthogonal_array():
 @pytest.mark.parametrize(
     ("jitter", "patterns"),
     [
-        # 2! names of the levels on each axis, and who takes which half of them: 2!² or 2! ways
+        # 2! names of the levels on each axis, and the assignment of their halves: 2!² or 2! ways
         ("multi-jittered", (2 * 2**2) ** 2),
         ("correlated-multi-jittered", (2 * 2) ** 2),
     ],
@@ -151,13 +151,13 @@ def test_strength_2_has_its_own_variance():
     np.testing.assert_allclose(exact, 1 / (12 * 9**3), rtol=1e-9)
 
 
-def test_strength_2_integrates_what_depends_on_two_axes():
+def test_strength_2_integrates_functions_of_two_axes():
     """A product of two coordinates out of four: strength 2 leaves O(n^-2), Latin sets 1/(144 n)."""
     n = 11**2
     variances = {}
     for strength in (1, 2):
         x = LatinHypercube(dims=4, strength=strength).draw(n, realizations=2000, rng=7)
         variances[strength] = np.mean((x[..., 0] - 0.5) * (x[..., 2] - 0.5), axis=1).var()
-    # relative error of a variance from 2000 values: √(2/2000) = 0.03 for Gaussians
+    # Relative error of a variance from 2000 values: √(2/2000) = 0.03 for Gaussians
     np.testing.assert_allclose(variances[1], 1 / (144 * n), rtol=6 * 0.04)
     assert variances[2] < variances[1] / 10

@@ -1,7 +1,7 @@
-"""Parameters that a sampler or randomization refuses, and the names its sentence has.
+"""Parameters that a sampler or randomization refuses, and the names in the error message.
 
-The checks themselves (fractions, NaN, text for numbers) are tests of `core.checks`: here is one case
-for each field, and each rule of a class's own.
+The checks themselves (fractions, NaN, text for numbers) are tested in `core.checks`. Here is one
+case for each field, and one for each rule of a class.
 """
 
 import pytest
@@ -10,7 +10,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.samplers import sampler
 
 REFUSED = [
-    # (spec, dims, words of the sentence)
+    # (spec, dims, words of the message)
     ("sobol", 1112, ("sobol", "1111")),
     ("halton", 1001, ("halton", "1000")),
     ("halton(skip=-1)", 2, ("skip", "0")),
@@ -89,7 +89,7 @@ REFUSED = [
     ("sobol | decorrelate(width=0)", 2, ("width is 0", "256")),
     ("sobol | decorrelate(width=300)", 2, ("width is 300", "256")),
     ("sobol | decorrelate(mode='owen', mask='r2')", 2, ("mask", "white")),
-    # and with the sampler before them
+    # Randomizations after a sampler
     ("sobol | owen(base=3)", 2, ("elementary intervals", "base 2")),
     ("halton | permute(base=2)", 2, ("elementary intervals", "2, 3")),
     ("halton | owen(method='hash')", 2, ("base 2", "(2, 3)")),
@@ -110,7 +110,7 @@ REFUSED = [
 
 
 @pytest.mark.parametrize(("spec", "dims", "words"), REFUSED)
-def test_refused_with_the_names_that_matter(spec, dims, words):
+def test_the_error_names_parameter_and_limit(spec, dims, words):
     with pytest.raises(ParameterError) as caught:
         sampler(spec, dims)
     sentence = str(caught.value)

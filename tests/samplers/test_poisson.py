@@ -1,4 +1,4 @@
-"""Points that keep apart: declared distances, no gaps, slow references, the law of dart throwing."""
+"""Points that keep apart: declared distances, no gaps, slow references, dart throwing's law."""
 
 from itertools import product
 
@@ -13,8 +13,8 @@ from mcspectra.samplers import BestCandidate, DartThrowing, PoissonDisk, sampler
 from mcspectra.samplers.poisson import densest_distance
 
 LEVEL = 1 - (1 - 1e-6) ** (1 / 12)  # Šidák: at most 12 statistical tests in this file share 1e-6
-SHARP = 1e-9  # relative: holes are found to 1e-10 of their size
-ROUNDING = 1e-12  # of a distance computed from coordinates below 1
+SHARP = 1e-9  # relative tolerance; holes are found to 1e-10 of their size
+ROUNDING = 1e-12  # rounding error of a distance between points in the unit cube
 
 
 CASES = [
@@ -22,7 +22,7 @@ CASES = [
     (2, 1, True),
     (2, 2, True),
     (2, 3, True),
-    (2, 5, True),  # jams in one attempt of twelve
+    (2, 5, True),  # one attempt in twelve jams
     (2, 64, True),
     (2, 250, False),
     (3, 1, False),
@@ -34,7 +34,7 @@ CASES = [
 
 
 def nearest(points, toroidal=True):
-    """Distance from each point to its nearest neighbor."""
+    """Return the distance from each point to its nearest neighbor."""
     tree = cKDTree(points, boxsize=1.0 if toroidal else None)
     return tree.query(points, k=2)[0][:, 1]
 
@@ -58,15 +58,15 @@ def test_the_radius_can_be_chosen(radius):
     assert source.radius(100) == pytest.approx(radius * np.sqrt(2 / np.sqrt(3) / 100))
     points = source.draw(100, realizations=10, rng=2)
     assert min(nearest(x, True).min() for x in points) >= source.radius(100) * (1 - ROUNDING)
-    # Small disks leave pairs closer than larger ones would allow: the radius is not just a floor.
+    # Small disks allow closer pairs than large ones, so the radius is also used as such
     assert min(nearest(x, True).min() for x in points) < 1.2 * source.radius(100)
 
 
 def largest_gap(points, toroidal):
-    """Distance to the nearest point of the place farthest from all: a corner of a Voronoi cell.
+    """Return the largest distance of any place to its nearest point, at a corner of a Voronoi cell.
 
-    On the torus, of the points and their periodic images. In the cube, of the points and their
-    mirror images, which are no nearer to any place inside, and put corners on its faces.
+    On the torus, the cells are those of the points and their periodic images. In the cube they are
+    those of the points and their mirror images, which put corners on its faces.
     """
     dims = points.shape[1]
     tiles = []
@@ -83,7 +83,7 @@ def largest_gap(points, toroidal):
 @pytest.mark.parametrize("toroidal", [True, False])
 @pytest.mark.parametrize(("dims", "n"), [(1, 30), (2, 3), (2, 6), (2, 64), (2, 500), (3, 40)])
 def test_maximal_sets_leave_no_room_for_another_disk(dims, n, toroidal):
-    """The farthest place is no farther from all points than they are from one another."""
+    """The distance of the farthest place from all points is at most the minimum distance."""
     boundary = "toroidal" if toroidal else "bounded"
     points = PoissonDisk(dims=dims, mode="maximal", boundary=boundary).draw(
         n, realizations=4, rng=9
@@ -94,7 +94,7 @@ def test_maximal_sets_leave_no_room_for_another_disk(dims, n, toroidal):
 
 
 def test_maximal_sets_are_near_the_density_at_jamming():
-    """Relative radius 0.777 [Torquato 2006]; the points that fill holes come a few percent later."""
+    """Relative radius 0.777 [Torquato 2006]; filling of holes adds a few percent of points."""
     points = PoissonDisk(mode="maximal").draw(500, realizations=10, rng=10)
     least = np.array([nearest(x, True).min() for x in points])
     relative = least * np.sqrt(500 * np.sqrt(3) / 2)
@@ -103,20 +103,20 @@ def test_maximal_sets_are_near_the_density_at_jamming():
 
 
 def test_first_and_last_points_are_uniform_on_the_torus():
-    """χ² on 6×6 cells, of sets that jam in one attempt of twelve."""
+    """χ² on 6×6 cells, for sets of which one attempt in twelve jams."""
     points = PoissonDisk().draw(5, realizations=10_000, rng=5)
     for x in (np.floor(6 * points[:, index]) for index in (0, -1)):
         counts = np.bincount((6 * x[:, 0] + x[:, 1]).astype(int), minlength=36)
         assert stats.chisquare(counts).pvalue > LEVEL
 
 
-def test_the_bounded_kind_prefers_the_boundary():
-    """Disks may stick out: more points than the area's share lie near the edges."""
+def test_bounded_sets_have_more_points_near_the_boundary():
+    """Disks may stick out, so more points than the area's share lie near the edges."""
     points = PoissonDisk(boundary="bounded").draw(64, realizations=400, rng=6)
     margin = 0.25 / np.sqrt(64)
     near = ((points < margin) | (points >= 1 - margin)).any(axis=2)
     share = 1 - (1 - 2 * margin) ** 2
-    # A disk keeps others out, so that counts vary less than binomially: σ is an upper bound.
+    # Disks exclude other points, so counts vary less than binomially: σ is an upper bound
     sigma = np.sqrt(share * (1 - share) / near.size)
     assert near.mean() > share + stats.norm.isf(LEVEL) * sigma
 
@@ -124,13 +124,13 @@ def test_the_bounded_kind_prefers_the_boundary():
 def test_two_points_have_the_law_of_dart_throwing():
     """For n = 2 the second point is uniform outside the disk of the first: P(distance < s)."""
     source = PoissonDisk()
-    r = source.radius(2) / np.sqrt(2)  # 0.403 < ½, so that disks do not meet their images
+    r = source.radius(2) / np.sqrt(2)  # 0.403 < ½, so disks do not touch their images
     made = sampler(f"poisson-disk(radius={0.75 / np.sqrt(2)})")
     assert made.radius(2) == pytest.approx(r)
     x = made.draw(2, realizations=20_000, rng=7)
     gap = np.abs(x[:, 0] - x[:, 1])
     distance = np.hypot(*np.minimum(gap, 1 - gap).T)
-    inside = distance < 0.5  # where the ring is whole
+    inside = distance < 0.5  # distances at which the ring is complete
     expected = (np.pi * 0.25 - np.pi * r**2) / (1 - np.pi * r**2)
     assert stats.binomtest(int(inside.sum()), len(inside), expected).pvalue > LEVEL
     ring = (distance[inside] ** 2 - r**2) / (0.25 - r**2)
@@ -138,7 +138,7 @@ def test_two_points_have_the_law_of_dart_throwing():
 
 
 def periodogram(points, frequencies):
-    """n⟨|S_m|²⟩, 1 for random points; points (R, n, d), frequencies (M, d) -> (M,)."""
+    """Return n⟨|S_m|²⟩, 1 for random points; points (R, n, d), frequencies (M, d) -> (M,)."""
     phases = np.exp(-2j * np.pi * (points @ frequencies.T))
     return (np.abs(phases.sum(axis=1)) ** 2).mean(axis=0) / points.shape[1]
 
@@ -146,13 +146,13 @@ def periodogram(points, frequencies):
 def test_power_is_low_at_low_frequencies_and_peaks_near_the_inverse_distance():
     """Mean power over M half-space frequencies and R sets; for random points 1 ± 1/√(RM).
 
-    At jamming the 2-D spectrum starts at 0.059 [Torquato, Uche, Stillinger 2006]; a quarter leaves
-    room for the few percent of points that are missing and for the rise with frequency.
+    At jamming the 2-D spectrum starts at 0.059 [Torquato, Uche, Stillinger 2006]. A limit of a
+    quarter allows for the few percent of missing points and for the rise with frequency.
     """
     source, n, realizations = PoissonDisk(), 400, 50
     points = source.draw(n, realizations=realizations, rng=8)
     grid = np.stack(np.meshgrid(np.arange(0, 33), np.arange(-32, 33), indexing="ij"), axis=-1)
-    frequencies = grid.reshape(-1, 2)[33:]  # half of the plane: −m has the power of m
+    frequencies = grid.reshape(-1, 2)[33:]  # half of the plane, since −m and m have equal power
     length = np.hypot(*frequencies.T)
     low = frequencies[(length < 0.25 / source.radius(n)) & (length > 0)]
     peak = frequencies[(length > 1.0 / source.radius(n)) & (length < 1.3 / source.radius(n))]
@@ -167,7 +167,7 @@ def test_maximal_sets_have_no_common_radius():
 
 
 def clearances(places, points):
-    """Toroidal distance from each of `places` to the nearest of `points`, without any grid."""
+    """Return the toroidal distance from each of `places` to the nearest point, by brute force."""
     gaps = np.abs(places[:, None] - points)
     return np.sqrt((np.minimum(gaps, 1 - gaps) ** 2).sum(axis=-1)).min(axis=1)
 
@@ -183,13 +183,13 @@ def test_darts_keep_the_declared_distance(dims, n, radius):
     if n > 1:
         smallest = min(nearest(x).min() for x in points)
         assert smallest >= source.radius(n) * (1 - ROUNDING)
-    if n >= 200:  # the least distance of many is a tight bound
+    if n >= 200:  # for many points the least distance is close to the radius
         assert smallest < 1.05 * source.radius(n)
 
 
 @pytest.mark.parametrize(("dims", "n"), [(1, 30), (2, 60), (4, 20)])
-def test_darts_are_the_first_places_that_are_far_enough(dims, n):
-    """A slow reference: the same random numbers, every point checked against all before it."""
+def test_accepted_darts_are_the_first_ones_far_enough_away(dims, n):
+    """A slow reference with the same random numbers compares every dart with all earlier points."""
     source, stream = DartThrowing(dims=dims), Stream(5)
     darts = stream.uniforms(3, 1, 20_000 * dims).reshape(-1, dims)
     taken = darts[:1]
@@ -200,7 +200,7 @@ def test_darts_are_the_first_places_that_are_far_enough(dims, n):
 
 
 def test_dart_throwing_has_the_law_of_the_poisson_disks():
-    """Same radius: distances to the nearest neighbor of one point a set, from both."""
+    """At equal radius, nearest-neighbor distances of one point per set have the same law."""
     n, realizations = 30, 1500
     darts = DartThrowing(radius_=0.6).draw(n, realizations=realizations, rng=2)
     disks = PoissonDisk(radius_=0.6).draw(n, realizations=realizations, rng=3)
@@ -212,7 +212,7 @@ def test_dart_throwing_has_the_law_of_the_poisson_disks():
 @pytest.mark.parametrize(
     ("dims", "n", "candidates"), [(1, 70, 2), (2, 150, 3), (3, 90, 2), (5, 40, 1)]
 )
-def test_best_candidates_are_those_of_a_search_without_grids(dims, n, candidates):
+def test_best_candidates_agree_with_a_search_without_grids(dims, n, candidates):
     stream = Stream(7)
     total = sum(max(1, candidates * i) for i in range(n))
     places = stream.uniforms(2, 1, total * dims).reshape(-1, dims)
@@ -246,6 +246,6 @@ def test_more_candidates_are_farther_apart():
 
 
 @pytest.mark.parametrize("spec", ["poisson-disk(radius=0.9)", "dart-throwing(radius=0.95)"])
-def test_darts_that_find_no_room_are_said(spec):
+def test_sets_without_room_are_an_error(spec):
     with pytest.raises(CountError, match="no room for 200 points in 2 dims.* smaller radius"):
         sampler(spec).draw(200, rng=1)

@@ -1,4 +1,4 @@
-"""Progressive sequences: strata and elementary intervals of every power of two points, exactly."""
+"""Progressive sequences: strata and elementary intervals at every power of two, exactly."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ from mcspectra.core.errors import NotPowerOfTwoWarning
 from mcspectra.samplers import PMJ, PMJ02, PMJ02BlueNoise
 from mcspectra.samplers.progressive import pairings
 
-LEVEL = 1 - (1 - 1e-6) ** (1 / 8)  # Šidák
+LEVEL = 1 - (1 - 1e-6) ** (1 / 8)  # Šidák level of each statistical test
 
 
 ALL = [PMJ(), PMJ02(), PMJ02BlueNoise()]
@@ -19,13 +19,13 @@ every_net = pytest.mark.parametrize("source", NETS, ids=lambda source: source.na
 
 
 def occupancy(points, columns, rows):
-    """How many points of each realization are in each of columns × rows cells: (R, cells)."""
+    """Count the points of each realization in each of columns × rows cells: (R, cells)."""
     cells = (np.floor(points * [columns, rows]) @ [rows, 1]).astype(int)
     return np.stack([np.bincount(row, minlength=columns * rows) for row in cells])
 
 
 def toroidal_distances(points):
-    """Distance of every point to its nearest neighbor on the torus."""
+    """Return the distance of every point to its nearest neighbor on the torus."""
     offsets = np.abs(points[:, None] - points)
     squares = (np.minimum(offsets, 1 - offsets) ** 2).sum(axis=-1)
     np.fill_diagonal(squares, np.inf)
@@ -33,13 +33,13 @@ def toroidal_distances(points):
 
 
 def uniform(counts):
-    """Whether counts pass as those of equally likely cells."""
+    """Return whether counts are consistent with equally likely cells."""
     return stats.chisquare(counts).pvalue > LEVEL
 
 
 @every_sequence
 def test_intervals_of_either_axis_and_cells_have_one_point(source):
-    """4^k points are one in each of 2^k × 2^k cells, the next 4^k diagonal to them."""
+    """4^k points have one in each of 2^k × 2^k cells; the next 4^k are diagonal to them."""
     sequence = source.draw(2**10, realizations=20, rng=1)
     for level in range(11):
         prefix = sequence[:, : 2**level]
@@ -69,7 +69,7 @@ def test_every_block_of_the_sequence_is_a_net(source):
         assert all((occupancy(block, 2**k, 2 ** (6 - k)) == 1).all() for k in range(7))
 
 
-def test_pmj_is_no_net():
+def test_pmj_is_not_a_net():
     prefix = PMJ().draw(64, realizations=50, rng=3)
     assert (occupancy(prefix, 2, 32) != 1).any()
 
@@ -83,11 +83,11 @@ def test_shorter_sets_are_the_beginning_of_longer_ones(source):
 
 
 def test_pairings_are_those_of_scrambled_sobol_points():
-    """Sobol' points in the order of pmj02: partners differ in digit k alone, of the first k + 1."""
+    """Sobol' points in the order of pmj02: among k + 1 digits, partners differ in digit k."""
     sobol = mcs.samplers.sampler("sobol").draw(2**10)[0]
     digits = (sobol * 2**10).astype(int)
     order = [0]
-    for level in range(10):  # x of point i differs from that of its partner in digit `level`
+    for level in range(10):  # x of point i and of its partner differ in digit `level`
         xor = pairings()[:, level].astype(int)
         size = 2**level
         for i in range(size, 2 * size):
@@ -100,7 +100,7 @@ def test_pairings_are_those_of_scrambled_sobol_points():
 
 @pytest.mark.parametrize("source", [PMJ(), PMJ02()], ids=["pmj", "pmj02"])
 def test_points_and_pairs_of_points_are_as_random_as_can_be(source):
-    """Four points: each in any of 4 × 4 intervals, the third beside or above the first."""
+    """Each of four points is in any of 4 × 4 intervals; the third is next to or above the first."""
     points = source.draw(4, realizations=16_000, rng=6)
     intervals = np.floor(points * 4) @ [4, 1]
     for i in range(4):
@@ -108,17 +108,17 @@ def test_points_and_pairs_of_points_are_as_random_as_can_be(source):
     halves = np.floor(points * 2)
     beside = halves[:, 2, 1] == halves[:, 0, 1]
     assert uniform(np.bincount(beside, minlength=2))
-    # a permutation of four intervals on either axis, in which the first two are in other halves
+    # A permutation of four intervals on either axis, with the first two in different halves
     codes = np.unique(np.floor(points[..., 0] * 4), axis=0, return_counts=True)[1]
     assert len(codes) == 16
     assert uniform(codes)
 
 
-def test_pmj_deals_out_free_intervals_at_random():
+def test_pmj_assigns_free_intervals_at_random():
     """Points 64 … 127 in 16 columns of 8 intervals: four are free, in one of 24 orders."""
     x = PMJ().draw(128, realizations=400, rng=10)[:, 64:, 0]
     order = np.argsort(np.floor(x * 16), axis=1, kind="stable")
-    four = np.take_along_axis(x, order, axis=1).reshape(-1, 4)  # of a column, in order of index
+    four = np.take_along_axis(x, order, axis=1).reshape(-1, 4)  # four intervals per column
     ranks = np.argsort(np.argsort(four, axis=1), axis=1)
     assert uniform(np.unique(ranks @ [64, 16, 4, 1], return_counts=True)[1])
 
@@ -130,7 +130,7 @@ def test_low_bits_are_uniform():
 
 @pytest.mark.parametrize("n", [64, 512])
 def test_blue_noise_keeps_points_apart(n):
-    """The nearest two are twice as far apart as in pmj02, by many standard errors."""
+    """The nearest two points are twice as far apart as in pmj02, by many standard errors."""
     near = [
         [toroidal_distances(points).min() for points in source.draw(n, realizations=20, rng=8)]
         for source in NETS
@@ -140,7 +140,7 @@ def test_blue_noise_keeps_points_apart(n):
     assert spread.mean() - 2 * plain.mean() > 5 * error
 
 
-def test_more_sweeps_spread_more():
+def test_more_sweeps_lower_the_energy():
     def energy(sweeps):
         sets = PMJ02BlueNoise(sweeps=sweeps).draw(256, realizations=20, rng=9)
         return np.array([(toroidal_distances(points) ** -8.0).sum() for points in sets])

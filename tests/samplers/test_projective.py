@@ -1,4 +1,4 @@
-"""Projective blue noise: the declared distance in every projection, uniform points, a clear error."""
+"""Projective blue noise: declared distances in every projection, uniform points, clear errors."""
 
 from itertools import combinations
 
@@ -13,13 +13,13 @@ from mcspectra.samplers import ProjectiveBlueNoise, sampler
 from mcspectra.samplers.poisson import densest_distance
 
 FALSE_ALARMS = 1e-6
-CHECKS = 4  # statistical tests in this file
+CHECKS = 4  # number of statistical tests in this file
 LEVEL = 1 - (1 - FALSE_ALARMS) ** (1 / CHECKS)  # Šidák
 ROUNDING = 1e-12
 
 
 def smallest_distances(points):
-    """Toroidal minimum distance of points (n, d) in all projections on k axes, k = 1 … d."""
+    """Return toroidal minimum distances of points (n, d) in projections on k axes, k = 1 … d."""
     dims = points.shape[1]
     smallest = np.full(dims, np.inf)
     for k in range(1, dims + 1):
@@ -41,7 +41,7 @@ def test_every_projection_keeps_the_declared_distance(dims, n):
 
 
 def test_the_radii_are_tight():
-    """Darts that stick come nearly as near as they may, in every number of axes."""
+    """Minimum distances come close to the declared radii, for every number of axes."""
     source = ProjectiveBlueNoise(dims=3)
     least = np.min([smallest_distances(x) for x in source.draw(300, realizations=4, rng=2)], axis=0)
     assert (least < 1.05 * np.array(source.radii(300))).all()
@@ -54,8 +54,8 @@ def test_radii_are_relative_to_the_densest_packings():
     assert source.radii(50)[2] == 0.3 * densest_distance(50, 3)
 
 
-def test_the_law_is_that_of_plain_dart_throwing():
-    """For n = 2 the second point is uniform where it may be; cells of its offset from the first."""
+def test_the_law_equals_that_of_plain_dart_throwing():
+    """For n = 2 the second point is uniform where allowed; cells of its offset from the first."""
     source = ProjectiveBlueNoise(radius_=0.4)
     points = source.draw(2, realizations=20_000, rng=3)
     gap = (points[:, 1] - points[:, 0]) % 1.0
@@ -67,7 +67,7 @@ def test_the_law_is_that_of_plain_dart_throwing():
     expected = np.bincount((np.floor(allowed * 10) @ [10, 1]).astype(int), minlength=100)
     counts = np.bincount(cells, minlength=100)
     assert (counts[expected == 0] == 0).all()
-    # Where few are expected the χ² of the two samples would be rough
+    # With few expected counts the two-sample χ² test would be inaccurate
     full = expected > 200
     table = np.array([counts[full], expected[full]])
     assert stats.chi2_contingency(table).pvalue > LEVEL
@@ -81,7 +81,7 @@ def test_every_point_is_uniform(index):
 
 
 def test_functions_of_one_coordinate_gain_in_any_dims():
-    """Points that are apart along an axis: less variance than dart throwing has."""
+    """Distances along an axis give less variance than dart throwing."""
     n, realizations = 64, 400
     means = {
         name: sampler(name, 3).draw(n, realizations=realizations, rng=5)[..., 0].mean(axis=1)
@@ -91,7 +91,7 @@ def test_functions_of_one_coordinate_gain_in_any_dims():
     assert ratio < stats.f.isf(1 - LEVEL, realizations - 1, realizations - 1)
 
 
-def test_a_set_that_does_not_fit_is_said():
+def test_a_set_without_room_is_an_error():
     with pytest.raises(CountError, match="no room for 100 points in 2 dims .* smaller radius") as e:
         sampler("projective-blue-noise(radius=0.95)").draw(100, rng=1)
     assert "\n" not in str(e.value)

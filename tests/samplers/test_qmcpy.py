@@ -1,4 +1,4 @@
-"""Generators of QMCPy as samplers: the same points, honest counts, no guesses."""
+"""Generators of QMCPy as samplers: equal points, correct counts, no guesses."""
 
 import sys
 
@@ -37,7 +37,7 @@ def seed_of(rng, realization):
         ("IIDStdUniform", {}, 11),
     ],
 )
-def test_points_are_those_of_the_generator(name, options, n):
+def test_points_equal_those_of_the_generator(name, options, n):
     source = sampler(f"qmcpy(generator={name!r}, options={options!r})", 3)
     assert source.unbiased
     given = {"warn": False} if name in ("Halton", "Faure", "Kronecker") else {}

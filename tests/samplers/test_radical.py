@@ -1,4 +1,4 @@
-"""Radical inverses: against SciPy, balance in base b, and the laws of the scrambled digits."""
+"""Radical inverses against SciPy, balance in base b, and the laws of the scrambled digits."""
 
 import numpy as np
 import pytest
@@ -15,8 +15,8 @@ EPS = np.finfo(float).eps
 
 
 @pytest.mark.parametrize("dims", [1, 2, 10, 64])
-def test_unscrambled_points_are_scipys(dims):
-    # SciPy sums digit by digit: at most 10 roundings of numbers below 1 at 1,000 points
+def test_unscrambled_points_equal_scipys(dims):
+    # SciPy sums digit by digit: at most 10 roundings of numbers below 1 for 1,000 points
     np.testing.assert_allclose(
         Halton(dims=dims).draw(1000)[0],
         qmc.Halton(d=dims, scramble=False).random(1000),
@@ -41,7 +41,7 @@ def test_a_thousand_dims_have_a_thousand_primes():
 
 @pytest.mark.parametrize("base", [2, 3, 10, 97, 7919])
 def test_van_der_corput_is_the_radical_inverse(base):
-    """Slow reference: the decimal places of each index in the base, reversed, in whole numbers."""
+    """A slow reference reverses the digits of each index in exact integers."""
     n = 300
     expected = []
     for i in range(n):
@@ -53,14 +53,14 @@ def test_van_der_corput_is_the_radical_inverse(base):
 
 
 def test_blocks_of_indices_join_without_a_seam():
-    """5,000 indices are several tables of low digits, entered in the middle when some are left out."""
+    """5,000 indices span several tables of low digits, and may start within one."""
     whole = Halton(dims=3).draw(5000)[0]
     for i in (0, 1, 1023, 1024, 2187, 4096, 4999):
         np.testing.assert_allclose(Halton(dims=3, skip=i).draw(1)[0, 0], whole[i], rtol=EPS)
 
 
 @pytest.mark.parametrize("dims", [1, 2, 10])
-def test_hammersley_is_the_nths_beside_halton(dims):
+def test_hammersley_is_i_over_n_followed_by_halton(dims):
     points = Hammersley(dims=dims).draw(100)[0]
     np.testing.assert_array_equal(points[:, 0], np.arange(100) / 100)
     if dims > 1:
@@ -86,7 +86,7 @@ def test_hammersley_of_two_dims_is_a_net(scramble):
 
 @pytest.mark.parametrize("scramble", ["permute", "owen"])
 def test_scrambled_hammersley_moves_its_first_coordinate(scramble):
-    """With n = 2^m the first point's n-th is any; else it keeps it, uniform inside."""
+    """For n = 2^m the first point is in any n-th; otherwise it stays in its n-th, uniformly."""
     for n, scale in ((16, 16), (18, 18 * 16)):
         x = Hammersley(scramble=scramble).draw(n, realizations=3200, rng=1)[:, 0, 0]
         counts = np.bincount(np.floor(x * scale).astype(int), minlength=16)
@@ -99,8 +99,8 @@ def test_scrambled_hammersley_moves_its_first_coordinate(scramble):
     ("name", "dims", "n"),
     [("halton", 3, 100), ("van-der-corput(base=6)", 1, 50), ("hammersley", 3, 64)],
 )
-def test_scramble_is_short_for_a_randomisation(name, dims, n, step):
-    """The same bits, also when others follow."""
+def test_scramble_abbreviates_a_randomization(name, dims, n, step):
+    """The points have the same bits, also if other randomizations follow."""
     inside = name.replace(")", ", ") if "(" in name else name + "("
     for after in ("", " | shift", " | owen | digital-shift"):
         short = mcs.sampler(f"{inside}scramble='{step}'){after}", dims)
@@ -124,11 +124,12 @@ SOURCES = [
 
 @pytest.mark.parametrize("source", SOURCES, ids=lambda source: source.spec)
 def test_one_point_in_each_interval_of_its_base(source):
-    """The first b^k points hold one in each [a/b^k, (a+1)/b^k), and likewise in boxes (2^i, 3^j)."""
+    """The first b^k points have one in each [a/b^k, (a+1)/b^k), and in boxes (2^i, 3^j)."""
     for j, (base, power) in enumerate([(2, 6), (3, 4), (5, 3)]):
         n = base**power
         x = source.draw(n, realizations=20, rng=1)[..., j]
-        # Half an interval's 2^-40 up: plain points sit on the ends of intervals, within rounding
+        # Half an interval's 2^-40 is added, since plain points lie on the ends of intervals up to
+        # rounding
         strata = np.sort(np.floor(x * n + 2.0**-40), axis=1)
         np.testing.assert_array_equal(strata, np.tile(np.arange(n), (len(x), 1)))
     points = source.draw(72, realizations=20, rng=1)
@@ -142,7 +143,7 @@ def test_digits_are_permuted_uniformly_and_independently(scramble):
     points = Halton(dims=2, scramble=scramble).draw(9, realizations=18_000, rng=2)
     digits = np.floor(points[..., 1] * 9).astype(int)
     first = digits[:, :3] // 3 @ [9, 3, 1]  # indices 0, 1, 2 have the lowest digits 0, 1, 2
-    second = digits[:, ::3] % 3 @ [9, 3, 1]  # indices 0, 3, 6 the next
+    second = digits[:, ::3] % 3 @ [9, 3, 1]  # indices 0, 3, 6 have the next digits 0, 1, 2
     codes = np.unique(first * 27 + second, return_counts=True)[1]
     assert len(codes) == 36
     assert stats.chisquare(codes).pvalue > LEVEL
@@ -171,7 +172,7 @@ def test_digit_bases():
         ("halton(scramble='owen') | shift", "halton | owen | shift", 2),
     ],
 )
-def test_what_is_known_of_the_chain_is_known_of_its_short_form(alias, chain, dims):
+def test_the_abbreviation_has_the_law_of_its_chain(alias, chain, dims):
     short, long = mcs.sampler(alias, dims), mcs.sampler(chain, dims)
     assert short.as_chain(16) == long == long.as_chain(16)
     assert np.array_equal(
@@ -191,6 +192,6 @@ def test_what_is_known_of_the_chain_is_known_of_its_short_form(alias, chain, dim
             assert known(short) == expected
 
 
-def test_hammersley_points_of_other_counts_stand_for_no_chain():
+def test_hammersley_points_of_other_counts_have_no_chain():
     sampler = mcs.sampler("hammersley(scramble='owen')", 2)
     assert sampler.as_chain(9) is sampler

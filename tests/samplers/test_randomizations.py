@@ -1,4 +1,4 @@
-"""Randomizations of whole sets: what they keep exactly, what they make uniform, exact variances."""
+"""Randomizations of whole sets: exact invariants, uniform points, exact variances."""
 
 import itertools
 
@@ -102,7 +102,7 @@ def test_shift_is_uniform_and_its_coordinates_are_independent():
         (0.75, 0.5, 0.25),
         (0.0, -0.25, 0.75),
         (0.5, 3.25, 0.75),
-        (0.5, -1e-20, 0.5),  # the remainder of −1e-20 is 1
+        (0.5, -1e-20, 0.5),  # the remainder of −1e-20 rounds to 1
     ],
 )
 def test_translation_to_the_last_bit(x, offset, expected):
@@ -110,7 +110,7 @@ def test_translation_to_the_last_bit(x, offset, expected):
     assert moved.item() == expected
 
 
-def test_strata_shift_is_a_part_of_the_side():
+def test_strata_shift_moves_by_a_fraction_of_the_side():
     points = sampler("regular(position='corner')", 2).draw(16)
     moved = StrataShift(offset=[0.5, 0.25]).apply(points, STREAM, 0)
     np.testing.assert_array_equal(moved, (points + np.array([0.125, 0.0625])) % 1.0)
@@ -127,7 +127,7 @@ def test_strata_shift_is_a_part_of_the_side():
     ],
 )
 def test_variance_of_the_mean_coordinate(spec, dims, n, expected):
-    """Exact: a shared offset of one n-th gives 1/(12 n²); independent strata 1/(12 n³)."""
+    """Exact: a shared offset within 1/n gives 1/(12 n²); independent strata 1/(12 n³)."""
     means = sampler(spec, dims).draw(n, realizations=20_000, rng=8)[..., -1].mean(axis=1)
     centred = means - means.mean()
     error = np.sqrt((np.mean(centred**4) - means.var() ** 2) / len(means))
@@ -136,7 +136,7 @@ def test_variance_of_the_mean_coordinate(spec, dims, n, expected):
 
 
 def toroidal_distances(points):
-    """Sorted distances of all pairs of (n, d) points."""
+    """Return sorted distances of all pairs of (n, d) points."""
     difference = points[:, None] - points[None]
     difference -= np.rint(difference)
     upper = np.triu_indices(len(points), 1)
@@ -170,7 +170,7 @@ def test_toroidal_distances_are_kept(spec, dims):
 
 
 def test_lattices_stay_lattices():
-    """Differences of lattice points are lattice points: the set of them has n elements."""
+    """Differences of lattice points are lattice points, so there are n different ones."""
     points = Rank1Lattice(dims=3).then(RandomRotation()).draw(31, realizations=10, rng=2)
     for p in points:
         steps = np.rint((p[:, None] - p[None]) * 31).astype(int) % 31
@@ -190,8 +190,8 @@ def test_elementary_intervals_are_kept():
 
 
 @pytest.mark.parametrize("n", [1, 2, 9, 64])
-def test_the_window_shows_the_turned_plane(n):
-    """Slow reference: 49 copies of the set in complex numbers, the n nearest to the center.
+def test_the_window_clips_the_rotated_plane(n):
+    """A slow reference: 49 copies of the set in complex numbers, and the n nearest to the center.
 
     The numbers of a realization are the center, the angle and the final translation.
     """
@@ -209,8 +209,8 @@ def test_the_window_shows_the_turned_plane(n):
         np.testing.assert_allclose(seen[np.argsort(seen[:, 0])], x[np.argsort(x[:, 0])], atol=1e-13)
 
 
-def test_a_turned_grid_keeps_its_angles():
-    """Seen without the final translation, all neighbors of a square grid are at right angles."""
+def test_a_rotated_grid_keeps_its_angles():
+    """Without the final translation, all neighbors of a square grid are at right angles."""
     points = mcs.sampler("regular", 2).draw(64, realizations=20, rng=5)
     moved = (CLIPPED.apply(points, STREAM, 0) - STREAM.uniforms(0, 20, 5)[:, None, 3:]) % 1.0
     angles = []
@@ -226,7 +226,7 @@ def test_a_turned_grid_keeps_its_angles():
 
 
 def test_windows_hold_n_different_points_of_the_set():
-    """Undoing nothing: the scale is near 1, so that least distances shrink or grow by little."""
+    """The scale is near 1, so minimum distances change little."""
     source = mcs.sampler("poisson-disk", 2)
     for n in (1, 2, 3, 10, 200):
         plain = source.draw(n, realizations=10, rng=6)
@@ -238,7 +238,7 @@ def test_windows_hold_n_different_points_of_the_set():
     ) * np.sqrt(200 / 150)
 
 
-def test_coinciding_points_are_seen_as_often():
+def test_coinciding_points_keep_their_multiplicity():
     doubled = np.repeat(Jittered(dims=2).draw(16, realizations=50, rng=1), 2, axis=1)
     moved = CLIPPED.apply(doubled, STREAM, 0)
     assert moved.shape == doubled.shape
@@ -260,7 +260,7 @@ def test_random_reflection_reflects_or_not(dims):
     moved = Mirror().apply(points, STREAM, 0)
     flipped = moved != points
     np.testing.assert_array_equal(moved[flipped], (BELOW_ONE - points)[flipped])
-    # Fair coins, also in pairs of neighboring coordinates, points and realizations
+    # Probability ½, also in pairs of neighboring coordinates, points and realizations
     bits = flipped.ravel().astype(int)
     pairs = 2 * bits[:-1:2] + bits[1::2]
     assert stats.chisquare(np.bincount(pairs, minlength=4)).pvalue > LEVEL / 6
@@ -274,7 +274,7 @@ def test_folding_to_the_last_bit():
 
 
 def test_folding_is_one_to_one_on_the_grid_and_keeps_points_uniform():
-    """A grid of 1,024 multiples of 2^-53 about ½, the only place where the two branches meet."""
+    """A grid of 1,024 multiples of 2^-53 around ½, the only place where both branches meet."""
     grid = 0.5 + np.arange(-512, 512) * 2.0**-53
     moved = Mirror(mode="fold").apply(grid[:, None, None], STREAM, 0)
     assert len(np.unique(moved)) == 1024
@@ -295,7 +295,7 @@ def test_uniform_mode_holds_all_images_of_each_point(dims):
 
 
 def test_uniform_mode_integrates_odd_functions_exactly():
-    """Antithetic: the mean of each coordinate is (1 − 2^-53)/2 but for the rounding of sums."""
+    """Antithetic: the mean of each coordinate is (1 − 2^-53)/2 up to rounding of sums."""
     moved = mcs.sampler("random | mirror(mode='uniform')", 3).draw(64, realizations=20, rng=1)
     np.testing.assert_allclose(moved.mean(axis=1), 0.5, atol=64 * 2.0**-53)
 
@@ -316,7 +316,7 @@ def test_uniform_mode_keeps_strata_and_nets(sides):
         )
 
 
-def test_counts_of_the_uniform_mode_are_multiples_of_the_samplers():
+def test_counts_of_the_uniform_mode_are_multiples_of_the_samplers_counts():
     source = Jittered(dims=2).then(Mirror(mode="uniform"))
     assert source.nearest_count(40) == 36
     with pytest.raises(CountError, match="36 and 64") as caught:
@@ -342,8 +342,8 @@ def test_pixels_differ_by_a_translation_only(mask):
 @pytest.mark.parametrize(
     ("mode", "step"), [("shift", Shift()), ("digital-shift", DigitalShift()), ("owen", Owen())]
 )
-def test_white_masks_are_the_randomisation_itself(mode, step):
-    """For a fixed set the shared realization is the set: the same as without decorrelate."""
+def test_white_masks_equal_the_plain_randomization(mode, step):
+    """For a fixed set, the shared realization is the set: same points as without decorrelate."""
     np.testing.assert_array_equal(
         Sobol(dims=3).then(Decorrelate(mode=mode)).draw(32, realizations=10, rng=2, first=3),
         Sobol(dims=3).then(step).draw(32, realizations=10, rng=2, first=3),
@@ -360,7 +360,7 @@ def test_digital_masks_keep_nets(mask):
     np.testing.assert_array_equal(word, np.broadcast_to(word[:, :1], word.shape))
 
 
-def test_blue_noise_shifts_take_each_stratum_once():
+def test_blue_noise_shifts_occupy_each_stratum_once():
     width = 16
     step = Decorrelate(mask="blue-noise", width=width)
     for first in (0, width**2, 5 * width):
@@ -370,8 +370,9 @@ def test_blue_noise_shifts_take_each_stratum_once():
 
 
 def test_blue_noise_shifts_have_little_power_at_low_frequencies():
-    """White shifts have a mean power of 1/12 at every frequency; below half the way to the middle
-    of the band a tenth of it is far more than void and cluster leaves."""
+    """White shifts have a mean power of 1/12 at every frequency. A tenth of this, below half the
+    way
+    to the middle of the band, is far more than void and cluster leaves."""
     width = 32
     offsets = Decorrelate(mask="blue-noise", width=width).offsets(STREAM, 0, width**2, 2)
     for image in offsets.T.reshape(2, width, width):
@@ -396,12 +397,12 @@ def test_points_of_one_pixel_are_uniform_over_seeds(mask):
     offsets = np.concatenate([step.offsets(Stream.from_rng(s), 77, 1, 2) for s in range(3200)])
     cells = (np.floor(offsets * 4) @ [4, 1]).astype(int)
     assert stats.chisquare(np.bincount(cells, minlength=16)).pvalue > LEVEL
-    # and within the ranks of the mask
+    # Points are also uniform within the ranks of the mask
     fine = np.floor(offsets[:, 0] * 64 % 1.0 * 16).astype(int)
     assert stats.chisquare(np.bincount(fine, minlength=16)).pvalue > LEVEL
 
 
-def test_errors_of_neighbours_are_blue_noise():
+def test_errors_of_neighbors_are_blue_noise():
     """The image of estimates of x has less low-frequency power than with white shifts."""
     width = 32
     m = np.fft.fftfreq(width, 1 / width)
@@ -425,7 +426,7 @@ def test_variance_over_pixels_is_that_of_the_shift():
         assert abs(ratio - 1) < stats.norm.isf(LEVEL / 2) * np.sqrt(0.8 / 4096)
 
 
-def test_counts_are_those_of_the_mode():
+def test_counts_follow_the_mode():
     jittered = Jittered(dims=2)
     for mode, step in (("shift", Shift()), ("digital-shift", DigitalShift()), ("owen", Owen())):
         for n in (16, 30, 36, 60):
@@ -433,7 +434,7 @@ def test_counts_are_those_of_the_mode():
             assert counts == step.fit(jittered).counts_near(jittered, n)
 
 
-def test_pixels_of_a_mask_are_tied_together_through_a_chain():
+def test_pixels_of_a_mask_stay_dependent_through_a_chain():
     for mask, independent in (("white", True), ("r2", False), ("blue-noise", False)):
         step = Decorrelate(mask=mask)
         assert step.independent == independent

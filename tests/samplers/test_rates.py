@@ -1,4 +1,4 @@
-"""Rates of convergence, of variance in n: fitted slopes against theory."""
+"""Rates of convergence of the variance in n: fitted slopes against theory."""
 
 import pytest
 
@@ -12,10 +12,11 @@ SMOOTH = "christensen-gaussian"
 @pytest.mark.parametrize(
     ("spec", "integrand", "counts", "rate", "bend"),
     [
-        # Discontinuous functions: −1.5 in 2-D where strata, or a lattice's dual, are even; `bend` is
-        # that of the curve at small n
+        # Discontinuous functions: −1.5 in 2-D if strata, or the dual of a lattice, are even. `bend`
+        # is the bend of the curve at small n
         ("fibonacci | shift", DISK, [21, 89, 377, 1597], -1.5, 0.05),
-        # the constant wobbles: a factor 2 from end to end tilts the fit by log 2/log(n_last/n_first)
+        # The constant oscillates: a factor 2 between the ends tilts the fit by log
+        # 2/log(n_last/n_first)
         ("kronecker | shift", DISK, [16, 64, 256, 1024, 4096], -1.5, 0.125),
         ("orthogonal-array", DISK, [25, 121, 289, 961], -1.5, 0.05),
         (
@@ -25,10 +26,10 @@ SMOOTH = "christensen-gaussian"
             -1.5,
             0.05,
         ),
-        # 2^i 3^k: whole boxes of both bases
+        # 2^i 3^k: complete boxes of both bases
         ("halton | permute", DISK, [36, 144, 576, 2304], -1.5, 0.05),
         ("halton | owen", DISK, [36, 144, 576, 2304], -1.5, 0.05),
-        # x² at a shifted lattice, and folded: continuous with kinks
+        # x² at a shifted lattice, and folded, which is continuous with kinks
         ("rank1-lattice(vector=[1]) | shift", SQUARE, [8, 32, 128], -2.0, 0.03),
         (
             "rank1-lattice(vector=[1]) | shift | mirror(mode='fold')",
@@ -51,9 +52,9 @@ SMOOTH = "christensen-gaussian"
         ),
     ],
 )
-def test_the_slope_is_that_of_theory(spec, integrand, counts, rate, bend):
+def test_the_slope_agrees_with_theory(spec, integrand, counts, rate, bend):
     estimator = mcs.Estimator(integrand, dims=1 if integrand == SQUARE else 2)
     found = mcs.convergence(estimator, spec, counts, realizations=500, rng=2)
     low, high = found["rate_ci"].values
-    # 4 standard errors, of which the half interval has 1.96
+    # Four standard errors; the half-interval is 1.96 of them
     assert abs(float(found["rate"]) - rate) < 4 * (high - low) / 2 / 1.96 + bend

@@ -1,4 +1,4 @@
-"""Spec strings, arrays and engines become samplers; what cannot is said in a sentence."""
+"""Spec strings, arrays and engines become samplers; errors are one sentence."""
 
 import numpy as np
 import pytest
@@ -51,7 +51,7 @@ def test_bad_specs(spec, error, words):
         sampler(spec)
 
 
-def test_as_sampler_takes_what_users_have():
+def test_as_sampler_accepts_arrays_specs_and_engines():
     jittered = sampler("jittered", 2)
     assert as_sampler(jittered) is jittered
     assert sampler(jittered, 2) is jittered

@@ -1,4 +1,4 @@
-"""Relaxed points: cells and energies against slow references, results, cost of transport."""
+"""Relaxed points: cells and energies against slow references, results, transport cost."""
 
 import itertools
 import time
@@ -25,13 +25,13 @@ SHIFTS = np.array(list(itertools.product((-1, 0, 1), repeat=2)))
 
 
 def random_sites(n, seed=0, spread=0.0):
-    """Points, and weights that differ by up to `spread` / n."""
+    """Return points, and weights that differ by up to `spread` / n."""
     rng = np.random.default_rng(seed)
     return rng.random((n, 2)), spread / n * rng.random(n)
 
 
 def mean_over(polygon, f):
-    """Area of a convex polygon, and ∫ f over it: exact for quadratics, by mid-edge points."""
+    """Area of a convex polygon, and ∫ f over it by midpoints of edges (exact to quadratics)."""
     centre = polygon.mean(axis=0)
     order = np.argsort(np.arctan2(*(polygon - centre).T))
     polygon = polygon[order]
@@ -44,7 +44,7 @@ def mean_over(polygon, f):
 
 
 def laplacian(diagram):
-    """The faces as a dense matrix."""
+    """Return the faces as a dense matrix."""
     n = len(diagram.areas)
     matrix = np.zeros((n, n))
     for i, (start, end) in enumerate(diagram.rows):
@@ -92,7 +92,7 @@ def test_cells_cover_the_torus_when_some_are_empty():
     np.testing.assert_allclose(diagram.areas[10:], rest.areas, rtol=1e-12)
 
 
-def test_a_cell_may_have_very_many_neighbours():
+def test_a_cell_may_have_very_many_neighbors():
     angles = 2 * np.pi * np.arange(200) / 200
     circle = 0.5 + 0.3 * np.column_stack([np.cos(angles), np.sin(angles)])
     diagram = power_diagram(np.vstack([circle, [[0.5, 0.5]]]), np.zeros(201))
@@ -106,7 +106,7 @@ def second_moment(n, a):
     With an obtuse superbase, p_ij = −v_i·v_j ≥ 0: Σ p / 12 + p_01 p_02 p_12 / (12 n^(−2)).
     """
     u, v = np.array([1, a]) / n, np.array([0.0, 1.0])
-    while True:  # Gauss
+    while True:  # Gauss's reduction of the basis
         u, v = sorted((u, v), key=lambda w: w @ w)
         if not (k := np.rint(u @ v / (u @ u))):
             break
@@ -118,7 +118,7 @@ def second_moment(n, a):
 
 
 def lattice(n, a):
-    """Points of a lattice, away from the borders of buckets."""
+    """Return points of a lattice, away from the borders of buckets."""
     i = np.arange(n)
     return (np.column_stack([i / n, a * i % n / n]) + np.array([0.0123, 0.0456])) % 1.0
 
@@ -143,7 +143,7 @@ def test_faces_are_the_derivatives_of_the_areas(n):
         np.testing.assert_allclose((ends[0] - ends[1]) / (2 * h), matrix[i], atol=1e-6)
 
 
-def test_diagram_moves_with_its_sites():
+def test_the_diagram_is_translated_with_its_sites():
     points, weights = random_sites(100, 10, 1.0)
     diagram = power_diagram(points, weights)
     moved = power_diagram((points + np.array([0.37, 0.81])) % 1.0, weights)
@@ -152,7 +152,7 @@ def test_diagram_moves_with_its_sites():
 
 
 @pytest.mark.parametrize(("n", "seed"), [(1, 0), (2, 1), (10, 2), (1000, 3)])
-def test_balanced_cells_have_the_areas_wanted(n, seed):
+def test_balanced_cells_have_the_requested_areas(n, seed):
     points, _ = random_sites(n, seed)
     masses = np.random.default_rng(n).uniform(0.5, 1.5, n)
     masses /= masses.sum()
@@ -188,7 +188,7 @@ def test_bnot_ends_with_equal_areas_around_their_centroids(sets):
     for points in sets[:4]:
         diagram = balanced(points)
         np.testing.assert_allclose(diagram.areas, 1 / N, rtol=1e-6)
-        # The sampler's own cells, equal within 1e-3, had centroids as near as the tolerance.
+        # The sampler's own cells, of equal areas to 1e-3, had centroids within the tolerance
         distance = np.sqrt(np.sum(diagram.offsets**2))
         assert distance < Bnot().tolerance + 1e-3
 
@@ -201,8 +201,8 @@ def test_bnot_keeps_points_apart(sets):
         assert nearest.min() > 0.7 * densest
 
 
-def test_bnot_spectrum_is_that_of_blue_noise(sets):
-    """Next to nothing up to 0.6 √n, a ring at the distance of the hexagonal lattice's peaks.
+def test_bnot_has_a_blue_noise_spectrum(sets):
+    """Almost no power up to 0.6 √n, and a ring at the peaks of the hexagonal lattice.
 
     The published radial means are below 0.03 there. At one frequency the mean of the sets is
     Gamma-distributed: more than 0.12 happens with probability below
@@ -219,7 +219,7 @@ def test_bnot_spectrum_is_that_of_blue_noise(sets):
     means = np.bincount(ring.ravel(), p.ravel()) / np.bincount(ring.ravel())
     peak = 1 + means[1:28].argmax()
     assert abs(peak / 20 - np.sqrt(2 / np.sqrt(3))) < 0.1
-    assert 2.0 < means[peak] < 5.0  # of crystals it would be far higher
+    assert 2.0 < means[peak] < 5.0  # crystals would have far higher peaks
 
 
 def test_cost_falls_to_that_of_the_hexagonal_lattice_but_not_below(sets):
@@ -236,7 +236,7 @@ def test_cost_falls_to_that_of_the_hexagonal_lattice_but_not_below(sets):
 def test_few_points(sampler, n):
     for points in sampler.draw(n, realizations=3, rng=1):
         diagram = balanced(points) if sampler.name == "bnot" else power_diagram(points, np.zeros(n))
-        assert np.sqrt(np.sum(diagram.offsets**2)) < 1e-3  # areas were equal within 1e-3
+        assert np.sqrt(np.sum(diagram.offsets**2)) < 1e-3  # areas are equal within 1e-3
 
 
 def test_lloyd_brings_points_nearer_to_the_centroids_of_their_cells():
@@ -262,7 +262,7 @@ def cells(points):
     return power_diagram(points, np.zeros(len(points)))
 
 
-def test_points_near_enough_to_their_centroids_are_left_alone():
+def test_points_close_to_their_centroids_are_not_moved():
     points = Lloyd(tolerance=0.05).draw(100, rng=4)[0]
     assert np.sqrt(np.sum(cells(points).offsets ** 2)) <= 0.05
     before = Lloyd(iterations=3).draw(100, rng=4)[0]
@@ -270,8 +270,8 @@ def test_points_near_enough_to_their_centroids_are_left_alone():
 
 
 @pytest.mark.parametrize("method", [cells, balanced])
-def test_results_move_with_the_start(method):
-    """Hence every point is uniform. Rounding grows little in ten steps."""
+def test_results_are_translated_with_the_start(method):
+    """Hence every point is uniform. Rounding errors grow little in ten steps."""
     start, offset = np.random.default_rng(5).random((64, 2)), np.array([0.31, 0.77])
     ends = [
         relax(x, lambda points: method(points).offsets, 10, 0.0, lambda fraction: None)
@@ -299,13 +299,13 @@ def test_transport_cost_of_a_lattice(n, a):
 
 
 def test_second_moment_of_a_lattice_that_is_nearly_hexagonal():
-    """209 = 11 · 19 points with a = 56: the triangles of edges² 242 to 241 (times n^(−2))."""
+    """209 = 11 · 19 points with a = 56: triangles with edges² of 241 and 242 (times n^(−2))."""
     assert 1 < second_moment(209, 56) * 209 / HEXAGONAL < 1 + 1e-3
 
 
 @pytest.mark.parametrize(("n", "dims", "side"), [(6, 1, 600), (8, 2, 32), (16, 2, 32)])
 def test_transport_cost_is_that_of_the_best_assignment(n, dims, side):
-    """Of a grid of m points to n; W₂ between grid and uniform density is √(dims/12)/side."""
+    """Transport from a grid of m points to n; W₂ of grid and uniform density is √(dims/12)/side."""
     points = np.random.default_rng(n).random((n, dims))
     grid = np.stack(np.meshgrid(*dims * [(np.arange(side) + 0.5) / side]), -1).reshape(-1, dims)
     delta = grid[:, None] - np.repeat(points, len(grid) // n, axis=0)
@@ -330,19 +330,19 @@ def test_equal_points_share_a_cell():
     assert abs(transport_cost([[0.2, 0.9]] * 5) - 1 / 6) < 1e-12
     pair, twice = [[0.1, 0.2], [0.6, 0.7]], [[0.1, 0.2]] * 3 + [[0.6, 0.7]] * 3
     assert abs(transport_cost(pair) - transport_cost(twice)) < 1e-12
-    uneven = [[0.0, 0.3]] * 3 + [[0.5, 0.3]]  # strips of 3/4 and 1/4
+    uneven = [[0.0, 0.3]] * 3 + [[0.5, 0.3]]  # strips of widths 3/4 and 1/4
     assert abs(transport_cost(uneven) - (1 / 12 + (0.75**3 + 0.25**3) / 12)) < 1e-9
 
 
 @pytest.mark.parametrize("scale", [1e-155, 1e-300])
-def test_transport_cost_of_points_whose_distances_underflow_is_that_of_one(scale):
-    """They divided by zero."""
+def test_points_whose_distances_underflow_have_the_cost_of_one_point(scale):
+    """Such points once caused a division by zero."""
     points = np.random.default_rng(6).random((64, 2)) * scale
     assert abs(transport_cost(points) - 1 / 6) < 1e-12
 
 
 def test_transport_cost_of_points_a_rounding_apart_is_refused():
-    """They divided by zero, too."""
+    """Such points once caused a division by zero."""
     rng = np.random.default_rng(1)
     points = rng.integers(0, 16, (2**13, 2)) / 16 + rng.random((2**13, 2)) * 1e-15
     with pytest.raises(DomainError, match="too far from uniform"):
@@ -352,7 +352,7 @@ def test_transport_cost_of_points_a_rounding_apart_is_refused():
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["cluster", "column"])
 def test_transport_cost_of_points_far_from_uniform_ends_in_seconds(kind):
-    """Eight thousand in a small square took minutes."""
+    """Eight thousand points in a small square once took minutes."""
     points = np.random.default_rng(7).random((2**13, 2))
     points = (
         points * 1e-3 if kind == "cluster" else np.column_stack([points[:, :1] * 0, points[:, 1]])
@@ -399,7 +399,7 @@ def test_transport_cost_refuses_with_a_sentence(points, sentence):
 
 
 def energy_of_images(points, sigma):
-    """The sum over pairs and over all their images, without any cells."""
+    """Return the sum over pairs and all their images, without cells."""
     dims = points.shape[1]
     reach = int(np.ceil(9 * sigma)) + 1
     total = 0.0
@@ -412,11 +412,11 @@ def energy_of_images(points, sigma):
 
 @pytest.mark.parametrize(("dims", "n"), [(1, 2), (1, 30), (2, 3), (2, 50), (3, 2), (3, 40), (5, 4)])
 def test_gradient_is_that_of_all_images(dims, n):
-    """Central differences of a sum written without cells; the cut-off leaves e^(−18) a pair."""
+    """Central differences of a sum without cells; the cutoff leaves e^(−18) per pair."""
     rng = np.random.default_rng(n)
     points, sigma = rng.random((n, dims)), 0.8 * n ** (-1 / dims)
     if dims > 3:
-        sigma = 0.25  # images of a sum over 5 dims must not reach far
+        sigma = 0.25  # keeps the number of images in 5 dims small
     direction, h = rng.standard_normal((n, dims)), 1e-5
     ends = [energy_of_images(points + s * h * direction, sigma) for s in (1, -1)]
     slope, scale = (ends[0] - ends[1]) / (2 * h), 1.0
@@ -426,7 +426,7 @@ def test_gradient_is_that_of_all_images(dims, n):
     gradient = scale * evaluate(sigma, points)[1]
     bound = n**2 * 6**dims * np.exp(-18) / sigma + 1e-9
     assert abs(np.sum(gradient * direction) - slope) < bound * np.abs(direction).max() * 10
-    assert abs(slope) > 1e3 * bound or n < 10  # else the comparison means little
+    assert abs(slope) > 1e3 * bound or n < 10  # otherwise the comparison is not significant
 
 
 def test_series_and_cells_agree():
@@ -460,7 +460,7 @@ def test_energy_falls_with_iterations():
         points = GaussianBlueNoise(iterations=iterations).draw(256, rng=5)[0]
         energies.append(near_energy(sigma, points)[0])
     assert all(np.diff(energies) < 0)
-    # ½ n² (2π σ² − 1/n): the energy of a set without any power below the Gaussian's own cut-off
+    # ½ n² (2π σ² − 1/n) is the energy of a set without power below the Gaussian's cutoff
     ideal = 0.5 * 256 * (2 * np.pi - 1)
     assert abs(energies[-1] / ideal - 1) < 1e-5
 
@@ -471,7 +471,7 @@ def test_low_frequencies_are_empty_and_those_at_the_spacing_are_not(dims, n):
     side = n ** (1 / dims)
     axis = np.arange(-int(2 * side), int(2 * side) + 1)
     m = np.stack(np.meshgrid(*[axis] * dims, indexing="ij"), axis=-1).reshape(-1, dims)
-    m = m[: len(m) // 2]  # the other half is the same
+    m = m[: len(m) // 2]  # the other half is equal by symmetry
     radius = np.linalg.norm(m, axis=1) / side
     near = (radius < 0.4) | (np.abs(radius - 1.0) < 0.15)
     m, radius = m[near], radius[near]
@@ -481,8 +481,8 @@ def test_low_frequencies_are_empty_and_those_at_the_spacing_are_not(dims, n):
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 5, 40])
-def test_holes_are_those_of_the_voronoi_diagram(n):
-    """Against Qhull's diagram of the points and their periodic images."""
+def test_holes_agree_with_the_voronoi_diagram(n):
+    """Compare with Qhull's diagram of the points and their periodic images."""
     points = Stream(n).uniforms(0, 1, 2 * n).reshape(n, 2)
     tiles = np.concatenate([points + np.array(t) for t in itertools.product((0, 1, -1), repeat=2)])
     diagram = Voronoi(tiles)
@@ -496,8 +496,8 @@ def test_holes_are_those_of_the_voronoi_diagram(n):
     np.testing.assert_allclose(np.sqrt(holes[:, 3]), near, rtol=1e-12)
 
 
-def test_cells_stay_right_while_points_move():
-    """After every move: those measured on the way are those measured anew; none gets nearer."""
+def test_cells_stay_correct_while_points_move():
+    """After every move, updated cells equal recomputed ones, and no distance decreases."""
     points = Stream(1).uniforms(0, 1, 120).reshape(60, 2)
     buckets, holes = kernels.measure_all(points)
     for i in range(60):
@@ -508,7 +508,7 @@ def test_cells_stay_right_while_points_move():
         assert holes[:, 3].min() >= least * (1 - ROUNDING)
         others = np.delete(before, i, axis=0)
         np.testing.assert_array_equal(np.delete(points, i, axis=0), others)
-        # The point's new place is as far from all others as any place is
+        # The new place of the point is as far from all others as any place
         places = Stream(i).uniforms(0, 1, 4000).reshape(2000, 2)
         reached = clearances(points[i][None], others)[0]
         assert clearances(places, others).max() <= reached * (1 + ROUNDING)
@@ -516,8 +516,8 @@ def test_cells_stay_right_while_points_move():
 
 @pytest.mark.parametrize("n", [256, 1024])
 def test_farthest_points_are_near_the_hexagonal_packing(n):
-    """Relative minimum distance 0.9 and more [Schlömer et al. 2011: up to 0.93]."""
-    sweeps = 30 if n < 1024 else 15  # quicker
+    """Relative minimum distance of at least 0.9 [Schlömer et al. 2011: up to 0.93]."""
+    sweeps = 30 if n < 1024 else 15  # fewer sweeps to save time
     points = FarthestPoint(sweeps=sweeps).draw(n, rng=6)[0]
     assert 0.9 <= nearest(points).min() / densest_distance(n, 2) < 1.0
 
@@ -528,6 +528,6 @@ def test_two_farthest_points_are_opposite():
 
 
 def test_farthest_points_stop_when_nothing_moves():
-    """Two points are where they belong after one sweep: many more take no time."""
+    """Two points have their final places after one sweep, so more sweeps take no time."""
     short, long = (FarthestPoint(sweeps=s).draw(2, rng=8) for s in (3, 100_000))
     np.testing.assert_array_equal(short, long)

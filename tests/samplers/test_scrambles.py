@@ -1,4 +1,4 @@
-"""Randomizations of digits: what they keep exactly in every base, what becomes uniform, counts."""
+"""Randomizations of digits: exact invariants in every base, uniform digits, counts."""
 
 from fractions import Fraction
 
@@ -18,19 +18,19 @@ STREAM = Stream.from_rng(42)
 SEED = 11
 HASH = "owen(method='hash')"
 BINARY = ["digital-shift", "permute", "owen", HASH, "lms", "lms(shift=False)"]
-SCRAMBLES = [spec for spec in BINARY if spec != HASH]  # those for any base
+SCRAMBLES = [spec for spec in BINARY if spec != HASH]  # scrambles for any base
 PRIMES = [3, 5, 7, 13, 29, 53, 97]
 
 
 def scrambled(steps, points, first=0):
-    """One step applied to the same points (n,) in many realizations: (R, n)."""
+    """Apply one step to the same points (n,) in many realizations: (R, n)."""
     realizations = 4000
     tiled = np.tile(np.asarray(points)[:, None], (realizations, 1, 1))
     return steps.apply(tiled, STREAM, first)[..., 0]
 
 
 def digits_of(x, base, places):
-    """First digits of a float, exactly: the float itself is a fraction."""
+    """Return the first digits of a float exactly, since a float is a fraction."""
     v = int(Fraction(float(x)) * base**places)
     return [v // base ** (places - 1 - k) % base for k in range(places)]
 
@@ -55,7 +55,7 @@ def test_faure_nets_stay_nets_in_their_base(step, base, dims, places):
 @pytest.mark.parametrize("step", SCRAMBLES)
 @pytest.mark.parametrize("base", [2, *PRIMES])
 def test_every_interval_of_an_axis_in_floats(step, base):
-    """Any n points of the radical inverse are alone in their b^-m; ⌊x b^m⌋ in floats says so."""
+    """Any n points of the radical inverse are alone in their b^-m, by ⌊x b^m⌋ in floats."""
     source = sampler(f"van-der-corput(base={base}) | {step}")
     places = int(np.log(5000) / np.log(base) + 1e-9)
     for n in (base**places, base**places - 1, base):
@@ -86,7 +86,7 @@ def test_scrambles_of_scrambles():
 
 
 @pytest.mark.parametrize("spec", ["halton", "halton(scramble='owen')", "faure(base=97)"])
-def test_boxes_survive_what_was_scrambled_before(spec):
+def test_boxes_survive_further_scrambles(spec):
     source = sampler(f"{spec} | owen | permute", 2)
     b1, b2 = source.digit_bases
     for points in source.draw(b1 * b2, realizations=50, rng=9):
@@ -109,7 +109,7 @@ def test_digital_shift_adds_digits_modulo_the_base(base):
 
 
 def digits_of_index(k, base, places):
-    """Digits of the radical inverse of k, the first one first."""
+    """Return the digits of the radical inverse of k, first digit first."""
     return [k // base**p % base for p in range(places)]
 
 
@@ -123,7 +123,7 @@ def test_permute_has_one_permutation_for_each_place():
         pairs = np.unique(np.stack([before[:, k], np.array(after)[:, k]]), axis=1)
         assert pairs.shape[1] == base
         assert len(np.unique(pairs[1])) == base
-    assert len(np.unique(np.array(after)[:, 3])) == 1  # zeros all, before
+    assert len(np.unique(np.array(after)[:, 3])) == 1  # all zeros before scrambling
 
 
 def test_permute_in_base_2_is_the_digital_shift():
@@ -144,7 +144,7 @@ def test_digital_shift_keeps_the_xor_of_points():
 
 @pytest.mark.parametrize("shift", [True, False])
 def test_lms_is_linear_and_triangular_in_base_2(shift):
-    """f(a ⊕ b) = f(a) ⊕ f(b) ⊕ f(0), and leading bits hang on leading bits only."""
+    """f(a ⊕ b) = f(a) ⊕ f(b) ⊕ f(0), and leading bits depend on leading bits only."""
     a, b = np.random.default_rng(4).integers(0, 2**53, (2, 500))
     words = np.stack([a, b, a ^ b, np.zeros_like(a)])
     moved = Lms(shift=shift).apply(words.reshape(1, -1, 1) * 2.0**-53, STREAM, 0)
@@ -180,7 +180,7 @@ def test_entries_of_lms_matrices_are_uniform(base, cells):
 
 
 def common_digits(a, b, base, places):
-    """Number of leading digits that two coordinates share, at most `places`."""
+    """Return the number of leading digits that two coordinates share, at most `places`."""
     pairs = zip(digits_of(a, base, places), digits_of(b, base, places), strict=True)
     return next((k for k, (x, y) in enumerate(pairs) if x != y), places)
 
@@ -204,8 +204,8 @@ def test_owen_keeps_the_number_of_common_leading_digits(step, base, places):
 
 
 @pytest.mark.parametrize("base", [3, 7, 96, 97, 2003, 8191])
-def test_what_is_written_is_read_again(base):
-    """Digits of any interval, even with the tail next to its ends, and ⌊x b^p⌋ in floats."""
+def test_written_digits_are_read_correctly(base):
+    """Digits of any interval, even with a tail near its ends, and ⌊x b^p⌋ in floats."""
     places, scale, nudge, unit = _scramble_kernels._format(base)
     assert 2.0**32 <= scale < 2.0**32 * base
     rng = np.random.default_rng(base)
@@ -221,7 +221,7 @@ def test_what_is_written_is_read_again(base):
 
 @pytest.mark.parametrize("method", ["nested", "hash"])
 @pytest.mark.parametrize("level", [1, 5, 6, 7, 11, 12, 30, 31])
-def test_owen_flips_hang_on_every_bit_above(level, method):
+def test_owen_flips_depend_on_every_higher_bit(level, method):
     """Two prefixes that differ in their last bit have independent flips of the next bit."""
     moved = scrambled(Owen(method=method), [0.0, 2.0**-level])
     flips = np.floor(moved * 2.0 ** (level + 1)).astype(np.int64) % 2
@@ -231,7 +231,7 @@ def test_owen_flips_hang_on_every_bit_above(level, method):
 
 @pytest.mark.parametrize("method", ["nested", "hash"])
 def test_owen_tails_are_independent(method):
-    """Two points of equal 32 leading bits stay together down to 2^-32 and part below."""
+    """Two points with 32 equal leading bits agree down to 2^-32 and differ below."""
     moved = scrambled(Owen(method=method), [0.3, 0.3])
     np.testing.assert_array_equal(*np.floor(moved * 2.0**32).T)
     tails = np.floor(moved * 2.0**32 % 1.0 * 4).astype(int) @ [4, 1]
@@ -255,7 +255,7 @@ def test_permutations_of_two_nodes_are_uniform_and_independent(level):
 
 @pytest.mark.parametrize("base", [13, 97])
 def test_permutations_of_large_bases_are_uniform(base):
-    """Where two digits go, in 7 · 7 classes: probabilities counted from all pairs of images."""
+    """Images of two digits, in 7 · 7 classes with probabilities counted over all pairs."""
     moved = scrambled(Owen(base=base), [1 / base, (base - 1) / base])
     images = np.floor(moved * base).astype(int)
     assert (images[:, 0] != images[:, 1]).all()
@@ -267,7 +267,7 @@ def test_permutations_of_large_bases_are_uniform(base):
     assert stats.chisquare(counts[possible], expected[possible] * len(images)).pvalue > LEVEL
 
 
-def test_binary_coordinates_among_others_are_the_same():
+def test_binary_coordinates_do_not_depend_on_other_bases():
     points = Random(dims=2).draw(50, realizations=2, rng=1)
     np.testing.assert_array_equal(
         Owen(base=(2, 3)).apply(points, STREAM, 0)[..., 0], Owen().apply(points, STREAM, 0)[..., 0]
@@ -310,7 +310,7 @@ INVERSES = [
     ],
     ids=str,
 )
-def test_fused_bits_are_those_of_the_points(step, net, dims, n):
+def test_fused_kernels_give_the_same_bits(step, net, dims, n):
     source = sampler(net, dims)
     chained = source.then(step).draw(n, realizations=3, rng=SEED, first=2)
     own = Stream.from_rng(SEED).child((1 << 16) + source.scrambles)
@@ -322,7 +322,7 @@ def test_fused_bits_are_those_of_the_points(step, net, dims, n):
 
 
 @pytest.mark.filterwarnings("ignore::mcspectra.core.errors.NotPowerOfTwoWarning")
-def test_fused_prefixes():
+def test_fused_kernels_give_the_same_prefixes():
     whole = sampler(f"sobol | {HASH}", 3).draw(1024, rng=1)
     np.testing.assert_array_equal(sampler(f"sobol | {HASH}", 3).draw(777, rng=1), whole[:, :777])
 
@@ -332,7 +332,7 @@ def test_fused_prefixes():
 )
 @pytest.mark.parametrize("x", [0.0, 0.3, BELOW_ONE])
 def test_points_become_uniform_in_base_2(step, x):
-    """χ² of the leading 6 bits, the bits 31 to 36 across the seam of scrambling, and the last 6."""
+    """χ² of the leading 6 bits, bits 31 to 36 across the end of scrambling, and the last 6 bits."""
     moved = scrambled(step, [x]).ravel()
     for scale in (0, 30, 47):
         bits = np.floor(moved * 2.0 ** (scale + 6)).astype(np.int64) % 64
@@ -342,7 +342,7 @@ def test_points_become_uniform_in_base_2(step, x):
 @pytest.mark.parametrize("step", [DigitalShift, Permute, Owen, Lms], ids=lambda step: step.name)
 @pytest.mark.parametrize("base", [3, 97])
 def test_points_become_uniform_in_other_bases(step, base):
-    """The leading digits, the one across the seam, and what is below 2^-36."""
+    """Leading digits, the digits across the end of scrambling, and the part below 2^-36."""
     moved = scrambled(step(base=base), [0.3]).ravel()
     for scale in (1, 2**33, 2**36):
         cells = np.floor(moved * scale * 32).astype(np.int64) % 32
@@ -381,10 +381,10 @@ def test_results_stay_in_the_cube_at_the_edges(step):
     ],
 )
 def test_variance_of_the_mean_coordinate(spec, dims, n, expected):
-    """Exact: a shared offset of one n-th gives 1/(12 n²), independent strata 1/(12 n³).
+    """Exact: a shared offset within 1/n gives 1/(12 n²), independent strata 1/(12 n³).
 
-    The same after matrix scrambling: a digit below the n-ths is balanced, or, if its row has only
-    zeros, which happens once in n times, shared by all points.
+    The same holds after matrix scrambling. A digit below 1/n is balanced unless its row has only
+    zeros, which happens once in n times; then all points share it.
     """
     means = sampler(spec, dims).draw(n, realizations=10_000, rng=8)[..., -1].mean(axis=1)
     centred = means - means.mean()
@@ -394,7 +394,7 @@ def test_variance_of_the_mean_coordinate(spec, dims, n, expected):
 
 
 def test_owen_beats_jitter_on_a_smooth_function():
-    """exp(−x²−y²), n = 256: below the jittered variance ∫|∇f|²/(12 n²), itself 1/34 of random's.
+    """exp(−x²−y²), n = 256: below the jittered variance ∫|∇f|²/(12 n²), 1/34 of random points'.
 
     Owen's variance is of order n^-3 log n; SIGMAS standard errors, sqrt(2/R), are added.
     """
@@ -458,7 +458,7 @@ def test_no_count_fits():
         sampler("regular(sides=[3, 5]) | owen", 2)
 
 
-def test_the_base_of_the_sampler_shows():
+def test_the_base_of_the_sampler_is_in_the_spec():
     assert sampler("halton | owen", 3).spec == "halton | owen(base=[2, 3, 5])"
     assert sampler("sobol | owen", 3).spec == "sobol | owen"
     assert sampler("jittered | owen(base=3)", 2).spec == "jittered | owen(base=3)"

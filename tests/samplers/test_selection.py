@@ -1,4 +1,4 @@
-"""Subset, skip, shuffle: which points, in which order, with which probability; counts."""
+"""Subset, skip, shuffle: selected points, their order and probability, counts."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ LEVEL = 1 - (1 - 1e-6) ** (1 / 4)  # Šidák: 4 statistical tests in this file s
 
 
 def chosen_indices(source, n, size, realizations):
-    """Indices of the points of radical inverses 0 … size−1 that were chosen, in order: (R, n)."""
+    """Return indices of the selected radical inverses 0 … size − 1, in order: (R, n)."""
     whole = Halton(dims=1).draw(size)[0, :, 0]
     rank = np.argsort(whole)
     points = source.draw(n, realizations=realizations, rng=1)[..., 0]
@@ -30,7 +30,7 @@ def chosen_indices(source, n, size, realizations):
 
 
 def test_random_subsets_are_in_order_and_equally_likely():
-    """3 of 6: 20 subsets."""
+    """Subsets of 3 out of 6 points: 20 subsets."""
     source = Halton(dims=1).then(Subset(of=6))
     indices = chosen_indices(source, 3, 6, 8000)
     assert (np.diff(indices, axis=1) > 0).all()
@@ -57,7 +57,7 @@ def test_any_count_by_the_next_larger_set():
     source = Jittered(dims=2).then(Subset())
     points = source.draw(10, realizations=200, rng=1)
     cells = np.sort(np.floor(points * 4) @ [4, 1], axis=1)
-    assert (np.diff(cells, axis=1) > 0).all()  # ten of the sixteen cells
+    assert (np.diff(cells, axis=1) > 0).all()  # points are in ten of the sixteen cells
     assert source.nearest_count(10) == 10
     with pytest.raises(CountError, match="makes at most 46340 points"):
         Jittered(dims=1).then(Subset(of=46340)).draw(50_000)
@@ -105,7 +105,7 @@ def test_counts_after_skip():
         mcs.Sampler.from_points(np.full((4, 2), 0.5)).then(Skip(count=5)).draw(1)
 
 
-def test_hammersley_points_are_no_sequence():
+def test_hammersley_points_are_not_a_sequence():
     with pytest.raises(
         ParameterError, match="which is not a sequence; use a sequence such as sobol, halton"
     ):
@@ -131,7 +131,7 @@ def test_shuffle_moves_whole_points():
 
 
 def test_padded_sets_are_not_correlated_once_shuffled():
-    """Sobol' beside itself: the same coordinate twice; shuffled, a correlation of 0 ± 1/sqrt(n−1)."""
+    """Two equal Sobol' coordinates; after a shuffle their correlation is 0 ± 1/sqrt(n−1)."""
     x = Sobol(dims=1).then(Shuffle()).draw(64, realizations=400, rng=3)[..., 0]
     plain = Sobol(dims=1).draw(64)[0, :, 0]
     r = np.array([np.corrcoef(plain, row)[0, 1] for row in x])

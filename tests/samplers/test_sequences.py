@@ -1,4 +1,4 @@
-"""Sequences: the first points of a longer set are the shorter set; what skip and mirror make of sets."""
+"""Sequences: the first points of a longer set equal the shorter set; effects of skip and mirror."""
 
 import warnings
 
@@ -24,7 +24,7 @@ def test_the_first_points_do_not_depend_on_how_many_there_are(name, chain):
 
 @pytest.mark.filterwarnings("ignore::mcspectra.core.errors.NotPowerOfTwoWarning")
 @pytest.mark.parametrize("spec", SCRAMBLED)
-def test_nor_do_they_after_scrambling(spec):
+def test_the_first_scrambled_points_do_not_depend_on_the_count(spec):
     check_first_points(mcs.sampler(spec, dims=2))
 
 
@@ -38,7 +38,7 @@ def check_first_points(source):
     "chain",
     ["subset", "shuffle", "mirror(mode='uniform')", "random-rotation(boundary='clipped')"],
 )
-def test_steps_that_rearrange_leave_no_sequence(chain):
+def test_steps_that_reorder_points_destroy_the_sequence(chain):
     assert not mcs.sampler(f"sobol | {chain}").sequence
     with pytest.raises(ParameterError, match="skip would break the uniform coverage"):
         mcs.sampler(f"sobol | {chain} | skip(count=4)")
@@ -56,7 +56,7 @@ def test_steps_that_rearrange_leave_no_sequence(chain):
         "best-candidate",
     ],
 )
-def test_skip_wants_a_sequence(spec):
+def test_skip_requires_a_sequence(spec):
     with pytest.raises(ParameterError, match="which is not a sequence"):
         mcs.sampler(f"{spec} | skip(count=4)")
 
@@ -67,7 +67,7 @@ def test_skipped_points_of_a_kronecker_sequence_are_those_that_follow():
 
 
 @pytest.mark.parametrize("step", ["skip(count=1)", "skip(count=24)"])
-def test_runs_of_a_net_that_begin_elsewhere_warn(step):
+def test_runs_of_a_net_that_begin_off_a_multiple_warn(step):
     with pytest.warns(NotPowerOfTwoWarning, match="after the first"):
         mcs.sampler(f"sobol | {step}").draw(16)
 
@@ -107,21 +107,21 @@ def test_mirror_images_lie_close_to_one_another():
         ("correlated-multi-jittered | owen", 24, (16, 32)),
     ],
 )
-def test_digits_of_sets_that_have_them_at_powers_only(spec, n, nearest):
+def test_counts_of_sets_with_digits_at_powers_only(spec, n, nearest):
     with pytest.raises(CountError) as error:
         mcs.sampler(spec).draw(n)
     assert error.value.nearest == nearest
 
 
 @pytest.mark.parametrize("step", ["owen", "owen(method='hash')", "lms"])
-def test_antithetic_pairs_are_not_scrambled_apart(step):
+def test_scrambles_that_separate_antithetic_pairs_are_refused(step):
     with pytest.raises(ParameterError, match="would break the pairs of antithetic-jittered"):
         mcs.sampler(f"antithetic-jittered | {step}")
 
 
 @pytest.mark.parametrize("step", ["digital-shift", "permute"])
 def test_digital_shifts_keep_antithetic_pairs(step):
-    """The mean over a pair is the center of a cell: the mean of all points is exactly ½."""
+    """The mean of a pair is the center of a cell, so the mean of all points is exactly ½."""
     points = mcs.sampler(f"antithetic-jittered | {step}").draw(32, realizations=10, rng=1)
     np.testing.assert_allclose(points.mean(axis=1), 0.5, atol=1e-15)
 

@@ -1,4 +1,4 @@
-"""Sliced optimal transport: quantiles of projected cubes in closed form, evenness on new lines."""
+"""Sliced optimal transport: closed-form quantiles of projected cubes, evenness on new lines."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ def own_cache(tmp_path, monkeypatch):
 
 
 def unevenness(points, directions):
-    """Root mean square distance of the ordered projections from their quantiles."""
+    """Return the root-mean-square distance of ordered projections from their quantiles."""
     n = len(points)
     squares = [
         np.mean((np.sort((points - 0.5) @ theta) - projected_quantiles(theta, n)) ** 2)
@@ -35,12 +35,12 @@ def test_quantiles_along_an_axis_are_those_of_a_uniform_number():
 
 @pytest.mark.parametrize("angle", [0.1, 0.5, np.pi / 4, 2.0])
 def test_quantiles_of_a_projected_square(angle):
-    """The density is a trapezium: its distribution function at the quantiles found."""
+    """The density is a trapezoid; its distribution function is evaluated at the quantiles."""
     theta, n = np.array([np.cos(angle), np.sin(angle)]), 200
     wide, narrow = np.sort(np.abs(theta))[::-1]
     t = projected_quantiles(theta, n)
 
-    def ramp(x):  # ∫∫ of the step, twice
+    def ramp(x):  # second integral of the step
         return np.maximum(x, 0) ** 2 / (2 * wide * narrow)
 
     ends = [(wide + narrow) / 2, (wide - narrow) / 2]
@@ -55,7 +55,7 @@ def test_quantiles_along_the_diagonal_are_those_of_irwin_and_hall():
 
 
 def test_quantiles_in_many_dims_are_nearly_normal():
-    """Of 64 equal widths: variance 1/12, fourth cumulant −1/(120 · 64) of the sum.
+    """64 equal widths: the sum has variance 1/12 and fourth cumulant −1/(120 · 64).
 
     Each of 63 linear interpolations in a table of steps h = 8/2048 adds h²/8 or so: 1.2e-4.
     """
@@ -67,7 +67,7 @@ def test_quantiles_in_many_dims_are_nearly_normal():
 
 @pytest.mark.parametrize(("n", "dims"), [(64, 2), (256, 2), (128, 3), (64, 8)])
 def test_projections_on_new_lines_are_more_even_than_at_random(n, dims):
-    """By n^(1/(2d)), what strata would gain: n^(−1/2−1/(2d)) for n^(−1/2) (Paulin et al. 2020)."""
+    """Better than random by n^(1/(2d)), to n^(−1/2−1/(2d)) (Paulin et al. 2020)."""
     theta = random_directions(dims, 100)
     found = unevenness(SlicedOptimalTransport(dims=dims, iterations=60).draw(n, rng=1)[0], theta)
     rng = np.random.default_rng(5)
@@ -75,7 +75,7 @@ def test_projections_on_new_lines_are_more_even_than_at_random(n, dims):
     assert found < usual / n ** (0.5 / dims)
 
 
-def test_every_iteration_counts():
+def test_every_iteration_lowers_the_unevenness():
     theta = random_directions(2, 100)
     found = [
         unevenness(SlicedOptimalTransport(iterations=i).draw(128, rng=3)[0], theta)

@@ -1,4 +1,4 @@
-"""Sets made to measure: transforms in closed form, gradients, power within its band, refusals."""
+"""Sets for given targets: closed-form transforms, gradients, power within its band, refusals."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ TARGETS = [
 
 
 def ring_power(points, most):
-    """Radius and mean power of the rings |m| = 1 … most, by direct sums."""
+    """Return radius and mean power of the rings |m| = 1 … most, by direct sums."""
     axis = np.arange(-most - 1, most + 2)
     x, y = (np.exp(2j * np.pi * np.outer(axis, points[:, j])) for j in (0, 1))
     power = np.abs(x @ y.T) ** 2 / len(points)
@@ -33,7 +33,7 @@ def ring_power(points, most):
 @pytest.mark.parametrize(("sampler", "target"), TARGETS, ids=lambda v: getattr(v, "spec", ""))
 @pytest.mark.parametrize("n", [50, 256])
 def test_power_is_within_its_band(sampler, target, n):
-    """Each ring's mean power within one standard error of independent exponential powers."""
+    """Mean power of each ring within one standard error of independent exponential powers."""
     points = sampler.draw(n, rng=1)[0]
     norm, power, rings = ring_power(points, int(2 * n**0.5))
     wanted = target(norm / n**0.5).astype(float)
@@ -54,7 +54,7 @@ def test_misfit_is_the_root_mean_square_over_frequencies():
 
 
 def test_pair_correlation_follows_the_target():
-    """Pairs of six sets in seven bins, against n²/2 ∫ g 2πr dr: within 5 Poisson errors."""
+    """Pairs of six sets in seven bins, compared with n²/2 ∫ g 2πr dr within 5 Poisson errors."""
     n, sampler = 128, TargetPcf(iterations=80)
     points = sampler.draw(n, realizations=6, rng=1)
     delta = points[:, :, None] - points[:, None]
@@ -64,7 +64,7 @@ def test_pair_correlation_follows_the_target():
     fine = np.linspace(0, 2, 20_001)
     integral = np.cumsum(np.interp(fine, [0.4, 0.6], [0, 1]) * 2 * np.pi * fine) * 1e-4
     expected = 6 * n / 2 * np.diff(np.interp(edges, fine, integral))
-    # Details finer than 1/(2·4) are not matched: pairs of a bin's ends wander by 1/16 of a unit
+    # Details finer than 1/(2·4) are not matched: ends of a bin are uncertain by 1/16 of a unit
     smear = 6 * n / 2 * 2 * np.pi * edges[1:] / 16 * (np.abs(edges[1:] - 0.5) < 0.3)
     assert (np.abs(pairs - expected) < 5 * np.sqrt(expected) + smear).all()
 
@@ -84,7 +84,7 @@ def test_transform_of_the_transform_is_the_profile():
     at = np.array([0.1, 0.35, 0.7, 1.5])
     waves = special.j0(2 * np.pi * np.outer(at, line)) * (inner - 1) * line
     again = 1 + 2 * np.pi * np.sum(waves, axis=1) * 1e-3
-    np.testing.assert_allclose(again, profile(at), atol=0.01)  # the tail beyond 40: 40^(−3/2)
+    np.testing.assert_allclose(again, profile(at), atol=0.01)  # tail beyond 40: 40^(−3/2)
 
 
 @pytest.mark.parametrize("n", [1, 2, 30])
@@ -118,6 +118,6 @@ def test_lists_become_tuples_and_specs():
     assert hash(made) == hash(TargetSpectrum(frequencies=(0.0, 1.0), power=(0.5, 1.0)))
 
 
-def test_misfit_wants_points():
+def test_misfit_requires_points():
     with pytest.raises(DomainError, match="2 are needed"):
         StepBlueNoise().misfit(np.zeros((4, 3)))

@@ -1,4 +1,4 @@
-"""Parameters of stochastic and optimized samplers: what is out of range is refused by its name."""
+"""Out-of-range parameters of stochastic and optimized samplers are refused by name."""
 
 import pytest
 
@@ -61,7 +61,7 @@ def test_values_out_of_range(name, parameter, values):
 
 
 @pytest.mark.parametrize("name", PLANE)
-def test_samplers_in_the_plane_name_others(name):
+def test_samplers_in_the_plane_name_alternatives(name):
     for dims in (1, 3, 2.5, "2", None):
         with pytest.raises(ParameterError, match=f"^{name}: dims is .* must be 2, .* use "):
             SAMPLERS.load(name)(dims=dims)
@@ -73,7 +73,7 @@ def test_samplers_of_all_families_are_in_the_plane_only():
 
 
 def test_largest_counts():
-    """Beyond them, time or memory run out."""
+    """Larger counts would take too much time or memory."""
     most = {
         "poisson-disk": 2**26,
         "dart-throwing": 2**22,

@@ -1,4 +1,4 @@
-"""Rates of convergence: of the variance on a disk, whose edge decides, and on smooth integrands."""
+"""Convergence rates of the variance on a disk, whose edge dominates, and on smooth integrands."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ FEW = [16, 64, 256]
 @pytest.mark.parametrize(
     ("spec", "integrand", "counts", "realizations", "steepest", "flattest"),
     [
-        # Cells alone give −1.5 on the disk; what lies between lower orders bends widens the range
+        # Cells alone give −1.5 on the disk; lower orders bend the curve, which widens the range
         ("antithetic-jittered", SMOOTH, [32, 128, 512, 2048], 1000, -3.03, -2.97),  # −(1 + 4/d)
         ("antithetic-jittered", DISK, [32, 128, 512, 2048], 1000, -1.55, -1.45),
         ("gaussian-jitter | shift", DISK, GRID, 1000, -1.55, -1.45),
@@ -22,11 +22,11 @@ FEW = [16, 64, 256]
         ("multi-jittered", DISK, GRID, 1000, -1.55, -1.45),
         ("correlated-multi-jittered", DISK, GRID, 1000, -1.55, -1.45),
         ("ldbn(sweeps=20)", DISK, FEW, 300, -1.5, -1.5),
-        # Power at low frequencies stays, −1 in the end; gaps at the edge give −1.5
+        # Power at low frequencies remains, so the limit is −1; gaps at the edge give −1.5
         ("poisson-disk", DISK, FEW, 400, -1.5, -1.0),
         ("dart-throwing", DISK, FEW, 100, -1.5, -1.0),
         ("best-candidate", DISK, FEW, 100, -1.5, -1.0),
-        # Without low frequencies: −1.5, that of the edge [Pilleboue2015], or finite sets still beyond
+        # Without low frequencies −1.5 from the edge [Pilleboue2015]; finite sets may be steeper
         ("farthest-point(sets=8, sweeps=5)", DISK, FEW, 100, -1.75, -1.25),
         ("gaussian-blue-noise(iterations=60, sets=4)", "disk", FEW, 400, -9.0, -1.5),
         ("stealthy-hyperuniform(stealthiness=0.3, sets=4)", "disk", FEW, 500, -9.0, -1.4),
@@ -50,10 +50,10 @@ def test_rate(spec, integrand, counts, realizations, steepest, flattest):
 
 @pytest.mark.parametrize(("source", "slope"), [("pmj", -1.8), ("pmj02", -2.8)])
 def test_rates_of_progressive_sequences(source, slope):
-    """Variances fall as those of jittered sets, n^-2, or of scrambled nets, near n^-3 (with logs)."""
+    """Variances fall like n^-2 as for jittered sets, or nearly n^-3 as for scrambled nets."""
     estimator, counts = mcs.Estimator(SMOOTH, dims=2), [64, 256, 1024, 4096]
     fit = mcs.convergence(estimator, source, counts, realizations=1000, rng=2)
-    # With logs there is no straight line, and the interval of a bent fit is wide: noise of the slope alone
+    # Logarithms bend the curve, which widens the fit's interval: use the noise of the slope alone
     x = np.log(counts)
     se = (2 / 1000) ** 0.5 / np.sqrt(((x - x.mean()) ** 2).sum())
     assert float(fit["rate"]) + 4 * se < slope

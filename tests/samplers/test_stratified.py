@@ -1,4 +1,4 @@
-"""Grids: who sits in which cell, exactly; what is random in it, by χ² and moments; lattices."""
+"""Grids: points in their cells, exactly; random parts by χ² and moments; lattices."""
 
 import math
 
@@ -40,7 +40,7 @@ def assert_variance(estimates, expected):
 
 
 def cell_indices(points, sides):
-    """Number of the cell of every point, row-major: (R, n)."""
+    """Return the number of the cell of every point, row-major: (R, n)."""
     cells = np.floor(points * sides).astype(int)
     return np.ravel_multi_index(np.moveaxis(cells, -1, 0), sides)
 
@@ -99,7 +99,7 @@ def test_regular_positions():
 def test_jitter_is_uniform_and_independent_in_the_cells():
     points = Jittered(dims=2).draw(16, realizations=4000, rng=11)
     inside = points * 4 % 1.0
-    # Pairs of coordinates of one point, then of neighbors in the order of generation
+    # Pairs of coordinates of one point, then of consecutively generated neighbors
     for a, b in [(inside[..., 0], inside[..., 1]), (inside[:, :-1, 0], inside[:, 1:, 0])]:
         pairs = (8 * np.floor(8 * a) + np.floor(8 * b)).astype(int)
         assert stats.chisquare(np.bincount(pairs.ravel(), minlength=64)).pvalue > LEVEL
@@ -162,7 +162,7 @@ def test_nearest_counts():
     ids=lambda value: getattr(value, "name", str(value)),
 )
 def test_variance_of_the_mean_coordinate(source, n, expected):
-    """Exact: strata of width w contribute w²/12 each, independent of one another."""
+    """Exact: strata of width w contribute w²/12 each, independently."""
     means = source.draw(n, realizations=20_000, rng=8)[..., 0].mean(axis=1)
     assert_variance(means, expected)
     assert abs(means.mean() - 0.5) < SIGMAS * np.sqrt(expected / len(means))
@@ -170,7 +170,7 @@ def test_variance_of_the_mean_coordinate(source, n, expected):
 
 @pytest.mark.parametrize("sides", [(2, 5), (3, 1, 4)])
 def test_closed_form_power_of_given_sides(sides):
-    """From the characteristic functions of the points: |mean|² and, jittered, their own spread."""
+    """From the characteristic functions of the points: |mean|², plus the spread if jittered."""
     n, dims = int(np.prod(sides)), len(sides)
     nu = np.array(
         [np.arange(1, dims + 1), np.full(dims, 0.7), np.array(sides) * 2.0, -np.ones(dims)]
@@ -191,7 +191,7 @@ def test_closed_form_power_of_given_sides(sides):
     "spec", ["jittered", "uniform-jitter", "jittered | shift", "regular | shift", "regular"]
 )
 def test_exact_variance_of_given_sides(spec):
-    """Against one Gauss rule a cell and an offset, written differently."""
+    """Compare with one Gauss rule per cell and offset, written independently."""
     name, _, rest = spec.partition(" ")
     sides = np.array([3, 5])
     n = 15
@@ -209,7 +209,7 @@ def test_exact_variance_of_given_sides(spec):
         np.testing.assert_allclose(found, variance, rtol=1e-6)
     elif spec == "regular":
         assert found == 0.0
-    elif name == "jittered":  # the seam of the torus cuts cells
+    elif name == "jittered":  # the border of the torus cuts cells
         points = sampler(f"jittered(sides=[3, 5]) {rest}").draw(n, realizations=20_000, rng=4)
         assert_variance(estimator.integrand(points).mean(axis=1), found)
     else:
@@ -218,21 +218,21 @@ def test_exact_variance_of_given_sides(spec):
 
 
 def moves_in_cells(points, s):
-    """Toroidal displacement of every point from the center of its cell, in sides of a cell."""
+    """Return toroidal displacements from cell centers, in units of a cell side."""
     centers = corners((s,) * points.shape[-1]) + 0.5 / s
     return ((points - centers + 0.5) % 1.0 - 0.5) * s
 
 
 @pytest.mark.parametrize("cls", [BoxJitter, GaussianJitter])
 @pytest.mark.parametrize(("dims", "s"), [(1, 7), (2, 4), (3, 3)])
-def test_no_width_is_the_regular_grid(cls, dims, s):
+def test_width_zero_is_the_regular_grid(cls, dims, s):
     points = cls(dims=dims, width=0.0).draw(s**dims, realizations=2, rng=1)
     np.testing.assert_allclose(moves_in_cells(points, s), 0.0, atol=1e-14)
 
 
 @pytest.mark.parametrize("width", [0.1, 0.5, 1.0, 1.7, 2.0])
 def test_box_jitter_is_uniform_in_its_box(width):
-    """Whatever the width, up to where the box is as wide as the torus."""
+    """Any width, up to a box as wide as the torus."""
     s = 4
     moves = moves_in_cells(BoxJitter(width=width).draw(s * s, realizations=2000, rng=3), s)
     assert np.abs(moves).max() <= width / 2 + 1e-12
@@ -246,7 +246,7 @@ def test_box_jitter_is_uniform_in_its_box(width):
     ("width", "unbiased"), [(0.5, False), (0.0, False), (1, True), (1.5, False), (3.0, True)]
 )
 def test_box_jitter_is_unbiased_where_the_boxes_tile_the_torus(width, unbiased):
-    """The mean of cos(2π s x), which the centers of the cells make −1, tells."""
+    """The mean of cos(2π s x), which is −1 at the centers of the cells, detects bias."""
     source = BoxJitter(dims=1, width=width)
     assert source.unbiased == unbiased
     waves = np.cos(2 * np.pi * 8 * source.draw(8, realizations=4000, rng=4)).mean()
@@ -257,7 +257,7 @@ def test_box_jitter_is_unbiased_where_the_boxes_tile_the_torus(width, unbiased):
 
 @pytest.mark.parametrize("width", [0.1, 0.25, 0.6])
 def test_gaussian_jitter_is_gaussian(width):
-    """On a torus of 16 cells, where 0.6 cells wrap at 13 standard deviations."""
+    """On a torus of 16 cells, widths of 0.6 cells wrap at 13 standard deviations."""
     moves = moves_in_cells(
         GaussianJitter(dims=1, width=width).draw(16, realizations=3000, rng=5), 16
     )
@@ -272,7 +272,7 @@ def test_gaussian_jitter_of_any_width_is_in_range():
 
 @pytest.mark.parametrize(("dims", "s"), [(1, 7), (2, 5), (3, 4), (6, 2), (4, 1)])
 def test_antithetic_pairs(dims, s):
-    """Both points in the cell, and their midpoint its center."""
+    """Both points are in the cell, and its center is their midpoint."""
     n = 2 * s**dims
     pairs = AntitheticJittered(dims=dims).draw(n, realizations=50, rng=6).reshape(50, -1, 2, dims)
     np.testing.assert_array_equal(
@@ -291,7 +291,7 @@ def test_antithetic_points_are_uniform_in_their_cells():
         assert stats.chisquare(np.bincount(pairs.ravel(), minlength=64)).pvalue > LEVEL
 
 
-def test_antithetic_counts_are_twice_those_of_grids():
+def test_antithetic_counts_are_twice_the_counts_of_grids():
     possible = [2 * s * s for s in range(1, 20)]
     source = AntitheticJittered()
     for n in range(1, 600):
@@ -303,13 +303,13 @@ def test_antithetic_counts_are_twice_those_of_grids():
 
 
 def neighbour_distances(points):
-    """Toroidal distances to the six nearest neighbors: (n, 6), sorted."""
+    """Return toroidal distances to the six nearest neighbors: (n, 6), sorted."""
     return cKDTree(points, boxsize=1.0).query(points, k=7)[0][:, 1:]
 
 
 @pytest.mark.parametrize("n", [12, 30, 56, 168, 1400, 3828])
 def test_every_point_of_the_hexagonal_lattice_has_the_same_six_neighbours(n):
-    """Two along its row and four in the rows next to it, at about the distances of the ideal."""
+    """Two neighbors along its row and four in adjacent rows, at nearly equal distances."""
     distances = neighbour_distances(Hexagonal().draw(n)[0])
     np.testing.assert_allclose(distances, np.broadcast_to(distances[0], distances.shape), rtol=1e-9)
     ideal = np.sqrt(2 / (np.sqrt(3) * n))
@@ -319,7 +319,7 @@ def test_every_point_of_the_hexagonal_lattice_has_the_same_six_neighbours(n):
 
 
 def test_hexagonal_counts_are_the_nearest_regular_arrays():
-    """By trying all numbers of rows: the nearest to the ratio of the ideal lattice."""
+    """Try all numbers of rows; the count is nearest to the ratio of the ideal lattice."""
     wanted = [2 * a * min(range(1, a + 2), key=lambda b: abs(b - a / 3**0.5)) for a in range(1, 30)]
     source = Hexagonal()
     for n in range(1, wanted[-1]):
@@ -340,7 +340,7 @@ both = pytest.mark.parametrize("cls", [MultiJittered, CorrelatedMultiJittered])
 
 
 def pattern_counts(points):
-    """How often each assignment of the points to n × n strata was drawn."""
+    """Count how often each assignment of the points to n × n strata was drawn."""
     strata = np.floor(points * points.shape[1]).reshape(len(points), -1)
     return np.unique(strata, axis=0, return_counts=True)[1]
 
@@ -360,7 +360,7 @@ def test_jittered_and_latin(cls, n, columns, rows):
 @pytest.mark.parametrize(
     ("cls", "n", "patterns"),
     [
-        (MultiJittered, 4, 16),  # 2 × 2 cells: four shuffles of two
+        (MultiJittered, 4, 16),  # 2 × 2 cells with four shuffles of two
         (CorrelatedMultiJittered, 6, 12),  # 2 × 3 cells: 2! · 3!
     ],
 )
@@ -378,7 +378,7 @@ def test_jitter_within_the_strata_is_uniform(cls):
 
 
 def rectangle(n):
-    """Columns and rows of the correlated set: a nearly square rectangle, else the memo's rule."""
+    """Return columns and rows of the correlated set: nearly square, or by the memo's rule."""
     exact = [a for a in range(1, math.isqrt(n) + 1) if n % a == 0 and n <= 2 * a * a]
     columns = exact[-1] if exact else math.isqrt(n)
     return columns, math.ceil(n / columns)
@@ -386,7 +386,7 @@ def rectangle(n):
 
 @pytest.mark.parametrize("n", [3, 5, 7, 10, 13, 14, 32, 61, 997])
 def test_correlated_of_any_count_leaves_the_last_row_incomplete(n):
-    """The second axis is Latin, the cells and the strata of the first hold at most one point."""
+    """The second axis is Latin; cells and strata of the first axis have at most one point."""
     points = CorrelatedMultiJittered().draw(n, realizations=40, rng=3)
     columns, rows = rectangle(n)
     np.testing.assert_array_equal(np.floor(points[..., 1] * n), np.tile(np.arange(n), (40, 1)))
@@ -398,7 +398,7 @@ def test_correlated_of_any_count_leaves_the_last_row_incomplete(n):
 
 @pytest.mark.parametrize("n", [24, 14])
 def test_correlated_is_one_shuffle_of_columns_and_one_of_rows(n):
-    """What the memo writes for point s, with the shuffles read off the first row and column."""
+    """The memo's formula for point s, with the shuffles read off the first row and column."""
     columns, rows = rectangle(n)
     s = np.arange(n)
     for points in CorrelatedMultiJittered().draw(n, realizations=20, rng=8):

@@ -1,4 +1,4 @@
-"""Bases: transforms against the functions written out, the identity of the terms, what fits what."""
+"""Bases: transforms against explicit functions, the identity of the terms, choice of a basis."""
 
 import itertools
 import math
@@ -16,7 +16,7 @@ HALF = 4  # half width of small cases
 
 
 def one_function(basis, k, x):
-    """φ_k of one variable by its definition, one number at a time."""
+    """Return φ_k of one variable by its definition, one number at a time."""
     if basis == "fourier":
         return np.exp(2j * np.pi * k * x)
     if basis == "cosine":
@@ -37,7 +37,7 @@ def one_function(basis, k, x):
 
 
 def functions(basis, x):
-    """All products at points x (n, d), conjugated: (M, n), C order of the indices."""
+    """Return all products at points x (n, d), conjugated: (M, n), in C order of the indices."""
     made = make_basis(basis, x.shape[1], HALF)
     columns = [
         np.array([[one_function(basis, int(k), xi) for xi in x[:, j]] for k in made.axis])
@@ -67,7 +67,7 @@ def test_points_are_transformed_by_the_definition(basis, dims, weighted):
 
 @pytest.mark.parametrize("basis", BASES)
 def test_functions_are_orthonormal(basis):
-    """On the midpoints of 64 cells all four bases are orthonormal as vectors, up to K = 4."""
+    """On the midpoints of 64 cells, all four bases are orthonormal as vectors, up to K = 4."""
     x = (np.arange(64)[:, None] + 0.5) / 64
     made = make_basis(basis, 1, HALF)
     phi = functions(basis, x)
@@ -76,7 +76,7 @@ def test_functions_are_orthonormal(basis):
 
 @pytest.mark.parametrize("basis", REAL)
 @pytest.mark.parametrize("spec", ["gaussian(center=0.3, width=0.2)", "step(at=0.3)", "linear"])
-def test_coefficients_of_integrands_are_those_of_quadrature(basis, spec):
+def test_coefficients_of_integrands_agree_with_quadrature(basis, spec):
     f = mcs.integrand(spec, dims=1)
     found, _ = make_basis(basis, 1, HALF).integrand(f)
     breaks = sorted({*np.arange(1, 8) / 8, 0.3})
@@ -90,7 +90,7 @@ def test_coefficients_of_integrands_are_those_of_quadrature(basis, spec):
 
 @pytest.mark.parametrize("basis", REAL)
 def test_coefficients_of_products_and_channels(basis):
-    """f = a(x) b(y), and two channels of it: products of the coefficients of one variable."""
+    """For f = a(x) b(y), and two channels of it, coefficients are products of 1-D coefficients."""
     a = mcs.Integrand.from_function(lambda x: np.exp(x[..., 0]), dims=1)
     b = mcs.Integrand.from_function(lambda x: 1 / (1 + x[..., 0]), dims=1)
     f = mcs.Integrand.from_function(
@@ -149,7 +149,7 @@ MISFITS = [("jittered", "fourier"), ("jittered | shift", "walsh"), ("jittered | 
 
 
 def cross_over_power(sampler, basis):
-    """Mean and standard error of cross/power over 12 independent runs."""
+    """Return the mean and standard error of cross/power over 12 independent runs."""
     ratios = [
         float(d["cross_term"] / d["power_term"])
         for d in (
@@ -167,11 +167,11 @@ def cross_over_power(sampler, basis):
 def test_the_cross_term_vanishes_where_the_basis_fits(sampler, basis):
     mean, se = cross_over_power(sampler, basis)
     assert abs(mean) < 4 * se
-    assert se < 0.05  # so that the line above says something
+    assert se < 0.05  # ensures that the line above is significant
 
 
-def test_symmetric_functions_do_not_see_reflections():
-    """A disk at the center: reflected jittered points are jittered points. Walsh fits, cosine does not."""
+def test_reflections_do_not_change_symmetric_functions():
+    """For a centered disk, reflected jittered points equal jittered ones. Only Walsh fits."""
     for basis, zero in (("walsh", True), ("cosine", False)):
         d = mcs.variance_terms(
             "disk", "jittered | mirror", 64, half_width=16, realizations=400, rng=2, basis=basis
@@ -209,7 +209,7 @@ def test_the_cross_term_does_not_vanish_elsewhere(sampler, basis):
         ("jittered | digital-shift | mirror(mode='uniform')", 16, "walsh"),
     ],
 )
-def test_auto_picks_what_fits_the_randomization(sampler, half_width, basis):
+def test_auto_chooses_the_basis_that_fits_the_randomization(sampler, half_width, basis):
     assert fitting_basis(mcs.sampler(sampler).law(16), half_width) == basis
     d = mcs.variance_terms(
         "gaussian", mcs.sampler(sampler), 16, half_width=half_width, realizations=4, basis="auto"
@@ -227,7 +227,7 @@ def test_auto_picks_what_fits_the_randomization(sampler, half_width, basis):
         ("uniform", "jittered | shift", "primary", "cosine"),
     ],
 )
-def test_auto_knows_what_a_mirrored_estimator_makes_of_points(mode, sampler, space, basis):
+def test_auto_accounts_for_mirrored_estimators(mode, sampler, space, basis):
     estimator = mcs.Mirrored("gaussian(center=0.3, width=0.3)", mode, dims=2)
     d = mcs.variance_terms(
         estimator, sampler, 64, half_width=8, realizations=400, basis="auto", space=space, rng=3
@@ -237,7 +237,7 @@ def test_auto_knows_what_a_mirrored_estimator_makes_of_points(mode, sampler, spa
 
 
 @pytest.mark.parametrize("basis", ["walsh", "haar"])
-def test_dyadic_bases_want_a_power_of_two(basis):
+def test_dyadic_bases_require_a_power_of_two(basis):
     with pytest.raises(
         ParameterError, match=f"the {basis} basis needs a power of two, such as 8 or 16"
     ):

@@ -1,4 +1,4 @@
-"""Exact means, powers and covariances of S_m against simulation, and against each other."""
+"""Exact means, powers and covariances of S_m, against simulation and against each other."""
 
 import numpy as np
 import pytest
@@ -90,7 +90,7 @@ AT_INTEGERS = [
 
 
 def threshold(count):
-    """Šidák: largest of `count` normal pulls, exceeded with probability 1e-4."""
+    """Šidák threshold: the largest of `count` normal pulls exceeds it with probability 1e-4."""
     return stats.norm.isf(0.5 * (1 - (1 - 1e-4) ** (1 / count)))
 
 
@@ -100,7 +100,7 @@ def transforms(sampler, n, nu):
 
 
 def assert_pulls(samples, expected):
-    """Means of samples (R, …), real and imaginary parts, against exact values."""
+    """Compare means of samples (R, …), real and imaginary parts, with exact values."""
     parts = np.stack([samples.real, samples.imag], axis=-1)
     exact = np.stack([np.real(expected), np.imag(expected)], axis=-1)
     error = np.abs(parts.mean(axis=0) - exact)
@@ -147,8 +147,8 @@ def test_random_points_of_a_density(dims):
 
 
 @pytest.mark.parametrize("dims", [1, 2, 3])
-def test_jittered_at_integers_is_the_formula_of_the_design(dims):
-    """(1/n) (δ_ml − Π (−1)^((m−l)/s) sinc sinc) where s divides m − l: the phase is that of corners at 0."""
+def test_jittered_at_integers_follows_the_formula_of_the_design(dims):
+    """(1/n) (δ_ml − Π (−1)^((m−l)/s) sinc sinc) where s divides m − l; corners are at 0."""
     s, m = 3, INTEGERS[dims]
     n = s**dims
     row, column = m[:, None], m[None, :]
@@ -162,7 +162,7 @@ def test_jittered_at_integers_is_the_formula_of_the_design(dims):
 
 
 def test_dual_lattice_of_large_frequencies_is_exact():
-    """The residues are multiplied, not the frequencies: those overflow and lose digits."""
+    """Residues are multiplied instead of frequencies, which would overflow and lose digits."""
     z, n = np.array([1, 610]), 987
     m = np.array([[2**40 - 1, 2**40 - 3], [-(2**40), 5], [n, 2 * n], [610, -1], [609, -1]])
     exact = [(int(a) * int(z[0]) + int(b) * int(z[1])) % n == 0 for a, b in m]
@@ -171,7 +171,7 @@ def test_dual_lattice_of_large_frequencies_is_exact():
     assert not all(exact)
 
 
-def test_lattices_are_the_same_by_summing_their_points():
+def test_lattices_agree_with_sums_over_their_points():
     m = INTEGERS[2]
     points = mcs.sampler("fibonacci").draw(8)[0]
     summed = np.exp(-2j * np.pi * (m @ points.T)).mean(axis=1)

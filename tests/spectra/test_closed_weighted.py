@@ -1,4 +1,4 @@
-"""Exact covariances of importance-sampled sets: against simulation and slow quadrature."""
+"""Exact covariances of importance-sampled sets, against simulation and slow quadrature."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ CASES = [
 
 
 def _sums(sampler, density, n, m):
-    """S_m of each realization, minus its exact mean δ_m0: (R, M)."""
+    """Return S_m of each realization minus its exact mean δ_m0: (R, M)."""
     x = density.sample(sampler.draw(n, realizations=REALIZATIONS, rng=3))
     weights = 1 / density.pdf(x)
     s = np.stack([(weights * np.exp(-2j * np.pi * (x @ one))).mean(axis=1) for one in m], axis=1)
@@ -46,7 +46,7 @@ def _sums(sampler, density, n, m):
 
 @pytest.mark.parametrize(("spec", "p", "dims", "n"), CASES)
 def test_simulation_agrees_for_all_pairs(spec, p, dims, n):
-    """All C_ml, real and imaginary parts, within the errors; the family is all of all cases."""
+    """All C_ml, real and imaginary parts, within errors; all cases form one family of tests."""
     sampler, density = mcs.sampler(spec, dims=dims), mcs.density(p, dims=dims)
     m = FREQUENCIES[dims]
     exact = mcs.spectra.closed_form_covariance(sampler, n, m[:, None], m, density=density)
@@ -68,7 +68,7 @@ def test_strata_by_quadrature_in_primary_space(m, l):
     n, density = 5, mcs.density(LINE, dims=1)
 
     def mean(j, k, power):
-        """Mean of w^power exp(−2πi k x) over stratum j."""
+        """Return the mean of w^power exp(−2πi k x) over stratum j."""
 
         def value(u):
             x = density.sample([[u]])
@@ -83,7 +83,7 @@ def test_strata_by_quadrature_in_primary_space(m, l):
     assert abs(found - total / n**2) < 1e-10
 
 
-def test_without_slope_it_is_the_unweighted_form():
+def test_a_zero_slope_gives_the_unweighted_form():
     m = FREQUENCIES[2]
     for spec, n in (("jittered", 9), ("latin-hypercube", 4), ("uniform-jitter", 9)):
         flat = mcs.spectra.closed_form_covariance(
@@ -99,7 +99,7 @@ def test_without_slope_it_is_the_unweighted_form():
 
 
 def test_power_spectra_of_importance_samples_agree():
-    """`power_spectrum` with a density against the Toeplitz form, all frequencies at once by χ²."""
+    """`power_spectrum` with a density against the Toeplitz form, at all frequencies by χ²."""
     for spec in ("random", "jittered"):
         sampler, half_width = mcs.sampler(spec, dims=1), 24
         spectrum = mcs.power_spectrum(
@@ -113,7 +113,7 @@ def test_power_spectra_of_importance_samples_agree():
 
 
 def test_importance_samples_are_not_white():
-    """Power at m is (1/n) ∫1/p for random points, but C_ml of neighbors is not 0: Toeplitz."""
+    """Random points have power (1/n) ∫1/p at m, but C_ml of neighbors is not 0: Toeplitz."""
     density = mcs.density("linear(slope=1)", dims=1)
     c = mcs.spectra.closed_form_covariance(
         "random", 10, [[5], [5], [5]], [[5], [4], [0]], density=density

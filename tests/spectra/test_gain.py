@@ -1,4 +1,4 @@
-"""Scrambled nets: gains against a slow sum and the dual net, exact variances against simulation."""
+"""Scrambled nets: gains against a slow sum and the dual net, variances against simulation."""
 
 import itertools
 
@@ -17,7 +17,7 @@ NETS = [
 
 
 def slow_gain(points, bases, level):
-    """Owen's definition, pair by pair, from digit strings."""
+    """Return gains by Owen's definition, pair by pair, from digit strings."""
     total = 0.0
     for a, b in itertools.product(points, points):
         factor = 1.0
@@ -32,7 +32,7 @@ def slow_gain(points, bases, level):
 
 
 def walsh(m, x):
-    """Walsh function in Paley order of one coordinate, digit by digit."""
+    """Return the Walsh function in Paley order of one coordinate, digit by digit."""
     sign = np.ones(x.shape)
     for place in range(int(m).bit_length()):
         if m >> place & 1:
@@ -43,7 +43,7 @@ def walsh(m, x):
 @pytest.mark.parametrize(
     ("spec", "dims", "n"), [*NETS, ("faure", 3, 9), ("halton", 2, 7), ("sobol | owen", 2, 8)]
 )
-def test_gains_are_those_of_the_definition(spec, dims, n):
+def test_gains_agree_with_the_definition(spec, dims, n):
     levels = 3
     sampler = mcs.sampler(spec, dims=dims)
     base = getattr(sampler, "base", sampler) if "|" in spec else sampler
@@ -56,8 +56,8 @@ def test_gains_are_those_of_the_definition(spec, dims, n):
 
 
 @pytest.mark.parametrize(("spec", "dims", "n"), NETS)
-def test_gains_count_the_dual_net(spec, dims, n):
-    """Γ_l = n · (share of the indices of level l that are in the dual net)."""
+def test_gains_follow_from_the_dual_net(spec, dims, n):
+    """Γ_l = n · (fraction of the indices of level l that are in the dual net)."""
     levels = 4
     sampler = mcs.sampler(spec, dims=dims)
     axes = np.meshgrid(*[np.arange(2**levels)] * dims, indexing="ij")
@@ -79,7 +79,7 @@ def test_gains_count_the_dual_net(spec, dims, n):
 
 @pytest.mark.parametrize("base", [2, 3])
 def test_a_net_of_quality_0_has_no_coarse_part_and_bounded_gains(base):
-    """(0, m, 2)-nets: Γ = 0 for l_1 + l_2 ≤ m; 1 on an axis beyond; never above (b/(b − 1))."""
+    """(0, m, 2)-nets: Γ = 0 for l_1 + l_2 ≤ m, Γ = 1 on an axis above, and Γ ≤ b/(b − 1)."""
     m = 4
     spec = "sobol" if base == 2 else "faure(base=3)"
     gain = mcs.spectra.gain_coefficients(spec, base**m, dims=2, levels=m + 2)["gain"].values
@@ -111,7 +111,7 @@ def test_walsh_power_against_simulation(spec, dims, n, step):
 
 
 def test_given_matrices_have_the_dual_net_of_their_sequence():
-    """The matrices of Sobol' points, given as lists of rows."""
+    """The matrices of Sobol' points are given as lists of rows."""
     columns = mcs.sampler("sobol", dims=2).direction_numbers(8)[:, :3].astype(np.int64)
     matrices = columns[:, None, :] >> np.arange(31, 28, -1)[None, :, None] & 1
     indices = np.stack(np.meshgrid(np.arange(16), np.arange(16)), axis=-1)
@@ -133,7 +133,7 @@ def test_nested_variances_add_up_to_the_variance(spec):
     whole = mcs.exact_variance(mcs.Estimator(f), "random", 1) if spec != "disk" else None
     if whole is None:
         whole = f.integral - f.integral**2
-    # finer than 2^-8: in the disk at most ¼ in 4 · 2^8 cells of the border, 0.004 of 0.16 in all
+    # Beyond 2^-8 the disk has at most ¼ in 4 · 2^8 cells of its border, 0.004 of 0.16 in all
     assert 0.97 * whole <= parts.sum() <= whole * (1 + 1e-9)
 
 

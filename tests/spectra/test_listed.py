@@ -1,4 +1,4 @@
-"""Power at listed frequencies: against the definition, closed forms and the grid; lists of them."""
+"""Power at listed frequencies, against the definition, closed forms and the grid; lists."""
 
 import tracemalloc
 
@@ -18,7 +18,7 @@ from mcspectra.spectra._listed_kernels import unit_phases
 from mcspectra.spectra.listed import listed_transform
 from mcspectra.spectra.transforms import FrequencyGrid, Transform, direct_sum
 
-# Šidák: 5e-7 two-sided over a few thousand frequencies of one test is about 6 σ.
+# Šidák: a two-sided level of 5e-7 over a few thousand frequencies of one test is about 6 σ
 SIGMAS = 6.0
 
 
@@ -29,7 +29,7 @@ def _agrees(spectrum, expected, *, floor=1e-14):
 
 
 def test_phases_are_exact_to_rounding():
-    """Two squarings multiply the error of four roundings by four: 16 ulps of 1 are enough."""
+    """Two squarings multiply the error of four roundings by four: at most 16 ulps of 1."""
     turns = np.concatenate([np.linspace(-2, 2, 4097), [0.125, 1e-300, -0.375, 2.0**40 + 0.25]])
     real, imag = np.empty_like(turns), np.empty_like(turns)
     unit_phases(turns, real, imag)
@@ -49,7 +49,7 @@ def test_engines_agree_with_the_definition(dims, kind):
     nu[5] = 0.0
     points, weights = rng.random((700, dims)), rng.standard_normal(700)
     expected = direct_sum(points, nu, weights)
-    # 700 phases, each off by ulps of its turns
+    # 700 phases, each with an error of some ulps of its turns
     allowed = 700 * 1e-15 * (1 + np.abs(nu).sum(axis=1))
     for engine in ("direct", "nufft") if dims <= 3 else ("direct",):
         transform, name = listed_transform(nu, 700, engine=engine, eps=1e-9)
@@ -63,13 +63,13 @@ def test_engines_agree_with_the_definition(dims, kind):
     ("count", "dims", "n", "engine"),
     [(20_000, 2, 4096, "nufft"), (20, 2, 4096, "direct"), (20_000, 4, 4096, "direct")],
 )
-def test_auto_takes_the_cheaper_engine(count, dims, n, engine):
+def test_auto_chooses_the_cheaper_engine(count, dims, n, engine):
     nu = np.random.default_rng(0).uniform(-64, 64, (count, dims))
     assert listed_transform(nu, n)[1] == engine
 
 
-def test_few_points_far_apart_in_frequency_stay_direct():
-    """The grid of a type 3 transform spans the frequencies: 2e6 a side would be terabytes."""
+def test_widely_spaced_frequencies_use_the_direct_engine():
+    """A type 3 transform spans the frequencies with a grid: 2e6 per side would be terabytes."""
     nu = np.random.default_rng(0).uniform(-1e6, 1e6, (50_000, 2))
     assert listed_transform(nu, 4096)[1] == "direct"
 
@@ -78,8 +78,8 @@ def test_few_points_far_apart_in_frequency_stay_direct():
     ("dims", "n", "engine"),
     [(1, 8, "nufft"), (2, 16, "nufft"), (2, 16, "direct"), (4, 16, "direct"), (4, 16, "nufft")],
 )
-def test_same_as_the_grid(dims, n, engine):
-    """An odd number of sets, so that pairs and a single one take part; 4-D splits 2 + 2 axes."""
+def test_power_agrees_with_the_grid(dims, n, engine):
+    """An odd number of sets gives pairs and a single set; 4-D splits into 2 + 2 axes."""
     given = {"density": "linear(slope=1)"} if dims == 1 else {}
     sampler = mcs.sampler("jittered", dims=dims)
     grid = mcs.power_spectrum(
@@ -96,13 +96,13 @@ def test_same_as_the_grid(dims, n, engine):
     nu = plane_frequencies(dims, range(dims), 3)
     listed = mcs.spectra.power_at(sampler, n, nu, realizations=13, rng=3, **given)
     for name in ("power", "power_se", "mean_coefficient", "mean_coefficient_se"):
-        # √ of rounding where nothing varies
+        # Square root of rounding if nothing varies
         floor = 1e-7 if name.endswith("_se") else 1e-9
         assert np.abs(grid[name].values.ravel() - listed[name].values).max() < floor, name
 
 
-def test_direct_engine_takes_points_in_blocks(monkeypatch):
-    """Blocks of 5 points and of all give the same sums."""
+def test_direct_engine_sums_blocks_of_points(monkeypatch):
+    """Blocks of 5 points and a single block give equal sums."""
     grid = FrequencyGrid(4, 2)
     points = np.random.default_rng(1).random((1, 23, 4))
     whole = Transform(grid, 23, engine="direct").coefficients(points)
@@ -117,7 +117,7 @@ def test_direct_engine_takes_points_in_blocks(monkeypatch):
     [("random", 1, 7), ("jittered", 2, 16), ("latin-hypercube", 20, 8), ("random", 1024, 5)],
 )
 def test_closed_forms_in_any_dims(name, dims, n):
-    """Real and integer frequencies along axes, diagonals and of a pair of axes."""
+    """Real and integer frequencies along axes, diagonals and in a plane of two axes."""
     nu = np.concatenate(
         [
             axis_frequencies(dims, 2, step=0.7)[-6:],
@@ -137,20 +137,20 @@ def test_mean_is_zero_at_integers_and_the_bias_of_a_cell_elsewhere():
     expected = (np.exp(-1j * np.pi * nu) * np.sinc(nu))[:, 0]
     error = np.abs(found["mean_coefficient"].values - expected)
     assert (error <= SIGMAS * found["mean_coefficient_se"].values).all()
-    # E|error|² = se²: the mean of |error|²/se² over F independent-ish frequencies is near 1
+    # E|error|² = se²: the mean of |error|²/se² over F nearly independent frequencies is near 1
     ratio = np.mean((error / found["mean_coefficient_se"].values) ** 2)
     assert 0.3 < ratio < 2.5
 
 
 def test_mean_shows_the_bias_of_a_plain_grid():
-    """The regular grid has S_m = ±1 at multiples of n in every realization: error 0, no spread."""
+    """The regular grid has S_m = ±1 at multiples of n in every realization: zero error."""
     found = mcs.spectra.power_at(mcs.sampler("regular", dims=1), 8, [[8.0], [3.0]], realizations=5)
     assert np.allclose(np.abs(found["mean_coefficient"]), [1, 0], atol=1e-14)
-    assert found["mean_coefficient_se"].values.max() < 1e-7  # √ of rounding in ⟨|S|²⟩ − |⟨S⟩|²
+    assert found["mean_coefficient_se"].values.max() < 1e-7  # square root of rounding
 
 
 def test_weighted_points_of_a_density():
-    """⟨|S_m|²⟩ = (1/n)∫1/p at m ≠ 0, and ⟨S_m⟩ = 0: ORACLES, p = ½ + x has ∫1/p = ln 3."""
+    """⟨|S_m|²⟩ = (1/n)∫1/p at m ≠ 0, and ⟨S_m⟩ = 0; p = ½ + x has ∫1/p = ln 3 (ORACLES)."""
     nu = np.arange(1, 30)[:, None]
     found = mcs.spectra.power_at(
         "random", 12, nu, density="linear(slope=1)", realizations=4000, rng=6
@@ -168,8 +168,8 @@ def test_workers_do_not_change_results():
     assert np.array_equal(one["mean_coefficient"], two["mean_coefficient"])
 
 
-def test_memory_is_flat_in_realizations():
-    """Blocks hold 2^21 numbers, 512 of these sets, however many follow."""
+def test_memory_does_not_grow_with_realizations():
+    """Blocks hold 2^21 numbers, that is 512 of these sets, for any number of realizations."""
     peaks = []
     for realizations in (2048, 6144):
         tracemalloc.start()
@@ -195,7 +195,7 @@ def test_lists_of_frequencies():
     plane = plane_frequencies(4, (3, 1), 2)
     assert plane.shape == (25, 4)
     assert not plane[:, [0, 2]].any()
-    assert plane[1].tolist() == [0, -1, 0, -2]  # C order of the axes as given
+    assert plane[1].tolist() == [0, -1, 0, -2]  # C order of the given axes
     subset = subset_frequencies(5, (0, 2, 4), 2, step=2.0)
     assert len({tuple(row) for row in subset}) == 4**3
     assert ((subset != 0) == [True, False, True, False, True]).all()
@@ -203,7 +203,7 @@ def test_lists_of_frequencies():
     assert np.array_equal(diagonal_frequencies(3, 2), [[1, 1, 1], [2, 2, 2]])
 
 
-def test_points_that_fit_no_memory_are_refused_at_once(monkeypatch):
+def test_points_that_exceed_the_memory_are_refused_at_once(monkeypatch):
     monkeypatch.setattr("mcspectra.core.memory.available_memory", lambda: 2**30)
     with pytest.raises(ConfigError, match="power_at would take about"):
         mcs.spectra.power_at("random", 2**30, [[1, 0]], realizations=2)

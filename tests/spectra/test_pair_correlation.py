@@ -11,7 +11,7 @@ from mcspectra.testing import check_analysis
 
 
 def some_points(n, dims):
-    """Random points, and a few whose distances are exactly ½ along the axes."""
+    """Return random points, and a few whose distances are exactly ½ along the axes."""
     points = np.random.default_rng(dims).random((n, dims))
     points[: n // 4] = np.round(points[: n // 4] * 8) / 8 % 1
     return points
@@ -31,7 +31,7 @@ def test_all_pairs_are_counted_once(dims, most):
 
 @pytest.mark.parametrize("n", [512, 513, 514, 1027, 1300])
 @pytest.mark.parametrize("wrap", [True, False])
-def test_more_neighbours_than_a_chunk_holds(n, wrap):
+def test_more_neighbors_than_a_chunk_holds(n, wrap):
     """Every point has up to n − 1 neighbors, which are counted 512 at a time."""
     x, bins = some_points(n, 2), 50
     delta = np.abs(x[:, None] - x)
@@ -47,7 +47,7 @@ def test_more_neighbours_than_a_chunk_holds(n, wrap):
 
 
 @pytest.mark.parametrize("dims", [1, 2, 3])
-def test_at_the_border_points_count_as_far_as_they_see(dims):
+def test_points_count_distances_up_to_the_border(dims):
     x, bins, most = some_points(200, dims), 20, 0.3
     edges = np.linspace(0, most, bins + 1)
     distance = np.sqrt(((x[:, None] - x) ** 2).sum(axis=-1))
@@ -67,12 +67,12 @@ def test_border_correction_is_unbiased_for_random_points(dims):
         mcs.sampler("random", dims=dims), 100, bins=10, realizations=200, boundary="border", rng=4
     )
     pull = (d["pair_correlation"] - 1) / d["pair_correlation_se"]
-    assert np.abs(pull).max() < 5  # 10 bins, 199 degrees: probability 1e-5
+    assert np.abs(pull).max() < 5  # 10 bins, 199 degrees of freedom: 1e-5
     assert d.attrs["boundary"] == "border"
 
 
 def test_both_boundaries_agree_for_stationary_sets():
-    """Away from the border a toroidal set is like a bounded one."""
+    """Away from the border, a toroidal set behaves like a bounded set."""
     both = [
         mcs.pair_correlation(
             "poisson-disk",
@@ -123,7 +123,7 @@ def test_exact_form_of_jittered_is_the_mean_over_directions():
 
 @pytest.mark.parametrize(("sides", "n"), [([8, 1], 8), ([1, 5], 5)])
 def test_an_axis_of_one_cell_is_always_shared(sides, n):
-    """(2/π) ∫ max(0, 1 − n r sin θ) dθ over a quarter turn: all of it up to r = 1/n."""
+    """(2/π) ∫ max(0, 1 − n r sin θ) dθ over a quarter turn; the whole quarter up to r = 1/n."""
     r = np.array([0.0, 0.3 / n, 0.9 / n])
     found = mcs.spectra.closed_form_pair_correlation(f"jittered(sides={sides})", n, r)
     np.testing.assert_allclose(found, n / (n - 1) * n * r * 2 / np.pi, atol=1e-12)
@@ -133,7 +133,7 @@ def test_random_points_have_g_of_one():
     d = mcs.pair_correlation(mcs.sampler("random", dims=3), 200, bins=20, realizations=40, rng=1)
     assert d["pair_correlation"].dims == ("r",)
     pull = (d["pair_correlation"] - 1) / d["pair_correlation_se"]
-    # 20 bins; t with 39 degrees: 6 σ has probability 5e-7
+    # 20 bins; t with 39 degrees of freedom: 6 σ has probability 5e-7
     assert np.abs(pull).max() < 6
 
 
@@ -156,12 +156,12 @@ def test_cost_grows_with_the_pairs():
     assert costs == [3 * (10 + 0.1 * 10**2), 3 * (1000 + 0.1 * 1000**2)]
 
 
-def test_intervals_hold_the_level_of_random_points():
-    """From 4 realizations, with 3 degrees of freedom: of 60 · 20 bins 95 % (bins are independent)."""
+def test_intervals_cover_the_level_of_random_points():
+    """4 realizations, 3 degrees of freedom: 95 % of 60 · 20 independent bins are covered."""
     inside = []
     for seed in range(60):
         d = mcs.pair_correlation("random", 256, bins=20, realizations=4, rng=seed)
         low, high = d["pair_correlation_ci"].values.T
         inside.append((low <= 1) & (high >= 1))
-    # counts of the first bins are few and skew; 4 binomial sigma below 93 %
+    # Counts of the first bins are few and skew: allow 4 binomial sigma below 93 %
     assert 0.93 - 4 * np.sqrt(0.07 / 1200) < np.mean(inside) < 0.99

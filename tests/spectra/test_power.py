@@ -10,12 +10,12 @@ from mcspectra.core.streams import Stream
 from mcspectra.spectra.power import Points, Spectrum
 from mcspectra.testing import check_analysis
 
-# Šidák: 5e-7 two-sided over a few thousand frequencies of one test is about 6 σ.
+# Šidák: a two-sided level of 5e-7 over a few thousand frequencies of one test is about 6 σ
 SIGMAS = 6.0
 
 
 def _agrees(spectrum, expected, *, floor=1e-15):
-    """All frequencies within SIGMAS standard errors of the closed form."""
+    """Assert all frequencies within SIGMAS standard errors of the closed form."""
     error = np.abs(spectrum["power"].values - expected)
     allowed = SIGMAS * spectrum["power_se"].values + floor
     assert (error <= allowed).all(), float((error / allowed).max())
@@ -55,7 +55,7 @@ def test_closed_forms_agree_with_simulation(spec, dims, n):
     _agrees(spectrum, mcs.closed_form_power(sampler, n, m), floor=1e-10)
 
 
-def test_power_of_random_points_under_a_density_is_that_of_the_oracle():
+def test_power_of_random_points_with_a_density_agrees_with_the_oracle():
     """⟨|S_m|²⟩ = (1/n) ∫1/p + ((n−1)/n) δ_m0; Var(S_0) = (ln 3 − 1)/n for p = ½ + x (ORACLES)."""
     found = mcs.closed_form_power("random", 12, [[0], [3]], density="linear(slope=1)")
     assert found == pytest.approx([1 + (np.log(3) - 1) / 12, np.log(3) / 12], rel=1e-9)
@@ -99,7 +99,7 @@ def test_chunks_and_threads_change_nothing(case):
     assert ("mean_coefficient" in found[0]) == options.get("mean", False)
 
 
-def test_the_points_beside_a_spectrum_are_those_of_its_first_realization():
+def test_the_points_of_a_spectrum_are_its_first_realization():
     subject = Subject(mcs.Estimator("gaussian", density="linear(slope=1)"), mcs.sampler("jittered"))
     found = compute(Points(n=16), subject, 5)["points"]
     u = subject.sampler.draw_stream(16, Stream.from_rng(5), 0, 1)[0]
@@ -113,7 +113,7 @@ def test_the_points_beside_a_spectrum_are_those_of_its_first_realization():
 
 
 def test_sums_count_all_sets():
-    """Against |S|² of every point set, by definition."""
+    """Compare with |S|² of every point set by definition."""
     stream, subject = Stream.from_rng(1), Subject(None, mcs.sampler("jittered", dims=2))
     reduction = Spectrum(n=16, half_width=2, realizations=21).reduction(subject, stream)
     total = compute_chunk(reduction, (0, reduction.blocks))
@@ -126,8 +126,8 @@ def test_sums_count_all_sets():
     )
 
 
-def test_intervals_hold_the_power_of_random_points():
-    """4 realizations of 64 points: of 40 · 8 rings and wedges 95 %, where 1.96 errors had 85 at most."""
+def test_intervals_cover_the_power_of_random_points():
+    """4 realizations of 64 points: 95 % of 40 · 8 means are covered; 1.96 errors covered 85 %."""
     inside = []
     for seed in range(40):
         d = mcs.power_spectrum("random", 64, half_width=8, realizations=4, wedges=6, rng=seed)
@@ -135,5 +135,5 @@ def test_intervals_hold_the_power_of_random_points():
             low, high = 64 * d[name].values.T
             inside.extend((low <= 1) & (high >= 1))
         assert d.attrs["student_t"] == pytest.approx(3.182446)
-    # 560 numbers, 4 binomial sigma of 94 %
+    # 560 numbers: 4 binomial sigma below 94 %
     assert 0.94 - 4 * np.sqrt(0.06 / 560) < np.mean(inside) < 0.99

@@ -1,4 +1,4 @@
-"""What the functions of this room refuse: two tables, by the error."""
+"""Refusals of the functions of spectra: two tables, by the error."""
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def _pairs(n=16, **given):
 
 
 def _covariance(spec, n=4, m=((1, 1),), density=None, others=None):
-    """A covariance of points in two dims."""
+    """Return a covariance of points in two dims."""
     others = m if others is None else others
     mcs.spectra.closed_form_covariance(mcs.sampler(spec, dims=2), n, m, others, density=density)
 
@@ -144,6 +144,6 @@ UNKNOWN = [
     [(call, ParameterError, words) for call, words in WRONG]
     + [(call, NoClosedForm, words) for call, words in UNKNOWN],
 )
-def test_what_cannot_be_is_refused(call, error, words):
+def test_impossible_requests_are_refused(call, error, words):
     with pytest.raises(error, match=words):
         call()

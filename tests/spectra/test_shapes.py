@@ -1,4 +1,4 @@
-"""Rings, slices, wedges and exponents of spectra: made-up spectra exactly, samplers in intervals."""
+"""Rings, slices, wedges and exponents: synthetic spectra exactly, samplers within intervals."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from mcspectra.spectra.transforms import FrequencyGrid
 
 
 def _made(power_of, dims=2, half_width=8, step=1.0, se=0.01):
-    """A spectrum of which everything is known: power_of(ν) and errors se · power."""
+    """Make a known spectrum: power power_of(ν) and errors se · power."""
     grid = FrequencyGrid(dims, half_width, step)
     nu = np.stack(np.meshgrid(*[grid.axis.astype(float)] * dims, indexing="ij"), axis=-1)
     power = power_of(nu)
@@ -26,7 +26,7 @@ def _length(nu):
 
 @pytest.mark.parametrize("dims", [2, 3])
 def test_rings_by_hand(dims):
-    """Power cos² of the angle to the m0 axis: mean and variance of the ring's own frequencies."""
+    """Power cos² of the angle to the m0 axis: mean and variance over a ring's frequencies."""
     made = _made(lambda nu: nu[..., 0] ** 2 / np.maximum(_length(nu), 1) ** 2, dims, 5)
     rings = mcs.spectra.radial_statistics(made)
     index = np.stack(np.meshgrid(*[np.arange(-5, 6)] * dims, indexing="ij"), axis=-1)
@@ -40,13 +40,13 @@ def test_rings_by_hand(dims):
         anisotropy = variance / power.mean() ** 2
         assert rings["anisotropy"].values[ring - 1] == pytest.approx(anisotropy, rel=1e-12)
         assert rings["anisotropy_db"].values[ring - 1] == pytest.approx(10 * np.log10(anisotropy))
-        # ±ν hold one number: half of the squares count, and half of the frequencies
+        # ±ν have equal power: half of the squares count, and half of the frequencies
         error = np.sqrt((made["power_se"].values[members] ** 2).sum() / 2) / half
         assert rings["radial_power_se"].values[ring - 1] == pytest.approx(error, rel=1e-12)
 
 
 def test_anisotropy_of_random_points_is_noise():
-    """−10 log10 R: within 6 σ, the relative error of a variance of h values being √(8/h).
+    """−10 log10 R within 6 σ; the relative error of a variance of h values is √(8/h).
 
     |S|² of a random set is exponential; means over R = 100 have kurtosis 3 + 6/100.
     """
@@ -60,7 +60,7 @@ def test_anisotropy_of_random_points_is_noise():
 
 
 def test_radial_error_covers_the_known_power():
-    """Random points have power 1/n everywhere: the mean of z² over rings is 1 within 6 √(2/24)."""
+    """Random points have power 1/n: the mean of z² over rings is 1 within 6 √(2/24)."""
     spectrum = mcs.power_spectrum("random", 256, half_width=24, realizations=200, rng=2)
     rings = mcs.spectra.radial_statistics(spectrum)
     z = (rings["radial_power"].values - 1 / 256) / rings["radial_power_se"].values
@@ -68,8 +68,8 @@ def test_radial_error_covers_the_known_power():
 
 
 @pytest.mark.parametrize("dims", [1, 2, 3])
-def test_streamed_errors_are_those_of_ring_means(dims):
-    """Of each realization by itself, drawn again as a spectrum of one realization."""
+def test_streamed_errors_agree_with_errors_of_ring_means(dims):
+    """Each realization is drawn again as a spectrum of one realization."""
     sampler, kept = mcs.sampler("jittered", dims=dims), 5
     given = {"half_width": 4, "density": mcs.density("linear", dims=dims), "eps": 1e-12}
     many = mcs.power_spectrum(sampler, 8 if dims != 2 else 9, realizations=kept, rng=3, **given)
@@ -116,21 +116,21 @@ def test_slices_hold_the_power_at_their_frequencies(dims, count):
 
 
 def test_wedges_by_hand():
-    """Power |angle|: each wedge's mean lies within it; the power of one axis fills its wedge only."""
+    """Power |angle|: the mean of a wedge lies within it; power on an axis fills its wedge only."""
     made = _made(
         lambda nu: np.mod(np.degrees(np.arctan2(nu[..., 1], nu[..., 0])) + 7.5, 180), 2, 40
     )
     found = mcs.spectra.wedge_means(made)
     assert found["angle"].values.tolist() == list(range(0, 180, 15))
     assert np.abs(found["wedge_power"].values - 7.5 - found["angle"].values).max() < 7.5
-    # frequencies are symmetric about the center of a wedge at multiples of 45 degrees
+    # Frequencies are symmetric around the center of a wedge at multiples of 45 degrees
     assert np.allclose(found["wedge_power"].values[[0, 3, 6, 9]], [7.5, 52.5, 97.5, 142.5])
     on_axis = _made(lambda nu: (nu[..., 1] == 0) * 1.0, 2, 16)
     assert np.flatnonzero(mcs.spectra.wedge_means(on_axis, 4)["wedge_power"].values).tolist() == [0]
     assert np.isnan(mcs.spectra.wedge_means(_made(_length, 2, 1), 12)["wedge_power"].values[1])
 
 
-def test_wedges_see_nothing_beyond_the_circle():
+def test_wedges_ignore_frequencies_beyond_the_circle():
     made = _made(lambda nu: (_length(nu) > 8) * 1.0)
     assert not mcs.spectra.wedge_means(made)["wedge_power"].values.any()
 
@@ -147,7 +147,7 @@ def test_exponent_of_a_power_law_is_exact(b, dims, step):
 
 
 def test_exponent_interval_has_its_level():
-    """95 % of 400 fits with errors of known size: 6 binomial σ are 6.5 %."""
+    """95 % of 400 fits with errors of known size; 6 binomial σ are 6.5 %."""
     rng = np.random.default_rng(0)
     inside = 0
     for _ in range(400):
@@ -159,7 +159,7 @@ def test_exponent_interval_has_its_level():
             "low_frequency_exponent_ci"
         ].values
         inside += low < 2 < high
-    # widened where χ² is above 1, so on the safe side
+    # Intervals are widened if χ² is above 1, so coverage may be higher
     assert inside / 400 > 0.95 - 6 * np.sqrt(0.95 * 0.05 / 400)
 
 
@@ -172,7 +172,7 @@ def test_misfit_widens_the_interval_and_a_large_one_refuses():
         for se in (0.05, 0.07)
     )
     assert 1 < float(more["exponent_fit_chi2"]) < float(bent["exponent_fit_chi2"]) < 10
-    # The scatter about the line makes the interval, not the errors
+    # The scatter about the line determines the interval, not the errors
     assert np.allclose(bent["low_frequency_exponent_ci"], more["low_frequency_exponent_ci"])
     found = mcs.spectra.low_frequency_exponent(_made(power, 1, 20, se=1e-4), up_to=20)
     assert float(found["exponent_fit_chi2"]) > 100
@@ -192,7 +192,7 @@ def test_misfit_widens_the_interval_and_a_large_one_refuses():
     ],
 )
 def test_no_exponent_of_one_set_or_of_peaks(spec, realizations, reason):
-    """Intervals from -205 to 206 were printed as findings."""
+    """Intervals from -205 to 206 were once reported as results."""
     spectrum = mcs.power_spectrum(
         mcs.sampler(spec, dims=2), 256, half_width=12, realizations=realizations
     )
@@ -203,7 +203,7 @@ def test_no_exponent_of_one_set_or_of_peaks(spec, realizations, reason):
 
 
 def _exponent(spec, dims, n, *, half_width, up_to, axis=None, realizations=1000):
-    """b and three half widths of its 95 % interval: 5.9 σ of a normal."""
+    """Return b and three half-widths of its 95 % interval: 5.9 σ of a normal distribution."""
     spectrum = mcs.power_spectrum(
         mcs.sampler(spec, dims=dims), n, half_width=half_width, realizations=realizations, rng=7
     )
@@ -228,10 +228,10 @@ def test_random_points_have_exponent_0(dims):
     ],
 )
 def test_stratified_points_have_exponent_2(spec, dims, n, axis):
-    """One point a stratum: P = (1 − Π sinc²(πm_i/s))/n, along an axis for nets (s = n) too.
+    """One point per stratum: P = (1 − Π sinc²(πm_i/s))/n, along an axis also for nets (s = n).
 
-    Its slope d ln P / d ln |m| falls from 2 to that at πm/s = π/8 along an axis, where it is least; a
-    fit with positive weights of an average of slopes lies between.
+    Its slope d ln P / d ln |m| falls from 2 to the value at πm/s = π/8 along an axis, where it is
+    least. A fit with positive weights averages slopes, so it lies between.
     """
     s = n if axis is not None else round(n ** (1 / dims))
     up_to = max(s / 8, 3.0)
@@ -252,16 +252,16 @@ def test_stratified_points_have_exponent_2(spec, dims, n, axis):
     ],
 )
 def test_the_directions_with_the_largest_power_decide(spec, n, b):
-    """Latin hypercubes: 1/n off the axes, m² on them. Multi-jitter: off the axes as jittered.
+    """Latin hypercubes: 1/n off the axes, m² on them. Multi-jitter: like jittered off the axes.
 
-    1.9: between 2 and the slope of 1 − sinc² at the end of the window, n^(1/2)/4: 1.8.
+    1.9 lies between 2 and 1.8, the slope of 1 − sinc² at the end of the window, n^(1/2)/4.
     """
     spectrum = mcs.power_spectrum(spec, n, half_width=16, realizations=200, rng=7)
     found = mcs.spectra.low_frequency_exponent(spectrum)
     low, high = found["low_frequency_exponent_ci"].values
     half = (high - low) / 2
     assert abs(float(found["low_frequency_exponent"]) - b) < 2 * half + 0.1 * (b > 0)
-    assert half < 0.5  # tells 0 from 2
+    assert half < 0.5  # distinguishes 0 from 2
     assert found.attrs["directions"].startswith("m0 and m1")
     assert "reason" not in found.attrs
     axis = mcs.spectra.low_frequency_exponent(spectrum, axis=0)
@@ -270,7 +270,7 @@ def test_the_directions_with_the_largest_power_decide(spec, n, b):
 
 
 def test_two_exponents_by_hand():
-    """|ν|^2 on the axes and |ν|^1 off them: 1, the larger power; with the axes higher, 2."""
+    """|ν|² on the axes and |ν|¹ off them: b = 1, the larger power; with higher axes, b = 2."""
     for factor, b in ((1e-3, 1.0), (1e3, 2.0)):
         made = _made(
             lambda nu, k=factor: np.where((nu == 0).any(-1), k * _length(nu) ** 2, _length(nu)), 2
@@ -279,8 +279,8 @@ def test_two_exponents_by_hand():
         assert float(found["low_frequency_exponent"]) == pytest.approx(b, abs=1e-9)
 
 
-def test_between_integers_the_power_of_the_mean_is_taken_off():
-    """Jittered: ⟨|S_ν|²⟩ − sinc²(πν) = (1 − sinc²(πν/n))/n, b = 2; with sinc² it would be below 0."""
+def test_between_integers_the_power_of_the_mean_is_subtracted():
+    """Jittered: ⟨|S_ν|²⟩ − sinc²(πν) = (1 − sinc²(πν/n))/n, so b = 2; with sinc², b < 0."""
     sampler = mcs.sampler("jittered", dims=1)
     given = {"half_width": 32, "frequency_step": 0.25, "realizations": 500, "rng": 2}
     spectrum = mcs.power_spectrum(sampler, 64, mean=True, eps=1e-12, **given)
@@ -309,7 +309,7 @@ def test_lattices_have_no_exponent_and_say_why():
         mcs.spectra.low_frequency_exponent,
     ],
 )
-def test_other_things_than_a_grid_spectrum_are_refused(function):
+def test_other_data_than_a_grid_spectrum_are_refused(function):
     made = _made(_length)
     listed = mcs.spectra.power_at("random", 4, [[1.0, 0.0]], realizations=3)
     for given in (None, "jittered", np.ones((3, 3)), made.drop_vars("power_se"), listed):
@@ -327,7 +327,7 @@ def test_bad_wedges(wedges):
 
 
 def test_wrong_dims():
-    with pytest.raises(ParameterError, match="wedges are of two"):
+    with pytest.raises(ParameterError, match="wedges need two"):
         mcs.spectra.wedge_means(_made(_length, 3, 2))
     with pytest.raises(ParameterError, match="up to 4 dims, not 5"):
         mcs.spectra.slices(_made(_length, 5, 1))
@@ -363,7 +363,7 @@ def test_bad_coefficients(f):
         mcs.spectra.variance_from_spectrum(_made(_length), f)
 
 
-def test_predictions_of_other_than_homogeneous_sets():
+def test_predictions_for_sets_that_are_not_homogeneous():
     f = mcs.integrand("gaussian", dims=2).fourier_grid(3)
     weighted = mcs.power_spectrum("random", 9, density="linear", half_width=3, realizations=2)
     with pytest.raises(ParameterError, match="density linear"):

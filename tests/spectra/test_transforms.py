@@ -1,4 +1,4 @@
-"""Engines against the direct sum, and the bookkeeping of half spectra."""
+"""Engines against the direct sum, and the indexing of half spectra."""
 
 import numpy as np
 import pytest
@@ -16,12 +16,12 @@ def _points(sets, n, dims, seed=0):
 def test_coefficients_agree_with_the_definition(dims, sets, engine):
     grid = FrequencyGrid(dims, {1: 20, 2: 9, 3: 4, 4: 2}[dims])
     x = _points(sets, 37, dims)
-    w = np.random.default_rng(1).random((sets, 37)) - 0.3  # weights of either sign
+    w = np.random.default_rng(1).random((sets, 37)) - 0.3  # weights of both signs
     for weights in (None, w):
         got = Transform(grid, 37, engine=engine).coefficients(x, weights)
         expected = direct_sum(x, grid.indices(), weights)
         scale = 1.0 if weights is None else np.abs(w).sum(axis=1).max()
-        # NUFFT: eps = 1e-9 in relative l2, 7.7e-11 of the peak measured; 1e-8 is the promise.
+        # NUFFT: eps = 1e-9 in relative l2; 7.7e-11 of the peak measured; 1e-8 is guaranteed
         assert np.abs(got - expected).max() < (1e-8 if engine == "nufft" else 1e-12) * scale
 
 
@@ -33,7 +33,7 @@ def test_real_frequencies_are_scaled_coordinates(dims):
     assert np.abs(got - direct_sum(x, grid.indices() * 0.3)).max() < 1e-8
 
 
-def test_tight_accuracy_on_request():
+def test_higher_accuracy_on_request():
     grid = FrequencyGrid(2, 16)
     x = _points(2, 100, 2)
     got = Transform(grid, 100, engine="nufft", eps=1e-12).coefficients(x)
@@ -64,8 +64,8 @@ def test_full_grid_is_hermitian_and_in_order():
     assert np.array_equal(grid.indices()[-1], [0, 0])
 
 
-def test_512_squared_meets_the_promised_accuracy():
-    """4096 points on 513² frequencies: error against the direct sum at most 1e-8 of the peak."""
+def test_512_squared_has_the_guaranteed_accuracy():
+    """4096 points, 513² frequencies: error against the direct sum at most 1e-8 of the peak."""
     grid = FrequencyGrid(2, 256)
     x = _points(2, 4096, 2, seed=3)
     got = Transform(grid, 4096).coefficients(x)
@@ -74,7 +74,7 @@ def test_512_squared_meets_the_promised_accuracy():
     assert np.abs(got[:, chosen] - expected).max() < 1e-8
 
 
-def test_engine_auto_takes_the_direct_sum_for_small_sets_only():
+def test_engine_auto_uses_the_direct_sum_for_small_sets_only():
     assert Transform(FrequencyGrid(1, 8), 16).engine == "direct"
     assert Transform(FrequencyGrid(2, 64), 256).engine == "nufft"
     assert Transform(FrequencyGrid(4, 16), 500).engine == "direct"

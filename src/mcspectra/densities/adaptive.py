@@ -1,12 +1,12 @@
-"""Adaptive quadrature of integrals over the unit cube that may diverge, with a record of its levels.
+"""Adaptive quadrature of integrals over the unit cube that may diverge, with a record of levels.
 
 Method
 ------
-The domain starts as equal cells. A cell is *resolved* where a Gauss-Legendre rule on it agrees with
-the same rule on its 2^d halves; the others are split, level by level. The unresolved part at
-level L lies within about 2^-L of the singularities and jumps, so that its total U_L, a sum over
-dyadic shells of a sort, tells singularities apart: next to f ~ r^-a along a line U_L shrinks like
-2^{-(1-a)L}; it stays or grows where the integral diverges.
+The domain starts as equal cells. A cell is *resolved* if a Gauss-Legendre rule on it agrees with
+the same rule on its 2^d halves. Other cells are split, level by level. The unresolved part at level
+L lies within about 2^-L of the singularities and jumps. Its total U_L, roughly a sum over dyadic
+shells, therefore distinguishes singularities. Next to f ~ r^-a along a line, U_L shrinks like
+2^{-(1-a)L}. It stays constant or grows if the integral diverges.
 
 Everything here is deterministic: fixed points, fixed offsets, no seed.
 """
@@ -35,25 +35,25 @@ __all__ = [
     "recurrences",
 ]
 
-# Even, so that no node is a cell center, and different, so that none lies on the diagonal: a density
-# that is 0 only there must not look as if it were 0 on an area.
+# Orders are even, so that no node is a cell center, and different, so that no node lies on the
+# diagonal. A density that is 0 only there must not appear to be 0 on an area.
 _ORDERS = {1: (8,), 2: (6, 4)}
 _DEPTH = {1: 36, 2: 28}
-_FULL_DEPTH = {1: 6, 2: 2}  # 4096 cells at least: narrow steps must not fall between the nodes
+_FULL_DEPTH = {1: 6, 2: 2}  # at least 4096 cells, so that nodes do not miss narrow steps
 MOST_CELLS = 2**16
-"""Cells of a level beyond which no more are split: in 2-D 1.6 million evaluations."""
+"""Number of cells of a level at which splitting ends: in 2-D 1.6 million evaluations."""
 _RELATIVE = 1e-10
-_ABSOLUTE = 1e-13  # of the whole integral
+_ABSOLUTE = 1e-13  # tolerance relative to the whole integral
 _FORCED_DEPTH = {1: 16, 2: 8}
 
 CELLS = {1: 64, 2: 16}
-"""Starting cells along each axis where nothing else is asked for, by dims."""
+"""Default number of starting cells along each axis, by dims."""
 SETS, SET_SIZE = 32, 4096
-"""Shifted low-discrepancy sets, whose spread is an error bar, and points of each."""
-_SLOWEST = 0.98  # a ratio of levels: p ~ r^a with a above 0.97 counts as divergent
+"""Number of shifted low-discrepancy sets, whose spread is an error bar, and points per set."""
+_SLOWEST = 0.98  # largest ratio of levels: p ~ r^a with a > 0.97 counts as divergent
 _NEGLIGIBLE = 1e-6
-_SHRINKING = 0.8  # a level; next to a line or a point the unresolved volume shrinks by ½ or ¼
-_FIRST_LEVELS = 4  # these also split cells that are merely near a zero
+_SHRINKING = 0.8  # largest volume ratio per level; ½ next to a line, ¼ next to a point
+_FIRST_LEVELS = 4  # first levels, which also split cells merely near a zero
 _WINDOW = 8
 _TAIL = 256
 _LARGEST_TAIL_INDEX = 1.0 - 3.0 / math.sqrt(_TAIL)
@@ -63,8 +63,8 @@ _LARGEST_TAIL_INDEX = 1.0 - 3.0 / math.sqrt(_TAIL)
 class Quadrature:
     """Integrals over the starting cells, row-major (k^d,), and the record of levels.
 
-    `errors` bounds the error of each; `totals` is the estimate of the whole after each level,
-    `unresolved` the part of it in cells where the rules disagree and `volumes` their volume.
+    `errors` bounds the error of each integral. `totals` is the estimate of the whole integral after
+    each level, `unresolved` its part in cells where the rules disagree, and `volumes` their volume.
     """
 
     cells: Array
@@ -75,7 +75,7 @@ class Quadrature:
 
     @property
     def isolated(self) -> bool:
-        """Whether the record decides: infinite, resolved, or unresolved on a shrinking volume."""
+        """Whether the integral is infinite or resolved, or unresolved cells shrink quickly."""
         if not math.isfinite(self.totals[-1]) or self.unresolved[-1] == 0:
             return True
         volumes = self.volumes
@@ -83,10 +83,10 @@ class Quadrature:
 
     @property
     def ratio(self) -> float:
-        """Ratio of the unresolved parts of successive levels; 0 where nothing is left.
+        """Ratio of the unresolved parts of successive levels; 0 if everything is resolved.
 
-        Sums over half of the last levels against the half before: where a zero lies within its cell
-        changes from level to level, and single ratios with it.
+        It compares sums over the last levels with sums over the levels before. Single ratios vary,
+        because the position of a zero within its cell changes from level to level.
         """
         parts = self.unresolved
         half = min(_WINDOW, (len(parts) - _FIRST_LEVELS) // 2)
@@ -96,7 +96,7 @@ class Quadrature:
 
     @property
     def limit(self) -> float:
-        """Infinite where the unresolved part does not shrink, else the limit of the totals."""
+        """Limit of the totals; infinite if the unresolved part does not shrink."""
         last = self.totals[-1]
         if not math.isfinite(last):
             return math.inf
@@ -123,20 +123,20 @@ def integrate(
     Parameters
     ----------
     function
-        Points (..., d) to (...). Infinite values make the whole infinite.
+        Points (..., d) to (...). An infinite value makes the whole integral infinite.
     dims
-        d.
+        Number of dims d.
     cells
-        Starting cells along each axis.
+        Number of starting cells along each axis.
     points
-        Points (M, d) where narrow peaks may be: cells that hold one are split to level 16 (8 in
-        2-D) whatever the rule says.
+        Points (M, d) where narrow peaks may be. Cells with one of them are split to level 16 (8
+        in 2-D) regardless of the rule.
     most_cells
-        Cells of a level beyond which no more are split.
+        Number of cells of a level at which splitting ends.
 
     Notes
     -----
-    Costs at most 36 (28) levels of 2^16 cells of 8 (24) evaluations.
+    The cost is at most 36 (2-D: 28) levels of 2^16 cells with 8 (24) evaluations each.
     """
     corners = _grid(cells, dims)
     owner = np.arange(len(corners))
@@ -175,10 +175,10 @@ def integrate(
 def mean_or_infinity(
     function: Callable[[Array], Array], dims: int, *, most_cells: int = MOST_CELLS
 ) -> float:
-    """Return ∫ of a function ≥ 0 of points (..., d), any d: infinite where it seems to diverge.
+    """Return ∫ of a function ≥ 0 of points (..., d), any d: infinite if it appears to diverge.
 
-    The notes of `mcspectra.densities.reciprocal_integral` say what to expect of the value; `most_cells` is
-    as for `positive_integral`.
+    For the accuracy see the notes of `mcspectra.densities.reciprocal_integral`; `most_cells` is the
+    same as for `positive_integral`.
     """
     if dims <= 2:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -188,7 +188,7 @@ def mean_or_infinity(
     values = function(recurrences(dims).reshape(-1, dims))
     if not np.isfinite(values).all():
         return math.inf
-    # Hill's estimate says whether the tail is too heavy for a mean
+    # Hill's estimate of the tail index shows whether the tail is too heavy for a mean
     tail = np.sort(values)[-_TAIL - 1 :]
     index = float(np.log(tail[1:] / tail[0]).mean())
     return math.inf if index > _LARGEST_TAIL_INDEX else float(values.mean())
@@ -204,17 +204,18 @@ def positive_integral(
     function
         Points (..., d) to (...).
     dims
-        d, 1 or 2.
+        Number of dims d, 1 or 2.
     most_cells
-        Cells of a level, beyond which no more are split.
+        Number of cells of a level at which splitting ends.
 
     Returns
     -------
     tuple of float
-        Infinite, with error 0, where the unresolved part does not shrink: poles r^-a with a > 0.97
-        count as that, see `mcspectra.densities.reciprocal_integral`. Else the error is that of the cells, or, where
-        the rest was added as a geometric series, what this changed from the last level to the one before and
-        would go on to change at the ratio of the series: it is no more than nearly one where poles cross.
+        Infinite, with error 0, if the unresolved part does not shrink. Poles r^-a with a > 0.97
+        count as divergent, see `mcspectra.densities.reciprocal_integral`. Otherwise the error is
+        that of the cells. If the rest was added as a geometric series, the error is the change of
+        this sum over the last level, extrapolated with the ratio of the series. The series is only
+        approximate where poles cross.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         found = integrate(function, dims, cells=CELLS[dims], most_cells=most_cells)
@@ -232,24 +233,24 @@ def positive_integral(
 
 
 def recurrences(dims: int, key: int = 0) -> Array:
-    """Additive recurrences (32, 4096, d) by `golden_vector`, each under a random shift of its own."""
+    """Return additive recurrences (32, 4096, d) by `golden_vector`, each with its own shift."""
     shifts = Stream(key).uniforms(0, SETS, dims)[:, None, :]
     return np.asarray((shifts + np.arange(SET_SIZE)[:, None] * golden_vector(dims)) % 1.0)
 
 
 def _aitken(a: float, b: float, c: float) -> float:
-    """Limit of a geometric series with these last sums; the last where it is none."""
+    """Return the limit of a geometric series with these last sums; c if they are not geometric."""
     steady = 0 < abs(c - b) < abs(b - a)
     return c + (c - b) ** 2 / ((b - a) - (c - b)) if steady else c
 
 
 def _grid(cells: int, dims: int) -> Array:
-    """Integer corners (cells^d, d) of a grid, row-major."""
+    """Return integer corners (cells^d, d) of a grid, row-major."""
     return np.array(list(itertools.product(range(cells), repeat=dims)), np.int64)
 
 
 def _gauss(function: Callable[[Array], Array], corners: Array, side: int) -> Array:
-    """Integrals over cells with integer corners (..., d) and edges 1/side."""
+    """Return integrals over cells with integer corners (..., d) and edges 1/side."""
     dims = corners.shape[-1]
     rules = [np.polynomial.legendre.leggauss(order) for order in _ORDERS[dims]]
     grids = np.meshgrid(*(0.5 * (node + 1.0) for node, _ in rules), indexing="ij")
@@ -260,7 +261,7 @@ def _gauss(function: Callable[[Array], Array], corners: Array, side: int) -> Arr
 
 
 def _holding(corners: Array, points: Array, side: int) -> Array:
-    """Which cells (M, d) of edge 1/side hold one of `points`."""
+    """Return which of the cells (M, d) of edge 1/side contain one of `points`."""
     inside = np.minimum((points * side).astype(np.int64), side - 1)
     steps = side ** np.arange(corners.shape[-1])[::-1]
     return np.isin(corners @ steps, inside @ steps)

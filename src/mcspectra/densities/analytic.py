@@ -1,7 +1,7 @@
-"""Densities in closed form, products over the dims, with one parameter for all dims or one a dim.
+"""Densities in closed form: products over the dims, with one parameter for all dims or per dim.
 
-The cdf of uniform, linear, power, exponential, cosine and tent densities inverts in one expression,
-that of truncated normals by logarithms of the normal cdf.
+The cdf of uniform, linear, power, exponential, cosine and tent densities has a closed-form inverse;
+that of truncated normals is inverted by logarithms of the normal cdf.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ __all__ = [
 
 _MAX_SIGMAS = 100.0
 _MAX_SIGMA = 100.0
-# Nearer to −1 more than 1 in 1000 samples u^(1/(a+1)) would be less than the smallest float
+# Closer to −1, more than 1 in 1000 samples u^(1/(a+1)) would be below the smallest float
 _LEAST_EXPONENT = -0.99
 _MOST_EXPONENT = 1000.0
 _MOST_RATE = 700.0  # exp(710) is infinite
@@ -45,7 +45,7 @@ class _Separable(Density):
     dims: int = whole(DEFAULT_DIMS, least=1, most=MAX_DIMS)
 
     def _each(self, parameter: str) -> Array:
-        """Values (d,) of a parameter."""
+        """Return the values (d,) of a parameter."""
         return np.array(as_reals(parameter, getattr(self, parameter), self.dims))
 
 
@@ -55,7 +55,7 @@ class Uniform(_Separable):
     """Uniform density, p = 1; the warp is the identity."""
 
     def reciprocal_integral(self) -> float:
-        """1."""
+        """Return 1."""
         return 1.0
 
     def _pdf(self, x: Array) -> Array:
@@ -76,14 +76,14 @@ class Linear(_Separable):
     Attributes
     ----------
     slope
-        s, within [−2, 2]: one number for all dims or one a dim. At ±2 the density falls to 0 at an
-        end and ∫1/p diverges.
+        Slope s, within [−2, 2]: one number for all dims or one per dim. At ±2 the density falls to
+        0 at an end, and ∫1/p diverges.
 
     Notes
     -----
-    The cdf of one dim, low·x + s x²/2 with low = 1 − s/2 = p(0), is inverted by the root
-    2u / (low + √D); D = low² + 2 s u is written as high² − 2 s (1 − u), high = p(1), for s < 0: both
-    are sums of positive terms, so that nothing cancels at s → 0 nor at s = ±2.
+    The cdf of one dim is low·x + s x²/2 with low = 1 − s/2 = p(0). Its inverse is 2u / (low + √D)
+    with D = low² + 2 s u. For s < 0, D is written as high² − 2 s (1 − u) with high = p(1). Both are
+    sums of positive terms, so there is no cancellation for s → 0 or s = ±2.
     """
 
     slope: float | tuple[float, ...] = per_dim(1.0, least=-2.0, most=2.0)
@@ -93,7 +93,7 @@ class Linear(_Separable):
         return self._each("slope")
 
     def reciprocal_integral(self) -> float:
-        """Π ln((1 + s/2)/(1 − s/2))/s, infinite where a slope is ±2."""
+        """Return Π ln((1 + s/2)/(1 − s/2))/s, infinite if a slope is ±2."""
         halves = (0.5 * self._slopes).tolist()
         if any(abs(t) == 1.0 for t in halves):
             return math.inf
@@ -101,7 +101,7 @@ class Linear(_Separable):
 
     def _pdf(self, x: Array) -> Array:
         s = self._slopes
-        # Both written from the end where the density is low
+        # Both forms start from the end with the lower density
         line = np.where(s >= 0, (1.0 - 0.5 * s) + s * x, (1.0 + 0.5 * s) - s * (1.0 - x))
         return bounded_product(line, self.spec)
 
@@ -118,11 +118,11 @@ class Linear(_Separable):
 
 
 class _Normals(NamedTuple):
-    """Constants of truncated normals, one value a dim, shape (d,).
+    """Constants of truncated normals, one value per dim, shape (d,).
 
-    `flip` marks dims that are reflected, x → 1 − x, so that `mean` is at least 0; `low` and `high`
-    are z at x = 0 and 1; log_low, log_high and log_mass are log Φ(low), log Φ(high) and log of
-    their difference.
+    `flip` marks dims that are reflected, x → 1 − x, so that `mean` is at least 0. `low` and `high`
+    are z at x = 0 and 1. log_low, log_high and log_mass are log Φ(low), log Φ(high) and the
+    logarithm of their difference.
     """
 
     flip: Array
@@ -135,7 +135,7 @@ class _Normals(NamedTuple):
     log_mass: Array
 
     def score(self, x: Array) -> Array:
-        """z at points x (..., d)."""
+        """Return z at points x (..., d)."""
         return np.asarray((np.where(self.flip, 1.0 - x, x) - self.mean) / self.sigma)
 
 
@@ -147,15 +147,16 @@ class TruncatedNormal(_Separable):
     Attributes
     ----------
     mean
-        Mean before cutting: one number or one a dim. It may lie outside [0,1], up to 100 sigma away.
+        Mean before truncation: one number or one per dim. It may be up to 100 sigma outside [0,1].
     sigma
-        Standard deviation before cutting, above 0 and at most 100: one number or one a dim.
+        Standard deviation before truncation, above 0 and at most 100: one number or one per dim.
 
     Notes
     -----
-    With z = (x − mean)/σ and Φ the normal cdf, the cdf is [Φ(z) − Φ(z₀)]/[Φ(z₁) − Φ(z₀)]. Logarithms
-    of Φ carry it far into the left tail; where the mean is below 0 the density is reflected, so that
-    the right tail is never met. Rounding of u costs about 1e-14 at 10 sigma, 1e-12 at 100.
+    With z = (x − mean)/σ and the normal cdf Φ, the cdf is [Φ(z) − Φ(z₀)]/[Φ(z₁) − Φ(z₀)].
+    Logarithms of Φ extend it far into the left tail. If the mean is below 0, the density is
+    reflected, so the right tail is never used. Rounding of u causes errors of about 1e-14 at 10
+    sigma, 1e-12 at 100.
     """
 
     mean: float | tuple[float, ...] = per_dim(0.5)
@@ -182,9 +183,10 @@ class TruncatedNormal(_Separable):
         return _Normals(flip, mean, sigma, low, high, log_low, log_high, log_mass)
 
     def reciprocal_integral(self) -> float:
-        """Π π σ² mass [erfi(high/√2) − erfi(low/√2)], erfi(t) = 2/√π exp(t²) D(t), D Dawson's.
+        """Return Π π σ² mass [erfi(high/√2) − erfi(low/√2)].
 
-        Infinite where it exceeds the largest float (1e308).
+        erfi(t) = 2/√π exp(t²) D(t), with Dawson's function D. The result is infinite if it exceeds
+        the largest float (1e308).
         """
         from scipy.special import dawsn
 
@@ -207,7 +209,7 @@ class TruncatedNormal(_Separable):
         c = self._normal
         share = np.where(c.flip, 1.0 - u, u)
         ratio = np.exp(c.log_low - c.log_high)
-        with np.errstate(divide="ignore"):  # share 0 and ratio 0: the logarithm is −∞, z too
+        with np.errstate(divide="ignore"):  # for share 0 and ratio 0, the logarithm and z are −∞
             log_cdf = c.log_high + np.log(share + (1.0 - share) * ratio)
         z = np.clip(ndtri_exp(np.minimum(log_cdf, 0.0)), c.low, c.high)
         x = np.clip(c.mean + c.sigma * z, 0.0, 1.0)
@@ -217,7 +219,7 @@ class TruncatedNormal(_Separable):
         from scipy.special import log_ndtr
 
         c = self._normal
-        # [Φ(z) − Φ(low)]/mass, as Φ(z)/mass (1 − Φ(low)/Φ(z))
+        # [Φ(z) − Φ(low)]/mass, computed as Φ(z)/mass (1 − Φ(low)/Φ(z))
         log_z = log_ndtr(c.score(x))
         share = np.exp(log_z - c.log_mass) * -np.expm1(np.minimum(c.log_low - log_z, 0.0))
         return np.asarray(np.clip(np.where(c.flip, 1.0 - share, share), 0.0, 1.0))
@@ -231,8 +233,8 @@ class Power(_Separable):
     Attributes
     ----------
     exponent
-        a, from −0.99 to 1000: one number for all dims or one a dim. Below 0 the density is
-        unbounded at 0; above 0 it is 0 there, and from 1 on ∫1/p diverges.
+        Exponent a, from −0.99 to 1000: one number for all dims or one per dim. For a < 0 the
+        density is unbounded at 0; for a > 0 it vanishes at 0. ∫1/p diverges for a ≥ 1.
     """
 
     exponent: float | tuple[float, ...] = per_dim(1.0, least=_LEAST_EXPONENT, most=_MOST_EXPONENT)
@@ -242,17 +244,17 @@ class Power(_Separable):
         return self._each("exponent")
 
     def reciprocal_integral(self) -> float:
-        """Π 1/(1 − a²), infinite where an exponent is 1 or more."""
+        """Return Π 1/(1 − a²), infinite if an exponent is 1 or more."""
         a = self._exponents
         return float(np.prod(1.0 / ((1.0 - a) * (1.0 + a)))) if (a < 1).all() else math.inf
 
     def _pdf(self, x: Array) -> Array:
         a = self._exponents
-        # 0^a is infinite for a < 0, and at 1e-320 or in products so may be what is finite in theory
+        # 0^a is infinite for a < 0. At 1e-320 or in products, finite values may overflow as well
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             factors = (a + 1.0) * x**a
             product = factors.prod(axis=-1)
-        # 0 · ∞ in a product of dims: the set of those points has no volume
+        # 0 · ∞ in a product of dims: such points have no volume
         return np.asarray(np.where(np.isnan(product), 0.0, product))
 
     def _sample(self, u: Array) -> Array:
@@ -270,24 +272,24 @@ class Exponential(_Separable):
     Attributes
     ----------
     rate
-        r, from −700 to 700: one number for all dims or one a dim. Below 0 the density rises; at 0
-        it is uniform.
+        Rate r, from −700 to 700: one number for all dims or one per dim. Below 0 the density rises;
+        at 0 it is uniform.
     """
 
     rate: float | tuple[float, ...] = per_dim(1.0, least=-_MOST_RATE, most=_MOST_RATE)
 
     @cached_property
     def _flat(self) -> Array:
-        """Where the rate is too small to change a float."""
+        """Whether each rate is too small to change a float."""
         return np.abs(self._each("rate")) < _NO_RATE
 
     @cached_property
     def _rates(self) -> Array:
-        """Rates, 1 in place of those that are flat."""
+        """Rates, with 1 for flat dims."""
         return np.where(self._flat, 1.0, self._each("rate"))
 
     def reciprocal_integral(self) -> float:
-        """Π [sinh(r/2)/(r/2)]², infinite where it exceeds the largest float."""
+        """Return Π [sinh(r/2)/(r/2)]², infinite if it exceeds the largest float."""
         half = 0.5 * self._rates
         with np.errstate(over="ignore"):
             return float(np.where(self._flat, 1.0, (np.sinh(half) / half) ** 2).prod())
@@ -300,7 +302,7 @@ class Exponential(_Separable):
 
     def _sample(self, u: Array) -> Array:
         r = self._rates
-        with np.errstate(divide="ignore"):  # u = 1 at rate 700: ∞, cut to the end
+        with np.errstate(divide="ignore"):  # u = 1 at rate 700 gives ∞, which is clipped
             return np.where(self._flat, u, np.log1p(u * np.expm1(-r)) / -r)
 
     def _invert(self, x: Array) -> Array:
@@ -316,18 +318,18 @@ class CosineWeighted(_Separable):
     Notes
     -----
     Two meanings of *cosine-weighted* agree here. In flatland x = ½ + θ/π is the angle of a
-    direction above a line, p(θ) = cos θ/2. On the hemisphere with the density cos θ/π by solid
-    angle, the polar angle has the density sin 2θ, which is this one in x = 2θ/π; its warp
-    θ = arcsin √u is that of Malley's method [Pharr2016]_ (§13.6.3). The density is 0 at both ends
+    direction above a line, with p(θ) = cos θ/2. On the hemisphere with the density cos θ/π by solid
+    angle, the polar angle has the density sin 2θ. It is this density in x = 2θ/π, and its warp
+    θ = arcsin √u is that of Malley's method [Pharr2016]_ (§13.6.3). The density is 0 at both ends,
     and ∫1/p diverges.
     """
 
     def reciprocal_integral(self) -> float:
-        """Infinite."""
+        """Return infinity."""
         return math.inf
 
     def _pdf(self, x: Array) -> Array:
-        from_end = np.minimum(x, 1.0 - x)  # so that the zero at x = 1 is exact
+        from_end = np.minimum(x, 1.0 - x)  # makes the zero at x = 1 exact
         return np.asarray((0.5 * math.pi * np.sin(math.pi * from_end)).prod(axis=-1))
 
     def _sample(self, u: Array) -> Array:
@@ -347,7 +349,7 @@ class Tent(_Separable):
     Attributes
     ----------
     peak
-        Position of the peak, from 0 to 1: one number for all dims or one a dim.
+        Position of the peak, from 0 to 1: one number for all dims or one per dim.
     """
 
     peak: float | tuple[float, ...] = per_dim(0.5, least=0.0, most=1.0)
@@ -358,25 +360,25 @@ class Tent(_Separable):
 
     @cached_property
     def _sides(self) -> tuple[Array, Array]:
-        """Lengths of the rising and the falling side, 1 in place of 0."""
+        """Lengths of the rising and the falling side, with 1 for 0."""
         c = self._peaks
         return np.where(c > 0, c, 1.0), np.where(c < 1, 1.0 - c, 1.0)
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """The peak: the cdf there is its position."""
+        """The peak; the cdf there equals its position."""
         return tuple((c,) if 0 < c < 1 else () for c in self._peaks.tolist())
 
     def reciprocal_integral(self) -> float:
-        """Infinite: the density falls linearly to 0."""
+        """Return infinity, since the density falls linearly to 0."""
         return math.inf
 
     def _rising(self, x: Array) -> Array:
-        """Where x (or u, the cdf of the peak being its position) is on the rising side."""
+        """Whether x is on the rising side; also for u, as the cdf of the peak is its position."""
         return np.asarray((x < self._peaks) | (self._peaks == 1))
 
     def _heights(self, x: Array) -> tuple[Array, Array]:
-        """Heights of both sides at x, in peaks."""
+        """Return the heights of both sides at x, relative to the peak."""
         left, right = self._sides
         return np.minimum(x, left) / left, np.minimum(1.0 - x, right) / right
 

@@ -1,9 +1,9 @@
-"""The interface of importance densities, pdf, sample, invert; densities given by functions.
+"""The interface of importance densities: pdf, sample, invert; densities given by functions.
 
 A `Density` is a warp T from the unit cube (primary space, u) to itself (domain, x) together with
 its density: ``x = sample(u)``, ``u = invert(x)``, ``pdf(x) = |det dT/du|^-1``. The public methods
-check their points, once; implementations write `_pdf`, `_sample` and `_invert`, which trust plain
-arrays. A `Wrapper` forwards to a density that it makes.
+check their points once. Implementations write `_pdf`, `_sample` and `_invert`, which trust plain
+arrays. A `Wrapper` forwards to a density that it creates.
 """
 
 from __future__ import annotations
@@ -55,12 +55,12 @@ __all__ = [
 ]
 
 _LARGEST_LOGARITHM = float(np.log(np.finfo(float).max))
-_PROBE = 5  # points of the first try; odd and small, so that no shape fits by accident
+_PROBE = 5  # points of the first call; odd and small, so that wrong shapes fail
 _SAME = 1e-9
 
 
 def per_dim(default: float, **limits: float) -> Any:
-    """Declare a field of one real number for all dims or one a dim, which stays as it was given."""
+    """Declare a field of one real number for all dims or one per dim, stored as it was given."""
 
     def check(name: str, given: Any, dims: int) -> Any:
         as_reals(name, given, dims, **limits)
@@ -77,7 +77,7 @@ class Density(Component, ABC):
     dims
         Number of dimensions d.
     warps
-        Names of the warps T that the parameter ``warp`` chooses from, of the same pdf; often none.
+        Names of the warps T of the same pdf that the parameter ``warp`` allows; often empty.
     """
 
     dims: int
@@ -85,11 +85,11 @@ class Density(Component, ABC):
 
     @property
     def primary_dims(self) -> int:
-        """Number of dims of u: as many as x, or more if extra coordinates choose a part."""
+        """Number of dims of u: equal to `dims`, or larger if extra coordinates choose a part."""
         return self.dims
 
     def pdf(self, x: object) -> Array:
-        """Density at points x of shape (..., d): float64 (...), integral 1 over [0,1)^d."""
+        """Return the density at points x (..., d): float64 (...), integral 1 over [0,1)^d."""
         return self._pdf(as_points(x, self.dims, "x"))
 
     def sample(self, u: object) -> Array:
@@ -108,12 +108,12 @@ class Density(Component, ABC):
         return np.clip(x, 0.0, BELOW_ONE)
 
     def sample_pdf(self, u: object) -> tuple[Array, Array]:
-        """Points x of `sample` (..., d) and the density there, (...), in one pass where that is cheaper."""
+        """Return points x of `sample`, (..., d), and the density there, (...), in one pass."""
         x, pdf = self._sample_pdf(as_points(u, self.primary_dims, "u"))
         return np.clip(x, 0.0, BELOW_ONE), pdf
 
     def invert(self, x: object) -> Array:
-        """Undo `sample`: primary points u of shape (..., d), in [0,1)."""
+        """Return primary points u (..., d) in [0,1) with ``sample(u) = x``."""
         u = self._invert(as_points(x, self.dims, "x"))
         return np.clip(u, 0.0, BELOW_ONE)
 
@@ -124,43 +124,45 @@ class Density(Component, ABC):
 
     @property
     def one_to_one(self) -> bool:
-        """Whether at most one u leads to any x, but for a set of measure zero."""
+        """Whether each x has at most one u, except on a set of measure zero."""
         return True
 
     def preimages(self, x: object) -> Array:
-        """All primary points (k', primary_dims) that lead to points x of shape (k, d), if known."""
+        """Return all known primary points (k', primary_dims) that map to points x (k, d)."""
         return self.invert(x) if self.has_inverse else np.empty((0, self.primary_dims))
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """For each axis of *primary* space, where the warp is not smooth (for quadrature)."""
+        """Positions on each axis of *primary* space at which the warp is not smooth."""
         return ((),) * self.primary_dims
 
     def zero_points(self) -> Array:
-        """Points (k, d) where p is known to be 0 on a set of positive measure; often none."""
+        """Return points (k, d) inside regions where p is known to be 0; often empty."""
         return np.empty((0, self.dims))
 
     def reciprocal_integral(self) -> float:
-        """Return ∫ 1/p over [0,1)^d, infinite where it diverges: 1 + n Var(S_0) of random points.
+        """Return ∫ 1/p over [0,1)^d, infinite if it diverges.
 
-        Cost: exact where an implementation knows it, a quadrature otherwise.
+        For random points it equals 1 + n Var(S_0).
+
+        The value is exact if an implementation has a closed form, and a quadrature otherwise.
         """
         return reciprocal_integral(self)
 
     def check(self) -> None:
-        """Test that pdf, sample and invert belong together (see `check_density`)."""
+        """Test that pdf, sample and invert are consistent (see `check_density`)."""
         check_density(self)
 
     @abstractmethod
     def _pdf(self, x: Array) -> Array:
-        """Density at float64 points (..., d)."""
+        """Return the density at float64 points (..., d)."""
 
     @abstractmethod
     def _sample(self, u: Array) -> Array:
         """Warp float64 points (..., d)."""
 
     def _sample_pdf(self, u: Array) -> tuple[Array, Array]:
-        """Warp float64 points (..., d), and give the density there."""
+        """Warp float64 points (..., d), and return the density there as well."""
         x = np.clip(self._sample(u), 0.0, BELOW_ONE)
         return x, self._pdf(x)
 
@@ -177,29 +179,31 @@ class Density(Component, ABC):
         dims: int = 1,
         normalize: bool = False,
     ) -> Density:
-        """Make a density of vectorized callables, and check it.
+        """Make a density from vectorized callables, and check it.
 
-        The functions are called with read-only float64 arrays, with any number of axes in front.
+        The functions are called with read-only float64 arrays (..., d), with any number of leading
+        axes.
 
         Parameters
         ----------
         pdf
             Density: points (..., d) to (...); integral 1. It may be 0 on a set of measure zero.
         sample
-            The warp T: primary points (..., d) in [0,1) to points (..., d) in [0,1). Without it, in
-            1-D and 2-D, the warp is computed from the pdf (see `mcspectra.densities.NumericalDensity`).
+            The warp T: primary points (..., d) in [0,1) to points (..., d) in [0,1). If it is
+            missing, the warp is computed from the pdf in 1-D and 2-D (see
+            `mcspectra.densities.NumericalDensity`).
         invert
             The inverse of `sample`, if known.
         dims
             Number of dims d.
         normalize
-            Divide a pdf that is given alone by its integral.
+            Whether to divide a pdf without `sample` by its integral.
 
         Raises
         ------
         DensityError
-            Not callable, failing on a try, of the wrong shape, or not belonging together (see
-            `check`); or the pdf alone is not enough.
+            If a function is not callable, fails, returns a wrong shape, or is not consistent with
+            the others (see `check`), or if the pdf alone is not enough.
 
         Examples
         --------
@@ -219,8 +223,8 @@ class Density(Component, ABC):
                 raise DensityError(f"normalize is {shown(normalize)}; give True or False.")
             if as_integer("dims", dims, least=1) > 2:
                 raise DensityError(
-                    f"sample is None in {dims} dims; a pdf alone is enough in 1-D and 2-D only: give "
-                    "sample=, or a product of densities."
+                    f"sample is None in {dims} dims; a pdf alone is enough in 1-D and 2-D only: "
+                    "give sample=, or a product of densities."
                 )
             return NumericalDensity(dims=dims, pdf_function=pdf, normalize=normalize)
         if normalize:
@@ -235,7 +239,7 @@ class Density(Component, ABC):
         made = FunctionDensity(
             dims=dims, pdf_function=pdf, sample_function=sample, invert_function=invert
         )
-        # Call all functions on few points, with one and with two axes in front
+        # Call all functions on a few points, with one and with two leading axes
         for shape in [(_PROBE, made.dims), (_PROBE, 2, made.dims)]:
             u = np.linspace(0.2, 0.8, int(np.prod(shape))).reshape(shape)
             made._pdf(u)
@@ -247,12 +251,12 @@ class Density(Component, ABC):
 
 
 class Wrapper(Density):
-    """A density whose warp and pdf are those of another one, `_inside`, that it makes."""
+    """A density whose warp and pdf are those of another density, `_inside`."""
 
     @property
     @abstractmethod
     def _inside(self) -> Density:
-        """The density that does the work."""
+        """The density that is wrapped."""
 
     @property
     def primary_dims(self) -> int:
@@ -290,19 +294,19 @@ class Wrapper(Density):
 
 
 class _ByFunctions(Density):
-    """What densities given by functions share: a name, and how they are called."""
+    """Abstract density given by functions: its name, and checked calls."""
 
     name: ClassVar[str] = "function"
     pdf_function: Callable[[Any], Any]
 
     @property
     def spec(self) -> str:
-        """``function``, with the name of the pdf; not a spec that can be read back."""
+        """``function`` with the name of the pdf; this spec cannot be parsed."""
         called = getattr(self.pdf_function, "__name__", "")
         return f"function({called})" if called.isidentifier() else "function"
 
     def _call(self, name: str, points: Array) -> Array:
-        """Values of a function at points, after checking that they are numbers of its shape."""
+        """Evaluate a function at points, and check the type and shape of its values."""
         shape = points.shape[:-1] if name == "pdf" else points.shape
         shown = points.view()
         shown.setflags(write=False)
@@ -330,8 +334,8 @@ class _ByFunctions(Density):
 class FunctionDensity(_ByFunctions):
     """Given by functions pdf, sample and (optionally) invert.
 
-    Make it by `Density.from_functions`, which checks it. The functions are called with read-only
-    float64 arrays of shape (..., d), with any number of axes in front.
+    Create it with `Density.from_functions`, which checks it. The functions are called with
+    read-only float64 arrays of shape (..., d), with any number of leading axes.
     """
 
     dims: int = whole(least=1, most=MAX_DIMS)
@@ -359,13 +363,14 @@ class FunctionDensity(_ByFunctions):
 class NumericalDensity(_ByFunctions):
     """Given by its pdf alone, in 1-D or 2-D; the warp is computed.
 
-    Make it by `Density.from_functions`. The pdf is called with read-only float64 arrays (..., d) of
-    points within the domain. In 2-D every sampled point costs a few hundred evaluations.
+    Create it with `Density.from_functions`. The pdf is called with read-only float64 arrays
+    (..., d) of points within the domain. In 2-D every sampled point costs a few hundred
+    evaluations.
 
-    Details of the pdf, such as a peak, a gap or a box, are seen if they are wider than 2^-18 in 1-D,
-    in 2-D than 1/500 along both axes. Narrower details may be missed, with their mass: then
-    `normalize` divides by an integral that is too small. Tell it by ``normalize=False``, if the
-    integral is known, or give sample=.
+    Details of the pdf, such as a peak, a gap or a box, are resolved if they are wider than 2^-18 in
+    1-D, or 1/500 along both axes in 2-D. Narrower details and their mass may be missed; then
+    `normalize` divides by an integral that is too small. If the integral is known,
+    ``normalize=False`` detects this; or give sample=.
 
     Attributes
     ----------
@@ -374,14 +379,15 @@ class NumericalDensity(_ByFunctions):
     pdf_function
         Density: points (..., d) to (...).
     normalize
-        Divide the pdf by its integral.
+        Whether to divide the pdf by its integral.
 
     Raises
     ------
     DensityError
-        The pdf does not integrate to 1 (to 1e-9) and is not to be normalized; is negative, not
-        finite within (0,1)^d, or too rough or steep: in 2-D with jumps or kinks along lines that
-        are not axis-parallel, in 1-D with poles anywhere but at 0, next to which floats are dense.
+        If the integral of the pdf is not 1 (to 1e-9) and `normalize` is False. If the pdf is
+        negative, not finite within (0,1)^d, or too rough or steep: in 2-D with jumps or kinks
+        along lines that are not axis-parallel, in 1-D with poles anywhere but at 0, where floats
+        are dense.
     """
 
     dims: int = whole(1, least=1, most=2)
@@ -395,17 +401,17 @@ class NumericalDensity(_ByFunctions):
         total = self._warp.total
         if not self.normalize and not abs(total - 1.0) <= _SAME:
             raise DensityError(
-                f"The pdf of {self.spec} integrates to {total:.12g} over the unit domain, not to 1; "
-                "divide it by this number, or give normalize=True."
+                f"The pdf of {self.spec} integrates to {total:.12g} over the unit domain, not to "
+                "1; divide it by this number, or give normalize=True."
             )
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """The cdf at jumps and kinks; in 2-D on axis 1 only, those of axis 0 depend on the row."""
+        """The cdf at jumps and kinks; in 2-D only on axis 1, since axis 0 depends on the row."""
         return self._warp.breaks
 
     def zero_points(self) -> Array:
-        """Centers of cells in which the pdf is 0; in 2-D of those of the marginal."""
+        """Return the centers of cells in which the pdf (2-D: the marginal) is 0."""
         return self._warp.zero_points()
 
     @cached_property
@@ -413,7 +419,7 @@ class NumericalDensity(_ByFunctions):
         return NumericalWarp(self._raw, self.dims, self.spec)
 
     def _raw(self, x: Array) -> Array:
-        """What the pdf gives: poles and all."""
+        """Return the values of the pdf, including poles."""
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             return self._call("pdf", x)
 
@@ -429,7 +435,7 @@ class NumericalDensity(_ByFunctions):
 
 
 def as_points(x: object, dims: int, name: str) -> Array:
-    """Return x as float64 (..., d) in [0,1] (a grid may end at 1); anything else is an error."""
+    """Convert x to float64 (..., d) in [0,1] (a grid may end at 1), or raise an error."""
     points = as_real_array(name, x)
     if points.ndim == 0 or points.shape[-1] != dims:
         raise DomainError(f"{name} has shape {points.shape}; give points of shape (..., {dims}).")
@@ -443,24 +449,24 @@ def as_points(x: object, dims: int, name: str) -> Array:
 
 
 def plain(value: Any) -> Any:
-    """Return a list or array as a tuple of Python numbers, so that components hash and print."""
+    """Convert a list or array to a tuple of Python numbers, so that components hash and print."""
     if isinstance(value, np.ndarray | np.generic):
         value = value.tolist()
     return tuple(map(plain, value)) if isinstance(value, list | tuple) else value
 
 
 def bounded_product(factors: Array, spec: str) -> Array:
-    """Return the product over the last axis of finite factors >= 0, which a float may not hold.
+    """Return the product over the last axis of finite factors ≥ 0, without partial overflow.
 
     Raises
     ------
     DensityError
-        It exceeds the largest float, as in hundreds of dims.
+        If the product exceeds the largest float, as in hundreds of dims.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         product = np.asarray(factors.prod(axis=-1))
     overflown = ~np.isfinite(product)
-    if overflown.any():  # maybe on the way only
+    if overflown.any():  # perhaps only in a partial product
         with np.errstate(divide="ignore"):
             product[overflown] = exponential(np.log(factors[overflown]).sum(axis=-1), spec)
     return product
@@ -472,7 +478,7 @@ def exponential(logarithm: Array, spec: str) -> Array:
     Raises
     ------
     DensityError
-        It exceeds the largest float.
+        If the exponential exceeds the largest float.
     """
     if (logarithm >= _LARGEST_LOGARITHM).any():
         raise DensityError(
@@ -485,29 +491,29 @@ def exponential(logarithm: Array, spec: str) -> Array:
 def divide_by_density(
     values: Array, pdf: Array, x: Array, spec: str, *, constant: bool = False
 ) -> Array:
-    """Return values/pdf, 0 where both vanish; values (...) or (..., channels).
+    """Return values/pdf, 0 where both are 0; values (...) or (..., channels).
 
-    Samples lie where pdf is 0 when that is a face or a line and the points are not randomized: the
-    first point of many sequences is the origin.
+    A pdf that is 0 on a face or a line can be 0 at samples that are not randomized: the first point
+    of many sequences is the origin.
 
     Parameters
     ----------
     values, pdf, x
-        Of f or of a constant, of p, and the samples (..., d).
+        Values of f or of a constant, values of p, and the samples (..., d).
     spec
         Name of the estimator in messages.
     constant
-        Whether the values are those of a constant, so that the ratio is a weight.
+        Whether the values are a constant, so that the ratio is a weight.
 
     Raises
     ------
     DensityError
-        pdf is 0 at a sample where the value is not.
+        If pdf is 0 at a sample where the value is not.
 
     Warns
     -----
     UndefinedRatioWarning
-        Both are 0 at a sample; the text is the same for every block of an estimator, so that
+        If both are 0 at a sample. The text is the same for every block of an estimator, so that
         Python's default filter shows it once.
     """
     scaled = pdf if values.ndim == pdf.ndim else pdf[..., None]
@@ -519,8 +525,8 @@ def divide_by_density(
         what = "so that its weight is infinite" if constant else "where f is not 0"
         raise DensityError(
             f"The density of {spec} is 0 at the sample {point_in_words(x[bad][0])}, {what}; "
-            "if the density is 0 on a line or a face only, randomize the sampler (for instance with "
-            "'| shift'); else choose a density that is positive wherever f is not 0."
+            "if the density is 0 on a line or a face only, randomize the sampler (for instance "
+            "with '| shift'); else choose a density that is positive wherever f is not 0."
         )
     warn(
         f"f and the density of {spec} are both 0 at the sample {point_in_words(x[zero][0])}: f/p "
@@ -532,7 +538,7 @@ def divide_by_density(
 
 
 def reciprocal_integral(density: Density) -> float:
-    """Return ∫1/p over [0,1)^d, infinite where it diverges.
+    """Return ∫1/p over [0,1)^d, infinite if it diverges.
 
     Parameters
     ----------
@@ -541,18 +547,19 @@ def reciprocal_integral(density: Density) -> float:
 
     Notes
     -----
-    In 1-D and 2-D adaptive quadrature (`mcspectra.densities.adaptive`) splits the cells around zeros
-    of p. Where p ~ r^a next to a zero at distance r, what is left unresolved shrinks by 2^{a−1}
-    a level next to a point in 1-D or a line in 2-D, and 2^{a-2} next to a point in 2-D: the integral
-    diverges where that ratio reaches 1. Ratios above 0.98 are counted as divergent, so a > 0.97 cannot
-    be distinguished from 1. The rest of the geometric series is added (Aitken). Cells where p = 0 make it
-    infinite. Relative errors are about 1e-7 in 1-D; 1e-4 in 2-D where p jumps along curves.
+    In 1-D and 2-D, adaptive quadrature (`mcspectra.densities.adaptive`) splits the cells around
+    zeros of p. Let p ~ r^a at distance r from a zero. The unresolved part then shrinks per level by
+    2^{a−1} next to a point in 1-D or a line in 2-D, and by 2^{a-2} next to a point in 2-D. The
+    integral diverges if that ratio reaches 1. Ratios above 0.98 count as divergent, so a > 0.97
+    cannot be distinguished from 1. The rest of the geometric series is added (Aitken). Cells with
+    p = 0 make the integral infinite. Relative errors are about 1e-7 in 1-D, and 1e-4 in 2-D if p
+    jumps along curves.
 
-    In 3-D and more, and in 2-D where p jumps all over the domain, this is a heuristic: the mean of
-    1/p over 131 072 low-discrepancy points, and Hill's estimate of the tail index from the largest
-    256 values of 1/p. The mean of a variable whose tail falls like v^(-1/a) is infinite for a ≥ 1;
-    a > 0.81 (three standard errors below) is counted as that. A zero of p that occupies less than
-    about 1e-5 of the domain is not seen.
+    In three or more dims, and in 2-D if p jumps all over the domain, this is a heuristic. It uses
+    the mean of 1/p over 131 072 low-discrepancy points, and Hill's estimate of the tail index from
+    the largest 256 values of 1/p. The mean of a variable whose tail falls like v^(-1/a) is infinite
+    for a ≥ 1; the result is infinite if the estimated a exceeds 0.81 (three standard errors below
+    1). A zero of p in less than about 1e-5 of the domain is missed.
     """
     if not isinstance(density, Density):
         raise DensityError(f"{shown(density)} is not a density; give what mcs.density makes.")

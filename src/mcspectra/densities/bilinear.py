@@ -1,10 +1,11 @@
 """Piecewise bilinear densities in two dims, by continuous marginal-conditional inversion.
 
-Between four nodes p(x) = Σ_ij v_ij B_i(x_0) B_j(x_1), with B linear: p is continuous. So is T, where
-the marginal density is above 0: T_1 inverts the marginal cdf (a quadratic in each interval of knots),
-T_0 the cdf along the line x_1 = T_1, a blend of the cdfs of the two node rows (another quadratic).
-The primary-space integrand jumps only where f does, and bends at the borders of intervals. Compare
-`mcspectra.densities.tabulated`, where every warp of a piecewise constant table jumps.
+Between four nodes p(x) = Σ_ij v_ij B_i(x_0) B_j(x_1), with B linear, so p is continuous. T is also
+continuous where the marginal density is above 0. T_1 inverts the marginal cdf, a quadratic in each
+interval of knots. T_0 inverts the cdf along the line x_1 = T_1, a blend of the cdfs of the two node
+rows, also quadratic. The primary-space integrand jumps only where f does, and has kinks at the
+borders of intervals. In contrast, every warp of a piecewise constant table jumps
+(`mcspectra.densities.tabulated`).
 """
 
 from __future__ import annotations
@@ -27,11 +28,12 @@ __all__ = ["Bilinear"]
 
 
 class _Tables(NamedTuple):
-    """What the kernels take.
+    """Arguments of the kernels.
 
-    The knots `xs` (w,) and `ys` (h,) run from 0 to 1; `nodes` (h, w) is the density at them; `sums`
-    (h, w) integrates the nodes along each row, from 0 at the first knot (exact for a function that is
-    linear between knots); `rows` (h,) integrates ``sums[:, -1]`` along the columns, from 0 to 1.
+    The knots `xs` (w,) and `ys` (h,) run from 0 to 1. `nodes` (h, w) is the density at the knots.
+    `sums` (h, w) integrates the nodes along each row, from 0 at the first knot; this is exact for a
+    function that is linear between knots. `rows` (h,) integrates ``sums[:, -1]`` along the columns,
+    from 0 to 1.
     """
 
     xs: Array
@@ -52,16 +54,17 @@ class Bilinear(Density):
         Relative density at each node, at least 0; any scale. Shape (h, w) with x_0 along a row and
         x_1 from the first row to the last.
     nodes
-        ``"centers"``: node (i, j) is the center of cell (i, j) of h × w equal cells, as of pixels; the
-        half cells at the borders continue the outermost values. ``"corners"``: nodes lie at j/(w−1)
-        and i/(h−1), ends included; h and w are at least 2.
+        ``"centers"``: node (i, j) is the center of cell (i, j) of h × w equal cells, like pixels;
+        the outermost values continue to the borders. ``"corners"``: nodes lie at j/(w−1) and
+        i/(h−1), ends included; h and w are at least 2.
     periodic
-        x_0 wraps around: the last column goes over into the first. For ``"centers"`` only.
+        Whether x_0 wraps around from the last column to the first; only for ``"centers"``.
 
     Notes
     -----
-    The round trip ``invert(sample(u))`` loses digits in u_0 where the marginal density between two
-    rows grows by a large factor, as the rounding of x_1 then moves the line along which u_0 is found.
+    The round trip ``invert(sample(u))`` loses digits of u_0 if the marginal density between two
+    rows grows by a large factor, because rounding of x_1 then moves the line on which u_0 is
+    computed.
     """
 
     dims: int = field(default=2, init=False)
@@ -79,17 +82,18 @@ class Bilinear(Density):
             )
         if self.periodic and self.nodes == "corners":
             raise ParameterError(
-                "periodic goes with nodes='centers'; at corners, repeat the first column as the last."
+                "periodic goes with nodes='centers'; at corners, repeat the first column as the "
+                "last."
             )
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Along axis 1 the marginal cdf at the knots, where the slope of T changes."""
+        """On axis 1 the marginal cdf at the knots, where the slope of T changes."""
         inside = np.unique(self._tables.rows[1:-1])
         return (), tuple(inside[(inside > 0) & (inside < 1)].tolist())
 
     def zero_points(self) -> Array:
-        """Centers of the rectangles between four nodes that are all 0."""
+        """Return the centers of the rectangles between four nodes that are all 0."""
         xs, ys, nodes = self._tables[:3]
         filled = nodes > 0
         rows = filled[:-1] | filled[1:]
@@ -100,7 +104,7 @@ class Bilinear(Density):
     def _tables(self) -> _Tables:
         table = np.asarray(self.values, np.float64)
         table = table / table.max()
-        # Place knots from 0 to 1 along both axes, and nodes at them
+        # Place knots from 0 to 1 along both axes, with nodes at them
         height, width = table.shape
         if self.nodes == "corners":
             xs, ys, nodes = np.linspace(0, 1, width), np.linspace(0, 1, height), table
@@ -109,7 +113,7 @@ class Bilinear(Density):
                 np.concatenate([[0.0], (np.arange(k) + 0.5) / k, [1.0]]) for k in (width, height)
             )
             nodes = np.pad(table, ((1, 1), (1, 1)), mode="edge")
-        if self.periodic:  # halfway between the last center and the first
+        if self.periodic:  # average of the last and the first center
             nodes[:, 0] = nodes[:, -1] = (nodes[:, 1] + nodes[:, -2]) / 2
         sums = _integrals(xs, nodes)
         rows = _integrals(ys, sums[:, -1])
@@ -134,7 +138,7 @@ class Bilinear(Density):
 
 
 def _integrals(knots: Array, values: Array) -> Array:
-    """Integrals from the first knot along the last axis, by trapezoids, as values are linear."""
+    """Integrate along the last axis from the first knot; trapezoids are exact for linear pieces."""
     out = np.zeros_like(values)
     areas = np.diff(knots) * (values[..., :-1] + values[..., 1:]) / 2
     np.cumsum(areas, axis=-1, out=out[..., 1:])
@@ -143,7 +147,7 @@ def _integrals(knots: Array, values: Array) -> Array:
 
 @kernel
 def _interval(knots: Array, x: float) -> int:
-    """i with knots[i] <= x < knots[i+1]; points outside belong to the end intervals."""
+    """Return i with knots[i] <= x < knots[i+1]; points outside belong to the end intervals."""
     return last_at_most(knots, 0, knots.size - 1, x)
 
 
@@ -154,9 +158,9 @@ def _fraction(knots: Array, i: int, x: float) -> float:
 
 @kernel
 def _solve(a: float, b: float, share: float) -> float:
-    """t in [0,1] up to which the line from a to b holds `share` of its integral.
+    """Return t in [0,1] such that the line from a to b has `share` of its integral below t.
 
-    The root of (b − a) t²/2 + a t = share (a + b)/2 in the form without cancellation.
+    This is the root of (b − a) t²/2 + a t = share (a + b)/2, in the form without cancellation.
     """
     scale = max(a, b)
     if scale <= 0.0 or share <= 0.0:
@@ -168,7 +172,7 @@ def _solve(a: float, b: float, share: float) -> float:
 
 @kernel
 def _held(a: float, b: float, t: float) -> float:
-    """Integral up to t of the line from a at 0 to b at 1."""
+    """Integral from 0 to t of the line from a at 0 to b at 1."""
     return float(t * (a + 0.5 * t * (b - a)))
 
 
@@ -180,7 +184,7 @@ def _mixed(table: Array, j: int, t: float, i: int) -> float:
 
 @kernel
 def _place(knots: Array, i: int, t: float) -> float:
-    """The point at t in interval i; never the next interval's."""
+    """Return the point at t in interval i, never in the next interval."""
     x = knots[i] + t * (knots[i + 1] - knots[i])
     return float(min(max(x, knots[i]), below(knots[i + 1])))
 
@@ -196,13 +200,13 @@ def _evaluate(xs: Array, ys: Array, nodes: Array, x: Array, out: Array) -> None:
 
 @kernel
 def _column(xs: Array, nodes: Array, sums: Array, j: int, t: float, u: float) -> float:
-    """x_0 of the share u along the line at t between rows j and j+1."""
+    """Return x_0 at the share u along the line at t between rows j and j+1."""
     total = _mixed(sums, j, t, xs.size - 1)
-    if total <= 0.0:  # a line without mass: any rule will do that `_flatten` undoes
+    if total <= 0.0:  # a line without mass: the identity, which `_flatten` undoes
         return u
     target = min(u * total, below(total))
     low, size = 0, xs.size - 1
-    while size > 1:  # as `last_at_most`, in the blend of two rows
+    while size > 1:  # same as `last_at_most`, for a blend of two rows
         half = size >> 1
         low += half * (_mixed(sums, j, t, low + half) <= target)
         size -= half
@@ -222,7 +226,7 @@ def _shape(
         j = _interval(rows, u[k, 1])
         share = (u[k, 1] - rows[j]) / (rows[j + 1] - rows[j])
         x[k, 1] = _place(ys, j, _solve(sums[j, last], sums[j + 1, last], share))
-        t = _fraction(ys, j, x[k, 1])  # of the rounded point, which is the one that `_flatten` sees
+        t = _fraction(ys, j, x[k, 1])  # fraction of the rounded point, as in `_flatten`
         x[k, 0] = _column(xs, nodes, sums, j, t, u[k, 0])
 
 

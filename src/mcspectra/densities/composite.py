@@ -1,16 +1,16 @@
 """Densities made of densities: products over groups of dims, mixtures, and defensive mixtures.
 
-Which selection
----------------
+Selection of a part
+-------------------
 A mixture p = Σ_t w_t p_t [OwenZhou2000]_ has two ways in which one point chooses its part:
 
-* ``"coordinate"``: one coordinate of u chooses the part and is stretched to be used again. Dims and
-  strata are kept, but the warp jumps at the borders of the shares w_t: g(u) = f/p jumps there too,
-  which costs jittered and low-discrepancy points their rate.
-* ``"extra"``: a further coordinate, the last one, chooses: each part sees all of the other ones, but
-  the estimator needs a sampler of d+1 dims, and g still jumps across it.
-* A *deterministic split* draws n w_t points of each part. That is no warp of one point but several
-  techniques with the balance heuristic: `mcspectra.estimators.split_mixture`.
+* ``"coordinate"``: one coordinate of u chooses the part and is stretched for further use. Dims and
+  strata are kept, but the warp jumps at the borders of the shares w_t. So does g(u) = f/p, which
+  costs jittered and low-discrepancy points their rate.
+* ``"extra"``: a further, last coordinate chooses the part. Each part gets all other coordinates,
+  but the estimator needs a sampler of d+1 dims, and g still jumps along the last one.
+* A *deterministic split* draws n w_t points of each part. It is not a warp of one point, but
+  several techniques with the balance heuristic: `mcspectra.estimators.split_mixture`.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ from mcspectra.densities.registry import DENSITIES, as_density, density
 __all__ = ["Defensive", "Mixture", "Product"]
 
 _MAX_PARTS = 1024
-_PLACES = 4  # of the other coordinates, for each zero of a part
+_PLACES = 4  # number of positions of the other coordinates, for each zero of a part
 _SELECTIONS = ("coordinate", "extra")
 
 
 def _as_parts(given: Any, dims: int) -> tuple[Density, ...]:
-    """Densities from a list of densities and spec strings, those without dims in `dims` dims."""
+    """Convert a list of densities and spec strings; specs without dims get `dims` dims."""
     if not isinstance(given, list | tuple) or not 0 < len(given) <= _MAX_PARTS:
         raise ParameterError(
             f"parts is {given!r:.80}; give a list of 1 to {_MAX_PARTS} densities or spec strings."
@@ -91,7 +91,7 @@ class Product(Density):
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """Sum over the parts."""
+        """Sum of the dims of the parts."""
         return sum(part.dims for part in self.parts)
 
     @property
@@ -100,7 +100,7 @@ class Product(Density):
 
     @property
     def spec(self) -> str:
-        """Spec string, with the dims of parts that do not have one."""
+        """Spec string that includes the dims of parts whose spec lacks them."""
         return f"{self.name}(parts=[{', '.join(repr(_with_dims(part)) for part in self.parts)}])"
 
     @property
@@ -119,7 +119,7 @@ class Product(Density):
         return self.lifted([part.zero_points() for part in self.parts])
 
     def lifted(self, points: Sequence[Array]) -> Array:
-        """Points of each part, (k_j, d_j), each at a few places along the other axes: (Σk_j, d)."""
+        """Place points of each part (k_j, d_j) at a few positions on the other axes: (Σk_j, d)."""
         found = []
         for own, given in zip(self._domain, points, strict=True):
             turn = np.arange(len(given))[:, None] % _PLACES
@@ -129,7 +129,7 @@ class Product(Density):
         return np.concatenate(found)
 
     def reciprocal_integral(self) -> float:
-        """Product over the parts."""
+        """Return the product of the parts' integrals."""
         return float(math.prod(part.reciprocal_integral() for part in self.parts))
 
     @cached_property
@@ -159,7 +159,7 @@ def _slices(sizes: list[int]) -> tuple[slice, ...]:
 
 
 def _with_dims(part: Density) -> str:
-    """Spec string of a part, saying its dims where they are not 1 and the class takes any."""
+    """Return the spec of a part, with its dims if they are not 1 and the class takes any."""
     spec, takes = part.spec, "dims" in inspect.signature(type(part)).parameters
     if part.dims == 1 or not takes or part.name == "function":
         return spec
@@ -175,20 +175,21 @@ class Mixture(Density):
     Attributes
     ----------
     dims
-        Number of dims; by default that of the parts, 2 where they are spec strings without ``dims``.
+        Number of dims; by default that of the parts, or 2 if they are spec strings without
+        ``dims``.
     parts
         Densities p_t or spec strings.
     weights
-        Relative shares w_t, above 0, of any scale; equal by default.
+        Relative shares w_t, above 0, in any scale; equal by default.
     selection
-        ``"coordinate"`` or ``"extra"``.
+        How a point chooses its part, ``"coordinate"`` or ``"extra"``.
     axis
-        The coordinate that chooses, with ``"coordinate"``; with ``"extra"`` it is the last one.
+        The coordinate that chooses, for ``"coordinate"``; for ``"extra"`` it is the last one.
 
     Notes
     -----
-    The warp is not one-to-one, as each x may come from any part: there is no inverse. The pdf does
-    not depend on the selection.
+    The warp is not one-to-one, because each x may come from any part, so there is no inverse. The
+    pdf does not depend on the selection.
     """
 
     dims: int = None  # type: ignore[assignment]  # the parts' own
@@ -204,7 +205,7 @@ class Mixture(Density):
                 "mcspectra.estimators.split_mixture(integrand, mixture)."
             )
         as_choice("selection", self.selection, _SELECTIONS)
-        # Find the dims of all parts, which must agree; none may need an extra coordinate
+        # Determine the dims of all parts, which must agree; no part may need an extra coordinate
         parts = _as_parts(self.parts, _dims_of(self.parts, self.dims))
         given: int | None = self.dims
         dims = parts[0].dims if given is None else int(given)
@@ -225,20 +226,20 @@ class Mixture(Density):
 
     @property
     def shares(self) -> Array:
-        """w_t, with the sum 1."""
+        """The shares w_t, normalized to sum 1."""
         weights = np.ones(len(self.parts)) if self.weights is None else np.array(self.weights)
         return np.asarray(weights / weights.max() / (weights / weights.max()).sum())
 
     @property
     def primary_dims(self) -> int:
-        """d, or d + 1 with a coordinate that only chooses."""
+        """d, or d + 1 with an extra coordinate."""
         return self.dims + (self.selection == "extra")
 
     has_inverse = one_to_one = False
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Borders of the shares on the axis that chooses; those of all parts on every axis."""
+        """Borders of the shares on the choosing axis, and breaks of all parts on every axis."""
         found: list[set[float]] = [set() for _ in range(self.primary_dims)]
         found[self._chooser].update(self._borders[1:-1].tolist())
         for t, part in enumerate(self.parts):
@@ -248,8 +249,8 @@ class Mixture(Density):
         return tuple(tuple(sorted(b for b in axis if 0 < b < 1)) for axis in found)
 
     def preimages(self, x: object) -> Array:
-        """Primary points of every part that has an inverse, with selection by a coordinate."""
-        if self.selection == "extra":  # a line of u for each x and part
+        """Return primary points of every part with an inverse, for selection by a coordinate."""
+        if self.selection == "extra":  # each x and part has a whole line of u
             return np.empty((0, self.primary_dims))
         found = [part.preimages(x) for part in self.parts]
         for t, u in enumerate(found):
@@ -257,7 +258,7 @@ class Mixture(Density):
         return np.concatenate(found)
 
     def zero_points(self) -> Array:
-        """Zeros of any part that are zeros of the mixture."""
+        """Return zeros of any part that are zeros of the mixture."""
         zeros = np.concatenate([part.zero_points() for part in self.parts])
         return np.asarray(zeros[self._pdf(zeros) == 0])
 
@@ -302,7 +303,7 @@ class Mixture(Density):
         return np.asarray(np.minimum(sums, 1.0))
 
     def _place(self, t: int, v: Any) -> Any:
-        """Where v in [0,1) of part t lies on the axis that chooses."""
+        """Return the position of v in [0,1) of part t on the choosing axis."""
         low, high = self._borders[t : t + 2]
         return low + v * (high - low)
 
@@ -312,19 +313,19 @@ class Mixture(Density):
 class Defensive(Wrapper):
     """Mixture of a density with a share of the uniform one, so that 1/p is at most 1/share.
 
-    A mixture that holds a share of a density that is large enough everywhere is *defensive*
+    A mixture with a share of a density that is large enough everywhere is *defensive*
     [Hesterberg1995]_.
 
     Attributes
     ----------
     dims
-        Number of dims; by default that of the density, 2 where its spec string has no ``dims``.
+        Number of dims; by default that of the density, or 2 if its spec string has no ``dims``.
     density
         A density or spec string.
     share
         Share of the uniform density, above 0 and below 1.
     selection, axis
-        As in `Mixture`; the uniform part is chosen by the upper end of the coordinate.
+        Same as in `Mixture`; the upper end of the coordinate chooses the uniform part.
     """
 
     dims: int = None  # type: ignore[assignment]  # the density's own
@@ -341,7 +342,7 @@ class Defensive(Wrapper):
 
     @cached_property
     def mixture(self) -> Mixture:
-        """The same as a `Mixture` of two parts."""
+        """The equivalent `Mixture` of two parts."""
         return Mixture(
             dims=self.dims,
             parts=[self.density, Uniform(dims=self.density.dims)],
@@ -356,7 +357,7 @@ class Defensive(Wrapper):
 
 
 def _dims_of(parts: Any, dims: int | None) -> int:
-    """Dims for spec strings that do not say: those asked for, or those of a part that is given."""
+    """Return the dims for spec strings without dims: `dims`, or those of a given part."""
     if dims is not None:
         return as_integer("dims", dims, least=1)
     given = parts if isinstance(parts, list | tuple) else []

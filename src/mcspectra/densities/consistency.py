@@ -1,4 +1,4 @@
-"""Whether pdf, sample and invert of a density belong together, on a deterministic set of points."""
+"""Deterministic test that pdf, sample and invert of a density are consistent."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from mcspectra.densities.adaptive import CELLS, SET_SIZE, SETS, integrate, recur
 
 __all__ = ["check_density"]
 
-_SPREADS = 7.0  # Student's t with 31 degrees: 7e-8 a cell, 2e-5 for 256 cells
-# Counts of a cell may be k in all sets where their mean is k + q, with the probability (1 − q)^32:
-# less than 7e-8 for q > 0.4. Where they are not alike the spread covers the rest.
+_SPREADS = 7.0  # Student's t with 31 degrees: 7e-8 per cell, 2e-5 for 256 cells
+# All sets may have the count k in a cell whose mean count is k + q, with probability (1 − q)^32:
+# less than 7e-8 for q > 0.4. If counts differ, the spread covers the deviation.
 _ALIKE = 0.4
 _ROUND_TRIP = 1e-6
 _INTEGRAL = 1e-4
@@ -23,11 +23,11 @@ _LARGEST_BOUND = 0.01
 _SLABS = 8
 _STEP = 1e-6
 _JACOBIAN = 1e-3
-_OUTLIERS = 0.02  # of the points may lie next to a jump of the warp
+_OUTLIERS = 0.02  # largest fraction of points that may lie next to a jump of the warp
 
 
 class Checkable(Protocol):
-    """The parts of a `mcspectra.densities.Density` that are compared with each other."""
+    """Methods of `mcspectra.densities.Density` that are compared with each other."""
 
     @property
     def dims(self) -> int: ...
@@ -45,7 +45,7 @@ class Checkable(Protocol):
 
 
 def check_density(density: Checkable) -> None:
-    """Test that pdf, sample and invert belong together.
+    """Test that pdf, sample and invert are consistent.
 
     Parameters
     ----------
@@ -55,37 +55,39 @@ def check_density(density: Checkable) -> None:
     Raises
     ------
     DensityError
-        The message names the error and, where possible, the function at fault.
+        If they are not; the message names the error and, if possible, the wrong function.
 
     Notes
     -----
-    * pdf is finite and not negative on 4096 points, and its integral is 1 to 1e-4.
-    * sample stays in [0,1]; invert(sample(u)) = u to 1e-6, plus what rounding of x can do to u.
-    * Samples follow the pdf. In 1-D and 2-D: the share of 32 shifted sets of 4096 points that fall
-      into each of 64 (16 × 16) cells, and of the cells of 2, 4, … times the edge, is compared with
-      the integral of the pdf over the cell; the bound is 7 standard errors, 0.4/4096 for counts
-      that are alike in all sets, and the quadrature's error. So in 1-D a mass of 1/2 that is
-      0.1 % wrong is found, one of 1/64 that is 2 % wrong; errors within a cell are not.
-      In 3-D and more, where cells say little: |det ∂T/∂u| · p(T(u)) = 1, by central differences,
-      at 98 % of 512 points (the others may lie next to a jump). Where the warp is not one-to-one
-      (`Density.one_to_one`): the share of the sets in each of 8 slabs of every axis against the
-      mean of the pdf over that slab, from the same points; that sees marginals only.
+    * pdf is finite and not negative at 4096 points, and its integral is 1 to 1e-4.
+    * sample stays in [0,1]; invert(sample(u)) = u to 1e-6, plus the effect of rounding of x on u.
+    * Samples follow the pdf. In 1-D and 2-D, 32 shifted sets of 4096 points are counted in each of
+      64 (16 × 16) cells, and in cells of 2, 4, … times the edge. Their shares are compared with the
+      integrals of the pdf over the cells. The bound is 7 standard errors, plus 0.4/4096 for counts
+      that are equal in all sets, plus the error of the quadrature. In 1-D this detects a mass of
+      1/2 that is wrong by 0.1 %, and one of 1/64 that is wrong by 2 %, but not errors within a
+      cell. In three or more dims, where cells are too coarse, |det ∂T/∂u| · p(T(u)) = 1 is tested
+      by central differences at 512 points. 2 % of these may fail, next to jumps. If the warp is
+      not one-to-one (`Density.one_to_one`), the shares of the sets in each of 8 slabs of every
+      axis are compared with the mean of the pdf over that slab, from the same points. This tests
+      marginals only.
 
-    A density with errors smaller than those bounds passes. Peaks narrower than 2^-20 (2^-12 in 2-D)
-    of the domain are not resolved.
+    A density with errors below these bounds passes. Peaks narrower than 2^-20 (2^-12 in 2-D) of the
+    domain are not resolved.
     """
     if not hasattr(density, "_pdf"):
         raise DensityError(f"{density!r:.80} is not a density; give what mcs.density makes.")
-    with np.errstate(all="ignore"):  # what is not finite is reported below, or allowed at one point
+    with np.errstate(all="ignore"):  # values that are not finite are reported below
         x = recurrences(density.dims)[0]
         p = density._pdf(x)
         for bad, what in ((~np.isfinite(p), "not finite"), (p < 0, "negative")):
             if bad.any():
                 raise DensityError(
                     f"The pdf of {density.spec} is {what} ({p[bad][0]:.6g}) at "
-                    f"{point_in_words(x[bad][0])}; a density is finite and at least 0 almost everywhere."
+                    f"{point_in_words(x[bad][0])}; a density is finite and at least 0 almost "
+                    "everywhere."
                 )
-        # Sample 32 shifted sets, the first with both ends
+        # Sample 32 shifted sets, the first of which includes both ends
         u = recurrences(density.primary_dims)
         u[0, 0], u[0, 1] = 0.0, BELOW_ONE
         x = density._sample(u)
@@ -96,7 +98,7 @@ def check_density(density: Checkable) -> None:
                 f"u = {point_in_words(u[outside][0])}."
             )
         x = np.minimum(x, BELOW_ONE)
-        # Compare both pairs, so that the one at fault can be named
+        # Compare both pairs of functions, so that the wrong one can be named
         loop = _round_trip(density, u[0], x[0])
         if density.dims <= 2:
             problem = _mass_problem(density, x)
@@ -114,32 +116,35 @@ def check_density(density: Checkable) -> None:
 
 
 def _round_trip(density: Checkable, u: Array, x: Array) -> str | None:
-    """A sentence where invert(sample(u)) is not u, else None."""
+    """Return a sentence if invert(sample(u)) is not u, else None."""
     if not density.has_inverse:
         return None
     back = density._invert(x)
-    # du = p dx in 1-D: x is known to 1e-16, near a peak u is not
+    # In 1-D du = p dx: x is accurate to 1e-16, but u is less accurate near a peak
     allowed = _ROUND_TRIP + 1e-15 * density._pdf(x)
     off = ~(np.abs(back - u).max(axis=-1) <= allowed)
     if np.count_nonzero(off) <= _OUTLIERS * len(u):
         return None
     k = int(np.flatnonzero(off)[0])
     return (
-        f"invert does not undo sample in {density.spec}: invert(sample(u)) is {point_in_words(back[k])} "
-        f"at u = {point_in_words(u[k])}"
+        f"invert does not undo sample in {density.spec}: invert(sample(u)) is "
+        f"{point_in_words(back[k])} at u = {point_in_words(u[k])}"
     )
 
 
 def _mass_problem(density: Checkable, x: Array) -> str | None:
-    """A sentence where masses of cells by pdf and by samples differ, else None."""
+    """Return a sentence if masses of cells by pdf and by samples differ, else None."""
     dims = density.dims
     side = CELLS[dims]
     pdf = integrate(density._pdf, dims, cells=side, points=x[0, :: 4 ** (dims - 1)])
     total = pdf.limit if pdf.isolated else pdf.totals[-1]
     if not abs(total - 1.0) <= _INTEGRAL + float(pdf.bounds.sum()):
-        mean, error = _mean(density)  # p may jump at a thousand places
+        mean, error = _mean(density)  # quadrature can fail if p jumps at many places
         if not abs(mean - 1.0) <= min(error, _LARGEST_BOUND):
-            return f"The pdf of {density.spec} integrates to {total:.6g} over the unit domain, not to 1"
+            return (
+                f"The pdf of {density.spec} integrates to {total:.6g} over the unit domain, "
+                "not to 1"
+            )
     # Share of each set in each of side^d cells, row-major
     index = np.minimum((x * side).astype(np.int64), side - 1) @ side ** np.arange(dims)[::-1]
     counts = [np.bincount(cells, minlength=side**dims) for cells in index]
@@ -154,8 +159,8 @@ def _mass_problem(density: Checkable, x: Array) -> str | None:
             low = np.array(np.unravel_index(worst, (side,) * dims)) / side
             return (
                 f"The samples of {density.spec} do not follow its pdf: {mean[worst]:.6g} of them "
-                f"fall between {point_in_words(low)} and {point_in_words(low + 1 / side)}, where the pdf has the mass "
-                f"{masses[worst]:.6g}"
+                f"fall between {point_in_words(low)} and {point_in_words(low + 1 / side)}, where "
+                f"the pdf has the mass {masses[worst]:.6g}"
             )
         shares, masses, errors = (_doubled(a, side, dims) for a in (shares, masses, errors))
         side //= 2
@@ -163,14 +168,14 @@ def _mass_problem(density: Checkable, x: Array) -> str | None:
 
 
 def _doubled(cells: Array, side: int, dims: int) -> Array:
-    """Sums over cells of twice the edge: (..., side^d) to (..., (side/2)^d)."""
+    """Sum over cells of twice the edge: (..., side^d) to (..., (side/2)^d)."""
     grid = cells.reshape(*cells.shape[:-1], *(side // 2, 2) * dims)
     sums = grid.sum(axis=tuple(range(-1, -2 * dims, -2)))
     return np.asarray(sums.reshape(*cells.shape[:-1], -1))
 
 
 def _slab_problem(density: Checkable, x: Array) -> str | None:
-    """A sentence where shares of samples and of the pdf in slabs of an axis differ, else None."""
+    """Return a sentence if samples and pdf differ in the share of a slab, else None."""
     y = recurrences(density.dims)
     p = density._pdf(y)
     for axis in range(density.dims):
@@ -191,7 +196,7 @@ def _slab_problem(density: Checkable, x: Array) -> str | None:
 
 
 def _jacobian_problem(density: Checkable, u: Array) -> str | None:
-    """A sentence where |det ∂T/∂u| p(T(u)) is not 1, or the pdf holds more than 1, else None."""
+    """Return a sentence if |det ∂T/∂u| p(T(u)) is not 1 or the pdf holds more, else None."""
     u = np.clip(u[2:514], 2 * _STEP, 1.0 - 2 * _STEP)
     steps = _STEP * np.eye(density.dims)
     ahead, behind = (density._sample(u[:, None, :] + s * steps) for s in (1.0, -1.0))
@@ -210,6 +215,6 @@ def _jacobian_problem(density: Checkable, u: Array) -> str | None:
 
 
 def _mean(density: Checkable) -> tuple[float, float]:
-    """Mean of p over low-discrepancy points, and what it may be off by."""
+    """Return the mean of p over low-discrepancy points, and a bound of its error."""
     means = density._pdf(recurrences(density.dims)).mean(axis=1)
     return float(means.mean()), _SPREADS * float(means.std(ddof=1)) / math.sqrt(SETS)

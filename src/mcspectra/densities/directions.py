@@ -1,11 +1,11 @@
 """The disk, and directions on the lat-long square: hemisphere and sphere, each with two warps.
 
-With solid angle dω = sin θ dθ dφ a density q per steradian is p(x) = q |∂ω/∂x| on the square, which
-falls to 0 at its poles: ∫1/p diverges logarithmically, ∫f²/p does not where f carries sin θ too.
+With solid angle dω = sin θ dθ dφ, a density q per steradian is p(x) = q |∂ω/∂x| on the square. It
+falls to 0 at the poles: ∫1/p diverges logarithmically, but ∫f²/p does not if f also contains sin θ.
 
-All rest on maps between the square and the disk or the sphere in polar coordinates. A point of the
-unit disk is (ρ, turn), a direction (θ/π, turn), with turn = φ/2π in [0,1]. Maps to the disk keep area
-but for the factor π, those to the sphere but for 4π.
+All densities rest on maps between the square and the disk or the sphere in polar coordinates. A
+point of the unit disk is (ρ, turn), a direction is (θ/π, turn), with turn = φ/2π in [0,1]. Maps to
+the disk preserve area up to the factor π, maps to the sphere up to 4π.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ __all__ = ["DiskDensity", "HemisphereDensity", "SphereDensity"]
 
 _WARPS = ("polar", "concentric")
 _LEAST_RADIUS = 1e-6
-_ROUNDING = 4e-16  # of a coordinate, so that samples on the rim count as inside
+_ROUNDING = 4e-16  # tolerance of a coordinate, so that samples on the rim count as inside
 _RIGHT_ANGLE = 0.5 * np.pi
 
 _Pair = tuple[Array, Array]
@@ -35,7 +35,7 @@ _Map = tuple[Callable[[Array], _Pair], Callable[[Array, Array], Array]]
 
 
 def _polar_to_disk(u: Array) -> _Pair:
-    """turn = u_0, ρ² = u_1: distorts without bound at the center; the seam is a jump of x."""
+    """turn = u_0, ρ² = u_1: unbounded distortion at the center, and x jumps at the seam."""
     return np.sqrt(u[..., 1]), u[..., 0]
 
 
@@ -44,7 +44,7 @@ def _polar_from_disk(radius: Array, turn: Array) -> Array:
 
 
 def _concentric_to_disk(u: Array) -> _Pair:
-    """Squares about the center to circles [Shirley1997]_, distorting by at most 4/π."""
+    """Map squares around the center to circles [Shirley1997]_, with distortion of at most 4/π."""
     a, b = 2.0 * u[..., 0] - 1.0, 2.0 * u[..., 1] - 1.0
     wide = np.abs(a) > np.abs(b)
     long, short = np.where(wide, a, b), np.where(wide, b, -a)
@@ -75,7 +75,7 @@ def _polar_from_sphere(theta: Array, turn: Array) -> Array:
 
 
 def _octahedral_to_sphere(u: Array) -> _Pair:
-    """The square folded to an octahedron, equal areas [Clarberg2008]_: one pole at the corners."""
+    """Fold the square to an octahedron of equal area [Clarberg2008]_: one pole at the corners."""
     a, b = np.abs(2.0 * u[..., 0] - 1.0), np.abs(2.0 * u[..., 1] - 1.0)
     lower = a + b > 1.0
     radius = np.where(lower, (1.0 - a) + (1.0 - b), a + b)
@@ -93,7 +93,7 @@ def _octahedral_from_sphere(theta: Array, turn: Array) -> Array:
     below, left = turn > 0.5, np.abs(turn - 0.5) < 0.25
     folded = np.where(below, 1.0 - turn, turn)
     folded = np.where(left, 0.5 - folded, folded)
-    # Of |a| and |b|: their sum is the radius, or 2 − radius, their difference radius·ratio
+    # |a| and |b| have the sum radius (or 2 − radius) and the difference radius·ratio
     b = 4.0 * radius * folded
     a = radius - b
     a, b = np.where(lower, 1.0 - b, a), np.where(lower, 1.0 - a, b)
@@ -101,7 +101,7 @@ def _octahedral_from_sphere(theta: Array, turn: Array) -> Array:
     return np.asarray(0.5 * (signed + 1.0))
 
 
-# Square to (ρ, turn) of the unit disk, or to (θ/π, turn) of the sphere, and back
+# Maps from the square to (ρ, turn) of the unit disk or (θ/π, turn) of the sphere, and inverses
 _DISK_MAPS: Mapping[str, _Map] = {
     "polar": (_polar_to_disk, _polar_from_disk),
     "concentric": (_concentric_to_disk, _concentric_from_disk),
@@ -114,13 +114,13 @@ _SPHERE_MAPS: Mapping[str, _Map] = {
 
 @dataclass(frozen=True, kw_only=True)
 class _TwoWarps(Density):
-    """A density in 2-D with two warps, none of them of finite ∫1/p."""
+    """A density in 2-D with two warps and infinite ∫1/p."""
 
     warps: ClassVar[tuple[str, ...]] = _WARPS
     dims: int = field(default=2, init=False)
 
     def reciprocal_integral(self) -> float:
-        """Infinite."""
+        """Return infinity."""
         return math.inf
 
 
@@ -134,19 +134,20 @@ def _as_center(name: str, value: Any) -> float | tuple[float, ...]:
 class DiskDensity(_TwoWarps):
     """Uniform on a disk inside the unit square, 0 outside.
 
-    Both warps keep areas; they differ in where T tears neighbors apart (see `warp`), and so in the
-    rate of correlated samplers.
+    Both warps preserve areas. They separate neighbors at different places (see `warp`), which
+    changes the rate of correlated samplers.
 
     Attributes
     ----------
     radius
-        Between 1e-6 and ½.
+        Radius of the disk, between 1e-6 and ½.
     center
-        One number for both coordinates or one for each; the disk must lie inside the square.
+        Center of the disk, one number for both coordinates or one per coordinate; the disk must lie
+        inside the square.
     warp
-        ``"polar"``: φ = 2π u_0, ρ² = radius² u_1. The sides u_0 = 0 and 1 meet in x, those of
-        u_1 do not: the whole side u_1 = 0 is the center. ``"concentric"`` [Shirley1997]_: squares about
-        the center to circles; all sides lie on the rim.
+        ``"polar"``: φ = 2π u_0, ρ² = radius² u_1. The sides u_0 = 0 and 1 coincide in x, the sides
+        of u_1 do not: the whole side u_1 = 0 maps to the center. ``"concentric"`` [Shirley1997]_:
+        squares around the center map to circles, and all sides lie on the rim.
     """
 
     name: ClassVar[str] = "disk"
@@ -163,14 +164,14 @@ class DiskDensity(_TwoWarps):
             )
 
     def zero_points(self) -> Array:
-        """The corners, and points around the disk that are not in it but in the square."""
+        """Return the corners, and points just outside the disk that lie in the square."""
         turns = np.arange(16) / 16
         around = self._place(np.full(16, 1.0 + 1e-6), turns)
         inside = ((around >= 0.0) & (around <= 1.0)).all(axis=-1)
         return np.concatenate([list(itertools.product((0.0, 1.0), repeat=2)), around[inside]])
 
     def _place(self, rho: Array, turn: Array) -> Array:
-        """Points at polar coordinates in radii about the center."""
+        """Return points at polar coordinates around the center, in units of the radius."""
         angle = 2.0 * np.pi * turn
         offset = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
         return np.asarray(np.asarray(self.center) + self.radius * rho[..., None] * offset)
@@ -184,7 +185,7 @@ class DiskDensity(_TwoWarps):
         return self._place(*_DISK_MAPS[self.warp][0](u))
 
     def _invert(self, x: Array) -> Array:
-        """Points outside the disk count as those of the rim in their direction."""
+        """Invert the warp; points outside the disk count as rim points in the same direction."""
         a, b = np.moveaxis(x - np.asarray(self.center), -1, 0)
         rho = np.minimum(np.hypot(a, b) / self.radius, 1.0)
         return _DISK_MAPS[self.warp][1](rho, np.arctan2(b, a) / (2.0 * np.pi) % 1.0)
@@ -201,13 +202,14 @@ class HemisphereDensity(_TwoWarps):
         ``"uniform"``: 1/2π per steradian, p = (π/2) sin θ. ``"cosine"``: cos θ/π per steradian,
         p = (π/2) sin 2θ.
     warp
-        How the disk is made whose ρ² is the share up to θ: ``"polar"`` keeps x_0 = u_0 and is
-        smooth on the lat-long square; ``"concentric"`` ([Shirley1997]_, lifted as by Malley)
-        is smooth on the sphere, and jumps in x where φ passes 0: along u_1 = ½, u_0 > ½.
+        Map to the disk on which ρ² is the share up to θ. ``"polar"`` keeps x_0 = u_0 and is smooth
+        on the lat-long square. ``"concentric"`` ([Shirley1997]_, lifted as by Malley) is smooth on
+        the sphere, and x jumps where φ passes 0: along u_1 = ½, u_0 > ½.
 
     Notes
     -----
-    On x_1 = 0 all x_0 are one direction: `invert` gives one point for them with the concentric warp.
+    On x_1 = 0 all x_0 are one direction; with the concentric warp `invert` returns one point for
+    them.
     """
 
     name: ClassVar[str] = "hemisphere"
@@ -242,8 +244,8 @@ class SphereDensity(_TwoWarps):
     ----------
     warp
         ``"polar"``: x_0 = u_0, cos θ = 1 − 2 u_1, smooth on the lat-long square. ``"concentric"``:
-        the equal-area octahedral map [Clarberg2008]_, with the pole θ = 0 at the center of the square
-        and θ = π at its four corners; x jumps where φ passes 0: along u_1 = ½, u_0 > ½.
+        the equal-area octahedral map [Clarberg2008]_, with the pole θ = 0 at the center of the
+        square and θ = π at its four corners; x jumps where φ passes 0: along u_1 = ½, u_0 > ½.
     """
 
     name: ClassVar[str] = "sphere"

@@ -1,14 +1,15 @@
-"""Tables made of others: densities of pictures and of environment maps, and MIS compensation.
+"""Densities of pictures and of environment maps, and MIS compensation of tables.
 
-Maps are in latitude and longitude with the conventions of `mcspectra.core.environments`: x_0 is φ/2π, x_1
-is θ/π, rows run from θ = 0. The density of *directions*, per steradian, is p(x)/(2π² sin(π x_1)).
+Maps are in latitude and longitude with the conventions of `mcspectra.core.environments`: x_0 is
+φ/2π, x_1 is θ/π, and rows run from θ = 0. The density of *directions*, per steradian, is
+p(x)/(2π² sin(π x_1)).
 
-Compensation lowers a table where other techniques sample enough already. With the balance heuristic
+Compensation lowers a table where other techniques already sample enough. With the balance heuristic
 and f proportional to a table p, the points of all techniques together should be distributed as p.
-Technique τ has a share β_τ = n_τ/Σ n of them, so that its own density should be what the others'
-leave, β_τ p'_τ = max(0, λ p − Σ_{s≠τ} β_s p_s), with λ such that p'_τ is a density [Karlik2019]_. This is
-the p'_τ of least ∫ f²/(β_τ p'_τ + Σ β_s p_s), hence of least second moment; λ = 1 where nothing is cut
-off, and then the estimate of f has no variance at all.
+Technique τ has a share β_τ = n_τ/Σ n of the points. Its own density should be the part that the
+other techniques leave, β_τ p'_τ = max(0, λ p − Σ_{s≠τ} β_s p_s), with λ such that p'_τ is a density
+[Karlik2019]_. This p'_τ minimizes ∫ f²/(β_τ p'_τ + Σ β_s p_s), hence the second moment. If nothing
+is cut off, λ = 1 and the estimate of f has no variance.
 """
 
 from __future__ import annotations
@@ -33,12 +34,12 @@ from mcspectra.densities.tabulated import WARPS, PiecewiseConstant, shown
 
 __all__ = ["EnvironmentDensity", "ImageDensity", "compensated"]
 
-_NODES = 4  # of a Gauss rule along each axis of a cell
-_BLOCK = 2**16  # cells at a time
+_NODES = 4  # nodes of a Gauss rule along each axis of a cell
+_BLOCK = 2**16  # number of cells processed at a time
 
 
 def _select_channel(image: Array, channel: object) -> Array:
-    """One channel (h, w), by number, or the luminance, of pixels (h, w, channels)."""
+    """Return one channel (h, w) by number, or the luminance, of pixels (h, w, channels)."""
     if channel == "luminance":
         return luminance(image)
     if isinstance(channel, str):
@@ -59,16 +60,16 @@ class ImageDensity(Wrapper):
     Attributes
     ----------
     path
-        A file that `mcspectra.core.images.read_image` reads.
+        A file in a format that `mcspectra.core.images.read_image` supports.
     channel
-        ``"luminance"`` (Rec. 709; of one channel, itself) or the number of a channel.
+        ``"luminance"`` (Rec. 709; for one channel, that channel) or the number of a channel.
     floor
-        Pixels below `floor` times the mean are raised to it; 0 or more. Above 0 the density is
-        positive everywhere.
+        Smallest pixel value, as a multiple of the mean; lower pixels are raised to it. Above 0 the
+        density is positive everywhere.
     linear
-        Values of PNG and JPEG files are linear, not sRGB.
+        Whether values of PNG and JPEG files are linear instead of sRGB.
     warp
-        As in `PiecewiseConstant`.
+        Same as in `PiecewiseConstant`.
     """
 
     name: ClassVar[str] = "image"
@@ -81,7 +82,7 @@ class ImageDensity(Wrapper):
     warp: str = "marginal"
 
     def _check(self) -> None:
-        self._inside  # noqa: B018 - refuses what is not a picture
+        self._inside  # noqa: B018 - checks that the file is a picture
         settle(self, path=os.fspath(self.path))
 
     @cached_property
@@ -106,30 +107,32 @@ class EnvironmentDensity(Wrapper):
     Attributes
     ----------
     path, values
-        A file that `mcspectra.core.images.read_image` reads, or pixels (h, w) or (h, w, channels),
-        linear and at least 0; by default `synthetic_sky`.
+        A file in a format that `mcspectra.core.images.read_image` supports, or pixels (h, w) or
+        (h, w, channels), linear and at least 0; by default `synthetic_sky`.
     channel
-        ``"luminance"`` (Rec. 709; of one channel, itself) or the number of a channel.
+        ``"luminance"`` (Rec. 709; for one channel, that channel) or the number of a channel.
     interpolation
-        ``"constant"``: constant in each pixel, which gets the mass L · solid angle exactly.
-        ``"bilinear"``: between pixel centers, periodic in φ, of L sin θ at the centers.
+        ``"constant"``: constant in each pixel, with mass exactly L · solid angle.
+        ``"bilinear"``: between pixel centers, periodic in φ, from L sin θ at the centers.
     sin_theta
-        Weight rows by their solid angle; False samples L over the square, as of a flat picture.
+        Whether to weight rows by their solid angle; False samples L over the square, as for a
+        flat picture.
     compensation
-        False, or the multiple of the mean radiance to subtract: p ∝ max(0, L − multiple · mean L), the
-        normal-independent form of [Karlik2019]_; True is 1, for as many samples by directions as
-        by BSDF. The density is then 0 where f is not: use it together with another technique.
+        False, or the multiple of the mean radiance to subtract: p ∝ max(0, L − multiple · mean L),
+        the normal-independent form of [Karlik2019]_. True means 1, which suits equal numbers of
+        direction and BSDF samples. The density is then 0 at places where f is not, so use it
+        together with another technique.
     warp
-        As in `PiecewiseConstant`, for ``interpolation="constant"``.
+        Same as in `PiecewiseConstant`, for ``interpolation="constant"``.
 
     Raises
     ------
     ParameterError
-        A parameter or the pixels are not as above.
+        If a parameter or the pixels do not have the form described above.
     FileFormatError
-        The file is missing or cannot be read.
+        If the file is missing or cannot be read.
     DensityError
-        The map is black, or compensation leaves nothing of it.
+        If the map is black, or no pixel is left after compensation.
     """
 
     name: ClassVar[str] = "environment"
@@ -150,7 +153,7 @@ class EnvironmentDensity(Wrapper):
             raise ParameterError(
                 f"warp is {self.warp!r:.80}; bilinear interpolation has the marginal warp only."
             )
-        self._inside  # noqa: B018 - refuses what is not a map
+        self._inside  # noqa: B018 - checks that the pixels are a map
         if self.path is not None:
             settle(self, path=os.fspath(self.path))
         if self.values is not None:
@@ -167,13 +170,13 @@ class EnvironmentDensity(Wrapper):
         scaled = radiance / radiance.max()
         mean = float(angles @ scaled.mean(axis=1))
         left = np.maximum(scaled - float(self.compensation) * mean, 0.0)
-        # The mean of a constant map may round to just below the pixels
+        # The mean of a constant map may be rounded to just below the pixels
         if self.compensation and left.max() <= 1e-12:
             raise DensityError(
                 f"Compensation leaves nothing of {source}: no pixel is above "
                 f"{float(self.compensation):g} times the mean; give a smaller multiple or False."
             )
-        # sin θ at the centers is this but for a factor (see `row_solid_angles`)
+        # sin θ at the centers equals this up to a factor (see `row_solid_angles`)
         weighted = left * angles[:, None]
         if self.interpolation == "bilinear":
             return Bilinear(values=weighted, periodic=True)
@@ -190,28 +193,30 @@ def compensated(
     Parameters
     ----------
     density
-        The table p, which stands for f: `PiecewiseConstant` or `ImageDensity`, or a spec string of one.
+        The table p, which approximates f: `PiecewiseConstant` or `ImageDensity`, or its spec
+        string.
     others
         Densities of the other techniques, or spec strings.
     counts
-        Points of `density` and of the others, as `MultipleImportance` takes them; equal by default.
+        Number of points of `density` and of the others, as in `MultipleImportance`; equal by
+        default.
 
     Returns
     -------
     PiecewiseConstant
-        p'_τ with the warp of `density`: 0 in cells that the others sample often enough.
+        p'_τ with the warp of `density`; it is 0 in cells that the others sample often enough.
 
     Raises
     ------
     ParameterError
-        Not a table, other dims, or counts of another length.
+        If it is not a table, or has other dims, or counts have another length.
 
     Notes
     -----
-    The others count by their means over cells, from Gauss rules of 4 nodes an axis. A cell in which
-    one of these nodes finds all others 0 keeps all of λ p, so that f stays covered;
-    `MultipleImportance` checks this again. Only f proportional to p is served best: where f has
-    further factors, compensation still is unbiased.
+    The other densities enter by their means over cells, from Gauss rules of 4 nodes per axis. A
+    cell in which all others are 0 at one of these nodes keeps all of λ p, so that f stays covered;
+    `MultipleImportance` checks this again. Compensation is optimal only for f proportional to p. If
+    f has further factors, it is still unbiased.
 
     Examples
     --------
@@ -236,7 +241,7 @@ def compensated(
         if other is None:
             raise ParameterError("others holds None; write 'uniform' for a uniform density.")
         found.append(other)
-    # Find β of all techniques, the table's own first
+    # Compute β of all techniques, the table's own first
     techniques = 1 + len(found)
     points: Any = (1,) * techniques if counts is None else counts
     if not isinstance(points, list | tuple | np.ndarray) or len(points) != techniques:
@@ -252,7 +257,7 @@ def compensated(
 
 
 def _taken(others: list[Density], shares: Array, shape: tuple[int, ...]) -> Array:
-    """Σ β_s p_s over each cell, 0 where it vanishes anywhere in the cell: `shape`."""
+    """Return Σ β_s p_s over each cell, 0 if it vanishes anywhere in the cell: `shape`."""
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     grid = np.stack(np.meshgrid(*([0.5 * (node + 1)] * len(shape)), indexing="ij"), axis=-1)
     inside = grid.reshape(-1, len(shape))
@@ -272,12 +277,12 @@ def _taken(others: list[Density], shares: Array, shape: tuple[int, ...]) -> Arra
 
 
 def _level(p: Array, taken: Array, share: float) -> float:
-    """λ with mean max(0, λ p − taken) = share: one linear piece of it, found by sorting."""
+    """Return λ such that the mean of max(0, λ p − taken) is share; found by sorting."""
     inside = p.ravel() > 0
     own, other = p.ravel()[inside], taken.ravel()[inside]
     ratio = other / own
     order = np.argsort(ratio)
-    # λ if just the first k cells in this order are above 0; right where the next is not.
+    # λ if exactly the first k cells in this order are above 0; valid if the next is not.
     levels = (share * p.size + np.cumsum(other[order])) / np.cumsum(own[order])
     ends = np.append(ratio[order][1:], np.inf)
     return float(levels[np.flatnonzero(levels <= ends)[0]])

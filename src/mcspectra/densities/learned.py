@@ -1,14 +1,16 @@
-"""Densities of splines, one axis after the other, with a share of the uniform density: all smooth.
+"""Smooth densities of splines, one axis after another, with a share of the uniform density.
 
-p(x) = δ + (1 − δ) Π_i q_i(x_i | x_1 … x_{i−1}), where q_i = Σ_m a_m B_m is a quadratic spline, B_m are
-B-splines of integral 1, and the weights a ≥ 0 of sum 1 depend on the coordinates before:
+p(x) = δ + (1 − δ) Π_i q_i(x_i | x_1 … x_{i−1}), where q_i = Σ_m a_m B_m is a quadratic spline. The
+B_m are B-splines of integral 1. The weights a ≥ 0 have sum 1 and depend on the earlier coordinates:
 
-* *mixtures* of K products, a = Σ_k ω_k c_ki, where ω_k ∝ w_k Π_{j<i} Σ_m c_kjm B_m(x_j); K = 1 is a product;
-* *flows*, a = softmax(θ_i φ), with φ Legendre polynomials of each x_j before.
+* *mixtures* of K products: a = Σ_k ω_k c_ki with ω_k ∝ w_k Π_{j<i} Σ_m c_kjm B_m(x_j); K = 1 is a
+  product.
+* *flows*: a = softmax(θ_i φ), where φ are Legendre polynomials of each earlier coordinate x_j.
 
-The warp is Rosenblatt's [Rosenblatt1952]_ of p itself: given x_1 … x_{i−1}, of which q has the density Q,
-u_i = ω F_i(x_i) + (1 − ω) x_i with ω = (1 − δ) Q/((1 − δ) Q + δ) and F_i a monotone cubic spline. No
-coordinate chooses a part: T is continuous, twice differentiable, and has an exact inverse.
+The warp is Rosenblatt's [Rosenblatt1952]_ of p itself. Let Q be the density q of the given
+x_1 … x_{i−1}. Then u_i = ω F_i(x_i) + (1 − ω) x_i with ω = (1 − δ) Q/((1 − δ) Q + δ) and a monotone
+cubic spline F_i. No coordinate chooses a part: T is continuous, twice differentiable, and has an
+exact inverse.
 """
 
 from __future__ import annotations
@@ -33,11 +35,11 @@ from mcspectra.densities.tabulated import flat
 
 __all__ = ["DEGREE", "Learned", "SplineDensity", "flow_features", "spline_basis", "spline_lengths"]
 
-DEGREE = 4  # of the polynomials of a flow
+DEGREE = 4  # degree of the polynomials of a flow
 _FORMAT = "mcspectra density 1"
-_MOST_GATE = 1e6  # no weight that was fitted is beyond it
+_MOST_GATE = 1e6  # largest allowed weight of a gate; fitted weights are smaller
 _PDF, _SAMPLE, _INVERT = 0, 1, 2
-_SETTLED = 1e-14  # a step of Newton's method: the next one would be rounding
+_SETTLED = 1e-14  # step of Newton's method at which the next is rounding
 
 
 @final
@@ -48,13 +50,13 @@ class SplineDensity(Density):
     Attributes
     ----------
     knots
-        Ends of C cells of each axis, (d, C + 1), from 0 to 1. There are M = C + 2 splines.
+        Ends of the C cells of each axis, (d, C + 1), from 0 to 1. There are M = C + 2 splines.
     shares, tables
-        Of a mixture: w (K,) of sum 1, and c (K, d, M), rows of sum 1. Empty for a flow.
+        For a mixture: w (K,) of sum 1, and c (K, d, M), rows of sum 1. Empty for a flow.
     gates
-        Of a flow: θ (d, M, 1 + d·DEGREE), 0 for coordinates that are not before. Empty for a mixture.
+        For a flow: θ (d, M, 1 + d·DEGREE), 0 for later coordinates. Empty for a mixture.
     defensive
-        δ: the density is δ at least, so that f/p is |f|/δ at most.
+        δ, the least density, so that |f/p| is at most |f|/δ.
     """
 
     name: ClassVar[str] = "spline"
@@ -67,19 +69,19 @@ class SplineDensity(Density):
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """Rows of knots."""
+        """Number of dims, one per row of knots."""
         return len(self.knots)
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Of the first axis, the shares left of the knots; those of others depend on the first."""
+        """On the first axis, the shares left of the knots; breaks of other axes depend on it."""
         middle = np.full((self.knots.shape[1] - 2, self.dims), 0.5)
         middle[:, 0] = self.knots[0, 1:-1]
         found = np.unique(self._walked(middle, _INVERT)[:, 0])
         return (tuple(found[(found > 0) & (found < 1)].tolist()), *((),) * (self.dims - 1))
 
     def to_dict(self) -> dict[str, Any]:
-        """What `Learned` reads."""
+        """Return the content of a file for `Learned`."""
         arrays = {n: getattr(self, n).tolist() for n in ("knots", "shares", "tables", "gates")}
         return {"format": _FORMAT, "defensive": self.defensive, **arrays}
 
@@ -122,7 +124,7 @@ class Learned(Wrapper):
     Raises
     ------
     FileFormatError
-        It cannot be read, or holds something else.
+        If the file cannot be read, or is not a learned density.
     """
 
     name: ClassVar[str] = "learned"
@@ -131,15 +133,15 @@ class Learned(Wrapper):
     def _check(self) -> None:
         known_path(self.path, "a learned density", (".json",))
         settle(self, path=os.fspath(self.path))
-        self._inside  # noqa: B018 - refuses other files
+        self._inside  # noqa: B018 - checks the content
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """As the file says."""
+        """Number of dims in the file."""
         return self._inside.dims
 
     def cuts(self, others: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
-        """Places across each axis of the domain where the pdf is not smooth, and others, up to 2-D."""
+        """Return domain places at which the pdf is not smooth, and `others`; up to 2-D."""
         if self.dims > 2:
             return others
         ends = self._inside.knots[:, 1:-1]
@@ -186,7 +188,7 @@ class Learned(Wrapper):
 
 
 def _splines(knots: Array) -> Any:
-    """Quadratic B-splines of integral 1 on knots (C + 1,): a scipy spline of C + 2 functions."""
+    """Return quadratic B-splines of integral 1 on knots (C + 1,): a scipy spline of C + 2."""
     from scipy.interpolate import BSpline
 
     ends = np.concatenate([[0.0, 0.0], knots, [1.0, 1.0]])
@@ -194,18 +196,18 @@ def _splines(knots: Array) -> Any:
 
 
 def spline_lengths(knots: Array) -> Array:
-    """Weights of the splines that make the uniform density, (C + 2,)."""
+    """Return the weights of the splines that give the uniform density, (C + 2,)."""
     ends = np.concatenate([[0.0, 0.0], knots, [1.0, 1.0]])
     return np.asarray((ends[3:] - ends[:-3]) / 3.0)
 
 
 def spline_basis(knots: Array, x: Array) -> Array:
-    """Values of B-splines of integral 1 at points (k,): (k, C + 2)."""
+    """Return values of the B-splines of integral 1 at points (k,): (k, C + 2)."""
     return np.asarray(_splines(knots)(x))
 
 
 def flow_features(x: Array) -> Array:
-    """φ of points (k, d): 1, then the polynomials of each coordinate, (k, 1 + d·DEGREE)."""
+    """Return φ of points (k, d): 1, then polynomials of each coordinate, (k, 1 + d·DEGREE)."""
     t = 2.0 * x - 1.0
     found = [np.ones_like(t), t]
     for n in range(1, DEGREE):
@@ -215,13 +217,13 @@ def flow_features(x: Array) -> Array:
 
 
 def _cumulative(knots: Array) -> Array:
-    """Integrals of the three splines on each cell, as cubics in its coordinate from 0 to 1: (C, 3, 4)."""
+    """Return integrals of three splines on each cell, as cubics in its coordinate: (C, 3, 4)."""
     total, width, cells = (
         _splines(knots).antiderivative(),
         np.diff(knots),
         np.arange(len(knots) - 1),
     )
-    # Taylor's, at the left ends
+    # Taylor series at the left ends
     found = [total(knots[:-1], p) * (width**p / math.factorial(p))[:, None] for p in range(4)]
     return np.stack([np.array(found)[:, cells, cells + r].T for r in range(3)], axis=1)
 
@@ -239,7 +241,8 @@ def _walk(
     given: Array,
     out: Array,
 ) -> None:  # pragma: no cover - compiled
-    # Fill out with pdf (N, 1) at x, with x and pdf (N, d + 1) from u, or with u from x; a: weights of the splines of an axis
+    # Fill out with the pdf (N, 1) at x, with x and pdf (N, d + 1) from u, or with u from x. The
+    # array a holds the weights of the splines of an axis
     d, cells, parts = knots.shape[0], knots.shape[1] - 1, shares.size
     a, held, x = np.empty(cells + 2), np.empty(parts), np.empty(d)
     degree = (gates.shape[2] - 1) // d if parts == 0 else 0
@@ -249,7 +252,7 @@ def _walk(
         joint = 1.0
         held[:] = shares
         for i in range(d):
-            # Weights of the splines given the coordinates before
+            # Weights of the splines given the earlier coordinates
             a[:] = 0.0
             if parts:
                 for k in range(parts):
@@ -264,7 +267,7 @@ def _walk(
             spread = (1.0 - defensive) * joint
             spread /= spread + defensive
 
-            # The cell of x_i: by the cdf of its end, or by its end
+            # The cell of x_i: by the cdf of its end (sampling), or by its end
             left, c = 0.0, 0
             while c < cells - 1:
                 end = knots[i, c + 1]
@@ -278,7 +281,7 @@ def _walk(
                 left += a[c]
                 c += 1
 
-            # The cubic of the cdf there
+            # The cubic of the cdf in this cell
             low, width = knots[i, c], knots[i, c + 1] - knots[i, c]
             k0, k1, k2, k3 = left, 0.0, 0.0, 0.0
             for r in range(3):
@@ -315,7 +318,7 @@ def _walk(
                     share = k0 + t * (k1 + t * (k2 + t * k3))
                     out[n, i] = spread * share + (1.0 - spread) * x[i]
 
-            # What the coordinates after see of this one
+            # Update the factors for the later coordinates
             if mode == _INVERT and i == d - 1:
                 break
             here = max((k1 + t * (2.0 * k2 + 3.0 * t * k3)) / width, 0.0)

@@ -1,12 +1,12 @@
 """Solid-angle sampling of a rectangular or triangular light, on the light's own area parameters.
 
-The square (s, t) maps to the light with a constant Jacobian, so that the uniform density is area
-sampling and these densities are uniform in solid angle: p(s, t) = area · cos θ' / (r² Ω), positive
-everywhere. Any integrand in (s, t) can be studied with both.
+The square (s, t) maps to the light with a constant Jacobian, so the uniform density is area
+sampling. The densities here are uniform in solid angle, p(s, t) = area · cos θ' / (r² Ω), and
+positive everywhere. Both can be applied to any integrand in (s, t).
 
-Cumulated solid angles are written without differences of nearly equal terms and inverted by Newton's
-method rather than by the closed forms of the papers, which lose all digits for small lights: those
-subtract angles of order 1 to get one of order Ω.
+Cumulative solid angles are written without differences of nearly equal terms, and inverted by
+Newton's method. The closed forms of the papers lose all digits for small lights, because they
+subtract angles of order 1 to obtain one of order Ω.
 """
 
 from __future__ import annotations
@@ -29,24 +29,24 @@ __all__ = ["SphericalRectangle", "SphericalTriangle"]
 
 Vector = tuple[float, float, float]
 
-_PERPENDICULAR = 1e-9  # cosine
-_MOST = 120  # bisections alone need 53; with Newton's steps between them at most twice as many
+_PERPENDICULAR = 1e-9  # largest cosine of the angle between edges of a rectangle
+_MOST = 120  # largest number of iterations: bisection needs 53, at most doubled by Newton steps
 _EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Light(Density):
-    """u_0 is the share of solid angle up to s, u_1 that up to t within the line of constant s."""
+    """u_0 is the share of solid angle up to s, u_1 the share up to t on the line of constant s."""
 
     dims: int = field(default=2, init=False)
 
     @abstractmethod
     def _share(self, s: Array) -> tuple[Array, Array]:
-        """The share of solid angle up to s, and its slope."""
+        """Return the share of solid angle up to s, and its slope."""
 
     @abstractmethod
     def _share_of_line(self, s: Array, t: Array) -> tuple[Array, Array]:
-        """The share up to t within the line at s, and its slope in t."""
+        """Return the share up to t on the line at s, and its slope in t."""
 
     def _sample(self, u: Array) -> Array:
         s = _solve_increasing(self._share, u[..., 0])
@@ -64,13 +64,13 @@ def _solve_increasing(function: Callable[[Array], tuple[Array, Array]], target: 
     Parameters
     ----------
     function
-        s to F(s) and F'(s) > 0, for an F from F(0) = 0 to F(1) = 1; all of the shape of `target`.
+        s to F(s) and F'(s) > 0, with F(0) = 0 and F(1) = 1; all have the shape of `target`.
     target
         Values in [0,1].
 
     Notes
     -----
-    An element that has converged stays as it is, so that results do not depend on its neighbors.
+    Converged elements are not changed further, so results do not depend on neighbors.
     """
     low, high = np.zeros_like(target), np.ones_like(target)
     s, last = target.copy(), np.ones_like(target)
@@ -97,16 +97,17 @@ def _solve_increasing(function: Callable[[Array], tuple[Array, Array]], target: 
 class SphericalRectangle(_Light):
     """Uniform in the solid angle of a rectangle, x = (s, t) for the point corner + s e_0 + t e_1.
 
-    u_0 is the share of solid angle up to s, u_1 that up to t within the line of constant s [Urena2013]_.
+    u_0 is the share of solid angle up to s, u_1 the share up to t on the line of constant s
+    [Urena2013]_.
 
     Attributes
     ----------
     corner
-        One corner.
+        One corner of the rectangle.
     edge0, edge1
-        e_0 and e_1, the edges from it, at right angles.
+        The edges e_0 and e_1 from the corner, at right angles.
     origin
-        The point that is lit; not in the plane of the light.
+        The illuminated point; not in the plane of the light.
     """
 
     corner: Vector = checked(as_vector, (-0.5, -0.5, 1.0))
@@ -116,7 +117,7 @@ class SphericalRectangle(_Light):
 
     def _check(self) -> None:
         e0, e1 = np.array(self.edge0), np.array(self.edge1)
-        self._height  # noqa: B018 - refuses degenerate lights
+        self._height  # noqa: B018 - checks for degenerate lights
         if abs(e0 @ e1) > _PERPENDICULAR * norm(e0) * norm(e1):
             raise ParameterError(
                 f"edge0 {self.edge0} and edge1 {self.edge1} are not at right angles; for other "
@@ -130,7 +131,7 @@ class SphericalRectangle(_Light):
 
     @cached_property
     def _frame(self) -> tuple[float, float, float, float]:
-        """Least x and y in the frame of the edges about the origin, and the edges' lengths."""
+        """Least x and y in the frame of the edges around the origin, and the edges' lengths."""
         corner = np.subtract(self.corner, self.origin)
         e0, e1 = np.array(self.edge0), np.array(self.edge1)
         l0, l1 = float(norm(e0)), float(norm(e1))
@@ -138,11 +139,11 @@ class SphericalRectangle(_Light):
 
     @cached_property
     def solid_angle(self) -> float:
-        """Ω in steradians."""
+        """Solid angle Ω in steradians."""
         return float(self._strip(np.ones(())))
 
     def _strip(self, s: Array) -> Array:
-        """Solid angle of the part up to s."""
+        """Return the solid angle of the part up to s."""
         x0, y0, l0, l1 = self._frame
         z = self._height
         near, far = _corners(np.full(s.shape, x0), y0, l1, z), _corners(x0 + s * l0, y0, l1, z)
@@ -175,17 +176,17 @@ class SphericalRectangle(_Light):
 class SphericalTriangle(_Light):
     """Uniform in the solid angle of a triangle, on an area-uniform map of the square to it.
 
-    x = (s, t) stands for the point b + √t ((1 − s) a + s c − b): s is the share of the area next to
-    the edge ab as seen from b, t that of the triangle cut off parallel to ac. u_0 is the share of
-    solid angle up to s and u_1 that up to t within the line of constant s: Arvo's
-    map [Arvo1995]_, continuous.
+    x = (s, t) is the point b + √t ((1 − s) a + s c − b). s is the share of the area next to the
+    edge ab as seen from b, and t the share of the triangle cut off parallel to ac. u_0 is the
+    share of solid angle up to s, and u_1 the share up to t on the line of constant s. This is
+    Arvo's continuous map [Arvo1995]_.
 
     Attributes
     ----------
     a, b, c
-        Corners.
+        Corners of the triangle.
     origin
-        The point that is lit; not in the plane of the light.
+        The illuminated point; not in the plane of the light.
     """
 
     a: Vector = checked(as_vector, (-0.5, -0.5, 1.0))
@@ -194,27 +195,27 @@ class SphericalTriangle(_Light):
     origin: Vector = checked(as_vector, (0.0, 0.0, 0.0))
 
     def _check(self) -> None:
-        self._volume  # noqa: B018 - refuses degenerate lights
+        self._volume  # noqa: B018 - checks for degenerate lights
 
     @cached_property
     def _corners(self) -> Array:
-        """a, b and c about the origin (3, 3)."""
+        """The corners a, b and c relative to the origin (3, 3)."""
         return np.array([self.a, self.b, self.c]) - self.origin
 
     @cached_property
     def _volume(self) -> float:
-        """|a · (b × c)|: height times twice the area."""
+        """|a · (b × c)|, the height times twice the area."""
         first, second = np.subtract(self.b, self.a), np.subtract(self.c, self.a)
         height = check_light("triangle", self._corners[0], first, second)
         return height * float(norm(np.cross(first, second)))
 
     @cached_property
     def solid_angle(self) -> float:
-        """Ω in steradians."""
+        """Solid angle Ω in steradians."""
         return float(triangle_angle(np.array(self._volume), *self._corners))
 
     def _opposite(self, s: Array) -> Array:
-        """The point on ac at s (..., 3)."""
+        """Return the point on ac at s, (..., 3)."""
         return np.asarray(self._corners[0] + s[..., None] * np.subtract(self.c, self.a))
 
     def _point(self, s: Array, t: Array) -> Array:
@@ -222,7 +223,7 @@ class SphericalTriangle(_Light):
         return np.asarray(self._corners[1] + np.sqrt(t)[..., None] * edge)
 
     def _spread(self, point: Array) -> Array:
-        """|x| (|b||x| + b·x), to which 1 − cos of the angle between b and x is reciprocal."""
+        """Return |x| (|b||x| + b·x); 1 − cos of the angle between b and x is inverse to it."""
         b, length = self._corners[1], norm(point)
         return np.asarray(length * (norm(b) * length + point @ b))
 
@@ -234,7 +235,7 @@ class SphericalTriangle(_Light):
         return angle / self.solid_angle, slope / self.solid_angle
 
     def _share_of_line(self, s: Array, t: Array) -> tuple[Array, Array]:
-        """(1 − cos)/(1 − cos of the whole)."""
+        """Return (1 − cos)/(1 − cos of the whole line), and its slope."""
         point, whole = self._point(s, t), self._spread(self._opposite(s))
         return t * whole / self._spread(point), 0.5 * whole / norm(point) ** 3
 
@@ -244,13 +245,13 @@ class SphericalTriangle(_Light):
 
 
 def _corners(x: Array, y0: float, length: float, z: float) -> tuple[Array, Array]:
-    """Both ends (..., 3) of the lines at x."""
+    """Return both ends (..., 3) of the lines at x."""
     low = np.stack([x, np.full(x.shape, y0), np.full(x.shape, z)], axis=-1)
     return low, low + np.array([0.0, length, 0.0])
 
 
 def _rise(squared: Array, start: float, length: Array | float) -> Array:
-    """y/√(R² + y²) at start + length less at start, R² given; nothing cancels."""
+    """Return the difference of y/√(R² + y²) between start + length and start, R² given."""
     end = start + np.asarray(length)
     ra, rb = np.sqrt(squared + start**2), np.sqrt(squared + end**2)
     weight = np.abs(end) * ra + np.abs(start) * rb

@@ -1,14 +1,16 @@
 """The warp of a pdf without a known sampling function: numerical inversion, in 1-D and 2-D.
 
-1-D: the axis is cut into cells on which 12-point Chebyshev interpolants of the pdf are as accurate as
-rounding; jumps and kinks are closed in by ever smaller cells. Matrices take the values at a cell's
-nodes to the coefficients of the interpolant, to those of its integral, and to the interpolant at the
-nodes of both halves and at the ends, which tells whether the cell is resolved [Trefethen2013]_. The
-cdf is the integral of the interpolants, its inverse Newton's method in the cell. 2-D: marginal of
-x_1, then x_0 given x_1, as in `mcspectra.densities.tabulated`; the row of each point is evaluated anew
-on common cells, so that the warp is as smooth along x_1 as the pdf. Cells are exact for jumps along
-lines x_0 = c and x_1 = c. Jumps and kinks along other lines are refused where one of 1018 rows and
-1024 places on them sees them. In 1-D the interpolants are compared with the pdf at 2^18 further points.
+1-D: the axis is divided into cells on which 12-point Chebyshev interpolants of the pdf are accurate
+to rounding. Jumps and kinks are enclosed in ever smaller cells. Matrices map the values at a cell's
+nodes to the coefficients of the interpolant, and to those of its integral. They also map to the
+interpolant at the nodes of both halves and at the ends, which shows whether the cell is resolved
+[Trefethen2013]_. The cdf is the integral of the interpolants; Newton's method inverts it in the
+cell. The interpolants are compared with the pdf at 2^18 further points.
+
+2-D: the marginal of x_1, then x_0 given x_1, as in `mcspectra.densities.tabulated`. The row of each
+point is evaluated on common cells, so that the warp is as smooth along x_1 as the pdf. Cells are
+exact for jumps along lines x_0 = c and x_1 = c. Jumps and kinks along other lines are refused if
+one of 1018 rows with 1024 places shows them.
 """
 
 from __future__ import annotations
@@ -29,23 +31,23 @@ __all__ = ["NumericalWarp"]
 
 _START = {1: 256, 2: 16}
 _MOST = {1: 2**15, 2: 256}
-_MOST_OF_MARGINAL = 2**11  # each node of it is a row
+_MOST_OF_MARGINAL = 2**11  # largest number of cells of the marginal; each node is a row
 _ROWS = 509
-_PROBES = {1: 2**18, 2: 2**10}  # along an axis
+_PROBES = {1: 2**18, 2: 2**10}  # number of probes along an axis
 _SAME = 1e-9
-_BLOCK = 2**20  # values of a row block, 8 MiB
+_BLOCK = 2**20  # number of values in a block of rows, 8 MiB
 _BEND = 1e-4
-_SHARP = 2.0**-18  # cells narrower than this close in a jump or a kink
+_SHARP = 2.0**-18  # cells narrower than this enclose a jump or a kink
 _ORDER = 12
-_TOLERANCE = 1e-14  # of the whole integral, a cell
+_TOLERANCE = 1e-14  # tolerance per cell, relative to the whole integral
 _MOST_UNRESOLVED = 1e-10
-_NARROWEST = 4.0  # floats a cell
-_PLACE = 0.381966011250105  # of a probe in its interval: on no dyadic border
-_PROBED = 2**14  # probes a block
+_NARROWEST = 4.0  # smallest width of a cell, in floats
+_PLACE = 0.381966011250105  # position of a probe in its interval, off dyadic borders
+_PROBED = 2**14  # number of probes per block
 _OFF = 1e-7
-_JUMP = 2.0**-24  # cells narrower than this close in a jump or a pole
+_JUMP = 2.0**-24  # cells narrower than this enclose a jump or a pole
 _ADVICE = "give sample=, or move a pole to 0, where floats are dense"
-_LEAST = 1e-290  # nearer to 0 an unbounded pdf may overflow
+_LEAST = 1e-290  # smallest width at 0; closer to 0 a pole may overflow
 
 _NODES = -np.cos(np.pi * (np.arange(_ORDER) + 0.5) / _ORDER)
 _TO_SERIES = np.linalg.inv(chebyshev.chebvander(_NODES, _ORDER - 1))
@@ -68,7 +70,7 @@ class NumericalWarp:
     pdf
         Points (..., d) to (...); its integral, `total`, need not be 1.
     dims
-        d, 1 or 2.
+        Number of dims d, 1 or 2.
     spec
         Name of the density in messages.
     """
@@ -84,12 +86,12 @@ class NumericalWarp:
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """The cdf at jumps and kinks; in 2-D on axis 1 only, those of axis 0 depend on the row."""
+        """The cdf at jumps and kinks; in 2-D only on axis 1, since axis 0 depends on the row."""
         last = self._last.breaks()
         return (last,) if self.dims == 1 else ((), last)
 
     def zero_points(self) -> Array:
-        """Centers of cells in which the pdf is 0; in 2-D of those of the marginal."""
+        """Return the centers of cells in which the pdf (2-D: the marginal) is 0."""
         cells, masses = self._last.cells, np.diff(self._last.cdf)
         empty = (self._last.density == 0).all(axis=1) & (masses == 0) & (cells.width > _SHARP)
         centers = (cells.low + 0.5 * cells.width)[empty]
@@ -105,13 +107,13 @@ class NumericalWarp:
             start=256,
             most=_MOST[1] if self.dims == 1 else _MOST_OF_MARGINAL,
             subject=subject,
-            probes=_PROBES[1] if self.dims == 1 else 0,  # 3072 nodes are more than there are rows
+            probes=_PROBES[1] if self.dims == 1 else 0,  # 3072 nodes exceed the number of rows
         )
         return _Axis.of(cells, density(cells.nodes[..., None]))
 
     @cached_property
     def _rows(self) -> _Cells:
-        """_Cells of axis 0 that suit 509 rows at once."""
+        """Cells of axis 0 that resolve 509 rows at once."""
         rows = (0.5 + np.arange(_ROWS) * 0.6180339887498949) % 1.0
 
         subject = f"The pdf of {self.spec}, along x_0,"
@@ -124,15 +126,15 @@ class NumericalWarp:
         )
 
     def _on_grid(self, x: Array, y: Array) -> Array:
-        """Values at all pairs of x and y, arrays that broadcast against each other."""
+        """Return values at all pairs of x and y, arrays that broadcast."""
         return self.pdf(np.stack(np.broadcast_arrays(x, y), axis=-1))
 
     def _row_values(self, y: Array) -> Array:
-        """Values (N, K, 12) of the rows at y (N,)."""
+        """Return values (N, K, 12) of the rows at y (N,)."""
         return self._on_grid(self._rows.nodes, y[:, None, None])
 
     def _marginal(self, y: Array) -> Array:
-        """Integrals over x_0 at y (..., 1)."""
+        """Return integrals over x_0 at y (..., 1)."""
         flat = y.ravel()
         parts = [
             self._rows.masses(self._row_values(flat[b])).sum(axis=-1) for b in self._blocks(flat)
@@ -145,11 +147,11 @@ class NumericalWarp:
         return [slice(start, start + step) for start in range(0, max(1, len(y)), step)]
 
     def sample(self, u: Array) -> Array:
-        """Domain points of primary points (..., d)."""
+        """Return domain points of primary points (..., d)."""
         return self._warped(u, inverse=False)
 
     def invert(self, x: Array) -> Array:
-        """Primary points of domain points (..., d)."""
+        """Return primary points of domain points (..., d)."""
         return self._warped(x, inverse=True)
 
     def _warped(self, points: Array, *, inverse: bool) -> Array:
@@ -164,7 +166,7 @@ class NumericalWarp:
         return out.reshape(points.shape)
 
     def _in_rows(self, v: Array, y: Array, *, inverse: bool) -> Array:
-        """x_0 of u_0 = v in the rows at y, or u_0 of x_0 = v."""
+        """Return x_0 of u_0 = v in the rows at y, or u_0 of x_0 = v."""
         values = self._row_values(y)
         # Cdf of each row at the borders of cells, scaled to integral 1
         sums = np.cumsum(self._rows.masses(values), axis=1)
@@ -181,12 +183,12 @@ class NumericalWarp:
         return self._rows.place(cell, density, integral, v - start)
 
     def check_rows(self) -> None:
-        """Compare row integrals of 2-D with those on halved cells, at rows that made no cells.
+        """Compare row integrals in 2-D with integrals on halved cells, at rows that made no cells.
 
         Raises
         ------
         DensityError
-            They differ: there are jumps or kinks along other lines.
+            If they differ, because there are jumps or kinks along other lines.
         """
         y = (0.25 + np.arange(_ROWS) * 0.7548776662466927) % 1.0
         finer = _Cells(*_halved(self._rows.low, self._rows.width))
@@ -194,14 +196,14 @@ class NumericalWarp:
         gap = finer.masses(self._on_grid(finer.nodes, y[:, None, None])).sum(axis=1) - found
         if not np.abs(gap).max() <= _SAME * found.mean():
             raise DensityError(
-                f"The pdf of {self.spec} has jumps or kinks along lines that are not parallel to the "
-                "axes; give sample=."
+                f"The pdf of {self.spec} has jumps or kinks along lines that are not parallel to "
+                "the axes; give sample=."
             )
 
 
 @dataclass(frozen=True)
 class _Axis:
-    """A cdf on cells: series of density and integral in each (K, 12) and (K, 13), cdf (K+1,)."""
+    """A cdf on cells: series of density (K, 12) and integral (K, 13) per cell, and cdf (K+1,)."""
 
     cells: _Cells
     density: Array
@@ -212,7 +214,7 @@ class _Axis:
     @staticmethod
     def of(cells: _Cells, values: Array) -> _Axis:
         sums = np.concatenate([[0.0], np.cumsum(cells.masses(values))])
-        total = float(sums[-1])  # so that the cdf is exactly 1 where nothing follows
+        total = float(sums[-1])  # makes the cdf exactly 1 after the last mass
         if not total > 0:
             raise DensityError("The pdf is 0 at all evaluated points; its integral must be 1.")
         density, integral = cells.series(values / total, cells.width)
@@ -229,11 +231,11 @@ class _Axis:
         return np.asarray(np.clip(share, self.cdf[cell], self.cdf[cell + 1]))
 
     def breaks(self) -> tuple[float, ...]:
-        """Cdf where cells close in a jump or kink, and at borders across which the pdf jumps."""
+        """Return the cdf at enclosed jumps and kinks, and at borders across which the pdf jumps."""
         narrow = np.flatnonzero(self.cells.width < _SHARP)
         runs = np.split(narrow, np.flatnonzero(np.diff(narrow) > 1) + 1) if narrow.size else []
         closed = [run[np.argmin(self.cells.width[run])] for run in runs]
-        # Find borders at which density or slope differ on both sides, beside wide cells
+        # Find borders between wide cells at which density or slope differ
         half = 0.5 * self.cells.width
         values = chebyshev.chebval([-1.0, 1.0], self.density.T / half)
         slopes = chebyshev.chebval([-1.0, 1.0], chebyshev.chebder(self.density.T) / half**2)
@@ -256,42 +258,42 @@ class _Cells:
 
     @cached_property
     def nodes(self) -> Array:
-        """Nodes (K, 12)."""
+        """Nodes of all cells (K, 12)."""
         return _spread(self.low, self.width)
 
     def find(self, x: Array) -> Array:
-        """Index of the cell that holds x."""
+        """Return the index of the cell that contains x."""
         return np.maximum(np.searchsorted(self.low, x, side="right") - 1, 0)
 
     def local(self, cell: Array, x: Array) -> Array:
-        """Position of x in its cell, from −1 to 1."""
+        """Return the position of x in its cell, from −1 to 1."""
         return np.clip(2.0 * (x - self.low[cell]) / self.width[cell] - 1.0, -1.0, 1.0)
 
     def place(self, cell: Array, density: Array, integral: Array, mass: Array) -> Array:
-        """The points of cells up to which they hold `mass`."""
+        """Return the points of cells up to which their integral is `mass`."""
         t = np.empty(mass.shape)
         _solve(density, integral, mass, t)
         return np.asarray(self.low[cell] + 0.5 * (t + 1.0) * self.width[cell])
 
     def part(self, cell: Array, integral: Array, x: Array) -> Array:
-        """Integrals over cells up to x."""
+        """Return integrals over cells up to x."""
         out = np.empty(x.shape)
         _integral_at(integral, self.local(cell, x), out)
         return out
 
     def series(self, values: Array, width: Array) -> tuple[Array, Array]:
-        """Series of the function and of its integral over cells of `width`, from values (..., 12)."""
+        """Return series of function and integral over cells of `width`, from values (..., 12)."""
         scaled = values * (0.5 * width[..., None])
         return scaled @ _TO_SERIES.T, scaled @ _TO_INTEGRAL.T
 
     def masses(self, values: Array) -> Array:
-        """Integrals over all cells, at least 0, of values (..., K, 12)."""
+        """Return integrals over all cells, at least 0, of values (..., K, 12)."""
         weights = _TO_INTEGRAL.sum(axis=0)
         return np.asarray(np.maximum((values @ weights) * (0.5 * self.width), 0.0))
 
 
 def _spread(low: Array, width: Array) -> Array:
-    """Nodes (..., 12), below 1, of cells with left ends `low` (...) and `width` (...)."""
+    """Return nodes (..., 12), below 1, of cells with left ends `low` and `width` (...)."""
     nodes = low[..., None] + (0.5 * width)[..., None] * (_NODES + 1.0)
     return np.asarray(np.minimum(nodes, BELOW_ONE))
 
@@ -299,27 +301,27 @@ def _spread(low: Array, width: Array) -> Array:
 def _refine(
     function: Callable[[Array], Array], *, start: int, most: int, subject: str, probes: int = 0
 ) -> _Cells:
-    """Split cells until the interpolants resolve a non-negative function.
+    """Split cells until the interpolants resolve a nonnegative function.
 
-    What lies between the nodes of all cells is not seen. Probes look there: where the interpolant
-    misses the function at one of them, the cells that hold it are split until they are as narrow as
-    the distance of the probes, and on from there.
+    Details between the nodes of all cells are missed. Probes test for them. If the interpolant
+    differs from the function at a probe, the cells that contain it are split down to the distance
+    of the probes, and further if necessary.
 
     Parameters
     ----------
     function
-        Nodes (C, 12) to values (C, 12, rows): functions that share the cells.
+        Nodes (C, 12) to values (C, 12, rows) of functions that share the cells.
     start, most
-        Number of cells to begin and to end with.
+        Initial and largest number of cells.
     subject
         Name of the function in messages.
     probes
-        Number of further points, equally spaced, at which to compare function and interpolant.
+        Number of further, equally spaced points at which function and interpolant are compared.
 
     Raises
     ------
     DensityError
-        A value is negative or not finite, or the function cannot be resolved by that many cells.
+        If a value is negative or not finite, or `most` cells do not resolve the function.
     """
     cells = _split(function, start, most, subject, np.empty(0), 1.0)
     if not probes:
@@ -331,8 +333,8 @@ def _refine(
     cells = _split(function, start, most, subject, missed, 1.0 / probes)
     if _missed(function, cells, (points + 0.5 / probes) % 1.0, subject).size:
         raise DensityError(
-            f"{subject} has details narrower than {1.0 / probes:.2g}, which a numerical inverse "
-            "does not resolve; give sample=."
+            f"{subject} has details narrower than {1.0 / probes:.2g}, which a numerical "
+            "inverse does not resolve; give sample=."
         )
     return cells
 
@@ -340,7 +342,7 @@ def _refine(
 def _missed(
     function: Callable[[Array], Array], cells: _Cells, points: Array, subject: str
 ) -> Array:
-    """Points at which the interpolants of any row are off; within jumps nothing is compared."""
+    """Return points at which the interpolant of some row is off, except within jumps."""
     at_nodes = function(cells.nodes)
     total = _size(at_nodes, cells.width)
     off = np.zeros(points.size, bool)
@@ -364,21 +366,21 @@ def _split(
     points: Array,
     narrow_enough: float,
 ) -> _Cells:
-    """_Cells that resolve the function at the nodes, at most `narrow_enough` wide around points."""
+    """Return cells that resolve the function; around `points` at most `narrow_enough` wide."""
     low, width = np.arange(start) / start, np.full(start, 1.0 / start)
     values = _checked(function(_spread(low, width)), subject)
     total = _size(values, width)
     kept: list[tuple[Array, Array]] = []
     unresolved = 0.0
     while low.size:
-        # Test at the nodes of both halves and at the ends: an end sees a jump between it and the
-        # next node. 0 may be a pole: the next node instead
+        # Test at the nodes of both halves and at the ends, because an end detects a jump between
+        # it and the next node. 0 may be a pole, so the next node replaces it
         nodes = _spread(*_halved(low, width)).reshape(low.size, 2 * _ORDER)
         first = np.where(low > 0, low, nodes[:, 0])
         ends = np.stack([first, np.nextafter(low + width, 0.0)], axis=1)
         found = _checked(function(np.concatenate([nodes, ends], axis=1)), subject)
         off = np.abs(np.einsum("hn,cnr->chr", _TO_HALVES, values) - found)
-        off[low == 0, -2] = 0.0  # not at the left end
+        off[low == 0, -2] = 0.0  # the left end is not tested at 0
         gap = off.max(axis=(1, 2)) * width
         narrow = width <= np.maximum(_NARROWEST * np.spacing(low + width), _LEAST)
         seen = np.searchsorted(points, low + width) == np.searchsorted(points, low)
@@ -400,13 +402,13 @@ def _split(
 
 
 def _halved(low: Array, width: Array) -> tuple[Array, Array]:
-    """Left ends and widths (2C,) of the halves of cells."""
+    """Return left ends and widths (2C,) of the halves of cells."""
     half = 0.5 * width
     return np.stack([low, low + half], axis=1).ravel(), np.repeat(half, 2)
 
 
 def _size(values: Array, width: Array) -> float:
-    """Largest integral among the rows; 1 where all vanish, so that zeros count as resolved."""
+    """Return the largest integral of the rows; 1 if all vanish, so that zeros count as resolved."""
     total = float((values.mean(axis=1) * width[:, None]).sum(axis=0).max())
     return total or 1.0
 
@@ -415,20 +417,20 @@ def _checked(values: Array, subject: str) -> Array:
     if not np.isfinite(values).all():
         bad = values[~np.isfinite(values)][0]
         raise DensityError(
-            f"{subject} is not finite ({bad:.6g}) within (0,1): a numerical inverse allows a pole "
-            "at 0 only; give sample=."
+            f"{subject} is not finite ({bad:.6g}) within (0,1): a numerical inverse allows a "
+            "pole at 0 only; give sample=."
         )
     if (values < 0).any():
         raise DensityError(
-            f"{subject} is negative ({values[values < 0][0]:.6g}) within (0,1); a density is at "
-            "least 0 everywhere."
+            f"{subject} is negative ({values[values < 0][0]:.6g}) within (0,1); a density is "
+            "at least 0 everywhere."
         )
     return values
 
 
 @kernel
 def _integral_at(series: Array, t: Array, out: Array) -> None:  # pragma: no cover - compiled
-    """Values of series (N, k) at t (N,) in [−1, 1]."""
+    """Evaluate Chebyshev series (N, k) at t (N,) in [−1, 1]."""
     for i in range(t.size):
         previous, current, total = 1.0, t[i], series[i, 0]
         for k in range(1, series.shape[1]):
@@ -441,9 +443,9 @@ def _integral_at(series: Array, t: Array, out: Array) -> None:  # pragma: no cov
 def _solve(
     density: Array, integral: Array, mass: Array, out: Array
 ) -> None:  # pragma: no cover - compiled
-    """Where the integral (N, 13) of the density (N, 12) reaches mass (N,): t in [−1, 1].
+    """Find where the integral (N, 13) of the density (N, 12) reaches mass (N,): t in [−1, 1].
 
-    Newton's method within a bracket that bisection shrinks where a step leaves it.
+    Newton's method within a bracket; bisection replaces steps that leave the bracket.
     """
     for i in range(mass.size):
         whole = 0.0

@@ -1,12 +1,13 @@
 """Densities in pieces between given places of each axis: constant, or linear, in 1-D products.
 
-`AlignedStrata` places edges on strata. Points of equal weight need strata of equal volume, whose
-borders do not fall on an edge unless n times its place is a whole number; strata of other volumes need
-weights. Both come from a warp: k_j of s strata are given to a piece between edges, in proportion to its
-length L_j and at least one, and the piecewise constant density p = k_j/(s L_j) has the edges at
-(k_0 + … + k_j)/s of primary space, on borders of the s equal strata there. Weights 1/p differ from 1 by
-the rounding of the k_j alone, and the estimator is unbiased. (Rounding the k_j at random, with equal
-weights, would be as well, but its variance is that of the strata that an edge cuts.)
+`AlignedStrata` places edges on borders of strata. Points of equal weight need strata of equal
+volume. The borders of such strata miss an edge, unless n times its position is a whole number.
+Strata of other volumes need weights. A warp provides both. Each piece between edges gets k_j of s
+strata, at least one and in proportion to its length L_j. The piecewise constant density p =
+k_j/(s L_j) maps the edges to (k_0 + … + k_j)/s in primary space, on borders of the s equal strata.
+Weights 1/p differ from 1 only by the rounding of the k_j, and the estimator is unbiased. (Rounding
+the k_j at random, with equal weights, is an alternative, but then an edge still cuts strata and
+determines the variance.)
 """
 
 from __future__ import annotations
@@ -42,15 +43,15 @@ _SAME_SLOPE = 1e-12
 
 
 def _piece(ends: Array, x: Array) -> Array:
-    """j with ends[j] <= x < ends[j+1]; 1 belongs to the last piece."""
+    """Return j with ends[j] <= x < ends[j+1]; 1 belongs to the last piece."""
     return np.asarray(np.clip(np.searchsorted(ends, x, side="right") - 1, 0, len(ends) - 2))
 
 
 def _as_edges(name: str, edges: Any) -> Any:
-    """A tuple of ascending places, or of such tuples."""
+    """Convert to a tuple of ascending places, or of such tuples."""
     if not isinstance(edges, Sequence | np.ndarray) or isinstance(edges, str):
         raise ParameterError(
-            f"edges is {edges!r:.80}; give a list of places in (0, 1), one list a dim."
+            f"edges is {edges!r:.80}; give a list of places in (0, 1), one list per dim."
         )
     nested = len(edges) > 0 and isinstance(edges[0], Sequence | np.ndarray)
     found = []
@@ -74,9 +75,10 @@ class AlignedStrata(Density):
     Attributes
     ----------
     edges
-        Ascending places in (0, 1): a list in 1-D, else one list, which may be empty, for each dim.
+        Ascending places in (0, 1): one list in 1-D, else one list per dim, which may be empty.
     strata
-        s, strata along each axis, one number or one for each dim; n = s^d for jittered samples.
+        Number of strata s along each axis, one number or one per dim; n = s^d for jittered
+        samples.
     """
 
     edges: Any = checked(_as_edges)
@@ -88,15 +90,16 @@ class AlignedStrata(Density):
         sides: Any = tuple(strata) if several else (strata,) * self.dims  # type: ignore[arg-type]
         if len(sides) != self.dims:
             raise ParameterError(
-                f"strata has {counted(len(sides), 'number')}; give one for each of {self.dims} dims."
+                f"strata has {counted(len(sides), 'number')}; give one for each of {self.dims} "
+                "dims."
             )
         numbers = tuple(as_integer("strata", s, least=1, most=_MOST_STRATA) for s in sides)
         settle(self, strata=numbers if several else numbers[0])
         for s, axis in zip(numbers, self._per_axis, strict=True):
             if len(axis) + 1 > s:
                 raise ParameterError(
-                    f"{len(axis)} edges make {len(axis) + 1} pieces, but strata is {s}; give at "
-                    "least one stratum for each piece."
+                    f"{len(axis)} edges make {len(axis) + 1} pieces, but strata is {s}; give "
+                    "at least one stratum for each piece."
                 )
 
     @property
@@ -106,11 +109,11 @@ class AlignedStrata(Density):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Borders of primary-space strata that the edges are mapped to."""
+        """Positions of the edges in primary space, on borders of strata."""
         return tuple(tuple(u[1:-1].tolist()) for _, u, _ in self._pieces)
 
     def reciprocal_integral(self) -> float:
-        """Product over axes of Σ L_j/p_j."""
+        """Return the product over axes of Σ L_j/p_j."""
         return float(np.prod([(np.diff(x) / p).sum() for x, _, p in self._pieces]))
 
     @property
@@ -120,7 +123,7 @@ class AlignedStrata(Density):
 
     @cached_property
     def _pieces(self) -> list[tuple[Array, Array, Array]]:
-        """For each axis the ends of the pieces in x and in u, and the density of each piece."""
+        """For each axis, the ends of the pieces in x and in u, and the density of each piece."""
         given: Any = self.strata
         sides = given if isinstance(given, tuple) else (given,) * self.dims
         found = []
@@ -147,9 +150,9 @@ class AlignedStrata(Density):
 
 
 def _allocated(lengths: Array, strata: int) -> Array:
-    """Whole numbers that add up to `strata`, at least 1, near `strata` · lengths: largest remainders.
+    """Return whole numbers ≥ 1 of sum `strata`, near `strata` · lengths: largest remainders.
 
-    Where short pieces take more than their share, the others share what is left.
+    If short pieces get more than their share, the other pieces divide the rest.
     """
     counts = np.ones(len(lengths), np.int64)
     long = np.ones(len(lengths), bool)
@@ -168,7 +171,7 @@ def _allocated(lengths: Array, strata: int) -> Array:
 
 
 def _mapped(x: Array, source: Array, target: Array) -> Array:
-    """Map pieces between ends linearly, each to its own side of the borders also when rounded."""
+    """Map pieces between ends linearly; rounding never moves a point across a border."""
     j = _piece(source, x)
     slope = np.diff(target) / np.diff(source)
     moved = target[j] + (x - source[j]) * slope[j]
@@ -177,7 +180,7 @@ def _mapped(x: Array, source: Array, target: Array) -> Array:
 
 
 def _as_lines(name: str, given: Any) -> tuple[tuple[float, ...], ...]:
-    """Borders of the bins of each dim."""
+    """Convert and check the borders of the bins of each dim."""
     if not isinstance(given, Sequence | np.ndarray) or not len(given):
         raise ParameterError(f"{name} is {given!r:.80}; give one list of borders for each dim.")
     lines = [given] if np.ndim(given[0]) == 0 else given
@@ -207,14 +210,14 @@ def _as_lines(name: str, given: Any) -> tuple[tuple[float, ...], ...]:
 class GridDensity(Density):
     """Product over the dims of histograms whose bins hold equal shares.
 
-    Maps that VEGAS adapts are of this kind [Lepage1978]_: give the borders that it found.
+    VEGAS adapts maps of this kind [Lepage1978]_: give the borders that it found.
 
     Attributes
     ----------
     nodes
-        For each dim the increasing borders of its N bins, from 0 to 1, N + 1 numbers; N may differ.
-        In 1-D the list of borders itself.
-        u in [i/N, (i+1)/N) goes linearly to bin i, where p_i = 1/(N width_i).
+        Increasing borders of the N bins of each dim, N + 1 numbers from 0 to 1; N may differ
+        between dims. In 1-D the list of borders itself. u in [i/N, (i+1)/N) maps linearly to bin
+        i, where p_i = 1/(N width_i).
     """
 
     name: ClassVar[str] = "grid"
@@ -222,7 +225,7 @@ class GridDensity(Density):
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """As many as lists of nodes."""
+        """Number of lists of nodes."""
         return len(self.nodes)
 
     @cached_property
@@ -238,7 +241,7 @@ class GridDensity(Density):
         )
 
     def reciprocal_integral(self) -> float:
-        """Π N Σ width²."""
+        """Return Π N Σ width²."""
         sums = [(len(line) - 1) * float((np.diff(line) ** 2).sum()) for line in self._lines]
         return float(np.prod(sums))
 
@@ -266,7 +269,7 @@ class GridDensity(Density):
 
 
 def _as_nodes(name: str, values: object) -> Any:
-    """Relative densities at nodes."""
+    """Check relative densities at nodes."""
     table = as_real_array(name, values).copy()
     if table.ndim != 1 or table.size < 2:
         raise ParameterError(
@@ -283,14 +286,14 @@ class PiecewiseLinear(Density):
     Attributes
     ----------
     values
-        Relative density at each of k ≥ 2 nodes, at least 0 and not all 0; any scale. Cells between
-        two zeros are empty.
+        Relative density at each of k ≥ 2 nodes, at least 0 and not all 0, in any scale. Cells
+        between two zeros are empty.
 
     Notes
     -----
-    In a cell with the densities a and b at its ends the share r of its mass lies left of
-    t = (a + b) r/(a + √D), D = a² + (b² − a²) r, written from the lower end as in `Linear`: sums of
-    positive terms, so that nothing cancels for a → b nor where a or b is 0.
+    Consider a cell with the densities a and b at its ends. The share r of its mass lies left of
+    t = (a + b) r/(a + √D) with D = a² + (b² − a²) r, written from the lower end as in `Linear`.
+    These are sums of positive terms, so there is no cancellation for a → b, nor if a or b is 0.
     """
 
     dims: int = field(default=1, init=False)
@@ -298,17 +301,17 @@ class PiecewiseLinear(Density):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """The cdf at the inner nodes where the slope changes."""
+        """The cdf at the inner nodes at which the slope changes."""
         bend = np.abs(np.diff(self._nodes, 2)) > _SAME_SLOPE
         found = np.unique(self._cdf[1:-1][bend])
         return (tuple(found[(found > 0) & (found < 1)].tolist()),)
 
     def zero_points(self) -> Array:
-        """Centers of the empty cells."""
+        """Return the centers of the empty cells."""
         return ((np.flatnonzero(self._masses == 0) + 0.5) / self._masses.size)[:, None]
 
     def reciprocal_integral(self) -> float:
-        """Mean over cells of ln(b/a)/(b − a), infinite where a node is 0."""
+        """Return the mean over cells of ln(b/a)/(b − a), infinite if a node is 0."""
         p = self._nodes / self._masses.mean()
         if not p.all():
             return math.inf
@@ -332,7 +335,7 @@ class PiecewiseLinear(Density):
         return np.asarray(sums / sums[-1])
 
     def _cell(self, x: Array) -> tuple[Array, Array]:
-        """Cell that holds x and the position t in it, from 0 to 1."""
+        """Return the cell that contains x and the position t in it, from 0 to 1."""
         scaled = x * self._masses.size
         cell = np.minimum(scaled.astype(np.int64), self._masses.size - 1)
         return cell, scaled - cell
@@ -343,7 +346,7 @@ class PiecewiseLinear(Density):
         return np.asarray(line / self._masses.mean())
 
     def _sample(self, u: Array) -> Array:
-        # The last cell that starts at or below u: empty cells are passed over
+        # Take the last cell that starts at or below u, which skips empty cells
         cell = np.searchsorted(self._cdf[:-1], u, side="right") - 1
         low, high = self._cdf[cell], self._cdf[cell + 1]
         share = np.divide(u - low, high - low, out=np.zeros_like(u), where=high > low)

@@ -1,4 +1,4 @@
-"""Densities by name."""
+"""Names of densities, and conversion of descriptions to a `Density`."""
 
 from __future__ import annotations
 
@@ -16,10 +16,12 @@ DENSITIES = Registry(
     "mcspectra.densities",
     classes_of(
         {
-            "densities.analytic": "CosineWeighted Exponential Linear Power Tent TruncatedNormal Uniform",
+            "densities.analytic": "CosineWeighted Exponential Linear Power Tent TruncatedNormal "
+            "Uniform",
             "densities.bilinear": "Bilinear",
             "densities.composite": "Defensive Mixture Product",
-            "densities.directions": "disk=DiskDensity hemisphere=HemisphereDensity sphere=SphereDensity",
+            "densities.directions": "disk=DiskDensity hemisphere=HemisphereDensity "
+            "sphere=SphereDensity",
             "densities.environment": "environment=EnvironmentDensity image=ImageDensity",
             "densities.learned": "Learned",
             "densities.lights": "SphericalRectangle SphericalTriangle",
@@ -33,21 +35,21 @@ DENSITIES = Registry(
 
 
 def density(spec: str, dims: int | None = None) -> Density:
-    """Make a density of a spec string such as ``"linear(slope=1)"``.
+    """Make a density from a spec string such as ``"linear(slope=1)"``.
 
     Parameters
     ----------
     spec
         ``name`` or ``name(key=value, ...)``; see ``mcspectra list densities``.
     dims
-        Number of dims; by default those the spec says, or the density's own, or 2.
+        Number of dims; by default those of the spec, else the density's default, or 2.
 
     Raises
     ------
     SpecError
-        The spec cannot be read; `UnknownName` if the name is not registered.
+        If the spec cannot be read; `UnknownName` if the name is not registered.
     ParameterError
-        A parameter is unknown, missing or out of range, or dims disagree.
+        If a parameter is unknown, missing or out of range, or dims disagree.
 
     Examples
     --------
@@ -61,12 +63,12 @@ def density(spec: str, dims: int | None = None) -> Density:
 
 
 def as_density(given: object, dims: int | None = None) -> Density | None:
-    """Return a density from one or from a spec string, None from None; `dims`, if given, must agree.
+    """Convert a density or spec string to a density, None to None; `dims`, if given, must agree.
 
     Raises
     ------
     ParameterError
-        `given` has another type, or other dims.
+        If `given` has another type, or other dims.
     """
     if given is None:
         return None
@@ -74,7 +76,8 @@ def as_density(given: object, dims: int | None = None) -> Density | None:
         return density(given, dims)
     if not isinstance(given, Density):
         raise ParameterError(
-            f"{shown(given)} is not a density; give one, a spec string, or Density.from_functions(...)."
+            f"{shown(given)} is not a density; give one, a spec string, or "
+            "Density.from_functions(...)."
         )
     if dims is not None and given.dims != dims:
         raise ParameterError(
@@ -86,24 +89,24 @@ def as_density(given: object, dims: int | None = None) -> Density | None:
 def as_warp(given: object, primary_dims: int) -> Density | None:
     """Return a density whose warp takes points of `primary_dims` dims, None from None.
 
-    The density itself has as many dims, or one less where an extra coordinate chooses a part.
+    The density has `primary_dims` dims, or one less if an extra coordinate chooses a part.
 
     Raises
     ------
     ParameterError
-        `given` has another type, or takes points of other dims.
+        If `given` has another type, or takes points of other dims.
     """
     found = _fitting(given, primary_dims) if isinstance(given, str) else as_density(given)
     if found is not None and found.primary_dims != primary_dims:
         raise ParameterError(
-            f"The warp of {found.spec} takes points of {counted(found.primary_dims, 'dim')}, but the sampler's "
-            f"have {primary_dims}."
+            f"The warp of {found.spec} takes points of {counted(found.primary_dims, 'dim')}, but "
+            f"the sampler's have {primary_dims}."
         )
     return found
 
 
 def _fitting(spec: str, primary_dims: int) -> Density:
-    """Make a density of as many dims as its points, or of one less if that is what fits."""
+    """Make a density with `primary_dims` dims, or one less if that fits its points."""
     try:
         made = density(spec, primary_dims)
     except ParameterError:

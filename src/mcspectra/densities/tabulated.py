@@ -1,36 +1,38 @@
 """Piecewise constant densities, from a table or a picture, in one and two dims.
 
-Which warp
-----------
-In 1-D the inverse of the cdf is the only monotone warp. In 2-D one pdf has many warps, and the warp
-decides where the primary-space integrand g(u) = f(T(u))/p(T(u)) jumps, and with it the rate.
-`warp` chooses one of four, for the same pdf to the last bit (h rows of w columns):
+Choice of a warp
+----------------
+In 1-D the inverse of the cdf is the only monotone warp. In 2-D one pdf has many warps. The warp
+determines where the primary-space integrand g(u) = f(T(u))/p(T(u)) jumps, and hence the rate.
+`warp` chooses one of four, for exactly the same pdf (h rows of w columns):
 
-* ``"marginal"`` [Shirley1992]_ [Pharr2016]_ (§13.6.7): u_1 chooses the row by the marginal cdf, u_0 the column by
-  the cdf within that row. T_1 is continuous; T_0 jumps from row to row. All jumps lie on
-  axis-aligned segments: whole lines ``u_1 = row border``, and within a row pieces
-  ``u_0 = column border`` that differ from row to row. A line along u_0 meets no jump of T, one
-  along u_1 at most h − 1. Where all rows are proportional (a separable table) T is continuous and
-  g jumps, with p, on whole lines only.
-* ``"hierarchical"`` [McCoolHarwood1997]_ [Clarberg2005]_ halves the table, always the longer side,
-  down to the cells; each split takes its share of u along that side. Neighborhoods stay compact in
-  both axes, but a split is a jump for every other split that it crosses: lines along u_0 meet
-  w − 1 jumps at most, lines along u_1 h − 1.
+* ``"marginal"`` [Shirley1992]_ [Pharr2016]_ (§13.6.7): u_1 chooses the row by the marginal cdf, u_0
+  the column by the cdf within that row. T_1 is continuous; T_0 jumps from row to row. All jumps lie
+  on axis-aligned segments: whole lines ``u_1 = row border``, and within a row pieces ``u_0 = column
+  border`` that differ from row to row. A line along u_0 crosses no jump of T, a line along u_1 at
+  most h − 1. If all rows are proportional (a separable table), T is continuous, and g jumps only
+  where p does, on whole lines.
+* ``"hierarchical"`` [McCoolHarwood1997]_ [Clarberg2005]_ halves the table repeatedly, always the
+  longer side, down to the cells. Each split takes its share of u along that side. Neighborhoods
+  stay compact in both axes, but a split is a jump for every other split that it crosses: lines
+  along u_0 cross at most w − 1 jumps, lines along u_1 h − 1.
 * ``"alias"`` [Walker1977]_ [Vose1991]_ costs O(1): u_0 chooses one of h·w bins of equal size and
-  one of the two cells in it; the remainder of u_0 places along x_0, u_1 along x_1. Up to 2hw − 1
-  jumps on a line along u_0, to anywhere; sets are stratified in u_1 only, within cells. A
-  cell fills from several bins, each time whole, so T is many-to-one and has *no inverse*.
-* ``"hilbert"`` [SteiglederMcCool2003]_: u_0 chooses a cell by the cdf along a Hilbert curve and its
-  remainder places in the direction in which the curve leaves the cell, u_1 across it. Up to
-  hw − 1 jumps on a line along u_0, where the curve turns, each within two neighboring cells
-  where the table is a square of 2^k (elsewhere the curve leaves the table and comes back); none
-  along u_1. Made for n strata in u_0: square strata in 2-D get √n of them along the curve.
+  one of the two cells in it. The remainder of u_0 gives the position along x_0, u_1 that along x_1.
+  A line along u_0 crosses up to 2hw − 1 jumps, to arbitrary places; sets are stratified in u_1
+  only, within cells. Several bins may map to the whole of a cell, so T is many-to-one and has *no
+  inverse*.
+* ``"hilbert"`` [SteiglederMcCool2003]_: u_0 chooses a cell by the cdf along a Hilbert curve. Its
+  remainder gives the position in the direction in which the curve leaves the cell, u_1 the position
+  across it. A line along u_0 crosses up to hw − 1 jumps, at turns of the curve. Each jump stays
+  within two neighboring cells if the table is a square of side 2^k (else the curve leaves the table
+  and returns). A line along u_1 crosses no jumps. This warp is made for n strata in u_0: square
+  strata in 2-D provide only √n of them along the curve.
 
-*Bilinear* tables (`bilinear`) make p, and so g along rows, continuous: the remedy when jumps cost
-the rate.
+*Bilinear* tables (`bilinear`) make p, and so g along rows, continuous. They are the remedy if jumps
+reduce the rate.
 
 A border cuts strata, rather than falling between them, unless its position is a multiple of their
-side: jittered sampling in 2-D then loses from n^-2 to n^-1.5 (see the environment-map study).
+side. Jittered sampling in 2-D then falls from n^-2 to n^-1.5 (see the environment-map study).
 """
 
 from __future__ import annotations
@@ -61,10 +63,10 @@ __all__ = [
 
 WARPS = ("marginal", "hierarchical", "alias", "hilbert")
 
-_MOST_SHOWN = 256  # tables up to this size are kept as lists, so that spec strings hold them
-_MOST_CELLS = 2**26  # 512 MiB a copy, and a warp holds a few
-_MOST_BREAKS = 2**12  # more lines than that, and quadrature between them costs more than it gives
-_SAME_ROWS = 1e-12  # relative; rows that are proportional but for rounding
+_MOST_SHOWN = 256  # tables up to this size are kept as lists, which spec strings show
+_MOST_CELLS = 2**26  # largest number of cells; 512 MiB per copy, and a warp has a few
+_MOST_BREAKS = 2**12  # largest number of breaks; quadrature between more does not pay off
+_SAME_ROWS = 1e-12  # relative tolerance for rows that are proportional
 
 
 def as_table(values: object) -> Array:
@@ -98,12 +100,12 @@ def check_masses(table: Array) -> Array:
 
 
 def shown(table: Array) -> Any:
-    """The table as spec strings show it: a list, or the array where it is long."""
+    """Return the table as spec strings show it: a list, or the array if it is large."""
     return table.tolist() if table.size <= _MOST_SHOWN else table
 
 
 def flat(points: Array) -> Array:
-    """Points (..., d) as contiguous (N, d), for kernels."""
+    """Return points (..., d) as contiguous (N, d) for kernels."""
     return np.ascontiguousarray(points).reshape(-1, points.shape[-1])
 
 
@@ -115,11 +117,11 @@ class PiecewiseConstant(Density):
     Attributes
     ----------
     values
-        Relative density of each cell, at least 0 and not all 0; any scale. Shape (w,), or (h, w)
-        with x_0 along a row and x_1 from the first row to the last.
+        Relative density of each cell, at least 0 and not all 0, in any scale. Shape (w,), or
+        (h, w) with x_0 along a row and x_1 from the first row to the last.
     warp
-        ``"marginal"``, ``"hierarchical"``, ``"alias"`` or ``"hilbert"``: which T has that density
-        (see the module). In 1-D all but ``"alias"`` are the same.
+        The warp T, ``"marginal"``, ``"hierarchical"``, ``"alias"`` or ``"hilbert"`` (see the
+        module). In 1-D all except ``"alias"`` are the same.
     """
 
     warps: ClassVar[tuple[str, ...]] = WARPS
@@ -128,29 +130,30 @@ class PiecewiseConstant(Density):
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """1 or 2, as `values`."""
+        """1 or 2, the number of axes of `values`."""
         return int(self._table.ndim)
 
     @property
     def has_inverse(self) -> bool:
-        """False for alias tables, which are many-to-one."""
+        """Whether the warp is one-to-one; alias tables are not."""
         return self.warp != "alias"
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
         """Shares at which the warp or its slope jumps along a whole axis-normal line.
 
-        In 1-D the cdf at the borders between different cells. In 2-D those of the warp. Borders that
-        form segments rather than lines are not given, nor are more than 4096 along one axis.
+        In 1-D this is the cdf at the borders between different cells, in 2-D the breaks of the
+        warp. Borders that form segments rather than lines are omitted, and so are more than 4096
+        per axis.
         """
         return self._warp.breaks()[: self.dims]
 
     def reciprocal_integral(self) -> float:
-        """Mean over cells of 1/p, infinite where a cell is 0."""
+        """Return the mean over cells of 1/p, infinite if a cell is 0."""
         return float((1.0 / self._pdf_table).mean()) if self._pdf_table.all() else np.inf
 
     def zero_points(self) -> Array:
-        """Centers of the cells that hold nothing."""
+        """Return the centers of the empty cells."""
         cells = np.argwhere(self._table == 0)[:, ::-1]  # rows run along axis 1
         return np.asarray((cells + 0.5) / np.array(self._table.shape[::-1]))
 
@@ -169,7 +172,8 @@ class PiecewiseConstant(Density):
 
     @cached_property
     def _warp(self) -> _Marginal | _Hierarchical | _Alias | _Hilbert:
-        # All take the table to the same masses, evenly within each cell: they differ in order only
+        # All warps map to the same masses, evenly within each cell, and differ in the order of
+        # cells only
         if self.warp == "alias":
             return _Alias(self._cells)
         if self.dims == 1 or self.warp == "marginal":
@@ -198,7 +202,7 @@ class PiecewiseConstant(Density):
 
 
 def _cdf(masses: Array) -> Array:
-    """Cdf along the last axis, (..., k+1) from 0 to exactly 1; uniform where there is no mass."""
+    """Return the cdf along the last axis, (..., k+1) from 0 to exactly 1; uniform without mass."""
     sums = np.zeros((*masses.shape[:-1], masses.shape[-1] + 1))
     np.cumsum(masses, axis=-1, out=sums[..., 1:])
     total = sums[..., -1:]
@@ -207,26 +211,27 @@ def _cdf(masses: Array) -> Array:
 
 
 def _inner(borders: Array, differ: Array | None = None) -> tuple[float, ...]:
-    """Ascending borders within (0,1), of those between cells that differ; none beyond 4096."""
+    """Return ascending borders within (0,1) between cells that differ; empty if over 4096."""
     kept = borders if differ is None else borders[1:-1][differ != 0]
     found = np.unique(kept)
     found = found[(found > 0) & (found < 1)]
     return tuple(found.tolist()) if found.size <= _MOST_BREAKS else ()
 
 
-# Kernels: cell i of k covers [i/k, (i+1)/k) *as rounded*, for the look-up as for the samples: no sample
-# is counted to the cell next to its own. `borders` are cdf values at cell borders, from 0 to 1.
+# Kernels: cell i of k covers [i/k, (i+1)/k) *as rounded*, both in the look-up and for the samples,
+# so that no sample counts for an adjacent cell. `borders` are cdf values at cell borders, from 0 to
+# 1.
 
 
 @kernel
 def below(x: float) -> float:
-    """The float before x, for x in (0, 1]."""
+    """Return the float before x, for x in (0, 1]."""
     return np.nextafter(x, 0.0)  # type: ignore[no-any-return]
 
 
 @kernel
 def _cell_at(x: float, cells: int) -> int:
-    """i with i/cells <= x < (i+1)/cells; points outside belong to the end cells."""
+    """Return i with i/cells <= x < (i+1)/cells; points outside belong to the end cells."""
     i = min(max(math.floor(x * cells), 0), cells - 1)
     if i > 0 and x < i / cells:
         return i - 1
@@ -237,16 +242,16 @@ def _cell_at(x: float, cells: int) -> int:
 
 @kernel
 def _within(cell: int, rest: float, cells: int) -> float:
-    """The point at `rest` in [0,1] of a cell; never the next cell's."""
+    """Return the point at `rest` in [0,1] of a cell, never in the next cell."""
     return min((cell + rest) / cells, below((cell + 1) / cells))
 
 
 @kernel
 def last_at_most(borders: Array, low: int, size: int, u: float) -> int:
-    """Largest i of low … low + size − 1 with borders[i] <= u, where borders[low] <= u.
+    """Return the largest i of low … low + size − 1 with borders[i] <= u; borders[low] must be ≤ u.
 
-    Halving without a branch: which half is as good as random, and mispredicted jumps cost more than
-    the arithmetic.
+    Bisection without a branch: the chosen half is practically random, and mispredicted jumps cost
+    more than the arithmetic.
     """
     while size > 1:
         half = size >> 1
@@ -281,8 +286,8 @@ class _Marginal:
         _unwarp_rows(self.rows, self.columns, x, u)
 
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Marginal cdf between different rows; column borders where they are those of all rows."""
-        # Rows are proportional where all that hold mass have the cdf of the first of them
+        """Marginal cdf between different rows; column borders if the table is separable."""
+        # Rows are proportional if all rows with mass have the same cdf as the first one
         columns = self.columns[self.cells.any(axis=1)]
         separable = np.abs(columns - columns[0]).max() <= _SAME_ROWS
         across = _inner(self.columns[0], np.diff(self.cells[0])) if separable else ()
@@ -291,16 +296,16 @@ class _Marginal:
 
 @kernel
 def _stretch(borders: Array, u: float) -> tuple[int, float]:
-    """The cell of u and the point in it."""
+    """Return the cell of u and the point in it."""
     cells = borders.size - 1
-    i = last_at_most(borders, 0, cells, u)  # never a cell without mass, as u < 1 = borders[-1]
+    i = last_at_most(borders, 0, cells, u)  # the cell has mass, since u < 1 = borders[-1]
     x = (i + (u - borders[i]) / (borders[i + 1] - borders[i])) / cells
     return i, min(max(x, i / cells), below((i + 1) / cells))
 
 
 @kernel
 def _shrink(borders: Array, x: float) -> tuple[int, float]:
-    """The cell of x and the share up to it."""
+    """Return the cell of x and the share up to it."""
     cells = borders.size - 1
     i = _cell_at(x, cells)
     width = borders[i + 1] - borders[i]
@@ -331,12 +336,12 @@ class _Hierarchical:
     """Binary splits of the longer side down to the cells, each by the coordinate along that side.
 
     `shares` is a heap: node k has the children 2k+1 (lower indices) and 2k+2, and shares[k] is the
-    part of its mass that the first child holds. `axes` (levels,) is the axis that each level splits:
-    0 columns, 1 rows. Tables are padded with empty cells to powers of two, which no sample enters.
+    fraction of its mass in the first child. `axes` (levels,) is the axis that each level splits:
+    0 columns, 1 rows. Tables are padded to powers of two with empty cells, which no sample reaches.
     """
 
     def __init__(self, cells: Array) -> None:
-        # Split the longer side from the root on, rows where both are equal
+        # Split the longer side from the root on, and rows if both are equal
         bits = [(size - 1).bit_length() for size in cells.shape]
         table = np.pad(cells, [(0, 2**b - size) for b, size in zip(bits, cells.shape, strict=True)])
         axes = []
@@ -365,7 +370,7 @@ class _Hierarchical:
         _return_to_root(self.shares, self.axes, self.cells.shape, x, u)
 
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Borders of the splits before the first one along the other axis: those cut all lines."""
+        """Borders of the splits before the first one along the other axis, which cut all lines."""
         found: list[tuple[float, ...]] = [(), ()]
         if self.axes.size:
             axis = int(self.axes[0])
@@ -379,7 +384,7 @@ class _Hierarchical:
 
 @kernel
 def _descend(shares: Array, axes: Array, size: tuple[int, ...], u: Array, x: Array) -> None:
-    """Each split takes its part of u and stretches it."""
+    """Let each split take its part of u and stretch it."""
     height, width = size
     one = below(1.0)
     for k in range(u.shape[0]):
@@ -389,7 +394,7 @@ def _descend(shares: Array, axes: Array, size: tuple[int, ...], u: Array, x: Arr
             share = shares[node]
             rest = rest_y if axis else rest_x
             second = int(rest >= share)
-            # Without a branch on `second`, which is as good as random
+            # No branch on `second`, which is practically random
             start = share * second
             length = share + second * (1.0 - 2.0 * share)
             rest = min((rest - start) / length, one)
@@ -411,7 +416,7 @@ def _return_to_root(shares: Array, axes: Array, size: tuple[int, ...], x: Array,
         column, row = _cell_at(x[k, 0], width), _cell_at(x[k, 1], height)
         rest_x = max(x[k, 0] * width - column, 0.0)
         rest_y = max(x[k, 1] * height - row, 0.0)
-        # Find the leaf: the cell's bits, the highest first, in the order of the splits
+        # Find the leaf: the bits of the cell, highest first, in the order of the splits
         rows, columns = row_bits, axes.size - row_bits
         node = 0
         for axis in axes:
@@ -421,7 +426,7 @@ def _return_to_root(shares: Array, axes: Array, size: tuple[int, ...], x: Array,
             else:
                 columns -= 1
                 node = 2 * node + 1 + ((column >> columns) & 1)
-        # Undo the splits from there up
+        # Undo the splits from the leaf up
         for level in range(axes.size - 1, -1, -1):
             second = node % 2 == 0
             node = (node - 1) >> 1
@@ -439,7 +444,7 @@ def _return_to_root(shares: Array, axes: Array, size: tuple[int, ...], x: Array,
 class _Alias:
     """u_0 chooses a bin and one of its two cells; its remainder places along x_0, u_1 along x_1.
 
-    Bin i of n holds the cell i with the share `keep[i]` and, with the rest, the cell `other[i]`.
+    Bin i of n maps to cell i with probability `keep[i]`, and otherwise to the cell `other[i]`.
     """
 
     def __init__(self, cells: Array) -> None:
@@ -450,21 +455,21 @@ class _Alias:
         _jump(self.keep, self.other, self.cells.shape, u, x)
 
     def invert(self, x: Array, u: Array) -> None:
-        """Never called: a cell fills from its own bin and again from each that names it."""
+        """Raise an error, since a cell belongs to several bins; never called."""
         raise NotImplementedError
 
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Borders of the bins, and the border in each."""
+        """Borders of the bins, and the border within each bin."""
         starts = np.arange(self.keep.size)
         return _inner(np.concatenate([starts, starts + self.keep]) / self.keep.size), ()
 
 
 @kernel
 def _alias_table(masses: Array) -> tuple[Array, Array]:
-    """Shares `keep` (n,) and cells `other` (n,) of masses (n,) whose mean is 1.
+    """Return shares `keep` (n,) and cells `other` (n,) of masses (n,) whose mean is 1.
 
-    Each cell below the mean is filled up by one above it. Empty cells get the share 0 exactly: they
-    are filled first while others are above the mean, and what rounding leaves over is near 1.
+    A cell above the mean fills up each cell below the mean. Empty cells get a share of exactly 0:
+    they are filled first while others are above the mean, and rounding leaves values near 1.
     """
     n = masses.size
     left = masses.copy()
@@ -512,10 +517,10 @@ def _jump(keep: Array, other: Array, size: tuple[int, ...], u: Array, x: Array) 
 class _Hilbert:
     """u_0 runs through the cells along a Hilbert curve and places along it, u_1 across it.
 
-    `borders` (n+1,) is the cdf of the cells in the order of the curve, `order` (n,) their flat
-    indices and `places` the inverse of it, `headings` (n,) where the curve goes next: 0 +x_0, 1 −x_0,
-    2 +x_1, 3 −x_1. `guide` holds the cell of each of 2^g equal shares, so that a search starts within
-    a cell or two [ChenAsau1974]_.
+    `borders` (n+1,) is the cdf of the cells in the order of the curve. `order` (n,) has their flat
+    indices, and `places` is its inverse. `headings` (n,) has the next direction of the curve: 0
+    +x_0, 1 −x_0, 2 +x_1, 3 −x_1. `guide` has the cell of each of 2^g equal shares, so that a search
+    starts within one or two cells [ChenAsau1974]_.
     """
 
     def __init__(self, cells: Array) -> None:
@@ -540,15 +545,15 @@ class _Hilbert:
         _return_along(self.borders, self.places, self.headings, self.cells.shape, x, u)
 
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Cdf along the curve: where it turns T jumps, where it goes straight its slope does."""
+        """Cdf along the curve: T jumps at turns, and its slope jumps elsewhere."""
         return _inner(self.borders), ()
 
 
 @kernel
 def _position(side: int, column: int, row: int) -> int:
-    """Number of a cell along the curve through side × side cells, side a power of two.
+    """Return the number of a cell along the curve through side × side cells, side a power of two.
 
-    Quadrant by quadrant: each is entered after those before it, turned so that its curve fits.
+    Quadrants are entered one after another, each turned so that its curve fits.
     """
     found = 0
     step = side >> 1
@@ -567,7 +572,7 @@ def _position(side: int, column: int, row: int) -> int:
 def _places_on_curve(side: int, size: tuple[int, ...], places: Array, headings: Array) -> None:
     """Fill the curve's numbers (height · width,) of the cells and their headings.
 
-    The heading is found by asking the four neighbors; the curve's last cell goes on as before.
+    The heading is the direction of the neighbor with the next number; the last cell continues.
     """
     height, width = size
     last = side * side - 1
@@ -597,7 +602,7 @@ def _follow(
 ) -> None:
     height, width = size
     for k in range(u.shape[0]):
-        # u · 2^g is exact, so the guide's bracket holds u
+        # u · 2^g is exact, so the bracket of the guide contains u
         g = int(u[k, 0] * (guide.size - 1))
         i = last_at_most(borders, guide[g], guide[g + 1] + 1 - guide[g], u[k, 0])
         rest = (u[k, 0] - borders[i]) / (borders[i + 1] - borders[i])

@@ -39,8 +39,7 @@ from mcspectra.quality import quality_figures, summarize
 from mcspectra.quality.figures import different_realizations
 from mcspectra.report import page as html
 from mcspectra.samplers import SAMPLERS, Sampler, sampler
-from mcspectra.samplers.facts import Facts as SamplerFacts
-from mcspectra.samplers.facts import sampler_facts
+from mcspectra.samplers.facts import SamplerFacts, sampler_facts
 from mcspectra.spectra.power import power_spectrum
 
 __all__ = [

@@ -1,21 +1,22 @@
-"""Numba kernels of points that are relaxed by their cells or their neighbors: nothing is checked.
+"""Numba kernels that relax points by their cells or neighbors; arguments are not checked.
 
-Farthest points: a largest empty disk is centered on a corner of a Voronoi cell. Each cell is cut from the
-square around its point (the bisectors with the point's own images) by the bisectors with the points
-nearby; taking a point away, or putting one in, changes only the cells next to it. Legend: n points,
-2 dims; buckets as in `_spacing_kernels`; cells as of power diagrams; holes (n, 4): coordinates of the
-corner of each cell that is farthest from its point, its squared distance, and the squared distance of the
-nearest neighbor.
+Farthest points: the center of a largest empty disk is a corner of a Voronoi cell. Each cell starts
+as the square around its point, bounded by the bisectors with the point's own images. The bisectors
+with nearby points cut it. Removing or inserting a point changes only the adjacent cells. Legend: n
+points, 2 dims; buckets as in `_spacing_kernels`; cells as for power diagrams. A row of holes (n, 4)
+has the coordinates of the cell's corner farthest from its point, the squared distance of this
+corner, and the squared distance of the nearest neighbor.
 
-Power diagrams: the cell of site i holds the x with |x − x_i|² − w_i ≤ |x − x_j|² − w_j for all sites j
-and their images. It is cut likewise by the sites in a grid of cells, ring by ring, until those left are
-too far away to reach it. Legend: n sites, 2 dims; points (n, 2) in [0,1), weights w (n,); sites (n, 3):
-both in the order of the grid; a cell (K, 4), counterclockwise and relative to its site: x and y of a
-corner, distance of the site beyond the edge to the next corner, its number, −1 for an image of the
-site itself; `spare`, as large, for its corners before a cut.
+Power diagrams: the cell of site i contains the x with |x − x_i|² − w_i ≤ |x − x_j|² − w_j for all
+sites j and their images. The sites in a grid of cells cut it, ring by ring, until the remaining
+sites are too far away. Legend: n sites, 2 dims; points (n, 2) in [0,1), weights w (n,); sites
+(n, 3) are both, in the order of the grid. A cell (K, 4) is a counterclockwise polygon relative to
+its site. Its rows are x and y of a corner, the distance of the site beyond the edge to the next
+corner, and the number of that site (−1 for an image of the site itself). `spare` is scratch space
+of the same shape that holds the corners before a cut.
 
-Gaussian blue noise: energy of all pairs of points and its gradient. Legend: n points, d dims; `points`
-float64 in [0,1), `force` is overwritten with the gradient.
+Gaussian blue noise: the energy of all pairs of points and its gradient. Legend: n points, d dims;
+`points` float64 in [0,1); `force` is overwritten with the gradient.
 """
 
 from __future__ import annotations
@@ -39,13 +40,13 @@ __all__ = [
     "series_energy",
 ]
 
-_CORNERS = 64  # most corners of a Voronoi cell; six on average
-_LOAD = 2.0  # sites in a cell of the grid; 1 to 3 take the same time
-_SOLVED = 1e-3  # residual of the linear equations, relative: Newton's steps need no better
-_LONGER = 4.0  # than the step before, at most: far from the goal, short steps come in series
+_CORNERS = 64  # largest number of corners of a Voronoi cell; six on average
+_LOAD = 2.0  # sites per cell of the grid; 1 to 3 take the same time
+_SOLVED = 1e-3  # relative residual of the linear equations; enough for Newton steps
+_LONGER = 4.0  # largest ratio of a step to the previous one; short steps come in series
 _HALVINGS = 40
 _UNLIMITED = 2**62
-_PRODUCTS = 4  # a multiplication of the linear solver, in visits of a site: its reads are scattered
+_PRODUCTS = 4  # cost of a product in the linear solver, in visits of a site: scattered reads
 
 
 @kernel
@@ -84,7 +85,7 @@ def _cut(
                 cell[count, c] = spare[k, c]
             count += 1
         if (u <= 0.0) != (v <= 0.0):
-            # Leaving the polygon the new edge begins, entering it an old one goes on
+            # An edge leaving the half-plane starts the new edge; an entering edge continues
             t = u / (u - v)
             cell[count, 0] = spare[k, 0] + t * (spare[after, 0] - spare[k, 0])
             cell[count, 1] = spare[k, 1] + t * (spare[after, 1] - spare[k, 1])
@@ -106,7 +107,7 @@ def _farthest_corner(cell: Array, size: int) -> tuple[int, float]:
 
 @kernel
 def _measure(i: int, points: Array, buckets: Any, cell: Array, spare: Array, holes: Array) -> int:
-    # Make Voronoi cell i and its row of `holes`; return its number of corners.
+    # Compute Voronoi cell i and its row of `holes`; return its number of corners.
     side, _, head, chain = buckets
     size, near = 4, 1.0
     for k in range(4):
@@ -114,7 +115,7 @@ def _measure(i: int, points: Array, buckets: Any, cell: Array, spare: Array, hol
         cell[k, 1] = 0.5 if k < 2 else -0.5
         cell[k, 3] = -1.0
 
-    # Cut it by the points in rings of buckets, or by their images
+    # Cut the cell by the points in rings of buckets, or by their images
     ring, far = 0, 0.5
     while ring == 0 or (ring - 1.0) ** 2 < 4.0 * far * side * side:
         for a in range(-ring, ring + 1):
@@ -140,7 +141,7 @@ def _measure(i: int, points: Array, buckets: Any, cell: Array, spare: Array, hol
 
 @kernel
 def measure_all(points: Array) -> Any:
-    """Return buckets with all points, about one in each, and the holes (n, 4) of all cells."""
+    """Return buckets with all points, about one point each, and the holes (n, 4) of all cells."""
     n = points.shape[0]
     buckets, holes = empty_buckets(n, 2, max(1, int(np.sqrt(n)))), np.empty((n, 4))
     cell, spare = np.empty((_CORNERS, 4)), np.empty((_CORNERS, 4))
@@ -162,13 +163,13 @@ def _measure_around(size: int, cell: Array, points: Array, buckets: Any, holes: 
 
 @kernel
 def move_points(start: int, stop: int, points: Array, buckets: Any, holes: Array) -> None:
-    """Move each of the points start … stop−1 to the center of the largest empty disk without it."""
+    """Move points start … stop − 1, one by one, to the center of the largest empty disk."""
     side, _, head, chain = buckets
     cell, spare = np.empty((_CORNERS, 4)), np.empty((_CORNERS, 4))
     for i in range(start, stop):
         size = _measure(i, points, buckets, cell, spare, holes)
 
-        # Take the point out of its bucket
+        # Remove the point from its bucket
         x, y = points[i]
         bucket = _bucket(x, side) * side + _bucket(y, side)
         if head[bucket] == i:
@@ -180,7 +181,7 @@ def move_points(start: int, stop: int, points: Array, buckets: Any, holes: Array
             chain[before] = chain[i]
         _measure_around(size, cell, points, buckets, holes)
 
-        # Put it into the largest hole
+        # Insert the point at the largest hole
         holes[i, 2] = -1.0
         best = np.argmax(holes[:, 2])
         for j in range(2):
@@ -200,10 +201,11 @@ class Diagram(NamedTuple):
     offsets
         Centroids minus sites, (n, 2).
     rows, neighbors, couplings
-        Cell i has faces rows[i, 0] … rows[i, 1] − 1: the site beyond, and by how much the area of
-        cell i falls with its weight, length / (2 distance).
+        Cell i has the faces rows[i, 0] … rows[i, 1] − 1. Each face has a neighbor, the site beyond
+        it, and a coupling, length / (2 distance): the decrease of the area of cell i per unit of
+        that site's weight.
     work
-        Sites and grid cells that were visited, times corners of the cell that they may cut.
+        Number of visited sites and grid cells, each times the corners of the cell it may cut.
     """
 
     areas: Array
@@ -226,8 +228,9 @@ def _cut_by_bucket(
     cell: Array,
     spare: Array,
 ) -> Any:
-    # Cut the cell of site s, which is at `place` as seen from the bucket, by the sites in there
-    # near enough to reach it; return the new square of the farthest corner's distance, and size.
+    # Cut the cell of site s by the sites in a bucket that are near enough to reach it. `place` is
+    # the position of site s relative to the bucket. Return the squared distance of the farthest
+    # corner and the number of corners.
     for t in range(bucket[0], bucket[1]):
         dx, dy = sites[t, 0] - place[0], sites[t, 1] - place[1]
         d2 = dx * dx + dy * dy
@@ -247,7 +250,7 @@ def _cut_by_bucket(
 def _cut_cell(
     s: int, sites: Array, buckets: Any, heaviest: float, cell: Array, spare: Array
 ) -> tuple[int, int]:
-    # Make the cell of site s (in the order of the buckets); return its number of corners, and the work.
+    # Compute the cell of site s (in bucket order); return its number of corners and the work.
     side, starts = buckets
     x, y, excess, width = sites[s, 0], sites[s, 1], heaviest - sites[s, 2], 1.0 / side
     row, column = _bucket(x, side), _bucket(y, side)
@@ -291,13 +294,13 @@ def power_diagram(points: Array, weights: Array) -> Diagram:
     areas, moments, offsets = np.empty(n), np.empty(n), np.empty((n, 2))
     rows, used, work = np.zeros((n, 2), np.int64), 0, 0
     neighbors, couplings = np.empty(8 * n + 8, np.int64), np.empty(8 * n + 8)
-    # A cell lies within a unit square, where at most 9 images of a site can have a face with it
+    # A cell lies within a unit square, where at most 9 images of a site share a face with it
     cell, spare = np.empty((10 * n + 10, 4)), np.empty((10 * n + 10, 4))
     for s in range(n):
         i = order[s]
         size, visits = _cut_cell(s, sites, (side, starts), heaviest, cell, spare)
         work += visits
-        if used + size > len(neighbors):  # more faces than in general position: 6 n
+        if used + size > len(neighbors):  # 6 n faces suffice in general position
             neighbors = np.append(neighbors, np.empty(used + size, np.int64))
             couplings = np.append(couplings, np.empty(used + size))
 
@@ -335,8 +338,8 @@ def _divide(x: Array, diagonal: Array, out: Array) -> float:
 
 @kernel
 def _solve(diagram: Diagram, rest: Array) -> tuple[Array, int]:
-    # The change of the weights that changes areas by `rest`, which is overwritten, and the work:
-    # conjugate gradients for the Laplacian L of the graph of neighbors, weighted by the couplings.
+    # Return the change of weights that changes areas by `rest` (overwritten), and the work.
+    # Conjugate gradients for the Laplacian L of the graph of neighbors, weighted by couplings.
     n = rest.size
     change, direction, image, diagonal = np.zeros(n), np.empty(n), np.empty(n), np.zeros(n)
     for i in range(n):
@@ -369,7 +372,7 @@ def _solve(diagram: Diagram, rest: Array) -> tuple[Array, int]:
 
 @kernel
 def _compare(areas: Array, masses: Array, rest: Array) -> Any:
-    # Put masses − areas into `rest`; return the largest of them relative to a mass, and |rest|².
+    # Write masses − areas to `rest`; return the largest of them relative to a mass, and |rest|².
     worst, square = 0.0, 0.0
     for i in range(areas.size):
         rest[i] = masses[i] - areas[i]
@@ -389,12 +392,12 @@ def balance(
 ) -> Any:
     """Return weights whose cells have areas `masses`, and their power diagram.
 
-    Newton steps begin at `weights` or, if those leave a cell empty, at 0. They end after `steps` of
-    them, after `most_work` visits (see `Diagram`; the linear solver counts, too), or when all areas are
-    right within `tolerance` times their mass or get no better. Sites that are so close that a cell has
-    no area with equal weights take no step. The weights
-    maximize a concave function, the dual of the transport of the uniform density to the sites; damped
-    Newton steps find them from any weights that leave no cell empty [Kitagawa2019]_.
+    Newton steps start at `weights`, or at 0 if those leave a cell empty. They end after `steps`
+    steps, after `most_work` visits (see `Diagram`; the linear solver counts as well), when all
+    areas are right within `tolerance` times their mass, or when the areas no longer improve. No
+    step is taken if some sites are so close that a cell is empty with equal weights. The weights
+    maximize a concave function, the dual of the transport of the uniform density to the sites.
+    Damped Newton steps find them from any weights that leave no cell empty [Kitagawa2019]_.
     """
     weights, diagram = weights.copy(), power_diagram(points, weights)
     if diagram.areas.min() <= 0.0:
@@ -421,7 +424,7 @@ def balance(
                 break
             length /= 2
         else:
-            break  # nothing is gained any more: rounding
+            break  # rounding prevents further improvement
         weights += length * change
         diagram, worst, square = trial, trial_worst, trial_square
     return weights, diagram
@@ -431,7 +434,7 @@ def balance(
 def _add_cell_pair(
     points: Array, a: Array, b: Array, image: Array, sigma: float, force: Array
 ) -> float:
-    # Energy between the points a and the points b moved by `image`; each pair once if a is b.
+    # Energy between points a and the points b moved by `image`; each pair counts once if a is b.
     factor, far = -0.5 / sigma**2, 72.0 * sigma**2 / 2.0
     same = image[0] == 0.0 and image[1] == 0.0 and image[2] == 0.0
     energy = 0.0
@@ -460,10 +463,10 @@ def _add_cell_pair(
 
 @kernel
 def near_energy(points: Array, cells: Array, offsets: Array, sigma: float, force: Array) -> float:
-    """Return the energy of points (n, 3) up to 6 σ apart, in cells; fewer dims: zeros, one cell.
+    """Return the energy of points (n, 3) up to 6 σ apart; unused dims are zeros in one cell.
 
-    `offsets` (K, 3) are the steps to neighboring cells, one of each opposite pair, the first
-    zero; they may go around the torus several times, so that all images of a point count.
+    `offsets` (K, 3) are the steps to neighboring cells, one of each opposite pair, starting with
+    zero. Steps may go around the torus several times, so that all images of a point count.
     """
     n = points.shape[0]
     cell = np.empty(n, np.int64)
@@ -495,7 +498,7 @@ def near_energy(points: Array, cells: Array, offsets: Array, sigma: float, force
 
 @kernel
 def series_energy(points: Array, weights: Array, force: Array) -> float:
-    """Return Σ over pairs of Π_j (1 + Σ_m weights[m−1] cos 2πm(x_j − y_j)), any number of dims."""
+    """Return Σ over pairs of Π_j (1 + Σ_m weights[m−1] cos 2πm(x_j − y_j)) in any dimension."""
     n, dims = points.shape
 
     # Tabulate cos and sin of 2π m x for m = 1, 2, …: (n, d, orders)
@@ -512,7 +515,7 @@ def series_energy(points: Array, weights: Array, force: Array) -> float:
     energy = 0.0
     for i in range(n):
         for k in range(i):
-            # Factor of each axis and its derivative
+            # Compute the factor of each axis and its derivative
             for j in range(dims):
                 value[j], slope[j] = 1.0, 0.0
                 for m in range(weights.size):
@@ -521,7 +524,7 @@ def series_energy(points: Array, weights: Array, force: Array) -> float:
                     turn = s[i, j, m] * c[k, j, m] - c[i, j, m] * s[k, j, m]
                     slope[j] -= 2.0 * pi * (m + 1) * w * turn
 
-            # Derivatives of the product
+            # Compute the derivatives of the product
             after[dims] = 1.0
             for j in range(dims - 1, -1, -1):
                 after[j] = after[j + 1] * value[j]

@@ -1,7 +1,7 @@
-"""Numba kernels of digital nets: points from generator matrices, in base 2 and in any base; balance.
+"""Numba kernels of digital nets: points from generator matrices, and tests of balance.
 
-Legend: n points, d dims; ``directions`` uint32 (d, 32): column k of each generator matrix, its
-first digit the highest bit, so that 2^31 stands for ½; ``out`` float64 (n, d).
+Legend: n points, d dims; ``directions`` uint32 (d, 32): column k of each generator matrix with its
+first digit in the highest bit, so that 2^31 means ½; ``out`` float64 (n, d).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ __all__ = [
 
 @kernel
 def direction_numbers(polynomials: Array, initial: Array, out: Array) -> None:
-    """Continue Sobol' direction numbers by their recurrence; out uint32 (d, 32), 2^31 is ½.
+    """Continue Sobol' direction numbers by their recurrence; out is uint32 (d, 32), 2^31 means ½.
 
     polynomials (d,): bit k is the coefficient of x^k; initial (d, s): the odd m_1 … m_s.
     """
@@ -45,7 +45,7 @@ def direction_numbers(polynomials: Array, initial: Array, out: Array) -> None:
 
 @kernel
 def double_words(columns: Array, words: Array) -> None:
-    """Words (n,) of points 0, 1, … of a binary net from the first: each bit of the index doubles them."""
+    """Fill the words (n,) of points 0, 1, … of a binary net; each bit of the index doubles them."""
     k, size = 0, 1
     while size < words.size:
         new = words[size : 2 * size]
@@ -56,7 +56,7 @@ def double_words(columns: Array, words: Array) -> None:
 
 @kernel
 def fill_binary(directions: Array, out: Array) -> None:
-    """Points 0 … n−1 of a binary net."""
+    """Fill `out` with points 0 … n − 1 of a binary net."""
     words = np.empty(out.shape[0], np.uint32)
     for j in range(out.shape[1]):
         words[0] = 0
@@ -67,10 +67,10 @@ def fill_binary(directions: Array, out: Array) -> None:
 
 @kernel
 def fill_base(columns: Array, base: int, out: Array) -> None:
-    """Points 0 … n−1 of a digital net in any base; columns int64 (d, m, rows), base^rows ≤ 2^53.
+    """Fill `out` with points 0 … n − 1 of a digital net; columns int64 (d, m, rows).
 
-    An odometer: where a digit of the index goes up by one, or from base − 1 to 0 (which is one up,
-    too, modulo the base), its column is added once.
+    The kernel counts like an odometer. A digit of the index that goes up by one, or from base − 1
+    to 0 (also one up, modulo the base), adds its column once. base^rows is at most 2^53.
     """
     n, dims = out.shape
     _, places, rows = columns.shape
@@ -105,7 +105,7 @@ def leading_digits(x: Array, base: int, places: int) -> Array:
 
 @kernel
 def _next_parts(parts: Array) -> bool:
-    # The next composition, in place; False after the last, (0, …, 0, level).
+    # Advance to the next composition, in place; False after the last one, (0, …, 0, level).
     h = 0
     while parts[h] == 0:
         h += 1
@@ -140,12 +140,12 @@ def _balanced(digits: Array, base: int, places: int, parts: Array, cells: Array)
 
 @kernel
 def all_balanced(digits: Array, base: int, places: int, level: int) -> bool:
-    """Whether every elementary interval of volume base^-level holds n/base^level points.
+    """Return whether every elementary interval of volume base^-level holds n/base^level points.
 
-    The shapes of these intervals are the ways to write `level` as a sum of d ordered parts k_j ≥ 0,
-    in the order of Nijenhuis and Wilf's NEXCOM.
+    The shapes of these intervals are the ways to write `level` as a sum of d ordered parts
+    k_j ≥ 0, enumerated in the order of Nijenhuis and Wilf's NEXCOM.
 
-    digits int64 (d, n): the first `places` ≥ level digits of each coordinate, as a whole number.
+    digits int64 (d, n): the first `places` ≥ level digits of each coordinate as a whole number.
     """
     parts = np.zeros(digits.shape[0], np.int64)
     parts[0] = level

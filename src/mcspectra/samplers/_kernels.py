@@ -1,8 +1,8 @@
-"""Numba kernels of the samplers: arrays only, nothing checked.
+"""Numba kernels shared by the samplers; arguments are not checked.
 
-Legend: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`; ``out``
-float64 (R, n, d) unless said. Number i·d + j of a realization belongs to coordinate j of point i;
-numbers for shuffles come after those.
+Legend: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`; ``out`` is
+float64 (R, n, d) unless stated otherwise. Random number i·d + j of a realization belongs to
+coordinate j of point i; numbers for shuffles follow.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def _shuffle(k0: np.uint64, k1: np.uint64, start: int, order: Array) -> None:
 
 @kernel
 def fill_jittered(keys: Array, corners: Array, side: float, out: Array) -> None:
-    """One point in each cell; lower corners (n·d,), out (R, n·d); side as from `cell_side`."""
+    """Fill each cell with one point; lower corners (n·d,), out (R, n·d), side from `cell_side`."""
     for r in range(out.shape[0]):
         k0, k1 = keys[r, 0], keys[r, 1]
         row = out[r]
@@ -53,7 +53,7 @@ def fill_jittered(keys: Array, corners: Array, side: float, out: Array) -> None:
 
 @kernel
 def fill_latin(keys: Array, side: float, out: Array) -> None:
-    """Latin hypercube: each coordinate its own permutation of n strata, jittered within."""
+    """Fill a Latin hypercube: each coordinate permutes n strata and is jittered within them."""
     count, n, dims = out.shape
     order = np.empty(n, np.int32)
     for r in range(count):
@@ -65,7 +65,7 @@ def fill_latin(keys: Array, side: float, out: Array) -> None:
 
 
 def translated(points: Array, offsets: Array) -> Array:
-    """Sets (R or 1, n, d) moved on the torus by offsets (R or 1, d) in [0,1): (R, n, d)."""
+    """Translate sets (R or 1, n, d) on the torus by offsets (R or 1, d) in [0,1): (R, n, d)."""
     out = np.empty((max(len(points), len(offsets)), *points.shape[1:]))
     _translate(points, offsets, out)
     return out
@@ -73,8 +73,8 @@ def translated(points: Array, offsets: Array) -> Array:
 
 @kernel
 def _translate(points: Array, offsets: Array, out: Array) -> None:
-    # x + δ is at most 2 − 2^-52, which is a float64, and for 1 ≤ x + δ < 2 the subtraction is exact:
-    # the result cannot be 1
+    # x + δ is at most 2 − 2^-52, a float64. For 1 ≤ x + δ < 2 the subtraction is exact, so the
+    # result is below 1.
     count, n, dims = out.shape
     for r in range(count):
         offset, one = offsets[r % offsets.shape[0]], points[r % points.shape[0]]

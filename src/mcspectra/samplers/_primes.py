@@ -7,7 +7,7 @@ import math
 __all__ = ["LARGEST_BASE", "is_prime", "power_from", "prime_from"]
 
 LARGEST_BASE = 2**13
-"""Beyond the 1,000th prime, the largest base of halton; b^m ≥ 2^32 stays far below 2^53."""
+"""Largest base of digits; it exceeds the 1,000th prime, and b^m ≥ 2^32 stays far below 2^53."""
 
 
 def is_prime(n: int) -> bool:

@@ -1,17 +1,19 @@
-"""Numba kernels that scramble digits: XOR, permutations, nested uniform, by hash, by random matrices.
+"""Numba kernels that scramble digits: XOR, permutations, nested, hash-based, random matrices.
 
 Legend: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`; ``bases`` int64
-(d,); ``points`` float64 (R, n, d), or (1, n, d) of one set for all; ``out`` float64 (R, n, d).
+(d,); ``points`` float64 (R, n, d), or (1, n, d) if all realizations share a set; ``out`` float64
+(R, n, d).
 
-Base 2 comes first. A coordinate is a word of 32 (or 53) bits, the highest standing for ½.
+Base 2 comes first. A coordinate is a word of 32 (or 53) bits; its highest bit means ½.
 
-In any base a coordinate is read as v = ⌊x b^m⌋, the fewest digits with b^m ≥ 2^32. It is read 2^-52
-higher than it is: k/b^p, p ≤ m, is not a float, and may be rounded down. What comes out is
-(v' + (t + ½) 2^-k)/b^m with t < 2^k and b^m 2^k ≤ 2^50: uniform to 50 bits, and so far from all
-k/b^p that neither rounding nor ⌊x b^p⌋ in floats takes it to another interval.
+In any base, a coordinate x is read as v = ⌊x b^m⌋ with the smallest m such that b^m ≥ 2^32. Before
+that, x is raised by 2^-52, because k/b^p with p ≤ m is not a float and may have been rounded down.
+The result is (v' + (t + ½) 2^-k)/b^m with t < 2^k and b^m 2^k ≤ 2^50. It is uniform to 50 bits. It
+is also so far from every k/b^p that neither rounding nor a float ⌊x b^p⌋ moves it to another
+interval.
 
-Random numbers below 2^62 and those from 2^63 on are those of binary digits, those between of nodes of
-trees in other bases.
+Random numbers with addresses below 2^62 and at least 2^63 belong to binary digits; the addresses
+between belong to nodes of trees in other bases.
 """
 
 from __future__ import annotations
@@ -41,18 +43,18 @@ __all__ = [
 
 _ONE, _TREE, _TAIL = np.uint64(1), np.uint64(1 << 62), np.uint64(1 << 63)
 _S11, _S21, _S32, _S43 = np.uint64(11), np.uint64(21), np.uint64(32), np.uint64(43)
-_S34 = np.uint64(34)  # nodes: b^(m−1) < 2^32 of a level, numbered from b^level, stay below 2^33
+_S34 = np.uint64(34)  # node numbers stay below 2^33: b^(m−1) < 2^32 per level, from b^level
 _LOW32 = np.uint64(0xFFFFFFFF)
 _TO_53, _UNIT_53, _TO_32 = 2.0**53, 2.0**-53, 2.0**32
-_WORDS = 512  # words of a block: 4 kB
-_TABLE = 1024  # entries of a table of images of several digits: 8 kB
+_WORDS = 512  # words per block: 4 kB
+_TABLE = 1024  # entries of a table of images of digit groups: 8 kB
 _USED_UP = 2**32
 _LEAST, _FINEST = 2.0**32, 2.0**50
 
 
 @kernel
 def xor_digits(keys: Array, points: Array, out: Array) -> None:
-    """Digital shift: XOR of the 53 leading bits with one random word a coordinate."""
+    """Digital shift: XOR of the 53 leading bits with one random word per coordinate."""
     count, n, dims = out.shape
     words = np.empty(dims, np.uint64)
     for r in range(count):
@@ -67,7 +69,7 @@ def xor_digits(keys: Array, points: Array, out: Array) -> None:
 
 @kernel
 def _with_tail(k0: np.uint64, k1: np.uint64, number: int, word: Any) -> Any:
-    # The point of a 32-bit word, independent uniform bits below.
+    # The point of a 32-bit word, with independent uniform bits below.
     address: Any = _TAIL | np.uint64(number)
     tail = mix_bits(k0, k1, address) >> _S43
     return np.float64(np.int64((np.uint64(word) << _S21) | tail)) * _UNIT_53
@@ -75,8 +77,9 @@ def _with_tail(k0: np.uint64, k1: np.uint64, number: int, word: Any) -> Any:
 
 @kernel
 def _six_flips(bits: Any, piece: Any) -> Any:
-    # Flips of six bits, the highest first, by the node that the bits above lead to; nodes are numbered
-    # as in a heap, node v has the children 2v and 2v + 1. Each is moved to its place at once.
+    # Flips of six bits, the highest first. The node that the higher bits lead to gives each flip;
+    # nodes are numbered as in a heap: node v has the children 2v and 2v + 1. Each flip is moved
+    # to its place directly.
     moved = bits << np.uint64(4)
     flips = (moved & np.uint64(32)) | (
         (moved >> (np.uint64(2) + (piece >> np.uint64(5)))) & np.uint64(16)
@@ -91,7 +94,7 @@ def _six_flips(bits: Any, piece: Any) -> Any:
 def _flip_two_levels(
     k0: np.uint64, k1: np.uint64, dim: int, level: int, w: Array, out: Array
 ) -> None:
-    # Two subtrees of six levels each, of all words: the loop has no branch and is vectorized
+    # Two subtrees of six levels each, for all words; the loop has no branch and is vectorized
     root, six = np.uint64(dim) << _S32, np.uint64(63)
     upper, lower = root | (_ONE << np.uint64(level)), root | (_ONE << np.uint64(level + 6))
     above, between, below = np.uint64(32 - level), np.uint64(26 - level), np.uint64(20 - level)
@@ -107,8 +110,8 @@ def _flip_two_levels(
 def _nest(
     k0: np.uint64, k1: np.uint64, dim: int, dims: int, start: int, w: Array, out: Array
 ) -> None:
-    # Nested uniform scramble of 32-bit words w (uint64) of points start, start + 1, … into out: the
-    # flip of a bit hangs on all the bits above it. One 64-bit hash has the flips of six levels.
+    # Nested uniform scramble of the 32-bit words w (uint64) of points start, start + 1, … to out.
+    # The flip of a bit depends on all higher bits. One 64-bit hash holds the flips of six levels.
     words = w.copy()
     root: Any = (np.uint64(dim) << _S32) | _ONE
     bits = mix_bits(k0, k1, root)
@@ -129,7 +132,7 @@ def _nest(
 
 @kernel
 def _reversed(word: Any) -> Any:
-    # Bits of a 32-bit word in reverse, by halves (compilers know it).
+    # Reverse the bits of a 32-bit word by halves, which compilers recognize.
     x = np.uint32(word)
     x = np.uint32(np.uint32(x >> 16) | np.uint32(x << 16))
     x = np.uint32(np.uint32((x >> 8) & 0x00FF00FF) | np.uint32((x & 0x00FF00FF) << 8))
@@ -140,8 +143,9 @@ def _reversed(word: Any) -> Any:
 
 @kernel
 def _hashed(word: Any, add: Any, factor: Any, add_2: Any, factor_2: Any) -> Any:
-    # Hash of a reversed word in which every bit hangs on those below it only: products by even
-    # numbers XORed in, and odd multiples of sums, do just that. All uint32, factors odd.
+    # Hash of a reversed word in which every bit depends only on the bits below it. XOR with
+    # products by even numbers, and odd multiples of sums, have this property. All uint32, factors
+    # odd.
     x = np.uint32(word)
     x = np.uint32(x ^ np.uint32(x * np.uint32(0x3D20ADEA)))
     x = np.uint32(np.uint32(x + add) * factor)
@@ -162,7 +166,7 @@ def _hash_keys(k0: np.uint64, k1: np.uint64, out: Array) -> None:
 
 @kernel
 def scramble_hashed(keys: Array, points: Array, out: Array) -> None:
-    """Owen scrambling by hash of 32 bits, independent uniform digits below."""
+    """Hash-based Owen scrambling of 32 bits, with independent uniform digits below."""
     count, n, dims = out.shape
     hash_keys, block = np.empty((dims, 4), np.uint32), np.empty(_WORDS, np.uint32)
     for r in range(count):
@@ -172,7 +176,7 @@ def scramble_hashed(keys: Array, points: Array, out: Array) -> None:
         for start in range(0, n, _WORDS):
             words = block[: min(_WORDS, n - start)]
             for j in range(dims):
-                # Loops apart, so that those over words alone are vectorized
+                # Separate loops, so that the loop over words alone is vectorized
                 add, factor, add_2, factor_2 = hash_keys[j]
                 for i in range(words.size):
                     words[i] = np.uint32(np.int64(one[start + i, j] * _TO_32))
@@ -186,7 +190,7 @@ def scramble_hashed(keys: Array, points: Array, out: Array) -> None:
 
 @kernel
 def _draw_matrices(k0: np.uint64, k1: np.uint64, shift: bool, columns: Array, words: Array) -> None:
-    # Lower triangular, ones on the diagonal: columns uint64 (d, 53); words (d,) of the shift
+    # Lower triangular matrices with unit diagonal: columns uint64 (d, 53); shift words (d,)
     dims = words.size
     for j in range(dims):
         for c in range(53):
@@ -197,7 +201,7 @@ def _draw_matrices(k0: np.uint64, k1: np.uint64, shift: bool, columns: Array, wo
 
 @kernel
 def _product(columns: Array, digits: Any) -> Any:
-    # Matrix times bits, the first of which is the highest of 64
+    # Matrix times bits; the highest of 64 bits is the first
     product, c = np.uint64(0), 0
     while digits:
         if digits & _TAIL:
@@ -208,9 +212,9 @@ def _product(columns: Array, digits: Any) -> Any:
 
 @kernel
 def mix_matrices(keys: Array, shift: bool, points: Array, out: Array) -> None:
-    """Random lower triangular matrices of ones on the diagonal, times the 53 bits of points.
+    """Multiply the 53 bits of points by random lower triangular matrices with unit diagonal.
 
-    With `shift` a random word is added (XOR) afterwards, the same for all points.
+    With `shift`, a random word is then added (XOR), the same for all points.
     """
     count, n, dims = out.shape
     columns, words = np.empty((dims, 53), np.uint64), np.empty(dims, np.uint64)
@@ -226,7 +230,7 @@ def mix_matrices(keys: Array, shift: bool, points: Array, out: Array) -> None:
 
 @kernel
 def fill_mixed(keys: Array, shift: bool, directions: Array, out: Array) -> None:
-    """What `mix_matrices` makes of points 0 … n−1 of the sequence of uint32 (d, 32) columns."""
+    """Same as `mix_matrices` for points 0 … n − 1 of the sequence with uint32 (d, 32) columns."""
     count, n, dims = out.shape
     columns, words = np.empty((dims, 53), np.uint64), np.empty(dims, np.uint64)
     points, mixed = np.empty(n, np.uint64), np.empty(32, np.uint64)
@@ -245,7 +249,7 @@ def fill_mixed(keys: Array, shift: bool, directions: Array, out: Array) -> None:
 
 @kernel
 def _format(base: int) -> tuple[int, float, float, float]:
-    # Digits m, b^m, what to add before ⌊·⌋, and the unit 2^-k of the tail.
+    # Number of digits m, b^m, the nudge added before ⌊·⌋, and the unit 2^-k of the tail.
     places, scale, unit = 0, 1.0, 1.0
     while scale < _LEAST:
         places, scale = places + 1, scale * base
@@ -262,7 +266,7 @@ def _read(x: float, scale: float, nudge: float) -> Any:
 
 @kernel
 def _middle(tail: float, unit: float) -> Any:
-    # Of the 2^-k in which the uniform number lies
+    # Middle of the interval of length 2^-k that contains the uniform number
     return (np.floor(tail / unit) + 0.5) * unit
 
 
@@ -273,7 +277,7 @@ def _write(v: int, tail: float, scale: float, unit: float) -> Any:
 
 @kernel
 def _quotient(v: int, inverse: float) -> Any:
-    # ⌊v/b⌋ by the float 1/b, for v < 2^45: the error, below 2^-7/b, is less than the ½/b to spare
+    # ⌊v/b⌋ by the float 1/b, for v < 2^45: the error is below 2^-7/b, and ½/b is allowed
     return np.int64((np.float64(v) + 0.5) * inverse)
 
 
@@ -288,8 +292,8 @@ def _draw_permutation(k0: np.uint64, k1: np.uint64, number: int, order: Array) -
 
 @kernel
 def _draw_images(k0: Any, k1: Any, number: int, places: int, base: int, shift: bool) -> Any:
-    # What becomes of each digit in each place, the lowest place first: int64 (m, b); and a uniform number
-    # for what comes below, the same for all points
+    # Image of each digit in each place, the lowest place first: int64 (m, b). Also a uniform number
+    # for the digits below, the same for all points.
     out = np.empty((places, base), np.int64)
     for k in range(places):
         if shift:
@@ -302,7 +306,7 @@ def _draw_images(k0: Any, k1: Any, number: int, places: int, base: int, shift: b
 
 @kernel
 def _group_images(images: Array, most: int) -> Array:
-    # The same for groups of digits, as many as make tables of `most` entries: (groups, b^digits)
+    # Images of groups of digits, with up to `most` entries per table: (groups, b^digits)
     places, base = images.shape
     size, digits = base, 1
     while size * base <= most and digits < places:
@@ -320,9 +324,9 @@ def _group_images(images: Array, most: int) -> Array:
 
 @kernel
 def permute_digits(keys: Array, bases: Array, shift: bool, points: Array, out: Array) -> None:
-    """A random permutation (if `shift`: addition modulo b) of each digit, the same for all points.
+    """Permute each digit at random (with `shift`, add modulo b), equally for all points.
 
-    So is what comes below the last digit: one uniform number for each coordinate.
+    The part below the last digit is one uniform number per coordinate, the same for all points.
     """
     n = out.shape[1]
     for r in range(out.shape[0]):
@@ -337,7 +341,7 @@ def permute_digits(keys: Array, bases: Array, shift: bool, points: Array, out: A
             for i in range(n):
                 v = _read(one[i, j], scale, nudge)
                 permuted, weight = 0, 1
-                for g in range(groups):  # from the lowest
+                for g in range(groups):  # lowest group first
                     above = _quotient(v, 1.0 / size)
                     permuted += table[g, v - above * size] * weight
                     v, weight = above, weight * size
@@ -346,24 +350,24 @@ def permute_digits(keys: Array, bases: Array, shift: bool, points: Array, out: A
 
 @kernel
 def _invert_digits(images: Array, start: int, scale: float, tail: float, out: Array) -> None:
-    # Radical inverses of start, start + 1, … with the images (m, b) of their digits and a tail in units
-    # of b^-m = 1/scale: sums are exact; out (n,)
+    # Radical inverses of start, start + 1, … with the images (m, b) of their digits, and a tail in
+    # units of b^-m = 1/scale. Sums are exact; out (n,).
     (places, base), n = images.shape, out.size
 
-    # Tabulate the images of as many of the index's lowest digits as are worth it
+    # Tabulate the images of the index's lowest digits, as long as the table pays off
     size, low = base, 1
     while low < places and size * base <= min(n, _TABLE):
         size, low = size * base, low + 1
     table = np.zeros(size)
     width, weight = 1, base ** (places - 1)
     for k in range(low):
-        for digit in range(base - 1, -1, -1):  # 0 last: it overwrites what others read
+        for digit in range(base - 1, -1, -1):  # 0 last: the others read its entries
             image = np.float64(images[places - 1 - k, digit] * weight)
             for v in range(width):
                 table[digit * width + v] = table[v] + image
         width, weight = width * base, weight // base
 
-    # Add those of the digits above, the same for a run of indices
+    # Add the images of the higher digits, which are the same for a run of indices
     i, v, block = 0, start % size, start // size
     while i < n:
         high, unit_above, rest = 0, weight, block
@@ -378,7 +382,7 @@ def _invert_digits(images: Array, start: int, scale: float, tail: float, out: Ar
 
 @kernel
 def fill_inverses(bases: Array, start: int, out: Array) -> None:
-    """Radical inverses of start, start + 1, … in each base; out (n, d)."""
+    """Fill out (n, d) with the radical inverses of start, start + 1, … in each base."""
     for j in range(bases.size):
         places, scale, _, _ = _format(bases[j])
         images = np.empty((places, bases[j]), np.int64)
@@ -388,7 +392,7 @@ def fill_inverses(bases: Array, start: int, out: Array) -> None:
 
 @kernel
 def fill_permuted(keys: Array, bases: Array, shift: bool, start: int, out: Array) -> None:
-    """What `permute_digits` makes of the radical inverses of start, start + 1, …"""
+    """Same as `permute_digits` for the radical inverses of start, start + 1, …"""
     for r in range(out.shape[0]):
         k0, k1 = keys[r, 0], keys[r, 1]
         number = 0
@@ -401,10 +405,11 @@ def fill_permuted(keys: Array, bases: Array, shift: bool, start: int, out: Array
 
 @kernel
 def fill_nested(keys: Array, bases: Array, out: Array) -> None:
-    """Radical inverses of 0, 1, … after Owen's nested uniform scrambling; so are those of any run.
+    """Radical inverses of 0, 1, … after Owen's nested uniform scrambling, also for any run of them.
 
-    Point v + c b^l, with v < b^l and 0 < c < b, shares l digits with point v, no two of these b
-    points the next, and is uniform below: the first points do not depend on how many there are.
+    Point v + c b^l, with v < b^l and 0 < c < b, shares l digits with point v. No two of these b
+    points share the next digit, and lower digits are uniform. So the first points do not depend on
+    n.
     """
     n, dims = out.shape[1:]
     for r in range(out.shape[0]):
@@ -428,7 +433,7 @@ def fill_nested(keys: Array, bases: Array, out: Array) -> None:
                         order[c], order[picks[c]] = order[picks[c]], order[c]
                         other = prefix - digit + (digit + order[c]) % base
                         row[i] = (other + mix_uniform(k0, k1, number)) * span
-                    for c in range(count, 0, -1):  # put the order back
+                    for c in range(count, 0, -1):  # restore the order
                         order[c], order[picks[c]] = order[picks[c]], order[c]
                 width, span = width * base, span // base
             for i in range(n):
@@ -437,9 +442,9 @@ def fill_nested(keys: Array, bases: Array, out: Array) -> None:
 
 @kernel
 def _image(k0: np.uint64, k1: np.uint64, node: Any, digit: int, base: int) -> int:
-    # Where the random permutation of a node takes one digit: Fisher and Yates's swaps, seen by that
-    # digit. A number below c is the upper word of c times 64 random bits; the lower word serves
-    # for the next, until a factor of 2^32 is used up.
+    # Image of one digit under the random permutation of a node, by following this digit through
+    # Fisher and Yates's swaps. A number below c is the upper word of c times 64 random bits; the
+    # lower word serves for the next number, until a factor of 2^32 is used up.
     position, used, drawn = digit, 1, 0
     bits = mix_bits(k0, k1, node)
     for t in range(base - 1):
@@ -460,8 +465,9 @@ def _image(k0: np.uint64, k1: np.uint64, node: Any, digit: int, base: int) -> in
 
 @kernel
 def _climb(k0: np.uint64, k1: np.uint64, dim: int, base: int, places: int, v: int) -> int:
-    # Nested uniform scramble of the number v, from its last digit to its first: each digit by the
-    # permutation of the node above it. Nodes of a level are numbered from b^level, unlike others.
+    # Nested uniform scramble of the number v, from its last digit to its first. The node above a
+    # digit gives its permutation. Nodes of a level are numbered from b^level, so numbers are
+    # unique.
     scrambled, weight, inverse = 0, 1, 1.0 / base
     width = base ** (places - 1)
     for _ in range(places):
@@ -474,7 +480,7 @@ def _climb(k0: np.uint64, k1: np.uint64, dim: int, base: int, places: int, v: in
 
 @kernel
 def scramble_trees(keys: Array, bases: Array, points: Array, out: Array) -> None:
-    """Owen's nested uniform scrambling in the base of each coordinate, independent digits below."""
+    """Owen's nested uniform scrambling in the base of each coordinate; lower digits are uniform."""
     count, n, dims = out.shape
     block = np.empty(_WORDS, np.uint64)
     for r in range(count):
@@ -499,7 +505,7 @@ def scramble_trees(keys: Array, bases: Array, points: Array, out: Array) -> None
 
 @kernel
 def _draw_triangle(k0: np.uint64, k1: np.uint64, number: int, base: int, out: Array) -> None:
-    # Lower triangular, 1 … b−1 on the diagonal, 0 … b−1 below it; out int64 (m, m): its columns
+    # Lower triangular, 1 … b − 1 on the diagonal, 0 … b − 1 below it; out int64 (m, m): its columns
     for c in range(out.shape[0]):
         for row in range(c, out.shape[0]):
             least = 1 if c == row else 0
@@ -509,8 +515,8 @@ def _draw_triangle(k0: np.uint64, k1: np.uint64, number: int, base: int, out: Ar
 
 @kernel
 def _multiply(matrix: Array, base: int, v: int, out: Array) -> None:
-    # out (m,) += matrix times the digits of v, modulo the base; zeros, as below all points of a
-    # net, cost nothing
+    # out (m,) += matrix times the digits of v, without reduction modulo the base. Zero digits, such
+    # as those below all points of a net, are skipped.
     inverse = 1.0 / base
     for c in range(out.size - 1, -1, -1):
         above = _quotient(v, inverse)
@@ -523,9 +529,9 @@ def _multiply(matrix: Array, base: int, v: int, out: Array) -> None:
 
 @kernel
 def mix_triangles(keys: Array, bases: Array, shift: bool, points: Array, out: Array) -> None:
-    """Random lower triangular matrices times the digits of points, modulo prime bases.
+    """Multiply the digits of points by random lower triangular matrices modulo prime bases.
 
-    With `shift` a random digit is added in each place and a uniform number below the last, the
+    With `shift`, a random digit is added in each place and a uniform number below the last, the
     same for all points.
     """
     for r in range(out.shape[0]):

@@ -1,13 +1,14 @@
-"""Numba kernels of samplers that keep points apart: arrays only, nothing checked.
+"""Numba kernels of samplers that keep points apart; arguments are not checked.
 
-Dart throwing on a grid of cells that hold one point each (method: `samplers.poisson`); buckets, cells
-over the first axes of the domain, each with a chain of the points in it, for distances to points that
-stand anywhere; and what is chosen by such distances: darts, best candidates, largest empty disks.
+There are three groups of kernels. Dart throwing uses a grid whose cells hold one point each
+(method: `samplers.poisson`). Buckets are cells over the first axes of the domain, each with a
+chain of its points; they give distances to points at arbitrary places. Selection by such distances
+gives darts, best candidates and largest empty disks.
 
 Legend: R realizations, n points, d dims; ``out`` float64 (R, n, d), ``keys`` uint64 (R, 2); `at`
-numbers the random numbers of a realization; `wrap`: distances go round the edges. Buckets are a tuple
-(side, axes, head, chain): `side` cells along each of the first `axes` axes, head (cells,) the last
-point put into each cell, chain (n,) the one before it, −1 at the end.
+is the index of the next random number of a realization; with `wrap`, distances are on the torus.
+Buckets are a tuple (side, axes, head, chain): `side` cells along each of the first `axes` axes,
+head (cells,) the last point put into each cell, chain (n,) the point before it, −1 at the end.
 """
 
 from __future__ import annotations
@@ -30,18 +31,18 @@ __all__ = [
 ]
 
 _FINEST = 2**40
-_NOWHERE = 9.0  # coordinate of an empty cell, farther away than any radius
-_AXES = 3  # of buckets and grids: more would be visits to empty cells
-# In cells, which are about a quarter of the points' spacing: more than any distance to the nearest
+_NOWHERE = 9.0  # coordinate that marks an empty cell, farther away than any radius
+_AXES = 3  # axes of buckets and grids; more axes would give mostly empty cells
+# Reach of a new point, in cells of about a quarter of the spacing: beyond any nearest distance
 _REACH = 7
-_ROUNDING = 1e-9  # of a cell
-_FAR = 16.0  # squared distance beyond any in the domain, in up to 4 dims
-_SHARP = 1e-10  # of the distance: how exactly the center of a hole is found
+_ROUNDING = 1e-9  # fraction of a cell added to bounds against rounding
+_FAR = 16.0  # squared distance larger than any in the domain, in up to 4 dims
+_SHARP = 1e-10  # tolerance of the center of a hole, relative to its distance
 
 
 @kernel
 def empty_buckets(n: int, dims: int, side: int) -> Any:
-    """Return buckets without points, `side` cells an axis, for up to n points."""
+    """Return buckets without points, `side` cells per axis, for up to n points."""
     axes = min(dims, _AXES)
     return side, axes, np.full(side**axes, -1), np.full(n, -1)
 
@@ -59,8 +60,8 @@ def add_to_buckets(i: int, x: Array, buckets: Any) -> None:
 
 @kernel
 def _shell_cell(x: Array, code: int, ring: int, buckets: Any, wrap: bool) -> int:
-    # Cell number `code` of the cube of cells within `ring` of x; −1 for those inside the shell (they
-    # have been visited) and outside the domain.
+    # Cell number `code` of the cube of cells within `ring` of x; −1 for cells inside the shell
+    # (already visited) and outside the domain.
     side, axes = buckets[0], buckets[1]
     cell, reach = 0, 0
     for j in range(axes):
@@ -80,8 +81,8 @@ def _shell_cell(x: Array, code: int, ring: int, buckets: Any, wrap: bool) -> int
 def _clearance(
     x: Array, points: Array, buckets: Any, wrap: bool, stop: float, most: float
 ) -> float:
-    # Squared distance from x to the nearest point, `most` if that is smaller. As soon as a point is
-    # nearer than `stop` (squared), the search ends with its distance.
+    # Squared distance from x to the nearest point, or `most` if that is smaller. The search ends as
+    # soon as a point is nearer than `stop` (squared), and returns its distance.
     side, axes, head, chain = buckets
 
     # Distance from x to the nearest wall of its cell, in cells
@@ -91,7 +92,7 @@ def _clearance(
         edge = min(edge, inside, 1.0 - inside)
     edge = max(edge, 0.0)
 
-    # Look into the cells around x, shell by shell
+    # Visit the cells around x, shell by shell
     least = most
     for ring in range(side if not wrap else side // 2 + 1):
         if ring and (ring - 1.0 + edge) ** 2 >= least * side * side:
@@ -124,7 +125,7 @@ def _home(x: Array, side: int, reach: int) -> int:
 
 @kernel
 def _is_covered(x: Array, half: float, home: int, radius: float, near: Array, grid: Array) -> bool:
-    # Whether the open disk around one of the points holds the whole box x ± half.
+    # Whether the open disk around one of the points contains the whole box x ± half.
     limit = radius * radius
     for k in range(near.size):
         point = grid[home + near[k]]
@@ -138,7 +139,7 @@ def _is_covered(x: Array, half: float, home: int, radius: float, near: Array, gr
 
 @kernel
 def _place(x: Array, side: int, reach: int, wrap: bool, grid: Array) -> None:
-    # Put x, and its periodic images within reach of the domain, into the padded grid.
+    # Put x and its periodic images within reach of the domain into the padded grid.
     dims = x.size
     turns = 1 + (reach - 1) // side if wrap else 0
     for image in range((2 * turns + 1) ** dims):
@@ -157,16 +158,16 @@ def _place(x: Array, side: int, reach: int, wrap: bool, grid: Array) -> None:
 
 @kernel
 def throw_set(disks: Any, k0: Any, k1: Any, at: int, points: Array) -> tuple[int, int]:
-    """Throw until `points` (n, d) are placed or none fits any more.
+    """Throw darts until `points` (n, d) are placed or no further point fits.
 
-    Returns their number, and where the random numbers go on. `disks`: see `poisson`.
+    Return the number of points and the index of the next random number. `disks`: see `poisson`.
     """
     radius, side, reach, near, wrap, throws = disks
     n, dims = points.shape
     grid = np.full(((side + 2 * reach) ** dims, dims), _NOWHERE)
     scale, placed, x = side, 0, np.empty(dims)
 
-    # All cells may have room: their integer coordinates (side^d, d)
+    # All cells are candidates at first: their integer coordinates (side^d, d)
     active = np.empty((side**dims, dims), np.int64)
     for i in range(active.shape[0]):
         rest = i
@@ -175,7 +176,7 @@ def throw_set(disks: Any, k0: Any, k1: Any, at: int, points: Array) -> tuple[int
             rest //= side
 
     while active.shape[0] > 0 and scale < _FINEST:
-        # Throw darts into random cells; one that has got its point goes off the list
+        # Throw darts into random cells; remove a cell from the list when it has its point
         m = active.shape[0]
         for _ in range(throws * m):
             pick = int(mix_uniform(k0, k1, at) * m)
@@ -198,7 +199,7 @@ def throw_set(disks: Any, k0: Any, k1: Any, at: int, points: Array) -> tuple[int
             if m == 0:
                 break
 
-        # Halve the cells left over along every axis, and drop the children that a disk covers
+        # Halve the remaining cells along every axis, and drop the children that a disk covers
         children = np.empty((m << dims, dims), np.int64)
         kept = 0
         for i in range(m):
@@ -218,9 +219,10 @@ def throw_set(disks: Any, k0: Any, k1: Any, at: int, points: Array) -> tuple[int
 def throw_darts(
     limit: float, side: int, trials: int, k0: Any, k1: Any, at: int, points: Array
 ) -> tuple[int, int]:
-    """Throw until `points` (n, d) stick or `trials` darts in a row do not, squared distances ≥ `limit`.
+    """Throw darts until n are accepted or `trials` darts in a row are rejected.
 
-    Returns their number, and where the random numbers go on.
+    A dart is accepted at squared distances ≥ `limit`; `points` (n, d) is filled. Return the number
+    of points and the index of the next random number.
     """
     n, dims = points.shape
     buckets = empty_buckets(n, dims, side)
@@ -240,8 +242,8 @@ def throw_darts(
 
 @kernel
 def _lower_ceilings(x: Array, side: int, ceilings: Array) -> None:
-    # What a new point at x means for the cells around it: no place is farther from it than the
-    # center of the cell is, plus half the diagonal. Cells beyond the reach keep their ceilings.
+    # Lower the bounds of the cells around a new point at x. No place in a cell is farther from it
+    # than the cell's center plus half the diagonal. Cells beyond the reach keep their bounds.
     dims = x.size
     half = 0.5 * np.sqrt(dims) + _ROUNDING
     reach = min(_REACH, side // 2)
@@ -257,8 +259,9 @@ def _lower_ceilings(x: Array, side: int, ceilings: Array) -> None:
 
 @kernel
 def _grids(points: Array, placed: int, room: int) -> Any:
-    # For `room` points, of which the first `placed` are there: buckets, about one point in each when
-    # full, and ceilings of much smaller cells (of one cell in many dims, which knows nothing).
+    # Buckets for `room` points, about one point in each when full, of which the first `placed`
+    # exist; and ceilings, bounds for much smaller cells (for a single cell in many dims, without
+    # effect).
     dims = points.shape[1]
     buckets = empty_buckets(room, dims, max(1, int(room ** (1.0 / min(dims, _AXES)))))
     side = 4 * buckets[0] if dims <= _AXES else 1
@@ -271,14 +274,14 @@ def _grids(points: Array, placed: int, room: int) -> Any:
 
 @kernel
 def pick_candidates(keys: Array, candidates: int, out: Array) -> None:
-    """Fill out (R, n, d): point i is the farthest from those before it of candidates·i places."""
+    """Fill out (R, n, d): point i is, of candidates·i places, the farthest from earlier points."""
     count, n, dims = out.shape
     x = np.empty(dims)
     for r in range(count):
         points, at, room = out[r], 0, 1
         buckets, side, ceilings = _grids(points, 0, room)
         for i in range(n):
-            if i == room:  # smaller cells
+            if i == room:  # rebuild with smaller cells
                 room *= 2
                 buckets, side, ceilings = _grids(points, i, room)
             best = -1.0
@@ -287,7 +290,7 @@ def pick_candidates(keys: Array, candidates: int, out: Array) -> None:
                     x[j] = mix_uniform(keys[r, 0], keys[r, 1], at + j)
                 at += dims
 
-                # Pass over places whose cell is known to be nearer to a point than the best
+                # Skip candidates in cells whose bound is below the best distance
                 cell = 0
                 for j in range(dims if side > 1 else 0):
                     cell = cell * side + min(int(x[j] * side), side - 1)
@@ -313,7 +316,7 @@ def _push(heap: Array, size: int, row: Array) -> None:
 
 @kernel
 def _pop(heap: Array, size: int, row: Array) -> None:
-    # Take the top of the heap of `size` rows into `row`.
+    # Move the top of the heap of `size` rows to `row`.
     row[:] = heap[0]
     last = heap[size - 1]
     i, child = 0, 1
@@ -329,25 +332,25 @@ def _pop(heap: Array, size: int, row: Array) -> None:
 
 @kernel
 def _set_bound(box: Array, points: Array, buckets: Any, wrap: bool) -> None:
-    # box (d + 2,): bound, half the side, center.
+    # box (d + 2,): bound, half the side length, center.
     near = _clearance(box[2:], points, buckets, wrap, -1.0, _FAR)
     box[0] = np.sqrt(near) + box[1] * np.sqrt(box.size - 2)
 
 
 @kernel
 def fill_holes(points: Array, placed: int, wrap: bool) -> None:
-    """Place the rest of points (n, d), the first `placed` given, each as far from all as can be.
+    """Place the points (n, d) after the first `placed`, each as far as possible from all others.
 
-    Branch and bound, on the torus or in the cube: in a box of center c no place is farther from all
-    points than c is, plus half the diagonal. Boxes wait in a heap, that of the largest bound on top;
-    new points only lower bounds, so that stale ones are mended when they come up.
+    The method is branch and bound, on the torus or in the cube. No place in a box is farther from
+    all points than its center is, plus half the diagonal. Boxes wait in a heap, the largest bound
+    on top. New points only lower bounds, so stale bounds are updated when their box is popped.
     """
     n, dims = points.shape
     buckets = empty_buckets(n, dims, max(1, int(n ** (1.0 / dims))))
     for i in range(placed):
         add_to_buckets(i, points[i], buckets)
 
-    # Begin with boxes as large as half a bucket
+    # Start with boxes of half the size of a bucket
     side, box, part = 2 * buckets[0], np.empty(dims + 2), np.empty(dims + 2)
     heap, size = np.empty((2 * side**dims + 1024, dims + 2)), side**dims
     for i in range(size):
@@ -363,7 +366,7 @@ def fill_holes(points: Array, placed: int, wrap: bool) -> None:
         _pop(heap, size, box)
         size -= 1
         _set_bound(box, points, buckets, wrap)
-        if size > 0 and box[0] < heap[0, 0]:  # the bound was stale: back into the heap
+        if size > 0 and box[0] < heap[0, 0]:  # the bound was stale: push the box again
             _push(heap, size, box)
             size += 1
         elif box[1] > _SHARP * box[0]:

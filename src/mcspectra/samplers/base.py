@@ -1,8 +1,8 @@
 """The interface of samplers and randomizations.
 
-A `Sampler` draws realizations of a point set, a `Randomization` changes the points of another
-sampler; ``sampler.then(randomization)`` chains them. Implementations write `_points` (`_set`,
-`apply`) and declare what they can do; everything else (checks, seeds, shapes) is here.
+A `Sampler` draws realizations of a point set. A `Randomization` changes the points of another
+sampler; ``sampler.then(randomization)`` chains them. Implementations write `_points` (or `_set`, or
+`apply`) and declare their properties. Checks, seeds and shapes are handled here.
 """
 
 from __future__ import annotations
@@ -39,19 +39,19 @@ __all__ = [
 ]
 
 MAX_COUNT = 2**31
-"""Most points in one realization, and most numbers in one `draw` of a sampler (16 GiB)."""
+"""Limits on points per realization and on numbers per `draw` of a sampler (16 GiB)."""
 
 FIRST_STEP = 1 << 16
-"""Label of the stream of the first randomization; lower ones are free for the samplers' own parts."""
+"""Label of the first randomization's stream; lower labels are free for the samplers."""
 
 _MOST_STEPS = 32
 
 Draw: TypeAlias = Callable[[int, np.random.Generator], object]
-"""What makes one realization: ``draw(n, generator)`` gives points (n, d) in [0,1)."""
+"""Function that makes one realization: ``draw(n, generator)`` gives points (n, d) in [0,1)."""
 
 
 class Structure(Enum):
-    """The structure that makes a point set better than random; randomizations must keep it."""
+    """The structure that makes a point set better than random; randomizations must preserve it."""
 
     NONE = "independent points"
     UNKNOWN = "points from outside"
@@ -61,29 +61,29 @@ class Structure(Enum):
 
 
 class Sampler(Component, ABC):
-    """A randomized point set on [0,1)^d, drawn by the realization.
+    """A randomized point set on [0,1)^d.
 
     Attributes
     ----------
     dims
         Number of dimensions d.
     unbiased
-        Whether a point picked at random is uniform on [0,1)^d, so that means are unbiased.
+        Whether a point picked at random is uniform on [0,1)^d, so that estimates are unbiased.
     fixed
         Whether all realizations are the same set.
     structure
-        The structure that randomizations of this sampler must keep: `Structure`.
+        The `Structure` that randomizations of this sampler must preserve.
     sequence
-        Whether the first k of n points are those of a set of k points, each run of them good.
+        Whether the first k of n points equal the set of k points, and each such prefix is good.
     antithetic
-        Whether points come in pairs that mirror each other within a cell.
+        Whether points come in pairs that are reflected through the center of a cell.
     independent
         Whether the realizations of a seed are independent of one another.
     min_dims, max_dims, max_count
-        Least and largest dims and largest count of a realization; beyond them, time or memory run
-        out. `other_dims` is the advice where there are no others.
+        Smallest and largest dims and largest count of a realization. Larger sets would take too
+        much time or memory. `other_dims` is the advice in the error message.
     scrambles
-        Randomizations that the sampler itself stands for, as ``halton(scramble='owen')`` does.
+        Number of built-in randomizations, such as the one of ``halton(scramble='owen')``.
     """
 
     dims: int
@@ -112,30 +112,30 @@ class Sampler(Component, ABC):
 
     @property
     def digit_bases(self) -> tuple[int, ...]:
-        """Base of the digits of each coordinate, for randomizations of digits: 2 by default."""
+        """Base of the digits of each coordinate, for randomizations of digits; 2 by default."""
         return (2,) * self.dims
 
     @property
     def powers_only(self) -> bool:
-        """Whether randomizations of digits keep the set at powers of their base only."""
+        """Whether randomizations of digits preserve the set only at powers of the base."""
         return self.structure is Structure.STRATA
 
     def digit_strata(self, n: int, base: int) -> bool:
-        """Whether the strata of `n` points, a power of `base`, have sides that are powers too."""
+        """Whether the sides of the strata of `n` points are powers of `base`, as `n` is."""
         del n, base
         return True
 
     def draw(self, n: int, *, realizations: int = 1, rng: RngLike = None, first: int = 0) -> Array:
-        """Draw realizations first … first+realizations−1 of a set of `n` points.
+        """Draw realizations first … first + realizations − 1 of a set of `n` points.
 
         Parameters
         ----------
         n
             Number of points in a realization.
         realizations
-            How many realizations.
+            Number of realizations.
         rng
-            Seed in the sense of SPEC 7. Realization r of a seed is the same whichever call draws it.
+            Seed in the sense of SPEC 7. Realization r of a seed does not depend on the call.
         first
             Number of the first realization.
 
@@ -147,7 +147,7 @@ class Sampler(Component, ABC):
         Raises
         ------
         CountError
-            The sampler cannot make `n` points; the message names the nearest counts.
+            If the sampler cannot make `n` points; the message names the nearest counts.
         """
         n = self.check_count(n)
         count = as_integer("realizations", realizations, least=1)
@@ -161,19 +161,19 @@ class Sampler(Component, ABC):
         return self._points(n, Stream.from_rng(rng), start, count)
 
     def draw_stream(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        """Draw `count` realizations from `stream`, `n` already checked: for estimators' inner loops."""
+        """Draw `count` realizations without checks of `n`, for the inner loops of estimators."""
         return self._points(n, stream, first, count)
 
     def law(self, n: int) -> Law:
         """Return the joint distribution of the points of one realization of `n` points.
 
-        Everything that is predicted of a sampler follows from its law: closed forms of spectra and
+        All predictions follow from the law of the sampler: closed forms of spectra and
         covariances, exact variances, rates and refusals (`mcspectra.samplers.law`).
 
         Raises
         ------
         CountError
-            The sampler cannot make `n` points.
+            If the sampler cannot make `n` points.
         """
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", NotPowerOfTwoWarning)
@@ -182,7 +182,7 @@ class Sampler(Component, ABC):
         return law if law.source is not None else law.of(self)
 
     def _law(self, n: int) -> Law:
-        """Return the law of `n` points, a possible count; by default only declared properties."""
+        """Return the law of `n` points, by default from the declared properties."""
         bases = self.digit_bases if self.structure is Structure.DIGITS else None
         if not self.fixed:
             return Unknown(n=n, dims=self.dims, is_uniform=self.unbiased, bases=bases)
@@ -190,21 +190,21 @@ class Sampler(Component, ABC):
 
     @property
     def plain(self) -> Sampler:
-        """The sampler inside all randomizations."""
+        """The sampler without its randomizations."""
         return self
 
     @property
     def randomizations(self) -> tuple[Randomization, ...]:
-        """What randomizes the plain sampler, in this order."""
+        """The randomizations of the plain sampler, in the order of application."""
         return ()
 
     def as_chain(self, n: int) -> Sampler:  # noqa: ARG002
-        """The sampler and randomizations that this one is short for at n points; itself if for none."""
+        """Return the chain that this sampler abbreviates at n points, or the sampler itself."""
         return self
 
     @property
     def most_realizations(self) -> float:
-        """Largest number of realizations that can be drawn: infinite, but for given points."""
+        """Largest number of realizations that can be drawn; finite only for given points."""
         return math.inf
 
     def check_count(self, n: object) -> int:
@@ -215,8 +215,8 @@ class Sampler(Component, ABC):
             raise CountError(error) from None
         if count > self.max_count:
             raise CountError(
-                f"{self.spec} makes at most {self.max_count} points, not {count}; ask for fewer, or "
-                "use a sampler that needs no optimization.",
+                f"{self.spec} makes at most {self.max_count} points, not {count}; ask for fewer, "
+                "or use a sampler that needs no optimization.",
                 (self.max_count,),
             )
         below, above = self._counts_near(count)
@@ -253,56 +253,56 @@ class Sampler(Component, ABC):
 
     @abstractmethod
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        """Make realizations first … first+count−1: float64 (count, n, dims)."""
+        """Make realizations first … first + count − 1: float64 (count, n, dims)."""
 
     def _before(self, randomization: Randomization) -> Sampler:
-        """Return the sampler to draw from before `randomization`: given sets may then be reused."""
+        """Return the sampler that `randomization` is applied to; given points may be reused."""
         del randomization
         return self
 
     def _counts_near(self, n: int) -> tuple[int | None, int]:
-        """Return the largest possible count ≤ n (None if none) and the smallest ≥ n."""
+        """Return the largest allowed count ≤ n (None if there is none) and the smallest ≥ n."""
         return n, n
 
     def _count_warning(self, n: int) -> str | None:
-        """Return a warning for `n` points, a possible but poor count, else None."""
+        """Return a warning if `n` is an allowed but poor count, else None."""
         del n
         return None
 
     @staticmethod
     def from_points(points: object) -> Sampler:
-        """Make a sampler of given points, shape (R, n, d) or (n, d): realization r is points[r]."""
+        """Make a sampler of given points, shape (R, n, d) or (n, d); realization r is points[r]."""
         return samplers.GivenPoints.from_array(points)
 
     @staticmethod
     def from_files(*paths: str | PathLike[str]) -> Sampler:
-        """Make a sampler of point files, folders or patterns, their sets in order: `GivenPoints`."""
+        """Make a sampler from point files, folders or patterns, in order: `GivenPoints`."""
         return samplers.GivenPoints.from_files(*paths)
 
     @staticmethod
     def from_function(draw: Draw, *, dims: int, unbiased: bool = True) -> Sampler:
-        """Make a sampler of a callable ``draw(n, generator) -> (n, d)`` points in [0,1)."""
+        """Make a sampler from a callable ``draw(n, generator) -> (n, d)``, points in [0,1)."""
         return samplers.FunctionSampler(function=draw, dims=dims, unbiased_=unbiased)
 
     @staticmethod
     def from_command(run: str, *, dims: int, unbiased: bool = True) -> Sampler:
-        """Make a sampler of a program that prints points, as ``./mine {n} {seed}``: `CommandSampler`."""
+        """Make a sampler from a program, as ``./mine {n} {seed}``: `CommandSampler`."""
         return samplers.CommandSampler(run=run, dims=dims, unbiased_=unbiased)
 
     @staticmethod
     def from_scipy(engine: object, **arguments: object) -> Sampler:
-        """Make a sampler of a `scipy.stats.qmc.QMCEngine`, its class, or a factory ``rng -> engine``."""
+        """Make a sampler from a `scipy.stats.qmc` engine, its class, or a factory of ``rng``."""
         return samplers.ScipySampler.from_engine(engine, **arguments)
 
     @staticmethod
     def from_qmcpy(generator: object, **arguments: object) -> Sampler:
-        """Make a sampler of a QMCPy generator: an instance, its class with arguments, or a name."""
+        """Make a sampler from a QMCPy generator: an instance, a class with arguments, or a name."""
         return samplers.QmcpySampler.from_generator(generator, **arguments)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlaneSampler(Sampler):
-    """A sampler of points in 2-D alone."""
+    """Abstract sampler of points in two dimensions only."""
 
     min_dims: ClassVar[int] = 2
     max_dims: ClassVar[int | None] = 2
@@ -310,7 +310,7 @@ class PlaneSampler(Sampler):
 
 
 class FixedSet(Sampler):
-    """A sampler of the same points every time: implementations write `_set`."""
+    """Abstract sampler that returns the same points every time; implementations write `_set`."""
 
     unbiased: ClassVar[bool] = False
     fixed: ClassVar[bool] = True
@@ -326,40 +326,40 @@ class FixedSet(Sampler):
 
 
 class Randomization(Component, ABC):
-    """A change to the points of a sampler, with its own randomness."""
+    """A random change of the points of a sampler."""
 
     stationary: ClassVar[bool] = False
-    """Whether the result is statistically the same after any toroidal translation."""
+    """Whether the randomized set has the same law after any translation of the torus."""
     debiases: ClassVar[bool] = False
-    """Whether every point is uniform afterwards, whatever it was before."""
+    """Whether every randomized point is uniform, whatever its law was before."""
     fixed: ClassVar[bool] = False
-    """Whether realizations that are the same set remain so."""
+    """Whether realizations that are identical remain identical."""
     pointwise: ClassVar[bool] = False
-    """Whether each point moves by itself, so that sequences stay sequences."""
+    """Whether each point moves independently of the others, so that sequences remain sequences."""
     independent: ClassVar[bool] = True
-    """Whether realizations are moved independently of one another."""
+    """Whether the randomizations of different realizations are independent."""
     fits: ClassVar[Mapping[Structure, Structure]] = {s: s for s in Structure}
-    """The structures that survive, and what is left of each; samplers of others are refused."""
+    """Structure that remains of each allowed structure; samplers of others are refused."""
 
     @abstractmethod
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """Return new points (count, n, d) in [0,1) for realizations first … first+count−1."""
+        """Return new points (count, n, d) in [0,1) for realizations first … first + count − 1."""
 
     def law_of(self, law: Law, n: int) -> Law:
-        """Return the law of `n` points that follow `law` before they are randomized."""
+        """Return the law of `n` randomized points whose law before was `law`."""
         return Unknown(n=n, dims=law.dims, is_uniform=law.uniform or self.debiases)
 
     def count_inside(self, sampler: Sampler, n: int) -> int:  # noqa: ARG002
-        """Return how many points of `sampler` make `n` randomized ones."""
+        """Return the number of points of `sampler` from which `n` randomized points are made."""
         return n
 
     def fit(self, sampler: Sampler) -> Randomization:
-        """Return this randomization as it is applied to `sampler`, e.g. in its digits' base.
+        """Return this randomization adapted to `sampler`, for instance to the base of its digits.
 
         Raises
         ------
         ParameterError
-            It would break the structure of the sampler; the message names one that fits.
+            If it would break the structure of the sampler; the message names one that fits.
         """
         if sampler.structure not in self.fits:
             digits = ", digital-shift or owen" if sampler.structure is Structure.DIGITS else ""
@@ -370,21 +370,20 @@ class Randomization(Component, ABC):
         return self
 
     def left(self, sampler: Sampler) -> Structure:
-        """Return the structure of `sampler` that this randomization keeps."""
+        """Return the structure of `sampler` that this randomization preserves."""
         return self.fits[sampler.structure]
 
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
-        """Draw realizations of `sampler` from `stream` and randomize them from the stream `own`.
+        """Draw realizations of `sampler` from `stream` and randomize them with the stream `own`.
 
-        To be overridden where other counts or realizations of `sampler` are needed than those
-        asked for.
+        Override this method if the randomization draws other counts or realizations of `sampler`.
         """
         return self.apply(sampler.draw_stream(n, stream, first, count), own, first)
 
     def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
-        """Return the largest count ≤ n (None if none) and the smallest ≥ n that can be made."""
+        """Return the largest allowed count ≤ n (None if there is none) and the smallest ≥ n."""
         return sampler._counts_near(n)
 
     def max_count(self, sampler: Sampler) -> int:
@@ -392,7 +391,7 @@ class Randomization(Component, ABC):
         return sampler.max_count
 
     def count_warning(self, sampler: Sampler, n: int) -> str | None:
-        """Return a warning for `n` points, a possible but poor count, else None."""
+        """Return a warning if `n` is an allowed but poor count, else None."""
         return sampler._count_warning(n)
 
 
@@ -407,7 +406,7 @@ class Randomized(Sampler):
     """The sampler that the last step is applied to."""
 
     def __post_init__(self) -> None:
-        # Follow the declarations of the sampler inside through the last step
+        # Derive the declarations from the inner sampler and the last step
         *rest, last = self.steps
         inner = replace(self, steps=tuple(rest)) if rest else self.base
         settle(
@@ -439,25 +438,25 @@ class Randomized(Sampler):
 
     @property
     def randomizations(self) -> tuple[Randomization, ...]:
-        """The steps."""
+        """The randomizations of the chain."""
         return self.steps
 
     @property
     def digit_bases(self) -> tuple[int, ...]:
-        """Bases of the sampler inside."""
+        """Bases of the digits of the inner sampler."""
         return self.base.digit_bases
 
     @property
     def powers_only(self) -> bool:
-        """As for the sampler inside, while a part of its structure is kept."""
+        """Same as for the inner sampler, as long as the chain keeps part of its structure."""
         return self.base.powers_only and self.structure in (Structure.STRATA, Structure.DIGITS)
 
     def digit_strata(self, n: int, base: int) -> bool:
-        """As for the sampler inside."""
+        """Same as for the inner sampler."""
         return self.base.digit_strata(n, base)
 
     def as_chain(self, n: int) -> Sampler:
-        """As for the sampler inside, which the same steps follow."""
+        """Return the chain of the inner sampler, followed by the same steps."""
         chain = self.base.as_chain(n)
         for step in self.steps:
             chain = chain.then(step)
@@ -475,9 +474,9 @@ class Randomized(Sampler):
 
 
 def repeated(points: Array, count: int) -> Array:
-    """Points (n, d) `count` times: float64 (count, n, d).
+    """Repeat the points (n, d) `count` times: float64 (count, n, d).
 
-    Unlike `numpy.tile`, this copies without Python's lock, so that threads do not wait for one another.
+    Unlike `numpy.tile`, this copies without the interpreter lock, so threads run in parallel.
     """
     out = np.empty((count, *points.shape))
     out[...] = points

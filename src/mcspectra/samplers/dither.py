@@ -1,17 +1,18 @@
 """Blue noise in the cells of a toroidal grid: void and cluster, dither masks, low discrepancy.
 
-Void and cluster fills the cells of a fine grid, each time the emptiest place. Low-discrepancy blue noise
-moves the points of a blue-noise set within their cells so that they become a low-discrepancy set.
+Void and cluster fills the cells of a fine grid, always at the emptiest place. Low-discrepancy blue
+noise moves the points of a blue-noise set within their cells to a low-discrepancy set.
 
-Legend of the kernels: a ``pattern`` bool (s, s) on the torus has ones where points are; ``energy``
-float64 (s, s) is the sum of Gaussians around the ones; ``weights`` (2·reach + 1,) is one Gaussian along
-an axis; ``heads`` int64 (2, s) holds, for each row, the column of the one of highest energy (tightest
-cluster) and that of the zero of lowest energy (largest void), -1 where the row has none. A ``grid`` is
-pattern, energy and heads; a cell is i·s + j. Other ``points`` float64 (s, s, 2) have one point in each of
-s × s cells, in units of cells: that of cell (i, j) is in [i, i+1) × [j, j+1), on the torus.
+Legend of the kernels: a ``pattern`` bool (s, s) on the torus has ones at the points. ``energy``
+float64 (s, s) is the sum of Gaussians around the ones. ``weights`` (2·reach + 1,) is one Gaussian
+along an axis. ``heads`` int64 (2, s) holds two columns for each row: of the one with the highest
+energy (tightest cluster), and of the zero with the lowest energy (largest void); −1 if the row has
+no such cell. A ``grid`` is the tuple of pattern, energy and heads; cell (i, j) has the number
+i·s + j. Other ``points`` float64 (s, s, 2) have one point in each of s × s cells, in units of
+cells: the point of cell (i, j) is in [i, i+1) × [j, j+1), on the torus.
 
-The Gaussian's width is 1.5 cells, as Ulichney's, but grows with the spacing of the ones where that is
-more than three cells: a Gaussian that does not reach the next point cannot tell where that is.
+The width of the Gaussian is 1.5 cells, as in Ulichney's paper. It grows with the spacing of the
+ones if that exceeds three cells, because a Gaussian must reach the next point to locate it.
 """
 
 from __future__ import annotations
@@ -34,16 +35,16 @@ from mcspectra.samplers.optimised import OptimisedSampler, Report, random_points
 __all__ = ["LowDiscrepancyBlueNoise", "VoidAndCluster", "dither_mask", "snap_in_chunks"]
 
 _MOST_SIDE = 2048
-_ONES = 0.1  # share of ones in the first pattern of a mask, Ulichney (1993)
-_SIGMA = 1.5  # cells, Ulichney (1993)
-_SIGMA_PER_SPACING = 0.47  # what 1.5 cells are at his density, one point in ten cells
-_WIDTHS = 6.0  # where the Gaussian is cut off: 1.5e-8
-_CLEAR = 1e-9  # gain of energy that is more than rounding: relaxation must come to an end
+_ONES = 0.1  # fraction of ones in the first pattern of a mask, Ulichney (1993)
+_SIGMA = 1.5  # width of the Gaussian in cells, Ulichney (1993)
+_SIGMA_PER_SPACING = 0.47  # width per spacing: 1.5 cells at Ulichney's one point in ten cells
+_WIDTHS = 6.0  # radius at which the Gaussian is cut off, in widths; it is 1.5e-8 there
+_CLEAR = 1e-9  # smallest gain of energy above rounding; makes relaxation terminate
 _CLUSTER, _VOID = 0, 1
-_REPELLING = 0.5  # width of the Gaussians that repel points in their cells, in cells
-_REACH = 2  # cells to either side whose points are felt
+_REPELLING = 0.5  # width in cells of the Gaussians by which points repel each other
+_REACH = 2  # number of cells on either side whose points contribute to the energy
 _REPORTS = 10
-_LAST_STEP = 0.05  # cells
+_LAST_STEP = 0.05  # size of the last random steps, in cells
 
 
 def dither_mask(size: int, keys: Array) -> Array:
@@ -59,8 +60,8 @@ def dither_mask(size: int, keys: Array) -> Array:
     Returns
     -------
     ndarray
-        int64 (size, size): the ranks 0 … size² − 1. Cells of rank below k are a blue-noise set of
-        k cells, for every k.
+        int64 (size, size): the ranks 0 … size² − 1. For every k, the k cells of rank below k form a
+        blue-noise set.
 
     References
     ----------
@@ -83,15 +84,16 @@ def dither_mask(size: int, keys: Array) -> Array:
 class VoidAndCluster(PlaneSampler, OptimisedSampler):
     """Void and cluster: blue noise in cells of a fine grid, jittered within; 2-D, progressive.
 
-    Up to 65,536 points. They come in the order of their ranks: the first k of them are spread evenly
-    for every k. A set of 4096 points takes a quarter of a second, one of 16,384 two.
+    Makes up to 65,536 points, in the order of their ranks: for every k, the first k points are
+    spread evenly. A set of 4096 points takes a quarter of a second, and of 16,384 two seconds.
 
     Attributes
     ----------
     cells
-        Cells of the grid for each point, from 4 to 256: more of them, less grid in the points.
+        Number of grid cells per point, from 4 to 256; with more cells the grid shows less.
     sets
-        Largest number of different sets, None for one for each realization: see `OptimisedSampler`.
+        Largest number of different sets; None for a new set per realization. See
+        `OptimisedSampler`.
 
     References
     ----------
@@ -107,7 +109,7 @@ class VoidAndCluster(PlaneSampler, OptimisedSampler):
         rounds = 0
         while not _relax(grid, weights, n):
             rounds += 1
-            report(1.0 - 0.5 ** (rounds / 4))  # how many will follow is not known
+            report(1.0 - 0.5 ** (rounds / 4))  # the number of further rounds is unknown
         order, points = np.empty(n, np.int64), np.empty((n, 2))
         _rank_ones(grid, order)
         _jitter_cells(keys[0], keys[1], order, side, points)
@@ -143,7 +145,7 @@ def _find_heads(i: int, pattern: Array, energy: Array, heads: Array) -> None:
 
 @kernel
 def _random_grid(k0: np.uint64, k1: np.uint64, ones: int, side: int) -> Any:
-    # A grid with `ones` random ones, and its weights.
+    # Return a grid with `ones` random ones, and its weights.
     pattern, order = np.zeros((side, side), np.bool_), np.empty(side * side, np.int64)
     _shuffle(k0, k1, 0, order)
     for cell in order[:ones]:
@@ -154,7 +156,7 @@ def _random_grid(k0: np.uint64, k1: np.uint64, ones: int, side: int) -> Any:
 
 @kernel
 def _start(grid: Any) -> Array:
-    # Fill energy and heads of a pattern, which has ones; return the weights.
+    # Fill energy and heads of a pattern that has ones; return the weights.
     pattern, energy, heads = grid
     side, cells = pattern.shape[0], np.flatnonzero(pattern)
     sigma = max(_SIGMA, _SIGMA_PER_SPACING * side / np.sqrt(cells.size))
@@ -170,7 +172,7 @@ def _start(grid: Any) -> Array:
 
 @kernel
 def _flip(cell: int, grid: Any, weights: Array) -> None:
-    # Turn a one into a zero, or back.
+    # Turn a one into a zero, or a zero into a one.
     pattern, energy, heads = grid
     side, reach = pattern.shape[0], weights.size // 2
     i, j = cell // side, cell % side
@@ -182,7 +184,7 @@ def _flip(cell: int, grid: Any, weights: Array) -> None:
 
 @kernel
 def _head(kind: int, grid: Any) -> int:
-    # Cell of the tightest cluster or of the largest void; there must be one.
+    # Return the cell of the tightest cluster or of the largest void; one must exist.
     _, energy, heads = grid
     sign = 1.0 if kind == _CLUSTER else -1.0
     best, cell = -np.inf, -1
@@ -195,7 +197,7 @@ def _head(kind: int, grid: Any) -> int:
 
 @kernel
 def _relax(grid: Any, weights: Array, steps: int) -> bool:
-    # Move tightest clusters into largest voids, at most `steps` times; return whether that is all.
+    # Move tightest clusters to largest voids, at most `steps` times; return whether it converged.
     energy = grid[1]
     side = energy.shape[0]
     for _ in range(steps):
@@ -212,12 +214,13 @@ def _relax(grid: Any, weights: Array, steps: int) -> bool:
 
 @kernel
 def _rank_ones(grid: Any, order: Array) -> None:
-    # Clear the pattern, tightest cluster first: order (ones,) its cells, that one last.
+    # Clear the pattern, tightest cluster first; order (ones,) are its cells, the first cleared
+    # last.
     weights, again = _start(grid), order.size // 2
     for rank in range(order.size - 1, -1, -1):
         order[rank] = _head(_CLUSTER, grid)
         _flip(order[rank], grid, weights)
-        if rank == again and rank > 0:  # points are farther apart now
+        if rank == again and rank > 0:  # the spacing has grown
             weights, again = _start(grid), again // 2
 
 
@@ -236,7 +239,7 @@ def _rank_all(grid: Any, order: Array) -> None:
         order[rank] = _head(_VOID, filled)
         _flip(order[rank], filled, weights)
 
-    # Beyond a half the zeros are the minority, and their tightest cluster is next
+    # Above half, the zeros are the minority; their tightest cluster comes next
     rest = order[half:]
     pattern[:] = ~first
     _rank_ones(grid, rest)
@@ -245,8 +248,8 @@ def _rank_all(grid: Any, order: Array) -> None:
 
 @kernel
 def _jitter_cells(k0: np.uint64, k1: np.uint64, cells: Array, side: int, out: Array) -> None:
-    # Uniform points in cells (n,) after one random translation of all by whole cells; out (n, 2).
-    number = side * side  # numbers below that shuffled the first pattern
+    # Uniform points in cells (n,) after one random translation by whole cells; out (n, 2).
+    number = side * side  # lower indices shuffled the first pattern
     down, across = _mix_below(k0, k1, number, side), _mix_below(k0, k1, number + 1, side)
     for p in range(cells.size):
         number += 2
@@ -260,29 +263,30 @@ def _jitter_cells(k0: np.uint64, k1: np.uint64, cells: Array, side: int, out: Ar
 class LowDiscrepancyBlueNoise(PlaneSampler, OptimisedSampler):
     """Low-discrepancy blue noise in s × s cells, s a power of two (2-D).
 
-    Counts 4^k up to 65,536. Points come in row-major order of their cells. A set of 1024 points takes
-    a quarter of a second, four times as many four times as long.
+    Counts are 4^k up to 65,536. Points come in row-major order of their cells. A set of 1024 points
+    takes a quarter of a second; the time is proportional to n.
 
     Attributes
     ----------
     chunk
-        Number of cells in line whose offsets follow the blue-noise set, a power of two up to 64:
-        more of them give cleaner blue noise, fewer a lower discrepancy.
+        Number of consecutive cells that keep the order of the blue-noise set, a power of two up to
+        64. More cells give cleaner blue noise, fewer cells a lower discrepancy.
     sweeps
-        Number of tries to move each point of the blue-noise set that is followed.
+        Number of attempts to move each point of the blue-noise set.
     sets
-        Largest number of different sets, None for one for each realization: see `OptimisedSampler`.
+        Largest number of different sets; None for a new set per realization. See
+        `OptimisedSampler`.
 
     Notes
     -----
-    One point in each cell, and one in each n-th of either axis. An interval of area 1/n of any other
-    shape has one if it is 2^j cells long with 2^j ≥ chunk (and a 2^j-th of one wide): chunk = 2 makes
-    a (0,2)-net. The whole set is uniform over its cells and along each axis, but a bit less so within
-    cells: follow it by shift where unbiased means are needed.
+    The set has one point in each cell, and one in each n-th of either axis. Other intervals of area
+    1/n contain one point if they are 2^j cells long with 2^j ≥ chunk, and a 2^j-th of a cell wide;
+    chunk = 2 makes a (0,2)-net. The points are uniform over cells and along each axis, but slightly
+    less so within cells. Add shift for unbiased means.
 
-    The set followed is a jittered one, relaxed within its cells until Gaussians of half a cell's width
-    around the points overlap least. It is made anew for every realization, where the authors keep a
-    table of one.
+    The blue-noise set is a jittered set, relaxed within its cells until Gaussians of half a cell's
+    width around the points overlap least. It is computed for every realization; the authors keep a
+    table of one set.
 
     References
     ----------
@@ -322,14 +326,14 @@ class LowDiscrepancyBlueNoise(PlaneSampler, OptimisedSampler):
 
 @kernel
 def _energy(i: int, j: int, x: float, y: float, points: Array) -> float:
-    # Energy of the point of cell (i, j), were it at (x, y).
+    # Energy of the point of cell (i, j) if it were at (x, y).
     side, total = points.shape[0], 0.0
     reach = min(_REACH, (side - 1) // 2)
     for u in range(i - reach, i + reach + 1):
         for v in range(j - reach, j + reach + 1):
             if u != i or v != j:
                 other = points[u % side, v % side]
-                # by the whole cells between them, since other cells may be across the border
+                # Subtract whole cells, because other cells may lie across the border
                 dx = other[0] - u % side + u - x
                 dy = other[1] - v % side + v - y
                 total += np.exp(-(dx * dx + dy * dy) / (2 * _REPELLING * _REPELLING))
@@ -338,7 +342,7 @@ def _energy(i: int, j: int, x: float, y: float, points: Array) -> float:
 
 @kernel
 def _relax_in_cells(k0: np.uint64, k1: np.uint64, number: int, step: float, points: Array) -> None:
-    # Move each point by up to `step` if that lowers its energy and it stays in its cell.
+    # Move each point by up to `step` if this lowers its energy and it stays in its cell.
     side = points.shape[0]
     for i in range(side):
         for j in range(side):
@@ -354,19 +358,19 @@ def _relax_in_cells(k0: np.uint64, k1: np.uint64, number: int, step: float, poin
 
 @kernel
 def _snap_line(low: int, chunk: int, line: int, positions: Array, out: Array) -> None:
-    # Give the cells of a line, whose points are at `positions` (s,) across it, one each of the s
-    # intervals of its width; out (s,) intervals. The digits of `low` shift van der Corput's.
+    # Assign one of the s intervals of a line's width to each of its cells, whose points are at
+    # `positions` (s,) across it; out (s,) intervals. The digits of `low` shift van der Corput's.
     side, digits = positions.size, 0
     while chunk << digits < side:
         digits += 1
     for block in range(side // chunk):
-        # Low digits of all in the chunk: those of its number, the last one first, shifted
+        # Low digits, common to the chunk: its number with reversed digits, shifted
         mine = 0
         for k in range(digits):
             mine |= ((block >> k) & 1) << (digits - 1 - k)
         mine ^= low & ((1 << digits) - 1)
 
-        # High digits: the rank in the chunk
+        # High digits: the rank within the chunk
         start = block * chunk
         for rank, index in enumerate(np.argsort(positions[start : start + chunk])):
             out[start + index] = line * side + ((rank << digits) | mine)
@@ -376,11 +380,11 @@ def _snap_line(low: int, chunk: int, line: int, positions: Array, out: Array) ->
 def snap_in_chunks(
     k0: np.uint64, k1: np.uint64, number: int, chunk: int, points: Array, out: Array
 ) -> None:
-    """Move points to a low-discrepancy set that keeps their order in chunks; out (s, s, 2) in [0,1).
+    """Move points to a low-discrepancy set, keeping their order in chunks; out (s, s, 2).
 
-    In each column of cells, and likewise in each row, s cells share out the s intervals of their
-    width: those of a chunk by the order of their points, the chunks among themselves by the van der
-    Corput sequence, its digits shifted by random ones. Within its interval a point is random.
+    The s cells of each column, and likewise of each row, divide the s intervals of their width
+    among them. Within a chunk, intervals follow the order of the points. Chunks follow the van der
+    Corput sequence with randomly shifted digits. A point is random within its interval.
     """
     side = points.shape[0]
     for line in range(side):

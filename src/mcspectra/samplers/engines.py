@@ -1,7 +1,7 @@
 """Engines of scipy.stats.qmc and generators of QMCPy as samplers.
 
-Both are asked for one realization at a time, each with fresh randomness of its own. `scipy.stats` (half
-a second) and `qmcpy` are imported when an engine is first asked for.
+Each realization is drawn separately, with fresh randomness. `scipy.stats` (half a second) and
+`qmcpy` are imported when an engine is first used.
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ from mcspectra.samplers.external import OneByOne, qualified_name
 
 __all__ = ["QmcpySampler", "ScipySampler", "is_engine", "is_generator"]
 
-_RANDOMNESS = ("rng", "seed")  # `seed` until scipy 1.15, and in subclasses written before
-_SET_ELSEWHERE = ("dimension", "replications", "seed")  # arguments of QMCPy's generators
-_UNBIASED = ("Halton", "LatinHypercube", "Sobol")  # engines of scipy, scrambled
-_UNIFORM = ("TRUE", "SHIFT", "DS", "LMS DS", "DP", "LMS DP", "NUS")  # `randomize` of QMCPy
+_RANDOMNESS = ("rng", "seed")  # names of the argument; `seed` before scipy 1.15
+_SET_ELSEWHERE = ("dimension", "replications", "seed")  # arguments that this class sets
+_UNBIASED = ("Halton", "LatinHypercube", "Sobol")  # scrambled engines of scipy with uniform points
+_UNIFORM = ("TRUE", "SHIFT", "DS", "LMS DS", "DP", "LMS DP", "NUS")  # values of QMCPy's `randomize`
 _NOT_POINTS = ("DummySampler", "MPMC")
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class ScipySampler(OneByOne):
-    """An engine of `scipy.stats.qmc`, made anew for each realization with its own generator.
+    """An engine of `scipy.stats.qmc`, created for each realization with its own generator.
 
     Attributes
     ----------
@@ -52,14 +52,14 @@ class ScipySampler(OneByOne):
     dims
         Number of dims, the engine's ``d``.
     scramble
-        The engine's argument of that name; None leaves it to the engine.
+        The engine's argument of that name; with None the engine uses its default.
     options
         Further arguments of the engine, e.g. ``{'strength': 2}``.
 
     Notes
     -----
-    Scrambled Sobol, Halton and LatinHypercube, without `optimization`, are known to be unbiased;
-    any other engine is not assumed to be.
+    Scrambled Sobol, Halton and LatinHypercube engines without `optimization` count as unbiased;
+    all other engines do not.
     """
 
     name: ClassVar[str] = "scipy"
@@ -93,26 +93,26 @@ class ScipySampler(OneByOne):
 
     @classmethod
     def from_engine(cls, engine: object, **arguments: Any) -> ScipySampler:
-        """Make a sampler of an engine, its class or name, or a factory ``generator -> engine``.
+        """Make a sampler from an engine, its class or name, or a factory ``generator -> engine``.
 
         Parameters
         ----------
         engine
-            Of an instance only the class and the arguments it was made with are used, not its
-            generator or how far it has been drawn.
+            An instance serves only for its class and arguments; its generator and its position in
+            the sequence are ignored.
         arguments
             Arguments of a class: ``d`` (or ``dims``), ``scramble``, ...
 
         Raises
         ------
         ParameterError
-            `engine` has another type, or the arguments of an instance are not known.
+            If `engine` has another type, or the arguments of an instance cannot be found.
         """
         if isinstance(engine, _engine_base()):
             if arguments:
                 raise ParameterError(
-                    f"The engine already has its arguments; to set {', '.join(arguments)}, give its "
-                    f"class, {type(engine).__name__}."
+                    f"The engine already has its arguments; to set {', '.join(arguments)}, "
+                    f"give its class, {type(engine).__name__}."
                 )
             source, found = _engine_source(type(engine)), _arguments_of(engine)
         else:
@@ -132,7 +132,7 @@ class ScipySampler(OneByOne):
 
     @property
     def spec(self) -> str:
-        """Spec string; for a class or factory from outside scipy, its name only."""
+        """Spec string; for a class or factory outside scipy, only its name."""
         if isinstance(self.engine, str):
             return format_call(self)
         return f"scipy(engine=<{qualified_name(self.engine)}>, {self._arguments()})"
@@ -148,7 +148,7 @@ class ScipySampler(OneByOne):
 
 
 def is_engine(source: object) -> bool:
-    """Whether this is a QMCEngine or a class of them; nobody has one without importing qmc."""
+    """Return whether this is a QMCEngine or its class; without an import of qmc none exists."""
     return _is_of(source, getattr(sys.modules.get("scipy.stats.qmc"), "QMCEngine", None))
 
 
@@ -165,21 +165,21 @@ def _engine_classes() -> dict[str, type[Any]]:
 
 
 def _engine_source(engine: object) -> Any:
-    """Return a class of scipy.stats.qmc as its name; check any other class, name or factory."""
+    """Return the name of a class of scipy.stats.qmc; check any other class, name or factory."""
     if isinstance(engine, str) or (_is_of(engine, _engine_base()) and isinstance(engine, type)):
         return _as_name(engine, _engine_classes(), "scipy.stats.qmc has no engine")
     if callable(engine) and not isinstance(engine, type | _engine_base()):
         return engine
     raise ParameterError(
-        f"{engine!r} is not an engine; give a name in scipy.stats.qmc such as 'Sobol', a QMCEngine, "
-        "its class, or a function that makes one from a generator."
+        f"{engine!r} is not an engine; give a name in scipy.stats.qmc such as 'Sobol', "
+        "a QMCEngine, its class, or a function that makes one from a generator."
     )
 
 
 def _made_engine(
     source: Any, dims: int, arguments: Mapping[str, Any], generator: np.random.Generator
 ) -> Any:
-    """Make an engine with this generator, or raise if its class or factory will not."""
+    """Make an engine with this generator; raise an error if its class or factory fails."""
     if not isinstance(source, str | type):
         engine = source(generator)
         if not isinstance(engine, _engine_base()):
@@ -189,7 +189,7 @@ def _made_engine(
         return engine
     cls = _engine_classes()[source] if isinstance(source, str) else source
     parameters: Mapping[str, inspect.Parameter] = inspect.signature(cls).parameters
-    # What a class hands on to QMCEngine, it takes
+    # A class with **kwargs also accepts the arguments of QMCEngine
     if any(p.kind is p.VAR_KEYWORD for p in parameters.values()):
         parameters = {**parameters, **inspect.signature(_engine_base()).parameters}
     randomness = next((name for name in _RANDOMNESS if name in parameters), None)
@@ -208,7 +208,7 @@ def _made_engine(
 
 
 def _usual_dims(source: Any, arguments: Mapping[str, Any]) -> int:
-    """Number of dims of an engine made without it."""
+    """Return the number of dims of an engine that is created without this argument."""
     if isinstance(source, str | type):
         cls = _engine_classes()[source] if isinstance(source, str) else source
         d = inspect.signature(cls).parameters.get("d")
@@ -220,21 +220,21 @@ def _usual_dims(source: Any, arguments: Mapping[str, Any]) -> int:
 
 
 def _arguments_of(engine: Any) -> dict[str, Any]:
-    """Find the arguments an engine was made with among its attributes; refuse to guess."""
+    """Read the arguments of an engine from its attributes; raise an error if one is missing."""
     found, cls = {}, type(engine)
     for name, parameter in inspect.signature(cls).parameters.items():
         if name in _RANDOMNESS:
             continue
-        # scipy keeps some arguments only in what it hands to qmc_quad, where scramble is True
+        # scipy stores some arguments only in the dict for qmc_quad, where scramble is always True
         handed = getattr(engine, "_init_quad", {}) if name != "scramble" else {}
         kept = {**handed, **vars(engine)}
         variadic = parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL)
         spelling = next((s for s in (name, f"_{name}") if s in kept), None)
         if variadic or spelling is None:
             raise ParameterError(
-                f"The engine {cls.__name__} does not store its argument {'*' * variadic}{name}; give "
-                f"the class and its arguments, as in from_scipy({cls.__name__}, d=2), or a function "
-                "that makes an engine from a generator."
+                f"The engine {cls.__name__} does not store its argument {'*' * variadic}{name}; "
+                f"give the class and its arguments, as in from_scipy({cls.__name__}, d=2), "
+                "or a function that makes an engine from a generator."
             )
         value = kept[spelling]
         found[name] = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
@@ -244,16 +244,16 @@ def _arguments_of(engine: Any) -> dict[str, Any]:
 @final
 @dataclass(frozen=True, kw_only=True)
 class QmcpySampler(OneByOne):
-    """A generator of QMCPy, made anew for each realization with its own seed.
+    """A generator of QMCPy, created for each realization with its own seed.
 
-    Dims and counts are those of the generator: its ``d_limit`` and ``n_limit``, powers of two where
-    its order is the radical inverse; other refusals come when points are drawn.
+    Dims and counts are limited by the generator's ``d_limit`` and ``n_limit``. Counts are powers of
+    two if its order is the radical inverse. Other refusals occur when points are drawn.
 
     Attributes
     ----------
     generator
-        Name of a class in `qmcpy`, the class, or an instance: that is only a pattern, of which
-        fresh copies are made (QMCPy's own ``spawn``).
+        Name of a class in `qmcpy`, the class, or an instance. An instance serves only as a
+        pattern; fresh copies are made with QMCPy's own ``spawn``.
     dims
         Number of dims, the generator's ``dimension``.
     options
@@ -262,8 +262,8 @@ class QmcpySampler(OneByOne):
     Notes
     -----
     QMCPy keeps up to 63 binary digits; a coordinate that rounds up to 1.0 becomes the largest
-    double below 1. Larger ones are errors. Points count as uniform where the class is QMCPy's and
-    its ``randomize`` says a shift, a digital shift, a digital permutation or nested scrambling.
+    double below 1, and larger ones are errors. Points count as uniform for QMCPy's own classes
+    if ``randomize`` is a shift, a digital shift, a digital permutation or nested scrambling.
 
     References
     ----------
@@ -292,21 +292,21 @@ class QmcpySampler(OneByOne):
 
     @classmethod
     def from_generator(cls, generator: object, **arguments: Any) -> QmcpySampler:
-        """Make a sampler of a generator's name, its class with arguments, or an instance.
+        """Make a sampler from a generator's name, its class with arguments, or an instance.
 
         Parameters
         ----------
         generator
-            Name, class, or instance; of the latter neither its seed nor replications are used.
+            Name, class, or instance; the seed and replications of an instance are ignored.
         arguments
             Arguments of a class: ``dimension`` (or ``dims``), ``randomize``, ...
 
         Raises
         ------
         ParameterError
-            `generator` has another type, or does not take the arguments.
+            If `generator` has another type, or does not accept the arguments.
         MissingDependency
-            QMCPy is not installed.
+            If QMCPy is not installed.
         """
         options = dict(arguments)
         given = [options.pop(key) for key in ("dimension", "dims") if key in options]
@@ -332,13 +332,13 @@ class QmcpySampler(OneByOne):
 
     @property
     def max_count(self) -> int:  # type: ignore[override]
-        """The generator's limit."""
+        """Limit of the generator."""
         limit = self._pattern.n_limit
         return MAX_COUNT if limit > MAX_COUNT else int(limit)
 
     @property
     def spec(self) -> str:
-        """Spec string; for an instance, or a class from outside QMCPy, its own description."""
+        """Spec string; for an instance, or a class outside QMCPy, its own description."""
         if isinstance(self.generator, str):
             return format_call(self)
         made = self._pattern
@@ -347,11 +347,11 @@ class QmcpySampler(OneByOne):
 
     @cached_property
     def _pattern(self) -> Any:
-        """One generator, from which dims and limits are read."""
+        """A generator from which dims and limits are read."""
         return self._fresh(np.random.SeedSequence(0))
 
     def _fresh(self, seed: np.random.SeedSequence) -> Any:
-        """Make a generator with a seed of its own: a copy of an instance, or one of the class."""
+        """Make a generator with its own seed: a copy of the instance, or a new one of the class."""
         source = self.generator
         if isinstance(source, _generator_base()):
             name = type(source).__name__
@@ -361,18 +361,18 @@ class QmcpySampler(OneByOne):
                     "alone."
                 )
             try:
-                return source._spawn(seed, source.d)  # as its own ``spawn`` does
+                return source._spawn(seed, source.d)  # same as its own ``spawn``
             except Exception as error:
                 raise ParameterError(
                     f"This {name} cannot be copied: {reason_of(error, 200)}."
                 ) from error
         cls = _generator_classes()[source] if isinstance(source, str) else source
-        # Its warnings, of which it has many, stay off unless asked for
+        # Turn off its many warnings unless they are requested
         given = {"dimension": self.dims, "replications": None, "seed": seed, "warn": False}
         own = {key: given[key] for key in inspect.signature(cls).parameters if key in given}
         try:
             return cls(**{**own, **self.options})
-        except Exception as error:  # QMCPy has its own kinds, and bare assertions
+        except Exception as error:  # QMCPy raises its own types and bare assertions
             raise ParameterError(
                 f"{cls.__name__} cannot be made in {self.dims} dims with "
                 f"{_shown(self.options) or 'its defaults'}: {reason_of(error, 200)}."
@@ -381,7 +381,7 @@ class QmcpySampler(OneByOne):
     def make_one(self, n: int, stream: Stream, realization: int) -> object:
         k0, k1 = stream.keys(realization, 1)[0]
         made = self._fresh(np.random.SeedSequence([int(k0), int(k1)]))
-        with self.refusals_named(n, Exception):  # QMCPy has its own kinds, and bare assertions
+        with self.refusals_named(n, Exception):  # QMCPy raises its own types and assertions
             points = np.asarray(made.gen_samples(n, warn=False), dtype=np.float64)
         points[points == 1.0] = BELOW_ONE
         return points
@@ -394,7 +394,7 @@ class QmcpySampler(OneByOne):
 
 
 def is_generator(source: object) -> bool:
-    """Whether this is a generator of QMCPy or a class of them; nobody has one without importing it."""
+    """Return whether this is a QMCPy generator or its class; none exists before its import."""
     return _is_of(source, getattr(sys.modules.get("qmcpy"), "AbstractDiscreteDistribution", None))
 
 
@@ -414,7 +414,7 @@ def _generator_base() -> Any:
 
 
 def _generator_classes() -> dict[str, type[Any]]:
-    """The generators that QMCPy names, by name."""
+    """Return the generators of QMCPy by name."""
     known = _subclasses(vars(_qmcpy()), _generator_base())
     return {
         name: cls
@@ -424,7 +424,7 @@ def _generator_classes() -> dict[str, type[Any]]:
 
 
 def _generator_source(generator: object) -> Any:
-    """Return a class of QMCPy as its name; check any other class, name or instance."""
+    """Return the name of a class of QMCPy; check any other class, name or instance."""
     if isinstance(generator, str) or _is_of(generator, _generator_base()):
         return _as_name(generator, _generator_classes(), "qmcpy has no generator")
     raise ParameterError(
@@ -434,7 +434,7 @@ def _generator_source(generator: object) -> Any:
 
 
 def _is_of(source: object, base: Any) -> bool:
-    """Whether this is an instance of `base` (None: of nothing) or a subclass of it."""
+    """Return whether this is an instance or a subclass of `base`; False if `base` is None."""
     if base is None:
         return False
     return isinstance(source, base) or (isinstance(source, type) and issubclass(source, base))
@@ -449,7 +449,7 @@ def _subclasses(named: Mapping[str, Any], base: Any) -> dict[str, type[Any]]:
 
 
 def _as_name(source: Any, classes: Mapping[str, type[Any]], none_such: str) -> Any:
-    """Return a class that has a name as that name; a name must be that of a class."""
+    """Return the name of a class if it has one; check that a name belongs to a class."""
     if isinstance(source, str) and source not in classes:
         offer, _ = close_match_hint(source, classes)
         raise ParameterError(f"{none_such} {source!r}.{offer}")

@@ -1,7 +1,7 @@
-"""Points from outside: given arrays and files, functions, and programs that print points.
+"""Points from outside the package: given arrays and files, functions, and programs.
 
-Functions and programs are asked for one realization at a time, each with fresh randomness of its own.
-A spec that names code runs only where that code is allowed: `allow_code`, ``--allow-code``.
+Functions and programs make one realization at a time, each with fresh randomness. A spec that names
+code runs only if that code is allowed: `allow_code`, ``--allow-code``.
 """
 
 from __future__ import annotations
@@ -61,18 +61,19 @@ __all__ = [
 
 _PLACEHOLDER = re.compile(r"\{(\w*)\}")
 _PLACEHOLDERS = ("n", "seed", "dims")
-_COORDINATE_BYTES = 64  # at most, of a number and what stands between numbers
-_SEED_BITS = 31  # programs read them as int
+_COORDINATE_BYTES = 64  # most bytes of a printed number and its separator
+_SEED_BITS = 31  # bits of a seed; programs read it as int
 
-# Of given sets that are recognized
+# Recognition of nets and lattices among given sets
 _NET_BASES = (2, 3, 5)
-_LEAST_CELLS, _LEAST_CELLS_OF_FEW = 8, 16  # elementary intervals of a shape that are balanced
-_FEW = 64  # points
-_MOST_WORK = 2**26  # points times shapes of intervals of one volume: about a second
+_LEAST_CELLS, _LEAST_CELLS_OF_FEW = 8, 16  # fewest balanced elementary intervals of a shape
+_FEW = 64  # sets with fewer points than this need more intervals
+_MOST_WORK = 2**26  # largest product of points and interval shapes; about a second
 _WORD = 53  # bits of a coordinate
-_OFF_LATTICE = 0.01  # times 1/n: coordinates are rounded in files
+_OFF_LATTICE = 0.01  # tolerance of a lattice in units of 1/n, for rounded coordinates
 
-_own: set[str] = set()  # code of samplers that were made of classes, and of studies that may run it
+# Code of samplers made from Python classes, and of studies that are allowed to run it
+_own: set[str] = set()
 
 
 def _as_label(name: str, given: object) -> str:
@@ -84,13 +85,13 @@ def _as_label(name: str, given: object) -> str:
 
 
 class PointSets(dict[int, Array]):
-    """Sets by their number of points, (R, n, d) each, and their laws."""
+    """Sets grouped by their number of points, (R, n, d) each, and their laws."""
 
     @cached_property
     def laws(self) -> dict[int, Law]:
-        """What the sets of each count are recognized as.
+        """The recognized law of the sets of each count.
 
-        Small sets count as nets if their quality t is no worse than that of the largest.
+        A smaller set counts as a net if its quality t is no worse than that of the largest set.
         """
         found: dict[int, Law] = {}
         largest: tuple[int, int] | None = None
@@ -116,41 +117,42 @@ class PointSets(dict[int, Array]):
 class GivenPoints(Sampler):
     """Given points: realization r is set r of an array or of point-set files.
 
-    More realizations than sets, or an n of which there are none, are errors. Followed by a
-    randomization that makes every point uniform (shift, digital-shift, owen) the sets are used again
-    and again, each time with fresh randomness: one set is then enough for any number of realizations.
+    It is an error to draw more realizations than there are sets, or a count that no set has. With a
+    randomization that makes every point uniform (shift, digital-shift, owen), sets are used
+    repeatedly with fresh randomness. One set then suffices for any number of realizations.
 
     Attributes
     ----------
     path
-        File, files or folder (.dat, .bin, .npz, .npy, .csv) that hold the sets; ``*`` and
-        ``?`` stand for any characters of a file name and ``{n}`` for the number of points, which is
-        then checked, as in ``sets/n{n}_*.dat``. In the order of names, their numbers by value;
-        beside `points`, only their name.
+        File, files or folder (.dat, .bin, .npz, .npy, .csv) with the sets, in order of names
+        (numbers in names count by value). ``*`` and ``?`` match any characters of a file name, and
+        ``{n}`` matches the number of points, which is then checked, as in ``sets/n{n}_*.dat``.
+        If `points` are given, `path` is only their name.
     points
-        The sets, shape (R, n, d) or (n, d), in [0,1). Copied, then read-only; of several n, those of
-        the least.
+        The sets, shape (R, n, d) or (n, d), in [0,1). They are copied and read-only. If there are
+        several counts, these are the sets with the fewest points.
     cycle
-        Whether realization r is set r mod R. Without a randomization that repeats data:
-        a variance is then that of R sets, however many are drawn.
+        Whether realization r is set r mod R. Without a randomization this repeats data: a
+        variance then describes R sets, however many are drawn.
     dims
-        Number of coordinates; by default that of the sets; a given number must agree with them.
+        Number of coordinates, by default that of the sets; a given number must agree with it.
     name_
-        What pictures and tables call it: ``name=`` in a spec.
+        Label in pictures and tables: ``name=`` in a spec.
     sets
-        All sets by their number of points, (R, n, d) each. Digital nets in base 2, 3 or 5 and lattices
-        are recognized: predictions and randomizations of digits follow.
+        All sets by their number of points, (R, n, d) each. Digital nets in base 2, 3 or 5 and
+        lattices are recognized, for predictions and for randomizations of digits.
     digest
         First 12 digits of the SHA-256 of shapes and coordinates.
 
     Raises
     ------
     FileFormatError
-        A file is not a point set, no file fits a pattern, or a file has another n than its name says.
+        If a file is not a point set, no file matches a pattern, or the n of a file differs from
+        the n in its name.
     ParameterError
-        Neither `path` nor `points`, or sets of different dims.
+        If neither `path` nor `points` is given, or sets have different dims.
     DomainError
-        Points outside [0,1) or not finite, or no points.
+        If points lie outside [0,1) or are not finite, or there are no points.
     """
 
     name: ClassVar[str] = "points"
@@ -196,17 +198,17 @@ class GivenPoints(Sampler):
 
     @classmethod
     def from_array(cls, points: object) -> GivenPoints:
-        """Make a sampler of an array of shape (R, n, d), or (n, d) for one set."""
+        """Make a sampler from an array of shape (R, n, d), or (n, d) for one set."""
         return cls(points=_as_sets(points))
 
     @classmethod
     def from_files(cls, *paths: str | PathLike[str]) -> GivenPoints:
-        """Make a sampler of the sets of one or several files, folders or patterns, in order."""
+        """Make a sampler from the sets of one or several files, folders or patterns, in order."""
         return cls(path=_as_paths(paths))
 
     @classmethod
     def from_sets(cls, sets: Iterable[object], name: str) -> GivenPoints:
-        """Make a sampler of arrays (n, d) from a source called `name`."""
+        """Make a sampler from arrays (n, d) of a source called `name`."""
         made: Any = _by_count([(name, points) for points in sets])
         return cls(path=name, points=made)
 
@@ -222,7 +224,7 @@ class GivenPoints(Sampler):
 
     @property
     def digit_bases(self) -> tuple[int, ...]:
-        """Base in which the sets of every count are nets, else 2."""
+        """Base in which the sets of every count are nets; 2 if there is none."""
         return bases_to_scramble(list(self.sets.laws.values())) or (2,) * self.dims
 
     def _law(self, n: int) -> Law:
@@ -230,7 +232,7 @@ class GivenPoints(Sampler):
 
     @property
     def most_realizations(self) -> float:
-        """The smallest number of sets of a count; infinite where sets may be used again."""
+        """Smallest number of sets of any count; infinite if sets may be reused."""
         return math.inf if self.cycle else min(map(len, self.sets.values()))
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
@@ -241,8 +243,8 @@ class GivenPoints(Sampler):
             of_n = f" of {n} points" if len(self.sets) > 1 else ""
             raise CountError(
                 f"{self.spec} holds {sets} realization{'s' if sets != 1 else ''}{of_n}, but "
-                f"{first + count} are needed; ask for fewer, give more sets, or add a randomization "
-                "such as '| shift'."
+                f"{first + count} are needed; ask for fewer, give more sets, or add a "
+                "randomization such as '| shift'."
             )
         return np.asarray(stack[np.arange(first, first + count) % sets])
 
@@ -256,12 +258,13 @@ class GivenPoints(Sampler):
 
 
 def net_quality(points: Array, like: tuple[int, int] | None = None) -> tuple[int, int] | None:
-    """Return base and quality t of a digital net in base 2, 3 or 5, or None of other sets (n, d).
+    """Return base and quality t of a digital net in base 2, 3 or 5; None for other sets (n, d).
 
     A set of b^m points is a (t, m, d)-net if each elementary interval of volume b^(t − m) holds b^t
-    points. Every set is one for t = m. One counts as a net from m − t = 3 in base 2, of fewer than 64
-    points 4, and 2 in bases 3 and 5; or with the base and t of the net `like` it, a larger one of the
-    same file. Blue noise of 16 points or more does not: at most one set of 200 was seen to.
+    points. Every set is a net for t = m. A set counts as a net if m − t is at least 3 in base 2
+    (4 below 64 points) and 2 in bases 3 and 5. Alternatively, it has the base of the larger net
+    `like` of the same file, and a t that is no worse. Blue noise of 16 points or more does not
+    count: at most one of 200 sets did in tests.
     """
     n, dims = points.shape
     for base in _NET_BASES if like is None else (like[0],):
@@ -282,20 +285,21 @@ def net_quality(points: Array, like: tuple[int, int] | None = None) -> tuple[int
 
 
 def recognized(points: Array, bases: tuple[int, ...] | None) -> Fixed:
-    """The law of one given set (n, d), a net in these bases: is it a group by its digits, or a lattice?
+    """Return the law of one given set (n, d), which is a net in these bases if they are given.
 
-    A set is a lattice if its differences are a group on the torus.
+    The set is digital if its digits form a group, and a lattice if its differences form a group on
+    the torus.
     """
     n, dims = points.shape
 
-    # Digits that are a group, in base 2: adding the words of a basis keeps the set
+    # Test for a group of digits in base 2: XOR with the words of a basis must preserve the set
     digital = False
     if bases is not None and bases[0] == 2:
         words = np.rint(points * 2.0**_WORD).astype(np.uint64)
         words ^= words[0]
         digital = _is_group(words, np.bitwise_xor, lambda row, _: np.stack([0 * row, row, 0 * row]))
 
-    # A lattice: n times the differences are whole numbers, a group modulo n
+    # Test for a lattice: n times the differences are whole numbers, a group modulo n
     steps = n * (points - points[0])
     even = n > 1 and bool((np.abs(steps - np.rint(steps)) <= _OFF_LATTICE).all())
     vector: tuple[int, ...] | None = None
@@ -306,7 +310,7 @@ def recognized(points: Array, bases: tuple[int, ...] | None) -> Fixed:
             lambda a, b: (a + b) % np.uint64(n),
             lambda row, count: np.arange(count, dtype=np.uint64)[:, None] * row % np.uint64(n),
         )
-        # A row that generates all others, where the origin is a point
+        # Find a row that generates all others, if the origin is a point
         orders = n // np.gcd(n, np.gcd.reduce(rows.astype(np.int64), axis=1))
         if even and orders.max() == n and (points == 0.0).all(axis=1).any():
             vector = tuple(rows[int(np.argmax(orders))].tolist())
@@ -318,7 +322,7 @@ def _is_group(
     add: Callable[[Array, Array], Array],
     multiples: Callable[[Array, int], Array],
 ) -> bool:
-    """Whether distinct rows of whole numbers (n, d), one of them 0, are closed under an addition.
+    """Return whether distinct rows of whole numbers (n, d), one of them 0, are closed under `add`.
 
     ``multiples(row, count)`` are 0, row, row + row, … (count, d).
     """
@@ -326,14 +330,14 @@ def _is_group(
     weights = np.random.default_rng(0).integers(1, 2**63, dims, np.uint64) | np.uint64(1)
 
     def hashed(some: Array) -> Array:
-        # High bits go to low ones first: digits of nets are high bits alone
+        # Mix high bits into low ones first, because digits of nets occupy high bits only
         mixed = (some ^ (some >> np.uint64(31))) * weights
         return np.asarray((mixed ^ (mixed >> np.uint64(32))).sum(axis=-1, dtype=np.uint64))
 
     known = np.unique(hashed(rows))
     if len(known) < count:
         return False
-    # Grow a subgroup by a row that it lacks, until it has all
+    # Extend a subgroup by a missing row until it contains all rows
     group = np.zeros((1, dims), np.uint64)
     while len(group) < count:
         new = rows[~np.isin(hashed(rows), hashed(group))][0]
@@ -356,19 +360,19 @@ def _as_paths(given: object) -> tuple[str, ...]:
 
 
 def _read(paths: Sequence[str]) -> Iterator[tuple[str, Array]]:
-    """Sets of all files in order, with the names of their files, whose n is checked."""
+    """Yield the sets of all files in order, with file names; n is checked against the name."""
     for file, n in (found for path in paths for found in matching_files(path)):
         for points in read_points(file):
             if n is not None and len(points) != n:
                 raise FileFormatError(
-                    f"{file} has a set of {len(points)} points, but n is {n} in its name; mend the "
-                    "file, or write '*' for '{n}'."
+                    f"{file} has a set of {len(points)} points, but n is {n} in its name; "
+                    "correct the file, or write '*' for '{n}'."
                 )
             yield str(file), points
 
 
 def _by_count(sets: Iterable[tuple[str, object]]) -> dict[int, Array]:
-    """Stack named sets (n, d) by n, ascending: (R, n, d); they must be in the same dims."""
+    """Stack named sets (n, d) by n, ascending: (R, n, d); all must have the same dims."""
     found: dict[int, list[Array]] = {}
     dims = None
     for k, (name, given) in enumerate(sets):
@@ -376,12 +380,12 @@ def _by_count(sets: Iterable[tuple[str, object]]) -> dict[int, Array]:
         dims = points.shape[-1] if dims is None else dims
         if points.shape[-1] != dims:
             raise ParameterError(
-                f"Set {k + 1} (of {name}) is in {counted(points.shape[-1], 'dim')}, but the first in {dims}; all "
-                "sets of a sampler need the same dims."
+                f"Set {k + 1} (of {name}) is in {counted(points.shape[-1], 'dim')}, "
+                f"but the first in {dims}; all sets of a sampler need the same dims."
             )
         found.setdefault(len(points), []).append(points)
     if not found:
-        return {0: _as_sets([])}  # which is refused
+        return {0: _as_sets([])}  # raises the error for no points
     return {n: _as_sets(np.stack(found[n])) for n in sorted(found)}
 
 
@@ -398,7 +402,7 @@ def _as_sets(given: object) -> Array:
 
 
 class OneByOne(Sampler):
-    """A sampler whose realizations are made one by one, by code of others."""
+    """A sampler whose realizations are made one at a time, by external code."""
 
     @abstractmethod
     def make_one(self, n: int, stream: Stream, realization: int) -> object:
@@ -431,7 +435,7 @@ class OneByOne(Sampler):
 
     @contextmanager
     def refusals_named(self, n: int, *kinds: type[BaseException]) -> Iterator[None]:
-        """Say which sampler cannot make `n` points, and why."""
+        """Convert exceptions to a CountError that names the sampler, `n` and the reason."""
         try:
             yield
         except kinds as error:
@@ -441,30 +445,30 @@ class OneByOne(Sampler):
 
 
 class _OfCode(OneByOne):
-    """A sampler of the user's code, who declares as `unbiased_` whether every point is uniform."""
+    """A sampler of the user's code; `unbiased_` declares whether every point is uniform."""
 
     unbiased_: bool
 
     @property
     def unbiased(self) -> bool:  # type: ignore[override]
-        """As declared by the user; a set that is always the same is not."""
+        """The declared value; False for a set that is always the same."""
         return self.unbiased_ and not self.fixed
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class FunctionSampler(_OfCode):
-    """A callable ``draw(n, generator) -> (n, d)``, called once for each realization.
+    """A callable ``draw(n, generator) -> (n, d)``, called once per realization.
 
     Attributes
     ----------
     function
         The callable. All its randomness must come from the generator, which is fresh and
-        reproducible for each realization; threads may call it side by side.
+        reproducible for each realization. Threads may call it concurrently.
     dims
         Number of coordinates of the points it returns.
     unbiased_
-        Whether each of its points is uniform on [0,1)^d by itself.
+        Whether each of its points, taken alone, is uniform on [0,1)^d.
     """
 
     name: ClassVar[str] = "function"
@@ -480,7 +484,7 @@ class FunctionSampler(_OfCode):
 
     @property
     def spec(self) -> str:
-        """Name of the callable, which no spec string can describe."""
+        """Name of the callable, which a spec string cannot describe."""
         return f"function({qualified_name(self.function)})"
 
     def make_one(self, n: int, stream: Stream, realization: int) -> object:
@@ -491,28 +495,28 @@ class FunctionSampler(_OfCode):
 @final
 @dataclass(frozen=True, kw_only=True)
 class PythonSampler(_OfCode):
-    """A Python function ``draw(n, generator) -> (n, d)`` by its name, called once a realization.
+    """A Python function ``draw(n, generator) -> (n, d)`` by its name, called once per realization.
 
     Attributes
     ----------
     function
-        ``module:function``; modules are looked for where Python looks (PYTHONPATH). Otherwise as of
-        `FunctionSampler`.
+        ``module:function``; modules are searched on Python's path (PYTHONPATH). The function is
+        called as in `FunctionSampler`.
     dims
         Number of coordinates of the points it returns.
     unbiased_
-        Whether each of its points is uniform on [0,1)^d by itself: ``unbiased=`` in a spec.
+        Whether each of its points, taken alone, is uniform on [0,1)^d: ``unbiased=`` in a spec.
     name_
-        What pictures and tables call it: ``name=`` in a spec.
+        Label in pictures and tables: ``name=`` in a spec.
 
     Raises
     ------
     ParameterError
-        It is written otherwise, cannot be imported, or is no function.
+        If the name has another form, cannot be imported, or is not a function.
     CountError
-        It raises an exception, or returns fewer points than it was asked for.
+        If the function raises an exception, or returns fewer points than requested.
     ConfigError
-        A spec names it, and it is not allowed (`allow_code`).
+        If a spec names the function and it is not allowed (`allow_code`).
     """
 
     name: ClassVar[str] = "python"
@@ -535,33 +539,33 @@ class PythonSampler(_OfCode):
 @final
 @dataclass(frozen=True, kw_only=True)
 class CommandSampler(_OfCode):
-    """A program that prints points, a point a line, run once for each realization.
+    """A program that prints points, one per line, run once per realization.
 
     Attributes
     ----------
     run
-        Program and arguments, in which ``{n}`` stands for the number of points, ``{seed}`` for a
-        whole number from 0 to 2^31 − 1, the same for the same realization, and ``{dims}`` for the
-        number of dims. No shell reads it. Without ``{seed}`` all realizations are one set, and the
-        program runs once for each draw.
+        Program and arguments. ``{n}`` stands for the number of points, ``{dims}`` for the number
+        of dims, and ``{seed}`` for a whole number from 0 to 2^31 − 1 that belongs to the
+        realization. No shell is involved. Without ``{seed}`` all realizations are one set, and
+        the program runs once per draw.
     dims
-        Number of coordinates that it prints for a point, blanks or commas between.
+        Number of coordinates that it prints per point, separated by blanks or commas.
     timeout
-        Seconds after which it is ended.
+        Seconds after which the program is stopped.
     unbiased_
-        Whether each of its points is uniform on [0,1)^d by itself: ``unbiased=`` in a spec. Without
-        ``{seed}`` it is not.
+        Whether each of its points, taken alone, is uniform on [0,1)^d: ``unbiased=`` in a spec.
+        Without ``{seed}`` points do not count as uniform.
     name_
-        What pictures and tables call it: ``name=`` in a spec.
+        Label in pictures and tables: ``name=`` in a spec.
 
     Raises
     ------
     ParameterError
-        There is no such program; it takes too long, fails, or prints other points than asked for.
+        If the program does not exist, takes too long, fails, or prints other points than requested.
     FileFormatError, DomainError
-        It prints something else than finite numbers, or points outside [0,1).
+        If it prints something other than finite numbers, or points outside [0,1).
     ConfigError
-        A spec names it, and it is not allowed (`allow_code`).
+        If a spec names the program and it is not allowed (`allow_code`).
     """
 
     name: ClassVar[str] = "command"
@@ -587,11 +591,11 @@ class CommandSampler(_OfCode):
 
     @property
     def fixed(self) -> bool:  # type: ignore[override]
-        """Whether the program is not told a seed."""
+        """Whether the program gets no seed."""
         return "{seed}" not in self.run
 
     def make_one(self, n: int, stream: Stream, realization: int) -> object:
-        """Run the program and read what it prints."""
+        """Run the program and read its output."""
         seed = int(stream.keys(realization, 1)[0, 0]) >> (64 - _SEED_BITS)
         values = {"n": n, "seed": seed, "dims": self.dims}
         words = [
@@ -606,7 +610,7 @@ class CommandSampler(_OfCode):
         return np.concatenate(sets)
 
     def _printed(self, words: Sequence[str], most: int) -> str:
-        """What a program prints, in `most` bytes; everything that it starts is ended with it."""
+        """Return the output of a program, at most `most` bytes, and end all its processes."""
         late = threading.Event()
 
         with tempfile.TemporaryFile() as errors:
@@ -621,8 +625,8 @@ class CommandSampler(_OfCode):
             except (OSError, ValueError) as error:
                 reason = getattr(error, "strerror", None) or reason_of(error, 200)
                 raise ParameterError(
-                    f"{self.spec}: the program {words[0]!r} cannot be run: {reason}; compile it, or "
-                    "give its path."
+                    f"{self.spec}: the program {words[0]!r} cannot be run: {reason}; "
+                    "compile it, or give its path."
                 ) from None
 
             def end() -> None:
@@ -640,8 +644,8 @@ class CommandSampler(_OfCode):
                 data = process.stdout.read(most + 1)
                 if len(data) > most:
                     raise ParameterError(
-                        f"{self.spec} printed more than {most} bytes; it must print one point a line "
-                        "and as many as it is asked for."
+                        f"{self.spec} printed more than {most} bytes; it must print one point per "
+                        "line, and only the requested number of points."
                     )
                 code = process.wait()
             finally:
@@ -669,7 +673,7 @@ def loaded_function(name: object) -> Callable[..., Any]:
     Raises
     ------
     ParameterError
-        It is written otherwise, cannot be imported, or is no function.
+        If the name has another form, cannot be imported, or is not a function.
     """
     if not isinstance(name, str) or not FUNCTION.fullmatch(name):
         raise ParameterError(f"python(function={name!r:.80}): write 'module:function'.")
@@ -678,7 +682,7 @@ def loaded_function(name: object) -> Callable[..., Any]:
         found = getattr(importlib.import_module(module), attribute)
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # whatever the code of others does
+    except BaseException as error:  # external code may raise anything
         hint = "; name its folder in PYTHONPATH" if isinstance(error, ModuleNotFoundError) else ""
         raise ParameterError(
             f"The function {name!r} cannot be imported: {reason_of(error, 200)}{hint}."
@@ -689,32 +693,32 @@ def loaded_function(name: object) -> Callable[..., Any]:
 
 
 def allow_code(*names: str) -> None:
-    """Allow specs of this process to name code: whole commands, programs, or functions.
+    """Allow specs of this process to run the named code: whole commands, programs, or functions.
 
-    ``command('./mine {n} {seed}')`` runs if ``'./mine {n} {seed}'`` or, with whatever arguments,
-    ``'./mine'`` is allowed, ``python('module:function')`` if ``'module:function'`` is. Samplers made
-    of the classes themselves, in Python, need no leave, and allow their own specs.
+    ``command('./mine {n} {seed}')`` may run if ``'./mine {n} {seed}'`` is allowed, or ``'./mine'``
+    for any arguments. ``python('module:function')`` may run if ``'module:function'`` is allowed.
+    Samplers made from the classes in Python need no permission, and allow their own specs.
 
     Raises
     ------
     ConfigError
-        A name is written otherwise.
+        If a name has another form.
     """
     allow(code=names)
 
 
 def allow_own_code(name: str) -> None:
-    """Let specs name code that is allowed already, by a class in Python or the `Trust` of a study."""
+    """Let specs run code that a class in Python or the `Trust` of a study already allows."""
     _own.add(name)
 
 
 def check_code(call: Call) -> None:
-    """Refuse a part of a spec that names code which this process may not run.
+    """Raise an error for a part of a spec that names code which this process may not run.
 
     Raises
     ------
     ConfigError
-        The message says how to allow it.
+        If the code is not allowed; the message explains how to allow it.
     """
     text = call.arguments.get(CODE.get(call.name, ""))
     if not (isinstance(text, str) and text in _own):

@@ -12,7 +12,7 @@ from mcspectra.core.spec import Call
 from mcspectra.samplers.base import Sampler
 from mcspectra.samplers.registry import SAMPLERS
 
-__all__ = ["Facts", "sampler_facts"]
+__all__ = ["SamplerFacts", "sampler_facts"]
 
 _DIMS_TRIED = 8
 _COUNTS_TRIED = 100
@@ -21,17 +21,17 @@ _COUNTS_SHOWN = 6
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Facts:
-    """A sampler's name, summary, dims, counts and sources, in words.
+class SamplerFacts:
+    """Name, summary, dims, counts and sources of a sampler in words.
 
     Attributes
     ----------
     dims
-        For instance ``any``, ``2`` or ``1–1111``; ``as given`` where parameters decide.
+        For instance ``any``, ``2`` or ``1–1111``; ``as given`` if parameters determine them.
     counts
-        For instance ``any`` or ``1, 4, 9, 16, 25, 36, …`` (in 2-D where it can do 2-D).
+        For instance ``any`` or ``1, 4, 9, 16, 25, 36, …`` (in 2-D if the sampler allows 2-D).
     sources
-        The references of its docstring, one line: authors, year, title and address of each work.
+        References of the docstring in one line: authors, year, title and address of each work.
     """
 
     name: str
@@ -41,21 +41,21 @@ class Facts:
     sources: str
 
 
-def sampler_facts(name: str) -> Facts:
+def sampler_facts(name: str) -> SamplerFacts:
     """Return the facts of a registered sampler with its default parameters.
 
     Raises
     ------
     UnknownName
-        The name is not registered.
+        If the name is not registered.
     MissingDependency
-        It needs a package that is not installed.
+        If the sampler needs a package that is not installed.
     """
     cls = SAMPLERS.load(name)
     made = {dims: _made(name, dims) for dims in range(1, _DIMS_TRIED + 1)}
     possible = {dims: sampler for dims, sampler in made.items() if sampler is not None}
     shown = possible.get(2) or next(iter(possible.values()), None)
-    return Facts(
+    return SamplerFacts(
         name=name,
         summary=cls.summary(),
         dims=_dims_in_words(list(possible), cls.max_dims),
@@ -67,7 +67,7 @@ def sampler_facts(name: str) -> Facts:
 def _made(name: str, dims: int) -> Sampler | None:
     try:
         return SAMPLERS.build(Call(name, {}), dims)  # type: ignore[no-any-return]
-    except Exception:  # noqa: BLE001 - samplers from elsewhere may raise anything
+    except Exception:  # noqa: BLE001 - external samplers may raise anything
         return None
 
 

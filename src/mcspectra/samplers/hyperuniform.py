@@ -1,10 +1,10 @@
 """Hyperuniform sets: noisy lattices, sets without low frequencies, determinantal sets.
 
-In a hyperuniform set, the power n⟨|S_m|²⟩ goes to 0 as the frequency |m| does.
+In a hyperuniform set, the power n⟨|S_m|²⟩ goes to 0 with the frequency |m|.
 
-Legend of the kernels: R realizations, n points, d dims, K frequencies. Complex numbers are kept as two
-real arrays, so that the inner loops run over neighbors in memory without a sum carried along:
-compilers vectorize those.
+Legend of the kernels: R realizations, n points, d dims, K frequencies. Complex numbers are stored
+as two real arrays. Inner loops then run over neighbors in memory without a running sum, so that
+compilers vectorize them.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ __all__ = [
     "summed_power",
 ]
 
-_GOAL = 1e-22  # sum of all powers that count as zero: rounding leaves 1e-28 each, random points 1
+_GOAL = 1e-22  # sum of powers that counts as zero; rounding gives 1e-28, random points 1
 _STARTS = 20
-_PAIRS = 2**20  # pairs of waves and frequencies that are compared at once
-_BLOCK = 16  # basis vectors between two looks at which proposals are lost already
-_BATCH = 8  # proposals that are tested together, so that the basis is read once for all
+_PAIRS = 2**20  # number of pairs of waves and frequencies compared at a time
+_BLOCK = 16  # basis vectors between two tests that drop rejected proposals
+_BATCH = 8  # proposals tested together, which read the basis once
 
 
 @final
@@ -56,14 +56,14 @@ class PerturbedLattice(GridSampler):
     width
         Standard deviation of each coordinate's displacement, as a multiple of the spacing 1/s.
     correlation
-        β: the power spectrum of the displacements is proportional to |k|^(−β), −2 ≤ β ≤ 2, so
-        that the power of the points grows like |m|^(2−β). 0: independent displacements.
+        Exponent β, −2 ≤ β ≤ 2: the power spectrum of the displacements is proportional to
+        |k|^(−β), so the power of the points grows like |m|^(2−β). 0: independent displacements.
 
     Notes
     -----
-    The field is periodic, and made by a fast Fourier transform of white noise. Independent
-    displacements have n⟨|S_m|²⟩ = 1 − exp(−4π²|m|²(width/s)²) away from the frequencies of the
-    grid, m ≡ 0 modulo s.
+    The field is periodic, computed from white noise by a fast Fourier transform. For independent
+    displacements n⟨|S_m|²⟩ = 1 − exp(−4π²|m|²(width/s)²), except at the frequencies of the grid,
+    m ≡ 0 modulo s.
 
     References
     ----------
@@ -76,7 +76,7 @@ class PerturbedLattice(GridSampler):
     correlation: float = real(0.0, least=-2.0, most=2.0)
 
     def displacement_correlation(self, n: int) -> Array:
-        """Correlation of the displacements of two points by their distance on the grid: s^d."""
+        """Correlation of the displacements of two points, by their distance on the grid: s^d."""
         sides = self.sides(n)
         if n == 1 or self.correlation == 0.0:
             return np.asarray(np.arange(n) == 0, float).reshape(sides)
@@ -86,10 +86,11 @@ class PerturbedLattice(GridSampler):
         return Stationary(n=n, dims=self.dims, power=lambda m: self._power(n, m))
 
     def _power(self, n: int, m: Array) -> Array:
-        """⟨|S_m|²⟩ at integer m, of shape (..., d); the common translation leaves it alone.
+        """⟨|S_m|²⟩ at integer m, of shape (..., d); the common translation does not change it.
 
-        (1/n) Σ_r exp(−2πi m·r/s) exp(−4π² |m|² (width/s)² (1 − ρ(r))) over the places r of the grid,
-        ρ the correlation of displacements r apart ([Gabrielli2004]_, of Gaussian ones).
+        It is (1/n) Σ_r exp(−2πi m·r/s) exp(−4π² |m|² (width/s)² (1 − ρ(r))) over the positions r of
+        the grid. ρ is the correlation of displacements at distance r ([Gabrielli2004]_, Gaussian
+        case).
         """
         sides = self._sides(n)
         if self.correlation == 0.0:
@@ -113,9 +114,9 @@ class PerturbedLattice(GridSampler):
         fill_normals(keys, self.dims, moves)
         field = moves.reshape(count, n, self.dims)
 
-        # Filter the white noise: same variance, power proportional to |k|^(−β)
+        # Filter the white noise; the variance stays, the power becomes proportional to |k|^(−β)
         if self.correlation != 0.0 and n == 1:
-            field = np.zeros_like(field)  # a field without any frequency but 0
+            field = np.zeros_like(field)  # the only frequency of the field is 0
         elif self.correlation != 0.0:
             gains, axes = _gains(sides, self.correlation), tuple(range(1, self.dims + 1))
             waves = np.fft.fftn(field.reshape(count, *sides, self.dims), axes=axes)
@@ -127,7 +128,7 @@ class PerturbedLattice(GridSampler):
 
 @lru_cache(maxsize=2)
 def _gains(sides: tuple[int, ...], beta: float) -> Array:
-    """Return |k|^(−β/2) on the grid of frequencies, 0 at k = 0, mean square 1."""
+    """Return |k|^(−β/2) on the grid of frequencies, 0 at k = 0, with mean square 1."""
     squares = np.zeros(sides)
     for j, s in enumerate(sides):
         shape = [1] * len(sides)
@@ -142,7 +143,7 @@ def _gains(sides: tuple[int, ...], beta: float) -> Array:
 
 @kernel
 def fill_normals(keys: Array, start: int, out: Array) -> None:
-    """Independent standard normal numbers, out (R, size), from the numbers `start` on."""
+    """Fill out (R, size) with independent standard normal numbers, from random number `start`."""
     for r in range(out.shape[0]):
         k0, k1 = keys[r, 0], keys[r, 1]
         for i in range(0, out.shape[1], 2):
@@ -161,17 +162,18 @@ class StealthyHyperuniform(OptimisedSampler):
     Attributes
     ----------
     stealthiness
-        χ, the frequencies constrained per degree of freedom, below ½: K is the largest radius
-        with at most χ d (n − 1) pairs ±m within. From ½ on (1-D: ⅓) the points crystallize.
+        χ, the number of constrained frequencies per degree of freedom, below ½. K is the largest
+        radius that contains at most χ d (n − 1) pairs ±m. Points crystallize at χ ≥ ½ (1-D: ⅓).
     iterations
-        Most steps of the descent, before it starts again from other points.
+        Largest number of descent steps before a restart from other points.
     sets
-        Reuse of sets, see `OptimisedSampler`.
+        Largest number of different sets, see `OptimisedSampler`.
 
     Notes
     -----
-    From independent uniform points, limited-memory BFGS takes Σ n|S_m|² over these frequencies
-    below 1e-22. Neither start nor sum prefer any place: every point is uniform.
+    Limited-memory BFGS starts from independent uniform points and lowers Σ n|S_m|² over these
+    frequencies below 1e-22. Neither the start nor the sum prefers a position, so every point is
+    uniform.
 
     References
     ----------
@@ -187,12 +189,12 @@ class StealthyHyperuniform(OptimisedSampler):
     def _check(self) -> None:
         if self.stealthiness >= 0.5:
             raise ParameterError(
-                f"stealthiness is {self.stealthiness:g}; give less than 0.5: from 0.5 on, all sets "
-                "are crystals."
+                f"stealthiness is {self.stealthiness:g}; give less than 0.5: at 0.5 or more, all "
+                "sets are crystals."
             )
 
     def constrained(self, n: int) -> Array:
-        """Return the frequencies without power in sets of `n` points, int64 (K, dims), one of ±m."""
+        """Return the frequencies without power for `n` points: int64 (K, dims), one per ±m."""
         most = int(self.stealthiness * self.dims * (self.check_count(n) - 1))
         return half_shells(most, self.dims)
 
@@ -233,7 +235,7 @@ def summed_power(frequencies: Array, points: Array) -> tuple[float, Array]:
 
 @kernel
 def _power_sum(points: Array, frequencies: Array, orders: int, gradient: Array) -> float:
-    # No frequency has a component of `orders` or more.
+    # Every component of a frequency is below `orders`.
     n, dims = points.shape
 
     # Tabulate cos and sin of 2π m x of each coordinate
@@ -250,7 +252,7 @@ def _power_sum(points: Array, frequencies: Array, orders: int, gradient: Array) 
     for k in range(frequencies.shape[0]):
         m = frequencies[k]
 
-        # exp(2π i m·x) of every point, as a product over the coordinates
+        # Compute exp(2π i m·x) of every point, as a product over the coordinates
         re[:] = 1.0
         im[:] = 0.0
         for j in range(dims):
@@ -263,7 +265,7 @@ def _power_sum(points: Array, frequencies: Array, orders: int, gradient: Array) 
                 re[i] = a * cj[i] - sign * b * sj[i]
                 im[i] = sign * a * sj[i] + b * cj[i]
 
-        # Power of the sum over the points, and its slope
+        # Compute the power of the sum over the points, and its slope
         a, b = 0.0, 0.0
         for i in range(n):
             a += re[i]
@@ -283,16 +285,16 @@ def _power_sum(points: Array, frequencies: Array, orders: int, gradient: Array) 
 class Determinantal(Sampler):
     """Points of the projection determinantal process of n Fourier waves on the torus; any dims.
 
-    The kernel is K(x, y) = Σ exp(2πi m·(x − y)) over M, the n frequencies of least norm; of equal
-    norms the lexicographically first. M need not be symmetric, so any count is possible (up to
-    4096: an exact draw takes about n³ log n steps).
+    The kernel is K(x, y) = Σ exp(2πi m·(x − y)) over M, the n frequencies of smallest norm; ties
+    are broken lexicographically. M need not be symmetric, so any count up to 4096 is possible.
+    An exact draw takes about n³ log n steps.
 
     Notes
     -----
-    Drawn exactly, point after point (Hough et al., algorithm 18; Lavancier et al., algorithm 1),
-    each by rejection from uniform proposals. The process is stationary, with pair density
-    n² − |K(x, y)|² and n⟨|S_k|²⟩ = 1 − #{(m, m') in M × M: m − m' = k}/n, hence hyperuniform
-    like |k|: variances of smooth integrands fall like n^(−1−1/d).
+    Points are drawn exactly, one after another (Hough et al., algorithm 18; Lavancier et al.,
+    algorithm 1), each by rejection from uniform proposals. The process is stationary with pair
+    density n² − |K(x, y)|² and n⟨|S_k|²⟩ = 1 − #{(m, m') in M × M: m − m' = k}/n. It is thus
+    hyperuniform like |k|: variances of smooth integrands fall like n^(−1−1/d).
 
     References
     ----------
@@ -305,19 +307,19 @@ class Determinantal(Sampler):
     dims: int = DEFAULT_DIMS
 
     def frequencies(self, n: int) -> Array:
-        """Return M, the frequencies of the kernel of `n` points: int64 (n, dims)."""
+        """Return M, the frequencies of the kernel for `n` points: int64 (n, dims)."""
         return nearest_frequencies(self.check_count(n), self.dims)
 
     def _law(self, n: int) -> Law:
         return Stationary(n=n, dims=self.dims, power=lambda m: self._power(n, m))
 
     def _power(self, n: int, m: Array) -> Array:
-        """⟨|S_m|²⟩ at integer m, of shape (..., d): 1/n less the share of waves that m moves to others."""
+        """⟨|S_m|²⟩ at integer m, (..., d): 1/n minus the share of waves that m maps to others."""
         waves = self.frequencies(n)
         flat = np.rint(m).reshape(-1, self.dims).astype(np.int64)
         rows, back = np.unique(flat, axis=0, return_inverse=True)
 
-        # Each frequency has a number, the sum of those of its coordinates; no two have the same
+        # Number each frequency by a sum over its coordinates; the numbers are distinct
         factors = np.random.default_rng(n).integers(2**63, size=self.dims)
         numbers = np.sort(waves @ factors)
         pairs = np.zeros(len(rows))
@@ -353,7 +355,7 @@ def _add_block(re: Array, im: Array, vr: Array, vi: Array, cr: Array, ci: Array)
 
 @kernel
 def _append(re: Array, im: Array, basis: tuple[Array, Array], i: int, cr: Array, ci: Array) -> None:
-    # Make what i vectors of the basis leave of the feature vector the next: Gram and Schmidt.
+    # Append the feature vector to the i vectors of the basis, by Gram-Schmidt orthogonalization.
     for block in range((i + _BLOCK - 1) // _BLOCK):
         vr, vi, sr, si = basis[0][block], basis[1][block], cr[block], ci[block]
         for k in range(re.size):
@@ -373,8 +375,8 @@ def _append(re: Array, im: Array, basis: tuple[Array, Array], i: int, cr: Array,
 
 @kernel
 def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], out: Array) -> None:
-    # One realization. Proposals that a point found before them leaves untested stay in line for
-    # the points after it: what they were tested for is still true.
+    # Draw one realization. Proposals that are untested when a point is found remain for later
+    # points, since the tests they passed remain valid.
     n, dims = out.shape
     x, most, within = np.empty((_BATCH, dims)), np.empty(_BATCH), np.empty(_BATCH)
     re, im = np.empty((_BATCH, n)), np.empty((_BATCH, n))
@@ -382,7 +384,7 @@ def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], ou
     cr, ci = np.zeros(shape), np.zeros(shape)
     i, number = 0, 0
     while i < n:
-        # Propose places, with their feature vectors exp(2π i m·x)
+        # Propose positions, with their feature vectors exp(2π i m·x)
         for p in range(_BATCH):
             for j in range(dims):
                 x[p, j] = mix_uniform(k0, k1, number + j)
@@ -395,7 +397,7 @@ def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], ou
                 re[p, k] = cos(2.0 * pi * phase)
                 im[p, k] = sin(2.0 * pi * phase)
 
-        # Project them on the basis, and give up those that exceed their limits
+        # Project them onto the basis, and drop those that exceed their limits
         within[:] = 0.0
         for block in range((i + _BLOCK - 1) // _BLOCK):
             vr, vi = basis[0][block], basis[1][block]
@@ -403,7 +405,7 @@ def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], ou
                 if within[p] < most[p]:
                     within[p] += _add_block(re[p], im[p], vr, vi, cr[p, block], ci[p, block])
 
-        # Take those left in order; each adds to the basis, and so to the projections after it
+        # Accept the remaining ones in order; each extends the basis and the later projections
         for p in range(_BATCH):
             if i == n or within[p] >= most[p]:
                 continue
@@ -422,9 +424,9 @@ def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], ou
 
 @kernel
 def _fill_determinantal(keys: Array, m: Array, out: Array) -> None:
-    # The projection process of the frequencies m (n, d); out (R, n, d). With i points drawn, the
-    # density of the next is ‖P φ(x)‖²/(n − i), φ(x) the feature vector and P the projection away
-    # from those of the points drawn; ‖φ‖² = n bounds it.
+    # The projection process of the frequencies m (n, d); out (R, n, d). After i points, the density
+    # of the next point is ‖P φ(x)‖²/(n − i). φ(x) is the feature vector, and P projects out the
+    # feature vectors of the drawn points. ‖φ‖² = n bounds it.
     n = out.shape[1]
     shape = ((n + _BLOCK - 1) // _BLOCK, n, _BLOCK)
     basis = np.empty(shape), np.empty(shape)
@@ -449,8 +451,8 @@ def frequencies_within(square: int, dims: int) -> Array:
 
 
 def nearest_frequencies(count: int, dims: int) -> Array:
-    """Return the `count` integer vectors of least norm, of equal norms the first in order of m."""
-    # Begin somewhat below the radius of the ball of volume `count`
+    """Return the `count` integer vectors of smallest norm; ties are broken by the order of m."""
+    # Start somewhat below the radius of the ball of volume `count`
     log_volume = 0.5 * dims * math.log(math.pi) - math.lgamma(0.5 * dims + 1)
     square = int(0.8 * math.exp(2.0 / dims * (math.log(count) - log_volume))) if dims <= 3 else 0
     while len(found := frequencies_within(square, dims)) < count:
@@ -460,13 +462,13 @@ def nearest_frequencies(count: int, dims: int) -> Array:
 
 
 def half_shells(most: int, dims: int) -> Array:
-    """Return half the vectors of 0 < |m|² ≤ K², one of each ±m: all shells that `most` vectors hold.
+    """Return vectors with 0 < |m|² ≤ K², one per ±m, for the largest K with at most `most` pairs.
 
-    Of each pair it is the one whose first component that is not 0 is positive.
+    The vector chosen of each pair has a positive first nonzero component.
     """
     found = nearest_frequencies(2 * most + 2, dims)
     norms = np.sum(found**2, axis=1)
-    inside = found[norms < norms[-1]]  # the last shell may be cut short
+    inside = found[norms < norms[-1]]  # the last shell may be incomplete
     first = np.argmax(inside != 0, axis=1)
     half: Array = inside[inside[np.arange(len(inside)), first] > 0]
     return half

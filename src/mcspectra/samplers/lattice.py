@@ -1,4 +1,4 @@
-"""Multiples of one vector on the torus: rank-1, Korobov and Fibonacci lattices, Kronecker points."""
+"""Multiples of a vector on the torus: rank-1, Korobov and Fibonacci lattices, Kronecker points."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from mcspectra.samplers.law import Fixed, Law
 
 __all__ = ["Fibonacci", "Korobov", "Kronecker", "Rank1Lattice", "golden_steps"]
 
-_EVALUATIONS = 2**24  # kernel values per component: about 0.1 s
+_EVALUATIONS = 2**24  # kernel values per component; about 0.1 s
 _LEAST_CANDIDATES = 16
 _BITS = 64
 _S11, _UNIT = np.uint64(11), 2.0**-53
 
 
 class _Lattice(FixedSet):
-    """The points {k z / n}, k = 0 … n−1, of a generating vector z."""
+    """The points {k z / n}, k = 0 … n − 1, of a generating vector z."""
 
     structure: ClassVar[Structure] = Structure.TORUS
 
@@ -53,7 +53,7 @@ class _Lattice(FixedSet):
 
 @kernel
 def _fill_lattice(vector: Array, out: Array) -> None:
-    # k z / n, k = 0 … n−1, by adding z modulo n: vector int64 (d,), z_j < n; out (n, d)
+    # k z / n, k = 0 … n − 1, by adding z modulo n: vector int64 (d,), z_j < n; out (n, d)
     n, dims = out.shape
     for j in range(dims):
         step, multiple = vector[j], 0
@@ -74,18 +74,20 @@ class Rank1Lattice(_Lattice):
     Attributes
     ----------
     vector
-        Generating vector z, one whole number for each dim. By default it is built component by
+        Generating vector z, one whole number per dim. The default is built component by
         component for each n.
 
     Notes
     -----
-    The construction minimizes, one component after the other, the squared worst-case error of the
-    shifted lattice in the Korobov space of smoothness α = 2 with product weights γ_j = 1/j²,
+    The construction chooses one component after another. Each choice minimizes the squared
+    worst-case error of the shifted lattice in the Korobov space of smoothness α = 2 with product
+    weights γ_j = 1/j²,
 
         P_2 = −1 + (1/n) Σ_k Π_j (1 + γ_j 2π² B_2({k z_j/n})),   B_2(x) = x² − x + 1/6,
 
-    over the z_j ≤ n/2 coprime to n: all of them as long as that takes at most 2^24 values of B_2
-    a component (n up to 5,792), else evenly spread ones, 16 at least. Kept in memory by (n, d).
+    over the z_j ≤ n/2 coprime to n. It tries all of them if that takes at most 2^24 values of B_2
+    per component (n up to 5,792), else at least 16 evenly spaced ones. Vectors are kept in memory
+    by (n, d).
 
     References
     ----------
@@ -118,12 +120,12 @@ class Rank1Lattice(_Lattice):
 
 @lru_cache(maxsize=256)
 def _built_vector(n: int, dims: int) -> tuple[int, ...]:
-    """Generating vector by the component-by-component construction."""
+    """Return the generating vector of the component-by-component construction."""
     k, bernoulli = np.arange(n), _bernoulli(n)
     candidates = _candidates(n, _EVALUATIONS // n)
     product, vector = np.ones(n), []
     for j in range(1, dims + 1):
-        # All first components give the same points: take 1
+        # All first components give the same points, so take 1
         options = candidates if j > 1 else candidates[:1]
         errors = [product @ bernoulli[k * z % n] for z in options]
         best = int(options[_first_least(errors)])
@@ -142,13 +144,14 @@ class Korobov(_Lattice):
     Attributes
     ----------
     a
-        Generator. By default it is searched for each n.
+        Generator. By default a search finds one for each n.
 
     Notes
     -----
-    The search takes the least P_2, that of `Rank1Lattice` with equal weights γ_j = 1, of the a ≤ n/2
-    coprime to n (n − a gives the reflected lattice): of all of them as long as that takes at most 2^24
-    values of B_2 (n up to 4,096 in 2-D), else of evenly spread ones, 16 at least. Kept in memory by (n, d).
+    The search minimizes P_2, as in `Rank1Lattice` but with equal weights γ_j = 1, over the a ≤ n/2
+    coprime to n (n − a gives the reflected lattice). It tries all of them if that takes at most
+    2^24 values of B_2 (n up to 4,096 in 2-D), else at least 16 evenly spaced ones. Generators are
+    kept in memory by (n, d).
 
     References
     ----------
@@ -164,7 +167,7 @@ class Korobov(_Lattice):
 
 @lru_cache(maxsize=256)
 def _best_generator(n: int, dims: int) -> int:
-    """Generator of the Korobov lattice of least P_2 (see there)."""
+    """Return the generator of the Korobov lattice of smallest P_2 (see `Korobov`)."""
     k, factors = np.arange(n), 1.0 + _bernoulli(n)
     candidates = _candidates(n, _EVALUATIONS // (n * dims))
     errors = []
@@ -177,7 +180,7 @@ def _best_generator(n: int, dims: int) -> int:
 
 
 def _powers(a: int, n: int, dims: int) -> list[int]:
-    """Return 1, a, a², … modulo n, in whole numbers of any size."""
+    """Return 1, a, a², … modulo n, computed in exact integers."""
     powers = [1 % n]
     while len(powers) < dims:
         powers.append(powers[-1] * a % n)
@@ -185,13 +188,13 @@ def _powers(a: int, n: int, dims: int) -> list[int]:
 
 
 def _bernoulli(n: int) -> Array:
-    """2π² B_2(k/n) for k = 0 … n−1."""
+    """Return 2π² B_2(k/n) for k = 0 … n − 1."""
     x = np.arange(n) / n
     return np.asarray(2.0 * np.pi**2 * (x * x - x + 1.0 / 6.0))
 
 
 def _candidates(n: int, most: int) -> Array:
-    """Numbers 1 … n/2 coprime to n (z and n − z give equal errors), thinned evenly to `most`."""
+    """Return numbers 1 … n/2 coprime to n, thinned evenly to `most`; n − z would repeat z."""
     z = np.arange(1, max(2, n // 2 + 1))
     z = z[np.gcd(z, n) == 1]
     spread = np.linspace(0, z.size - 1, min(max(_LEAST_CANDIDATES, most), z.size))
@@ -199,7 +202,7 @@ def _candidates(n: int, most: int) -> Array:
 
 
 def _first_least(errors: Sequence[float]) -> int:
-    """First index whose error is least but for rounding, so that sums in another order agree."""
+    """Return the first index of the smallest error up to rounding, in any order of summation."""
     values = np.asarray(errors)
     tolerance = 1e-9 * float(np.abs(values).max())
     return int(np.flatnonzero(values <= values.min() + tolerance)[0])
@@ -228,7 +231,7 @@ class Fibonacci(PlaneSampler, _Lattice):
         return below, min(f for f in _FIBONACCI if f >= n)
 
 
-_FIBONACCI = [1, 2]  # to the first beyond the largest count
+_FIBONACCI = [1, 2]  # up to the first number above the largest count
 while _FIBONACCI[-1] <= MAX_COUNT:
     _FIBONACCI.append(_FIBONACCI[-1] + _FIBONACCI[-2])
 
@@ -243,14 +246,14 @@ class Kronecker(FixedSet):
     Attributes
     ----------
     alpha
-        The vector α, one number for each dim. By default that of the R-sequence: α_j = φ^(−j), where
-        φ is the root greater than 1 of φ^(d+1) = φ + 1, in 1-D the golden ratio.
+        The vector α, one number per dim. The default is that of the R-sequence: α_j = φ^(−j), where
+        φ is the root greater than 1 of φ^(d+1) = φ + 1; in 1-D, φ is the golden ratio.
 
     Notes
     -----
-    Multiples are added up in whole numbers of 2^-64, modulo 1: nothing is lost on the way, and
-    differences of points depend on those of their indices alone. Numbers whose fractions are simple
-    (0.5) put all points on few lines; whether α is irrational is up to the user.
+    Multiples are added in whole numbers of 2^-64 modulo 1. This is exact, and differences of points
+    depend on differences of indices only. Simple fractions such as 0.5 put all points on few lines;
+    the sampler does not check that α is irrational.
 
     References
     ----------
@@ -298,10 +301,10 @@ class Kronecker(FixedSet):
 @lru_cache(maxsize=64)
 def golden_steps(dims: int) -> Array:
     """Return φ^(−1) … φ^(−d) in units of 2^-64, φ^(d+1) = φ + 1: uint64 (dims,), read-only."""
-    bits = _BITS + 32  # the error grows with the power
+    bits = _BITS + 32  # extra bits, since the error grows with the power
     one = 1 << bits
 
-    # 1/φ by bisection: x = 1/φ solves x^(d+1) + x^d = 1
+    # Find 1/φ by bisection: x = 1/φ solves x^(d+1) + x^d = 1
     ratio, high = 0, one
     while high - ratio > 1:
         middle = (ratio + high) // 2
@@ -334,6 +337,6 @@ def _fill_kronecker(steps: Array, out: Array) -> None:
 
 
 def _in_units(value: float) -> int:
-    """The fraction of a float in units of 2^-64."""
+    """Return the fraction of a float in units of 2^-64."""
     one = 1 << _BITS
     return round(Fraction(value) % 1 * one) % one

@@ -4,20 +4,20 @@ The variance of an estimator is the spectrum of its integrand times the covarian
 
     Var(I_n) = Σ_m Σ_l conj(f_m) f_l C_ml,     C_ml = ⟨S_m conj(S_l)⟩ − ⟨S_m⟩ conj⟨S_l⟩,
 
-and C_ml is a property of the sampler's law. A sampler states its law once, in `Sampler.law`;
-closed forms, exact variances, predictions, rates and the fitting basis are functions of it. They
-dispatch on the class at the root of a law and recurse, and never ask for a sampler's name.
+and C_ml is a property of the sampler's law. A sampler states its law once, in `Sampler.law`.
+Closed forms, exact variances, predictions, rates and the fitting basis are functions of the law.
+They dispatch on the class at the root of a law, recurse, and never test a sampler's name.
 
 A law is a small tree of frozen classes. Leaves describe how points are drawn:
 
     Independent   n independent uniform points
-    Strata        one independent motif (a point, or a pair) in each cell of a grid
+    Strata        one independent motif (one point or a pair) in each cell of a grid
     PairedAxes    pairs of points that share, or do not share, strata of each axis
     Fixed         the same set every time
     Stationary    a set whose law is the same after any translation of the torus
     Choice        one of several laws, chosen at random
-    Product       independent sets in groups of axes, their points paired at random
-    Unknown       anything that can only be drawn
+    GroupedAxes   independent sets in groups of axes, their points paired at random
+    Unknown       points that can only be drawn
 
 Operators describe how a set is randomized:
 
@@ -27,7 +27,7 @@ Operators describe how a set is randomized:
     Folded        u → 1 − |2u − 1| of every coordinate
     Mirrored      reflections of every coordinate
 
-The order of points is no part of a law, since estimates are sums.
+The order of the points does not belong to the law, because estimates are sums over points.
 """
 
 from __future__ import annotations
@@ -53,6 +53,7 @@ __all__ = [
     "Fixed",
     "Folded",
     "GaussianPoint",
+    "GroupedAxes",
     "Independent",
     "Law",
     "Mirrored",
@@ -60,7 +61,6 @@ __all__ = [
     "Moved",
     "PairPattern",
     "PairedAxes",
-    "Product",
     "Scramble",
     "Scrambled",
     "Shifted",
@@ -85,15 +85,15 @@ __all__ = [
 
 
 _MOST_TERMS = 2**32
-"""Most terms of a sum over points and frequencies: about half a minute."""
+"""Largest number of terms of a sum over points and frequencies; they take about half a minute."""
 _MOST_COUNTS = 2**28
-"""Most points times levels whose digits are compared: about a minute."""
+"""Largest product of points and levels whose digits are compared; it takes about a minute."""
 _TERMS_AT_ONCE = 2**22
-"""Terms that are in memory together: 64 MB of complex numbers."""
+"""Number of terms held in memory at a time: 64 MB of complex numbers."""
 
 
 class Source(Protocol):
-    """What a law uses of the `mcspectra.samplers.Sampler` whose law it is."""
+    """Attributes of `mcspectra.samplers.Sampler` that a law uses."""
 
     @property
     def spec(self) -> str: ...
@@ -112,7 +112,7 @@ class Law(ABC):
     n, dims
         Number of points and of coordinates.
     source
-        The sampler whose law this is, for what can only be drawn.
+        The sampler that has this law; used to draw points.
     fixed
         Whether all realizations are the same set.
     uniform
@@ -155,17 +155,17 @@ class Independent(Law):
 
 
 class Motif(ABC):
-    """Points in one cell of `Strata`, in units of cells: one point, or several.
+    """The points in one cell of `Strata`, in units of cells.
 
     Attributes
     ----------
     size
         Number of points.
     wraps
-        Whether points may leave their cell, so that they are wrapped around the torus. Transforms
-        then hold at integer frequencies only.
+        Whether points may leave their cell and are then wrapped around the torus. Transforms are
+        valid at integer frequencies only in this case.
     uniform
-        Whether a point of the motif is uniform in its cell, or on the torus where it wraps.
+        Whether a point of the motif is uniform in its cell, or on the torus if it wraps.
     """
 
     size: ClassVar[int] = 1
@@ -174,7 +174,7 @@ class Motif(ABC):
 
     @abstractmethod
     def mean(self, a: Array) -> Array:
-        """⟨M(a)⟩ with M(a) the mean of exp(−2πi a·ξ) over the points ξ; a of shape (..., d)."""
+        """⟨M(a)⟩, where M(a) is the mean of exp(−2πi a·ξ) over the points ξ, and a is (..., d)."""
 
     @abstractmethod
     def second(self, a: Array, b: Array) -> Array:
@@ -183,18 +183,18 @@ class Motif(ABC):
 
 @dataclass(frozen=True)
 class _Point(Motif):
-    """One point whose coordinates are independent, of the transform `axis`."""
+    """One point with independent coordinates; `axis` is the transform of a coordinate."""
 
     @abstractmethod
     def axis(self, a: Array) -> Array:
         """Transform of each coordinate."""
 
     def mean(self, a: Array) -> Array:
-        """The product over the axes."""
+        """Product of the transforms of the axes."""
         return np.asarray(np.prod(self.axis(a), axis=-1))
 
     def second(self, a: Array, b: Array) -> Array:
-        """That of the difference."""
+        """Transform at the difference of the frequencies."""
         return self.mean(a - b)
 
 
@@ -211,7 +211,7 @@ class UniformPoint(_Point):
 @final
 @dataclass(frozen=True)
 class BoxPoint(_Point):
-    """A uniform point of a box of some width about the center of the cell."""
+    """A uniform point in a box of the given width around the center of the cell."""
 
     width: float
 
@@ -233,7 +233,7 @@ class BoxPoint(_Point):
 @final
 @dataclass(frozen=True)
 class GaussianPoint(_Point):
-    """A Gaussian point about the center of the cell, its width the standard deviation."""
+    """A Gaussian point around the center of the cell; `width` is the standard deviation."""
 
     width: float
     wraps: ClassVar[bool] = True  # type: ignore[misc]
@@ -247,12 +247,12 @@ class GaussianPoint(_Point):
 @final
 @dataclass(frozen=True)
 class AntitheticPair(Motif):
-    """A uniform point of the cell and its reflection through the center of the cell [Haber1967]_."""
+    """A uniform point of a cell and its reflection through the cell's center [Haber1967]_."""
 
     size: ClassVar[int] = 2
 
     def mean(self, a: Array) -> Array:
-        """That of one uniform point."""
+        """Transform of one uniform point."""
         return UniformPoint().mean(a)
 
     def second(self, a: Array, b: Array) -> Array:
@@ -262,7 +262,7 @@ class AntitheticPair(Motif):
 
 
 def _center(a: Array) -> Array:
-    """Phase of the center of a cell, of each coordinate."""
+    """Transform of the center of a cell, for each coordinate."""
     return np.asarray(np.exp(-1j * np.pi * np.remainder(a, 2.0)))
 
 
@@ -276,7 +276,7 @@ class Strata(Law):
     sides
         Number of cells along each axis.
     motif
-        Points in each cell.
+        The points in each cell.
     """
 
     sides: tuple[int, ...]
@@ -284,7 +284,7 @@ class Strata(Law):
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
-        """Whether a point of the motif is."""
+        """Whether a point of the motif is uniform."""
         return self.motif.uniform
 
     @property
@@ -294,21 +294,21 @@ class Strata(Law):
 
 
 Relation: TypeAlias = Literal["apart", "same", "mates"]
-"""Two points on one axis: independent in two different strata; independent in one stratum; or in two
-different parts of one stratum, each uniform in its part."""
+"""Relation of two points on one axis: independent in two different strata (apart), independent in
+one stratum (same), or uniform in two different parts of one stratum (mates)."""
 
 
 @final
 @dataclass(frozen=True)
 class PairPattern:
-    """A share of all ordered pairs of points, n² with those of a point with itself.
+    """A group of ordered pairs of points, as a share of all n² pairs.
 
     Attributes
     ----------
     share
-        Number of these pairs divided by n².
+        Number of pairs in the group divided by n².
     axes
-        How the two points lie on each axis; the axes are independent.
+        Relation of the two points on each axis; the axes are independent.
     """
 
     share: float
@@ -318,18 +318,18 @@ class PairPattern:
 @final
 @dataclass(frozen=True, kw_only=True)
 class PairedAxes(Law):
-    """Points whose pairs share, or do not share, strata of each axis: Latin hypercubes and arrays.
+    """Points whose pairs may share strata of single axes: Latin hypercubes and orthogonal arrays.
 
     Attributes
     ----------
     strata
         Number of strata of each axis.
     parts
-        Number of parts of each stratum, of which no two points share one.
+        Number of parts of each stratum; each part holds at most one point.
     patterns
-        The pairs of different points.
+        Groups of the pairs of different points.
     base
-        Base in which every realization is a scrambled net [Tang1993]_; None if there is no such base.
+        Base in which every realization is a scrambled net [Tang1993]_; None if there is none.
     """
 
     strata: tuple[int, ...]
@@ -339,22 +339,23 @@ class PairedAxes(Law):
 
     @property
     def latin(self) -> bool:
-        """Whether all pairs of points lie in different ones of n strata of every axis."""
+        """Whether any two points lie in different strata, of n, on every axis."""
         return self.strata == (self.n,) * self.dims
 
 
 def latin_hypercube(n: int, dims: int) -> PairedAxes:
-    """One point in each of n strata of every axis, in a random order of its own [McKay1979]_."""
+    """Return the law of a Latin hypercube: one point in each stratum of every axis [McKay1979]_."""
     apart: list[Relation] = ["apart"] * dims
     pattern = PairPattern(1.0 - 1.0 / n, tuple(apart))
     return PairedAxes(n=n, dims=dims, strata=(n,) * dims, parts=(1,) * dims, patterns=(pattern,))
 
 
 def paired_axes_of_array(s: int, dims: int, *, shared_out: bool) -> PairedAxes:
-    """An orthogonal array of strength 2 and s² points, its levels renamed at random.
+    """Return the law of an orthogonal array of strength 2 with s² points and random level names.
 
-    Of the s²(s² − 1) ordered pairs of different points s²(s − 1) agree on each axis, and none on
-    two. The points of a level are independent in it, or share it out: each in an s-th of its own.
+    Of the s²(s² − 1) ordered pairs of different points, s²(s − 1) agree on each axis, and no pair
+    agrees on two. With `shared_out`, the s points of a level lie in different s-ths of it; without,
+    they are independent.
     """
     if dims == 1 and shared_out:
         return latin_hypercube(s * s, 1)
@@ -383,24 +384,24 @@ class Fixed(Law):
     Attributes
     ----------
     bases
-        Base of the digits of each coordinate whose elementary intervals the set fills evenly; None if
+        Base of the digits of each coordinate if the set fills elementary intervals evenly; None if
         the set is not a digital construction.
     vector
         Generating vector z of a rank-1 lattice {k z / n}; None for other sets.
     sides, corner
-        Cells of a grid along each axis, and the place of the point in each, in units of cells;
-        None for other sets.
+        Number of grid cells along each axis, and the position of the point in its cell, in units of
+        cells; None for other sets.
     even
         Whether the evenness of the set depends only on differences of points on the torus, as for
-        lattices and Kronecker points; translations preserve it.
+        lattices and Kronecker points; then translations preserve it.
     digital
-        Whether the digits of the points are a group under addition without carry, so that all points
+        Whether the digits of the points form a group under addition without carry; then all points
         have the same relation to the others.
     columns
         Columns of the generator matrices of a digital net in base 2, as 32-bit numbers with the
-        first digit highest, uint64 (dims, log2 n); None where they are not known.
+        first digit highest, uint64 (dims, log2 n); None if they are unknown.
     seed
-        Seed of the set, where one realization of a sampler is taken for all of them.
+        Seed of the set, if one realization of a sampler stands for all realizations.
     """
 
     fixed: ClassVar[bool] = True
@@ -423,21 +424,21 @@ class Fixed(Law):
         return np.asarray(self.draw(Stream.from_rng(self.seed), 0, 1)[0])
 
     def agreements(self, bases: Sequence[int], levels: int) -> Array:
-        """Return how many points agree with a point in their first digits, itself among them.
+        """Return how many points share their first digits with a point, itself included.
 
-        Entry (l_1, …, l_d) of the array (levels + 1, …) is the mean over the points of the number of
+        Entry (l_1, …, l_d) of the array (levels + 1, …) is a mean over the points: the number of
         points whose coordinate j has the same first l_j digits in base j, for all j.
 
         Raises
         ------
         ParameterError
-            More points and levels than can be counted in about a minute.
+            If counting would take more than about a minute.
         """
         work = float(self.n) * float(levels + 1) ** self.dims
         if work > _MOST_COUNTS:
             raise ParameterError(
-                f"{levels} levels in {self.dims} dims of {self.n} points are {work:.2g} counts, more "
-                f"than {_MOST_COUNTS:.2g}; lower levels, n or dims."
+                f"{levels} levels in {self.dims} dims of {self.n} points are {work:.2g} counts, "
+                f"more than {_MOST_COUNTS:.2g}; lower levels, n or dims."
             )
         points, found = self.points, np.empty((levels + 1,) * self.dims)
 
@@ -446,7 +447,7 @@ class Fixed(Law):
                 found[at] = np.sum(np.bincount(cells).astype(float) ** 2) / self.n
                 return
             for level in range(levels + 1):
-                # The first digits as whole numbers; coordinates rounded down to below k/b^level are k
+                # First digits as whole numbers; a k/b^level that was rounded down counts as k
                 base, scale = bases[axis], float(bases[axis] ** level)
                 nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-50
                 digits = np.floor(points[:, axis] * scale + nudge)
@@ -466,9 +467,9 @@ class Stationary(Law):
     Attributes
     ----------
     power
-        ⟨|S_m|²⟩ at integer m of shape (..., d), in closed form; None where it can only be measured.
+        ⟨|S_m|²⟩ at integer m of shape (..., d) in closed form; None if it can only be measured.
     sets
-        Number of different sets that exist, None if every realization is a new one.
+        Number of different sets that exist; None if every realization is a new set.
     """
 
     stationary: ClassVar[bool] = True
@@ -484,9 +485,9 @@ class Choice(Law):
     Attributes
     ----------
     laws
-        Some of them where there are many, drawn at random.
+        The laws, or a random selection if there are many.
     sets
-        Number of all of them, None if there is no limit.
+        Number of all laws; None if it is unlimited.
     """
 
     laws: tuple[Law, ...]
@@ -494,24 +495,24 @@ class Choice(Law):
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
-        """Whether all of them are."""
+        """Whether all the laws are uniform."""
         return all(law.uniform for law in self.laws)
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Product(Law):
+class GroupedAxes(Law):
     """Independent sets in groups of axes, whose points are paired in random orders.
 
-    Point i of the whole set has the coordinates of point π_g(i) of the set of each group g, with independent
-    random permutations π_g. A Latin hypercube is such a product of strata of single axes.
+    Point i of the whole set has the coordinates of point π_g(i) of the set of each group g, with
+    independent random permutations π_g. A Latin hypercube is a product of strata of single axes.
 
     Attributes
     ----------
     parts
         The laws of the groups, each of n points.
     axes
-        The axes of each group; by default those of the first part come first, and so on.
+        The axes of each group; by default the first group takes the first axes, and so on.
     """
 
     parts: tuple[Law, ...]
@@ -538,12 +539,12 @@ class Product(Law):
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
-        """Whether all parts are."""
+        """Whether all parts are uniform."""
         return all(part.uniform for part in self.parts)
 
     @property
     def stationary(self) -> bool:  # type: ignore[override]
-        """Whether all parts are."""
+        """Whether all parts are stationary."""
         return all(part.stationary for part in self.parts)
 
 
@@ -557,11 +558,11 @@ class Unknown(Law):
     is_uniform
         Whether the sampler declares that every point is uniform.
     sets
-        Number of different sets that exist, None if every realization is a new one.
+        Number of different sets that exist; None if every realization is a new set.
     strata
-        Number of strata of each axis that hold a point each, where this is known.
+        Number of strata of each axis that hold one point each; None if it is unknown.
     bases
-        Base of the digits of each coordinate in which every set is a net, where this is known.
+        Base of the digits of each coordinate in which every set is a net; None if it is unknown.
     """
 
     is_uniform: bool = True
@@ -586,7 +587,7 @@ class Shifted(Law):
     Attributes
     ----------
     inner
-        The law of the set before.
+        The law of the set before the translation.
     """
 
     stationary: ClassVar[bool] = True
@@ -595,18 +596,18 @@ class Shifted(Law):
 
 @dataclass(frozen=True, kw_only=True)
 class _Image(Law):
-    """The law of a set whose points are moved alike, one by one: fixed or uniform if the set was."""
+    """The law of a mapped set, which is fixed or uniform if the set is."""
 
     inner: Law
 
     @property
     def fixed(self) -> bool:  # type: ignore[override]
-        """Whether the set before is fixed."""
+        """Whether the set is fixed before the map."""
         return self.inner.fixed
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
-        """Whether the points before are uniform."""
+        """Whether the points are uniform before the map."""
         return self.inner.uniform
 
 
@@ -618,18 +619,18 @@ class Moved(_Image):
     Attributes
     ----------
     inner
-        The law of the set before.
+        The law of the set before the translation.
     by
-        The translation, one number for each axis, from 0 to 1.
+        The translation along each axis, from 0 to 1.
     """
 
     by: tuple[float, ...]
 
 
 Scramble: TypeAlias = Literal["digital-shift", "permutation", "linear", "nested"]
-"""How digits are randomized, each of which contains those before it: one random digit added to each
-place; a random permutation of each place; a random lower triangular matrix, and a shift; permutations
-that depend on all digits above."""
+"""Kind of randomization of digits; each kind contains the kinds before it. A digital shift adds one
+random digit to each place. A permutation permutes the digits of each place. Linear: a random lower
+triangular matrix and a shift. Nested: permutations that depend on all higher digits."""
 
 _SCRAMBLES: tuple[Scramble, ...] = ("digital-shift", "permutation", "linear", "nested")
 
@@ -642,14 +643,15 @@ class Scrambled(Law):
     Attributes
     ----------
     inner
-        The law of the set before.
+        The law of the set before the digits are randomized.
     kind
-        How digits are randomized. Nested and linear scrambles have the same law of pairs of points,
+        Kind of randomization. Nested and linear scrambles have the same law of pairs of points,
         hence the same variances.
     bases
         Base of the digits of each coordinate.
     shifts
-        Whether every point becomes uniform: not so by matrices alone, which leave the origin alone.
+        Whether every point becomes uniform. Matrices alone do not achieve this: they fix the
+        origin.
     """
 
     inner: Law
@@ -659,7 +661,7 @@ class Scrambled(Law):
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
-        """After a shift, or as before."""
+        """Whether points are uniform: always after a shift, else if they were before."""
         return self.shifts or self.inner.uniform
 
     @property
@@ -676,7 +678,7 @@ class Scrambled(Law):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Folded(_Image):
-    """u → 1 − |2u − 1| of every coordinate: the law before, with a folded integrand."""
+    """u → 1 − |2u − 1| of every coordinate: equal to the inner law with a folded integrand."""
 
 
 @final
@@ -687,17 +689,17 @@ class Mirrored(_Image):
     Attributes
     ----------
     inner
-        The law of the set before.
+        The law of the set before the reflections.
     mode
-        ``"random"``: a fair coin for each coordinate of each point. ``"uniform"``: each of n/2^d
-        points becomes its 2^d reflections.
+        ``"random"``: each coordinate of each point is reflected with probability ½. ``"uniform"``:
+        each of n/2^d points is replaced by its 2^d reflections.
     """
 
     mode: Literal["random", "uniform"]
 
     @property
     def fixed(self) -> bool:  # type: ignore[override]
-        """Reflections at random never are; all of a fixed set are."""
+        """Whether all realizations are the same set: only a fixed set with uniform reflections."""
         return self.mode == "uniform" and self.inner.fixed
 
 
@@ -705,14 +707,14 @@ class Mirrored(_Image):
 
 
 def shifted(law: Law) -> Law:
-    """The law after one uniform translation of the torus."""
+    """Return the law after one uniform translation of the torus."""
     while isinstance(law, Moved):
         law = law.inner
     return law if law.stationary else Shifted(n=law.n, dims=law.dims, inner=law)
 
 
 def moved(law: Law, by: Sequence[float]) -> Law:
-    """The law after one fixed translation of the torus."""
+    """Return the law after one fixed translation of the torus."""
     if isinstance(law, Moved):
         by = [a + b for a, b in zip(law.by, by, strict=True)]
         law = law.inner
@@ -722,10 +724,11 @@ def moved(law: Law, by: Sequence[float]) -> Law:
 
 
 def scrambled(law: Law, kind: Scramble, bases: Sequence[int], *, shifts: bool = True) -> Law:
-    """The law after digits in these bases are randomized.
+    """Return the law after the digits in the given bases are randomized.
 
-    Strata whose sides are powers of the base, and strata of axes, keep their law: cells go to cells,
-    and points in them are uniform already. Samplers refuse scrambles that break them.
+    Strata keep their law if their sides are powers of the base, and so do strata of axes: cells map
+    to cells, in which points are already uniform. Samplers refuse scrambles that break their
+    strata.
     """
     digits = tuple(map(int, bases))
     if isinstance(law, Scrambled) and law.bases == digits:
@@ -739,10 +742,10 @@ def scrambled(law: Law, kind: Scramble, bases: Sequence[int], *, shifts: bool = 
 
 
 def as_scrambled(law: Law) -> Law:
-    """Arrays of strength 2 whose levels are shared out, as nets that are scrambled in their base.
+    """Return the law of an orthogonal array with shared-out levels as that of a scrambled net.
 
-    The second digits are permuted within each first digit [Tang1993]_, so that the digits of one
-    realization describe all realizations.
+    The second digits are permuted within each first digit [Tang1993]_, so the digits of one
+    realization describe all realizations. Other laws are returned unchanged.
     """
     if not isinstance(law, PairedAxes) or law.base is None or law.source is None:
         return law
@@ -754,7 +757,7 @@ def as_scrambled(law: Law) -> Law:
 
 
 def unmoved(law: Law) -> tuple[Law, Array]:
-    """The law before all translations at its end, and the sum of the fixed ones, (dims,)."""
+    """Return the law without its last translations, and the sum of the fixed ones, (dims,)."""
     by = np.zeros(law.dims)
     while isinstance(law, Moved | Shifted):
         if isinstance(law, Moved):
@@ -764,17 +767,18 @@ def unmoved(law: Law) -> tuple[Law, Array]:
 
 
 def leaf_of(law: Law) -> Law:
-    """The law of the set before all randomizations."""
+    """Return the law of the set before all randomizations."""
     while isinstance(law, Shifted | Moved | Scrambled | Folded | Mirrored):
         law = law.inner
     return law
 
 
 def bases_to_scramble(laws: Sequence[Law]) -> tuple[int, ...] | None:
-    """Bases in which sets of all these laws are nets, so that scrambling suits them best.
+    """Return bases in which sets of all these laws are nets, so that scrambling suits them best.
 
-    None for lattices, which scrambling breaks, and for sets that are not nets: a shift suits them.
-    Sets of a few points can be nets and lattices; they follow the others.
+    The result is None for lattices, which scrambling breaks, and for sets that are not nets; a
+    shift suits both. A set of a few points can be both a net and a lattice; the other sets then
+    decide.
     """
     found = {law.bases if isinstance(law, Fixed | Unknown) else None for law in laws}
     if len(found) > 1 or all(isinstance(law, Fixed) and law.even for law in laws):
@@ -783,21 +787,21 @@ def bases_to_scramble(laws: Sequence[Law]) -> tuple[int, ...] | None:
 
 
 def is_power(n: int, base: int) -> bool:
-    """Whether n is a power of the base, 1 among them."""
+    """Whether n is a power of the base; 1 is one."""
     while n % base == 0:
         n //= base
     return n == 1
 
 
 def mean_of_terms(n: int, nu: Array, terms: Callable[[Array], Array]) -> Array:
-    """Return the mean of n terms for each frequency (..., d), a block of frequencies (F, d) at a time.
+    """Return the mean of n terms at each frequency (..., d), computed in blocks (F, d).
 
     Raises
     ------
     NoClosedForm
-        There are too many terms.
+        If there are too many terms.
     """
-    if float(n) * max(64, nu[..., 0].size) > _MOST_TERMS:  # the points take memory, too
+    if float(n) * max(64, nu[..., 0].size) > _MOST_TERMS:  # at least 64, since points take memory
         raise NoClosedForm(
             f"The exact transform of {n} points at {nu[..., 0].size} frequencies would take more "
             f"than {_MOST_TERMS:.2g} terms; use ",
@@ -811,18 +815,18 @@ def mean_of_terms(n: int, nu: Array, terms: Callable[[Array], Array]) -> Array:
 
 
 def independent_sets(law: Law) -> int | None:
-    """Number of sets that are truly independent, None if every realization is a new one.
+    """Return the number of truly independent sets, or None if every realization is a new set.
 
-    Randomizations make new realizations of few sets, but power spectra, distances of points and
-    variances are those of the sets: their standard errors follow this number. Realization r uses the
-    set r modulo the number.
+    Randomizations make new realizations from few sets, but power spectra, distances of points and
+    variances depend on the sets only. Standard errors therefore follow this number. Realization r
+    uses set r modulo the number.
     """
     match law:
         case Stationary() | Choice() | Unknown():
             return law.sets
         case Shifted() | Moved() | Scrambled() | Folded() | Mirrored():
             return independent_sets(law.inner)
-        case Product():
+        case GroupedAxes():
             known = [independent_sets(part) for part in law.parts]
             return min((sets for sets in known if sets is not None), default=None)
     return None

@@ -1,6 +1,6 @@
-"""Digital nets: Sobol', Niederreiter, Larcher and Pillichshammer in base 2; Faure and given matrices.
+"""Digital nets: Sobol', Niederreiter, Larcher and Pillichshammer, Faure, and given matrices.
 
-Digit r of coordinate j of point i is the r-th entry of C_j·(digits of i, the lowest first) modulo
+Digit r of coordinate j of point i is the r-th entry of C_j·(digits of i, lowest first) modulo
 the base b.
 """
 
@@ -31,8 +31,8 @@ from mcspectra.samplers.law import Fixed, Law, is_power
 __all__ = ["DigitalNet", "Faure", "LarcherPillichshammer", "Niederreiter", "Sobol"]
 
 _BITS = 32
-_TERNARY_DIGITS = 20  # 3^20 is more than the most points of a set
-_MAX_DEGREE = 13  # of Niederreiter's polynomials: 1,377 of them are irreducible
+_TERNARY_DIGITS = 20  # digits in base 3; 3^20 exceeds the largest count
+_MAX_DEGREE = 13  # largest degree of Niederreiter's polynomials; 1,377 are irreducible
 _NO_MATRICES = (
     "matrices is not a list of matrices; give each matrix as a list of rows of "
     "digits, or as a list of whole numbers, one for each column."
@@ -40,13 +40,13 @@ _NO_MATRICES = (
 
 
 class _BinaryNet(FixedSet):
-    """A net of 32-bit generator matrices in base 2."""
+    """A net with 32-bit generator matrices in base 2."""
 
     structure: ClassVar[Structure] = Structure.DIGITS
 
     @abstractmethod
     def direction_numbers(self, n: int) -> Array:
-        """Return the columns of the matrices for n points: uint32 (dims, 32), 2^31 being ½."""
+        """Return the columns of the matrices for n points: uint32 (dims, 32); 2^31 means ½."""
 
     def _law(self, n: int) -> Law:
         count = n.bit_length() - 1
@@ -77,26 +77,27 @@ class Sobol(_BinaryNet):
     Attributes
     ----------
     directions
-        A file of direction numbers, for other tables than Joe and Kuo's.
+        A file of direction numbers, instead of Joe and Kuo's table.
     base
-        Of the file: 2, or 3 for polynomials over the field of three elements (20 digits).
+        Base of the file: 2, or 3 for polynomials over the field of three elements (20 digits).
 
     Raises
     ------
     FileFormatError
-        The file is no table of direction numbers in this base.
+        If the file is not a table of direction numbers in this base.
 
     Notes
     -----
-    Natural order: dimension 0 is the van der Corput sequence of the index, not of its Gray code.
-    Counts other than powers of the base are made, with a `NotPowerOfTwoWarning`: the sets are then
-    not balanced in elementary intervals.
+    The order is natural: dimension 0 is the van der Corput sequence of the index, not of its Gray
+    code. Counts that are not powers of the base cause a `NotPowerOfTwoWarning`, because such sets
+    are not balanced in elementary intervals.
 
-    A file has a line for each dim, in this order: its number, the degree s of the polynomial, the
-    polynomial a, and m_1 … m_s; headings and what follows ``#`` are left out. In base 2, a holds the
-    inner coefficients (Joe and Kuo's), and degree 0 stands for van der Corput's sequence, which comes
-    first by itself where the numbers begin at 2. In base 3, a holds all coefficients as its digits, and
-    m_k = m_(k−s) − Σ_j 3^j p_(s−j) m_(k−j), digit by digit modulo 3, p_i being that of x^i.
+    A file has one line per dim with these entries: the number of the dim, the degree s of the
+    polynomial, the polynomial a, and m_1 … m_s. Headings and text after ``#`` are ignored. In base
+    2, a holds the inner coefficients (as in Joe and Kuo's table). Degree 0 stands for van der
+    Corput's sequence, which is inserted first if the numbers begin at 2. In base 3, a holds all
+    coefficients as its digits, and m_k = m_(k−s) − Σ_j 3^j p_(s−j) m_(k−j), digit by digit modulo
+    3, where p_i is the coefficient of x^i.
 
     References
     ----------
@@ -123,11 +124,11 @@ class Sobol(_BinaryNet):
         return (self.base,) * self.dims
 
     def direction_numbers(self, n: int) -> Array:
-        """Return the columns of the generator matrices: uint32 (dims, 32), 2^31 being ½.
+        """Return the columns of the generator matrices: uint32 (dims, 32); 2^31 means ½.
 
-        In base 3 the digits of the columns: int64 (dims, 20, 20).
+        In base 3, return the digits of the columns: int64 (dims, 20, 20).
         """
-        del n  # a sequence: the same for all counts
+        del n  # the matrices of a sequence are the same for all counts
         if self.directions is None:
             return _sobol_directions()[: self.dims]
         return _directions_of_file(self.directions, self.base)[: self.dims]
@@ -145,14 +146,14 @@ class Sobol(_BinaryNet):
 
 @lru_cache
 def _sobol_directions() -> Array:
-    """Direction numbers of all dims: uint32 (1111, 32)."""
+    """Return the direction numbers of all dims: uint32 (1111, 32)."""
     table = files("mcspectra.samplers") / "data" / "sobol-joe-kuo-6.npz"
     with table.open("rb") as file, np.load(file, allow_pickle=False) as data:
         return _binary_directions(data["polynomials"], data["initial"])
 
 
 def _binary_directions(polynomials: Array, initial: Array) -> Array:
-    """Direction numbers of polynomials (d,) and first numbers (d, s): uint32 (d, 32)."""
+    """Return direction numbers from polynomials (d,) and first numbers (d, s): uint32 (d, 32)."""
     out = np.zeros((len(polynomials), _BITS), np.uint32)
     _digital_kernels.direction_numbers(polynomials.astype(np.int64), initial.astype(np.int64), out)
     out.setflags(write=False)
@@ -160,11 +161,11 @@ def _binary_directions(polynomials: Array, initial: Array) -> Array:
 
 
 def _directions_of_file(path: str, base: int) -> Array:
-    """Direction numbers of a file, read again when it has changed."""
+    """Return the direction numbers of a file, which is read again if it has changed."""
     try:
         stamp = Path(path).stat().st_mtime_ns
     except (OSError, ValueError, TypeError):
-        stamp = 0  # which is refused where it is read
+        stamp = 0  # the attempt to read raises the error
     return _read_directions(path, base, stamp)
 
 
@@ -180,7 +181,7 @@ def _read_directions(path: str, base: int, stamp: int) -> Array:
     ]
     rows = [(k, words) for k, words in rows if words[0] != "d"]
 
-    # Check each line: an own polynomial of degree s, and numbers of k digits whose last is not 0
+    # Check each line: a polynomial of degree s, and numbers of k digits whose last digit is not 0
     least = 0 if base == 2 else 1
     digits = _BITS if base == 2 else _TERNARY_DIGITS
     table: list[tuple[int, list[int]]] = []
@@ -195,8 +196,9 @@ def _read_directions(path: str, base: int, stamp: int) -> Array:
         first = first[:degree]
         if not good or any(m % base == 0 or not 0 < m < base**i for i, m in enumerate(first, 1)):
             raise FileFormatError(
-                f"{name}, line {k}, is not the number of a dim, a degree, a polynomial in base {base} "
-                "and its direction numbers m_1 … m_s, below base^k and not divisible by the base."
+                f"{name}, line {k}, is not the number of a dim, a degree, a polynomial in base "
+                f"{base} and its direction numbers m_1 … m_s, below base^k and not divisible by "
+                "the base."
             )
         if base == 2 and number == 2 and not table:
             table.append((1, []))
@@ -210,7 +212,7 @@ def _read_directions(path: str, base: int, stamp: int) -> Array:
             initial[j, : len(first)] = first
         return _binary_directions(np.array([p for p, _ in table]), initial)
 
-    # Continue by the recurrence on digits, the lowest first, and turn them into columns
+    # Continue by the recurrence on digits, lowest first, and convert them to columns
     out = np.zeros((len(table), digits, digits), np.int64)
     for j, (polynomial, first) in enumerate(table):
         degree = len(first)
@@ -235,15 +237,15 @@ def _read_directions(path: str, base: int, stamp: int) -> Array:
 class Niederreiter(_BinaryNet):
     """Niederreiter points 0 … n−1 in base 2, 32 bits, deterministic; randomize with owen.
 
-    Up to 1377 dims; any count, with a warning where it is not a power of two.
+    Up to 1377 dims; any count, with a warning if it is not a power of two.
 
     Notes
     -----
     Coordinate j has the j-th irreducible polynomial p over the field of two elements (x, x + 1,
-    x² + x + 1, … of degrees e_j), and row q·e_j + u of its matrix holds the coefficients of
+    x² + x + 1, …), of degree e_j. Row q·e_j + u of its matrix holds the coefficients of
     x^-1, x^-2, … in x^u / p^(q+1), u < e_j, in the order of Bratley, Fox and Niederreiter. The
-    sequence has t = Σ (e_j − 1). A single axis of degree e > 1 is sure to be balanced at n = 2^k
-    for k divisible by e only; scrambling does not change that.
+    sequence has t = Σ (e_j − 1). A single axis of degree e > 1 is guaranteed to be balanced only at
+    n = 2^k with k divisible by e; scrambling does not change that.
 
     References
     ----------
@@ -255,8 +257,8 @@ class Niederreiter(_BinaryNet):
     dims: int = DEFAULT_DIMS
 
     def direction_numbers(self, n: int) -> Array:
-        """Return the columns of the generator matrices: uint32 (dims, 32), 2^31 being ½."""
-        del n  # a sequence: the same for all counts
+        """Return the columns of the generator matrices: uint32 (dims, 32); 2^31 means ½."""
+        del n  # the matrices of a sequence are the same for all counts
         return _niederreiter_directions(self.dims)
 
     def _count_warning(self, n: int) -> str | None:
@@ -265,7 +267,7 @@ class Niederreiter(_BinaryNet):
 
 @lru_cache(maxsize=16)
 def _niederreiter_directions(dims: int) -> Array:
-    """Direction numbers of the first `dims` irreducible polynomials: uint32 (dims, 32)."""
+    """Return direction numbers of the first `dims` irreducible polynomials: uint32 (dims, 32)."""
     out = np.zeros((dims, _BITS), np.uint32)
     for j, polynomial in enumerate(_irreducible()[:dims]):
         # Row q·e + u: coefficients of x^-1 … x^-32 in x^u / p^(q+1), the first in bit 31
@@ -284,7 +286,7 @@ def _niederreiter_directions(dims: int) -> Array:
 
 
 def _times(a: int, b: int) -> int:
-    """Product of two polynomials over the field of two elements, bit k being that of x^k."""
+    """Return the product of two polynomials over two elements; bit k is the coefficient of x^k."""
     product = 0
     while b:
         product ^= a if b & 1 else 0
@@ -293,7 +295,7 @@ def _times(a: int, b: int) -> int:
 
 
 def _quotient(a: int, b: int) -> int:
-    """Quotient of two such polynomials, without the remainder."""
+    """Return the quotient of two polynomials over two elements, without the remainder."""
     quotient, width = 0, b.bit_length()
     while a.bit_length() >= width:
         shift = a.bit_length() - width
@@ -304,7 +306,7 @@ def _quotient(a: int, b: int) -> int:
 
 @lru_cache
 def _irreducible() -> tuple[int, ...]:
-    """All irreducible polynomials up to degree 13, in the order of their numbers: a sieve."""
+    """Return all irreducible polynomials up to degree 13, in numerical order, by a sieve."""
     limit = 2 << _MAX_DEGREE
     composite = np.zeros(limit, dtype=bool)
     for p in range(2, 2 << (_MAX_DEGREE // 2)):
@@ -322,8 +324,8 @@ def _irreducible() -> tuple[int, ...]:
 class LarcherPillichshammer(PlaneSampler, _BinaryNet):
     """Larcher and Pillichshammer's (0, m, 2)-net of n = 2^m points, deterministic (2-D).
 
-    The first coordinate is i/n; the matrix of the second is the upper triangle of ones, which
-    makes the star discrepancy less than that of hammersley. Randomize with owen or digital-shift.
+    The first coordinate is i/n. The matrix of the second is the upper triangle of ones, which gives
+    a smaller star discrepancy than hammersley. Randomize with owen or digital-shift.
 
     References
     ----------
@@ -333,7 +335,7 @@ class LarcherPillichshammer(PlaneSampler, _BinaryNet):
     other_dims: ClassVar[str] = "for other dims use sobol or niederreiter"
 
     def direction_numbers(self, n: int) -> Array:
-        """Return the columns of both matrices for n = 2^m points: uint32 (2, 32), 2^31 being ½."""
+        """Return the columns of both matrices for n = 2^m points: uint32 (2, 32); 2^31 means ½."""
         m = self.check_count(n).bit_length() - 1
         out = np.zeros((2, _BITS), np.uint32)
         for k in range(m):
@@ -347,13 +349,13 @@ class LarcherPillichshammer(PlaneSampler, _BinaryNet):
 
 
 class _AnyBaseNet(FixedSet):
-    """A net of generator matrices modulo any base."""
+    """A net with generator matrices modulo any base."""
 
     structure: ClassVar[Structure] = Structure.DIGITS
 
     @abstractmethod
     def _columns(self, n: int) -> Array:
-        """Columns of the matrices for n points: int64 (dims, columns, rows)."""
+        """Return the columns of the matrices for n points: int64 (dims, columns, rows)."""
 
     def _law(self, n: int) -> Law:
         bases = self.digit_bases
@@ -374,13 +376,13 @@ class _AnyBaseNet(FixedSet):
 class Faure(_AnyBaseNet):
     """Faure points 0 … n−1, deterministic: a (0, d)-sequence in a prime base b ≥ d.
 
-    Up to 1000 dims; any count, with a warning where it is not a power of b. Randomize with owen,
+    Up to 1000 dims; any count, with a warning if it is not a power of b. Randomize with owen,
     lms or digital-shift.
 
     Attributes
     ----------
     base
-        A prime, at least `dims`; by default the smallest such.
+        A prime, at least `dims`; by default the smallest such prime.
 
     Notes
     -----
@@ -421,7 +423,7 @@ class Faure(_AnyBaseNet):
 
 @lru_cache(maxsize=16)
 def _pascal_powers(base: int, dims: int, digits: int) -> Array:
-    """Powers 0 … dims−1 of Pascal's upper triangular matrix modulo a prime ≥ dims."""
+    """Return powers 0 … dims − 1 of Pascal's upper triangular matrix modulo a prime ≥ dims."""
     r, c = np.indices((digits, digits))
     pascal = np.array([[math.comb(k, i) % base for k in range(digits)] for i in range(digits)])
     out = np.empty((dims, digits, digits), np.int64)
@@ -437,28 +439,29 @@ def _pascal_powers(base: int, dims: int, digits: int) -> Array:
 class DigitalNet(_AnyBaseNet):
     """Digital net from given generator matrices, deterministic; randomize with owen or lms.
 
-    As many dims as matrices; at most b^m points for matrices of m columns, balanced (with luck)
-    where n is a power of b.
+    The number of dims is at most the number of matrices. Matrices with m columns make at most b^m
+    points; sets can be balanced if n is a power of b.
 
     Attributes
     ----------
     matrices
-        One matrix for each dim: a list of its rows of digits, or a list of its columns as whole
-        numbers, the highest digit of which is that of the first row. Or a text file of them.
+        One matrix per dim: a list of its rows of digits, or a list of its columns as whole numbers
+        whose highest digit belongs to the first row. Or the path of a text file.
     base
-        The base b; a file that says its own has that.
+        The base b; a file that states its base overrides it.
     digits
-        Rows of matrices given as columns: digits of each number, from highest to lowest; by
-        default as many as columns.
+        Number of rows of matrices given as columns: digits of each number, from highest to lowest;
+        by default the number of columns.
     dims
-        By default the number of matrices; fewer leaves out the last ones.
+        By default the number of matrices; with a smaller number the last ones are ignored.
 
     Notes
     -----
-    Files have one number a line (what follows it is ignored, so are lines that start with ``#``):
-    base, dims, largest n, digits; then the columns of one matrix a line, as whole numbers. LatNet
-    Builder, the Magic Point Shop and QMCPy share nets in this form. Or nothing but square matrices of
-    digits one below the other, a row a line, as MatBuilder writes them: give their base.
+    There are two formats of files. In the first, each of the first four lines has a number: base,
+    dims, largest n, digits. Text after it and lines that start with ``#`` are ignored. Then follow
+    the columns of one matrix per line, as whole numbers. LatNet Builder, the Magic Point Shop and
+    QMCPy use this format. The second, of MatBuilder, has only square matrices of digits, one below
+    the other, a row per line; give their base.
 
     References
     ----------
@@ -486,7 +489,7 @@ class DigitalNet(_AnyBaseNet):
 
     @property
     def digit_bases(self) -> tuple[int, ...]:
-        """The base of the matrices, which a file says itself."""
+        """The base of the matrices; that of the file if it states one."""
         return (self._net()[0],) * self.dims
 
     @property
@@ -523,7 +526,7 @@ class DigitalNet(_AnyBaseNet):
 
 
 def _as_tuples(matrices: object) -> Any:
-    """Lists and arrays, nested, as tuples: they can be compared, hashed and written."""
+    """Convert nested lists and arrays to tuples, which can be compared, hashed and printed."""
     if isinstance(matrices, np.ndarray):
         matrices = matrices.tolist()
     if isinstance(matrices, Sequence) and not isinstance(matrices, str | bytes):
@@ -535,7 +538,7 @@ def _as_tuples(matrices: object) -> Any:
 
 @lru_cache(maxsize=16)
 def _columns_of_lists(matrices: Any, base: int, digits: int | None) -> Array:
-    """Columns of matrices given as lists: int64 (d, columns, rows)."""
+    """Return the columns of matrices given as lists: int64 (d, columns, rows)."""
     listed = isinstance(matrices, tuple) and all(isinstance(m, tuple) and m for m in matrices)
     if not (listed and matrices):
         raise ParameterError(_NO_MATRICES)
@@ -551,7 +554,7 @@ def _columns_of_lists(matrices: Any, base: int, digits: int | None) -> Array:
 
 
 def _matrix(j: int, matrix: tuple[Any, ...], base: int, digits: int | None) -> Array:
-    """One matrix as its columns of digits: int64 (columns, rows)."""
+    """Return one matrix as its columns of digits: int64 (columns, rows)."""
     if all(isinstance(row, tuple) for row in matrix):
         if len({len(row) for row in matrix}) != 1 or not matrix[0]:
             raise ParameterError(f"matrices[{j}] has rows of different lengths or empty ones.")
@@ -568,9 +571,9 @@ def _matrix(j: int, matrix: tuple[Any, ...], base: int, digits: int | None) -> A
 
 @lru_cache(maxsize=16)
 def _net_of_file(path: str, given: int) -> tuple[int, Array]:
-    """Base and columns (d, m, rows) of a text file of generator matrices, in the given base if it has none."""
+    """Return base and columns (d, m, rows) of a file of matrices; `given` is the default base."""
     with opened(path, "generator matrices") as (stream, size, name, _):
-        check_decoded_size(name, size, 128 * size)  # words of a digit, and their integers
+        check_decoded_size(name, size, 128 * size)  # text of the digits and their integers
         lines = stream.read().decode().splitlines()
     kept = [line.partition("#")[0].split() for line in lines]
     kept = [words for words in kept if words]
@@ -589,12 +592,12 @@ def _net_of_file(path: str, given: int) -> tuple[int, Array]:
         reason = str(error) if isinstance(error, ParameterError) else ""
         raise FileFormatError(
             f"{path} is not a file of generator matrices (base, dims, n, digits, then a line of "
-            f"columns for each dim; or only square matrices, a row a line). {reason}".strip()
+            f"columns for each dim; or only square matrices, one row per line). {reason}".strip()
         ) from None
 
 
 def _not_balanced(n: int, base: int, name: str, verb: str) -> str | None:
-    """Warn of counts that are no powers of the base."""
+    """Return a warning for a count that is not a power of the base, else None."""
     above: int = base ** power_from(n, base)
     if above == n:
         return None

@@ -1,8 +1,8 @@
-"""What samplers with optimized sets share: a cache, progress reports, reuse of sets; descent.
+"""Base of samplers with optimized sets: a cache, progress reports, reuse of sets, and descent.
 
-`minimize` is limited-memory BFGS with bits that never vary [Nocedal1980]_. Libraries of linear algebra
-may sum in another order with another number of threads or on another processor; here every sum is
-NumPy's own, so that a set depends on its random numbers only (docs/decisions/0015).
+`minimize` is limited-memory BFGS with reproducible bits [Nocedal1980]_. Linear algebra libraries
+may sum in another order with other numbers of threads or processors. Here every sum is NumPy's
+own, so a set depends on its random numbers only (docs/decisions/0015).
 """
 
 from __future__ import annotations
@@ -38,31 +38,31 @@ __all__ = [
 ]
 
 Report: TypeAlias = Callable[[float], None]
-"""Called now and then with the fraction of the work done."""
+"""Function that is called at intervals with the fraction of the work done."""
 
-_CHILD = 1  # label of the stream that translates sets used again
-_MEMORY = 10  # pairs of steps and changes of the gradient; 5 to 20 are usual
-_DECREASE = 1e-4  # of what the slope promises, for a step to be taken
+_CHILD = 1  # label of the stream that translates reused sets
+_MEMORY = 10  # stored pairs of steps and gradient changes; 5 to 20 are usual
+_DECREASE = 1e-4  # least decrease of an accepted step, relative to the slope
 _HALVINGS = 20
 _REPORTS = 50
 
 
 @dataclass(frozen=True, kw_only=True)
 class OptimisedSampler(Sampler, ABC):
-    """A sampler whose sets take long: kept in the user's cache folder, with reports of progress.
+    """A sampler whose sets take long to compute; they are kept in the user's cache folder.
 
     Attributes
     ----------
     sets
-        None: every realization is a set of its own, made from its own random numbers. K: only K
+        With None, every realization is a new set, made from its own random numbers. With K, only K
         sets are made, the same for every seed; realization r is set r mod K under a random
-        toroidal translation. Means and variances stay right on average, but they, and standard
-        errors of spectra, know K sets only.
+        translation of the torus. Means and variances are still right on average. But they, and
+        standard errors of spectra, rest on K sets only.
     """
 
     costly: ClassVar[bool] = True
     version: ClassVar[int] = 1
-    """Version of the method: sets of another one are not taken from the cache."""
+    """Version of the method; cached sets of another version are not used."""
     structure: ClassVar[Structure] = Structure.TORUS
     max_count: ClassVar[int] = 2**16
     sets: int | None = whole(None, least=1, most=10**6)
@@ -90,7 +90,7 @@ class OptimisedSampler(Sampler, ABC):
         return translated(points, stream.child(_CHILD).uniforms(first, count, self.dims))
 
     def _set(self, n: int, stream: Stream, realization: int) -> Array:
-        """Fetch one set from the cache, or make it."""
+        """Read one set from the cache, or make it."""
         keys = stream.keys(realization, 1)[0]
         what = f"{self.name}, {n} points, set {realization}"
 
@@ -103,7 +103,7 @@ class OptimisedSampler(Sampler, ABC):
         return cached_array(self._key(n, keys), make)
 
     def _key(self, n: int, keys: Array) -> str:
-        """Everything a set depends on, as text: name, version, parameters, n, dims, random keys."""
+        """Return everything a set depends on as text: name, version, parameters, n, dims, keys."""
         names = sorted(field.name for field in fields(self) if field.name != "sets")
         values: dict[str, Any] = {name: _exact(getattr(self, name)) for name in names}
         words = ", ".join(f"{int(word):016x}" for word in keys)
@@ -112,7 +112,7 @@ class OptimisedSampler(Sampler, ABC):
 
 @lru_cache
 def _source(cls: type) -> str:
-    """Name and digest of the module of a class from elsewhere: its author may forget `version`."""
+    """Return name and digest of an external class's module, in case `version` was not updated."""
     if cls.__module__.startswith("mcspectra."):
         return ""
     try:
@@ -125,19 +125,19 @@ def _source(cls: type) -> str:
 
 
 def _exact(value: object) -> object:
-    """Return what a `repr` shows completely: that of an array leaves numbers out."""
+    """Return a value whose `repr` is complete; that of a long array omits numbers."""
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
 def random_points(keys: Array, n: int, dims: int) -> Array:
-    """Return the first n·d numbers of a realization as independent uniform points (n, d)."""
+    """Return the first n·d random numbers of a realization as uniform points (n, d)."""
     return uniforms(keys[None], n * dims).reshape(n, dims)
 
 
 def wrap(points: Array) -> Array:
     """Return points modulo 1, all below 1."""
     inside = points - np.floor(points)
-    inside[inside >= 1.0] = 0.0  # −1e-20 is 1 after rounding
+    inside[inside >= 1.0] = 0.0  # −1e-20 rounds to 1
     return inside
 
 
@@ -151,24 +151,24 @@ def minimize(
     goal: float = -np.inf,
     gain: float = 0.0,
 ) -> Array:
-    """Return a place near `start` where `function` is small, by L-BFGS.
+    """Return a point near `start` where `function` is small, by L-BFGS.
 
     Parameters
     ----------
     function
         Value and gradient at an array of any shape; points (n, d) are not wrapped into [0,1).
     start
-        The array to begin with.
+        The array at which the descent starts.
     iterations
-        Most steps taken.
+        Largest number of steps.
     longest
-        How far a coordinate may move in one step.
+        Largest change of a coordinate in one step.
     report
-        Called now and then with the fraction of the iterations done.
+        Function that is called at intervals with the fraction of the iterations done.
     goal
-        A value that is small enough.
+        Value of `function` at which the descent ends.
     gain
-        A step that gains less, relative to the value or 1, is the last.
+        The descent ends with a step whose gain, relative to the value or 1, is smaller.
     """
     x, (value, gradient) = start, function(start)
     memory: deque[tuple[Array, Array, float]] = deque(maxlen=_MEMORY)
@@ -178,7 +178,7 @@ def minimize(
         if value <= goal or not gradient.any():
             break
 
-        # Halve the step until the value falls by a part of what the slope promises
+        # Halve the step until the value falls by a fraction of the decrease that the slope predicts
         direction = _direction(gradient, memory)
         slope = _dot(direction, gradient)
         length = longest / float(np.abs(direction).max())
@@ -191,11 +191,11 @@ def minimize(
             length /= 2
         else:
             if not memory:
-                break  # even along the gradient nothing is gained: rounding
+                break  # rounding prevents a gain even along the gradient
             memory.clear()
             continue
 
-        # Remember steps of positive curvature only
+        # Store only steps of positive curvature
         step, change = moved - x, changed - gradient
         product = _dot(step, change)
         if product > 1e-10 * _dot(change, change) ** 0.5 * _dot(step, step) ** 0.5:

@@ -26,20 +26,20 @@ __all__ = ["LatinHypercube", "NRooks", "OrthogonalArray"]
 @final
 @dataclass(frozen=True, kw_only=True)
 class LatinHypercube(Sampler):
-    """Each coordinate has n strata in a random order of its own, with one jittered point in each.
+    """Each coordinate has n strata in its own random order, with one jittered point in each.
 
-    Any dims and any count; strength 2: counts p² for primes p ≥ d − 1, up to 1024 dims.
+    Any dims and any count. With strength 2, counts are p² for primes p ≥ d − 1, up to 1024 dims.
 
     Attributes
     ----------
     strength
-        1, or 2: every two coordinates are also stratified into p × p cells.
+        1, or 2 to stratify every two coordinates into p × p cells as well.
 
     Notes
     -----
-    Strength 2 is Tang's: an orthogonal array says in which p-th each coordinate of a point is, and
-    the p points of a p-th share it out at random. It is the same as orthogonal-array with its
-    default jitter.
+    Strength 2 is Tang's construction: an orthogonal array determines the p-th part of each
+    coordinate, and the p points in it are shuffled over its p sub-strata. It equals
+    orthogonal-array with its default jitter.
 
     References
     ----------
@@ -104,25 +104,25 @@ def _latin(n: int, dims: int, keys: Array) -> Array:
 class OrthogonalArray(Sampler):
     """Orthogonal array of strength t: every t coordinates are stratified into s^t cells.
 
-    From t to s + 1 dims (1024 at most); counts s^t for primes s ≥ max(t, d) − 1.
+    From t to s + 1 dims (at most 1024); counts s^t for primes s ≥ max(t, d) − 1.
 
     Attributes
     ----------
     strength
-        t, from 2 to 8.
+        The strength t, from 2 to 8.
     jitter
-        Where a point is within its s-th of each axis. ``"jittered"``: anywhere.
-        ``"multi-jittered"``: the points of each s-th share it out at random, so that each n-th of
-        the axis holds one [Tang1993]_. ``"correlated-multi-jittered"``: they share it out in the
-        order of their levels on the t − 1 axes that follow, shuffled alike in all the s-ths.
+        Position of a point within its s-th part of each axis. ``"jittered"``: uniform.
+        ``"multi-jittered"``: the points of each part are shuffled over its sub-strata, so each
+        n-th of the axis holds one point [Tang1993]_. ``"correlated-multi-jittered"``: the
+        sub-strata follow the levels on the next t − 1 axes, with one shuffle for all parts.
 
     Notes
     -----
-    The arrays are those of Bush [Bush1952]_, for t = 2 of Bose, over the integers modulo s: row i
-    holds the values of a polynomial of degree below t at 0 … s − 1, and its leading coefficient.
-    Any t columns hold each of the s^t combinations of levels once. The levels of each column are
-    renamed by a random permutation, as Owen does [Owen1992]_. Points come in the order of the
-    array. Powers of primes would take arithmetic in finite fields.
+    The arrays are those of Bush [Bush1952]_ (for t = 2 those of Bose) over the integers modulo s.
+    Row i holds the values of a polynomial of degree below t at 0 … s − 1, and its leading
+    coefficient. Any t columns hold each of the s^t combinations of levels once. The levels of each
+    column are renamed by a random permutation, as in [Owen1992]_. Points come in the order of the
+    array. Powers of primes are not supported; they need arithmetic in finite fields.
 
     References
     ----------
@@ -174,12 +174,12 @@ def _orthogonal(n: int, dims: int, strength: int, jitter: str, keys: Array) -> A
     return out
 
 
-@lru_cache(maxsize=4)  # analyses draw block after block of few n; half the memory of the points
+@lru_cache(maxsize=4)  # analyses draw many blocks of few n; half the memory of the points
 def _slots(s: int, dims: int, strength: int, jitter: str) -> Array:
-    """Stratum of each point on each axis before all shuffles: int32 (s^t, dims), read-only.
+    """Return the stratum of each point on each axis before shuffles: int32 (s^t, dims), read-only.
 
-    The strata of an axis are its s levels, or n = s^t of them: the level, then the order of the
-    point among those of the level, which is what its levels on t − 1 other axes say.
+    An axis has s strata (its levels) or n = s^t strata. The latter are numbered by the level, then
+    by the rank of the point within the level, which its levels on t − 1 other axes determine.
     """
     slots = np.empty((s**strength, max(dims, strength)), np.int32)
     _bush_levels(s, strength, slots)
@@ -194,7 +194,7 @@ def _slots(s: int, dims: int, strength: int, jitter: str) -> Array:
 
 
 def _prime_powers_near(n: int, power: int, dims: int) -> tuple[int | None, int]:
-    """Return the largest s^power ≤ n (None if none) and the smallest ≥ n, for possible primes s."""
+    """Return the largest s^power ≤ n (None if there is none) and the smallest ≥ n, s prime."""
     least = prime_from(max(dims, power) - 1)
     s = root(n, power)
     while s > least and not is_prime(s):
@@ -207,15 +207,15 @@ def _prime_powers_near(n: int, power: int, dims: int) -> tuple[int | None, int]:
 
 @kernel
 def _bush_levels(s: int, strength: int, out: Array) -> None:
-    # Bush's array: row i are the values of a polynomial, its digits in base s the coefficients.
-    # Out int32 (s^strength, d), d ≤ s + 1: column 0 is the leading coefficient ("the value at
-    # infinity"), column j + 1 the value at j modulo the prime s.
+    # Bush's array: row i has the values of a polynomial whose coefficients are the digits of i in
+    # base s. Out int32 (s^strength, d), d ≤ s + 1: column 0 is the leading coefficient ("the value
+    # at infinity"), column j + 1 the value at j modulo the prime s.
     n, dims = out.shape
     for i in range(n):
         out[i, 0] = i // (n // s)
         for j in range(dims - 1):
             value, rest, base = 0, i, n // s
-            for _ in range(strength):  # Horner, the leading coefficient first
+            for _ in range(strength):  # Horner's rule, leading coefficient first
                 value = (value * j + rest // base) % s
                 rest, base = rest % base, base // s
             out[i, j + 1] = value
@@ -225,9 +225,9 @@ def _bush_levels(s: int, strength: int, out: Array) -> None:
 def _fill_orthogonal(
     keys: Array, slots: Array, levels: int, shared: bool, side: float, out: Array
 ) -> None:
-    # Point i in stratum slots[i, j] of axis j, after a shuffle; jittered within it. A level is a run
-    # of equally many strata. Levels are shuffled, and the strata within each: in all levels alike if
-    # `shared`. Slots int32 (n, d); out (R, n, d); `side` of a stratum.
+    # Point i is jittered in stratum slots[i, j] of axis j, after a shuffle. A level is a run of
+    # equally many strata. Levels are shuffled, and so are the strata within each level: equally in
+    # all levels if `shared`. Slots int32 (n, d); out (R, n, d); `side` of a stratum.
     count, n, dims = out.shape
     strata = slots[:, 0].max() + 1
     width = strata // levels

@@ -1,22 +1,22 @@
 """Random points that keep apart: Poisson disks, classic dart throwing, best candidates.
 
-Dart throwing is random sequential addition: a dart, uniform on the domain, becomes a point
-if it is at least r away from all points before it. On the torus that law does not change under
-translation, hence every point is uniform. For "exact" Poisson disks, r is fixed beforehand by n and the
-dart throwing stops at the n-th point; a set that jams before (see `PoissonDisk.radius`) is thrown away
-and begun anew, which keeps the law translation-invariant.
+Dart throwing is random sequential addition: a dart, uniform on the domain, becomes a point if it is
+at least r away from all earlier points. On the torus this law is invariant under translation, so
+every point is uniform. For "exact" Poisson disks, n determines r in advance and the dart throwing
+stops at the n-th point. A set that jams earlier (see `PoissonDisk.radius`) is discarded and
+restarted, which keeps the law translation-invariant.
 
-Darts are not thrown where they cannot stick: a grid of cells of diagonal r (at most one point in
-each) lists the cells that may have room, and those left over are halved along every axis now and
-then, without the children that a disk covers [Ebeida2012]_. The darts that stick are uniform on the
-uncovered part all the same, so that this changes the time and not the law. It also tells when
-nothing is left uncovered: when the set is maximal.
+Darts are thrown only where they can be accepted. A grid of cells of diagonal r (at most one point
+per cell) lists the cells that may have room. From time to time, the remaining cells are halved
+along every axis, and children that a disk covers are dropped [Ebeida2012]_. Accepted darts are
+still uniform on the uncovered region, so this changes the time but not the law. The set is maximal
+when no cell remains.
 
-For "maximal" sets, r is the least of a growing sequence at which the darts jam before there are
-more than n points. Those that are missing, a few in a hundred, go one by one into the largest empty
-disk, whose radius is the largest minimum distance that has room for one more [Schloemer2011]_. Hence
-the n-th is at least as far from the others as any place in the domain is from all n: no disk of the
-set's minimum distance fits any more.
+For "maximal" sets, r is the smallest of an increasing sequence at which the darts jam with at most
+n points. The missing points, a few percent, go one by one into the largest empty disk. Its radius
+is the largest minimum distance that has room for one more point [Schloemer2011]_. Hence the n-th
+point is at least as far from the others as any place in the domain is from all n points: no further
+disk of the set's minimum distance fits.
 """
 
 from __future__ import annotations
@@ -42,25 +42,25 @@ from mcspectra.samplers.law import Law, Stationary, Unknown
 __all__ = ["DENSEST", "BestCandidate", "DartThrowing", "PoissonDisk", "densest_distance", "thrown"]
 
 Disks: TypeAlias = tuple[float, int, int, Array, bool, int]
-"""Radius, cells an axis, reach of a disk in cells, cells it can touch, torus?, darts a cell."""
+"""Radius, cells per axis, reach of a disk in cells, cells it can touch, torus?, darts per cell."""
 
 Throw: TypeAlias = Callable[[Any, Any, int, Array], tuple[int, int]]
-"""Takes the keys of a realization, the number of the next random number, and points (n, d) to be placed;
-returns how many are, and the number of the random number after them."""
+"""Function of the keys of a realization, the index of the next random number, and points (n, d) to
+fill; it returns the number of points placed and the index of the next random number."""
 
 DENSEST = (1.0, 2.0 / 3.0**0.5, 2.0**0.5, 2.0, 2.0 * 2.0**0.5, 8.0 / 3.0**0.5, 8.0, 16.0)
 """n·r^d of the densest known packings of spheres of diameter r in 1 to 8 dims: line, hexagons, fcc,
 D4, D5, E6, E7, E8 [Conway, Sloane (1999), "Sphere Packings, Lattices and Groups", table 1.2]."""
 
 _DEFAULT_RADIUS = (0.7, 0.75, 0.75, 0.75)
-"""A little below where dart throwing jams: 0.748, 0.777, 0.803, 0.806 [Torquato2006]_."""
+"""Slightly below the radius at which darts jam: 0.748, 0.777, 0.803, 0.806 [Torquato2006]_."""
 
-_FIRST_RADIUS = (0.755, 0.785, 0.81, 0.815)  # a little above: the first to try for maximal sets
-_NEXT_RADIUS = 1.01  # times the one before: 2 % of the points of a plane on average too few
-_MOST_MAXIMAL = 3  # dims: 1000 points took 0.02 s in 2-D, 0.8 s in 3-D, a minute in 4-D
-_LEAST_RADIUS = 0.25  # below, sets are as good as random, and the grid of (c/r)^d cells grows large
+_FIRST_RADIUS = (0.755, 0.785, 0.81, 0.815)  # first radius tried for maximal sets
+_NEXT_RADIUS = 1.01  # ratio of successive radii: in 2-D, 2 % fewer points each
+_MOST_MAXIMAL = 3  # dims; 1000 points take 0.02 s in 2-D, 0.8 s in 3-D, a minute in 4-D
+_LEAST_RADIUS = 0.25  # smaller radii are like random points, with a large grid
 _OFFSETS = 1  # label of the stream that translates maximal sets
-_TRIALS = 100_000  # darts in a row that may miss: then less than a ten-thousandth is uncovered
+_TRIALS = 100_000  # misses in a row: less than 1/10,000 is then uncovered
 
 
 @final
@@ -73,16 +73,16 @@ class PoissonDisk(Sampler):
     dims
         1 to 4; maximal sets, 1 to 3.
     boundary
-        ``"toroidal"``: distances go round the edges of the domain; ``"bounded"``: they do not, so
-        that disks stick out of it, which makes points near the boundary more likely: `unbiased` is
-        then False.
+        ``"toroidal"``: distances are on the torus. ``"bounded"``: distances are in the cube. Then
+        disks stick out of the domain, points near the boundary are more likely, and `unbiased` is
+        False.
     mode
         ``"exact"``: the minimum distance is the same for all sets, see `radius`. ``"maximal"``: no
-        further disk fits into a set, whose minimum distance is then its own.
+        further disk fits into a set, and each set has its own minimum distance.
     radius_
         Minimum distance in mode ``"exact"``, relative to that of the densest known packing of n
-        points [Lagae2008]_, 0.25 to 1. By default 0.7 in 1-D and 0.75 above, near the largest that
-        dart throwing can do: it jams on average at 0.748, 0.777, 0.803, 0.806 in 1 to 4 dims.
+        points [Lagae2008]_, 0.25 to 1. The default is 0.7 in 1-D and 0.75 above. This is near the
+        limit of dart throwing, which jams on average at 0.748, 0.777, 0.803, 0.806 in 1 to 4 dims.
 
     References
     ----------
@@ -100,8 +100,8 @@ class PoissonDisk(Sampler):
     def _check(self) -> None:
         if self.mode == "maximal" and self.dims > _MOST_MAXIMAL:
             raise ParameterError(
-                f"Maximal Poisson-disk sets are for 1 to {_MOST_MAXIMAL} dims, not {self.dims} (the "
-                "last gaps take minutes to find); use mode='exact'."
+                f"Maximal Poisson-disk sets are for 1 to {_MOST_MAXIMAL} dims, not {self.dims} "
+                "(the last gaps take minutes to find); use mode='exact'."
             )
         if self.mode == "maximal" and self.radius_ is not None:
             raise ParameterError(
@@ -111,7 +111,7 @@ class PoissonDisk(Sampler):
 
     @property
     def unbiased(self) -> bool:  # type: ignore[override]
-        """Whether distances are toroidal."""
+        """Whether distances are on the torus."""
         return self.boundary == "toroidal"
 
     def radius(self, n: int) -> float:
@@ -120,7 +120,7 @@ class PoissonDisk(Sampler):
         Raises
         ------
         ParameterError
-            In mode "maximal": every set has its own minimum distance.
+            In mode "maximal", because every set has its own minimum distance.
         """
         if self.mode == "maximal":
             raise ParameterError(
@@ -138,16 +138,16 @@ class PoissonDisk(Sampler):
         keys = stream.keys(first, count)
         if self.mode == "maximal":
             points = np.stack([self._maximal_set(n, each) for each in keys])
-            # Holes of equal size (there are, among few points) are chosen by where they are
+            # Among few points some holes have equal size; the choice depends on their position
             own = stream.child(_OFFSETS).uniforms(first, count, self.dims)
             return points if self.boundary == "bounded" else translated(points, own)
-        attempts = 3 + 3000 // n  # a small set jams often at the default radius, a large one never
+        attempts = 3 + 3000 // n  # a small set often jams at the default radius
         throw = partial(kernels.throw_set, self._disks(self.radius(n)))
         most = f"; give a smaller radius, at most {_DEFAULT_RADIUS[self.dims - 1]}."
         return thrown(throw, self, n, keys, attempts, most)
 
     def _maximal_set(self, n: int, keys: Array) -> Array:
-        """Throw darts at the least radius that leaves no room for n + 1 points, then fill holes."""
+        """Throw darts at the smallest radius without room for n + 1 points, then fill holes."""
         radius = _FIRST_RADIUS[self.dims - 1] * densest_distance(n, self.dims)
         points, placed, at = np.empty((n + 1, self.dims)), n + 1, 0
         while placed > n:
@@ -157,10 +157,10 @@ class PoissonDisk(Sampler):
         return points[:n]
 
     def _disks(self, radius: float) -> Disks:
-        """Return what the kernels know of the disks and of the grid of cells around them."""
+        """Return the data of the disks and of the grid of cells around them for the kernels."""
         side = max(1, int(np.ceil(self.dims**0.5 / radius)))
 
-        # Steps to the cells that a disk can touch, near ones first, in the grid padded by its reach
+        # Steps to the cells that a disk can touch, nearest first, in the grid padded by its reach
         reach = int(np.ceil(radius * side))
         offsets = np.array(list(product(range(-reach, reach + 1), repeat=self.dims)))
         gaps = np.maximum(np.abs(offsets) - 1, 0) / side
@@ -173,10 +173,10 @@ class PoissonDisk(Sampler):
 @final
 @dataclass(frozen=True, kw_only=True)
 class DartThrowing(Sampler):
-    """Random points, each rejected if it is too close to an earlier one, until n are accepted (Cook).
+    """Random points, rejected if too close to an earlier one, until n are accepted (Cook).
 
-    The law is that of `poisson-disk`, whose method is faster, for up to 8 dims; distances are
-    toroidal. A set is begun anew when 100,000 darts in a row have missed.
+    The law equals that of `poisson-disk`, which is faster, but up to 8 dims are allowed. Distances
+    are on the torus. A set restarts after 100,000 rejected darts in a row.
 
     Attributes
     ----------
@@ -184,8 +184,8 @@ class DartThrowing(Sampler):
         1 to 8.
     radius_
         Minimum distance relative to that of the densest known packing of n points [Lagae2008]_,
-        above 0, at most 1. Dart throwing jams at about 0.75 in 1-D, 0.78 in 2-D, 0.8 above, and
-        classic rejection gets slow before.
+        above 0, at most 1. Dart throwing jams at about 0.75 in 1-D, 0.78 in 2-D and 0.8 above, and
+        classic rejection becomes slow earlier.
 
     References
     ----------
@@ -207,9 +207,9 @@ class DartThrowing(Sampler):
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         radius = self.radius(n)
-        # Cells no smaller than a disk, so that it can only touch those next to its own
+        # Cells at least as large as a disk, so that it reaches only adjacent cells
         side = max(1, min(int(1.0 / radius), int(n ** (1.0 / min(self.dims, 3)))))
-        attempts = 3 + 300 // n  # few points jam often: whether they fit is luck
+        attempts = 3 + 300 // n  # few points jam often, at random
         throw = partial(kernels.throw_darts, radius**2, side, _TRIALS)
         some = f" with {_TRIALS} darts; give a smaller radius."
         return thrown(throw, self, n, stream.keys(first, count), attempts, some)
@@ -220,15 +220,15 @@ class DartThrowing(Sampler):
 class BestCandidate(Sampler):
     """Each point is the best of random candidates: the farthest from all earlier points.
 
-    Progressive: the first points of a set are themselves one. Distances are toroidal. The time is
-    O(candidates · n²).
+    Progressive: the first points of a set have the same law as a smaller set. Distances are on the
+    torus. The time is O(candidates · n²).
 
     Attributes
     ----------
     dims
         Any number.
     candidates
-        Candidates for each point there is already: point i (from 0) is chosen from candidates · i.
+        Number of candidates per existing point: point i (from 0) is chosen from candidates · i.
 
     References
     ----------
@@ -252,12 +252,12 @@ class BestCandidate(Sampler):
 def thrown(
     throw: Throw, sampler: Sampler, n: int, keys: Array, attempts: int, advice: str
 ) -> Array:
-    """Sets of n points of realizations with keys (R, 2): (R, n, d); one that jams is begun anew.
+    """Return R sets of n points from keys (R, 2): (R, n, d); a set that jams is restarted.
 
     Raises
     ------
     CountError
-        One jams in all attempts; the sentence ends with the advice.
+        If a set jams in all attempts; the message ends with the advice.
     """
     out = np.empty((len(keys), n, sampler.dims))
     for own, points in zip(keys, out, strict=True):

@@ -1,13 +1,13 @@
 """Progressive multi-jittered sequences in the plane: stratified at every power of two points.
 
-A pass of a sequence doubles it. Before pass k each of 2^k equal intervals along an axis has one point;
-pass k fills the free half of each. Which new point goes to which interval decides what is stratified
-besides, and where in the half it lies is random: that makes an Owen-scrambled sequence without digit
-permutations [Helmer2021]_.
+A pass of a sequence doubles it. Before pass k, each of 2^k equal intervals along an axis has one
+point; pass k fills the free half of each interval. The assignment of new points to intervals
+determines the further stratification. The position within the half is random, so that the sequence
+is Owen-scrambled without digit permutations [Helmer2021]_.
 
-Legend of the kernels: ``keys`` uint64 (R, 2) from `Stream.keys`; ``out`` float64 (R, n, 2). A coordinate
-is a word of 53 bits, its level-ℓ bit the one worth 2^-(ℓ+1). Numbers 2i and 2i + 1 of a realization are
-the low bits of point i, the rest has higher addresses.
+Legend of the kernels: ``keys`` uint64 (R, 2) from `Stream.keys`; ``out`` float64 (R, n, 2). A
+coordinate is a word of 53 bits; its level-ℓ bit is worth 2^-(ℓ+1). Numbers 2i and 2i + 1 of a
+realization are the low bits of point i. Other random numbers have higher addresses.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from mcspectra.samplers.law import Choice, Fixed, Law, Unknown, is_power, scramb
 __all__ = ["PMJ", "PMJ02", "PMJ02BlueNoise", "pairings"]
 
 _PASSES = 31
-_SETS = 16  # Sets of pmj that represent all sets in its law
+_SETS = 16  # number of sets of pmj that represent all sets in its law
 _ONE, _S11 = np.uint64(1), np.uint64(11)
 _EVEN_BITS = np.uint64(0x5555555555555555)
-_BITS = 5  # of each word that are chosen below those of its cell; finer ones matter little
+_BITS = 5  # bits below the cell's that are chosen; finer bits matter little
 _UNIT_53 = 2.0**-53
-_CHOICES, _SHUFFLES = 1 << 40, 1 << 41  # where the addresses of other random numbers begin
+_CHOICES, _SHUFFLES = 1 << 40, 1 << 41  # first addresses of other random numbers
 
 
 class _PlaneSequence(PlaneSampler):
-    """Points in the plane that are balanced at powers of two: (0,2)-sequences, spread out in `sweeps`."""
+    """Points in the plane that are balanced at powers of two; (0,2)-sequences with `sweeps`."""
 
     structure: ClassVar[Structure] = Structure.DIGITS
     other_dims: ClassVar[str] = "for other dims use sobol | owen"
@@ -61,13 +61,13 @@ class _PlaneSequence(PlaneSampler):
 class PMJ(_PlaneSequence):
     """Progressive multi-jittered sequence (2-D).
 
-    Any count. The first 2^k points are one in each interval of width 2^-k along either axis; 4^k of
-    them are also one in each of 2^k × 2^k cells, and 2·4^k two diagonal ones in each. Other counts are
-    made with a `NotPowerOfTwoWarning`.
+    Any count. The first 2^k points have one in each interval of width 2^-k along either axis. If
+    2^k is a square 4^j, they also have one in each of 2^j × 2^j cells; if it is 2·4^j, two diagonal
+    points in each cell. Other counts cause a `NotPowerOfTwoWarning`.
 
     Notes
     -----
-    Free intervals are dealt out by shuffling them, not found by search.
+    A shuffle, not a search, assigns the free intervals.
 
     References
     ----------
@@ -77,7 +77,8 @@ class PMJ(_PlaneSequence):
     sequence: ClassVar[bool] = True
 
     def _law(self, n: int) -> Law:
-        # Scrambled by their making; which digits agree is random, here that of some sets
+        # Sets are Owen-scrambled by construction. Which digits agree is random; some sets represent
+        # all
         sets = (Fixed(n=n, dims=2, bases=(2, 2), seed=k).of(self) for k in range(_SETS))
         return Choice(n=n, dims=2, laws=tuple(scrambled(each, "nested", (2, 2)) for each in sets))
 
@@ -92,14 +93,14 @@ class PMJ(_PlaneSequence):
 class PMJ02(_PlaneSequence):
     """Progressive multi-jittered (0,2)-sequence (2-D).
 
-    Any count. The first 2^k points are one in each elementary interval of area 2^-k, whatever its
-    shape. Other counts are made with a `NotPowerOfTwoWarning`.
+    Any count. The first 2^k points have one in each elementary interval of area 2^-k, of any shape.
+    Other counts cause a `NotPowerOfTwoWarning`.
 
     Notes
     -----
-    The points are those of the Sobol' sequence in another order, Owen-scrambled. In the order of
-    Christensen et al. the second point of a cell is diagonal to its first; whether the third shares
-    its columns or its rows is a coin for each pass.
+    The points are those of the Sobol' sequence in another order, Owen-scrambled. As in Christensen
+    et al., the second point of a cell is diagonal to its first. Whether the third point shares the
+    columns or the rows of the first is random for each pass.
 
     References
     ----------
@@ -109,7 +110,7 @@ class PMJ02(_PlaneSequence):
     sequence: ClassVar[bool] = True
 
     def _law(self, n: int) -> Law:
-        # Sobol' points that are Owen-scrambled by their making: one set has the digits of all
+        # Sobol' points, Owen-scrambled by construction: one set has the digits of all sets
         if not is_power(n, 2):
             return Unknown(n=n, dims=2)
         return scrambled(Fixed(n=n, dims=2, bases=(2, 2)).of(self), "nested", (2, 2))
@@ -120,8 +121,8 @@ class PMJ02(_PlaneSequence):
 class PMJ02BlueNoise(_PlaneSequence):
     """Progressive (0,2)-sequence whose points are spread out as blue noise (2-D).
 
-    Any count up to 2^18, at its best at powers of two; others are made with a
-    `NotPowerOfTwoWarning`. 4096 points take a fifth of a second.
+    Any count up to 2^18, best at powers of two; other counts cause a `NotPowerOfTwoWarning`.
+    4096 points take a fifth of a second.
 
     Attributes
     ----------
@@ -130,15 +131,15 @@ class PMJ02BlueNoise(_PlaneSequence):
 
     Notes
     -----
-    The random bits of pmj02 are chosen instead: pass by pass, coarse to fine, those of a whole strip
-    of the square are flipped where that lowers the sum of distance^-8 on the torus. The nearest two
-    points are two to three times as far apart as those of pmj02, in the whole set: its first points
-    are a (0,2)-sequence too, but spread out no better than those of pmj02. The mean is unbiased up to
-    the width of the intervals, since these have one point each. A given point alone is not uniform:
-    over sixteenths of an axis its density differs by up to a tenth.
+    The random bits of pmj02 are chosen by descent. Pass by pass, from coarse to fine, the bits of a
+    whole strip of the square are flipped if that lowers the sum of distance^-8 on the torus. In the
+    whole set, the nearest two points are two to three times as far apart as in pmj02. Its first
+    points are also a (0,2)-sequence, but spread no better than in pmj02. The mean is unbiased up to
+    the width of the intervals, because these have one point each. A single point is not uniform:
+    over sixteenths of an axis its density varies by up to a tenth.
 
-    The papers pick the best of some candidates for each point in turn. By then its choices are as
-    narrow as its intervals: hence the strips.
+    The papers choose the best of some candidates for each point in turn. But at that time the
+    choices are only as wide as the intervals; flipping strips avoids this.
 
     References
     ----------
@@ -152,13 +153,13 @@ class PMJ02BlueNoise(_PlaneSequence):
 
 @lru_cache(maxsize=1)
 def pairings() -> Array:
-    """Partners of pmj02: on axis j in pass k that of point i is i xor out[j, k]; uint64 (2, 31).
+    """Return partners of pmj02, uint64 (2, 31): i xor out[j, k] for point i, axis j, pass k.
 
-    Read the bits of the index as coefficients, over GF(2), in the basis 1, t, b, b·t, b², b²·t, …
-    with b = t² + t. The digits of x are those of this polynomial in powers of t, those of y in powers
-    of t + 1: the first two axes of Sobol'. Multiples of b^m change neither's first m digits, so that
-    the m-th four blocks of points share the cells of the first. The partner differs in digit k alone:
-    by t^k, or (t + 1)^k, in that basis.
+    Consider the bits of the index as coefficients, over GF(2), in the basis 1, t, b, b·t, b², b²·t,
+    … with b = t² + t. The digits of x are the coefficients of this polynomial in powers of t, and
+    the digits of y in powers of t + 1: the first two axes of Sobol'. Multiples of b^m do not change
+    the first m digits of x or y. Thus the m-th four blocks of points share the cells of the first
+    four. The partner differs in digit k only: by t^k, or (t + 1)^k, in that basis.
     """
     even = 0x5555555555555555
     out = np.empty((2, _PASSES), np.uint64)
@@ -173,7 +174,7 @@ def pairings() -> Array:
 
 @kernel
 def _complete(k0: np.uint64, k1: np.uint64, number: int, high: Any, level: int) -> Any:
-    # The word whose bits up to that of `level` are those of `high`, and random below.
+    # Return the word with the bits of `high` down to that of `level`, and random bits below.
     low = (_ONE << np.uint64(52 - level)) - _ONE
     return (high & ~low) | ((mix_bits(k0, k1, number) >> _S11) & low)
 
@@ -182,8 +183,8 @@ def _complete(k0: np.uint64, k1: np.uint64, number: int, high: Any, level: int) 
 def _free_intervals(
     k0: np.uint64, k1: np.uint64, level: int, words: Array, free: Array, starts: Array
 ) -> None:
-    # List the intervals of width 2^-(level+1) that points 0 … 2^level − 1 leave free, those of
-    # each of the equal columns together and shuffled; starts (columns + 1,).
+    # List the intervals of width 2^-(level+1) that points 0 … 2^level − 1 leave free. The intervals
+    # of each of the equal columns are listed together, shuffled; starts (columns + 1,).
     size, columns = 1 << level, starts.size - 1
     width = 2 * size // columns
     taken = np.zeros(2 * size, np.bool_)
@@ -211,8 +212,8 @@ def _fill_pmj(keys: Array, out: Array) -> None:
             words[j, 0] = mix_bits(k0, k1, j) >> _S11
         level = 0
         while 1 << level < n:
-            # Choose column and row of the quarter of a cell where each point of the pass goes: a
-            # cell's second point is diagonal to its first, the third takes either of the other two
+            # Choose column and row of the quarter of a cell for each point of the pass. The second
+            # point of a cell is diagonal to its first; the third takes one of the other two
             size, side = 1 << level, level // 2 + 1
             columns, cells, shift = 1 << side, 1 << (2 * side - 2), np.uint64(53 - side)
             to = np.empty((2, size), np.int64)
@@ -226,7 +227,7 @@ def _fill_pmj(keys: Array, out: Array) -> None:
                     coin = np.int64(bits & _ONE) ^ (i >= cells)
                     to[0, i], to[1, i] = column ^ coin, row ^ coin ^ 1
 
-            # Deal out the free intervals of these columns and rows
+            # Assign the free intervals of these columns and rows
             free, starts = np.empty(size, np.int64), np.empty(columns + 1, np.int64)
             for j in range(2):
                 k = k0 ^ mix_bits(k0, k1, _SHUFFLES + j)
@@ -242,7 +243,7 @@ def _fill_pmj(keys: Array, out: Array) -> None:
 
 @kernel
 def _pair_energy(dx: float, dy: float) -> float:
-    # Toroidal; only the smallest distances matter to this power.
+    # On the torus; at this power only the smallest distances matter.
     dx, dy = dx - np.rint(dx), dy - np.rint(dy)
     square = dx * dx + dy * dy
     return 1.0 / (square * square * square * square)
@@ -250,8 +251,9 @@ def _pair_energy(dx: float, dy: float) -> float:
 
 @kernel
 def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array) -> float:
-    # What point i gains by the flip of `bit` in all words of a strip: `members` is its number and
-    # the shift that numbers words. owner (columns, rows) is the point in each cell.
+    # Decrease of the energy of point i by a flip of `bit` in all words of a strip. `members` is the
+    # number of the strip and the shift that numbers words; owner (columns, rows) has the point of
+    # each cell.
     strip, shift = members
     columns, rows = owner.shape
     here = np.float64(words[axis, i]) * _UNIT_53
@@ -269,7 +271,7 @@ def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array)
             there = np.float64(word) * _UNIT_53
             far = np.float64(words[1 - axis, other]) * _UNIT_53 - across
             before = _pair_energy(there - here, far)
-            if word >> shift == strip:  # it moves as well, and counts this pair again
+            if word >> shift == strip:  # the other point moves as well and counts this pair again
                 there = np.float64(word ^ bit) * _UNIT_53
                 gain += 0.5 * (before - _pair_energy(there - moved, far))
             else:
@@ -279,7 +281,7 @@ def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array)
 
 @kernel
 def _try_flips(axis: int, level: int, size: int, words: Array, owner: Array) -> None:
-    # Swap the halves of each strip of width 2^-level where the first `size` points gain by it.
+    # Swap the halves of each strip of width 2^-level if the first `size` points gain from it.
     order = np.empty(size, np.int64)
     shift = np.uint64(53 - level)
     bit = _ONE << np.uint64(52 - level)
@@ -299,7 +301,7 @@ def _try_flips(axis: int, level: int, size: int, words: Array, owner: Array) -> 
 @kernel
 def _fill_pmj02(keys: Array, xors: Array, sweeps: int, out: Array) -> None:
     # (0,2)-sequence; the partner of i on axis j in pass k is i xor xors[j, k]. With `sweeps`, the
-    # points of all passes so far are spread out before the next are made.
+    # existing points are spread out before the points of the next pass are made.
     count, n, _ = out.shape
     passes = 0
     while 1 << passes < n:
@@ -309,7 +311,7 @@ def _fill_pmj02(keys: Array, xors: Array, sweeps: int, out: Array) -> None:
     for r in range(count):
         k0, k1 = keys[r, 0], keys[r, 1]
 
-        # A coin for each pass: which axis the third quarter of each cell's points goes along
+        # A random bit for each pass: the axis along which the third quarter of a cell's points goes
         coins = mix_bits(k0, k1, _CHOICES) & _EVEN_BITS
         for j in range(2):
             words[j, 0] = mix_bits(k0, k1, j) >> _S11
@@ -326,7 +328,7 @@ def _fill_pmj02(keys: Array, xors: Array, sweeps: int, out: Array) -> None:
             if not sweeps:
                 continue
 
-            # Flip bits below those that number the cells, one point in each
+            # Flip bits below those that number the cells, with one point per cell
             down = (level + 1) // 2
             across = level + 1 - down
             columns, rows = 1 << across, 1 << down

@@ -2,14 +2,15 @@
 
 Method
 ------
-Dart throwing: a dart sticks if, for each k from 1 to d, it is at least r_k away from all points before
-it in each of the projections on k of the d axes. Of two points whose gaps along the axes are sorted,
-g_1 ≤ … ≤ g_d, the projection on k axes with the smallest distance is that on the k smallest gaps: so
-that d partial sums, g_1² + … + g_k² ≥ r_k², check all 2^d − 1 projections.
+Dart throwing: a dart is accepted if, for each k from 1 to d, its distance from all earlier points
+is at least r_k in every projection on k of the d axes. Let g_1 ≤ … ≤ g_d be the sorted gaps of two
+points along the axes. Among projections on k axes, that on the k smallest gaps has the smallest
+distance. So d partial sums, g_1² + … + g_k² ≥ r_k², check all 2^d − 1 projections.
 
-The projection on one axis leaves little room, but the axes are independent there: each coordinate is
-drawn until it is free by itself, before the others are looked at. That changes the time and not the
-law, which on the torus does not change under translation: every point is uniform.
+The projections on single axes leave little room, but these axes are independent. Each coordinate is
+therefore drawn until it is free on its own axis, before the other projections are checked. This
+changes the time but not the law. On the torus the law is invariant under translation, so every
+point is uniform.
 """
 
 from __future__ import annotations
@@ -32,9 +33,9 @@ from mcspectra.samplers.poisson import densest_distance, thrown
 __all__ = ["ProjectiveBlueNoise"]
 
 _DEFAULT_RADIUS = (0.65, 0.6, 0.5, 0.4, 0.33, 0.25)
-_LEAST_RADIUS = 0.01  # the cells of an axis are as small as its radius
-_TRIALS = 10_000  # darts in a row that may miss
-_DRAWS = 500  # of a coordinate that may be too near to another; a dart without one has missed
+_LEAST_RADIUS = 0.01  # smallest radius, which is also the size of the cells of an axis
+_TRIALS = 10_000  # largest number of rejected darts in a row
+_DRAWS = 500  # largest number of draws of a coordinate before a dart is rejected
 
 
 @final
@@ -47,9 +48,9 @@ class ProjectiveBlueNoise(Sampler):
     dims
         1 to 6.
     radius_
-        Minimum distances in projections on k axes, for all k relative to that of the densest known
-        packing of n points in k dims; 0.01 to 1. By default 0.65, 0.6, 0.5, 0.4, 0.33 and
-        0.25 in 1 to 6 dims, a little below the largest at which darts place 1000 points.
+        Minimum distance in every projection on k axes, relative to that of the densest known
+        packing of n points in k dims; 0.01 to 1. The default is 0.65, 0.6, 0.5, 0.4, 0.33 and
+        0.25 in 1 to 6 dims, slightly below the largest at which darts place 1000 points.
 
     References
     ----------
@@ -58,7 +59,7 @@ class ProjectiveBlueNoise(Sampler):
 
     structure: ClassVar[Structure] = Structure.TORUS
     max_dims: ClassVar[int | None] = 6
-    max_count: ClassVar[int] = 2**12  # the time grows with n² and more
+    max_count: ClassVar[int] = 2**12  # the time grows at least like n²
     dims: int = DEFAULT_DIMS
     radius_: float | None = real(None, least=_LEAST_RADIUS, most=1.0)
 
@@ -73,7 +74,7 @@ class ProjectiveBlueNoise(Sampler):
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         limits = np.square(self.radii(n))
-        attempts = 3 + 100 // n  # few points jam often: whether they fit is luck
+        attempts = 3 + 100 // n  # with few points, random failures are frequent
         throw, some = partial(_throw_set, limits), f" with {_TRIALS} darts; give a smaller radius."
         return thrown(throw, self, n, stream.keys(first, count), attempts, some)
 
@@ -82,9 +83,9 @@ class ProjectiveBlueNoise(Sampler):
 def _free_coordinate(
     k0: Any, k1: Any, at: int, radius: float, column: Array, cells: Array
 ) -> tuple[float, int]:
-    # Draw x until no point of the axis is nearer than `radius`, −1 if that does not happen.
-    # cells: number of the point in each of the cells of the axis, −1 for none. They are no larger
-    # than the radius, and larger than half of it.
+    # Draw x until no point of the axis is nearer than `radius`; −1 if that fails. `cells` has the
+    # number of the point in each cell of the axis, −1 if there is none. A cell is at most as large
+    # as the radius, and larger than half of it.
     side = cells.size
     for _ in range(_DRAWS):
         x = mix_uniform(k0, k1, at)
@@ -102,7 +103,7 @@ def _free_coordinate(
 
 @kernel
 def _is_apart(x: Array, y: Array, limits: Array, gaps: Array) -> bool:
-    # Whether x and y keep the squared distances `limits` in all projections.
+    # Whether the squared distances of x and y are at least `limits` in all projections.
     for j in range(x.size):
         gap = abs(x[j] - y[j])
         gap = min(gap, 1.0 - gap)
@@ -121,7 +122,7 @@ def _is_apart(x: Array, y: Array, limits: Array, gaps: Array) -> bool:
 
 @kernel
 def _throw_set(limits: Array, k0: Any, k1: Any, at: int, points: Array) -> tuple[int, int]:
-    # Throw until all points (n, d) stick or _TRIALS darts in a row do not; return how many do.
+    # Throw darts until all points (n, d) are placed or _TRIALS in a row are rejected.
     n, dims = points.shape
     radius = np.sqrt(limits[0])
     cells, gaps = np.full((dims, int(np.ceil(1.0 / radius))), -1), np.empty(dims)

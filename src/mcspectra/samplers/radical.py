@@ -1,4 +1,4 @@
-"""Radical inverses: van der Corput, Halton and Hammersley points, plain or with scrambled digits."""
+"""Radical inverses: van der Corput, Halton and Hammersley points, plain or scrambled."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["Halton", "Hammersley", "RadicalInverses", "VanDerCorput"]
 
 
 class RadicalInverses(FixedSet):
-    """Points whose digits ``scramble`` may randomize: short for a permute or owen that follows.
+    """Radical inverses; ``scramble`` abbreviates a following permute or owen.
 
     Attributes
     ----------
@@ -39,25 +39,25 @@ class RadicalInverses(FixedSet):
 
     @property
     def unbiased(self) -> bool:  # type: ignore[override]
-        """Only scrambled digits make every point uniform."""
+        """Whether digits are scrambled, which makes every point uniform."""
         return self.scramble != "none"
 
     @property
     def fixed(self) -> bool:  # type: ignore[override]
-        """Unless digits are scrambled."""
+        """Whether digits are not scrambled."""
         return self.scramble == "none"
 
     @property
     def scrambles(self) -> int:  # type: ignore[override]
-        """One randomization inside, if any: those that follow have the streams after its own."""
+        """Number of built-in randomizations; later ones use the streams after it."""
         return int(self.scramble != "none")
 
     def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        """Draw what `owen` makes of the plain points, trees of digits from the top: (count, n, dims)."""
+        """Draw the nested-scrambled points from the top of their trees: (count, n, dims)."""
         return _nested(self.digit_bases, n, stream.keys(first, count))
 
     def as_chain(self, n: int) -> Sampler:  # noqa: ARG002
-        """What ``scramble=`` is short for."""
+        """Return the chain that ``scramble=`` abbreviates."""
         if self.scramble == "none":
             return self
         plain: Sampler = replace(self, scramble="none")  # type: ignore[type-var]
@@ -92,8 +92,8 @@ class Halton(RadicalInverses):
     skip
         Index of the first point.
     scramble
-        ``"permute"`` or ``"owen"``: the points are those of ``halton | permute`` or ``halton | owen``,
-        all of them uniform. ``"none"``: the same points every time.
+        ``"permute"`` or ``"owen"``: the points of ``halton | permute`` or ``halton | owen``, all
+        of them uniform. ``"none"``: the same points every time.
 
     References
     ----------
@@ -122,9 +122,9 @@ class VanDerCorput(RadicalInverses):
     Attributes
     ----------
     base
-        Base of the digits, from 2.
+        Base of the digits, at least 2.
     scramble
-        As for halton: ``"none"``, ``"permute"`` or ``"owen"``.
+        Same as for halton: ``"none"``, ``"permute"`` or ``"owen"``.
 
     References
     ----------
@@ -140,7 +140,7 @@ class VanDerCorput(RadicalInverses):
 
     @property
     def digit_bases(self) -> tuple[int, ...]:
-        """The base."""
+        """The base of the digits."""
         return (self.base,)
 
 
@@ -154,14 +154,14 @@ class Hammersley(RadicalInverses):
     Attributes
     ----------
     scramble
-        As for halton: ``"none"``, ``"permute"`` or ``"owen"``.
+        Same as for halton: ``"none"``, ``"permute"`` or ``"owen"``.
 
     Notes
     -----
-    The n-ths i/n have binary digits of their own only for n = 2^m, and are then scrambled in base 2.
-    For other n, which ``| permute`` and ``| owen`` refuse, the n-ths keep their order and only what
-    lies below the first n-th is random: one offset for all points (``"permute"``) or one for each
-    (``"owen"``). Either way each n-th of the first axis holds one point.
+    The first coordinates i/n have distinct binary digits only for n = 2^m, and are then scrambled
+    in base 2. For other n, which ``| permute`` and ``| owen`` refuse, these coordinates keep their
+    order and only an offset below 1/n is random: one for all points (``"permute"``) or one for each
+    point (``"owen"``). In both cases each n-th of the first axis holds one point.
 
     References
     ----------
@@ -180,7 +180,7 @@ class Hammersley(RadicalInverses):
 
     @property
     def powers_only(self) -> bool:
-        """True: the n-ths have binary digits for n = 2^m only."""
+        """True, because multiples of 1/n have binary digits for n = 2^m only."""
         return True
 
     def _set(self, n: int) -> Array:
@@ -190,21 +190,21 @@ class Hammersley(RadicalInverses):
         return out
 
     def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        """The n-ths, n = 2^m, are radical inverses in base 2 of the indices with their bits reversed."""
+        """Draw the nested-scrambled points; i/n, n = 2^m, inverts the index with reversed bits."""
         reversed_ = (_inverses((2,), 0, n)[:, 0] * n).astype(np.int64)
         nths = _nested((2,), n, stream.child(0).keys(first, count))[:, reversed_]
         rest = _nested(self.digit_bases[1:], n, stream.keys(first, count))
         return np.concatenate([nths, rest], axis=2)
 
     def as_chain(self, n: int) -> Sampler:
-        """As for others for n = 2^m; otherwise there is none."""
+        """Return the chain for n = 2^m; for other n there is none."""
         return self if n & (n - 1) else RadicalInverses.as_chain(self, n)
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         if self.scramble == "none" or n & (n - 1) == 0:
             return RadicalInverses._points(self, n, stream, first, count)
 
-        # No digits of n-ths: offsets below them
+        # The multiples of 1/n have no digits to scramble: add offsets below 1/n
         out = np.empty((count, n, self.dims))
         own = stream.child(0).uniforms(first, count, 1 if self.scramble == "permute" else n)
         out[..., 0] = np.minimum((np.arange(n) + own) / n, BELOW_ONE)
@@ -225,14 +225,14 @@ def _primes(count: int) -> tuple[int, ...]:
 
 
 def _inverses(bases: tuple[int, ...], start: int, n: int) -> Array:
-    """Radical inverses of start … start+n−1: float64 (n, d)."""
+    """Return radical inverses of start … start + n − 1: float64 (n, d)."""
     out = np.empty((n, len(bases)))
     fill_inverses(np.array(bases, np.int64), start, out)
     return out
 
 
 def _nested(bases: tuple[int, ...], n: int, keys: Array) -> Array:
-    """The same with nested scrambling, one realization for each row of `keys`: float64 (R, n, d)."""
+    """Return nested-scrambled radical inverses, one realization per row of `keys`: (R, n, d)."""
     out = np.empty((len(keys), n, len(bases)))
     fill_nested(keys, np.array(bases, np.int64), out)
     return out

@@ -1,7 +1,7 @@
 """Randomizations that move all points of a set: shifts, rotations, mirror images, pixels.
 
-Reflected is u → 1 − 2^-53 − u, not 1 − u, which would leave [0,1) for u = 0: multiples of 2^-53,
-which float64 points are, go to such multiples one to one.
+A reflection is u → 1 − 2^-53 − u; 1 − u would leave [0,1) for u = 0. It maps multiples of 2^-53,
+which float64 points are, to such multiples one to one.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from mcspectra.samplers.law import (
 
 __all__ = ["Decorrelate", "Mirror", "RandomRotation", "Shift", "StrataShift", "folded"]
 
-_MOST_IMAGED = 30  # dims: 2^d images of at least one point
-_MASK_KEY = 0x3A5C  # any number: the mask is the same for everybody, its place is not
-_FIRST_REACH = 0.6  # half-side of a window that nearly always holds n + 1 points: area 1.44
-_REACH = 1.12  # one that always does: a disk of radius √5/2 holds two domains side by side
+_MOST_IMAGED = 30  # largest dims of the uniform mode, which makes 2^d images
+_MASK_KEY = 0x3A5C  # arbitrary number: the mask is fixed, its place is random
+_FIRST_REACH = 0.6  # half-side of a window of area 1.44; it nearly always holds n + 1 points
+_REACH = 1.12  # half-side that always does: a disk of radius √5/2 holds two domains
 
-# What is left of each structure. A toroidal translation moves strata and elementary intervals away
-# from the origin. A rotation keeps digits, too, but coordinates of different bases change places.
-# Reflections of a cell are cells, but images of points near a face lie close to one another.
+# Structures that remain. A translation of the torus moves strata and elementary intervals away
+# from the origin. A rotation preserves digits, but exchanges coordinates of different bases.
+# Reflections map cells to cells, but images of points near a face lie close to each other.
 _ALL: dict[Structure, Structure] = {s: s for s in Structure}
 _TRANSLATED = _ALL | dict.fromkeys((Structure.STRATA, Structure.DIGITS), Structure.TORUS)
 _TURNED = _ALL | {Structure.DIGITS: Structure.TORUS}
@@ -65,7 +65,7 @@ class Shift(Randomization):
     debiases: ClassVar[bool] = True
 
     def law_of(self, law: Law, n: int) -> Law:  # noqa: ARG002
-        """One uniform translation of the torus."""
+        """Return the law after one uniform translation of the torus."""
         return shifted(law)
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
@@ -75,7 +75,7 @@ class Shift(Randomization):
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
-        """Draw a fixed set once."""
+        """Translate each realization; a fixed set is drawn only once."""
         points = sampler.draw_stream(n, stream, first, 1 if sampler.fixed else count)
         return translated(points, own.uniforms(first, count, sampler.dims))
 
@@ -93,7 +93,7 @@ class StrataShift(Randomization):
     Attributes
     ----------
     offset
-        Fraction of the side, one number or one for each dim.
+        Fraction of the side, one number or one per dim.
 
     References
     ----------
@@ -105,12 +105,12 @@ class StrataShift(Randomization):
     offset: float | Sequence[float] = checked(_as_offset, 0.5)
 
     def fit(self, sampler: Sampler) -> Randomization:
-        """Refuse a list of offsets of another length than dims."""
+        """Check that a list of offsets has one number per dim."""
         as_reals("offset", self.offset, sampler.dims)
         return Randomization.fit(self, sampler)
 
     def law_of(self, law: Law, n: int) -> Law:
-        """One fixed translation of the torus."""
+        """Return the law after one fixed translation of the torus."""
         return moved(
             law, np.array(as_reals("offset", self.offset, law.dims)) * n ** (-1.0 / law.dims)
         )
@@ -132,19 +132,19 @@ class RandomRotation(Randomization):
     Attributes
     ----------
     boundary
-        ``"toroidal"``: one of the d!·2^d symmetries of the cube, which are all that the torus has:
-        axes permuted and reflected at random. Distances on the torus, strata of equal sides and
-        elementary intervals (their shapes turned along) are kept.
-        ``"clipped"`` (2-D): the periodically repeated points, rotated by a uniform angle, seen
-        through a square window at a random place that is just so large that one more than n points
-        would touch it, scaled to the unit square and translated at random on the torus.
+        ``"toroidal"``: one of the d!·2^d symmetries of the cube, which are the only rotations of
+        the torus: axes permuted and reflected at random. It preserves distances on the torus,
+        strata of equal sides, and elementary intervals (with permuted shapes).
+        ``"clipped"`` (2-D): the periodically repeated points are rotated by a uniform angle and
+        clipped to a square window at a random place. The window just excludes an (n + 1)-th point;
+        it is scaled to the unit square and translated at random on the torus.
 
     Notes
     -----
-    A unit square that is rotated by any other angle and wrapped around covers a part of the torus
-    twice and leaves another empty: hence the window. Distances are kept inside the window up to its
-    scale, 1 + O(n^-1/2) for random points, but not across its seam, which the translation takes to
-    a random place; for it every point is exactly uniform.
+    A unit square that is rotated by any other angle and wrapped covers a part of the torus twice
+    and leaves another part empty, hence the window. Inside the window, distances are preserved up
+    to its scale, 1 + O(n^-1/2) for random points. Across its seam, which the translation moves to a
+    random place, they are not. Because of the translation every point is exactly uniform.
     """
 
     fits: ClassVar[Mapping[Structure, Structure]] = _TURNED
@@ -156,7 +156,7 @@ class RandomRotation(Randomization):
             settle(self, fits=_TRANSLATED, debiases=True, stationary=True, pointwise=False)
 
     def fit(self, sampler: Sampler) -> Randomization:
-        """Refuse rotations by any angle unless `sampler` has 2 dims."""
+        """Check that `sampler` has 2 dims if rotations are by any angle."""
         if self.boundary == "clipped" and sampler.dims != 2:
             raise ParameterError(
                 f"random-rotation(boundary='clipped') needs 2 dims, but {sampler.spec} has "
@@ -165,14 +165,14 @@ class RandomRotation(Randomization):
         return Randomization.fit(self, sampler)
 
     def left(self, sampler: Sampler) -> Structure:
-        """Elementary intervals stay where all coordinates have digits in one base."""
+        """Return DIGITS for elementary intervals if all coordinates have digits in one base."""
         same = self.boundary == "toroidal" and len(set(sampler.digit_bases)) == 1
         if sampler.structure is Structure.DIGITS and same:
             return Structure.DIGITS
         return Randomization.left(self, sampler)
 
     def law_of(self, law: Law, n: int) -> Law:
-        """Sets whose law is the same after any translation remain so; of others little is known."""
+        """Return a stationary law if the inner law or this rotation is stationary."""
         if isinstance(law, Independent):
             return law
         if law.stationary or self.stationary:
@@ -211,7 +211,7 @@ def _turn(keys: Array, points: Array, out: Array) -> None:
 
 @kernel
 def _seen(points: Array, center: Array, turn: Array, reach: float, found: Array) -> int:
-    # Turned copies within max(|x|, |y|) ≤ reach of the center into found (25n, 3): x, y, that norm
+    # Write rotated copies with max(|x|, |y|) ≤ reach from the center to found (25n, 3): x, y, norm
     size = 0
     for i in range(points.shape[0]):
         x0, y0 = points[i, 0] - center[0], points[i, 1] - center[1]
@@ -228,7 +228,8 @@ def _seen(points: Array, center: Array, turn: Array, reach: float, found: Array)
 
 @kernel
 def _clip_all(keys: Array, points: Array, out: Array) -> None:
-    # Points within the window whose edge the (n + 1)-th nearest to its center lies on; out (R, n, 2)
+    # Points in the window whose edge passes through the (n + 1)-th nearest to its center; out (R,
+    # n, 2)
     count, n, _ = points.shape
     found = np.empty((25 * n, 3))
     numbers = np.empty(5)
@@ -242,7 +243,7 @@ def _clip_all(keys: Array, points: Array, out: Array) -> None:
             size = _seen(points[r], numbers[:2], turn, _REACH, found)
         edge = np.partition(found[:size, 2].copy(), n)[n]
         inside = np.count_nonzero(found[:size, 2] < edge)
-        taken, ties = 0, n - inside  # of several points on the edge the first ones count
+        taken, ties = 0, n - inside  # if several points lie on the edge, the first ones count
         for i in range(size):
             on_edge = found[i, 2] == edge
             if found[i, 2] > edge or (on_edge and ties == 0):
@@ -262,26 +263,29 @@ class Mirror(Randomization):
     Attributes
     ----------
     mode
-        ``"random"``: every coordinate of every sample is reflected or not, as by a fair coin.
-        ``"uniform"``: each of n/2^d samples becomes its 2^d reflections, one after the other.
-        ``"fold"``: u → 1 − |2u − 1| in every coordinate (the baker's transform), nothing random.
+        ``"random"``: every coordinate of every sample is reflected with probability ½.
+        ``"uniform"``: each of n/2^d samples is replaced by its 2^d reflections, in order.
+        ``"fold"``: u → 1 − |2u − 1| in every coordinate (the baker's transform), without
+        randomness.
 
     Notes
     -----
     Reflected at its upper faces, an integrand f on [0,1)^d becomes g(k + x) = f(x reflected in the
-    coordinates with k_j = 1), k ∈ {0,1}^d, which is continuous across all faces and of period 2. A
-    sample x can be put at k + x for one image k chosen at random, or for all of them, or the whole
-    set can be stretched over [0,2)^d. The result holds the arguments of f for each sample.
+    coordinates with k_j = 1), k ∈ {0,1}^d. It is continuous across all faces and has period 2. A
+    sample x can be placed at k + x for one random image k, or for all images. Or the whole set can
+    be stretched over [0,2)^d. The result holds the arguments of f for each sample.
 
-    Uniform samples stay exactly uniform, and each half-open cell of a grid goes to the cell opposite.
+    Uniform samples remain exactly uniform, and each half-open cell of a grid maps to the opposite
+    cell.
 
-    Random reflection and folding do away with strata, elementary intervals and differences; the
-    uniform mode keeps strata and intervals, with 2^d times as many points in each.
+    Random reflection and folding destroy strata, elementary intervals and differences. The uniform
+    mode preserves strata and intervals, with 2^d times as many points in each.
 
     References
     ----------
-    [Hickernell2002]_ for the baker's transform. The other modes are our reading of mirrored samples; the
-    uniform one is the antithetic variate of [HammersleyMorton1956]_ in every coordinate.
+    [Hickernell2002]_ for the baker's transform. The other modes are our interpretation of mirrored
+    samples; the uniform mode is the antithetic variate of [HammersleyMorton1956]_ in each
+    coordinate.
     """
 
     pointwise: ClassVar[bool] = True
@@ -293,7 +297,7 @@ class Mirror(Randomization):
             settle(self, fits=_IMAGES, pointwise=False)
 
     def fit(self, sampler: Sampler) -> Randomization:
-        """Refuse the uniform mode in too many dims."""
+        """Check that the uniform mode does not have too many dims."""
         if self.mode == "uniform" and sampler.dims > _MOST_IMAGED:
             raise ParameterError(
                 f"mirror(mode='uniform') makes 2^d images of a point, but {sampler.spec} has "
@@ -302,17 +306,17 @@ class Mirror(Randomization):
         return Randomization.fit(self, sampler)
 
     def law_of(self, law: Law, n: int) -> Law:
-        """Folded or mirrored points see another integrand."""
+        """Return the folded or mirrored law, equivalent to a changed integrand."""
         if self.mode == "fold":
             return Folded(n=n, dims=law.dims, inner=law)
         return Mirrored(n=n, dims=law.dims, inner=law, mode=self.mode)  # type: ignore[arg-type]
 
     def count_inside(self, sampler: Sampler, n: int) -> int:
-        """Return how many points have n mirror images in the uniform mode."""
+        """Return the number of points that have n mirror images in the uniform mode."""
         return n // self._images(sampler)
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """Mirror each realization; the uniform mode returns 2^d points for each of `points`."""
+        """Mirror each realization; the uniform mode returns 2^d points per given point."""
         if self.mode == "uniform":
             count, n, dims = points.shape
             images = np.arange(1 << dims)[:, None] >> np.arange(dims)[::-1] & 1
@@ -354,7 +358,7 @@ def folded(points: Array) -> Array:
 
 @kernel
 def _reflect_at_random(keys: Array, points: Array, out: Array) -> None:
-    # Reflect each coordinate if its bit is set: 64 coordinates share a random number.
+    # Reflect each coordinate if its bit is set; 64 coordinates share a random number.
     count, n, dims = points.shape
     words = (dims + 63) // 64
     for r in range(count):
@@ -377,24 +381,24 @@ class Decorrelate(Randomization):
     Attributes
     ----------
     mode
-        Randomization of the shared set in a pixel: ``"shift"``, ``"digital-shift"`` or ``"owen"``.
+        Randomization of the shared set per pixel: ``"shift"``, ``"digital-shift"`` or ``"owen"``.
     mask
-        Source of its random numbers. ``"white"``: independent in all pixels.
-        ``"blue-noise"``: a void-and-cluster dither mask, repeated, at a random place for each
-        dim, so that neighbors get very different shifts and the error of the image is blue noise.
-        ``"r2"``: the R-sequence of Roberts by the number of the pixel, from a random start.
+        Source of the random numbers. ``"white"``: independent in all pixels.
+        ``"blue-noise"``: a repeated void-and-cluster dither mask at a random place per dim, so
+        that neighbors get very different shifts and the error of the image is blue noise.
+        ``"r2"``: Roberts's R-sequence indexed by the number of the pixel, from a random start.
     width
-        Width of the image, and side of the blue-noise mask.
+        Width of the image, and side of the blue-noise mask, in pixels.
 
     Notes
     -----
-    The realizations of one seed are the pixels of one image: they share a set, and with a mask their
-    shifts too are those of one pattern. Variances over them are those within an image, and do not
-    tend to those over seeds.
+    The realizations of one seed are the pixels of one image. They share a set, and with a mask
+    their shifts share one pattern. Variances over them are variances within an image, and do not
+    converge to variances over seeds.
 
-    Masks hold numbers, one for each dim: for shift, and for digital-shift in base 2. In one pixel
-    every point is uniform whatever the mask. Over the width² pixels of a blue-noise mask, the
-    shifts of each dim take each width²-th of [0,1) once.
+    A mask holds one number per dim, which suffices for shift, and for digital-shift in base 2. In
+    one pixel every point is uniform with any mask. Over the width² pixels of a blue-noise mask, the
+    shifts of each dim occupy each width²-th of [0,1) once.
 
     References
     ----------
@@ -417,12 +421,12 @@ class Decorrelate(Randomization):
         )
         if self.mode == "owen" and self.mask != "white":
             raise ParameterError(
-                f"mask is {self.mask!r}, but mode='owen' needs many random numbers for each dim and a "
-                "mask gives one; use mask='white' or mode='shift'."
+                f"mask is {self.mask!r}, but mode='owen' needs many random numbers for each dim "
+                "and a mask gives one; use mask='white' or mode='shift'."
             )
 
     def fit(self, sampler: Sampler) -> Randomization:
-        """Refuse samplers that the mode refuses, and masks for digits in other bases."""
+        """Check that the mode accepts the sampler, and that a mask is not used in other bases."""
         Randomization.fit(self, sampler)
         self._step().fit(sampler)
         others = set(sampler.digit_bases) - {2}
@@ -434,11 +438,11 @@ class Decorrelate(Randomization):
         return self
 
     def law_of(self, law: Law, n: int) -> Law:
-        """The law of one pixel; pixels share one set."""
+        """Return the law of one pixel; pixels share one set."""
         return self._step().law_of(law, n)
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """Move each of `points`, given for each pixel, by the shift of its pixel."""
+        """Move each of `points`, one set per pixel, by the shift of its pixel."""
         return self._moved(self._step(), points, stream, first)
 
     def draw(
@@ -451,7 +455,7 @@ class Decorrelate(Randomization):
         return self._step().fit(sampler).counts_near(sampler, n)
 
     def offsets(self, stream: Stream, first: int, count: int, dims: int) -> Array:
-        """Return the masks' shifts of pixels first … first+count−1: float64 (count, dims)."""
+        """Return the masks' shifts of pixels first … first + count − 1: float64 (count, dims)."""
         pixels = np.arange(first, first + count)
         places = stream.child(0).uniforms(0, 1, 2 * dims)[0]
         if self.mask == "r2":
@@ -461,7 +465,7 @@ class Decorrelate(Randomization):
             sums = units + pixels.astype(np.uint64)[:, None] * golden_steps(dims)  # modulo 2^64
             return np.asarray((sums >> np.uint64(11)) * 2.0**-53)
 
-        # Ranks of the mask, at a place of its own for each dim, and a random number within each
+        # Ranks of the mask, shifted separately for each dim, and a random number within each rank
         width, places = self.width, places.reshape(2, dims)
         columns = pixels[:, None] % width + (places[0] * width).astype(np.int64)
         rows = pixels[:, None] // width % width + (places[1] * width).astype(np.int64)

@@ -1,4 +1,4 @@
-"""Names of samplers and randomizations, and how any description becomes a `Sampler`."""
+"""Names of samplers and randomizations, and conversion of descriptions to a `Sampler`."""
 
 from __future__ import annotations
 
@@ -37,15 +37,16 @@ SAMPLERS = Registry(
             "samplers.relaxation": "Bnot FarthestPoint GaussianBlueNoise Lloyd",
             "samplers.sliced": "SlicedOptimalTransport",
             "samplers.spectral_targets": "StepBlueNoise TargetPcf TargetSpectrum",
-            "samplers.stratified": "AntitheticJittered BoxJitter CorrelatedMultiJittered GaussianJitter Hexagonal "
-            "Jittered MultiJittered Random Regular SharedCells UniformJitter",
+            "samplers.stratified": "AntitheticJittered BoxJitter CorrelatedMultiJittered "
+            "GaussianJitter Hexagonal Jittered MultiJittered Random Regular SharedCells "
+            "UniformJitter",
         }
     ),
     base=Sampler,
 )
 
 RUN_CODE = tuple(CODE)
-"""Samplers that run code of the user, which must be allowed before a spec may name it."""
+"""Samplers that run the user's code, which must be allowed before a spec may name it."""
 
 RANDOMIZATIONS = Registry(
     "randomization",
@@ -68,16 +69,16 @@ def sampler(spec: str | Sampler, dims: int | None = None) -> Sampler:
     ----------
     spec
         A sampler, then any number of randomizations after ``|``. Everything that
-        `as_sampler` accepts is accepted here too.
+        `as_sampler` accepts is accepted as well.
     dims
-        Number of dims; None leaves it to the spec, else to the sampler's default (2).
+        Number of dims. With None the spec decides, or else the sampler's default (2).
 
     Raises
     ------
     SpecError
-        The spec cannot be read, or a name is unknown (`UnknownName`) or in the wrong place.
+        If the spec cannot be read, or a name is unknown (`UnknownName`) or in the wrong place.
     ParameterError
-        A parameter or `dims` does not fit.
+        If a parameter or `dims` is not allowed.
     """
     if not isinstance(spec, str):
         return as_sampler(spec, dims)
@@ -85,7 +86,7 @@ def sampler(spec: str | Sampler, dims: int | None = None) -> Sampler:
 
 
 def sampler_from_calls(calls: Sequence[Call], dims: int | None = None) -> Sampler:
-    """Make a sampler from a spec string already parsed (`core.spec.parse_chain`)."""
+    """Make a sampler from a parsed spec string (`core.spec.parse_chain`)."""
     head, *rest = calls
     made: Sampler = _built(SAMPLERS, head, _checked(dims))
     for call in rest:
@@ -94,27 +95,28 @@ def sampler_from_calls(calls: Sequence[Call], dims: int | None = None) -> Sample
 
 
 def as_sampler(source: Any, dims: int | None = None) -> Sampler:
-    """Return `source` as a sampler of `dims` dims (of any number of dims if None).
+    """Convert `source` to a sampler of `dims` dims (of any number of dims if None).
 
     Parameters
     ----------
     source
-        A sampler, a spec string, an array of points (n, d) or (R, n, d), or an engine of
-        `scipy.stats.qmc`, a generator of QMCPy, or the class of one.
+        A sampler, a spec string, an array of points (n, d) or (R, n, d), an engine of
+        `scipy.stats.qmc`, a generator of QMCPy, or the class of an engine or generator.
     dims
-        Number of dims that is needed.
+        Required number of dims.
 
     Raises
     ------
     ParameterError
-        `source` has another type, or another number of dims.
+        If `source` has another type, or another number of dims.
     """
     if isinstance(source, str):
         return sampler(source, dims)
     made = _from_object(source, _checked(dims))
     if dims is not None and made.dims != dims:
         raise ParameterError(
-            f"The sampler {made.spec} is for {counted(made.dims, 'dim')}, but {needed(dims, 'dim')}."
+            f"The sampler {made.spec} is for {counted(made.dims, 'dim')}, "
+            f"but {needed(dims, 'dim')}."
         )
     return made
 
@@ -137,14 +139,14 @@ def _from_object(source: Any, dims: int | None) -> Sampler:
     if is_generator(source):
         return Sampler.from_qmcpy(source, **({"dims": dims} if sized else {}))
     raise ParameterError(
-        f"{shown(source)} is not a sampler; give a Sampler, a spec such as 'jittered | shift', an array "
-        "of points (n, d) or (R, n, d), a scipy.stats.qmc engine, a QMCPy generator, or make one of a "
-        "function with Sampler.from_function."
+        f"{shown(source)} is not a sampler; give a Sampler, a spec such as 'jittered | shift', "
+        "an array of points (n, d) or (R, n, d), a scipy.stats.qmc engine, a QMCPy generator, "
+        "or make one of a function with Sampler.from_function."
     )
 
 
 def _built(registry: Registry, call: Call, dims: int | None = None) -> Any:
-    """Make a part of a chain; a name from the other registry is in the wrong place."""
+    """Make a part of a chain; report a name that belongs to the other registry."""
     first = registry is SAMPLERS
     if first and call.name in RUN_CODE:
         from mcspectra.samplers.external import check_code

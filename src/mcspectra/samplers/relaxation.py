@@ -1,10 +1,10 @@
 """Points moved until they are spread evenly: Lloyd, bnot, Gaussian blue noise, farthest points.
 
-Lloyd's method moves each point to the centroid of its Voronoi cell, again and again. Blue noise
-through optimal transport does the same with the power diagram whose cells have equal areas: that is
-a descent of the cost of transporting the uniform density to the points, of which the gradient by a
-point is 2/n times its distance from the centroid of its cell [deGoes2012]_. Gaussian blue noise descends
-an energy of pairs; farthest-point optimization moves each point to the farthest place of all.
+Lloyd's method repeatedly moves each point to the centroid of its Voronoi cell. Blue noise through
+optimal transport uses the power diagram whose cells have equal areas instead. This is a descent of
+the cost of transporting the uniform density to the points. The gradient with respect to a point is
+2/n times its distance from the centroid of its cell [deGoes2012]_. Gaussian blue noise lowers an
+energy of pairs. Farthest-point optimization moves each point to the place farthest from all others.
 """
 
 from __future__ import annotations
@@ -38,22 +38,22 @@ __all__ = [
     "transport_cost",
 ]
 
-_NEWTON = 100  # steps at most: about 10 from random points, 2 or 3 after a move
-_BALANCED = 1e-3  # of an area, while points still move
-_EXACT = 1e-9  # the same for the cost, which errs by its square
-_CLOSE = 1e-4  # the same where rounding is in the way: the cost is right to about 1e-6
-# Visits (see `kernels.Diagram`) of one transport cost, which take some seconds. 8192 random points take 2^24
-# visits; points in a quarter of the square take more than 2^30.
+_NEWTON = 100  # largest number of steps; random points take about 10, a move 2 or 3
+_BALANCED = 1e-3  # tolerance of areas while points move
+_EXACT = 1e-9  # tolerance of areas for the cost, whose error is its square
+_CLOSE = 1e-4  # acceptable error of areas if rounding interferes; cost error 1e-6
+# Most visits (see `kernels.Diagram`) for one transport cost, some seconds. 8192 random points take
+# 2^24 visits; points in a quarter of the square take more than 2^30.
 _MOST_WORK = 2**32
 _REPORTS = 50
-_CHUNK = 4096  # moves between reports of progress
-_CUTOFF = 6.0  # σ: exp(−18) = 1.5e-8, as small as the kernel's own spectrum at the spacing
-_SERIES_END = 6.0  # e^(−½ 6²), of the terms of the Fourier series in many dims
-_CELLS = 4  # along a cut-off
+_CHUNK = 4096  # number of moves between reports of progress
+_CUTOFF = 6.0  # cutoff in σ: exp(−18) = 1.5e-8, as for the kernel's spectrum
+_SERIES_END = 6.0  # cutoff of the Fourier series in many dims: terms of e^(−½ 6²)
+_CELLS = 4  # cells along a cutoff distance
 
 
 class _CentroidSampler(PlaneSampler, OptimisedSampler):
-    """Points moved to the centroids of their cells until they are near."""
+    """Points moved to the centroids of their cells until they are close to them."""
 
     other_dims: ClassVar[str] = "for other dims use gaussian-blue-noise"
     iterations: int
@@ -61,7 +61,7 @@ class _CentroidSampler(PlaneSampler, OptimisedSampler):
 
     @abstractmethod
     def _offsets(self, n: int) -> Callable[[Array], Array]:
-        """Return the function from `n` points to the centroids of their cells minus them."""
+        """Return the function from `n` points to the offsets of their cells' centroids."""
 
     def _optimize(self, n: int, keys: Array, report: Report) -> Array:
         start, offsets = random_points(keys, n, 2), self._offsets(n)
@@ -82,15 +82,15 @@ class Lloyd(_CentroidSampler):
     iterations
         Largest number of moves of all points.
     tolerance
-        The method stops at this distance of points from their centroids: root mean square, as a
+        The method stops at this root-mean-square distance of points from their centroids, as a
         multiple of n^(−1/2).
     sets
-        Reuse of sets, see `OptimisedSampler`.
+        Largest number of different sets, see `OptimisedSampler`.
 
     Notes
     -----
-    The start is random, and the method does not depend on where the origin is: every point is
-    uniform. Low frequencies are slow to go, since areas become equal by diffusion only: see bnot.
+    The start is random, and the method does not depend on the origin, so every point is uniform.
+    Low frequencies decay slowly, since areas equalize by diffusion only; bnot avoids this.
 
     References
     ----------
@@ -107,7 +107,7 @@ class Lloyd(_CentroidSampler):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Bnot(_CentroidSampler):
-    """Blue noise through optimal transport: cells of equal areas around their centroids (2-D torus).
+    """Blue noise through optimal transport: cells of equal area around their centroids (2-D torus).
 
     Any count.
 
@@ -118,17 +118,17 @@ class Bnot(_CentroidSampler):
     iterations
         Largest number of moves of all points.
     tolerance
-        The method stops at this distance of points from the centroids of their cells: root mean
-        square, as a multiple of n^(−1/2). Smaller values order the points into crystals.
+        The method stops at this root-mean-square distance of points from the centroids of their
+        cells, as a multiple of n^(−1/2). Smaller values order the points into crystals.
     sets
-        Reuse of sets, see `OptimisedSampler`.
+        Largest number of different sets, see `OptimisedSampler`.
 
     Notes
     -----
-    The start is random, and the method does not depend on where the origin is: every point is
-    uniform. The paper also jitters regions that have become regular; here descent ends before
-    that. The capacity-constrained Voronoi tessellations [Balzer2009]_, which swap samples of the
-    density between points, are the discrete forerunner of this method.
+    The start is random, and the method does not depend on the origin, so every point is uniform.
+    The paper also jitters regions that have become regular; here the descent ends before. An
+    earlier, discrete form of the method is capacity-constrained Voronoi tessellations
+    [Balzer2009]_, which swap samples of the density between points.
 
     References
     ----------
@@ -155,7 +155,7 @@ def relax(
     tolerance: float,
     report: Report,
 ) -> Array:
-    """Return points moved by their `offsets` until these are small, `iterations` times at most."""
+    """Move points by their `offsets` until these are small, at most `iterations` times."""
     for i in range(iterations):
         if i % max(1, iterations // _REPORTS) == 0:
             report(i / iterations)
@@ -167,11 +167,12 @@ def relax(
 
 
 def transport_cost(points: object) -> float:
-    """Return the cost of transporting the uniform density to the points, equal masses at each.
+    """Return the cost of transporting the uniform density to the points, with equal masses.
 
-    The least mean square distance on the torus, W₂², over all ways to share the unit square out
-    equally; in 1-D by sorting, in 2-D by the power diagram with equal areas. n times the cost is
-    1/6 for a square grid, 0.1604 (5/(18√3)) for a hexagonal one, which no set can beat.
+    The cost is W₂², the smallest mean square distance on the torus over all equal partitions of the
+    unit square. It is computed by sorting in 1-D, and by the power diagram with equal areas in 2-D.
+    n times the cost is 1/6 for a square grid. The lower bound, 0.1604 (5/(18√3)), is that of a
+    hexagonal grid.
 
     Parameters
     ----------
@@ -181,8 +182,9 @@ def transport_cost(points: object) -> float:
     Raises
     ------
     DomainError
-        More than 2 dims, no points in [0,1), or points so far from uniform that Newton's method
-        takes more than 100 steps, or some seconds; random ones take 10 steps.
+        If there are more than 2 dims or no points in [0,1), or if the points are so far from
+        uniform that Newton's method takes more than 100 steps, or some seconds. Random points take
+        10 steps.
 
     References
     ----------
@@ -195,7 +197,7 @@ def transport_cost(points: object) -> float:
         )
     n = len(x)
     if x.shape[1] == 1:
-        # Intervals of 1/n in the order of the points, moved along the circle to where it costs least
+        # Intervals of 1/n in the order of the points, shifted along the circle to minimize the cost
         distances = np.sort(x[:, 0]) - (np.arange(n) + 0.5) / n
         return float(distances.var() + 1.0 / (12.0 * n * n))
 
@@ -207,10 +209,10 @@ def transport_cost(points: object) -> float:
     lacking = masses - diagram.areas
     if float(np.abs(lacking / masses).max()) > _CLOSE:
         raise DomainError(
-            f"The transport cost was not found in {_NEWTON} Newton steps or some seconds: the points "
-            "are too far from uniform; transform them to be nearly uniform, or give fewer."
+            f"The transport cost was not found in {_NEWTON} Newton steps or some seconds: the "
+            "points are too far from uniform; transform them to be nearly uniform, or give fewer."
         )
-    # The dual value: what areas lack counts at its price, so that errors are of second order
+    # Dual value: missing areas count at their weights, so that errors are of second order
     return float(np.sum(diagram.moments) + np.sum(weights * lacking))
 
 
@@ -222,19 +224,19 @@ class GaussianBlueNoise(OptimisedSampler):
     Attributes
     ----------
     sigma
-        σ as a multiple of the mean distance n^(−1/d): larger ones empty more of the low
-        frequencies and take more iterations.
+        σ as a multiple of the mean distance n^(−1/d). A larger σ removes more low frequencies and
+        takes more iterations.
     iterations
-        Most steps of the descent.
+        Largest number of descent steps.
     sets
-        Reuse of sets, see `OptimisedSampler`.
+        Largest number of different sets, see `OptimisedSampler`.
 
     Notes
     -----
-    The paper descends along the gradient; here the same gradient drives limited-memory BFGS, which
-    needs fewer steps. Up to 3 dims pairs are cut off at 6 σ, beyond them all images count through
-    the Fourier series of the Gaussian on the torus: work grows like n, or like n². The start is
-    random, and the energy does not change under translations: hence every point is uniform.
+    The paper descends along the gradient. Here the gradient drives limited-memory BFGS, which needs
+    fewer steps. In up to 3 dims, pairs are cut off at 6 σ, and work grows like n. In more dims, all
+    images count through the Fourier series of the Gaussian on the torus, and work grows like n².
+    The start is random and the energy is invariant under translation, so every point is uniform.
 
     References
     ----------
@@ -259,7 +261,7 @@ class GaussianBlueNoise(OptimisedSampler):
 
 
 def near_energy(sigma: float, points: Array) -> tuple[float, Array]:
-    """Return energy and gradient up to 3 dims, by cells."""
+    """Return energy and gradient in up to 3 dims, by cells."""
     n, dims = points.shape
     cells, offsets = _neighbor_cells(sigma, dims)
     padded, force = np.zeros((n, 3)), np.empty((n, 3))
@@ -277,7 +279,7 @@ def _neighbor_cells(sigma: float, dims: int) -> tuple[Array, Array]:
     axes = [range(-steps, steps + 1) if j < dims else range(1) for j in range(3)]
 
     def gap(offset: tuple[int, ...]) -> float:
-        """Least distance, in cells, between points of two cells so many steps apart."""
+        """Return the least distance, in cells, between points of cells at this offset."""
         return math.hypot(*(max(abs(step) - 1, 0) for step in offset))
 
     found = itertools.product(*axes)
@@ -296,18 +298,18 @@ def series_energy(sigma: float, points: Array) -> tuple[float, Array]:
 @final
 @dataclass(frozen=True, kw_only=True)
 class FarthestPoint(PlaneSampler, OptimisedSampler):
-    """Farthest-point optimized points: minimum distance near that of the densest packing (2-D torus).
+    """Farthest-point optimized points: minimum distance near the densest packing (2-D torus).
 
-    From random points on, every point in turn is taken out and put into the center of the largest
-    empty disk: the farthest place there is from all others. The minimum distance never decreases. One
-    sweep over n points takes O(n²) with a small constant: 1024 points and 30 sweeps, 2 s.
+    Starting from random points, each point in turn is moved to the center of the largest empty
+    disk, the place farthest from all others. The minimum distance never decreases. One sweep over n
+    points takes O(n²) with a small constant: 1024 points and 30 sweeps take 2 s.
 
     Attributes
     ----------
     dims
         2.
     sweeps
-        Largest number of moves of every point; fewer if nothing changes any more. After 30 the
+        Largest number of moves of every point; fewer if no point moves. After 30 sweeps the
         minimum distance is about 0.92 of that of the hexagonal packing.
 
     References
@@ -330,5 +332,5 @@ class FarthestPoint(PlaneSampler, OptimisedSampler):
                 kernels.move_points(start, stop, points, buckets, holes)
             if np.array_equal(points, before):
                 break
-        # Holes of equal size (there are, among few points) were chosen by where they are
+        # Among few points some holes have equal size; the choice depends on their position
         return wrap(points + offset)

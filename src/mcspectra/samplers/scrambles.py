@@ -1,7 +1,7 @@
 """Randomizations of digits: they keep elementary intervals, and strata whose sides are powers.
 
-All work in the base in which the digits of the sampler mean something (its `digit_bases`): 2, or
-the primes of halton, the base of faure.
+All act in the base of the sampler's digits (`digit_bases`): 2, or for instance the primes of
+halton or the base of faure.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def _as_base(name: str, base: object) -> Base:
 
 
 class _OfDigits(Randomization):
-    """A randomization of digits in a `base` of its own, else in that of the sampler, else in base 2."""
+    """A randomization of digits in its own `base`, else in that of the sampler, else in base 2."""
 
     pointwise: ClassVar[bool] = True
     fits: ClassVar[Mapping[Structure, Structure]] = {
@@ -47,11 +47,11 @@ class _OfDigits(Randomization):
     base: Base
 
     def fit(self, sampler: Sampler) -> Self:
-        """Take over the bases of the sampler; refuse others, and strata that they would break."""
+        """Adopt the bases of the sampler; raise an error for others and for strata that break."""
         if sampler.antithetic and not self.keeps_pairs:
             raise ParameterError(
-                f"{self.name} would break the pairs of {sampler.spec}, whose points mirror each "
-                "other; use shift, digital-shift or permute."
+                f"{self.name} would break the pairs of {sampler.spec}, whose points mirror "
+                "each other; use shift, digital-shift or permute."
             )
         Randomization.fit(self, sampler)
         own = sampler.digit_bases
@@ -73,7 +73,7 @@ class _OfDigits(Randomization):
         return self if self.base is not None or set(bases) == {2} else replace(self, base=bases)  # type: ignore[type-var]
 
     def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
-        """On strata powers of the base only: their sides then are powers, too."""
+        """For strata, allow only powers of the base, so that sides of strata are powers too."""
         if not sampler.powers_only:
             return sampler._counts_near(n)
         base, places = self._bases(sampler.dims)[0], 0
@@ -88,12 +88,12 @@ class _OfDigits(Randomization):
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
-        """Draw a fixed set once; randomize digits where the points are made, if there is a kernel."""
+        """Draw a fixed set once, or make randomized points directly if there is a kernel."""
         out, keys = np.empty((count, n, sampler.dims)), own.keys(first, count)
         if not self._fill(keys, sampler, n, out):
             points = sampler.draw_stream(n, stream, first, 1 if sampler.fixed else count)
             if count == 1 and isinstance(sampler, FixedSet):
-                out = points  # which nobody else holds
+                out = points  # this array is not shared
             self._scramble(keys, np.array(self._bases(sampler.dims)), points, out)
         return out
 
@@ -106,20 +106,20 @@ class _OfDigits(Randomization):
 
     @abstractmethod
     def _scramble(self, keys: Array, bases: Array, points: Array, out: Array) -> None:
-        """Randomize the digits of points (R or 1, n, d) in these bases."""
+        """Randomize the digits of points (R or 1, n, d) in the given bases."""
 
     def _fill(self, keys: Array, sampler: Sampler, n: int, out: Array) -> bool:  # noqa: ARG002
-        """Make the randomized points of `sampler`, or return False where there is no kernel."""
+        """Make the randomized points of `sampler`; return False if there is no kernel."""
         return False
 
     def _bases(self, dims: int) -> tuple[int, ...]:
-        """One base for each dim."""
+        """Return one base per dim."""
         if not isinstance(self.base, Sequence):
             return (self.base or 2,) * dims
         if len(self.base) != dims:
             raise ParameterError(
-                f"base has {counted(len(self.base), 'value')}; give one number or one for each of the {dims} "
-                "dims."
+                f"base has {counted(len(self.base), 'value')}; give one number or one for each of "
+                f"the {dims} dims."
             )
         return tuple(self.base)
 
@@ -129,13 +129,13 @@ class _OfDigits(Randomization):
 
 
 def _powers_possible(sampler: Sampler, base: int, exponents: range) -> Iterator[int]:
-    """Powers of `base` that the sampler can make, in the order of the exponents."""
+    """Yield powers of `base` that the sampler can make, in the order of the exponents."""
     powers = (base**k for k in exponents if base**k <= MAX_COUNT)
     return (n for n in powers if n in sampler._counts_near(n) and sampler.digit_strata(n, base))
 
 
 class _OfPlaces(_OfDigits):
-    """One permutation (if `shift`, a sum) for each place of each coordinate, the same for all points."""
+    """One permutation (with `shift`, a sum) per digit of each coordinate for all points."""
 
     shift: ClassVar[bool] = False
 
@@ -164,15 +164,15 @@ class _OfPlaces(_OfDigits):
 @final
 @dataclass(frozen=True, kw_only=True)
 class DigitalShift(_OfPlaces):
-    """Digital shift: one random digit added to each digit, modulo the base, the same for all points.
+    """Digital shift: one random digit added to each digit modulo the base, the same for all points.
 
-    Elementary intervals go to elementary intervals, and every point becomes uniform. In base 2 that
-    is the XOR of all 53 bits with one random word for each coordinate.
+    Elementary intervals map to elementary intervals, and every point becomes uniform. In base 2
+    this is the XOR of all 53 bits with one random word per coordinate.
 
     Attributes
     ----------
     base
-        Base of the digits, one or one for each dim; by default that of the sampler, else 2.
+        Base of the digits, one number or one per dim; by default that of the sampler, else 2.
 
     References
     ----------
@@ -188,13 +188,13 @@ class DigitalShift(_OfPlaces):
 class Permute(_OfPlaces):
     """Random digit permutations: one for each place of each coordinate, the same for all points.
 
-    Elementary intervals go to elementary intervals, and every point becomes uniform. In base 2 that
-    is the same as digital-shift.
+    Elementary intervals map to elementary intervals, and every point becomes uniform. In base 2
+    this equals digital-shift.
 
     Attributes
     ----------
     base
-        As for digital-shift.
+        Same as for digital-shift.
 
     References
     ----------
@@ -210,28 +210,28 @@ class Owen(_OfDigits):
     """Owen's nested uniform scrambling: the permutation of a digit depends on all digits above it.
 
     Digits are scrambled down to 2^-32 (32 bits in base 2); lower digits become independent
-    and uniform. Only the balance of nets in that base survives it: other sets keep
-    their multiplicities in the elementary intervals of each axis and little else.
+    and uniform. It preserves the balance of nets in that base. Other sets keep little more than
+    their counts in the elementary intervals of each axis.
 
     Attributes
     ----------
     method
-        ``"nested"``: all permutations independent, up to a 64-bit hash of the digits above.
-        ``"hash"``: in base 2 only, some six times as fast: all bits by a few multiplications in
-        which lower bits of the reversed word change higher ones only. Points are
-        exactly uniform, nets stay nets, and the flips of two points below their first different
-        digit pass tests of independence, on which variances depend; those of many points together
-        do not.
+        ``"nested"``: all permutations are independent, up to a 64-bit hash of the higher digits.
+        ``"hash"``, in base 2 only, is about six times as fast. It scrambles all bits by a few
+        multiplications in which lower bits of the reversed word change only higher ones. Points
+        are exactly uniform and nets stay nets. For pairs of points, on which variances depend,
+        the flips below the first different digit pass tests of independence. For many points
+        jointly they do not.
     base
-        As for digital-shift.
+        Same as for digital-shift.
 
     Notes
     -----
-    The hash is Laine and Karras's in the form and with the constants of Vegdahl (2021), its seed
-    made longer: two rounds, each with a random summand and a random odd factor, 126 random bits.
+    The hash is that of Laine and Karras, in the form and with the constants of Vegdahl (2021), with
+    a longer seed: two rounds, each with a random summand and a random odd factor, 126 random bits.
 
-    Halton, hammersley and van-der-corput points are drawn from the top of their trees of digits, each
-    from the earlier point with which it shares most digits [Helmer2021]_.
+    Halton, hammersley and van-der-corput points are drawn from the top of their trees of digits.
+    Each point derives from the earlier point with which it shares the most digits [Helmer2021]_.
 
     References
     ----------
@@ -243,19 +243,20 @@ class Owen(_OfDigits):
     base: Base = checked(_as_base, None)
 
     def law_of(self, law: Law, n: int) -> Law:  # noqa: ARG002
-        """Nested scrambling; that of hashes has the same law of pairs."""
+        """Return the law after nested scrambling; hashing has the same law of pairs."""
         return scrambled(law, "nested", self._bases(law.dims))
 
     def _check(self) -> None:
         if self.method == "hash" and not self._binary:
             raise ParameterError(
-                f"owen(method='hash') is for digits in base 2, not {self.base}; use method='nested'."
+                f"owen(method='hash') is for digits in base 2, not {self.base}; "
+                "use method='nested'."
             )
 
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
-        """Scramble plain radical inverses where they are made, by the `stream` that they leave unused."""
+        """Make scrambled radical inverses directly, with the `stream` that plain ones ignore."""
         if self.method == "nested" and isinstance(sampler, RadicalInverses) and sampler.fixed:
             return sampler.draw_nested(n, stream, first, count)
         return _OfDigits.draw(self, sampler, n, stream, own, first, count)
@@ -272,17 +273,17 @@ class Owen(_OfDigits):
 class Lms(_OfDigits):
     """Random linear matrix scrambling: each generator matrix times a random lower triangular one.
 
-    The digits of each coordinate are multiplied by a random lower triangular matrix, its diagonal
-    not zero, modulo the base, a prime: nets stay nets. Pairs of points of a net are moved as by
-    owen, so that variances are the same, at less cost; sets are fewer and more regular.
+    The digits of each coordinate are multiplied by a random lower triangular matrix with nonzero
+    diagonal, modulo the base, a prime. Nets stay nets. Pairs of points of a net have the same law
+    as with owen, hence the same variances, at less cost. Sets are fewer and more regular.
 
     Attributes
     ----------
     shift
-        Whether a digital shift follows: without it the origin stays where it is, and points are
-        not uniform.
+        Whether a digital shift follows. Without it the origin does not move, and points are not
+        uniform.
     base
-        As for digital-shift.
+        Same as for digital-shift.
 
     References
     ----------
@@ -294,16 +295,16 @@ class Lms(_OfDigits):
     base: Base = checked(_as_base, None)
 
     def law_of(self, law: Law, n: int) -> Law:  # noqa: ARG002
-        """A linear scramble, with or without a shift."""
+        """Return the law after a linear scramble, with or without a shift."""
         return scrambled(law, "linear", self._bases(law.dims), shifts=self.shift)
 
     @property
     def debiases(self) -> bool:  # type: ignore[override]
-        """Only the shift makes every point uniform."""
+        """Whether a shift makes every point uniform."""
         return self.shift
 
     def fit(self, sampler: Sampler) -> Self:
-        """Refuse bases that are not primes."""
+        """Check that all bases are primes."""
         fitted = _OfDigits.fit(self, sampler)
         composite = [b for b in fitted._bases(sampler.dims) if not is_prime(b)]
         if composite:

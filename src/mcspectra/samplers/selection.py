@@ -1,4 +1,4 @@
-"""Randomizations that choose among the points of a sampler or reorder them: subset, skip, shuffle."""
+"""Randomizations that select or reorder the points of a sampler: subset, skip, shuffle."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from mcspectra.samplers.law import Fixed, Independent, Law
 
 __all__ = ["Shuffle", "Skip", "Subset"]
 
-_NUMBERS = 2**24  # of larger sets in memory at a time: 128 MiB
+_NUMBERS = 2**24  # numbers of larger sets in memory at a time: 128 MiB
 _PARTS: dict[Structure, Structure] = dict.fromkeys(Structure, Structure.NONE) | {
     Structure.UNKNOWN: Structure.UNKNOWN,
     Structure.TORUS: Structure.TORUS,
 }
-"""What a part of the points has: least distances, but no point in each stratum."""
+"""Structures of a part of the points: minimum distances remain, full strata do not."""
 
 _MOST_MADE = 2**27
-"""Most numbers of a set of which a part is wanted: 1 GiB."""
+"""Largest number of coordinates of a set from which a part is taken: 1 GiB."""
 
 
 @final
@@ -38,15 +38,16 @@ class Subset(Randomization):
     Attributes
     ----------
     of
-        Number N of points of the whole set. By default the least count ≥ n that the sampler can
-        do: any n then works with any sampler.
+        Number N of points of the whole set. The default is the smallest count ≥ n of the sampler;
+        then any n works with any sampler.
     pick
         ``"random"``: every n of the N points with the same probability. ``"run"``: n successive
-        points from a random one on, the first after the last.
+        points from a random start, continued cyclically.
 
     Notes
     -----
-    Least distances stay; strata and elementary intervals with one point each do not, unless n = N.
+    Minimum distances remain. Strata and elementary intervals with one point each do not, unless
+    n = N.
 
     References
     ----------
@@ -58,7 +59,7 @@ class Subset(Randomization):
     pick: str = choice("random", "run")
 
     def fit(self, sampler: Sampler) -> Randomization:
-        """Refuse a number of points that `sampler` cannot make."""
+        """Check that `sampler` can make the number of points of the whole set."""
         if self.of is not None:
             _check_size(self, sampler, self.of)
             with warnings.catch_warnings():
@@ -67,7 +68,7 @@ class Subset(Randomization):
         return Randomization.fit(self, sampler)
 
     def law_of(self, law: Law, n: int) -> Law:
-        """A part of independent points is as good as any; all of the points are the set itself."""
+        """Return the law; independent points stay independent, and a full subset keeps its law."""
         if isinstance(law, Independent):
             return Independent(n=n, dims=law.dims)
         return law if law.n == n else Randomization.law_of(self, law, n)
@@ -77,14 +78,14 @@ class Subset(Randomization):
         return self.of or sampler._counts_near(n)[1]
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """Return all points: a copy."""
+        """Return a copy of all points."""
         del stream, first
         return points.copy()
 
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
-        """Draw the whole sets and pick from them."""
+        """Draw the whole sets and select points."""
 
         def pick(points: Array, start: int, out: Array) -> None:
             _pick(own.keys(start, len(out)), self.pick == "run", points, out)
@@ -93,7 +94,7 @@ class Subset(Randomization):
         return _picked(sampler, size, pick, stream, first, np.empty((count, n, sampler.dims)))
 
     def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
-        """Return n itself where the whole set is large enough."""
+        """Return n itself if the whole set is large enough."""
         below, above = sampler._counts_near(n) if self.of is None else (self.of, self.of)
         if n <= above <= MAX_COUNT:
             return n, n
@@ -116,14 +117,14 @@ class Skip(Randomization):
     Attributes
     ----------
     count
-        How many points to leave out.
+        Number of points to leave out.
 
     Notes
     -----
-    For sequences (sobol, halton, kronecker, random, …) and points from outside: other sets cover only
-    a part of the domain without their first points, and are refused. A run of b^m points of a
-    sequence in base b has the balance of a net only if `count` is a multiple of b^m: leaving out just
-    the origin spoils it. Skipped points are made and thrown away.
+    For sequences (sobol, halton, kronecker, random, …) and points from outside. Other sets are
+    refused, because without their first points they cover only a part of the domain. A run of b^m
+    points of a sequence in base b has the balance of a net only if `count` is a multiple of b^m.
+    Omitting only the origin destroys it. Skipped points are computed and discarded.
 
     References
     ----------
@@ -135,12 +136,12 @@ class Skip(Randomization):
     count: int = whole(0, least=0, most=MAX_COUNT)
 
     def fit(self, sampler: Sampler) -> Randomization:
-        """Refuse sets that are not sequences."""
+        """Check that the sampler is a sequence."""
         _check_size(self, sampler, self.count)
         if not (sampler.sequence or sampler.structure is Structure.UNKNOWN):
             raise ParameterError(
-                f"skip would break the uniform coverage of {sampler.spec}, which is not a sequence; "
-                "use a sequence such as sobol, halton or kronecker, or use subset."
+                f"skip would break the uniform coverage of {sampler.spec}, which is not a "
+                "sequence; use a sequence such as sobol, halton or kronecker, or use subset."
             )
         return Randomization.fit(self, sampler)
 
@@ -153,11 +154,11 @@ class Skip(Randomization):
         return Randomization.law_of(self, law, n)
 
     def count_inside(self, sampler: Sampler, n: int) -> int:  # noqa: ARG002
-        """Return how many points are made."""
+        """Return the number of points that are drawn."""
         return n + self.count
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """Return all points but the first `count`."""
+        """Return all points except the first `count`."""
         del stream, first
         return points[:, self.count :].copy()
 
@@ -175,13 +176,13 @@ class Skip(Randomization):
         return _picked(sampler, n + self.count, pick, stream, first, out)
 
     def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
-        """Return the counts of `sampler`, less the points left out."""
+        """Return the counts of `sampler` minus the omitted points."""
         below, above = sampler._counts_near(n + self.count)
         kept = 0 if below is None else below - self.count
         return (kept if kept > 0 else None), above - self.count
 
     def max_count(self, sampler: Sampler) -> int:
-        """Return the largest count of `sampler`, less the points left out."""
+        """Return the largest count of `sampler` minus the omitted points."""
         return max(sampler.max_count - self.count, 0)
 
     def count_warning(self, sampler: Sampler, n: int) -> str | None:
@@ -200,7 +201,7 @@ class Skip(Randomization):
 class Shuffle(Randomization):
     """Shuffle: the same points in random order, every order with the same probability.
 
-    Sets padded side by side are then not correlated, and the first points are a random subset.
+    Sets combined in different dims are then uncorrelated, and the first points are a random subset.
 
     References
     ----------
@@ -208,7 +209,7 @@ class Shuffle(Randomization):
     """
 
     def law_of(self, law: Law, n: int) -> Law:  # noqa: ARG002
-        """The order of points is no part of a law."""
+        """Return the law, which does not include the order of points."""
         return law
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
@@ -244,14 +245,14 @@ def _picked(
 
 @kernel
 def _pick(keys: Array, run: bool, points: Array, out: Array) -> None:
-    # n of N points of each realization: out (R, n, d), points (R, N, d)
+    # Select n of N points of each realization: out (R, n, d), points (R, N, d)
     for r in range(out.shape[0]):
         n, size = out.shape[1], points.shape[1]
         k0, k1 = keys[r, 0], keys[r, 1]
         start = int(mix_uniform(k0, k1, 0) * size)
         taken = 0
         for i in range(size):
-            # Selection sampling: take it with probability (still wanted)/(still there)
+            # Selection sampling: take a point with probability (still needed)/(still available)
             if run:
                 if taken == n:
                     break
@@ -264,7 +265,7 @@ def _pick(keys: Array, run: bool, points: Array, out: Array) -> None:
 
 @kernel
 def _shuffle_points(keys: Array, out: Array) -> None:
-    # Fisher and Yates from the end, in place; the bias of the remainder is below n/2^64
+    # Fisher and Yates from the end, in place; the remainder has a bias below n/2^64
     count, n, dims = out.shape
     for r in range(count):
         for i in range(n - 1, 0, -1):

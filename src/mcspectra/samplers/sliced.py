@@ -1,4 +1,4 @@
-"""Sliced optimal transport: points whose projections on all lines are as even as they can be."""
+"""Sliced optimal transport: points whose projections on all lines are as even as possible."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from mcspectra.samplers.optimised import OptimisedSampler, random_points
 
 __all__ = ["SlicedOptimalTransport", "projected_quantiles"]
 
-_TABLE = 2049  # places where the distribution of a projected cube is tabulated
-_NARROW = 1e-3  # a component of a direction that changes no quantile by more than 1e-7
+_TABLE = 2049  # number of points of the table of a projected cube's distribution
+_NARROW = 1e-3  # components below this are ignored; quantiles change by at most 1e-7
 
 
 @final
@@ -27,19 +27,19 @@ class SlicedOptimalTransport(OptimisedSampler):
     Attributes
     ----------
     iterations
-        Moves of all points, each by the mean over its directions.
+        Number of moves of all points, each by the mean over its directions.
     directions
-        Random directions in each iteration.
+        Number of random directions per iteration.
     sets
-        Reuse of sets, see `OptimisedSampler`.
+        Largest number of different sets, see `OptimisedSampler`.
 
     Notes
     -----
-    On every direction θ the k-th point in the order of θ·x is drawn to the quantile (k − ½)/n of
-    the projected cube. The paper does so in the ball and maps that to the cube; here the target is
-    the cube itself, the sum of d uniform numbers of widths |θ_j|. The cube has sides and corners:
-    points near them are not quite uniform by themselves, so that means are not exact. A `shift`
-    makes them so, and so do given `sets`, which are translated.
+    On every direction θ, the k-th point in the order of θ·x moves toward the quantile (k − ½)/n of
+    the projected cube. The paper does so in the ball, and maps the ball to the cube. Here the
+    target is the cube itself: its projection is a sum of d uniform numbers of widths |θ_j|. Points
+    near the faces and corners of the cube are not quite uniform, so means are not exact. A `shift`
+    makes them exact, and so does a number of `sets`, which are translated.
 
     References
     ----------
@@ -54,7 +54,7 @@ class SlicedOptimalTransport(OptimisedSampler):
 
     @property
     def unbiased(self) -> bool:  # type: ignore[override]
-        """Whether every point is uniform: only where sets are translated."""
+        """Whether every point is uniform, which is true only if sets are translated."""
         return self.sets is not None
 
     def _optimize(self, n: int, keys: Array, report: Callable[[float], None]) -> Array:
@@ -62,16 +62,15 @@ class SlicedOptimalTransport(OptimisedSampler):
         normals = np.empty((1, self.directions * self.dims))
         for i in range(self.iterations):
             fill_normals(keys[None], used, normals)
-            used += normals.size + 1  # an odd number of normals uses one uniform more
+            used += normals.size + 1  # an odd number of normals uses one more uniform number
             directions = normals.reshape(self.directions, self.dims)
             directions = directions / np.sqrt(np.sum(directions**2, axis=1))[:, None]
 
-            # Move by the mean over directions of the moves to the quantiles along each
+            # Move points by the mean, over directions, of the moves to the quantiles
             move = np.zeros(points.shape)
             for direction in directions:
-                place = np.sum(
-                    (points - 0.5) * direction, axis=1
-                )  # no library: the same bits always
+                # NumPy's own sum: the same bits everywhere
+                place = np.sum((points - 0.5) * direction, axis=1)
                 order, delta = np.argsort(place, kind="stable"), np.empty(n)
                 delta[order] = projected_quantiles(direction, n) - place[order]
                 move += delta[:, None] * direction
@@ -84,8 +83,8 @@ class SlicedOptimalTransport(OptimisedSampler):
 def projected_quantiles(direction: Array, n: int) -> Array:
     """Return the quantiles (k − ½)/n, k = 1 … n, of θ·(x − ½), x uniform in the cube.
 
-    The distribution starts as that of the widest component; each further one is the mean of it
-    over an interval of that component's width.
+    The distribution starts as that of the widest component. Each further component replaces it by
+    its mean over an interval of that component's width.
     """
     widths = np.sort(np.abs(direction))[::-1]
     end = widths.sum() / 2
@@ -93,7 +92,7 @@ def projected_quantiles(direction: Array, n: int) -> Array:
     below = np.clip(t / widths[0] + 0.5, 0.0, 1.0)
     for width in widths[1:]:
         if width > _NARROW:
-            # Means of `below`, tabulated at t, over the width around each t; beyond the ends it is 1
+            # Means of `below` over the width around each t; `below` is 1 beyond the table
             strips = np.cumsum((below[1:] + below[:-1]) * ((t[1] - t[0]) / 2))
             primitive = np.concatenate([[0.0], strips])
             upper, lower = t + width / 2, t - width / 2

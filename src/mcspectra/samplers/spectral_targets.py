@@ -1,7 +1,7 @@
 """Sets in 2-D for a given target: a step, a radial power spectrum or a pair correlation.
 
 Frequencies are given as ν = |m|/√n and distances as r√n, in units of the mean distance 1/√n of the
-points, so that one target serves every count.
+points, so that one target applies to every count.
 """
 
 from __future__ import annotations
@@ -32,33 +32,33 @@ __all__ = [
 ]
 
 Profile: TypeAlias = Callable[[Array], Array]
-"""A function of the distance from 0, 1 far away: power over ν, or pair correlation over r."""
+"""A function of the distance from 0 with limit 1: power over ν, or pair correlation over r."""
 
-_REACH = 2.0  # |m|/√n up to where power is matched
-_PCF_REACH = 4.0  # the same for pair correlations: details of ⅛ of the mean distance
-_TRIED = np.linspace(0.0, 6.0, 601)  # where transforms of targets are looked at
-_LINE = np.linspace(0.0, 2 * _PCF_REACH, 1601)  # beyond the corners of the square of frequencies
-_NEGATIVE = -1e-6  # what counts as negative there: quadrature leaves 1e-9
+_REACH = 2.0  # largest |m|/√n at which power is matched
+_PCF_REACH = 4.0  # same for pair correlations; resolves ⅛ of the mean distance
+_TRIED = np.linspace(0.0, 6.0, 601)  # places at which transforms of targets are checked
+_LINE = np.linspace(0.0, 2 * _PCF_REACH, 1601)  # covers the corners of the square of frequencies
+_NEGATIVE = -1e-6  # values below this count as negative; quadrature errs by 1e-9
 _LARGEST_STEP = 1 / math.sqrt(math.pi)
 _MOST_KNOTS, _LARGEST_PLACE = 200, 4.0
-_EPS = 1e-9  # of the non-uniform transforms
-_NODES = 48  # of Gauss and Legendre, on each piece: products with J0 up to 2π·4·4 are smooth there
+_EPS = 1e-9  # tolerance of the non-uniform transforms
+_NODES = 48  # Gauss-Legendre nodes per piece; enough for J0 up to 2π·4·4
 
 
 class _MatchedSampler(PlaneSampler, OptimisedSampler):
-    """Points whose radial mean power descends to that of a target."""
+    """Points optimized so that their radial mean power approaches a target."""
 
     other_dims: ClassVar[str] = "for other dims use gaussian-blue-noise"
     iterations: int
 
     @abstractmethod
     def _loss(self, n: int) -> RingLoss:
-        """Return how far points are from the target, for `n` of them."""
+        """Return the loss that measures the distance of `n` points from the target."""
 
     def misfit(self, points: object) -> float:
-        """Return the root mean square difference of the power of `points` (n, 2) from the target.
+        """Return the root-mean-square difference of the power of `points` (n, 2) from the target.
 
-        The mean is over the frequencies, of which each ring shares its mean power.
+        The mean is over frequencies; each frequency has the mean power of its ring.
         """
         x = as_unit_points(points, dims=2)
         power, target, sizes = self._loss(len(x)).rings(x)
@@ -84,12 +84,12 @@ class StepBlueNoise(_MatchedSampler):
     Attributes
     ----------
     cutoff
-        ν, in units of √n: mean power 0 for |m| < ν √n, 1 above. Up to 1/√π = 0.564: beyond,
-        a step would need a negative density of pairs.
+        ν, in units of √n: mean power 0 for |m| < ν √n, 1 above. At most 1/√π = 0.564, since a
+        higher step would need a negative density of pairs.
     iterations
-        Most steps of the descent.
+        Largest number of descent steps.
     sets
-        Reuse of sets, see `OptimisedSampler`.
+        Largest number of different sets, see `OptimisedSampler`.
 
     References
     ----------
@@ -102,8 +102,8 @@ class StepBlueNoise(_MatchedSampler):
     def _check(self) -> None:
         if self.cutoff > _LARGEST_STEP:
             raise ParameterError(
-                f"cutoff is {self.cutoff:g}; give at most 1/√π = 0.5642: a higher cutoff would need "
-                "a negative density of pairs."
+                f"cutoff is {self.cutoff:g}; give at most 1/√π = 0.5642: a higher cutoff would "
+                "need a negative density of pairs."
             )
 
     def _loss(self, n: int) -> RingLoss:
@@ -120,19 +120,19 @@ class TargetSpectrum(_MatchedSampler):
     frequencies
         |m|/√n of the knots, increasing, 0 to 4.
     power
-        n⟨|S_m|²⟩ at the knots; constant before the first knot, 1 after the last. Matched up to
-        |m| = 2 √n.
+        n⟨|S_m|²⟩ at the knots; constant before the first knot, 1 after the last. The power is
+        matched up to |m| = 2 √n.
     iterations
-        Most steps of the descent.
+        Largest number of descent steps.
     sets
-        Reuse of sets, see `OptimisedSampler`.
+        Largest number of different sets, see `OptimisedSampler`.
 
     Notes
     -----
-    The mean power of rings of frequencies one wide is fitted, by descent from independent uniform
-    points, so that single sets follow the curve closer than chance would have it. Targets whose
-    pair correlation (the Hankel transform) is negative somewhere do not exist, and are refused.
-    `misfit` says how near a set has come.
+    The descent starts from independent uniform points and fits the mean power of rings of
+    frequencies of width one. Single sets therefore follow the curve more closely than random
+    fluctuations would allow. A target whose pair correlation (the Hankel transform) is negative
+    somewhere does not exist, and is refused. `misfit` measures the remaining difference.
 
     References
     ----------
@@ -163,19 +163,19 @@ class TargetPcf(_MatchedSampler):
     Attributes
     ----------
     distances
-        r√n of the knots, increasing, 0 to 4.
+        r√n at the knots, increasing, 0 to 4.
     pcf
         Pair correlation at the knots, 1 for independent points; constant before the first knot,
         1 after the last.
     iterations
-        Most steps of the descent.
+        Largest number of descent steps.
     sets
-        Reuse of sets, see `OptimisedSampler`.
+        Largest number of different sets, see `OptimisedSampler`.
 
     Notes
     -----
-    The curve is turned into radial power by a Hankel transform, and that is matched up to
-    |m| = 4 √n as `target-spectrum` does; a curve whose power is negative somewhere is refused.
+    A Hankel transform converts the curve to radial power, which is matched up to |m| = 4 √n as in
+    `target-spectrum`. A curve whose power is negative somewhere is refused.
 
     References
     ----------
@@ -200,9 +200,9 @@ class TargetPcf(_MatchedSampler):
 
 
 def _least_transform(sampler: Any, places: str, values: str) -> tuple[float, float]:
-    """Make both fields tuples of floats: increasing places, values that are not negative.
+    """Convert both fields to tuples of floats; check increasing places and nonnegative values.
 
-    Returns the least value of the other description of this target, and where it is.
+    Return the smallest value of the transformed target (power or pair correlation), and its place.
     """
     x, y = (as_real_array(name, getattr(sampler, name)) for name in (places, values))
     if x.ndim != 1 or x.shape != y.shape or not 0 < x.size <= _MOST_KNOTS:
@@ -222,14 +222,14 @@ def _least_transform(sampler: Any, places: str, values: str) -> tuple[float, flo
     return float(transform.min()), float(_TRIED[transform.argmin()])
 
 
-@lru_cache(maxsize=8)  # many small sets have one target
+@lru_cache(maxsize=8)  # many small sets share a target
 def _power_of_pcf(distances: tuple[float, ...], pcf: tuple[float, ...]) -> Array:
     """Return the power of a pair correlation along `_LINE`."""
     return np.maximum(hankel(piecewise_linear(distances, pcf), np.array(distances), _LINE), 0.0)
 
 
 def piecewise_linear(places: Any, values: Any) -> Profile:
-    """Return the profile through (places, values), constant before the first and 1 after the last."""
+    """Return the linear interpolant, constant before the first place and 1 after the last."""
 
     def profile(x: Array) -> Array:
         return np.asarray(np.interp(x, places, values, right=1.0))
@@ -240,8 +240,8 @@ def piecewise_linear(places: Any, values: Any) -> Profile:
 def hankel(profile: Profile, places: Array, at: Array) -> Array:
     """Return 1 + 2π ∫ (profile(t) − 1) J0(2π t s) t dt at every s of `at`.
 
-    It turns power into pair correlation and back: both are 1 plus the transform of the other's
-    difference from 1. `places` are where the pieces of the profile meet, its end included.
+    It converts power to pair correlation and back: each is 1 plus the transform of the other minus
+    1. `places` are the knots of the profile, including its end.
     """
     from scipy.special import j0
 
@@ -259,18 +259,19 @@ def hankel(profile: Profile, places: Array, at: Array) -> Array:
 class RingLoss:
     """Squared difference between the mean power of rings of frequencies and a target, in 2-D.
 
-    Ring r holds the frequencies with |m| within ½ of r; the loss is Σ (mean power − target)² over
-    rings, the target averaged over the same frequencies. Weighing rings by their frequencies
-    instead leaves the lowest ones, which matter most, ten times further from their target.
+    Ring r holds the frequencies with |m| within ½ of r. The loss is Σ (mean power − target)² over
+    rings, with the target averaged over the same frequencies. If rings were weighted by their
+    number of frequencies, the lowest rings, which matter most, would miss their target by ten times
+    as much.
 
     Parameters
     ----------
     n
         Number of points.
     target
-        n⟨|S_m|²⟩ against |m|/√n.
+        n⟨|S_m|²⟩ as a function of |m|/√n.
     reach
-        The largest |m|/√n that counts.
+        The largest |m|/√n that is used.
     """
 
     def __init__(self, n: int, target: Profile, reach: float) -> None:
@@ -283,7 +284,7 @@ class RingLoss:
         self.ring = np.where(norm < most + 0.5, np.round(norm), 0).astype(np.int64)  # 0: outside
         self.sizes = np.maximum(np.bincount(self.ring.ravel()), 1)
         self.target = self._ring_means(target(norm / n**0.5))
-        plans = [(1, -1, 1), (2, 1, 2)]  # type, sign, transforms at once
+        plans = [(1, -1, 1), (2, 1, 2)]  # type, sign, number of transforms
         self.plans: list[Any] = [
             finufft.Plan(
                 kind, norm.shape, n_trans=many, eps=_EPS, isign=sign, nthreads=1, showwarn=0

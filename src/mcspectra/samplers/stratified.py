@@ -1,11 +1,11 @@
-"""Random points, grids, jitter in their cells, multi-jittered sets, shared cells, the triangular lattice.
+"""Random points, square and hexagonal grids, jittered and multi-jittered sets, shared cells.
 
-The unit cube is cut into n cells of equal volume, s a side (n = s^d) unless other sides are given.
-Points come in row-major order of their cells, the last coordinate fastest.
+The unit cube is divided into n cells of equal volume, s per side (n = s^d) unless other sides are
+given. Points come in row-major order of their cells, the last coordinate fastest.
 
 Legend of the kernels: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`;
-``out`` float64 (R, n, d). Number i·d + j of a realization belongs to coordinate j of point i; those of
-shuffles come after them.
+``out`` float64 (R, n, d). Random number i·d + j of a realization belongs to coordinate j of point
+i; numbers for shuffles follow.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ __all__ = [
 ]
 
 _SLACK = 2.0**-52
-_MOST_WIDTH = 1000.0  # cells: far beyond independent points, and wrapped in float64 without loss
+_MOST_WIDTH = 1000.0  # largest width in cells; float64 still wraps exactly
 
 
 @final
@@ -91,7 +91,7 @@ class Random(Sampler):
 
 
 class GridSampler(Sampler):
-    """Base of samplers on a grid of s^d cells, or of `sides_` cells along the axes."""
+    """Abstract sampler on a grid of s^d cells, or of `sides_` cells along the axes."""
 
     sides_: Sequence[int] | None = None
 
@@ -141,9 +141,9 @@ class Regular(FixedSet, GridSampler):
     Attributes
     ----------
     position
-        ``"center"`` or ``"corner"`` (the one next to the origin) of each cell.
+        ``"center"`` or ``"corner"`` (next to the origin) of each cell.
     sides
-        Cells along each axis, one number for each dim; s each if not given.
+        Number of cells along each axis; by default s on every axis.
 
     References
     ----------
@@ -175,7 +175,7 @@ class UniformJitter(GridSampler):
     Attributes
     ----------
     sides
-        Cells along each axis, one number for each dim; s each if not given.
+        Number of cells along each axis; by default s on every axis.
 
     References
     ----------
@@ -204,7 +204,7 @@ class Jittered(GridSampler):
     Attributes
     ----------
     sides
-        Cells along each axis, one number for each dim; s each if not given.
+        Number of cells along each axis; by default s on every axis.
 
     References
     ----------
@@ -238,14 +238,14 @@ class BoxJitter(GridSampler):
     Attributes
     ----------
     width
-        Side of the box in sides of a cell, from 0 to 1000: 0 is the regular grid, 1 is jittered.
+        Side of the box in units of a cell side, from 0 (regular grid) to 1000; 1 is jittered.
 
     Notes
     -----
-    Every point is uniform on the torus where the boxes tile it: for whole widths from 1 on. Others
-    leave gaps or overlaps at the same places of every cell; shift makes them uniform. Points that
-    leave the domain at one end come in at the other. The default is narrow enough to look
-    unlike jittered, and is not from a paper.
+    Every point is uniform if the boxes tile the torus, that is for whole widths of at least 1.
+    Other widths leave gaps or overlaps at the same places of every cell; shift makes the points
+    uniform. Points that leave the domain at one end enter at the other. The default is chosen to
+    look different from jittered, and is not from a paper.
 
     References
     ----------
@@ -279,14 +279,14 @@ class GaussianJitter(GridSampler):
     Attributes
     ----------
     width
-        Standard deviation along each axis in sides of a cell, from 0 (the regular grid) to 1000.
+        Standard deviation along each axis in units of a cell side, from 0 (regular grid) to 1000.
 
     Notes
     -----
-    A point is not uniform: the centers show in its density as 1 + 2 exp(−2π² width²) cos(2πsx) + …
-    along each axis, by 58 % at width 0.25 and by 10^-8 at width 1; shift makes it uniform. Points
-    may leave their cells; those that leave the domain come in at the other end. The default is about
-    the standard deviation of jittered, 0.29, and is not from a paper.
+    A point is not uniform. Its density is 1 + 2 exp(−2π² width²) cos(2πsx) + … along each axis: it
+    varies by 58 % at width 0.25 and by 10^-8 at width 1. Shift makes it uniform. Points may leave
+    their cells; a point that leaves the domain enters at the other end. The default is about the
+    standard deviation of jittered, 0.29, and is not from a paper.
 
     References
     ----------
@@ -305,7 +305,7 @@ class GaussianJitter(GridSampler):
         from scipy.special import ndtri
 
         u = stream.uniforms(first, count, n * self.dims)
-        normal = ndtri(np.maximum(u, 2.0**-54))  # 0 would go to −∞
+        normal = ndtri(np.maximum(u, 2.0**-54))  # ndtri(0) is −∞
         return _moved_centers(self._sides(n), self.width * normal)
 
 
@@ -318,8 +318,8 @@ class AntitheticJittered(Sampler):
 
     Notes
     -----
-    The linear part of the integrand cancels within each pair, so that the variance of smooth
-    integrands goes down as n^(−1 − 4/d), that of jittered as n^(−1 − 2/d).
+    The linear part of the integrand cancels within each pair. The variance of smooth integrands
+    therefore falls like n^(−1 − 4/d), compared with n^(−1 − 2/d) for jittered.
 
     References
     ----------
@@ -348,28 +348,28 @@ class AntitheticJittered(Sampler):
 
 @kernel
 def _fill_antithetic(keys: Array, corners: Array, side: float, out: Array) -> None:
-    # Corners (cells, d), out (R, cells, 2, d); `side` as from `cell_side`.
+    # Corners (cells, d), out (R, cells, 2, d); `side` from `cell_side`.
     count, cells, _, dims = out.shape
     for r in range(count):
         for i in range(cells):
             for j in range(dims):
                 u = mix_uniform(keys[r, 0], keys[r, 1], i * dims + j)
                 out[r, i, 0, j] = corners[i, j] + side * u
-                # The numbers k/2^53 reflected: exact, and as evenly spread as they are
+                # Reflect the number k/2^53 exactly, so that reflections are equally evenly spread
                 out[r, i, 1, j] = corners[i, j] + side * (BELOW_ONE - u)
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class MultiJittered(PlaneSampler):
-    """Jittered in a × b cells, with one point in each of n strata of either axis too (2-D).
+    """Jittered in a × b cells, with one point also in each of n strata of either axis (2-D).
 
-    2-D. The counts are those n = a·b with a ≤ b ≤ 2a; the most nearly square such a × b is taken.
+    2-D. Counts are n = a·b with a ≤ b ≤ 2a; the sampler takes the most nearly square a × b.
 
     Notes
     -----
-    The shares of a column (or row) are shuffled independently of those of the others;
-    correlated-multi-jittered repeats one shuffle in all of them.
+    The sub-strata of a column (or row) are shuffled independently of the other columns;
+    correlated-multi-jittered uses one shuffle for all of them.
 
     References
     ----------
@@ -380,7 +380,7 @@ class MultiJittered(PlaneSampler):
     other_dims: ClassVar[str] = "for other dims use orthogonal-array, jittered or latin-hypercube"
 
     def _law(self, n: int) -> Law:
-        # Two points are in one column, in one row, or in neither
+        # Two points share one column, one row, or neither
         columns = nearly_square(n)
         rows = n // columns
         c, r = 1.0 / columns, 1.0 / rows
@@ -422,12 +422,13 @@ class CorrelatedMultiJittered(PlaneSampler):
 
     Notes
     -----
-    Counts n = a·b with a ≤ b ≤ 2a take the most nearly square such a × b: each of the a × b cells
-    and each n-th of either axis holds one point. Other counts follow the memo's code: a = ⌊√n⌋
-    columns and b = ⌈n/a⌉ rows of height a/n, of which the last is incomplete. Each n-th of the
-    second axis then holds one point, and each (a·b)-th of the first and each cell at most one; digit
-    scrambles are for rectangles only. Shuffles are true random permutations, where the memo hashes
-    indices. Points come in the order of their second coordinate; shuffle gives them another.
+    For counts n = a·b with a ≤ b ≤ 2a, the sampler takes the most nearly square a × b: each of the
+    a × b cells and each n-th of either axis holds one point. Other counts follow the memo's code:
+    a = ⌊√n⌋ columns and b = ⌈n/a⌉ rows of height a/n, of which the last is incomplete. Then each
+    n-th of the second axis holds one point, and each (a·b)-th of the first axis and each cell at
+    most one; digit scrambles need a full rectangle. Shuffles are true random permutations, whereas
+    the memo hashes indices. Points come in the order of their second coordinate; add shuffle for a
+    random order.
 
     References
     ----------
@@ -438,7 +439,7 @@ class CorrelatedMultiJittered(PlaneSampler):
     other_dims: ClassVar[str] = "for other dims use orthogonal-array, jittered or latin-hypercube"
 
     def digit_strata(self, n: int, base: int) -> bool:
-        """Whether n is a rectangle of columns and rows that are powers of the base."""
+        """Whether n points form a rectangle of columns and rows that are powers of the base."""
         columns = nearly_square(n)
         return columns > 0 and base ** round(math.log(columns, base)) == columns
 
@@ -461,13 +462,13 @@ def _fill_multi_jittered(keys: Array, columns: int, rows: int, side: float, out:
     down, across = np.empty(rows, np.int64), np.empty(columns, np.int64)
     for r in range(out.shape[0]):
         k0, k1, points = keys[r, 0], keys[r, 1], out[r]
-        # The points of a column share it out among themselves
+        # Shuffle the points of each column over its sub-strata
         for i in range(columns):
             _shuffle(k0, k1, 2 * n + i * rows, down)
             for j in range(rows):
                 p = i * rows + j
                 points[p, 0] = (i * rows + down[j]) / n + side * mix_uniform(k0, k1, 2 * p)
-        # Those of a row likewise
+        # Shuffle the points of each row over its sub-strata
         for j in range(rows):
             _shuffle(k0, k1, 3 * n + j * columns, across)
             for i in range(columns):
@@ -480,9 +481,9 @@ def _fill_multi_jittered(keys: Array, columns: int, rows: int, side: float, out:
 def _fill_correlated(
     keys: Array, columns: int, rows: int, wide: float, high: float, out: Array
 ) -> None:
-    # One shuffle of the columns, one of the rows, for all points. Point p stays in the p-th of the n
-    # strata of the second axis, and so in row ⌊p / columns⌋; the last row may be incomplete. `wide`
-    # and `high` are the sides of the strata of either axis.
+    # One shuffle of the columns and one of the rows, for all points. Point p is in the p-th of the
+    # n strata of the second axis, and so in row ⌊p / columns⌋; the last row may be incomplete.
+    # `wide` and `high` are the sides of the strata of the two axes.
     n, slots = out.shape[1], columns * rows
     across, down = np.empty(columns, np.int64), np.empty(rows, np.int64)
     for r in range(out.shape[0]):
@@ -500,16 +501,16 @@ def _fill_correlated(
 class Hexagonal(PlaneSampler, FixedSet):
     """Triangular lattice (hexagonal cells) stretched to fit the torus; randomize with shift.
 
-    2-D; counts n = 2ab for a = 1, 2, 3, … and b the whole number nearest to a/√3, at least 1:
+    2-D; counts n = 2ab for a = 1, 2, 3, …, where b is the whole number nearest to a/√3, at least 1:
     2, 4, 12, 16, 30, 36, 56, 80, …
 
     Notes
     -----
-    The points are 2b rows of a points, every other row moved by half a step; nothing is random.
-    On a square torus no such array is quite regular: that takes b = a/√3. The chosen b is off by ½
-    at most, and the longer of the two distances between neighbors is then 1.41, 1.12, 1.11, 1.12,
-    1.03 and 1.12 times the shorter one at the first six counts, at most 1.06 from n = 56 and 1.02
-    from n = 780 on.
+    The points form 2b rows of a points; every other row is moved by half a step. The set is
+    deterministic. On a square torus no such array is exactly regular, because that needs b = a/√3.
+    The chosen b differs from it by at most ½. The ratio of the two distances between neighbors is
+    then 1.41, 1.12, 1.11, 1.12, 1.03 and 1.12 at the first six counts. It is at most 1.06 for n ≥
+    56 and 1.02 for n ≥ 780.
 
     References
     ----------
@@ -536,12 +537,12 @@ class Hexagonal(PlaneSampler, FixedSet):
 
 
 def _hexagonal_count(across: int) -> int:
-    """Number of points in rows of `across`: twice that times the best half of the rows."""
+    """Return the number of points in rows of length `across`, for the best number of rows."""
     return 2 * across * max(1, round(across / math.sqrt(3.0)))
 
 
 def _largest_across(n: int) -> int:
-    """Largest a of which the count is at most `n`, 0 if there is none."""
+    """Return the largest row length whose count is at most `n`, 0 if there is none."""
     across = math.isqrt(n) + 2  # the count is at least a² for a > 1
     while across and _hexagonal_count(across) > n:
         across -= 1
@@ -549,7 +550,7 @@ def _largest_across(n: int) -> int:
 
 
 def root(n: int, dims: int) -> int:
-    """Largest s with s^dims ≤ n, in exact integers (64 ** (1 / 3) is 3.9999…)."""
+    """Return the largest s with s^dims ≤ n, in exact integers (64 ** (1 / 3) is 3.9999…)."""
     s: int = round(n ** (1.0 / dims)) + 1
     while s**dims > n:
         s -= 1
@@ -557,15 +558,15 @@ def root(n: int, dims: int) -> int:
 
 
 def nearly_square(n: int) -> int:
-    """Largest divisor a of n with n/2 ≤ a² ≤ n, 0 if there is none."""
+    """Return the largest divisor a of n with n/2 ≤ a² ≤ n, 0 if there is none."""
     candidates = np.arange(math.isqrt(n), math.isqrt((n - 1) // 2), -1)
     found = candidates[n % candidates == 0]
     return int(found[0]) if found.size else 0
 
 
-@lru_cache(maxsize=2)  # analyses draw block after block of one n; no more memory than the points
+@lru_cache(maxsize=2)  # analyses draw many blocks of one n
 def corners(sides: tuple[int, ...]) -> Array:
-    """Lower corners of the cells in row-major order: float64 (cells, dims), read-only."""
+    """Return the lower corners of the cells in row-major order: float64 (cells, d), read-only."""
     out = np.zeros((math.prod(sides), len(sides)))
     for j, s in enumerate(sides):
         steps = (np.arange(s) / s)[:, None]
@@ -575,16 +576,16 @@ def corners(sides: tuple[int, ...]) -> Array:
 
 
 def cell_side(s: int) -> float:
-    """Return 1/s, shorter by 2^-52: then k/s + side·u stays below (k + 1)/s for all u < 1.
+    """Return 1/s minus 2^-52, so that k/s + side·u stays below (k + 1)/s for all u < 1.
 
-    k/s, the product, the sum and (k + 1)/s are each rounded by at most 2^-54 below 1, and what is
-    taken off is four times that.
+    k/s, the product, the sum and (k + 1)/s are each rounded by at most 2^-54 below 1; the
+    subtracted 2^-52 is four times that.
     """
     return 1.0 / s - _SLACK
 
 
 def _in_cells(sides: tuple[int, ...], shares: Array) -> Array:
-    """Points at `shares` (R, n or 1, d) of the sides of their cells."""
+    """Return points at `shares` (R, n or 1, d) of the sides of their cells."""
     points: Array = corners(sides) + shares * [cell_side(s) for s in sides]
     return points
 
@@ -603,25 +604,25 @@ def _moved_centers(sides: tuple[int, ...], displacements: Array) -> Array:
 @final
 @dataclass(frozen=True, kw_only=True)
 class SharedCells(Sampler):
-    """One of W sets of n cells, chosen at random; together they hold each of W n cells of a grid once.
+    """One of W sets of n cells, chosen at random; together they cover a grid of W n cells once.
 
-    A realization draws one offset for all cells of its set, a uniform point of a cell, which each
-    cell takes as it is or reflected along some axes. Every point is uniform on [0,1)^d, whatever the
-    sets are, so that estimates are unbiased. `design` makes them.
+    A realization draws one offset, a uniform point of a cell. Each cell of its set uses this
+    offset, possibly reflected along some axes. Every point is uniform on [0,1)^d for any sets, so
+    estimates are unbiased. `design` makes such sets.
 
     Attributes
     ----------
     path
-        File .npz with an array ``cells`` of shape (W, n, d), integers: along each axis 1 + the number of the
-        cell, negative where offsets are reflected. The grid has as many cells along an axis as
-        the largest of these numbers.
+        File .npz with an array ``cells`` of integers of shape (W, n, d). An entry is 1 + the number
+        of the cell along an axis, negative if the offset is reflected. The number of cells along an
+        axis is the largest of these numbers.
     dims
-        Number of coordinates; by default that of the file; a given number must agree with it.
+        Number of coordinates, by default that of the file; a given number must agree with it.
 
     Raises
     ------
     FileFormatError
-        The file holds no such array, or a cell of the grid is not in exactly one set.
+        If the file has no such array, or a cell of the grid is not in exactly one set.
     """
 
     path: str
@@ -636,7 +637,8 @@ class SharedCells(Sampler):
         Sampler.__post_init__(self)
         if self.dims != cells.shape[2]:
             raise ParameterError(
-                f"The cells of {self.path} are in {counted(cells.shape[2], 'dim')}, but {needed(self.dims, 'dim')}."
+                f"The cells of {self.path} are in {counted(cells.shape[2], 'dim')}, "
+                f"but {needed(self.dims, 'dim')}."
             )
 
     @property
@@ -659,13 +661,13 @@ class SharedCells(Sampler):
 
 
 def _cells_of_file(path: str) -> Array:
-    """Cells of a file, each of which must be in one set: int64 (W, n, d)."""
+    """Return the cells of a file, each of which must be in one set: int64 (W, n, d)."""
     with opened(path, "a file of cells", (".npz",)) as (stream, size, name, _):
         cells = read_npz(stream, size, name, "cells")
     if cells.ndim != 3 or cells.dtype.kind != "i" or not cells.all() or cells.size == 0:
         raise FileFormatError(
-            f"{path} holds cells of type {cells.dtype} and shape {cells.shape}; give integers of shape "
-            "(W, n, d), along each axis 1 + the number of the cell or minus that."
+            f"{path} holds cells of type {cells.dtype} and shape {cells.shape}; give integers of "
+            "shape (W, n, d), along each axis 1 + the number of the cell or minus that."
         )
     cells = cells.astype(np.int64)
     index = np.abs(cells).reshape(-1, cells.shape[2]) - 1
@@ -679,5 +681,5 @@ def _cells_of_file(path: str) -> Array:
 
 
 def write_cells(path: str | PathLike[str], cells: Array) -> None:
-    """Write signed cells (W, n, d) as `SharedCells` reads them."""
+    """Write signed cells (W, n, d) in the format that `SharedCells` reads."""
     np.savez_compressed(path, cells=cells.astype(np.int16))

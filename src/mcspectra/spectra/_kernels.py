@@ -1,7 +1,7 @@
-"""Numba kernels of the spectra: arrays only, no checks.
+"""Numba kernels of the spectra; arguments are not checked.
 
-Legend: r realizations, h flat index over the half spectrum (the frequencies up to and including 0
-in C order; index M−1−h is the frequency −m_h), k points, j axes.
+Legend: r realizations, h flat index over the half spectrum, k points, j axes. The half spectrum
+holds the frequencies up to and including 0 in C order; index M − 1 − h is the frequency −m_h.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ UNLABELLED = np.empty(0, np.int64)
 def crop_scaled(
     negative: Array, others: Array, rows: Array, row_factors: Array, factors: Array, out: Array
 ) -> None:
-    """Frequencies −K … −1 (F, K) and 0 … K (F, K + 1) of the chosen rows, scaled: out (rows, 2K + 1)."""
+    """Scale frequencies −K … −1 (F, K) and 0 … K (F, K + 1) of some rows: out (rows, 2K + 1)."""
     width = negative.shape[1]
     for r in range(rows.size):
         row, factor = rows[r], row_factors[r]
@@ -33,7 +33,7 @@ def crop_scaled(
 
 @kernel
 def split_pair(packed: Array, first: Array, second: Array) -> None:
-    """Split F = S1 + i S2 of two real-weighted sets by Hermitian symmetry.
+    """Split the transform F = S1 + i S2 of two real-weighted sets by Hermitian symmetry.
 
     packed (M,) over the full grid; first, second (H,), H = (M+1)/2:
     S1(m) = (F(m) + conj F(−m))/2, S2(m) = (F(m) − conj F(−m))/(2i).
@@ -52,14 +52,14 @@ def power_sums(
 ) -> None:
     """Add |S|² and |S|⁴ of one set, or of the two sets of a pair, to total and squares (H,).
 
-    And |S|² to groups (sets, G) by label (H,), or (0,) where none is wanted.
+    Also add |S|² to groups (sets, G) by label (H,); label (0,) means no groups.
     """
     last, grouped = packed.size - 1, label.size > 0
     for h in range(total.size):
         a = packed[h]
         if pair:
             b = packed[last - h]
-            # |a ± conj b|² / 4, written out in real arithmetic
+            # |a ± conj b|² / 4, in real arithmetic
             p = 0.25 * ((a.real + b.real) ** 2 + (a.imag - b.imag) ** 2)
             q = 0.25 * ((a.real - b.real) ** 2 + (a.imag + b.imag) ** 2)
         else:
@@ -75,7 +75,7 @@ def power_sums(
 
 @kernel
 def pair_mean(packed: Array, total: Array) -> None:
-    """Add S1 + S2 of a pair F = S1 + i S2 to total (H,): see `split_pair`."""
+    """Add S1 + S2 of a pair F = S1 + i S2 to total (H,), see `split_pair`."""
     last = packed.size - 1
     for h in range(total.size):
         a = packed[h]
@@ -85,7 +85,7 @@ def pair_mean(packed: Array, total: Array) -> None:
 
 @kernel
 def bin_weights(points: Array, weights: Array, size: int, out: Array) -> None:
-    """Add the weights (R, n) of points (R, n, d) to size^d equal cells; out (R, size^d) zeros."""
+    """Add the weights (R, n) of points (R, n, d) to size^d equal cells; out (R, size^d), zeros."""
     count, n, dims = points.shape
     for r in range(count):
         for k in range(n):

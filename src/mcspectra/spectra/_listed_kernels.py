@@ -1,8 +1,9 @@
-"""Numba kernels of spectra at listed frequencies: arrays only, no checks.
+"""Numba kernels of spectra at listed frequencies; arguments are not checked.
 
 Legend: k points, j axes, f frequencies, u factors. A frequency is a list of its nonzero axes in
-compressed rows, start (F+1,) into entries; points lie axis by axis, (d, n), so that the innermost
-loops run over neighbors in memory. They take points in blocks that stay in the first cache.
+compressed rows; start (F+1,) indexes the entries. Points are stored axis by axis, (d, n), so that
+the innermost loops run over neighbors in memory. Loops process blocks of points that fit into the
+first-level cache.
 """
 
 from __future__ import annotations
@@ -17,19 +18,19 @@ from mcspectra.core.jit import kernel
 __all__ = ["phase_sum", "product_sum", "unit_phases"]
 
 _BLOCK = 256
-_ROUND = 1.5 * 2.0**52  # t + _ROUND − _ROUND is the nearest integer for |t| < 2^51, without a call
-# Taylor coefficients of cos a in a², and of −sin a, divided by a.
+_ROUND = 1.5 * 2.0**52  # t + _ROUND − _ROUND rounds |t| < 2^51 without a call
+# Taylor coefficients of cos a in a², and of −sin a divided by a
 _C = tuple((-1) ** i / math.factorial(2 * i) for i in range(9))
 _S = tuple(-((-1) ** i) / math.factorial(2 * i + 1) for i in range(8))
 
 
 @kernel
 def unit_phases(turns: Array, real: Array, imag: Array) -> None:
-    """Return exp(−2πi t) of each t of `turns`: accurate to 1e-15 and free of branches.
+    """Compute exp(−2πi t) of each t of `turns`, accurate to 1e-15 and without branches.
 
-    A quarter of the turn, reduced to |t| ≤ 1/8, by the Taylor series (the first term left out is
-    (π/4)^17/17! = 5e-17), then squared twice: compilers turn the loop into vector instructions, which
-    they cannot do with divisions and calls of sin and cos.
+    A quarter of the turn, reduced to |t| ≤ 1/8, is evaluated by a Taylor series whose first
+    omitted term is (π/4)^17/17! = 5e-17, and squared twice. Compilers vectorize this loop; they
+    cannot vectorize divisions and calls of sin and cos.
     """
     for k in range(turns.size):
         t = turns[k]
@@ -46,7 +47,7 @@ def unit_phases(turns: Array, real: Array, imag: Array) -> None:
 
 @kernel
 def _sum(values: Array) -> float:
-    """Sum by halves, which overwrites `values`: vector instructions, and little rounding."""
+    """Sum by halves, with little rounding and vector instructions; `values` is overwritten."""
     size = values.size
     while size > 8:
         odd = size & 1
@@ -64,7 +65,7 @@ def _sum(values: Array) -> float:
 def phase_sum(
     points: Array, weights: Array, start: Array, axes: Array, values: Array, out: Array
 ) -> None:
-    """Σ_k w_k exp(−2πi ν_f·x_k) into out (F,): one phase for every point and frequency."""
+    """Write Σ_k w_k exp(−2πi ν_f·x_k) to out (F,), with one phase per point and frequency."""
     n = weights.size
     turns, real, imag = np.empty(_BLOCK), np.empty(_BLOCK), np.empty(_BLOCK)
     out[:] = 0.0
@@ -77,7 +78,7 @@ def phase_sum(
                 x = points[axes[e], low : low + size]
                 for k in range(size):
                     t = values[e] * x[k]
-                    # whole turns are taken off axis by axis: less is lost to rounding
+                    # Remove whole turns axis by axis, to lose less to rounding
                     turns[k] += t - ((t + _ROUND) - _ROUND)
             unit_phases(turns[:size], real, imag)
             for k in range(size):
@@ -96,9 +97,9 @@ def product_sum(
     values: Array,
     out: Array,
 ) -> None:
-    """As `phase_sum`, phases as products of factors exp(−2πi v_u x_{a_u}) that frequencies share.
+    """Same as `phase_sum`, but phases are products of factors exp(−2πi v_u x_{a_u}).
 
-    entries: factors of each frequency; axes, values (U,): what a factor is.
+    entries: factors of each frequency; axes, values (U,): axis and frequency of each factor.
     """
     n = weights.size
     table = np.empty((axes.size, 2, _BLOCK))

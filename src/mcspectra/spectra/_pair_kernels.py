@@ -1,7 +1,7 @@
-"""Numba kernels of pair correlations: arrays only, no checks.
+"""Numba kernels of pair correlations; arguments are not checked.
 
-Legend: d axes, n points, N ≥ n points with copies; bins of width 1/`per_unit`;
-`most` is the number of bins, and the bin of what is further.
+Legend: d axes, n points, N ≥ n points with copies; bins of width 1/`per_unit`; `most` is the number
+of bins, and also the bin of larger distances.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ Work = tuple[Array, Array]
 
 __all__ = ["count_distances", "count_ordered_pairs"]
 
-_CHUNK = 512  # neighbors at a time: 8 KiB of scratch space stay in a first-level cache
+_CHUNK = 512  # neighbors per chunk; 8 KiB of scratch space fit the first-level cache
 
 
 @kernel
@@ -37,13 +37,13 @@ def _fill_bins(
     coordinates: Array, a: int, start: int, stop: int, wrap: bool, per_unit: float, most: int,
     work: Work,
 ) -> Array:  # fmt: skip
-    """Bins, `most` beyond the last, of the distances of point a to points start … stop − 1.
+    """Return the bins of the distances of point a to points start … stop − 1; `most` if larger.
 
-    Unsigned, since numba tests every signed index for being negative.
+    Bins are unsigned, because numba tests every signed index for a negative value.
     """
     squares, bins = work[0][: stop - start], work[1][: stop - start]
     last = coordinates.shape[0] - 1
-    # Several loops over neighbors in memory instead of one: compilers vectorize these.
+    # Separate loops over neighbors in memory, which compilers vectorize.
     squares[:] = 0.0
     for axis in range(last):
         x, others = coordinates[axis, a], coordinates[axis, start:stop]
@@ -58,7 +58,7 @@ def _fill_bins(
 
 @kernel
 def _add_bins(bins: Array, counts: Array) -> None:
-    """Count the bins; neighbors often meet in one, hence four counters (4, …)."""
+    """Count the bins with four counters (4, …), because neighbors often fall into one bin."""
     size = bins.size
     first, second, third, fourth = counts[0], counts[1], counts[2], counts[3]
     for k in range(0, size - 3, 4):
@@ -76,9 +76,9 @@ def count_distances(
 ) -> None:
     """Count the toroidal distances of all pairs of points.
 
-    coordinates (d, N), the first axis ascending: n points, and behind them copies of those at its
-    start, one further; `limit` is the largest difference along the first axis. counts (4, bins + 1):
-    to be added up; the last bin takes what is further.
+    coordinates (d, N), the first axis ascending: n points, followed by copies of the first points
+    moved by one along this axis. `limit` is the largest difference along the first axis.
+    counts (4, bins + 1) must be summed; the last bin has larger distances.
     """
     total = coordinates.shape[1]
     work = _scratch()
@@ -88,7 +88,7 @@ def count_distances(
         x = coordinates[0, a]
         while end < total and coordinates[0, end] - x <= limit:
             if end >= n and coordinates[0, end] - x == limit:
-                break  # half way around: the same pair is met from the other side
+                break  # half way around, the pair is counted from the other side
             end += 1
         for start in range(a + 1, end, _CHUNK):
             stop = min(start + _CHUNK, end)
@@ -99,7 +99,7 @@ def count_distances(
 def count_ordered_pairs(
     coordinates: Array, per_unit: float, limit: float, last: Array, counts: Array
 ) -> None:
-    """Count the distances, not around the torus, of ordered pairs; point a up to bin last[a].
+    """Count non-toroidal distances of ordered pairs; point a contributes up to bin last[a].
 
     coordinates (d, n), the first axis ascending; counts (bins,).
     """

@@ -1,23 +1,23 @@
 """Orthonormal bases of functions on the unit cube, in which a variance is decomposed.
 
-With an orthonormal basis φ_m of L²([0,1]^d), f_m = ∫ f conj(φ_m) and S_m = Σ_k w_k conj(φ_m(x_k)), the
-estimate is Σ_m conj(f_m) S_m and its variance dc + power + cross, in any basis (docs/theory.md). What
-differs is how much of it is cross term, that is how badly the basis fits the sampler's randomization, and how fast
-the sum over m converges:
+With an orthonormal basis φ_m of L²([0,1]^d), f_m = ∫ f conj(φ_m) and S_m = Σ_k w_k conj(φ_m(x_k)).
+In any basis the estimate is Σ_m conj(f_m) S_m, and its variance is dc + power + cross
+(docs/theory.md). Bases differ in the size of the cross term, which measures how badly a basis fits
+the sampler's randomization, and in the rate of convergence of the sum over m:
 
 =========  ==========================================  =====================================
 basis      φ_m, in each dim                            no cross term for
 =========  ==========================================  =====================================
 fourier    exp(2πi m x), m = −K … K                    toroidal shifts
-cosine     1, √2 cos(π m x), m = 1 … 2K                shifted sets that are folded
+cosine     1, √2 cos(π m x), m = 1 … 2K                shifted sets that are then folded
 walsh      (−1)^(Σ_i m_i x_{i+1}), m < 2K (Paley)       digital shifts, nested scrambling
-haar       1, 2^(j/2) ψ(2^j x − t), m = 2^j + t < 2K   jittered sets with 2^k strata a side
+haar       1, 2^(j/2) ψ(2^j x − t), m = 2^j + t < 2K   jittered sets with 2^k strata per side
 =========  ==========================================  =====================================
 
-K is the half width: all four then have about (2K)^d functions, of up to K oscillations. The dims of a
-product basis are transformed one after the other. Walsh and Haar functions are constant in dyadic
-cells of side 1/2K: points are counted in these and transformed by butterflies, in O(n + M log M),
-exactly.
+K is the half width: all four bases then have about (2K)^d functions with up to K oscillations. The
+dims of a product basis are transformed one after another. Walsh and Haar functions are constant in
+dyadic cells of side 1/2K. Points are counted in these cells and transformed by butterflies, exactly
+and in O(n + M log M).
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ from mcspectra.spectra.transforms import FrequencyGrid, IndexGrid, Transform, gi
 __all__ = [
     "BASES",
     "Basis",
-    "Cosine",
-    "Fourier",
-    "Haar",
-    "Walsh",
+    "CosineBasis",
+    "FourierBasis",
+    "HaarBasis",
+    "WalshBasis",
     "fitting_basis",
     "hadamard",
     "make_basis",
@@ -55,12 +55,12 @@ Coefficients = Callable[[Array, "Array | None"], Array]
 
 @dataclass(frozen=True)
 class Basis(IndexGrid, ABC):
-    """Products over the axes of functions of one variable, those of up to `half_width` oscillations."""
+    """Products over the axes of functions of one variable with up to `half_width` oscillations."""
 
     name: ClassVar[str] = ""
 
     def oscillations(self) -> Array:
-        """Least half width at which each stored function takes part, along each axis: (stored, dims)."""
+        """Least half width that includes each stored function, along each axis: (stored, dims)."""
         flat = np.unravel_index(np.arange(self.stored), self.shape)
         return np.stack([self._axis_oscillations()[place] for place in flat], axis=-1)
 
@@ -70,21 +70,21 @@ class Basis(IndexGrid, ABC):
 
     @abstractmethod
     def transform(self, n: int, engine: str, eps: float) -> tuple[Coefficients, str]:
-        """Return what transforms sets of n points, safe in threads, and the name of its engine."""
+        """Return a thread-safe transform of sets of n points, and the name of its engine."""
 
     @abstractmethod
     def integrand(self, f: Integrand) -> tuple[Array, str]:
-        """Coefficients of f, (channels or 1, stored), and how they were computed."""
+        """Return coefficients of f, (channels or 1, stored), and the way they were computed."""
 
     @abstractmethod
     def _axis_oscillations(self) -> Array:
-        """Half width at which each index of an axis takes part: int64 (N,)."""
+        """Return the half width at which each index of an axis is included: int64 (N,)."""
 
 
 @final
 @dataclass(frozen=True)
-class Fourier(Basis):
-    """Fourier basis: complex; the coefficients of −m are conjugates of those of m and not kept."""
+class FourierBasis(Basis):
+    """Fourier basis: complex; coefficients of −m are conjugates of those of m and not stored."""
 
     name: ClassVar[str] = "fourier"
     label: ClassVar[str] = FrequencyGrid.label
@@ -92,13 +92,13 @@ class Fourier(Basis):
     hermitian: ClassVar[bool] = True
 
     def transform(self, n: int, engine: str, eps: float) -> tuple[Coefficients, str]:
-        """By NUFFT or directly."""
+        """Return the NUFFT or the direct transform."""
         grid = FrequencyGrid(self.dims, self.half_width)
         transform = Transform(grid, n, engine=engine, eps=eps)
         return transform.coefficients, transform.engine
 
     def integrand(self, f: Integrand) -> tuple[Array, str]:
-        """Exact where f knows them."""
+        """Return the coefficients, exact if f provides them."""
         found = f.fourier_grid(self.half_width)
         half = self.pick(found).reshape(self.stored, -1).T
         return np.ascontiguousarray(half, np.complex128), f.fourier_source
@@ -109,13 +109,13 @@ class Fourier(Basis):
 
 @final
 @dataclass(frozen=True)
-class Cosine(Basis):
-    """Cosine basis: no jump from f(1) to f(0), so that smooth f converge fast, periodic or not."""
+class CosineBasis(Basis):
+    """Cosine basis: converges fast for smooth f even if f(1) ≠ f(0)."""
 
     name: ClassVar[str] = "cosine"
 
     def transform(self, n: int, engine: str, eps: float) -> tuple[Coefficients, str]:
-        """Half-integer frequencies by NUFFT, the signs of each axis averaged: Re exp = cos."""
+        """Return the NUFFT at half-integer frequencies, averaged over the signs: Re exp = cos."""
         grid = FrequencyGrid(self.dims, 2 * self.half_width, 0.5)
         transform = Transform(grid, n, engine=engine, eps=eps)
         scale = np.full(grid.half_width + 1, np.sqrt(2.0))
@@ -133,7 +133,7 @@ class Cosine(Basis):
         return coefficients, transform.engine
 
     def integrand(self, f: Integrand) -> tuple[Array, str]:
-        """Composite Gauss-Legendre quadrature, cut at the breaks of f."""
+        """Return coefficients from composite Gauss-Legendre quadrature, split at breaks of f."""
         rules = axis_rules(f, self.half_width)
         waves = [
             np.cos(np.pi * np.outer(rule.nodes, self.axis)) * np.where(self.axis, np.sqrt(2.0), 1.0)
@@ -148,7 +148,7 @@ class Cosine(Basis):
 
 @dataclass(frozen=True)
 class _Dyadic(Basis):
-    """What Walsh and Haar functions share: they are constant in cells of side 1/2K."""
+    """Abstract basis of functions that are constant in cells of side 1/2K (Walsh and Haar)."""
 
     def __post_init__(self) -> None:
         if self.half_width & (self.half_width - 1):
@@ -161,15 +161,15 @@ class _Dyadic(Basis):
 
     @property
     def side(self) -> int:
-        """2K, the indices 0 … 2K − 1 (0 alone for K = 0)."""
+        """2K, the number of indices 0 … 2K − 1 (1 for K = 0)."""
         return max(1, 2 * self.half_width)
 
     def directions(self) -> Array:
-        """Oscillations along each axis, for an index says where a function is, too, or how it jumps."""
+        """Oscillations along each axis; the index also encodes position or the form of jumps."""
         return self.oscillations()
 
     def transform(self, n: int, engine: str, eps: float) -> tuple[Coefficients, str]:
-        """Weights of the cells, then butterflies: exact."""
+        """Return the exact transform: weights of the cells, then butterflies."""
         del n, eps
         as_choice("engine", engine, ("auto", "direct"))
 
@@ -181,7 +181,7 @@ class _Dyadic(Basis):
         return coefficients, "butterflies"
 
     def integrand(self, f: Integrand) -> tuple[Array, str]:
-        """Integrals over the cells, exact where f knows its means over boxes."""
+        """Return integrals over the cells, exact if f provides its means over boxes."""
         cells, source = cell_integrals(f, len(self.axis))
         return self._of_cells(cells), source
 
@@ -194,22 +194,22 @@ class _Dyadic(Basis):
 
     @abstractmethod
     def _along_last(self, values: Array) -> Array:
-        """Transform of the weights of N cells along the last axis."""
+        """Transform the weights of N cells along the last axis."""
 
     def _axis_oscillations(self) -> Array:
-        level = np.frexp(self.axis)[1] - 1  # index 0 has none
+        level = np.frexp(self.axis)[1] - 1  # index 0 has no level
         return np.where(self.axis > 0, 2 ** np.maximum(level, 0), 0)
 
 
 @final
 @dataclass(frozen=True)
-class Walsh(_Dyadic):
+class WalshBasis(_Dyadic):
     """Walsh basis in Paley order, as in the theory of digital nets."""
 
     name: ClassVar[str] = "walsh"
 
     def _along_last(self, values: Array) -> Array:
-        """Hadamard butterflies, the index bits reversed: its lowest meets the first digit of x."""
+        """Hadamard butterflies with index bits reversed: lowest bit for the first digit of x."""
         order = np.zeros(1, np.int64)
         while len(order) < values.shape[-1]:
             order = np.concatenate([2 * order, 2 * order + 1])
@@ -218,13 +218,13 @@ class Walsh(_Dyadic):
 
 @final
 @dataclass(frozen=True)
-class Haar(_Dyadic):
+class HaarBasis(_Dyadic):
     """Haar basis: index 2^j + t is the wavelet of level j in the t-th interval of length 2^-j."""
 
     name: ClassVar[str] = "haar"
 
     def _along_last(self, values: Array) -> Array:
-        """From the finest level to the constant."""
+        """Transform from the finest level to the constant."""
         parts: list[Array] = []
         size = values.shape[-1]
         while size > 1:
@@ -236,7 +236,7 @@ class Haar(_Dyadic):
 
 
 def hadamard(values: Array) -> Array:
-    """Σ_x values(x) wal_m(x) along the last axis, m in the order of the butterflies."""
+    """Return Σ_x values(x) wal_m(x) along the last axis, m in the order of the butterflies."""
     step = 1
     while step < values.shape[-1]:
         pairs = values.reshape(*values.shape[:-1], -1, 2, step)
@@ -246,7 +246,9 @@ def hadamard(values: Array) -> Array:
     return values
 
 
-_CLASSES: dict[str, type[Basis]] = {c.name: c for c in (Fourier, Cosine, Walsh, Haar)}
+_CLASSES: dict[str, type[Basis]] = {
+    c.name: c for c in (FourierBasis, CosineBasis, WalshBasis, HaarBasis)
+}
 BASES = tuple(_CLASSES)
 """Names of the bases."""
 
@@ -257,24 +259,26 @@ def make_basis(name: str, dims: int, half_width: int) -> Basis:
     Raises
     ------
     ParameterError
-        The name is unknown, the half width too large, or not one that the basis can do.
+        If the name is unknown, or the half width too large or not allowed for the basis.
     """
-    FrequencyGrid(dims, half_width)  # the same limits for all
+    FrequencyGrid(dims, half_width)  # checks limits that all bases share
     return _CLASSES[as_choice("basis", name, BASES)](dims, half_width)
 
 
 def fitting_basis(law: Law, half_width: int) -> str:
-    """Name a basis that fits what was random about a sampler last.
+    """Return the name of a basis that fits the last randomization of a sampler.
 
-    Fourier after a shift and for sets that are statistically the same after any translation; Walsh
-    after randomizations of binary digits, if the half width is a power of two. Mirrored points: cosine
-    where a shift went before, Walsh else, for reflecting and folding permute Walsh functions but for
-    their signs. None of these leaves a cross term there, of strata if they are 2^k to a side.
+    Fourier fits shifts, and sets whose law is the same after any translation. Walsh fits
+    randomizations of binary digits, if the half width is a power of two. For mirrored points,
+    cosine fits if a shift came before. Otherwise Walsh fits, because reflections and folding
+    permute Walsh functions up to signs. In these cases there is no cross term, for strata if their
+    number per side is 2^k.
 
-    Cosine else, which is a compromise: of smooth functions jittered sets leave little cross term in
-    it and the sum over m converges fast, as it has no boundary term; of discontinuous ones they leave as
-    much as in Fourier (a disk, n = 64: −0.40 of the variance). Strata of 2^k to a side leave none
-    in Haar and Walsh, in which sums of smooth functions converge slowly.
+    In all other cases cosine is a compromise. For smooth functions, jittered sets leave little
+    cross term in it, and the sum over m converges fast because it has no boundary term. For
+    discontinuous functions the cross term is as large as in Fourier (a disk, n = 64: −0.40 of the
+    variance). Strata of 2^k per side leave no cross term in Haar and Walsh, but there sums of
+    smooth functions converge slowly.
     """
     mirrored = False
     while isinstance(law, Folded | Mirrored | Moved):

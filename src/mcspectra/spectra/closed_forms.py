@@ -1,31 +1,31 @@
-"""Expected power spectra and covariances of S_m that are known exactly, one sampler after another.
+"""Exact expected power spectra and covariances of S_m, for samplers with a known law.
 
-Random, jittered and lattice points are derived in docs/theory.md, "Closed forms". At *integer* m a
-Cranley-Patterson shift multiplies S_m by a random phase: it leaves the power as it is and makes C_ml
-diagonal.
+Random, jittered and lattice points are derived in docs/theory.md, "Closed forms". At *integer* m, a
+Cranley-Patterson shift multiplies S_m by a random phase. It does not change the power, and makes
+C_ml diagonal.
 
 Method
 ------
-Three kinds of sets are known. Notation: χ(ν) = sinc(πν) exp(−iπν), the transform of the unit
-interval; A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/s), that of a grid; products over the axes throughout.
+Three kinds of sets are covered. Notation: χ(ν) = sinc(πν) exp(−iπν) is the transform of the unit
+interval, and A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/s) that of a grid. All are products over the axes.
 
-* Independent motifs, one in each of N cells: with M(ν) the mean of exp(−2πi ν·ξ) over the points of
-  one motif, in units of cells, ⟨S_ν⟩ = A(ν) ⟨M(ν/s)⟩ and
-  C_ml = (1/N) A(m − l) [⟨M(m/s) conj M(l/s)⟩ − ⟨M(m/s)⟩ conj⟨M(l/s)⟩]. Random points are n motifs in one
-  cell, jittered, box-jitter and gaussian-jitter one point in each cell, antithetic-jittered two.
-* Sets the same every time, and grids with a common offset: S_ν itself is known.
+* Independent motifs, one in each of N cells. M(ν) is the mean of exp(−2πi ν·ξ) over the points of
+  one motif, in units of cells. Then ⟨S_ν⟩ = A(ν) ⟨M(ν/s)⟩ and C_ml = (1/N) A(m − l) [⟨M(m/s) conj
+  M(l/s)⟩ − ⟨M(m/s)⟩ conj⟨M(l/s)⟩]. Random points are n motifs in one cell. Jittered, box-jitter and
+  gaussian-jitter have one point in each cell, antithetic-jittered has two.
+* Sets that are the same every time, and grids with a common offset: S_ν itself is known.
 * Sets with a known law of pairs: C_ml + ⟨S_m⟩ conj⟨S_l⟩ = (1/n²) Σ over ordered pairs of points of
-  ⟨exp(−2πi (m·x − l·y))⟩. A point with itself gives χ(m − l) on each axis. For two different points the
-  axes are independent, given which strata they share, and each axis is one of three laws: *free*,
-  independent uniform points, χ(m) conj χ(l); *same*, independent points of one of s strata,
-  A_s(m − l) χ(m/s) conj χ(l/s); *apart*, points of two different ones of s strata,
-  (s free − same) / (s − 1). Determinantal sets are known by their pairs, too.
+  ⟨exp(−2πi (m·x − l·y))⟩. A point with itself contributes χ(m − l) on each axis. For two different
+  points the axes are independent, given the strata they share, and each axis has one of three laws.
+  *Free* points are independent and uniform: χ(m) conj χ(l). *Same* points are independent in one of
+  s strata: A_s(m − l) χ(m/s) conj χ(l/s). *Apart* points lie in two different strata of s:
+  (s free − same) / (s − 1). Determinantal sets also have a known law of pairs.
 
-Importance-sampled points, x = T(u) with weights 1/(n p), are known for densities that are products over
-the axes with monotone warps: M_t(m) of the stratum that starts at t takes the place of its transform,
-*same* and *apart* are means over the strata, or over all t where a random shift follows. A grid with one
-offset δ has C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0 δ_l0 with A_δ(m) the S_m of the grid of offset δ
-on one axis.
+Importance-sampled points, x = T(u) with weights 1/(n p), are covered for densities that are
+products over the axes with monotone warps. The transform M_t(m) of the stratum that starts at t
+replaces that of the interval. *Same* and *apart* are means over the strata, or over all t if a
+random shift follows. A grid with one offset δ has C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0
+δ_l0, where A_δ(m) is the S_m of the grid of offset δ on one axis.
 """
 
 from __future__ import annotations
@@ -53,12 +53,12 @@ from mcspectra.integrands._quadrature import AxisRule
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.samplers.law import (
     Fixed,
+    GroupedAxes,
     Independent,
     Law,
     Motif,
     Moved,
     PairedAxes,
-    Product,
     Scrambled,
     Shifted,
     Stationary,
@@ -68,18 +68,24 @@ from mcspectra.samplers.law import (
     scrambled,
 )
 
-__all__ = ["Moments", "closed_form_covariance", "closed_form_power", "moments_of", "points_at"]
+__all__ = [
+    "SpectralMoments",
+    "closed_form_covariance",
+    "closed_form_power",
+    "moments_of",
+    "points_at",
+]
 
 _SCRAMBLED_BITS = 32
-"""Bits that are scrambled; lower ones are uniform and independent."""
+"""Number of bits that are scrambled; lower bits are uniform and independent."""
 _MOST_PAIR_TERMS = 2**31
-"""Most terms of sums over pairs of digits and frequencies: about half a minute."""
+"""Largest number of terms of sums over pairs of digits and frequencies; half a minute."""
 _TERMS_AT_ONCE = 2**22
-"""Terms that are in memory together: 64 MB of complex numbers."""
+"""Number of terms held in memory at a time: 64 MB of complex numbers."""
 
-# With a density
-_BLOCK = 2**20  # numbers at once
-_MAX_STRATA_WORK = 2**31  # strata times pairs of frequencies: some minutes
+# Constants of closed forms with a density
+_BLOCK = 2**20  # numbers processed at a time
+_MAX_STRATA_WORK = 2**31  # largest product of strata and pairs of frequencies; some minutes
 _ORDER = 16
 _CELLS = 64
 _HIGHEST = 2**16
@@ -97,25 +103,26 @@ def closed_form_power(
     Parameters
     ----------
     sampler, n
-        Sampler (or spec string) and number of points. Known are random, jittered, regular grids,
-        lattices, Latin hypercubes, orthogonal arrays of strength 2, multi-jittered, jitters around
-        a grid, determinantal sets and nets; each also with shift.
+        Sampler (or spec string) and number of points. Supported are random, jittered, regular
+        grids, lattices, Latin hypercubes, orthogonal arrays of strength 2, multi-jittered, jitters
+        around a grid, determinantal sets and nets, each also with shift.
     frequencies
-        Real frequencies ν, shape (..., d), in cycles per unit; integers only after a shift, and
-        for sets that are wrapped around the torus.
+        Real frequencies ν, shape (..., d), in cycles per unit. Only integers are allowed after a
+        shift, and for sets that are wrapped around the torus.
     density
-        Importance density. For random points any; a product over the axes for jittered, latin-hypercube
-        and grids, alone or with shift or strata-shift, at integer frequencies.
+        Importance density. Any density is allowed for random points. At integer frequencies, a
+        product over the axes is allowed for jittered, latin-hypercube and grids, alone or with
+        shift or strata-shift.
 
     Returns
     -------
     ndarray
-        float64 (...). Infinite, with a warning, where ∫1/p diverges.
+        float64 (...). Infinite, with a warning, if ∫1/p diverges.
 
     Raises
     ------
     NoClosedForm
-        None is known for this combination.
+        If no closed form is known for this combination.
 
     Examples
     --------
@@ -153,9 +160,9 @@ def closed_form_covariance(
     Parameters
     ----------
     sampler, n, density
-        As for `closed_form_power`.
+        Same as for `closed_form_power`.
     frequencies, others
-        m and l, shapes (..., d) that broadcast; integers only with a density.
+        m and l, with shapes (..., d) that broadcast; only integers with a density.
 
     Returns
     -------
@@ -165,7 +172,7 @@ def closed_form_covariance(
     Raises
     ------
     NoClosedForm
-        None is known for this combination, or C_ml are infinite because ∫1/p diverges.
+        If no closed form is known for this combination, or C_ml are infinite because ∫1/p diverges.
 
     Examples
     --------
@@ -195,13 +202,13 @@ def closed_form_covariance(
 
 @final
 @dataclass(frozen=True)
-class Moments:
-    """Exact moments of S_ν."""
+class SpectralMoments:
+    """Exact moments of S_ν under a sampler's law."""
 
-    mean: Callable[[Array], Array]  # ⟨S_ν⟩ of frequencies (..., d): complex (...)
-    # C_ml of two arrays of frequencies of the same shape (..., d): complex (...)
+    mean: Callable[[Array], Array]  # ⟨S_ν⟩ at frequencies (..., d): complex (...)
+    # C_ml at two arrays of frequencies of the same shape (..., d): complex (...)
     covariance: Callable[[Array, Array], Array]
-    # Whether they hold at integer frequencies only: points wrapped around the torus
+    # Whether they are valid at integer frequencies only, because points wrap around the torus
     integer: bool = False
 
     def power(self, nu: Array) -> Array:
@@ -209,13 +216,13 @@ class Moments:
         return np.asarray(self.covariance(nu, nu).real + np.abs(self.mean(nu)) ** 2)
 
 
-def moments_of(law: Law, name: str, *frequencies: Array) -> Moments:
+def moments_of(law: Law, name: str, *frequencies: Array) -> SpectralMoments:
     """Return the exact moments of a law, if they are known at the given frequencies.
 
     Raises
     ------
     NoClosedForm
-        They are not known; the sentence has the sampler's `name`.
+        If they are unknown; the message contains the sampler's `name`.
     """
     moments = _moments(law)
     if moments is None:
@@ -228,8 +235,8 @@ def moments_of(law: Law, name: str, *frequencies: Array) -> Moments:
 def points_at(
     sampler: Sampler | str, frequencies: Any, density: Density | str | None = None
 ) -> tuple[Sampler, Density | None, Array]:
-    """The sampler, with the dims of the frequencies where it is a spec, the density, and these."""
-    # An empty list has no dims: it is refused as such, not for them.
+    """Return the sampler (a spec gets the frequencies' dims), the density and the frequencies."""
+    # An empty list has no dims; `as_frequencies` reports it
     dims = np.shape(frequencies)[-1] or None if np.ndim(frequencies) else None
     drawn = getattr(density, "primary_dims", dims)
     source = as_sampler(sampler, None if isinstance(sampler, Sampler) else drawn)
@@ -250,24 +257,24 @@ def _check_integers(name: str, *frequencies: Array) -> None:
 
 
 @singledispatch
-def _moments(law: Law) -> Moments | None:  # noqa: ARG001
-    """Moments of a law, None where they are not known."""
+def _moments(law: Law) -> SpectralMoments | None:  # noqa: ARG001
+    """Return the moments of a law, None if they are unknown."""
     return None
 
 
 @_moments.register
-def _(law: Independent) -> Moments:
+def _(law: Independent) -> SpectralMoments:
     point = UniformPoint()
     return _motifs((1,) * law.dims, law.n, point)
 
 
 @_moments.register
-def _(law: Strata) -> Moments:
+def _(law: Strata) -> SpectralMoments:
     return _motifs(law.sides, law.n // law.motif.size, law.motif)
 
 
 @_moments.register
-def _(law: PairedAxes) -> Moments:
+def _(law: PairedAxes) -> SpectralMoments:
     strata, parts = np.array(law.strata), np.array(law.parts)
 
     def pairs(m: Array, other: Array) -> Array:
@@ -276,17 +283,20 @@ def _(law: PairedAxes) -> Moments:
             "same": _same(m, other, strata),
             "mates": _level_mates(m, other, strata, parts),
         }
-        return np.asarray(sum(
-            each.share * _product(np.stack([relations[r][..., j] for j, r in enumerate(each.axes)], -1))
-            for each in law.patterns
-        ))  # fmt: skip
+        return np.asarray(
+            sum(
+                each.share
+                * _product(np.stack([relations[r][..., j] for j, r in enumerate(each.axes)], -1))
+                for each in law.patterns
+            )
+        )
 
     return _of_pairs(law.n, pairs)
 
 
 @_moments.register
-def _(law: Product) -> Moments | None:
-    # Pairs of different points, and single points, are independent over the groups of axes
+def _(law: GroupedAxes) -> SpectralMoments | None:
+    # Pairs of different points, and single points, are independent between groups of axes
     n, parts = law.n, []
     for part, axes in zip(law.parts, law.axes, strict=True):
         moments = _moments(part)
@@ -306,16 +316,16 @@ def _(law: Product) -> Moments | None:
         second = mean(m - other) / n + (1.0 - 1.0 / n) * different
         return np.asarray(second - mean(m) * np.conj(mean(other)))
 
-    return Moments(mean, covariance, any(each.integer for each, _ in parts))
+    return SpectralMoments(mean, covariance, any(each.integer for each, _ in parts))
 
 
 @_moments.register
-def _(law: Stationary) -> Moments | None:
+def _(law: Stationary) -> SpectralMoments | None:
     return None if law.power is None else _stationary(law.power)
 
 
 @_moments.register
-def _(law: Shifted) -> Moments | None:
+def _(law: Shifted) -> SpectralMoments | None:
     if isinstance(law.inner, Fixed) and law.inner.sides is not None:
         return _offset_grid(np.asarray(law.inner.sides, float))
     inner = _moments(law.inner)
@@ -323,13 +333,13 @@ def _(law: Shifted) -> Moments | None:
 
 
 @_moments.register
-def _(law: Moved) -> Moments | None:
+def _(law: Moved) -> SpectralMoments | None:
     inner = _moments(law.inner)
     return None if inner is None else _moved(inner, np.array(law.by))
 
 
-def _motifs(sides: tuple[int, ...], count: int, motif: Motif) -> Moments:
-    """`count` independent motifs, spread evenly over the cells; their moments in units of cells."""
+def _motifs(sides: tuple[int, ...], count: int, motif: Motif) -> SpectralMoments:
+    """Return moments of `count` independent motifs, distributed evenly over the cells."""
     s = np.asarray(sides, float)
 
     def covariance(m: Array, other: Array) -> Array:
@@ -337,40 +347,42 @@ def _motifs(sides: tuple[int, ...], count: int, motif: Motif) -> Moments:
         within = motif.second(a, b) - motif.mean(a) * np.conj(motif.mean(b))
         return np.asarray(_product(_comb(m - other, s)) * within / count)
 
-    return Moments(lambda nu: _product(_comb(nu, s)) * motif.mean(nu / s), covariance, motif.wraps)
+    return SpectralMoments(
+        lambda nu: _product(_comb(nu, s)) * motif.mean(nu / s), covariance, motif.wraps
+    )
 
 
-def _offset_grid(s: Array) -> Moments:
-    """A grid of s points along each axis, with one uniform offset within a cell."""
+def _offset_grid(s: Array) -> SpectralMoments:
+    """Return moments of a grid of s points along each axis, with one uniform offset in a cell."""
 
     def covariance(m: Array, other: Array) -> Array:
         offset = _product(_interval((m - other) / s))
         offset = offset - _product(_interval(m / s)) * np.conj(_product(_interval(other / s)))
         return np.asarray(_product(_comb(m, s)) * np.conj(_product(_comb(other, s))) * offset)
 
-    return Moments(lambda nu: _product(_comb(nu, s) * _interval(nu / s)), covariance)
+    return SpectralMoments(lambda nu: _product(_comb(nu, s) * _interval(nu / s)), covariance)
 
 
-def _stationary(power: Callable[[Array], Array]) -> Moments:
-    """Moments at integers of a set that is the same after any translation: unbiased, and diagonal."""
+def _stationary(power: Callable[[Array], Array]) -> SpectralMoments:
+    """Return moments at integers of a stationary set: unbiased and diagonal."""
 
     def covariance(m: Array, other: Array) -> Array:
         same = np.all(m == other, axis=-1)
         return np.asarray(np.where(same, power(m) - _is_zero(m), 0.0) + 0j)
 
-    return Moments(lambda nu: _is_zero(nu) + 0j, covariance, integer=True)
+    return SpectralMoments(lambda nu: _is_zero(nu) + 0j, covariance, integer=True)
 
 
 @_moments.register
-def _(law: Fixed) -> Moments:
-    # A set that is the same every time: S_ν itself, by the dual lattice or by summing it
+def _(law: Fixed) -> SpectralMoments:
+    # S_ν of a fixed set, by the dual lattice or by summation
     def mean(nu: Array) -> Array:
         if law.sides is not None:
             s = np.asarray(law.sides, float)
             corner = np.exp(-2j * np.pi * np.remainder(law.corner * nu / s, 1.0))
             return _product(_comb(nu, s) * corner)
         if law.vector is not None and np.array_equal(nu, np.rint(nu)):
-            # 1 where m·z ≡ 0 modulo n; residues are multiplied, so that nothing overflows
+            # 1 where m·z ≡ 0 modulo n; residues are multiplied to avoid overflow
             n, vector = law.n, np.asarray(law.vector, np.int64)
             residues = np.rint(np.remainder(nu, n)).astype(np.int64) * (vector % n) % n
             return np.asarray((residues.sum(axis=-1) % n == 0) + 0j)
@@ -380,17 +392,19 @@ def _(law: Fixed) -> Moments:
 
         return mean_of_terms(law.n, nu, terms)
 
-    return Moments(mean, lambda m, other: np.zeros(np.broadcast(m, other).shape[:-1], complex))
+    return SpectralMoments(
+        mean, lambda m, other: np.zeros(np.broadcast(m, other).shape[:-1], complex)
+    )
 
 
-def _of_pairs(n: int, pairs: Callable[[Array, Array], Array]) -> Moments:
-    """Moments of n points each uniform, from (1/n²) Σ over pairs of different points."""
+def _of_pairs(n: int, pairs: Callable[[Array, Array], Array]) -> SpectralMoments:
+    """Return moments of n uniform points, from (1/n²) Σ over pairs of different points."""
 
     def covariance(m: Array, other: Array) -> Array:
         second = _product(_interval(m - other)) / n + pairs(m, other)
         return np.asarray(second - _product(_free(m, other)))
 
-    return Moments(lambda nu: _product(_interval(nu)), covariance)
+    return SpectralMoments(lambda nu: _product(_interval(nu)), covariance)
 
 
 def _free(m: Array, other: Array) -> Array:
@@ -404,18 +418,18 @@ def _same(m: Array, other: Array, s: int | Array) -> Array:
 def _apart(m: Array, other: Array, s: int | Array) -> Array:
     strata = np.asarray(s, float)
     difference = strata * _free(m, other) - _same(m, other, s)
-    return np.asarray(difference / np.maximum(strata - 1.0, 1.0))  # one stratum has no such pair
+    return np.asarray(difference / np.maximum(strata - 1.0, 1.0))  # no such pair if s = 1
 
 
 def _level_mates(m: Array, other: Array, s: int | Array, parts: int | Array | None = None) -> Array:
-    """Two points of one of s strata, in different ones of its `parts` (s if not given)."""
+    """Two points in one of s strata, in different parts of its `parts` (default s)."""
     return _comb(m - other, s) * _apart(m / s, other / s, s if parts is None else parts)
 
 
 @_moments.register
-def _(law: Scrambled) -> Moments | None:
+def _(law: Scrambled) -> SpectralMoments | None:
     net = law.inner
-    if isinstance(net, Product):  # the digits of each axis are permuted independently
+    if isinstance(net, GroupedAxes):  # the digits of each axis are permuted independently
         parts = tuple(
             scrambled(part, law.kind, [law.bases[axis] for axis in axes], shifts=law.shifts)
             for part, axes in zip(net.parts, net.axes, strict=True)
@@ -432,10 +446,10 @@ def _(law: Scrambled) -> Moments | None:
 
 
 def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> Array:
-    """(1/n²) Σ over pairs of different points after nested scrambling: by the digits that agree.
+    """Return (1/n²) Σ over pairs of different points after nested scrambling, by agreeing digits.
 
-    Two coordinates that agree in just a digits lie in one of b^a strata, in different ones of its b parts,
-    and are uniform in these [Owen1997]_.
+    Two coordinates that agree in exactly a digits lie in one of b^a strata, in different parts of
+    its b parts, and are uniform in these [Owen1997]_.
     """
     n, levels = law.n, [_levels(law.points[:, j], b) for j, b in enumerate(bases)]
     most = max(levels)
@@ -447,20 +461,20 @@ def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> A
         shares = np.concatenate([shares[:-1] - shares[1:], shares[-1:]])
         shares = np.moveaxis(shares, 0, axis)
 
-    # Contract one axis after the other, for all frequencies
+    # Contract one axis after another, for all frequencies
     total = shares[..., None]
     flat, far = (np.broadcast_to(a, m.shape).reshape(-1, law.dims) for a in (m, other))
     if float(shares.size) * len(flat) > _MOST_PAIR_TERMS:
         raise NoClosedForm(
-            f"The covariances of {n} scrambled points at {len(flat)} pairs of frequencies take more than "
-            f"{_MOST_PAIR_TERMS:.2g} terms; use ",
+            f"The covariances of {n} scrambled points at {len(flat)} pairs of frequencies take "
+            f"more than {_MOST_PAIR_TERMS:.2g} terms; use ",
             Function("power_spectrum"),
             ", or ask for fewer.",
         )
     for axis in range(law.dims - 1, -1, -1):
         b, row, column = bases[axis], flat[:, axis : axis + 1], far[:, axis : axis + 1]
         by_level = [_level_mates(row, column, b**a, b)[:, 0] for a in range(most)]
-        # The same in all of these: equal coordinates, which stay so to the last scrambled digit
+        # Last entry: equal coordinates, which stay equal to the last scrambled digit
         by_level.append(_same(row, column, b ** _scrambled_digits(b))[:, 0])
         total = np.einsum("...af,af->...f", total, np.array(by_level))
     return np.asarray(total.reshape(m.shape[:-1]))
@@ -471,7 +485,7 @@ def _scrambled_digits(base: int) -> int:
 
 
 def _levels(x: Array, base: int) -> int:
-    """Number of digits that tell all coordinates apart, or as many as are scrambled."""
+    """Return the number of digits that distinguish all coordinates, at most those scrambled."""
     most = _scrambled_digits(base)
     different = len(np.unique(x))
     for level in range(most):
@@ -481,12 +495,12 @@ def _levels(x: Array, base: int) -> int:
 
 
 def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, other: Array) -> Array:
-    """(1/n²) Σ over pairs of different points after one change of each place of digits.
+    """Return (1/n²) Σ over pairs of different points after a random change of each place of digits.
 
-    With `shifted` a random digit is added to each place, else its digits are permuted at random. The images
-    of two digits depend on their difference, or on whether they are equal; places are independent, so that
-    each gives a factor, and digits below all places move by one uniform number. Of digits that are a
-    group the pairs with one point stand for all.
+    With `shifted` a random digit is added to each place, otherwise its digits are permuted at
+    random. The images of two digits depend on their difference, or on whether they are equal.
+    Places are independent, so each gives a factor, and digits below all places move by one uniform
+    number. If the digits form a group, the pairs with one point represent all pairs.
     """
     n, dims, points = net.n, net.dims, net.points
     flat, far = (np.broadcast_to(a, m.shape).reshape(-1, dims) for a in (m, other))
@@ -494,8 +508,8 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
     rows = 1 if net.digital else n
     if float(rows * n) * len(flat) * sum(places) > _MOST_PAIR_TERMS:
         raise NoClosedForm(
-            f"The covariances of {n} points with changed digits at {len(flat)} pairs of frequencies take "
-            f"more than {_MOST_PAIR_TERMS:.2g} terms; use ",
+            f"The covariances of {n} points with changed digits at {len(flat)} pairs of "
+            f"frequencies take more than {_MOST_PAIR_TERMS:.2g} terms; use ",
             Function("power_spectrum"),
             ", or ask for fewer.",
         )
@@ -519,7 +533,8 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
         factors.append(own)
 
     total = np.zeros(len(flat), complex)
-    # Digits of each axis, the highest first; coordinates rounded down to below a digit count as that digit
+    # Digits of each axis, the highest first; the nudge corrects coordinates rounded down below a
+    # digit
     digits = []
     for axis, b in enumerate(bases):
         nudge = 0.0 if b & (b - 1) == 0 else 2.0**-52
@@ -541,13 +556,13 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
     return np.asarray(total.reshape(m.shape[:-1]) / (n * rows))
 
 
-def _moved(moments: Moments, by: Array) -> Moments:
-    """After a fixed translation, at integer frequencies: phases."""
+def _moved(moments: SpectralMoments, by: Array) -> SpectralMoments:
+    """Return moments after a fixed translation, at integer frequencies: phase factors."""
 
     def phase(nu: Array) -> Array:
         return np.asarray(np.exp(-2j * np.pi * np.remainder((nu * by).sum(axis=-1), 1.0)))
 
-    return Moments(
+    return SpectralMoments(
         lambda nu: moments.mean(nu) * phase(nu),
         lambda m, other: moments.covariance(m, other) * phase(m - other),
         integer=True,
@@ -555,19 +570,19 @@ def _moved(moments: Moments, by: Array) -> Moments:
 
 
 def _interval(nu: Array) -> Array:
-    """Transform of the unit interval, χ(ν), of each coordinate."""
+    """Return the transform of the unit interval, χ(ν), of each coordinate."""
     return np.asarray(np.sinc(nu) * np.exp(-1j * np.pi * np.remainder(nu, 2.0)))
 
 
 def _comb(nu: Array, sides: Any) -> Array:
-    """Transform of the grid {j/s}, A_s(ν), of each coordinate; period s."""
+    """Return the transform of the grid {j/s}, A_s(ν), of each coordinate; its period is s."""
     s = np.asarray(sides, float)
-    rest = nu - s * np.rint(nu / s)  # within half a period the quotient is safe
+    rest = nu - s * np.rint(nu / s)  # within half a period the quotient is well defined
     return np.asarray(_interval(rest) / _interval(rest / s))
 
 
 def _product(values: Array) -> Array:
-    """Π over the axes."""
+    """Return the product over the axes."""
     return np.asarray(np.prod(values, axis=-1))
 
 
@@ -579,10 +594,10 @@ def _is_zero(m: Array) -> Array:
 
 
 def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: Density) -> Array:
-    """C_ml of importance-sampled points at integers m, l of one shape (..., d): complex (...)."""
+    """Return C_ml of importance-sampled points at integers m, l of one shape (..., d)."""
     zero = np.all(m == 0, axis=-1) & np.all(other == 0, axis=-1)
 
-    # Take the translations off the law of the set
+    # Remove the translations from the law
     n, offset, shifted = law.n, np.zeros(density.dims), False
     while isinstance(law, Shifted | Moved):
         if isinstance(law, Moved):
@@ -593,13 +608,13 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
     if isinstance(law, Fixed) and law.sides is not None:
         if not shifted:
             raise NoClosedForm(
-                f"{name} is the same every time, so that nothing varies; add shift, or use ",
+                f"{name} is the same every time, so its points do not vary; add shift, or use ",
                 Function("power_spectrum"),
                 ".",
             )
         highest, power = _highest(m, other), np.ones(m.shape[:-1])
         for i, (p, s) in enumerate(zip(_factors(density), law.sides, strict=True)):
-            axis = _Axis(p, s, *_all_offsets(p, s, 1.0 / s, highest))
+            axis = _StrataAxis(p, s, *_all_offsets(p, s, 1.0 / s, highest))
             power = power * axis.mean_product(axis.of_grid, m[..., i], other[..., i])
         return np.asarray(power - zero)
     reciprocal = _reciprocal(density, m - other)
@@ -617,13 +632,13 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
             Function("variance_terms"),
             ".",
         )
-    # Strata of each axis: where they are, or everywhere if a random shift follows
+    # Strata of each axis at their positions, or at all offsets if a random shift follows
     highest, pairs = _highest(m, other), np.ones(m.shape[:-1])
     for i, (p, s) in enumerate(zip(_factors(density), sides, strict=True)):
         rule = np.remainder(np.arange(s) / s + offset[i], 1.0), np.full(s, 1.0 / s)
-        axis = _Axis(p, s, *(_all_offsets(p, s, 1.0, highest) if shifted else rule))
+        axis = _StrataAxis(p, s, *(_all_offsets(p, s, 1.0, highest) if shifted else rule))
         same = axis.mean_product(axis.of_stratum, m[..., i], other[..., i])
-        if latin:  # points of two different strata; one stratum has no such pair
+        if latin:  # two different strata; a single one has no such pair
             free = (m[..., i] == 0) & (other[..., i] == 0)
             same = (n * free - same) / max(n - 1, 1)
         pairs = pairs * same
@@ -634,8 +649,8 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
 
 @final
 @dataclass(frozen=True)
-class _Axis:
-    """One axis: s strata or points, the starts t of the strata with weights, and the 1-D density."""
+class _StrataAxis:
+    """One axis with s strata or points: starts t of the strata, weights, and the 1-D density."""
 
     density: Density
     sides: int
@@ -660,14 +675,14 @@ class _Axis:
         return out.reshape(m.shape)
 
     def of_stratum(self, m: Array) -> Array:
-        """M_t(m): (frequencies, starts); strata beyond 1 go on at 0."""
+        """M_t(m): (frequencies, starts); strata beyond 1 continue at 0."""
         end = self.starts + 1.0 / self.sides
         over = np.maximum(end - 1.0, 0.0)
         first = _strips(m, self._warp(self.starts), self._warp(np.minimum(end, 1.0)))
         return np.asarray(self.sides * (first + _strips(m, np.zeros(1), self._warp(over))))
 
     def of_grid(self, m: Array) -> Array:
-        """A_δ(m), the starts being the offsets: (frequencies, offsets)."""
+        """A_δ(m) with the starts as offsets: (frequencies, offsets)."""
         total = np.zeros((m.size, self.starts.size), complex)
         for j in range(self.sides):
             x = self._warp(self.starts + j / self.sides)
@@ -675,13 +690,13 @@ class _Axis:
         return total / self.sides
 
     def _warp(self, u: Array) -> Array:
-        """T(u), 1 at 1; rounding may have left [0,1)."""
+        """T(u), with T(1) = 1; u outside [0,1) by rounding is clipped."""
         x = self.density.sample(np.clip(u, 0.0, 1.0)[:, None])[:, 0]
         return np.where(u <= 0.0, 0.0, np.where(u >= 1.0, 1.0, x))
 
 
 def _strips(m: Array, low: Array, high: Array) -> Array:
-    """∫ exp(−2πi m x) dx from low to high: (frequencies, intervals)."""
+    """Return ∫ exp(−2πi m x) dx from low to high: (frequencies, intervals)."""
     width, middle = high - low, 0.5 * (low + high)
     return np.asarray(
         width * np.sinc(np.outer(m, width)) * np.exp(-2j * np.pi * np.outer(m, middle))
@@ -689,7 +704,7 @@ def _strips(m: Array, low: Array, high: Array) -> Array:
 
 
 def _all_offsets(density: Density, sides: int, length: float, highest: int) -> tuple[Array, Array]:
-    """Rule for the mean over t in [0, length): cut where a stratum's ends meet breaks or the seam."""
+    """Return a quadrature rule over t in [0, length), split where strata end at breaks or 0."""
     breaks = np.array([0.0, *density.breaks[0]])
     ends = np.concatenate([breaks, breaks - 1.0 / sides]) % 1.0 % length
     cells = max(_CELLS, 2 * highest)
@@ -707,7 +722,7 @@ def _highest(m: Array, other: Array) -> int:
 
 
 def _factors(density: Density) -> list[Density]:
-    """The density of each axis, if it is known to be a product over them with monotone warps."""
+    """Return the density of each axis; raise an error if it is not a product of monotone warps."""
     if density.dims == 1:
         factors = [density]
     elif isinstance(density, Linear):
@@ -721,7 +736,7 @@ def _factors(density: Density) -> list[Density]:
         ]
     else:
         factors = list(getattr(density, "parts", ())) if density.name == "product" else []
-    # Probe whether the warps are monotone
+    # Check at probe points that the warps are monotone
     u = (np.arange(_PROBES) / _PROBES)[:, None]
     monotone = all(
         p.dims == 1
@@ -740,7 +755,7 @@ def _factors(density: Density) -> list[Density]:
 
 
 def _reciprocal(density: Density, k: Array) -> Array:
-    """(1/p)^_k at integers k (..., d)."""
+    """Return the Fourier coefficients of 1/p at integers k (..., d)."""
     try:
         factors = _factors(density)
     except NoClosedForm:

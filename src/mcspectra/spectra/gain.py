@@ -1,11 +1,11 @@
-"""Scrambled nets in exact terms: gain coefficients, nested variances, and power in the Walsh basis.
+"""Exact results for scrambled nets: gain coefficients, nested variances, and Walsh power.
 
-Owen [Owen1997]_ splits f into parts ν_l, l = (l_1, …, l_d), by the digits of the coordinates that
-it varies with (docs/theory.md, "Gains of scrambled nets"). (His u is {j: l_j > 0}, and his k_j is
-l_j − 1.) In base 2, ν_l is the part of f in the Walsh functions of index 2^(l_j − 1) ≤ m_j < 2^l_j,
-and all these have the expected power Γ_l / n. A digital shift leaves the power of each as it is: 1
-on the dual net, the indices to which all columns of the generator matrices are orthogonal, and 0
-elsewhere.
+Owen [Owen1997]_ splits f into parts ν_l, l = (l_1, …, l_d), by the digits of the coordinates on
+which it depends (docs/theory.md, "Gains of scrambled nets"). (His u is {j: l_j > 0}, and his k_j is
+l_j − 1.) In base 2, ν_l is the part of f in the Walsh functions of index 2^(l_j − 1) ≤ m_j < 2^l_j.
+All of these have the expected power Γ_l / n. A digital shift does not change the power of a Walsh
+function: it is 1 on the dual net and 0 elsewhere. The dual net has the indices to which all columns
+of the generator matrices are orthogonal.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from mcspectra.core.tally import counting
 from mcspectra.integrands import Integrand, as_integrand
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.samplers.law import Fixed, Law, Scrambled
-from mcspectra.spectra.bases import Walsh
+from mcspectra.spectra.bases import WalshBasis
 from mcspectra.spectra.closed_forms import points_at
 
 if TYPE_CHECKING:
@@ -42,26 +42,27 @@ def gain_coefficients(
     Parameters
     ----------
     sampler
-        Net or sequence in any base, or in one base for each axis; with or without owen.
+        Net or sequence in any base, or in one base per axis; with or without owen.
     n
         Number of points.
     levels
-        Largest level of each axis; by default one more than the digits of n in the least base.
-        Beyond, the gains of nets of distinct coordinates are 1.
+        Largest level of each axis; by default one more than the digits of n in the smallest base.
+        At higher levels the gains of nets with distinct coordinates are 1.
     dims
-        Dims of a spec string that does not say.
+        Number of dims, if a spec string does not state it.
 
     Returns
     -------
     xarray.Dataset
-        ``gain`` on dims ``level0``, ``level1``, …, from 0. Level 0 of all axes, the mean, has none: 0.
+        ``gain`` on dims ``level0``, ``level1``, …, from 0. At level 0 of all axes, the mean, it is
+        0.
 
     Raises
     ------
     NoClosedForm
-        The sampler draws other points each time, so that its gains are random.
+        If the sampler draws other points each time, so that its gains are random.
     ParameterError
-        Too many levels, points or dims to count.
+        If there are too many levels, points or dims to count.
 
     Examples
     --------
@@ -90,10 +91,10 @@ def gain_coefficients(
 
 
 def gains_at(net: Fixed, bases: Sequence[int], levels: int) -> Array:
-    """Return the gains of a set that is scrambled in these bases, (levels + 1, …).
+    """Return the gains of a set that is scrambled in the given bases, (levels + 1, …).
 
-    From the numbers of pairs that agree: a difference of levels along each axis. Errors are those
-    of `gain_coefficients`.
+    Gains are differences of agreement counts along each axis. Raises the errors of
+    `gain_coefficients`.
     """
     gains = net.agreements(bases, levels)
     for axis, base in enumerate(bases):
@@ -112,28 +113,28 @@ def nested_variances(
     Parameters
     ----------
     integrand, levels
-        f, or its spec string, and the largest level.
+        f, or its spec string, and the largest level on each axis.
     max_evaluations
-        Most evaluations of a user's function: BudgetError where it takes more.
+        Most evaluations of a user's function; if more are needed, BudgetError is raised.
 
     Returns
     -------
     ndarray
-        float64 (levels + 1, …), or (channels, levels + 1, …); 0 at level 0 of all axes. Their sum is
-        the variance of f but for finer levels.
+        float64 (levels + 1, …), or (channels, levels + 1, …); 0 at level 0 of all axes. The sum is
+        the variance of f without finer levels.
 
     Raises
     ------
     ParameterError
-        More than 2^24 cells.
+        If there are more than 2^24 cells.
     """
     levels = as_integer("levels", levels, least=1, most=24)
     integrand = as_integrand(integrand)
-    basis = Walsh(integrand.dims, 2 ** (levels - 1))
+    basis = WalshBasis(integrand.dims, 2 ** (levels - 1))
     with counting("nested_variances", max_evaluations):
         coefficients, _ = basis.integrand(integrand)
     squares = basis.full(np.abs(coefficients) ** 2)
-    # The indices of a level are neighbors: 0, 1, 2–3, 4–7, …
+    # The indices of a level are contiguous: 0, 1, 2–3, 4–7, …
     starts = np.concatenate([[0], 2 ** np.arange(levels)])
     for axis in range(1, squares.ndim):
         squares = np.add.reduceat(squares, starts, axis=axis)
@@ -161,7 +162,7 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
     Raises
     ------
     NoClosedForm
-        Another sampler, another randomization, or another count.
+        If the sampler, its randomization or the count is not supported.
 
     Examples
     --------
@@ -178,11 +179,11 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
     net, bases = _net_inside(law, source.spec)
     if net.columns is None:
         raise NoClosedForm(
-            f"{n} points of {source.spec} are not a digital net in base 2 with known matrices; take a "
-            "power of two of sobol, niederreiter, larcher-pillichshammer or digital-net."
+            f"{n} points of {source.spec} are not a digital net in base 2 with known matrices; "
+            "take a power of two of sobol, niederreiter, larcher-pillichshammer or digital-net."
         )
     if isinstance(law, Scrambled) and law.xor:
-        # On the dual net Σ_j (digits of m_j) · (column c of matrix j) is even for every column c
+        # On the dual net, Σ_j (digits of m_j) · (column c of matrix j) is even for every column c
         reversed_digits = np.zeros_like(m)
         for bit in range(_BITS):
             digit = (m >> np.uint64(bit)) & np.uint64(1)
@@ -192,8 +193,8 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
         return np.asarray((~odd.any(axis=-1)).astype(float))
     if not (isinstance(law, Scrambled) and law.nested_pairs):
         raise NoClosedForm(
-            f"No power in the Walsh basis is known for {source.spec}; add digital-shift or owen, or "
-            "use ",
+            f"No power in the Walsh basis is known for {source.spec}; add digital-shift or owen, "
+            "or use ",
             Function("variance_terms"),
             " with ",
             Parameter("basis", "walsh"),
@@ -207,7 +208,7 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
 
 
 def _net_inside(law: Law, name: str) -> tuple[Fixed, tuple[int, ...]]:
-    """Return the fixed set inside scrambles of its digits, and the bases of these."""
+    """Return the fixed set inside scrambles of its digits, and their bases."""
     net = law.inner if isinstance(law, Scrambled) else law
     if not isinstance(net, Fixed):
         raise NoClosedForm(

@@ -1,22 +1,22 @@
 """Expected power at listed frequencies, real or integer, in any number of dims.
 
-Grids of frequencies end at a few dims; lists of them do not: slices along the axes, planes of two
-axes (the projections of a set), the frequencies that belong to one ANOVA subset. `power_at` takes any
-list; `axis_frequencies` and the like write such lists, float64 (F, d), with only one of ν and −ν where a
-whole line would hold both: S_{−ν} = conj S_ν.
+Grids of frequencies are limited to a few dims; lists of them are not. Examples are slices along the
+axes, planes of two axes (the projections of a set), and the frequencies of one ANOVA subset.
+`power_at` takes any list. `axis_frequencies` and similar functions return such lists, float64
+(F, d), with only one of ν and −ν if a whole line contains both, since S_{−ν} = conj S_ν.
 
 Engines
 -------
 ``direct``
-    Sums of phases, n F of them, from which only the nonzero components of a frequency are read.
-    Where frequencies share components, their phases are products of tabulated factors. Exact to
+    Sums of phases, n F of them, using only the nonzero components of a frequency.
+    If frequencies share components, their phases are products of tabulated factors. Exact to
     rounding.
 ``nufft``
     FINUFFT's type 3 [Barnett2019]_, one to three dims, relative l2 error of about `eps`: O(n + F)
     with a large constant, plus a grid of the volume that the frequencies span.
 ``auto``
-    The one that takes less time by the constants measured here; direct from three dims on, where
-    type 3 has no advantage left.
+    The faster of the two according to constants measured here; direct in three or more dims, where
+    type 3 has no advantage.
 """
 
 from __future__ import annotations
@@ -69,14 +69,14 @@ __all__ = [
 ]
 
 Listed = Callable[[Array, Array], Array]
-"""Transform of one set: points (n, d), weights (n,) to S (F,)."""
+"""Transform of one set: points (n, d) and weights (n,) to S (F,)."""
 
 _ENGINES = ("auto", "nufft", "direct")
 _MAX_FACTORS = 4096
-"""Most factors of a table, which takes 4 KiB for each."""
+"""Largest number of factors in a table, which takes 4 KiB per factor."""
 
 MAX_LISTED = 2**27
-"""Most numbers in a list of frequencies, F times d: 1 GiB."""
+"""Largest number of coordinates in a list of frequencies, F times d: 1 GiB."""
 
 
 def power_at(
@@ -96,9 +96,9 @@ def power_at(
     Parameters
     ----------
     sampler, n
-        Sampler (or spec string, which then has the dims of `frequencies`) and number of points.
+        Sampler (or spec string, which gets the dims of `frequencies`) and number of points.
     frequencies
-        Real frequencies ν, shape (F, d), in cycles per unit: any, or those of `axis_frequencies`,
+        Real frequencies ν, shape (F, d), in cycles per unit: any, or those from `axis_frequencies`,
         `diagonal_frequencies`, `plane_frequencies`, `subset_frequencies`.
     density
         Importance density p (or spec string): points are warped and weighted 1/(n p).
@@ -109,24 +109,24 @@ def power_at(
     engine, eps
         ``auto``, ``direct`` or ``nufft`` (one to three dims) and its accuracy.
     workers
-        Threads; all processors by default. Results do not depend on it.
+        Number of threads; by default all processors. Results do not depend on it.
 
     Returns
     -------
     xarray.Dataset
         ``power``, ``power_se``, ``mean_coefficient`` (complex) and ``mean_coefficient_se`` on dim
-        frequency, with coordinates m_0, m_1, … Errors are as those of `power_spectrum`.
+        frequency, with coordinates m_0, m_1, … Standard errors are computed as in `power_spectrum`.
 
     Raises
     ------
     ParameterError
-        A value is out of range, or dims disagree.
+        If a value is out of range, or dims disagree.
     ConfigError
-        It needs more memory than there is.
+        If more memory is needed than is available.
 
     Notes
     -----
-    Memory: 32 F bytes for each thread, flat in the number of realizations.
+    Memory: 32 F bytes per thread, independent of the number of realizations.
 
     Examples
     --------
@@ -177,7 +177,7 @@ def power_at(
 def listed_transform(
     frequencies: Array, n: int, *, engine: str = "auto", eps: float = 1e-9
 ) -> tuple[Listed, str]:
-    """Return what transforms sets of n points to S at frequencies (F, d), and its engine."""
+    """Return the transform of sets of n points to S at frequencies (F, d), and its engine."""
     as_choice("engine", engine, _ENGINES)
     eps = as_real("eps", eps, least=1e-14, most=0.1)
     dims = frequencies.shape[1]
@@ -189,7 +189,7 @@ def listed_transform(
         )
     if engine == "auto":
         engine = "direct"
-        if dims <= 2:  # estimated nanoseconds, measured on one core of a server of 2024
+        if dims <= 2:  # nanoseconds, measured on one core of a 2024 server
             volume = np.prod(2.5 * np.ptp(frequencies, axis=0) + 30.0)
             nufft = (n + len(frequencies)) * 200.0 * 10.0 ** (dims - 1) + 100.0 * volume
             engine = "nufft" if nufft < 10.0 * n * len(frequencies) else "direct"
@@ -199,14 +199,14 @@ def listed_transform(
 def _type_3(frequencies: Array, eps: float) -> Listed:
     dims = frequencies.shape[1]
     missing = [None] * (3 - dims)
-    # What 1.25 reaches, measured: 2e-9 in one and two dims, 6e-8 in three.
+    # Accuracy reached with 1.25, measured: 2e-9 in one and two dims, 6e-8 in three
     upsampling = 1.25 if eps >= (1e-9 if dims < 3 else 1e-7) else 2.0
     targets = [*(np.ascontiguousarray(axis) for axis in frequencies.T), *missing]
 
     def transform(points: Array, weights: Array) -> Array:
         import finufft
 
-        # A plan for each set: it is not the costly part, and nothing is shared between threads.
+        # A plan per set costs little, and threads share nothing
         plan = finufft.Plan(
             3, dims, eps=eps, isign=-1, upsampfac=upsampling, nthreads=1, showwarn=0
         )
@@ -217,7 +217,7 @@ def _type_3(frequencies: Array, eps: float) -> Listed:
 
 
 def _direct(frequencies: Array) -> Listed:
-    """Choose between factors that frequencies share and one phase for each."""
+    """Return a transform with shared factors if they are few, else with a phase per frequency."""
     rows, axes = np.nonzero(frequencies)
     values = frequencies[rows, axes]
     start = np.searchsorted(rows, np.arange(len(frequencies) + 1))
@@ -240,7 +240,7 @@ def _direct(frequencies: Array) -> Listed:
 
 
 def axis_frequencies(dims: int, half_width: int, *, step: float = 1.0) -> Array:
-    """Frequencies step · {1 … half_width} along each axis, one axis after the other.
+    """Return frequencies step · {1 … half_width} along each axis, one axis after another.
 
     Examples
     --------
@@ -256,14 +256,14 @@ def axis_frequencies(dims: int, half_width: int, *, step: float = 1.0) -> Array:
 def diagonal_frequencies(
     dims: int, half_width: int, *, signs: Sequence[int] | None = None, step: float = 1.0
 ) -> Array:
-    """Frequencies step · t · signs, t = 1 … half_width: the main diagonal, unless signs differ.
+    """Return frequencies step · t · signs, t = 1 … half_width; by default the main diagonal.
 
     Parameters
     ----------
     dims, half_width, step
-        Number of dims and extent.
+        Number of dims, largest t, and spacing.
     signs
-        −1, 0 or 1 for each axis.
+        Sign of each axis: −1, 0 or 1.
 
     Examples
     --------
@@ -285,9 +285,9 @@ def diagonal_frequencies(
 def plane_frequencies(
     dims: int, axes: Sequence[int], half_width: int, *, step: float = 1.0
 ) -> Array:
-    """Frequencies step · {−half_width … half_width} of some axes, zero elsewhere, in C order.
+    """Return frequencies step · {−half_width … half_width} on some axes, 0 elsewhere, in C order.
 
-    Those of two axes are the spectrum of the set's projection onto their plane.
+    For two axes they give the spectrum of the set's projection onto their plane.
 
     Examples
     --------
@@ -300,9 +300,9 @@ def plane_frequencies(
 def subset_frequencies(
     dims: int, axes: Sequence[int], half_width: int, *, step: float = 1.0
 ) -> Array:
-    """Frequencies whose nonzero components are exactly those of `axes`, up to the half width.
+    """Return frequencies whose nonzero components are exactly `axes`, up to the half width.
 
-    They carry the ANOVA term of these axes: (2 half_width)^|axes| frequencies.
+    They belong to the ANOVA term of these axes: (2 half_width)^|axes| frequencies.
 
     Examples
     --------
@@ -341,7 +341,8 @@ def _check_size(count: float, dims: int) -> None:
     if count * dims > MAX_LISTED:
         raise ParameterError(
             f"These are {count:.3g} frequencies in {dims} dims, "
-            f"{8 * count * dims / 2**30:.3g} GiB; list at most {MAX_LISTED // dims}: use a smaller ",
+            f"{8 * count * dims / 2**30:.3g} GiB; list at most {MAX_LISTED // dims}: use a "
+            "smaller ",
             Parameter("half_width"),
             " or fewer axes.",
         )

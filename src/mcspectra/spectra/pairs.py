@@ -31,7 +31,7 @@ __all__ = [
     "pair_correlation",
 ]
 
-_MOST_PAIRS = 2**36  # about a minute a realization
+_MOST_PAIRS = 2**36  # largest number of pairs; about a minute per realization
 
 
 def pair_correlation(
@@ -58,27 +58,28 @@ def pair_correlation(
     rng
         Seed (SPEC 7).
     boundary
-        ``"toroidal"``: distances wrap around. ``"border"``, for sets that end at the border: they do
-        not, and pairs are counted from those points only that are further from it than r.
+        ``"toroidal"``: distances wrap around. ``"border"``, for sets that end at the border:
+        distances do not wrap, and only points at least r from the border count their pairs.
     max_distance
-        Largest r, at most 1/2; by default 1/2, with the border correction 1/4.
+        Largest r, at most 1/2; by default 1/2, or 1/4 with the border correction.
     workers
-        Threads; all processors by default.
+        Number of threads; by default all processors. Results do not depend on it.
 
     Returns
     -------
     xarray.Dataset
         ``pair_correlation``, ``pair_correlation_se`` on dim r (bin centers), and
-        ``pair_correlation_ci``, the 95 % interval by Student's t of the logarithm; 0 to 0 where no
-        pair was seen. Where the sampler has fewer sets than realizations, errors and t are those of the
+        ``pair_correlation_ci``, the 95 % interval by Student's t of the logarithm (0 to 0 for bins
+        without pairs). If the sampler has fewer sets than realizations, errors and t follow the
         number of sets.
 
     Notes
     -----
-    g = pairs in a shell / (n(n−1)/2 · volume of the shell); with the border correction ordered pairs /
-    (n(n−1) · volume of the shell · volume (1−2r)^d of where the first may be), which is unbiased if the
-    set is stationary. Only points with first coordinates nearer than max_distance are compared: the
-    cost is O(n log n + n² max_distance) a realization.
+    g = pairs in a shell / (n(n−1)/2 · volume of the shell). With the border correction, g = ordered
+    pairs / (n(n−1) · volume of the shell · (1−2r)^d), where (1−2r)^d is the volume in which the
+    first point may lie; this is unbiased if the set is stationary. Only points whose first
+    coordinates differ by less than max_distance are compared. The cost is O(n log n + n²
+    max_distance) per realization.
     """
     analysis = PairCorrelation.of(locals())
     return compute(analysis, Subject(None, as_sampler(sampler)), rng, workers)
@@ -113,7 +114,7 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
     ] = None
 
     def need(self, subject: Subject) -> Need:
-        """Refuse dims and numbers of pairs that are too many."""
+        """Check the number of dims and of pairs."""
         source = subject.sampler
         as_integer("dims of a pair correlation", source.dims, least=1, most=8)
         _check_pairs(source, self.n)
@@ -122,14 +123,16 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
                 Parameter("max_distance"),
                 " is 0.5; with the border correction give less: no point is that far inside.",
             )
-        # Counts of four neighbors at a time, sums, edges and expected numbers of each bin
+        # Memory for counts of four neighbors at a time, sums, edges and expected numbers of each
+        # bin
         return Need(cost=self._cost, memory=memory_of(self.n, source.dims) + 128 * self.bins)
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[MeanSums]:
-        """A block is a set."""
+        """Return the reduction; a block is one set."""
         source, n, wrap = subject.sampler, self.n, self.boundary == "toroidal"
         edges = np.linspace(0.0, self._most, self.bins + 1)
-        volume = math.pi ** (source.dims / 2) / math.gamma(source.dims / 2 + 1)  # of the unit ball
+        # Volume of the unit ball
+        volume = math.pi ** (source.dims / 2) / math.gamma(source.dims / 2 + 1)
         expected = 0.5 * n * (n - 1) * np.diff(volume * edges**source.dims)
         if not wrap:
             expected *= 2.0 * (1.0 - 2.0 * edges[1:]) ** source.dims
@@ -139,7 +142,8 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
             return MeanSums.of(count_pairs(points, edges, wrap=wrap) / expected)
 
         def result(total: MeanSums) -> xr.Dataset:
-            # Translations keep distances: realizations that repeat few sets have those of the sets
+            # Translations preserve distances, so realizations that reuse few sets repeat their
+            # counts
             sets = independent_sets(source.law(n))
             count = self.realizations if sets is None else min(self.realizations, sets)
             mean, se = total.mean_and_error(sets)
@@ -178,8 +182,8 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
 def count_pairs(points: Array, edges: Array, *, wrap: bool) -> Array:
     """Count pairs of points (n, d) by distance, in equal bins from 0: float64 (bins,).
 
-    Unordered pairs on the torus (wrap); else ordered pairs of which the first point is at least as far
-    from the border as the bin reaches.
+    With `wrap`, pairs are unordered, on the torus. Otherwise pairs are ordered, and the first point
+    is at least as far from the border as the bin extends.
     """
     n, bins = len(points), len(edges) - 1
     limit = min(float(edges[-1]), 0.5) if wrap else float(edges[-1])
@@ -192,14 +196,14 @@ def count_pairs(points: Array, edges: Array, *, wrap: bool) -> Array:
         count_ordered_pairs(coordinates, per_unit, limit, last, ordered)
         return ordered.astype(float)
     copies = coordinates[:, coordinates[0] <= limit]
-    copies = copies + np.eye(len(coordinates), 1)  # one further along the first axis
+    copies = copies + np.eye(len(coordinates), 1)  # moved by one along the first axis
     counts = np.zeros((4, bins + 1), np.int64)
     count_distances(np.concatenate([coordinates, copies], axis=1), n, per_unit, limit, counts)
     return np.asarray(counts[:, :bins].sum(axis=0), float)
 
 
 def closed_form_pair_correlation(sampler: Sampler | str, n: int, r: Any) -> Array:
-    """Return the exact pair correlation at toroidal distances r, averaged over place and direction.
+    """Return the exact pair correlation at toroidal distances r, averaged over directions.
 
     Parameters
     ----------
@@ -213,14 +217,14 @@ def closed_form_pair_correlation(sampler: Sampler | str, n: int, r: Any) -> Arra
     Raises
     ------
     NoClosedForm
-        Another sampler.
+        If no closed form is known for the sampler.
 
     Notes
     -----
-    Two points of a jittered set are independent, but not in one cell. Two places h apart share a cell
-    of sides 1/s_i with the probability Π max(0, 1 − s_i |h_i|), with a factor of 1 for an axis of one
-    cell, which all places share across the border of the torus too; g is n/(n−1) times 1 minus its
-    mean over directions.
+    Two points of a jittered set are independent, except that they cannot share a cell. Two places
+    at offset h share a cell of sides 1/s_i with probability Π max(0, 1 − s_i |h_i|). An axis with
+    one cell contributes a factor of 1, also across the border of the torus. g is n/(n−1) times 1
+    minus the mean of this probability over directions.
 
     Examples
     --------
@@ -237,7 +241,7 @@ def closed_form_pair_correlation(sampler: Sampler | str, n: int, r: Any) -> Arra
         return np.ones(distance.shape)
     if isinstance(law, Strata) and law.jittered and law.dims <= 2:
         sides = law.sides
-        # On an axis of one cell two places always share it
+        # On an axis with one cell, any two places share it
         a, *rest = ((0.0 if s == 1 else s) * distance for s in sides)
         shared = np.maximum(0.0, 1.0 - a)
         if rest:
@@ -265,7 +269,7 @@ def _check_pairs(sampler: Sampler, n: int) -> int:
         raise ParameterError(Function("pair_correlation"), " needs n of at least 2, not 1.")
     if 0.5 * float(count) ** 2 > _MOST_PAIRS:
         raise ParameterError(
-            f"{count} points are {0.5 * float(count) ** 2:.2g} pairs, more than {_MOST_PAIRS:.2g}; "
-            "give fewer points."
+            f"{count} points are {0.5 * float(count) ** 2:.2g} pairs, more than "
+            f"{_MOST_PAIRS:.2g}; give fewer points."
         )
     return count

@@ -1,8 +1,8 @@
 """Expected power spectra of point sets, uniform or importance-sampled, by simulation.
 
-Power is summed by frequency, and over rings and wedges of frequencies, realization by realization:
-frequencies of one set are not independent, since under a density they share the fluctuation of its
-weights. Errors of means over many of them are therefore taken from the means themselves.
+Power is summed by frequency, and over rings and wedges of frequencies, for each realization.
+Frequencies of one set are not independent: with a density they share the fluctuation of its
+weights. Errors of means over many frequencies are therefore computed from the means themselves.
 """
 
 from __future__ import annotations
@@ -48,15 +48,15 @@ __all__ = [
     "weighted_points",
 ]
 
-_BLOCKS = 8  # at least, for threads and machines to share
-_MOST_COORDINATES = 2**26  # of a set: half a GiB, and several times that in a transform
-_EPS = 1e-9  # of transforms in double precision
-_SINGLE_EPS = 1e-5, 1e-6  # that single precision can, the cheaper first
-_MOST_ERROR = 0.02  # of these, in standard errors: a mean over a ring, a tenth of which is the aim
-_TRIED_FROM = 16  # realizations for which trying both pays
+_BLOCKS = 8  # smallest number of blocks, shared by threads and machines
+_MOST_COORDINATES = 2**26  # largest number of coordinates of a set; half a GiB, more in transforms
+_EPS = 1e-9  # tolerance of transforms in double precision
+_SINGLE_EPS = 1e-5, 1e-6  # tolerances of transforms in single precision, the cheaper first
+_MOST_ERROR = 0.02  # largest single-precision error of a ring mean, in standard errors
+_TRIED_FROM = 16  # number of realizations at which a trial of both precisions pays off
 
 MAX_WEDGES = 360
-"""Most directions into which a half turn is divided."""
+"""Largest number of directions into which a half turn is divided."""
 
 
 def power_spectrum(
@@ -85,53 +85,55 @@ def power_spectrum(
     half_width
         Frequencies run over frequency_step · {−half_width … half_width} in every dim.
     frequency_step
-        Below 1 for real frequencies between the integers.
+        Spacing of the frequencies; below 1 for real frequencies between the integers.
     realizations
         Number of realizations averaged; 2 or more for standard errors.
     mean
-        Whether to return the complex mean ⟨S_m⟩ too: bias, 0 at integer m ≠ 0 for unbiased sets.
+        Whether to also return the complex mean ⟨S_m⟩, which is 0 at integer m ≠ 0 if unbiased.
     wedges
-        In two dims, the number of directions of which mean power is returned, 360 at most.
+        In two dims, the number of directions with a mean power, at most 360.
     rng
         Seed (SPEC 7).
     engine
         See `mcspectra.spectra.transforms`.
     eps
-        Relative accuracy of the transforms. By default 1e-5 or 1e-6 in single precision where that is far
-        below the statistical error, which the first two realizations show by both (attribute
-        ``transform_error``: the largest over all rings of the error over the standard error, less than
-        0.02), and 1e-9 elsewhere. What is used is the attribute ``eps``.
+        Relative accuracy of the transforms. By default it is 1e-5 or 1e-6 in single precision if
+        that is far below the statistical error, else 1e-9. The first two realizations decide: the
+        largest ratio over all rings of the error to the standard error must be less than 0.02
+        (attribute ``transform_error``). The attribute ``eps`` has the value that was used.
     workers
-        Threads; all processors by default. Results do not depend on it.
+        Number of threads; by default all processors. Results do not depend on it.
 
     Returns
     -------
     xarray.Dataset
-        ``power``, ``power_se`` on dims m0, m1, … (power 1/n is random sampling; m = 0 holds
-        ⟨S_0²⟩; with a density random is ∫1/p / n, the attribute ``random_level`` over n);
-        ``radial_power``, ``radial_power_se`` on dim radius (|m|, cycles per unit, rings of one
-        frequency step, without m = 0), the error from the ring means of each realization, since
-        the frequencies of one set are not independent, and ``radial_power_ci``, the 95 % interval:
-        Student's t of the logarithm, power · exp(±t se/power), with t of realizations − 1 degrees
-        of freedom, the attribute ``student_t`` (it serves ``power_se`` too). Where the sampler has
-        fewer sets than realizations, errors and t are those of the number of sets; in two dims
-        ``wedge_power`` with ``_se`` and ``_ci`` likewise, see `wedge_means`; with `mean`,
-        ``mean_coefficient`` (complex) and ``mean_coefficient_se`` on dims m0, m1, …
+        ``power``, ``power_se`` on dims m0, m1, …; m = 0 holds ⟨S_0²⟩. The power of random points is
+        1/n, or ∫1/p / n with a density (attribute ``random_level`` over n).
+
+        ``radial_power``, ``radial_power_se`` on dim radius: |m| in cycles per unit, rings of one
+        frequency step, without m = 0. Errors are from the ring means of the realizations, since
+        frequencies of one set are not independent. ``radial_power_ci`` is the 95 % interval by
+        Student's t of the logarithm, power · exp(±t se/power). t has realizations − 1 degrees of
+        freedom (attribute ``student_t``) and applies to ``power_se`` as well. If the sampler has
+        fewer sets than realizations, errors and t follow the number of sets.
+
+        In two dims also ``wedge_power`` with ``_se`` and ``_ci``, see `wedge_means`. With `mean`
+        also ``mean_coefficient`` (complex) and ``mean_coefficient_se`` on dims m0, m1, …
 
     Raises
     ------
     ParameterError
-        A value is out of range, the grid too large, or dims disagree; or a set has more than 2^26
-        coordinates.
+        If a value is out of range, the grid is too large, dims disagree, or a set has more than
+        2^26 coordinates.
     ConfigError
-        It needs more memory than there is.
+        If more memory is needed than is available.
 
     Notes
     -----
-    Power is as in the slides, ⟨|S_m|²⟩. Multiply by n for the convention of UTK, random = 1.
-    Cost O(n log^d(1/eps) + M log M) for a pair of realizations of M frequencies. Memory does not grow
-    with the realizations: 100 M bytes for each thread at most, and for its points (and phases, of
-    the direct engine) up to 64 MB or, where two sets are larger than that, 100 n d bytes.
+    Power is ⟨|S_m|²⟩, as in the slides. Multiply by n for the convention of UTK, random = 1. The
+    cost is O(n log^d(1/eps) + M log M) for a pair of realizations with M frequencies. Memory does
+    not depend on the number of realizations. A thread takes at most 100 M bytes, and for its points
+    (and phases, in the direct engine) up to 64 MB or, if two sets are larger, 100 n d bytes.
 
     Examples
     --------
@@ -146,7 +148,7 @@ def power_spectrum(
 
 
 class _OfPointSets(Analysis, frozen=True, kw_only=True):
-    """Options of a spectrum, and of the points that are shown beside it."""
+    """Options of a spectrum, and of the points that are shown alongside it."""
 
     about = "sampler"
 
@@ -198,21 +200,21 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
     )  # fmt: skip
 
     def need(self, subject: Subject) -> Need:
-        """Refuse sets that are too large, and engines that do not work in these dims."""
+        """Check that sets are not too large, and that the engine works in these dims."""
         source, p = _warped(subject)
         source.check_count(self.n)
         dims = max(source.dims, p.dims if p else 0)
         if self.n * dims > _MOST_COORDINATES:
             raise ParameterError(
-                f"{self.n} points in {dims} dims are {100 * self.n * dims / 2**30:.3g} GiB a thread; "
-                f"a spectrum takes at most {_MOST_COORDINATES // dims} of them."
+                f"{self.n} points in {dims} dims are {100 * self.n * dims / 2**30:.3g} GiB per "
+                f"thread; a spectrum takes at most {_MOST_COORDINATES // dims} of them."
             )
         grid = self._grid(source, p)
         Transform(grid, self.n, engine=self.engine, eps=self.eps or _EPS)
         return Need(cost=self._cost(grid), memory=memory_of(self.n, dims, 1, grid.size))
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_SpectrumSums]:
-        """Sums over blocks of realizations; pairs share a transform."""
+        """Return the reduction: sums over blocks of realizations; pairs share a transform."""
         source, p = _warped(subject)
         grid = self._grid(source, p)
         polar = _PolarMeans.of(grid, self.wedges)
@@ -220,7 +222,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
 
         @functools.cache
         def chosen() -> tuple[Transform, float | None]:
-            """The cheapest transform that is accurate enough, and its error over the statistical one."""
+            """Cheapest transform that is accurate enough; its error in standard errors."""
             if self.eps is not None or self.realizations < _TRIED_FROM:
                 return double, None
             singles = [
@@ -231,7 +233,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 return double, None
             points, weights = weighted_points(source, p, self.n, stream, (0, 2))
             exact = _powers(double, points, weights)
-            # The mean distance of two exponential numbers is their standard deviation
+            # The mean distance of two exponential numbers equals their standard deviation
             spread = polar.rings(np.abs(exact[0] - exact[1])) / self.realizations**0.5
             for single in singles:
                 error = polar.rings(np.abs(_powers(single, points, weights) - exact).mean(axis=0))
@@ -258,7 +260,8 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
             return sums
 
         def result(total: _SpectrumSums) -> xr.Dataset:
-            # Realizations that repeat a few sets under other translations have the power of these
+            # Realizations that reuse a few sets under other translations have the power of these
+            # sets
             law = source.law(self.n)
             sets = independent_sets(law)
             count = self.realizations if sets is None else min(self.realizations, sets)
@@ -284,7 +287,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 found[name], found[f"{name}_se"] = ((dim,), mean), ((dim,), se)
                 found[f"{name}_ci"] = (dim, "bound"), log_mean_interval(mean, se, count)
             if self.mean:
-                # Translations give each realization a coefficient of its own
+                # Translations give each realization its own coefficient
                 mean, mean_se = total.frequencies.coefficient(None if law.stationary else sets)
                 found["mean_coefficient"] = grid.names, grid.full(mean, conjugate=True)
                 found["mean_coefficient_se"] = grid.names, grid.full(mean_se)
@@ -324,13 +327,13 @@ class Points(_OfPointSets, frozen=True, kw_only=True):
     provenance = ("sampler", "n")
 
     def need(self, subject: Subject) -> Need:
-        """One set of points."""
+        """Return the cost of one set of points."""
         source, _ = _warped(subject)
         source.check_count(self.n)
         return Need(cost=self.n, memory=memory_of(self.n, source.dims))
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[xr.Dataset]:
-        """Drawn at once."""
+        """Return the reduction that draws the set in one step."""
         source, p = _warped(subject)
 
         def points() -> xr.Dataset:
@@ -344,7 +347,7 @@ class Points(_OfPointSets, frozen=True, kw_only=True):
 
 
 def _warped(subject: Subject) -> tuple[Sampler, Density | None]:
-    """The sampler and the density of its points: the subject's, or the estimator's if it has one."""
+    """Return the sampler and the density of its points: the subject's, else the estimator's."""
     given = subject.density
     if given is None:
         given = getattr(subject.estimator, "density", None)
@@ -352,7 +355,7 @@ def _warped(subject: Subject) -> tuple[Sampler, Density | None]:
 
 
 def _powers(transform: Transform, points: Array, weights: Array | None) -> Array:
-    """|S_m|² of each set, (R, H)."""
+    """Return |S_m|² of each set, (R, H)."""
     s = transform.coefficients(points, weights)
     return np.asarray(s.real**2 + s.imag**2)
 
@@ -372,7 +375,7 @@ def weighted_points(
 def spectrum_attributes(
     sampler: Sampler, density: Density | None, n: int, realizations: int, stream: Stream
 ) -> dict[str, Any]:
-    """Say what a spectrum is of."""
+    """Return attributes that describe the point sets of a spectrum."""
     return {
         "sampler": sampler.spec,
         "density": None if density is None else density.spec,
@@ -388,25 +391,25 @@ def spectrum_attributes(
 @final
 @dataclass
 class PowerSums:
-    """Sums of |S|² and, if wanted, of S over realizations, by frequency."""
+    """Sums of |S|² and optionally of S over realizations, by frequency."""
 
     power: MeanSums
     mean: SUM | None
 
     @staticmethod
     def zeros(size: int, mean: bool) -> PowerSums:
-        """Sums of no realizations."""
+        """Return sums over no realizations."""
         return PowerSums(MeanSums.zeros(size), np.zeros(size, np.complex128) if mean else None)
 
     def take(self, s: Array) -> None:
-        """Add one set's S (F,)."""
+        """Add S (F,) of one set."""
         power_sums(s, False, self.power.total, self.power.squares, UNLABELLED, np.empty((1, 0)))
         if self.mean is not None:
             self.mean += s
         self.power.count += 1
 
     def coefficient(self, sets: int | None = None) -> tuple[Array, Array]:
-        """Mean S and its standard error, the root of the mean |error|²; `sets` as in `MeanSums`."""
+        """Return mean S and its standard error, the root mean |error|²; `sets` as in `MeanSums`."""
         assert self.mean is not None
         count = self.power.count
         mean = self.mean / count
@@ -417,7 +420,7 @@ class PowerSums:
 @final
 @dataclass
 class _SpectrumSums:
-    """Sums by frequency, and of the means over rings and wedges."""
+    """Sums by frequency, and sums of the means over rings and wedges."""
 
     frequencies: PowerSums
     polar: MeanSums
@@ -426,17 +429,17 @@ class _SpectrumSums:
 @final
 @dataclass(frozen=True)
 class _PolarMeans:
-    """Rings of one frequency step and, in two dims, wedges, of which the mean power is taken."""
+    """Rings of one frequency step and, in two dims, wedges, over which power is averaged."""
 
-    # Cell of each frequency of the half grid, ring · (wedges + 1) + wedge, and one more for m = 0
-    # and what is beyond the rings: int64 (H,). The last wedge is beyond the circle of the half
-    # width
+    # Cell of each frequency of the half grid, ring · (wedges + 1) + wedge: int64 (H,). One more
+    # cell holds m = 0 and frequencies beyond the rings. The last wedge is outside the circle of the
+    # half width
     label: Array
-    cells: Array  # frequencies of each cell: (rings, wedges + 1)
+    cells: Array  # number of frequencies in each cell: (rings, wedges + 1)
     radius: Array  # mean |m|/step of each ring
 
     @staticmethod
-    @functools.lru_cache(maxsize=4)  # for many samplers on one grid
+    @functools.lru_cache(maxsize=4)  # serves many samplers on one grid
     def of(grid: FrequencyGrid, wedges: int) -> _PolarMeans:
         """Make the rings, and the wedges in two dims."""
         index = grid.indices()
@@ -461,13 +464,13 @@ class _PolarMeans:
         return int(rings + wedges - 1)
 
     def rings(self, values: Array) -> Array:
-        """Sums of values (H,) over the rings, (rings,)."""
+        """Return sums of values (H,) over the rings, (rings,)."""
         return np.asarray(
             np.bincount(self.label, values)[:-1].reshape(self.cells.shape).sum(axis=1)
         )
 
     def add(self, sums: MeanSums, power: Array) -> None:
-        """Add the means of sets from their sums of power by label (sets, …); NaN for empty wedges."""
+        """Add the means of sets, from power summed by label (sets, …); NaN for empty wedges."""
         for own in power[:, :-1].reshape(-1, *self.cells.shape):
             with np.errstate(invalid="ignore"):
                 rings = own.sum(axis=1) / self.cells.sum(axis=1)
@@ -478,12 +481,12 @@ class _PolarMeans:
 
 
 def wedge_labels(index: Array, wedges: int) -> Array:
-    """Which of `wedges` parts of the half turn, the first centered on the m0 axis; index (H, 2)."""
+    """Return the wedge of each index (H, 2) in the half turn; wedge 0 is centered on axis m0."""
     turn = np.arctan2(index[:, 1], index[:, 0]) / np.pi
     return np.asarray(np.floor(turn * wedges + 0.5).astype(np.int64) % wedges)
 
 
 def wedge_angles(wedges: int) -> tuple[str, Array, dict[str, str]]:
-    """Centers of the wedges, as a coordinate."""
+    """Return the centers of the wedges as a coordinate."""
     angle = np.arange(wedges) * 180.0 / wedges
     return "angle", angle, {"long_name": "direction", "units": "degrees"}

@@ -1,11 +1,12 @@
-"""Shapes of a measured spectrum: rings, slices, wedges, its exponent, and the variance that it predicts.
+"""Shapes of a measured spectrum: rings, slices, wedges, its exponent, and the predicted variance.
 
-All take the dataset of `power_spectrum`. Standard errors are those over realizations, of the means
-over rings and wedges of each of them.
+All functions take the dataset of `power_spectrum`. Standard errors are over realizations, of the
+means over rings and wedges of each realization.
 
-Directions may have different exponents: a Latin hypercube has m² along its axes and the power of random
-points elsewhere, and the largest power decides. Where the power of a length depends on direction, each
-class of directions is fitted by itself: frequencies by the axes that they involve and, in 2-D, by wedges.
+Directions may have different exponents. A Latin hypercube has m² along its axes and the power of
+random points elsewhere; the largest power decides. If the power of a length depends on direction,
+each class of directions is fitted separately: frequencies by the axes that they involve and, in
+2-D, by wedges.
 """
 
 from __future__ import annotations
@@ -46,19 +47,21 @@ __all__ = [
 
 _MAX_SLICE_DIMS = 4
 _LEVEL = 0.95
-_ISOTROPIC = 0.1  # excess of (spread over direction / mean)² over noise; jittered points: 0.001
+# Largest excess of (spread over direction / mean)² over noise; 0.001 for jittered points
+_ISOTROPIC = 0.1
 _CLASS_WEDGES = 8
-_SUSPECT = 3.0  # χ² per degree of freedom, beyond which directions are looked at
-_SAME = 1e-7  # standard errors of powers, relative to the largest, that are rounding
-_UNRESOLVED = 0.5  # half an interval of the exponent that is no finding
-_MISFIT = 10.0  # χ² per degree of freedom, beyond which there is no power law
-_SINGLE_ROUNDING = 1e-7  # of coefficients of hardly any power; 3e-8 at most for stratified sets, by double precision
+_SUSPECT = 3.0  # χ² per degree of freedom above which directions are compared
+_SAME = 1e-7  # relative standard errors of powers at rounding level
+_UNRESOLVED = 0.5  # half-width of the exponent's interval above which it is unresolved
+_MISFIT = 10.0  # χ² per degree of freedom above which there is no power law
+# Rounding of small coefficients in single precision; at most 3e-8 for stratified sets
+_SINGLE_ROUNDING = 1e-7
 
 
 @final
 @dataclass(frozen=True)
 class _HalfSpectrum:
-    """One of each pair ν, −ν of a spectrum, without ν = 0."""
+    """One frequency of each pair ν, −ν of a spectrum, without ν = 0."""
 
     index: Array  # ν / step, int64 (H, d)
     power: Array  # (H,)
@@ -68,7 +71,7 @@ class _HalfSpectrum:
 
     @staticmethod
     def of(spectrum: Any) -> _HalfSpectrum:
-        """Halve the result of `power_spectrum`, after checking that it is one."""
+        """Check a result of `power_spectrum` and return its half."""
         import xarray as xr
 
         if not isinstance(spectrum, xr.Dataset) or not {"power", "power_se"} <= set(spectrum):
@@ -105,7 +108,7 @@ class _HalfSpectrum:
         return np.asarray(np.linalg.norm(self.index, axis=1))
 
     def mean_by(self, label: Array, size: int) -> tuple[Array, Array, Array]:
-        """Mean power, its standard error and the number of frequencies of each label; −1 is left out."""
+        """Return mean power, its standard error and the count for each label; −1 is ignored."""
         used = label >= 0
         count = np.bincount(label[used], minlength=size)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -115,22 +118,22 @@ class _HalfSpectrum:
 
 
 def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
-    """Mean over directions, its standard error over realizations, and anisotropy, by ring.
+    """Return the mean over directions, its standard error, and anisotropy, by ring.
 
     Parameters
     ----------
     spectrum
-        Result of `power_spectrum`; anisotropy says something in two dims or more.
+        Result of `power_spectrum`; anisotropy is meaningful in two or more dims.
 
     Returns
     -------
     xarray.Dataset
-        On dim radius (rings of one frequency step): ``radial_power``, ``radial_power_se``, that of
-        the spectrum, or of frequencies taken as uncorrelated in a spectrum without it;
+        On dim radius, rings of one frequency step: ``radial_power``; ``radial_power_se``, that of
+        the spectrum, or for a spectrum without it that of uncorrelated frequencies;
         ``anisotropy``, the variance over direction divided by the mean² [Ulichney1988]_, and
-        ``anisotropy_db``, 10 log10 of it; ``anisotropy_noise_db``, what noise alone makes of an
-        isotropic spectrum (−10 log10 of the realizations for Gaussian S), to compare with. NaN
-        where a ring has one direction or no power.
+        ``anisotropy_db``, 10 log10 of it; ``anisotropy_noise_db``, its value from noise alone in an
+        isotropic spectrum (−10 log10 of the realizations for Gaussian S). NaN for rings with one
+        direction or without power.
 
     Examples
     --------
@@ -150,7 +153,7 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
     spread = np.bincount(ring[used], (half.power[used] - mean[ring[used]]) ** 2, minlength=size)
     with np.errstate(invalid="ignore", divide="ignore"):
         anisotropy = np.where(count > 1, spread / (count - 1), np.nan) / mean**2
-        noise = count * (se / mean) ** 2  # the mean of the squared errors, over mean²
+        noise = count * (se / mean) ** 2  # mean squared error divided by mean²
         decibels = [10 * np.log10(values) for values in (anisotropy, noise)]
     if "radial_power_se" in spectrum:
         se = spectrum["radial_power_se"].to_numpy()
@@ -170,14 +173,15 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
 
 
 def slices(spectrum: xr.Dataset) -> xr.Dataset:
-    """Cut along the axes and all diagonals, of planes and of space, up to four dims.
+    """Cut the spectrum along the axes and all diagonals of planes and of space, up to four dims.
 
     Returns
     -------
     xarray.Dataset
-        ``slice_power`` and ``slice_power_se`` on dims slice and multiple: the power at ν = multiple ·
-        frequency step · direction. slice is labeled by its direction, such as (1, -1),
-        axes first; the coordinate ``slice_radius`` is |ν|. There are 1, 4, 13 or 40 of them in one to four dims.
+        ``slice_power`` and ``slice_power_se`` on dims slice and multiple: the power at
+        ν = multiple · frequency step · direction. slice is labeled by its direction, such as
+        (1, -1), axes first. The coordinate ``slice_radius`` is |ν|. There are 1, 4, 13 or 40 slices
+        in one to four dims.
     """
     half = _HalfSpectrum.of(spectrum)
     grid = half.grid
@@ -209,37 +213,36 @@ def slices(spectrum: xr.Dataset) -> xr.Dataset:
 
 
 def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
-    """Mean power by direction: wedges of a 2-D spectrum, within the circle of its half width.
+    """Return the mean power by direction: wedges of a 2-D spectrum within the half width.
 
     Parameters
     ----------
     spectrum
         Result of `power_spectrum` in two dims.
     wedges
-        How many divide the half turn; the first is centered on the m0 axis. Standard errors need
-        the number that `power_spectrum` was given.
+        Number of wedges in the half turn; the first is centered on the m0 axis. Standard errors
+        need the number that was given to `power_spectrum`.
 
     Returns
     -------
     xarray.Dataset
         ``wedge_power`` and ``wedge_power_se`` on dim angle (degrees, centers of the wedges); NaN
-        where no frequency lies in a wedge. The errors of points with a density are NaN for other
-        numbers of wedges than the spectrum's; those of uniform points then take frequencies as
-        uncorrelated.
+        for wedges without frequencies. For numbers of wedges other than the spectrum's, errors are
+        NaN for points with a density, and treat frequencies as uncorrelated for uniform points.
     """
     half = _HalfSpectrum.of(spectrum)
     wedges = as_integer("wedges", wedges, least=1, most=MAX_WEDGES)
     if half.grid.dims != 2:
         raise ParameterError(
-            f"The spectrum has {counted(half.grid.dims, 'dim')}; wedges are of two: use radial_statistics "
-            "or slices."
+            f"The spectrum has {counted(half.grid.dims, 'dim')}; wedges need two: use "
+            "radial_statistics or slices."
         )
     label = wedge_labels(half.index, wedges)
     label[half.length > half.grid.half_width] = -1
     mean, se, _ = half.mean_by(label, wedges)
     if spectrum.sizes.get("angle") == wedges:
         se = spectrum["wedge_power_se"].to_numpy()
-    elif "density" in half.attrs:  # its frequencies share the fluctuation of the weights
+    elif "density" in half.attrs:  # frequencies share the fluctuation of the weights
         se = np.full(wedges, np.nan)
     return dataset(
         {"wedge_power": (("angle",), mean), "wedge_power_se": (("angle",), se)},
@@ -251,40 +254,40 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
 def low_frequency_exponent(
     spectrum: xr.Dataset, *, up_to: float | None = None, axis: int | None = None
 ) -> xr.Dataset:
-    """Fit power ∝ |ν|^b at low frequencies: b decides the rate of the variance [Pilleboue2015]_.
+    """Fit power ∝ |ν|^b at low frequencies; b determines the variance's rate [Pilleboue2015]_.
 
     Parameters
     ----------
     spectrum
-        Result of `power_spectrum`, of two realizations or more; between the integers with its
-        ``mean=True``, because ⟨S_ν⟩ is not 0 there: what is fitted is then ⟨|S_ν|²⟩ − |⟨S_ν⟩|².
+        Result of `power_spectrum` with at least two realizations. Between the integers ⟨S_ν⟩ is not
+        0, so ``mean=True`` is needed there, and the fit is to ⟨|S_ν|²⟩ − |⟨S_ν⟩|².
     up_to
         Largest |ν| of the fit; by default a quarter of n^(1/d), the mean frequency of the points,
         but at least three lengths and at most the half width.
     axis
-        Fit along this axis alone; by default over all directions or, where they differ, over those
-        with the largest power at the lowest frequency.
+        Axis along which to fit. By default the fit is over all directions or, if they differ, over
+        the directions with the largest power at the lowest frequency.
 
     Returns
     -------
     xarray.Dataset
         ``low_frequency_exponent``, its 95 % interval on dim bound, and ``exponent_fit_chi2``, the
-        lack of fit, χ² per degree of freedom: an interval is widened by its root where it is above 1.
-        Attributes ``up_to``, ``lengths`` and ``directions``, those of the fit. The attribute ``reason``
-        says why the exponent is NaN: lengths have no power, as those of a lattice; the power is the
-        same in all realizations; or χ² per degree of freedom is above 10. Or that the exponent is no
-        finding, because its interval is wider than ±0.5.
+        lack of fit, χ² per degree of freedom. If that exceeds 1, the interval is widened by its
+        root. Attributes ``up_to``, ``lengths`` and ``directions`` describe the fit. The attribute
+        ``reason`` explains why the exponent is NaN: some lengths have no power (as for a lattice),
+        the power is the same in all realizations, or χ² per degree of freedom is above 10. It also
+        explains if the exponent is unresolved because its interval is wider than ±0.5.
 
     Raises
     ------
     ParameterError
-        Not a spectrum with errors and three lengths, or one between the integers without means.
+        If there are no errors or fewer than three lengths, or no means between the integers.
 
     Notes
     -----
-    Weighted least squares of log power on log |ν|, all frequencies of one length (and class of
-    directions) taken together; the interval of one of k classes is that of 1 − 0.05/k.
-    b is that of the window: 1 − sinc² of jittered points, b = 2 at 0, bends to 1.8 at n^(1/d)/4.
+    Weighted least squares of log power on log |ν|. All frequencies of one length (and class of
+    directions) are averaged; the interval of one of k classes has level 1 − 0.05/k. The exponent
+    depends on the window: for 1 − sinc² of jittered points, b = 2 at 0 and 1.8 at n^(1/d)/4.
 
     Examples
     --------
@@ -295,7 +298,7 @@ def low_frequency_exponent(
     """
     half = _HalfSpectrum.of(spectrum)
     grid = half.grid
-    # Between the integers, take the power of the mean off
+    # Between the integers, subtract the power of the mean
     if grid.step != round(grid.step):
         if "mean_coefficient" not in spectrum:
             raise ParameterError(
@@ -303,11 +306,11 @@ def low_frequency_exponent(
                 "power is not that of fluctuations alone: use power_spectrum(…, mean=True)."
             )
         mean = grid.pick(spectrum["mean_coefficient"].to_numpy())[:-1]
-        # ddof = 1: the sample mean holds 1/R of the fluctuation itself
+        # ddof = 1: the sample mean contains 1/R of the fluctuation itself
         bessel = 1.0 / (1.0 - 1.0 / float(half.attrs.get("realizations", math.inf)))
         half = replace(half, power=np.maximum(half.power - np.abs(mean) ** 2, 0.0) * bessel)
 
-    # Label the frequencies by their lengths, ascending, −1 where not wanted
+    # Label the frequencies by their lengths, ascending; −1 if excluded
     square = (half.index**2).sum(axis=1)
     wanted = square <= grid.half_width**2
     if axis is not None:
@@ -317,11 +320,11 @@ def low_frequency_exponent(
     label, lengths = np.full(len(square), -1), np.sqrt(squares)
     label[wanted] = inverse
 
-    # Cut the window of the fit, which has three lengths at least
+    # Choose the window of the fit, with at least three lengths
     if len(lengths) < 3:
         raise ParameterError(
-            f"A fit needs three lengths of frequency, of which the spectrum has {len(lengths)}; use a "
-            "larger ",
+            f"A fit needs three lengths of frequency, of which the spectrum has {len(lengths)}; "
+            "use a larger ",
             Parameter("half_width"),
             ".",
         )
@@ -338,24 +341,26 @@ def low_frequency_exponent(
     power, se, _ = half.mean_by(label, len(lengths))
     if np.isnan(se).any():
         raise ParameterError(
-            "The spectrum has no standard errors to weight the fit by; use two or more realizations."
+            "The spectrum has no standard errors to weight the fit by; use two or more "
+            "realizations."
         )
     approximate = spectrum.attrs.get("engine") == "nufft"
     least = 10 * spectrum.attrs.get("eps", 0.0) if approximate else 0.0
     if "transform_error" in spectrum.attrs:
-        least = _SINGLE_ROUNDING  # single precision was chosen because its errors are small where power is
+        # Single precision was chosen, whose errors are small only at frequencies with power
+        least = _SINGLE_ROUNDING
     empty = int(np.count_nonzero(power <= max(least, 1e-14) ** 2))
     reason = None
     if empty:
         reason = f"{empty} of {len(power)} lengths have no power: there is no power law."
-        fit = _Fit(math.nan, 0.0, (math.nan, math.nan), math.nan, len(lengths), "all")
+        fit = _LowFrequencyFit(math.nan, 0.0, (math.nan, math.nan), math.nan, len(lengths), "all")
     else:
         fit = _over_directions(half, label, lengths)
         low, high = fit.interval
         if se.max() <= _SAME * power.max():
             reason = (
-                "The power is the same in all realizations, that of one set with its peaks: there is "
-                "no power law; randomize the set further, as with owen."
+                "The power is the same in all realizations, that of one set with its peaks: there "
+                "is no power law; randomize the set further, as with owen."
             )
         elif fit.chi2 > _MISFIT:
             reason = f"χ² per degree of freedom is {fit.chi2:.3g}: there is no power law."
@@ -363,8 +368,8 @@ def low_frequency_exponent(
             fit = replace(fit, slope=math.nan, interval=(math.nan, math.nan))
         elif not high - low <= 2 * _UNRESOLVED:
             reason = (
-                f"The 95 % interval of the exponent, {low:.3g} … {high:.3g}, is wider than ±0.5: it is "
-                "not resolved; use more realizations or a larger half_width."
+                f"The 95 % interval of the exponent, {low:.3g} … {high:.3g}, is wider than ±0.5: "
+                "it is not resolved; use more realizations or a larger half_width."
             )
     return dataset(
         {
@@ -383,8 +388,8 @@ def low_frequency_exponent(
 
 @final
 @dataclass(frozen=True)
-class _Fit:
-    """Slope, log power at the lowest frequency, interval, lack of fit, and what was fitted."""
+class _LowFrequencyFit:
+    """Slope, log power at the lowest frequency, interval, lack of fit, and fitted directions."""
 
     slope: float
     level: float
@@ -394,20 +399,20 @@ class _Fit:
     directions: str
 
 
-def _over_directions(half: _HalfSpectrum, label: Array, lengths: Array) -> _Fit:
-    """Fit all directions where they agree, else the class with the largest power at the low end."""
+def _over_directions(half: _HalfSpectrum, label: Array, lengths: Array) -> _LowFrequencyFit:
+    """Fit all directions if they agree, else the class with the largest low-frequency power."""
     whole = _fit_class(half, label, lengths, "all", 1)
     assert whole is not None
-    # Relative variance over direction beyond that of noise, mean over the lengths of several directions
+    # Relative variance over direction beyond noise; mean over lengths with several directions
     mean, _, count = half.mean_by(label, len(lengths))
     several = (label >= 0) & (count[label] > 1)
     own, k = mean[label[several]], count[label[several]]
     spread = (half.power[several] - own) ** 2 * k / (k - 1)
     excess = float(np.mean((spread - half.se[several] ** 2) / own**2)) if several.any() else 0.0
-    # Few lengths have several directions: (3, 4) and (5, 0), but different ones fit no line either
+    # Few lengths have several directions, as (3, 4) and (5, 0), but unequal ones do not fit a line
     if half.grid.dims == 1 or (excess <= _ISOTROPIC and whole.chi2 <= _SUSPECT):
         return whole
-    # Class the frequencies by the axes that they involve and, for both axes of two, by wedges
+    # Classify the frequencies by the axes that they involve and, for both axes of two, by wedges
     involved, place = np.unique(half.index != 0, axis=0, return_inverse=True)
     texts = [" and ".join(f"m{i}" for i in np.flatnonzero(row)) for row in involved]
     names = np.array(texts, dtype=object)[place.ravel()]
@@ -427,8 +432,8 @@ def _over_directions(half: _HalfSpectrum, label: Array, lengths: Array) -> _Fit:
 
 def _fit_class(
     half: _HalfSpectrum, label: Array, lengths: Array, name: str, classes: int
-) -> _Fit | None:
-    """Fit the lengths of one class that have power; None where fewer than three have."""
+) -> _LowFrequencyFit | None:
+    """Fit the lengths of one class; None if fewer than three lengths exist or one has no power."""
     from scipy.special import stdtrit
 
     power, se, count = half.mean_by(label, len(lengths))
@@ -441,7 +446,7 @@ def _fit_class(
     quantile = float(stdtrit(len(x) - 2, 1 - (1 - _LEVEL) / (2 * classes)))
     wide = quantile * math.sqrt(max(fit.chi2, 1.0) / fit.spread)
     interval = (fit.slope - wide, fit.slope + wide)
-    return _Fit(fit.slope, float(fit.at(0.0)), interval, fit.chi2, len(x), name)
+    return _LowFrequencyFit(fit.slope, float(fit.at(0.0)), interval, fit.chi2, len(x), name)
 
 
 def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
@@ -452,25 +457,25 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
     spectrum
         Result of `power_spectrum` with uniform density.
     coefficients
-        f_ν on its whole grid.
+        f_ν on the whole grid of the spectrum.
 
     Returns
     -------
     float
-        Exact, as far as the grid reaches, for randomly shifted sets at *integer* frequencies
-        (``frequency_step=1``). Between these ⟨S_ν⟩ is not 0: the sum takes the bias of a finite
-        window for variance and does not fall with n beyond it, as the paper's slides show
+        Exact up to the truncation of the grid, for randomly shifted sets at *integer* frequencies
+        (``frequency_step=1``). Between the integers ⟨S_ν⟩ is not 0. The sum then counts the bias of
+        a finite window as variance, and stops falling with n below it, as the paper's slides show
         [Singh2019]_.
 
     Raises
     ------
     ParameterError
-        Not a spectrum, one of points with a density, or other coefficients than one a frequency.
+        If it is not a spectrum, is one of points with a density, or coefficients do not fit it.
 
     Warns
     ------
     CorrelatedFrequenciesWarning
-        The points are not the same after any translation, so that a cross term is missing.
+        If the points are not stationary, so that a cross term is missing.
 
     Examples
     --------
@@ -484,8 +489,8 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
     density, spec = spectrum.attrs.get("density"), spectrum.attrs.get("sampler")
     if density is not None:
         raise ParameterError(
-            f"The spectrum is of points with the density {density}, whose frequencies are correlated; "
-            "use ",
+            f"The spectrum is of points with the density {density}, whose frequencies are "
+            "correlated; use ",
             Function("variance_terms"),
             ", or closed_form_covariance.",
         )
@@ -495,8 +500,8 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
             f"coefficients have shape {f.shape} and type {f.dtype}; give finite numbers of shape "
             f"{grid.shape}, one for each frequency."
         )
-    # Warn of points that are not homogeneous; of given points the spec does not tell. Between the
-    # integers the sum is not the variance anyway, as said above
+    # Warn if the points are not stationary; a spec of given points does not determine this.
+    # Between the integers the sum is not the variance anyway (see Returns)
     try:
         source = None if spec is None else as_sampler(spec, grid.dims)
     except (ParameterError, FileFormatError):
@@ -508,8 +513,8 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
     )
     if correlated:
         warn(
-            f"Frequencies of {spec} are correlated: the variance has a cross term that the sum over "
-            "powers lacks; add shift, or use variance_terms.",
+            f"Frequencies of {spec} are correlated: the variance has a cross term that the sum "
+            "over powers lacks; add shift, or use variance_terms.",
             CorrelatedFrequenciesWarning,
         )
     terms = np.abs(f) ** 2 * spectrum["power"].to_numpy()

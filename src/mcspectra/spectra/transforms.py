@@ -3,24 +3,24 @@
 Engines
 -------
 ``nufft``
-    Type-1 non-uniform FFT: points are spread by FINUFFT [Barnett2019]_ onto a grid 1.25 times as
-    fine along each axis, or twice for many points a frequency, by one thread and one reused plan
-    for each Python thread; SciPy transforms it. Relative l2 error 1e-9, at ``eps=1e-12`` on a grid
-    twice as fine, which takes 2.3 times as long (512²). In single precision, which halves the time,
-    errors are 1e-6 of the peak at best, and 1e-5 on a grid 1.12 times as fine, which takes a fifth
-    less; coordinates are rounded to 2^-25. Real frequencies on a grid of step s are integer ones of
-    the coordinates s·x. Two realizations share a transform: weights w of the first plus i times w
-    of the second, separated by Hermitian symmetry. Cost O(n log^d(1/eps) + M log M) for a pair.
-    Four dims are 3-D transforms for each frequency of the first axis, of one realization at a time.
+    Type-1 non-uniform FFT. FINUFFT [Barnett2019]_ spreads points onto a grid 1.25 times as fine
+    along each axis (twice as fine for many points per frequency), with one reused plan per Python
+    thread, and SciPy transforms the grid. The relative l2 error is 1e-9; ``eps=1e-12`` takes a grid
+    twice as fine and 2.3 times as long (512²). Single precision halves the time. Its errors are at
+    best 1e-6 of the peak, or 1e-5 on a grid 1.12 times as fine, which takes a fifth less time;
+    coordinates are rounded to 2^-25. Real frequencies on a grid of step s are integer frequencies
+    of the coordinates s·x. Two realizations share a transform: weights w of the first plus i times
+    w of the second, separated by Hermitian symmetry. Cost O(n log^d(1/eps) + M log M) per pair.
+    Four dims are 3-D transforms for each frequency of the first axis, one realization at a time.
 ``direct``
-    Separable direct summation by matrix products, exact to rounding: the oracle, and the faster
-    one for a handful of points. Cost O(n M).
+    Separable direct summation by matrix products, exact to rounding. It is the reference, and the
+    faster engine for a handful of points. Cost O(n M).
 ``auto``
-    Direct where n M < 4000 (about a microsecond's worth of arithmetic below a plan call), in four dims
-    below about a thousand points, and beyond four; else NUFFT.
+    Direct if n M < 4000 (where arithmetic takes about a microsecond less than a plan call), in four
+    dims below about a thousand points, and in more than four dims; else NUFFT.
 
 Real weights make S_{−m} = conj S_m, so results cover *half* the grid: the flat C-order indices up
-to and including that of m = 0, which comes last.
+to and including m = 0, which comes last.
 """
 
 from __future__ import annotations
@@ -50,19 +50,19 @@ __all__ = [
 
 ENGINES = ("auto", "nufft", "direct")
 _DIRECT_BELOW = 4000
-_DIRECT_NUMBERS = 2**22  # 64 MiB of phases
-_SPARSE = 1 / 16  # points for each frequency below which spreading in parts is faster
+_DIRECT_NUMBERS = 2**22  # numbers of phases held at a time: 64 MiB
+_SPARSE = 1 / 16  # points per frequency below which spreading in parts is faster
 _SPREAD_POINTS = 1024
-_CELL_COST = 50.0  # of a transform in cells that one point is spread on, measured on one core
-_LEAST_FINE = 32  # cells of the fine grid along an axis: more than kernels are wide
+_CELL_COST = 50.0  # cost of a transform per cell, in spread cells, measured on one core
+_LEAST_FINE = 32  # least cells of the fine grid per axis; kernels are narrower
 
 MAX_FREQUENCIES = 2**27
-"""Most frequencies of one grid: 2 GiB of complex128."""
+"""Largest number of frequencies of one grid: 2 GiB of complex128."""
 
 
 @dataclass(frozen=True)
 class IndexGrid:
-    """Multi-indices m of coefficients, along each axis as many; in C order, those that are *stored* first.
+    """Multi-indices m of coefficients, equally many along each axis, in C order.
 
     Attributes
     ----------
@@ -75,8 +75,9 @@ class IndexGrid:
     label: ClassVar[str] = "index of the basis function"
     units: ClassVar[str] = "1"
     hermitian: ClassVar[bool] = False
-    """Whether indices run from −K, and coefficients of −m are the conjugates of those of m: those up to
-    m = 0, which comes last, are stored."""
+    """Whether indices run from −K, and coefficients of −m are the conjugates of those of m.
+
+    Then only the first half is stored, up to and including m = 0."""
 
     @property
     def side(self) -> int:
@@ -100,17 +101,17 @@ class IndexGrid:
 
     @property
     def stored(self) -> int:
-        """Number of coefficients that are kept: all, unless the others follow from them."""
+        """Number of stored coefficients; all, unless symmetry determines half of them."""
         return (self.size + 1) // 2 if self.hermitian else self.size
 
     @property
     def dc(self) -> int:
-        """Place of m = 0 among those stored."""
+        """Position of m = 0 among the stored coefficients."""
         return self.stored - 1 if self.hermitian else 0
 
     @property
     def double(self) -> Array:
-        """How many indices each stored coefficient stands for: float64 (stored,)."""
+        """Number of indices that each stored coefficient represents: float64 (stored,)."""
         twice = np.full(self.stored, 2.0 if self.hermitian else 1.0)
         twice[self.dc] = 1.0
         return twice
@@ -122,7 +123,7 @@ class IndexGrid:
 
     @property
     def coords(self) -> dict[str, Any]:
-        """Coordinates of these dims."""
+        """Coordinates of the dims."""
         attributes = {"long_name": self.label, "units": self.units}
         return {name: (name, self.axis, attributes) for name in self.names}
 
@@ -132,18 +133,18 @@ class IndexGrid:
         return np.asarray(np.stack(places, axis=-1) - self.half_width * self.hermitian)
 
     def full(self, stored: Array, *, conjugate: bool = False) -> Array:
-        """Extend stored values (..., stored) to the whole array (..., *shape), −m as m or conjugate."""
+        """Extend stored values (..., stored) to the whole array (..., *shape) by symmetry."""
         if self.hermitian:
             mirrored = stored[..., -2::-1]
             stored = np.concatenate([stored, mirrored.conj() if conjugate else mirrored], axis=-1)
         return stored.reshape(*stored.shape[:-1], *self.shape)
 
     def pick(self, full: Array) -> Array:
-        """Stored values (stored, ...) of a whole array (*shape, ...): the inverse of `full`."""
+        """Return stored values (stored, ...) of a whole array (*shape, ...); inverts `full`."""
         return full.reshape(self.size, *full.shape[self.dims :])[: self.stored]
 
     def whole(self) -> tuple[Array, Array]:
-        """For every index, in C order: its place among those stored, and whether it is conjugate."""
+        """Return, for every index in C order, its stored position, and whether it is conjugate."""
         place = np.arange(self.size)
         return np.where(place < self.stored, place, self.size - 1 - place), place >= self.stored
 
@@ -156,7 +157,7 @@ class FrequencyGrid(IndexGrid):
     Raises
     ------
     ParameterError
-        A field is out of range, or the grid has more than `MAX_FREQUENCIES` frequencies.
+        If a field is out of range, or the grid has more than `MAX_FREQUENCIES` frequencies.
     """
 
     step: float = 1.0
@@ -179,7 +180,7 @@ class FrequencyGrid(IndexGrid):
 
     @property
     def axis(self) -> Array:
-        """Frequencies along one axis, float64 (or integer where the step is 1)."""
+        """Frequencies along one axis, float64 (integers if the step is 1)."""
         index = np.arange(-self.half_width, self.half_width + 1)
         return index if self.step == 1.0 else index * self.step
 
@@ -192,22 +193,22 @@ class Transform:
     grid
         The frequencies.
     n
-        Points in a set: decides between the engines for ``engine="auto"``.
+        Number of points in a set; with ``engine="auto"`` it determines the engine.
     engine
         One of `ENGINES`.
     eps
         Relative l2 accuracy of the NUFFT, from 1e-14 to 1e-1.
     single
-        Whether the NUFFT of one to three dims works in single precision; other engines never do.
+        Whether the NUFFT in one to three dims uses single precision; other engines never do.
 
     Raises
     ------
     ParameterError
-        A value is out of range, or the engine does not work in these dims.
+        If a value is out of range, or the engine does not support these dims.
 
     Notes
     -----
-    Thread-safe: each thread has a plan of its own.
+    Instances are thread-safe: each thread has its own plan.
     """
 
     def __init__(
@@ -227,7 +228,7 @@ class Transform:
                 Parameter("engine", "direct"),
                 ".",
             )
-        if engine == "auto":  # by times measured on one core
+        if engine == "auto":  # from times measured on one core
             slab = float(grid.size // grid.shape[0])
             pays = n * grid.size < _DIRECT_BELOW
             if grid.dims > 3:
@@ -240,8 +241,8 @@ class Transform:
         self._sparse = density < _SPARSE
         self._packs = engine == "nufft" and grid.dims <= 3
         self.single = single and self._packs
-        # Finer grids reach more, and take more to transform and less to spread on: in double precision
-        # kernels of 11 cells a side instead of 15
+        # A finer grid is more accurate, takes longer to transform and less time to spread on: in
+        # double precision its kernels have 11 cells per side instead of 15
         spreading = 0.0 if self.single else density * (15.0**dims - 11.0**dims)
         finer = self.eps < 1e-9 or spreading > _CELL_COST * (2.0**dims - 1.25**dims)
         coarse = 1.12 if self.single and self.eps >= 1e-5 else 1.25
@@ -250,7 +251,7 @@ class Transform:
         self._local = threading.local()
 
     def coefficients(self, points: Array, weights: Array | None = None) -> Array:
-        """S_m on the half grid: complex128 (R, H).
+        """Return S_m on the half grid: complex128 (R, H).
 
         Parameters
         ----------
@@ -268,7 +269,7 @@ class Transform:
             else:
                 out[r] = packed[: out.shape[1]]
             r += 1 + pair
-        # S_0 is the sum of the weights: exactly, so that equal weights have no dc term.
+        # S_0 is set to the sum of the weights exactly, so that equal weights have no dc term
         out[:, -1] = weights.sum(axis=1)
         return out
 
@@ -282,11 +283,12 @@ class Transform:
         label: Array = UNLABELLED,
         groups: Callable[[Array], None] | None = None,
     ) -> None:
-        """Add Σ_r |S_m|² and Σ_r |S_m|⁴ of a block to `total` and `squares`, Σ_r S_m to `mean`: (H,).
+        """Add Σ_r |S_m|², Σ_r |S_m|⁴ and Σ_r S_m of a block to `total`, `squares` and `mean`, (H,).
 
-        `groups` takes the sums of |S_m|² of one or two sets by `label` (H,): (sets, number of labels).
+        `groups` gets the sums of |S_m|² of one or two sets by `label` (H,): (sets, number of
+        labels).
         """
-        # S_0 is the sum of the weights, exactly
+        # S_0 is exactly the sum of the weights
         sums = given_or_equal(weights, points).sum(axis=1)
         at_zero = total[-1] + (sums**2).sum(), squares[-1] + (sums**4).sum()
         mean_at_zero = 0.0 if mean is None else mean[-1] + sums.sum()
@@ -305,9 +307,10 @@ class Transform:
             mean[-1] = mean_at_zero
 
     def _packed(self, points: Array, weights: Array | None) -> Iterator[tuple[Array, bool]]:
-        """Transforms of pairs of sets, S1 + i S2 over the full grid, flat, and of a single set.
+        """Yield transforms of pairs of sets, S1 + i S2 on the full grid, flat, and of a single set.
 
-        Each is valid until the next is asked for; of a single set at least the half grid is there.
+        Each array is valid until the next is requested. For a single set at least the half grid is
+        filled.
         """
         sets, n, dims = points.shape
         weights = given_or_equal(weights, points)
@@ -325,14 +328,14 @@ class Transform:
                 yield self._slabs(x, w.astype(np.complex128)), False
 
     def _nufft(self, points: Array, strengths: Array) -> Array:
-        """The transform of a set (n, d), full grid, flat: valid until the next."""
+        """Return the flat full-grid transform of a set (n, d); it is valid until the next call."""
         if getattr(self._local, "out", None) is None:
             self._local.out = np.empty(self.grid.shape, self._number)
         self._set_points(points)
         return self._execute(strengths, self._local.out)
 
     def _slabs(self, points: Array, strengths: Array) -> Array:
-        """Four dims: for each m0 ≤ 0 the phases of the first axis, then a transform of the others."""
+        """Transform in four dims: phases of the first axis for each m0 ≤ 0, then the other axes."""
         grid = self.grid
         self._set_points(points[:, 1:])
         out = np.empty((grid.half_width + 1, *grid.shape[1:]), np.complex128)
@@ -342,7 +345,7 @@ class Transform:
         return out.ravel()
 
     def _set_points(self, points: Array) -> None:
-        """Give this thread's plan its points (n, up to 3)."""
+        """Set the points (n, up to 3) of this thread's plan."""
         local = self._local
         if getattr(local, "plan", None) is None:
             local.plan = self._new_plan(self._fine)
@@ -353,10 +356,11 @@ class Transform:
         )
 
     def _execute(self, strengths: Array, out: Array) -> Array:
-        """Transform the points that are set to `out`, a grid of frequencies; returns it flat.
+        """Transform the current points to `out`, a grid of frequencies, and return it flat.
 
-        FINUFFT only spreads: its own FFT is FFTW, whose fast plans depend on timings and hence on chance.
-        SciPy's for the frequencies that are wanted takes half the time of plans that do not (648²).
+        FINUFFT only spreads. Its own FFT is FFTW, whose fast plans depend on timings and hence vary
+        between runs. SciPy's FFT of only the needed frequencies takes half the time of FFTW plans
+        that are reproducible (648²).
         """
         from scipy.fft import fft
 
@@ -374,7 +378,7 @@ class Transform:
 
     @functools.cached_property
     def _fine(self) -> tuple[int, ...]:
-        """Shape of the fine grid, of all dims or, of four, the last three."""
+        """Shape of the fine grid, for all dims or, in four dims, the last three."""
         from scipy.fft import next_fast_len
 
         side = max(math.ceil(self._oversampling * self.grid.shape[0]), _LEAST_FINE)
@@ -382,10 +386,11 @@ class Transform:
 
     @functools.cached_property
     def _unspread(self) -> tuple[Array, Array, Array]:
-        """Rows of the fine grid that hold the frequencies, and what undoes the spreading, row and column."""
+        """Rows of the fine grid with the frequencies, and factors that undo the spreading."""
         dims, side = len(self._fine), self._fine[0]
-        # The kernel along the last axis, which hangs on the number of axes, too: others are as short as
-        # may be, and odd where this one is. Products of its coefficients divide those of sets
+        # The kernel along the last axis also depends on the number of axes. The other axes are as
+        # short as possible, and odd if this axis is. Transforms are divided by products of its
+        # coefficients
         plan = self._new_plan((_LEAST_FINE + side % 2,) * (dims - 1) + (side,))
         origin = np.zeros((dims, 1), np.zeros(0, self._number).real.dtype)
         plan.setpts(*origin)
@@ -400,11 +405,11 @@ class Transform:
         return rows, row_factors, factors
 
     def _new_plan(self, shape: tuple[int, ...]) -> Any:
-        """A plan that spreads onto a fine grid."""
+        """Return a plan that spreads onto a fine grid."""
         import finufft
 
-        # spread_sort=2 lets FINUFFT decide by density of points. Few
-        # points are spread by parts of the fine grid that fit into the cache (0: all at once).
+        # With spread_sort=2 FINUFFT decides by the density of points. Few points are spread by
+        # parts of the fine grid that fit into the cache (0: all at once).
         return finufft.Plan(
             1,
             shape,
@@ -420,15 +425,15 @@ class Transform:
         )
 
     def _direct(self, points: Array, weights: Array) -> Array:
-        """Separable sum: a matrix product of the phases along the first axes with those of the rest.
+        """Separable sum: a matrix product of phases along the first axes with those of the rest.
 
-        Axes are divided evenly, so that in four dims the factors have n (2K+1)² numbers; points are
-        taken in blocks that keep them below `_DIRECT_NUMBERS`.
+        Axes are divided evenly, so that in four dims the factors have n (2K+1)² numbers. Blocks of
+        points keep the factors below `_DIRECT_NUMBERS`.
         """
         grid = self.grid
         split = max(1, grid.dims // 2)
         side = 2 * grid.half_width + 1
-        used = (side**split + 1) // 2  # rows of the half grid
+        used = (side**split + 1) // 2  # number of rows of the half grid
         total = np.zeros((used, side ** (grid.dims - split)), np.complex128)
         block = max(1, _DIRECT_NUMBERS // max(total.shape))
         for low in range(0, len(points), block):
@@ -439,7 +444,7 @@ class Transform:
         return np.asarray(total.ravel()[: grid.stored])
 
     def _phases(self, points: Array) -> Array:
-        """exp(−2πi m·x) of points (n, any) on the grid of as many dims: (n, (2K+1)^any)."""
+        """Return exp(−2πi m·x) of points (n, k) on the grid in k dims: (n, (2K+1)^k)."""
         grid = self.grid
         index = np.arange(-grid.half_width, grid.half_width + 1)
         found = np.ones((len(points), 1), np.complex128)
@@ -450,12 +455,12 @@ class Transform:
 
 
 def given_or_equal(weights: Array | None, points: Array) -> Array:
-    """The weights (R, n) of points (R, n, d): 1/n each if none are given."""
+    """Return the weights (R, n) of points (R, n, d): 1/n each if none are given."""
     return np.broadcast_to(1.0 / points.shape[1], points.shape[:2]) if weights is None else weights
 
 
 def direct_sum(points: Array, frequencies: Array, weights: Array | None = None) -> Array:
-    """S at listed frequencies by the definition, for any dims: the oracle of the tests.
+    """Return S at listed frequencies by the definition, in any dims: the reference for tests.
 
     Parameters
     ----------
@@ -469,7 +474,7 @@ def direct_sum(points: Array, frequencies: Array, weights: Array | None = None) 
     Returns
     -------
     ndarray
-        complex128 (..., F). Cost and memory O(n F) for each set.
+        complex128 (..., F). Cost and memory O(n F) per set.
     """
     phase = np.exp(-2j * np.pi * (points @ np.asarray(frequencies, np.float64).T))
     if weights is None:
