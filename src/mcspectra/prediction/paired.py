@@ -38,7 +38,7 @@ from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.streams import Stream
 from mcspectra.estimators.quadrature import values_at
 from mcspectra.prediction.known import Known, Predicted, half_interval
-from mcspectra.prediction.subsets import SUBSET_SETTINGS, Parts, all_parts, net, offsets_within
+from mcspectra.prediction.subsets import SUBSET_SETTINGS, AnovaModel, all_parts, net, offsets_within
 from mcspectra.samplers.law import Law, PairedAxes, Relation, Shifted, unmoved
 
 __all__ = ["PairedSettings", "evaluations", "is_array", "of_arrays"]
@@ -206,7 +206,12 @@ def _of_products(law: PairedAxes, sums: _Sums) -> float:
 
 
 def _energies(
-    p: Parts, channel: int, s: int, parts: int, offsets: Sequence[Sequence[float]], known: Known
+    p: AnovaModel,
+    channel: int,
+    s: int,
+    parts: int,
+    offsets: Sequence[Sequence[float]],
+    known: Known,
 ) -> tuple[_Sums, Array]:
     """Energies of single axes and moments of the fit, and energies of g minus those of the fit.
 

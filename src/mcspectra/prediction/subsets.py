@@ -62,8 +62,8 @@ from mcspectra.spectra.bases import hadamard
 __all__ = [
     "SUBSET_SETTINGS",
     "TORUS",
+    "AnovaModel",
     "Curves",
-    "Parts",
     "SubsetSettings",
     "all_parts",
     "net",
@@ -329,7 +329,7 @@ class Curves:
 
 @final
 @dataclass(frozen=True)
-class Parts:
+class AnovaModel:
     """What is known of one channel of g; arrays of the axes at their nodes."""
 
     variance: float
@@ -362,7 +362,7 @@ class _Pairs:
         """Whether what varies within the n-ths of an axis is all that is left of sums over axes."""
         return self.latin or self.kind != "digits"
 
-    def tables(self, parts: Parts) -> tuple[Array, Array, Array, Array]:
+    def tables(self, parts: AnovaModel) -> tuple[Array, Array, Array, Array]:
         """What `pair_sums` takes: covariances of g_i and of products, their means and weights."""
         singles, pairs, averages = list[Array](), list[Array](), list[Array]()
         for base, levels, curves, main, factors, offsets in zip(
@@ -490,7 +490,7 @@ def _of_strata(sides: tuple[int, ...], at: tuple[float, ...] | None, g: Integran
     return Predicted(spread.mean(axis=0), half_interval(spread), "pairs in strata")
 
 
-def all_parts(known: Known) -> list[Parts]:
+def all_parts(known: Known) -> list[AnovaModel]:
     """Energies, and profiles along all axes through the same points, of each channel."""
     g, d = known.g, known.g.dims
     x = net(d, SUBSET_SETTINGS.replicate, SUBSET_SETTINGS.replicates, 0)
@@ -599,7 +599,7 @@ def _fitted(
     through: Array,
     every: Array,
     all_values: Array,
-) -> Parts:
+) -> AnovaModel:
     """Fit a sum of products to values (replicates, n) at points, by least squares along one axis in turn."""
     x, values = every[: SUBSET_SETTINGS.fitted + 1], all_values[: SUBSET_SETTINGS.fitted + 1]
     # Functions of each axis: 1 and the leading singular vectors of its profiles
@@ -696,7 +696,7 @@ def _fitted(
     ]
     errors = float(np.mean(spread, axis=1).sum()) / SUBSET_SETTINGS.groups
     joint = float(left.mean()) - errors, float(half_interval(left)) + errors
-    return Parts(variance, half, axes, main, factors, residual, joint)
+    return AnovaModel(variance, half, axes, main, factors, residual, joint)
 
 
 def _least_squares(
