@@ -8,7 +8,7 @@ from scipy.stats import norm, t
 from tests.prediction.unlimited import predict
 
 import mcspectra as mcs
-from mcspectra.prediction.separable import Curve, separated
+from mcspectra.prediction.separable import PiecewiseCurve, separated
 from mcspectra.samplers import as_sampler
 
 
@@ -21,7 +21,7 @@ def means_of_power(a, place, cells):
 @pytest.mark.parametrize("place", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize("a", [0.1, 0.4, 0.45, 0.49])
 def test_curves_of_poles_have_the_energy_that_doubles_do_not_resolve(a, place):
-    curve = Curve.along(lambda x: np.abs(x - place) ** -a)
+    curve = PiecewiseCurve.along(lambda x: np.abs(x - place) ** -a)
     (mean,), (square,) = means_of_power(a, place, 1)
     assert curve.mean == pytest.approx(mean, rel=1e-9)
     off = abs(curve.square - (square - mean**2))
@@ -41,7 +41,7 @@ def test_curves_of_poles_have_the_energy_that_doubles_do_not_resolve(a, place):
     ],
 )
 def test_curves_of_quantiles_logarithms_jumps_kinks_and_waves(function, mean, square):
-    curve = Curve.along(function)
+    curve = PiecewiseCurve.along(function)
     assert curve.mean == pytest.approx(mean, rel=1e-7)
     assert curve.square + curve.mean**2 == pytest.approx(square, rel=1e-6)
 

@@ -62,7 +62,7 @@ from mcspectra.estimators.quadrature import (
 from mcspectra.integrands import Integrand, integral_accuracy
 from mcspectra.integrands._quadrature import gauss_rule
 from mcspectra.prediction.known import Known
-from mcspectra.prediction.separable import Curve, Separable, separated
+from mcspectra.prediction.separable import PiecewiseCurve, Separable, separated
 from mcspectra.prediction.subsets import TORUS, of_subsets, pair_sums, pairs_of
 from mcspectra.samplers import Sampler
 from mcspectra.samplers.law import (
@@ -437,7 +437,7 @@ def _of_separable(law: Law, g: Separable) -> tuple[float, float]:
     shifted = isinstance(law, Shifted)
     off: list[float] = []
 
-    def within(sides: Sequence[int], curves: Sequence[Curve] = g.curves) -> Array:
+    def within(sides: Sequence[int], curves: Sequence[PiecewiseCurve] = g.curves) -> Array:
         values = []
         for curve, side, moved in zip(curves, sides, offset, strict=True):
             if not shifted:
@@ -497,7 +497,7 @@ def _of_separable(law: Law, g: Separable) -> tuple[float, float]:
     return value, error + (_SETTINGS.exact + max(off, default=0.0)) * abs(value)
 
 
-def _over_offsets(curve: Curve, side: int, order: int) -> float:
+def _over_offsets(curve: PiecewiseCurve, side: int, order: int) -> float:
     """Mean variance within cells over all offsets, which has cusps where places of the curve meet borders."""
     node, weight = gauss_rule(order)
     ends = {0.0, 1.0}
@@ -513,14 +513,14 @@ def _over_offsets(curve: Curve, side: int, order: int) -> float:
     return total
 
 
-def _paired(curve: Curve, side: int) -> Curve:
+def _paired(curve: PiecewiseCurve, side: int) -> PiecewiseCurve:
     """The mean of a curve at a point and at its reflection through the center of its cell, less that mean."""
 
     def both(x: Array) -> Array:
         cell = np.minimum(np.floor(x * side), side - 1.0)
         return 0.5 * (curve(x) + curve(np.clip((2.0 * cell + 1.0) / side - x, 0.0, BELOW_ONE)))
 
-    found = Curve.along(both, (np.arange(1, side) / side).tolist())
+    found = PiecewiseCurve.along(both, (np.arange(1, side) / side).tolist())
     if found is None:
         raise NoClosedForm("Reflections in cells do not settle along an axis.")
     return found
@@ -583,14 +583,14 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
                 # A grid: its mean is a curve of the offset within one cell
                 steps = np.arange(period) / period
 
-                def mean(t: Array, curve: Curve = curve, steps: Array = steps) -> Array:
+                def mean(t: Array, curve: PiecewiseCurve = curve, steps: Array = steps) -> Array:
                     parts = np.array_split(t, max(1, t.size * steps.size // _SETTINGS.at_once))
                     moved = ((part[:, None] / steps.size + steps) % 1.0 for part in parts)
                     return np.concatenate([curve(each).mean(axis=1) - curve.mean for each in moved])
 
                 folded = np.unique(curve.places * period % 1.0).tolist()
                 rounding = _SETTINGS.rounded_mean * math.sqrt(curve.square + curve.mean**2)
-                of_offset = Curve.along(mean, folded, rounding)
+                of_offset = PiecewiseCurve.along(mean, folded, rounding)
                 if of_offset is not None:
                     value += of_offset.square
                     error += _SETTINGS.rounded_variance * curve.square / n

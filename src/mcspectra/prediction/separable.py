@@ -31,12 +31,12 @@ from mcspectra.estimators.quadrature import DIVERGES, looked_at, values_at
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import gauss_rule, probe
 
-__all__ = ["Curve", "CurveSettings", "Separable", "separated"]
+__all__ = ["PiecewiseCurve", "PiecewiseSettings", "Separable", "separated"]
 
 
 @final
 @dataclass(frozen=True)
-class CurveSettings:
+class PiecewiseSettings:
     """How a function of one axis becomes a curve, and how sums and products are recognized.
 
     "Insensitive" means: half and twice the value change no variance by more than 1e-10 in the twelve cases
@@ -88,12 +88,12 @@ class CurveSettings:
     common: float = 0.1
 
 
-_SETTINGS = CurveSettings()
+_SETTINGS = PiecewiseSettings()
 
 
 @final
 @dataclass(frozen=True)
-class Curve:
+class PiecewiseCurve:
     """A function of [0,1], less its mean, by polynomials on pieces, and by power laws next to poles.
 
     Attributes
@@ -184,7 +184,7 @@ class Curve:
     @staticmethod
     def along(
         function: Callable[[Array], Array], ends: Sequence[float] = (), rounding: float = 0.0
-    ) -> Curve | None:
+    ) -> PiecewiseCurve | None:
         """The curve of a function of x (N,), cut at `ends`; None where it does not settle.
 
         Last coefficients of a piece that are no more than `rounding` count as settled.
@@ -296,7 +296,7 @@ class Curve:
         inside = np.array([p for p in places if 0.0 < p < 1.0])
         keep = high > low
         tail = np.array(tails, float).reshape(-1, 4)
-        raw = Curve(
+        raw = PiecewiseCurve(
             0.0, low[keep], high[keep], start[keep], width[keep], coefficients[keep], tail,
             inside, doubt, exponent,
         )  # fmt: skip
@@ -326,7 +326,7 @@ class Separable:
         c, which is 0 for sums.
     """
 
-    curves: tuple[Curve, ...]
+    curves: tuple[PiecewiseCurve, ...]
     product: bool
     constant: float = 0.0
 
@@ -457,7 +457,7 @@ def _separated(g: Integrand, channel: int) -> Separable | None:
         # Curves, that of the first axis with the size of all
         curves = []
         for axis in range(d):
-            curve = Curve.along(line(z, axis, constant, origin, product), cut.breaks[axis])
+            curve = PiecewiseCurve.along(line(z, axis, constant, origin, product), cut.breaks[axis])
             if curve is None:
                 break
             curves.append(curve)
