@@ -88,8 +88,8 @@ __all__ = [
     "METHODS",
     "NAMES",
     "AutoSettings",
+    "EvaluationLimits",
     "ExtrapolationSettings",
-    "LimitSettings",
     "Method",
     "Prediction",
     "Predictor",
@@ -244,7 +244,7 @@ class ExtrapolationSettings:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class LimitSettings:
+class EvaluationLimits:
     """How many evaluations of users' functions are made, and which counts few of them measure.
 
     Attributes
@@ -282,7 +282,7 @@ class LimitSettings:
     fitted: int = 5
 
 
-LIMITS = LimitSettings()
+LIMITS = EvaluationLimits()
 """Limits of users' functions."""
 
 _QUADRATURE_SETTINGS, _AUTO = QuadratureSettings(), AutoSettings()
