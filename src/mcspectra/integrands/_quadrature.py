@@ -81,7 +81,7 @@ _SAME_BREAK = 2.0**-40
 _FOUND = 2.0**-46  # width within which they lie
 
 
-class Function(Protocol):
+class QuadratureIntegrand(Protocol):
     """The parts of a `mcspectra.integrands.Integrand` that quadrature uses."""
 
     @property
@@ -179,7 +179,7 @@ class AxisRule:
         return np.asarray(found)
 
 
-def refined_coefficients(function: Function, m: Sequence[Array]) -> Estimate:
+def refined_coefficients(function: QuadratureIntegrand, m: Sequence[Array]) -> Estimate:
     """Coefficients at the tensor product of the integers m[i] (U_i,): (U_0, …, U_{d−1}[, channels]).
 
     Starts with 16 nodes a wavelength of the highest frequency (8 from 3-D on, 4 where more would
@@ -216,7 +216,9 @@ def refined_coefficients(function: Function, m: Sequence[Array]) -> Estimate:
         coarse, counts = fine, [2 * c for c in counts]
 
 
-def grid_coefficients(function: Function, counts: Sequence[int], m: Sequence[Array]) -> Array:
+def grid_coefficients(
+    function: QuadratureIntegrand, counts: Sequence[int], m: Sequence[Array]
+) -> Array:
     """One tensor grid, transformed slab by slab along all axes but the first, and then along that."""
     rules = [
         AxisRule.make(count, min(_ORDER, count), breaks)
@@ -233,7 +235,7 @@ def grid_coefficients(function: Function, counts: Sequence[int], m: Sequence[Arr
     return np.moveaxis(found, 0, -1) if function.channels else found[0]
 
 
-def slabs(function: Function, rules: Sequence[AxisRule]) -> Iterator[tuple[int, Array]]:
+def slabs(function: QuadratureIntegrand, rules: Sequence[AxisRule]) -> Iterator[tuple[int, Array]]:
     """Values on slabs of the product of the nodes, along the first axis: start, (C, p, P_1, …)."""
     first, rest = rules[0].nodes, [rule.nodes for rule in rules[1:]]
     step = max(1, _BLOCK // math.prod(nodes.size for nodes in rest))
@@ -247,13 +249,13 @@ def _tensor(axes: Sequence[Array]) -> Array:
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
-def _columns(function: Function, x: Array) -> Array:
+def _columns(function: QuadratureIntegrand, x: Array) -> Array:
     values = function(x)
     return values if function.channels else values[..., None]
 
 
 def adaptive_integral(
-    function: Function,
+    function: QuadratureIntegrand,
     breaks: tuple[Array, ...],
     probed: Array | None = None,
     *,
@@ -366,7 +368,7 @@ def adaptive_integral(
 
 
 def search_breaks(
-    function: Function, *, budget: int = _INTEGRAL_BUDGET
+    function: QuadratureIntegrand, *, budget: int = _INTEGRAL_BUDGET
 ) -> tuple[tuple[Array, ...], Array]:
     """For each axis the breaks that f declares, and jumps and poles across it that lines see.
 
@@ -463,7 +465,7 @@ def _uniform(dims: int) -> Array:
     return np.linspace(0.0, 1.0, _CELLS[dims] + 1)
 
 
-def _at_points(function: Function, points: Array) -> Array:
+def _at_points(function: QuadratureIntegrand, points: Array) -> Array:
     """Values (K, C) at points (K, d)."""
     steps = range(0, len(points), _BLOCK)
     return np.concatenate([_columns(function, points[i : i + _BLOCK]) for i in steps])
@@ -540,7 +542,9 @@ def _residuals(
     return found
 
 
-def _cell_values(function: Function, low: Array, size: Array, order: int) -> tuple[Array, Array]:
+def _cell_values(
+    function: QuadratureIntegrand, low: Array, size: Array, order: int
+) -> tuple[Array, Array]:
     """Values at the nodes of boxes (N, d), and next to their corners: (N, q^d or 2^d, C)."""
     dims = low.shape[1]
     nodes = _tensor([gauss_rule(order)[0]] * dims).reshape(-1, dims)
@@ -582,7 +586,7 @@ def _slivers(values: Array, corners: Array) -> Array:
     return np.asarray(missed.sum(axis=1) * node[0] * 2.0 ** (1 - dims))
 
 
-def lattice_integral(function: Function) -> Estimate:
+def lattice_integral(function: QuadratureIntegrand) -> Estimate:
     """∫ f in any number of dims by the mean over 2^20 points of a Kronecker sequence: value (C,).
 
     Points ½ + k α mod 1 with the steps α of `golden_vector`. The error is three standard errors of 16
@@ -598,7 +602,7 @@ def lattice_integral(function: Function) -> Estimate:
     return Estimate(value, float(_SIGMAS * spread.max()), method)
 
 
-def axis_rules(f: Function, half_width: int) -> list[AxisRule]:
+def axis_rules(f: QuadratureIntegrand, half_width: int) -> list[AxisRule]:
     """Composite Gauss-Legendre rules, 16 nodes to a wave of the half width (fewer beyond 2-D).
 
     Raises
@@ -620,7 +624,7 @@ def axis_rules(f: Function, half_width: int) -> list[AxisRule]:
 
 
 def product_coefficients(
-    f: Function, rules: Sequence[AxisRule], functions: Sequence[Array]
+    f: QuadratureIntegrand, rules: Sequence[AxisRule], functions: Sequence[Array]
 ) -> Array:
     """∫ f Π_i φ_i for all products of real functions of one variable.
 
@@ -649,7 +653,7 @@ def product_coefficients(
     return np.asarray(total).reshape(max(1, f.channels), -1)
 
 
-def cell_integrals(f: Function, size: int) -> tuple[Array, str]:
+def cell_integrals(f: QuadratureIntegrand, size: int) -> tuple[Array, str]:
     """∫ f over each of size^d equal cells: float64 (channels or 1, size^d), and how it was found.
 
     Raises
