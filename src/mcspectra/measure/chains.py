@@ -258,7 +258,7 @@ def _quantities(draws: Any) -> tuple[list[str], Array]:
 
 
 @dataclass(frozen=True)
-class _Fit:
+class _ChainFit:
     """An autoregression of chains that share its law, and the error of a chain's mean by it."""
 
     coefficients: Array  # coefficients of the draws, 1 first, whose sum is white noise
@@ -272,7 +272,7 @@ class _Fit:
     frequency: Array  # j / length cycles per draw, from 0 to ½
 
 
-def _fitted(z: Array) -> _Fit:
+def _fitted(z: Array) -> _ChainFit:
     """Fit chains (chain, draw), each about its own mean."""
     from scipy.fft import irfft, next_fast_len, rfft
     from scipy.linalg import solve_toeplitz
@@ -319,7 +319,7 @@ def _fitted(z: Array) -> _Fit:
     square = (2.0 + 4.0 * max(float(sums), 0.0) / float(chosen.sum()) ** 2) / (n * chains)
     spread, at_zero, degrees = float(covariance[0]), float(spectrum[0]), 2.0 / square
     power /= n
-    return _Fit(chosen, variance, spread, at_zero, degrees, spectrum, error, power, frequency)
+    return _ChainFit(chosen, variance, spread, at_zero, degrees, spectrum, error, power, frequency)
 
 
 def quantity_error(x: Array, w: Array, settings: ChainSettings = CHAIN_SETTINGS) -> dict[str, Any]:
