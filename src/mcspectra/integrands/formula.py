@@ -151,12 +151,12 @@ def _compiled(text: str, dims: int) -> tuple[Evaluation, Breaks]:
             f"on {_MOST_DEPTH} levels."
         )
 
-    reader = _Reader(dims)
+    reader = _TreeReader(dims)
     evaluate = reader.read(tree)
     return evaluate, tuple(tuple(sorted(places)) for places in reader.breaks)
 
 
-class _Reader:
+class _TreeReader:
     """Turns a syntax tree into an evaluation; collects `breaks` on its way."""
 
     def __init__(self, dims: int) -> None:
