@@ -623,7 +623,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         curves.pop(given.spec, None)  # its curve has no error
     reference = "random" if fixed or given.spec not in curves else given.spec
     usable = {name: c for name, c in curves.items() if name == reference or name != given.spec}
-    found, changed = list[_Found](), list[str]()
+    found, changed = list[_FoundSampler](), list[str]()
     if all(c.name != "infinite-variance" or c.kinds for c in causes):  # the integral exists
         # The sampler of least variance, and a change of the estimator that answers a cause
         if len(usable[reference].counts) > 0:  # else there is no variance to lower
@@ -832,7 +832,7 @@ def _replicates(points: Sequence[Array], estimates: Array) -> Replicates:
 
 @final
 @dataclass(frozen=True)
-class _Found:
+class _FoundSampler:
     """A candidate with the count of points at the budget, and its variance there.
 
     `variance` has the error of its logarithm.
@@ -849,7 +849,7 @@ class _Found:
 
 def _samplers(
     given: Setup, curves: Mapping[str, Curve], reference: str, points: int
-) -> list[_Found]:
+) -> list[_FoundSampler]:
     """The samplers that may have less variance than the reference, the best first."""
     each = given.cost
     bounds = dict[str, float]()
@@ -869,7 +869,7 @@ def _samplers(
         variance, beyond = curve.at(count), count > curve.counts[-1:].sum()
         # The rates of smooth functions are those of larger sets, and of analytic ones no power of n
         steepens = name in {_LATTICE, _FOLDED, _PAIRS} and bool(beyond)
-        found.append(_Found(candidate, count, variance, curve.rate, curve.rate_ci, steepens))
+        found.append(_FoundSampler(candidate, count, variance, curve.rate, curve.rate_ci, steepens))
     return found
 
 
@@ -877,7 +877,7 @@ def _results(
     given: Setup,
     curve: Curve,
     points: int,
-    found: Sequence[_Found],
+    found: Sequence[_FoundSampler],
     comparisons: int,
     *,
     infinite: bool,
@@ -998,7 +998,7 @@ def _improved(
     budget: int,
     left: int,
     stream: Stream,
-) -> tuple[list[_Found], list[str], int]:
+) -> tuple[list[_FoundSampler], list[str], int]:
     """Measure changes of the estimator; also return tried names and calls.
 
     A change is measured with nets of as many points as the rest of the budget allows. The first one
@@ -1006,7 +1006,7 @@ def _improved(
     same evaluations; its own curve gives the variance at the budget.
     """
     estimator, jumps = evidence.estimator, _shape(causes) == "interior-jump"
-    found, tried, calls, least = list[_Found](), list[str](), 0, _SETTINGS.least_checked
+    found, tried, calls, least = list[_FoundSampler](), list[str](), 0, _SETTINGS.least_checked
     for offer in offers:
         each, wanted = offer.setup.cost, CAUSE_SETTINGS.nets
         if jumps and not tried and offer is not offers[-1]:  # leave evaluations for another change
@@ -1042,7 +1042,9 @@ def _improved(
         better = ours < other * sure and after < at_best
         own = replace(offer, change=f"{offer.change}, and sample with {NETS}")
         measured = (after, error)
-        found.append(_Found(own, at_budget, measured, curve.rate, curve.rate_ci, sure=better))
+        found.append(
+            _FoundSampler(own, at_budget, measured, curve.rate, curve.rate_ci, sure=better)
+        )
         if better:
             break
     return found, tried, calls
