@@ -31,7 +31,7 @@ __all__ = [
     "Assessed",
     "Comparison",
     "Errors",
-    "Measured",
+    "MeasuredCandidate",
     "assessed",
     "compare",
     "estimates_of",
@@ -234,7 +234,7 @@ def _standard_error(influence: Array, prior: int = _SETTINGS.prior) -> float:
 
 @final
 @dataclass(frozen=True)
-class Measured:
+class MeasuredCandidate:
     """A candidate with its errors, in texts and numbers, as states of reductions have it.
 
     Attributes
@@ -266,12 +266,12 @@ class Measured:
     jumps: bool | None = None
 
     @staticmethod
-    def of(candidate: Candidate, errors: Errors) -> Measured:
+    def of(candidate: Candidate, errors: Errors) -> MeasuredCandidate:
         """A candidate whose estimates have these errors."""
         setup = candidate.setup
         warp = candidate.kind == "warp"
         known = warp and not setup.is_black_box
-        return Measured(
+        return MeasuredCandidate(
             candidate.kind,
             candidate.name,
             candidate.change,
@@ -308,7 +308,7 @@ class Assessed:
         The result by this interval.
     """
 
-    measured: Measured
+    measured: MeasuredCandidate
     result: CandidateResult
     error: float
     error_ci: tuple[float, float]
@@ -324,7 +324,7 @@ class Assessed:
         return bool(self.measured.errors.blind[-1])
 
 
-def assessed(measured: Sequence[Measured], budget: int) -> list[Assessed]:
+def assessed(measured: Sequence[MeasuredCandidate], budget: int) -> list[Assessed]:
     """Compare all candidates with the first, the set-up as given; intervals hold together at 95 %."""
     # One comparison of errors and one of rates for each change
     z = simultaneous_z(2 * (len(measured) - 1))

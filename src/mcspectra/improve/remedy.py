@@ -27,7 +27,7 @@ from mcspectra.core.streams import RngLike, Stream
 from mcspectra.core.tally import counting
 from mcspectra.explain.diagnosis import Diagnosis, diagnose
 from mcspectra.improve.answers import Answer, Candidate, simultaneous_z
-from mcspectra.improve.assess import Assessed, Errors, Measured, assessed, estimates_of
+from mcspectra.improve.assess import Assessed, Errors, MeasuredCandidate, assessed, estimates_of
 from mcspectra.improve.candidates import KINDS, Budget, Kind, candidates_of
 from mcspectra.measure.doors import answer
 from mcspectra.measure.setup import Setup, affordable_count
@@ -190,7 +190,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         def result(found: _Trials) -> xr.Dataset:
             """Rank all set-ups by their variances; a set-up that two kinds make counts once."""
             assert found.diagnosis is not None
-            first: dict[str, Measured] = {}
+            first: dict[str, MeasuredCandidate] = {}
             for each in found.tried:
                 first.setdefault(each.key, each)
             return ranked(list(first.values()), found.not_tried, self.budget, found.diagnosis)
@@ -203,7 +203,9 @@ class Remedies(Counted, frozen=True, kw_only=True):
             result=result,
         )
 
-    def _measured(self, change: Candidate, given: Setup, stream: Stream) -> Measured | None:
+    def _measured(
+        self, change: Candidate, given: Setup, stream: Stream
+    ) -> MeasuredCandidate | None:
         """Measure errors at counts that fit into the budgets; None for fewer than two counts."""
         setup = change.setup
         cost: list[int] = []
@@ -235,7 +237,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
             tolerance=tolerance,
             overhead=setup.overhead,
         )
-        return Measured.of(change, errors)
+        return MeasuredCandidate.of(change, errors)
 
     @property
     def _kinds(self) -> tuple[Kind, ...]:
@@ -330,7 +332,7 @@ def remedies(
 
 
 def ranked(
-    measured: Sequence[Measured],
+    measured: Sequence[MeasuredCandidate],
     not_tried: Sequence[str],
     budget: int,
     diagnosis: Diagnosis,
@@ -453,7 +455,7 @@ def _answer(
 class _Trials:
     """Measured set-ups, reasons why others were not measured, and the diagnosis of the given one."""
 
-    tried: list[Measured]
+    tried: list[MeasuredCandidate]
     not_tried: list[str]
     diagnosis: Diagnosis | None
 
