@@ -8,7 +8,7 @@ import pytest
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError, UnknownName
 from mcspectra.core.streams import Stream
-from mcspectra.estimators.heuristics import HEURISTICS, Power, as_heuristic
+from mcspectra.estimators.heuristics import HEURISTICS, PowerHeuristic, as_heuristic
 
 SQUARE = mcs.integrand("polynomial(coefficients=[0, 0, 1])", dims=1)
 CUBIC = mcs.integrand("polynomial(coefficients=[1, -3, 0, 3])", dims=1)  # changes sign
@@ -357,7 +357,7 @@ def test_shared_points_of_opposite_techniques_cancel():
 
 def test_registry_knows_all_and_objects_are_taken():
     assert {name.partition("(")[0] for name in ALL} == set(HEURISTICS)
-    e = mcs.MultipleImportance(SQUARE, PAIR, heuristic=Power(beta=3), dims=1)
+    e = mcs.MultipleImportance(SQUARE, PAIR, heuristic=PowerHeuristic(beta=3), dims=1)
     assert "power(beta=3.0)" in e.spec
 
 
@@ -384,7 +384,7 @@ def test_bad_input(options, words):
 
 def test_bad_objects():
     with pytest.raises(ParameterError, match="finite"):
-        Power(beta=-1.0)
+        PowerHeuristic(beta=-1.0)
     with pytest.raises(UnknownName):
         as_heuristic("no-such-thing")
 

@@ -45,7 +45,7 @@ __all__ = [
     "Maximum",
     "Optimal",
     "Pilot",
-    "Power",
+    "PowerHeuristic",
     "Residual",
     "VarianceAware",
     "as_heuristic",
@@ -103,7 +103,7 @@ HEURISTICS = Registry(
     "mcspectra.heuristics",
     classes_of(
         {
-            "estimators.heuristics": "Balance Cutoff Maximum Optimal Power VarianceAware",
+            "estimators.heuristics": "Balance Cutoff Maximum Optimal power=PowerHeuristic VarianceAware",
         }
     ),
     base=Heuristic,
@@ -256,7 +256,7 @@ class Combination:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Power(Heuristic):
+class PowerHeuristic(Heuristic):
     """q_t^β / Σ q_s^β.
 
     Attributes
@@ -265,6 +265,7 @@ class Power(Heuristic):
         β ≥ 0; 1 is `balance`.
     """
 
+    name: ClassVar[str] = "power"
     beta: float = real(2.0, least=0.0)
 
     @property
