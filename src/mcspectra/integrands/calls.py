@@ -216,8 +216,8 @@ class Calls:
         assert self.first_skipped is not None
         return (
             f"{self.skipped} of {self._asked} evaluations failed and were skipped, the first at "
-            f"{point_in_words(self.first_skipped)}: the interval holds if f lies between {least:.4g} "
-            f"and {most:.4g} there, as it does elsewhere"
+            f"{point_in_words(self.first_skipped)}: the interval holds if f lies between "
+            f"{least:.4g} and {most:.4g} there, as it does elsewhere"
         )
 
     def close(self) -> None:
@@ -293,7 +293,8 @@ class _OneByOne:
         sizes = {value.size for value in values}
         if sizes - {1}:
             raise ParameterError(
-                f"{self.__name__} gave {max(sizes - {1})} values at one point; it must give a number."
+                f"{self.__name__} gave {max(sizes - {1})} values at one point; it must give "
+                "a number."
             )
         return np.array([value.reshape(()) for value in values])
 

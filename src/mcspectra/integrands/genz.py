@@ -1,4 +1,4 @@
-"""The six families of test integrands of [Genz1984]_, with exact integrals in any number of dims."""
+"""The six families of test integrands of [Genz1984]_, with exact integrals in any dimension."""
 
 from __future__ import annotations
 

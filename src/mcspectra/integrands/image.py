@@ -76,7 +76,7 @@ class Image(_Picture):
     Its coefficients are exact at every frequency. For pixels v, w wide and h high, with the
     discrete Fourier transform V, repeated periodically, they are
 
-        f_m = V[m_1 mod h, m_0 mod w]/(w h) · sinc(π m_0/w) sinc(π m_1/h) · exp(−πi (m_0/w + m_1/h)).
+      f_m = V[m_1 mod h, m_0 mod w]/(w h) · sinc(π m_0/w) sinc(π m_1/h) · exp(−πi (m_0/w + m_1/h)).
 
     Parameters
     ----------
@@ -115,7 +115,8 @@ class Image(_Picture):
             ) from None
         if pixels.ndim not in (2, 3) or pixels.size == 0:
             raise ParameterError(
-                f"values have shape {pixels.shape}; give pixels of shape (h, w) or (h, w, channels)."
+                f"values have shape {pixels.shape}; give pixels of shape (h, w) or "
+                "(h, w, channels)."
             )
         if not np.isfinite(pixels).all():
             raise ParameterError("values hold NaN or infinity; give finite pixels.")

@@ -110,8 +110,8 @@ class EdgeSmoothed(Integrand):
     def _check(self) -> None:
         if isinstance(self.edge, Disk) and self.width >= 2.0 * self.edge.radius:
             raise ParameterError(
-                f"width is {self.width:g}; the ramp of a disk of radius {self.edge.radius:g} must be "
-                f"narrower than {2.0 * self.edge.radius:g}."
+                f"width is {self.width:g}; the ramp of a disk of radius {self.edge.radius:g} must "
+                f"be narrower than {2.0 * self.edge.radius:g}."
             )
 
     @property
@@ -202,8 +202,8 @@ class BoxSmoothed(Derived):
     def _check(self) -> None:
         if not self._known and self.nodes**self.dims > _MOST_NODES:
             raise ParameterError(
-                f"One smoothed value of {self.integrand.spec} takes {self.nodes}^{self.dims} of its "
-                f"values; lower nodes= to need at most {_MOST_NODES}."
+                f"One smoothed value of {self.integrand.spec} takes {self.nodes}^{self.dims} of "
+                f"its values; lower nodes= to need at most {_MOST_NODES}."
             )
 
     @property
