@@ -211,8 +211,8 @@ def refined_coefficients(function: QuadratureIntegrand, m: Sequence[Array]) -> E
     else:
         raise ParameterError(
             f"The Fourier coefficients of {function.spec} up to |m| = {max(highest)} in {dims} "
-            f"dims take {float(math.prod(counts)):.2g} evaluations, more than {_LIMIT:.2g}; request "
-            "lower frequencies, or give exact coefficients (fourier=)."
+            f"dims take {float(math.prod(counts)):.2g} evaluations, more than {_LIMIT:.2g}; "
+            "request lower frequencies, or give exact coefficients (fourier=)."
         )
 
     coarse = grid_coefficients(function, [c // 2 for c in counts], m)

@@ -1,8 +1,8 @@
 """Integrands written as a formula such as ``exp(-x**2 - y**2)``, read as data.
 
 Python's parser reads the text, and its tree is converted once into a tree of NumPy functions.
-Syntax that is not in the lists below is an error. No other name is looked up and no Python is evaluated.
-Numbers become floats first, so ``9**9**9`` is infinite and does not run forever.
+Syntax that is not in the lists below is an error. No other name is looked up and no Python is
+evaluated. Numbers become floats first, so ``9**9**9`` is infinite and does not run forever.
 """
 
 from __future__ import annotations
