@@ -1,8 +1,7 @@
 """The interface of integrands: values, integral, Fourier coefficients; integrands of callables.
 
 The coefficients are f_m = ∫ f(x) exp(−2πi m·x) dx over [0,1)^d for integer m. Implementations
-define
-`_evaluate`, and `_integral` and `_fourier` if they are known exactly. Otherwise composite
+define `_evaluate`, and `_integral` and `_fourier` if they are known exactly. Otherwise composite
 Gauss-Legendre quadrature (with an FFT for the coefficients) is used, and `integral_source` and
 `fourier_source` report it. Each integrand stores results of quadrature in its `IntegrandCache`, so
 it must always give the same values.

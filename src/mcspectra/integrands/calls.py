@@ -71,8 +71,7 @@ class Calls:
         False for a function that maps a single point, an array (d,), to a number.
     workers
         Number of processes that call f, each on its own points. If more than 1, a script needs the
-        guard
-        ``if __name__ == "__main__":``.
+        guard ``if __name__ == "__main__":``.
     cache
         Path of a file that stores the values by point; it is created if missing. One file is for
         one function with one set of parameters.
