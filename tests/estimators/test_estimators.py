@@ -113,7 +113,7 @@ def test_functions_cannot_change_their_points():
         (lambda: mcs.MultipleImportance(SQUARE, []), "one or more"),
         (lambda: mcs.MultipleImportance(SQUARE, "uniform"), "list"),
         (lambda: mcs.MultipleImportance(SQUARE, [None]), "None"),
-        (lambda: mcs.MultipleImportance(SQUARE, ["uniform"], counts=(1, 1)), "technique, 1 in all"),
+        (lambda: mcs.MultipleImportance(SQUARE, ["uniform"], counts=(1, 1)), "each technique .1."),
         (lambda: mcs.MultipleImportance(SQUARE, ["uniform"], counts=(0,)), "at least 1"),
         (lambda: mcs.estimators.TechniqueSum([]), "one or more"),
     ],

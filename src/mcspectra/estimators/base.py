@@ -375,6 +375,6 @@ def check_counts(counts: Any, techniques: int) -> tuple[int, ...]:
     if len(values) != techniques:
         raise ParameterError(
             Parameter("counts"),
-            f" is {counts!r:.60}; give one number for each of the {techniques} techniques.",
+            f" is {counts!r:.60}; give one number for each technique ({techniques}).",
         )
     return tuple(as_integer(f"counts[{i}]", c, least=1) for i, c in enumerate(values))
