@@ -330,7 +330,7 @@ def test_limits_are_not_known_where_slopes_do_not_agree():
     f = mcs.integrand("formula(expression='(x0+x1>1)*1.')", dims=2)
     found = predict(f, "rank1-lattice | shift", [64, 1024])
     assert math.isnan(float(found["limit_rate"]))
-    assert "limit_rate is not known: the last local rates are" in found.attrs["note"]
+    assert "limit_rate is not given; the last local rates are" in found.attrs["note"]
 
 
 def _board(x):

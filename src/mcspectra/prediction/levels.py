@@ -12,7 +12,7 @@ equally many cells that are longer along some axes. A digital shift has weights 
 see `of_moves`.
 
 Cells are integrated in closed form if g has moments over boxes, else by Gauss-Legendre rules cut at
-the breaks of g. Cells from which g varies most to their neighbors contain curves of jumps, and get
+the breaks of g. Cells whose neighbors have very different g contain curves of jumps, and get
 a composite rule. Integration uses a fine and a coarse rule, and the error is their difference.
 """
 

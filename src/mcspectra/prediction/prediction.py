@@ -507,7 +507,7 @@ def _enough_of_sums(law: Law, known: Known) -> float:
     """Return the accepted half interval of sums of products, which may miss jumps and kinks."""
     if _moves_apply(law, known):
         return _AUTO.moved
-    leaf = leaf_of(law)  # The variance of a lattice tells nothing about counts close to it
+    leaf = leaf_of(law)  # The variance of a lattice does not predict that of close counts
     return math.inf if isinstance(leaf, Fixed) and leaf.even else _AUTO.measured
 
 
@@ -1015,7 +1015,7 @@ def predict(
         * ``"table"``: sets of the sampler on a table of g
         * ``"extrapolated"``: a line through variances measured at other counts
         * ``"pair-correlation"``: pairs of points, known or counted, without frequencies
-        * ``"covariance"``: Σ conj(f_m) f_l C_ml, with C_ml in closed form, for at most 625 frequencies
+        * ``"covariance"``: Σ conj(f_m) f_l C_ml, closed-form C_ml, for at most 625 frequencies
         * ``"homogenized"``: Σ|f_m|² times the power, in closed form or from realizations
         * ``"terms"``: the sum of the terms of `variance_terms`
         * ``"measured"``: the sample variance of the estimates at n
