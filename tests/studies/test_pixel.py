@@ -278,10 +278,10 @@ def test_what_a_strategy_did_not_meet_is_said(tree):
     changed = tree.copy()
     curves = tree["convergence"].to_dataset()
     spec = str(curves["spec"].sel(strategy="bsdf").values)
-    note = f"{spec} with random: none of the estimates varies at n = 4"
+    note = f"{spec} with random: all estimates are equal at n = 4"
     changed["convergence"] = xr.DataTree(curves.assign_attrs(note=note))
     said = dict(pixel_sentences(changed))
-    assert said["not met"] == "bsdf with random: none of the estimates varies at n = 4"
+    assert said["not met"] == "bsdf with random: all estimates are equal at n = 4"
 
 
 def test_a_steepest_rate_that_is_not_resolved_is_no_finding(tree):

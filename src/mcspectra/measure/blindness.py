@@ -72,9 +72,8 @@ def blindness(
     ----------
     measured
         Arrays (estimator, sampler, n, channel) by name: ``realizations``, ``variance``, its
-        ``relative_se``, the
-        ``largest_share`` of a square in it, whether it is ``resolved``, the ``tail_index``,
-        ``bias``, ``bias_se`` and the rounding ``floor``.
+        ``relative_se``, the ``largest_share`` of a square in it, whether it is ``resolved``, the
+        ``tail_index``, ``bias``, ``bias_se`` and the rounding ``floor``.
 
     Returns
     -------
@@ -141,18 +140,18 @@ def blindness(
                 ("∫g² diverges: infinite variance", everywhere & np.isinf(of_random), excess),
                 ("all estimates are equal{at}: the samples missed the source of the variance",
                  ~varies[at] & ~agrees, excess),
-                ("by ∫g² the variance is {worst:.3g} times the measured one{at}: samples missed "
-                 "a rare region",
+                (("by ∫g² the variance is {worst:.3g} times the measured one{at}: samples missed "
+                 "a rare region"),
                  varies[at] & known & low, excess),
-                ("the mean is {worst:+.3g} standard errors from the integral{at}: samples missed "
-                 "a rare region",
+                (("the mean is {worst:+.3g} standard errors from the integral{at}: samples missed "
+                 "a rare region"),
                  far[at] & source.unbiased, pull[at]),
                 ("∫g⁴ diverges because g grows as t^-{worst:.2g}: no estimates bound the variance",
                  everywhere & (peaks >= _SETTINGS.no_kurtosis), everywhere * peaks),
                 ("tails not resolved{at}: a single estimate causes {worst:.3g} % of the variance",
                  heavy[at] & varies[at], 100 * of["largest_share"]),
-                ("tails not resolved{at}: few estimates cause the variance, tail index k̂ = "
-                 "{worst:.2f}",
+                (("tails not resolved{at}: few estimates cause the variance, tail index k̂ = "
+                 "{worst:.2f}"),
                  unresolved[at] & varies[at] & np.isfinite(of["tail_index"]), of["tail_index"]),
                 ("tails not resolved{at}: few estimates cause the variance",
                  unresolved[at] & varies[at], excess),

@@ -268,7 +268,7 @@ class RunningSpread:
 
 @dataclass(frozen=True)
 class Batches:
-    """Estimates of each block: all terms and variances, but only the spread of maps and matrices."""
+    """Estimates of each block: all terms and variances, and the spread of maps and matrices."""
 
     weights: JOIN  # degrees of freedom of each block: (B,)
     values: JOIN  # dc, power and cross term and measured variance: (B, 4, C)

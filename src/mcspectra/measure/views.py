@@ -142,8 +142,8 @@ class Frequencies:
     ) -> Variables:
         """Replace the variables of terms that diverge by NaN, or by infinity."""
         warn(
-            f"∫1/p diverges for {self.estimator.spec}: Var(S_0) and the spectral terms are infinite, "
-            "although the variance of the estimate may be finite; use space='primary'.",
+            f"∫1/p diverges for {self.estimator.spec}: Var(S_0) and the spectral terms are "
+            "infinite, although the variance of the estimate may be finite; use space='primary'.",
             InfiniteWeightVarianceWarning,
         )
         return {
