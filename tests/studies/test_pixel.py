@@ -264,8 +264,8 @@ def test_a_camera_with_a_lens_is_said(tree):
 
 def test_sentences_name_jumps_bottleneck_and_remedy(tree):
     said = dict(pixel_sentences(tree))
-    assert "of all lines through the cube meet a jump of g" in said["light"]
-    assert "wraps around: to it g jumps there" in said["light"]
+    assert "of all lines through the cube cross a discontinuity of the integrand" in said["light"]
+    assert "wraps around, so the integrand is discontinuous there" in said["light"]
     assert said["bottleneck"] == bottleneck_sentence(tree)
     assert said["remedies"] == tree["remedies"].attrs["answer"]
     resolved = [r for r in pixel_rows(tree) if r.rate and r.rate_high - r.rate_low <= 1]

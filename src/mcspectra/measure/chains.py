@@ -58,12 +58,10 @@ class ChainSettings:
     # few draws for a normal law, and longer ones are half of it.
     starts: tuple[float, ...] = (0.05, 0.1, 0.2)
     # Probability of a difference above which the remaining draws count as stationary, and factor by
-    # which more draws are left out,
-    # because the bias of the mean may still be a standard error there. Of 200 sets of 4 chains of
-    # 1,000 normal draws +
-    # 5 exp(−t/100), 153 are reported (47 are stuck, without an end), and 93 % of intervals hold.
-    # With 0.3 and 1.5 it is 76 % and
-    # 93 %, with 0.1 and 1.5 90 % and 89 %.
+    # which more draws are left out, because the bias of the mean may still be a standard error
+    # there. Of 200 sets of 4 chains of 1,000 normal draws + 5 exp(−t/100), 153 are reported (47 are
+    # stuck, without an end), and 93 % of intervals hold. With 0.3 and 1.5 it is 76 % and 93 %, with
+    # 0.1 and 1.5 90 % and 89 %.
     settled: float = 0.2
     margin: float = 2.0
     # Probability of a difference between the last two quarters of a chain below which it drifts
@@ -76,38 +74,32 @@ class ChainSettings:
     cuts: int = 40
     most_left_out: float = 0.5
     # Fraction of consecutive equal draws above which a chain is stuck. Insensitive between 0.05 and
-    # 0.1; 0.2 misses a run of 110
-    # draws in 1,000.
+    # 0.1; 0.2 misses a run of 110 draws in 1,000.
     run: float = 0.1
     # Number of different values above which repeated draws are a fault. A count or a flag repeats
     # its values.
     values: int = 20
     # Part of the variance between the two sides of the mean above which draws lie on two levels. It
-    # is 0.64 for a normal law, 0.75
-    # for a uniform one and 1 for two values. 0.7 takes 22 of 50 random walks for levels; 0.95
-    # misses levels that are 8 standard
-    # deviations apart.
+    # is 0.64 for a normal law, 0.75 for a uniform one and 1 for two values. 0.7 takes 22 of 50
+    # random walks for levels; 0.95 misses levels that are 8 standard deviations apart.
     two_levels: float = 0.85
     # Largest number of moves of each chain between the levels. With 20 moves the share of time on a
-    # level has an error of about
-    # 1/√20 = 22 %. Insensitive between 10 and 40.
+    # level has an error of about 1/√20 = 22 %. Insensitive between 10 and 40.
     switches: int = 20
     # Tail index above which a tail is heavy. The variance is infinite for ½ and above, and an index
-    # from 2,000 draws has a standard
-    # error of about 0.1. 0.5 finds 49 of 50 chains with infinite variance, 0.6 finds 47 and 0.8
-    # finds 25.
+    # from 2,000 draws has a standard error of about 0.1. 0.5 finds 49 of 50 chains with infinite
+    # variance, 0.6 finds 47 and 0.8 finds 25.
     heavy: float = 0.6
     # Least number of draws in a tail whose index is fitted: 20 draws give it to about 0.3. With 10
-    # there is a false alarm in 475; 20
-    # and 40 have none and find the same tails.
+    # there is a false alarm in 475; 20 and 40 have none and find the same tails.
     least_tail: int = 20
     # Smallest allowed size of the largest draw of a quantity; its inverse is the largest. Squares
     # of both, summed over any number of
     # draws, are within the range of float64.
     smallest: float = 1e-100
     # Degrees of freedom of the error below which realizations are few: with 6 the error is accurate
-    # to 1/√12 = 29 %. With 3, one of
-    # 25 chains of 12 draws is missed; with 12 there are 12 false alarms in 475.
+    # to 1/√12 = 29 %. With 3, one of 25 chains of 12 draws is missed; with 12 there are 12 false
+    # alarms in 475.
     few_degrees: float = 6.0
 
 
@@ -441,8 +433,7 @@ def _stationary_error(
     causes: dict[str, str] = {}
 
     # Chains that move together have the error of their mean chain. For independent whitened chains
-    # the power of the mean chain over the
-    # power of all is Beta(1, m − 1) at each frequency
+    # the power of the mean chain over the power of all is Beta(1, m − 1) at each frequency
     fit = own = _fitted(z)
     series, remark = z, ""
     if chains > 1:

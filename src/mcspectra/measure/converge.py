@@ -451,8 +451,7 @@ def realizations_needed(
     estimator, sampler, n
         The estimator, its sampler and the number of points.
         Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
-        that is not a spec.
-        that is not a spec.
+        that is not a spec. that is not a spec.
     relative_error
         Requested standard error of the variance, relative to it, of every channel.
     max_realizations
