@@ -741,8 +741,7 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     first = _shape(causes)
     if name in {_LATTICE, _FOLDED} and math.isfinite(curve.rate):
         # The variance n^−4 (log n)^(2d − 2) of smooth functions, with two thirds of the logarithms.
-        # A few points in many dims may appear to fall
-        # faster; they are not trusted beyond this rate
+        # A few points in many dims may appear to fall faster; they are not trusted beyond this rate
         third = (dims - 1) / (3.0 * math.log(max(curve.counts[-1], 2.0)))
         limit = min(-4.0 + 4.0 * third, -1.0)
         curve = replace(curve, rate=max(curve.rate, limit))

@@ -268,8 +268,8 @@ def design(
         return made if chosen is None else _saved(made, chosen)
     except OSError as error:
         raise FileFormatError(
-            f"The sampler cannot be written to {error.filename}: {error.strerror}; give a folder that "
-            "exists and can be written, as path= or MCSPECTRA_CACHE."
+            f"The sampler cannot be written to {error.filename}: {error.strerror}; give a folder "
+            "that exists and can be written, as path= or MCSPECTRA_CACHE."
         ) from None
 
 
@@ -433,6 +433,6 @@ def _better_rival(goal: Objective, made: Sampler, n: int, stream: Stream) -> tup
         return made, ""
     rival = rivals[best - 1]
     return rival, (
-        f"The best design has {ratio:.3g} times (95 %: {low:.3g} to {high:.3g}) the mean variance of "
-        f"{rival.spec}, which is returned instead; other kinds of designs may have less."
+        f"The best design has {ratio:.3g} times (95 %: {low:.3g} to {high:.3g}) the mean variance "
+        f"of {rival.spec}, which is returned instead; other kinds of designs may have less."
     )
