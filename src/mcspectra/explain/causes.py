@@ -341,7 +341,7 @@ class Evidence:
         Raises
         ------
         ParameterError
-            The budget is too small, or values are too large or too small for their powers.
+            If the budget is too small, or values are too large or too small for their powers.
         """
         each, n, nets = shares_of(estimator, sampler, budget, settings)
         sets = Sets.of(estimator, n, nets, stream.child(0))

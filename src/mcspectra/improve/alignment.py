@@ -114,10 +114,10 @@ def strata_shift_scan(
     Raises
     ------
     CountError, ParameterError
-        The sampler has no set of a count, counts or offsets are not ascending, or offsets are too
-        many.
+        If the sampler has no set of a count, counts or offsets are not ascending, or there are too
+        many offsets.
     NoClosedForm
-        ``method="exact"`` and no exact variance is known.
+        If ``method="exact"`` and no exact variance is known.
 
     Notes
     -----
@@ -335,7 +335,7 @@ def aligned(
     Raises
     ------
     ParameterError
-        The estimator has a density, the edges are not in (0, 1), or n is not a power s^d.
+        If the estimator has a density, the edges are not in (0, 1), or n is not a power s^d.
     """
     given = as_estimator(estimator, dims)
     if not isinstance(given, Estimator) or given.density is not None:

@@ -712,7 +712,7 @@ def improvements(
     Raises
     ------
     ParameterError
-        Several techniques, or too few evaluations.
+        If there are several techniques, or too few evaluations.
     """
     g = _single(given.estimator)
     if len(seen.points) < 2 * _REGRESSION.evaluations_per_term:

@@ -398,13 +398,13 @@ def learned_density(
     Raises
     ------
     ParameterError
-        The kind is unknown, a value is out of range, or the sampler is not random; f is NaN or
-        infinite at a point, or 0 at all points; evaluations are too few to compare candidates near
-        n.
+        If the kind is unknown, a value is out of range, or the sampler is not random; if f is NaN
+        or infinite at a point, or 0 at all points; or if evaluations are too few to compare
+        candidates near n.
     CountError
-        The sampler has no sets of n points.
+        If the sampler has no sets of n points.
     FileFormatError
-        The density cannot be written.
+        If the density cannot be written.
 
     Notes
     -----

@@ -92,7 +92,8 @@ def smoothing_scan(
     Raises
     ------
     CountError, ParameterError
-        The sampler has no set of a count, widths are not ascending or impossible, or dims disagree.
+        If the sampler has no set of a count, widths are not ascending or impossible, or dims
+        disagree.
 
     Examples
     --------
@@ -211,7 +212,7 @@ def mirror_study(
     Raises
     ------
     CountError, ParameterError
-        A sampler has no set of a count (``"uniform"`` needs multiples of 2^d), a mirroring is
+        If a sampler has no set of a count (``"uniform"`` needs multiples of 2^d), a mirroring is
         unknown or listed twice, the sampler already ends with a shift, or `exact` is neither True
         nor False.
 

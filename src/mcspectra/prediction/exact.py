@@ -282,7 +282,7 @@ def of_integrand(
     Raises
     ------
     NoClosedForm
-        As in `exact_variance`; also if the error exceeds `tolerance` times the variance, or a rule
+        If `exact_variance` would raise, the error exceeds `tolerance` times the variance, or a rule
         would take more than about `most` evaluations.
     """
     g, lines = looked_at(g), False

@@ -175,14 +175,14 @@ def design(
     Raises
     ------
     CountError
-        The kind has no sets of n points.
+        If the kind has no sets of n points.
     ParameterError
-        The kind is unknown; an option of densities is given with a sampler or the reverse; the
-        objective is empty, constant or cannot be read; dims are out of range.
+        If the kind is unknown; an option of densities is given with a sampler or the reverse; the
+        objective is empty, constant or cannot be read; or dims are out of range.
     DomainError
-        Values of an integrand are not finite.
+        If values of an integrand are not finite.
     FileFormatError
-        The sampler cannot be written.
+        If the sampler cannot be written.
 
     Notes
     -----
@@ -329,7 +329,7 @@ def certificate(
     Raises
     ------
     ParameterError
-        There is no rival, all variances of the best rival vanish, or an argument of `design` is
+        If there is no rival, all variances of the best rival vanish, or an argument of `design` is
         wrong.
     """
     groups = _SETTINGS.groups

@@ -99,9 +99,10 @@ def as_objective(given: object, dims: int | None = None) -> Objective:
     Raises
     ------
     ParameterError
-        The objective cannot be read, is empty, has constant members only, or dims are not 1 to 8.
+        If the objective cannot be read, is empty or has constant members only, or dims are not 1 to
+        8.
     DomainError
-        Values are not finite.
+        If values are not finite.
     """
     if dims is not None:
         dims = as_integer("dims", dims, least=1, most=_SETTINGS.most_dims)
