@@ -308,7 +308,7 @@ PYTHON = _rows(
     ("mcs.quality.warp_quality(mcs.density('uniform', dims=3))", "dims"),
     ("mcs.explain.primary_picture(mcs.integrand('gaussian', dims=3))", "1 and 2 dims"),
     ("mcs.explain.primary_picture('gaussian', technique=1)", "technique"),
-    ("mcs.measure.chain_error([0.5])", "10 draws or more"),
+    ("mcs.measure.chain_error([0.5])", "at least 10 draws"),
     ("mcs.measure.chain_error(np.zeros((2, 3, 4, 5)))", "(chain, draw, quantity)"),
     ("mcs.measure.chain_error(np.full(20, np.nan))", "hold 20 NaN"),
     ("mcs.measure.chain_error(np.arange(20.0), weights=-np.ones(20))", "negative"),

@@ -1,4 +1,4 @@
-"""Analyses in chunks and by any number of threads: the same bits, for all options and kinds."""
+"""Analyses in chunks and on any number of threads give equal bits, for all options and kinds."""
 
 import itertools
 
@@ -52,7 +52,7 @@ def _techniques(counts, space):
     return Techniques(counts=counts, half_width=2, realizations=45, space=space)
 
 
-# analysis, estimator, sampler, numbers of a block: so few that some reduction has five blocks
+# Analysis, estimator, sampler, numbers of a block: so small that some reduction has five blocks
 CASES = {
     "curve": (_curve(), PLAIN, "jittered", 2**11),
     "curve-channels": (_curve(), COLORS, "random", 2**11),
@@ -117,11 +117,12 @@ def _stages(analysis, subject, seed=3):
         return stages, end.value
 
 
-# --- searches -----------------------------------------------------------------------------------------
+# --- searches
+# -----------------------------------------------------------------------------------------
 
 
 def test_a_search_measures_the_first_realizations():
-    """Against the variance of all estimates at once, of the count's own stream."""
+    """Compare with the variance of all estimates at once, of the count's own stream."""
     curve = mcs.convergence(PLAIN, "random", [16], realizations=5000, rng=5, relative_error=0.1)
     used = int(curve["realizations_used"][0])
     assert 100 < used < 5000
@@ -132,7 +133,7 @@ def test_a_search_measures_the_first_realizations():
 
 
 def test_runs_of_a_search_follow_each_other():
-    """Every realization once: the runs of a cell begin where the last one ended."""
+    """Every realization is used once: runs of a cell begin where the last run ended."""
     analysis = Convergence(counts=(4, 16), realizations=3000, relative_error=0.06)
     stages, result = _stages(analysis, as_subject([PLAIN, DISK], "random", lists=True))
     ends, parts = {}, []
@@ -143,7 +144,7 @@ def test_runs_of_a_search_follow_each_other():
             ends[part] = first + realizations
         parts.append({int(run.key.split("-")[0]) for run in stage})
     assert len(stages) >= 3
-    assert parts[0] == {0, 1, 2, 3}  # estimators × counts
+    assert parts[0] == {0, 1, 2, 3}  # Estimators × counts
     assert all(later <= earlier for earlier, later in itertools.pairwise(parts))
     used = result["realizations_used"].values.reshape(-1)
     assert used.tolist() == [ends[part] for part in range(4)]
@@ -156,7 +157,7 @@ def test_costs_are_evaluations():
     assert [few.cost, many.cost] == [100 * n * 2 for n in (4, 16)]
     assert analysis.need(two).cost == few.cost + many.cost
     ((mis,),) = _stages(Convergence(counts=(4,), realizations=100), as_subject(MIS, "random"))[0]
-    assert mis.cost == 100 * 4 * 2  # two techniques
+    assert mis.cost == 100 * 4 * 2  # Two techniques
 
 
 def test_a_billion_realizations_are_cut_at_once():
@@ -175,11 +176,12 @@ def test_moments_keep_every_bit():
             assert getattr(after, name).tobytes() == getattr(before, name).tobytes()
 
 
-# --- terms --------------------------------------------------------------------------------------------
+# --- terms
+# --------------------------------------------------------------------------------------------
 
 
 def _line():
-    """The reduction of the terms along a line, and its states block by block."""
+    """Return the reduction of the terms along a line, and its states block by block."""
     found = LINE_TERMS.reduction(as_subject(LINE, "jittered"), Stream.from_rng(0))
     assert isinstance(found, Reduction)
     return found, [found.block(i)[0] for i in range(found.blocks)]
@@ -191,7 +193,7 @@ def _total():
 
 
 def test_errors_are_those_of_all_blocks_kept():
-    """Against the blocks one by one, by definition."""
+    """Compare with the blocks one by one, by definition."""
     _, blocks = _line()
     total = _total().batches
     kept = [b for b in blocks if b.sums.count > 1]
@@ -224,14 +226,15 @@ def test_a_block_of_one_says_nothing():
 
 
 def test_states_grow_by_five_numbers_a_block():
-    """Beside the numbers of a block, a state has terms, variance and weight: (3 + 1 + 1)."""
+    """In addition to the numbers of a block, a state has terms, variance and weight: (3 + 1 +
+    1)."""
     _, blocks = _line()
     one, few = blocks[0], _total()
-    # beside the smallest and largest estimates, of which there are 64 each at most
+    # In addition to the smallest and largest estimates, at most 64 each
     tails = few.measured.extremes.nbytes - one.measured.extremes.nbytes
     assert few.measured.extremes.nbytes <= 8 * 128
     grown = len(pack(few)) - len(pack(one)) - tails
-    assert abs(grown - 8 * 5 * 21) < 64  # numbers of shapes take a byte or three
+    assert abs(grown - 8 * 5 * 21) < 64  # Numbers of shapes take a few bytes
 
 
 @pytest.mark.parametrize("function", [mcs.variance_terms, mcs.technique_terms])
@@ -248,12 +251,13 @@ def test_states_of_anova_are_the_estimates_of_realizations_in_order(monkeypatch)
     found = Anova(n=8, realizations=12).reduction(subject, Stream.from_rng(3))
     assert found.blocks == 3
     whole = compute_chunk(found, (0, 3)).values
-    # The first mask keeps every axis: the plain estimates.
+    # The first mask keeps every axis, which gives the plain estimates
     points = mcs.sampler("jittered | shift", 3).draw(8, rng=3, realizations=12)
     assert np.array_equal(whole[0, :, 0], SOLID.estimate([points]))
 
 
-# --- what is refused before anything runs -------------------------------------------------------------
+# --- what is refused before anything runs
+# -------------------------------------------------------------
 
 RANDOM = as_subject(PLAIN, "random")
 MANY = as_subject(mcs.Estimator("gaussian", dims=64), "random")

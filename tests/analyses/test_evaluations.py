@@ -1,4 +1,4 @@
-"""Calls of a user's function at every public entry: as many as were asked for, and no more."""
+"""Calls of a user's function at every public function: the requested number and no more."""
 
 import numpy as np
 import pytest
@@ -9,13 +9,13 @@ from mcspectra.core.errors import BudgetError
 from mcspectra.core.tally import counting, spend
 from mcspectra.report.reprs import component_html
 
-PROBE = 28  # points at which `from_function` tries a function
+PROBE = 28  # Number of points on which `from_function` tests a function
 R, N = 40, 16
 JITTERED, SHIFTED = "jittered", "jittered | shift"
 
 
 class Function:
-    """exp(x + y) where x is beyond a jump, which counts its points."""
+    """exp(x + y) where x is beyond a jump; it counts its points."""
 
     def __init__(self, dims, jump=0.3):
         self.dims, self.jump, self.calls = dims, jump, 0
@@ -35,7 +35,7 @@ ESTIMATORS = {
     "mirrored": (lambda f: mcs.Mirrored(f, "integrand"), 2, 1),
 }
 
-# Measurements, and the calls of a technique that they promise
+# Measurements, and the number of calls that a technique promises
 MEASURED = {
     "convergence": (lambda e: mcs.convergence(e, JITTERED, [N, 64], realizations=R), R * (N + 64)),
     "realizations_needed": (
@@ -58,7 +58,7 @@ MEASURED = {
     ),
 }  # fmt: skip
 
-# What is asked for by name, and says how many calls it took
+# Functions that are called explicitly and report their calls
 NAMED = {
     "variance_terms": lambda e, m=None: mcs.variance_terms(
         e, JITTERED, N, half_width=2, realizations=R, max_evaluations=m
@@ -84,10 +84,10 @@ NAMED = {
     "exact_variance": lambda e, m=None: mcs.exact_variance(e, JITTERED, N, max_evaluations=m),
 }
 
-# Asked for by name too, without a count: what they call is their subject
+# Also called explicitly, without a count, because the calls are their subject
 PICTURES = {"primary_picture", "design", "certificate"}
 
-# Tested by itself below, or in tests of its own; or they make something that calls nothing
+# Tested separately, or without calls
 ELSEWHERE = {
     "remedies",
     "smoothing_scan",
@@ -119,7 +119,7 @@ def made(kind):
     make, dims, techniques = ESTIMATORS[kind]
     f = Function(dims)
     estimator = make(f.integrand)
-    assert f.calls == 0  # a density that is positive everywhere costs no call
+    assert f.calls == 0  # A density that is positive everywhere costs no call
     return f, estimator, dims, techniques
 
 
@@ -164,7 +164,7 @@ def test_what_is_named_says_what_it_called(name):
 @pytest.mark.parametrize("name", NAMED)
 def test_no_call_is_made_beyond_the_most(name, most):
     f = Function(2)
-    if name == "plan" and most >= 256:  # it measures with what it may
+    if name == "plan" and most >= 256:  # It measures within its limit
         found = NAMED[name](f.integrand, most)
         assert f.calls == found.attrs["evaluations"] <= most
         return
@@ -220,7 +220,7 @@ def test_an_unknown_integral_is_said_and_leaves_the_bias_out():
 
 @pytest.mark.parametrize("kind", ESTIMATORS)
 def test_remedies_keep_to_their_budget(kind):
-    """At most 4/3 B R a set-up, and 7/3 B R for the diagnosis (the docstring of `remedies`)."""
+    """At most 4/3 B R per set-up, and 7/3 B R for the diagnosis (see `remedies`)."""
     budget, realizations = 64, 100
     f, estimator, *_ = made(kind)
     found = mcs.remedies(estimator, JITTERED, budget, realizations=realizations)
@@ -278,7 +278,7 @@ def test_tallies_stand_within_each_other():
         with pytest.raises(BudgetError, match="outer takes at least 11"):
             spend(1)
     assert (inner.made, outer.made) == (4, 10)
-    with pytest.raises(BudgetError):  # though it was caught in between
+    with pytest.raises(BudgetError):  # Even if it was caught in between
         inner.check()
 
 

@@ -1,4 +1,4 @@
-"""Memory of the analyses: flat in the number of realizations, and below a gigabyte at 513²."""
+"""Memory of the analyses: constant in the number of realizations, and below a gigabyte at 513²."""
 
 import json
 import math
@@ -38,12 +38,12 @@ print(json.dumps(used))
 
 @pytest.fixture(autouse=True)
 def small_blocks(monkeypatch):
-    """Make blocks as small beside these grids as the usual ones are beside large grids."""
+    """Make blocks as small relative to these grids as usual blocks are to large grids."""
     monkeypatch.setattr(parallel, "_BLOCK_NUMBERS", _BLOCK)
 
 
 def _peak(function):
-    """Most bytes of Python objects and arrays at one time while `function` runs."""
+    """Return the peak memory of Python objects and arrays while `function` runs."""
     tracemalloc.start()
     try:
         function()
@@ -72,12 +72,13 @@ def _power(realizations, **settings):
 @pytest.mark.parametrize("workers", [1, 2])
 @pytest.mark.parametrize("analysis", [_terms, _power])
 def test_memory_is_flat_in_realizations(analysis, workers):
-    analysis(REALIZATIONS, workers=workers)  # imports, compiled kernels, plans
+    analysis(REALIZATIONS, workers=workers)  # Imports, compiled kernels, plans
     few = _peak(lambda: analysis(REALIZATIONS, workers=workers))
     many = _peak(lambda: analysis(4 * REALIZATIONS, workers=workers))
-    # Threads have a few results of blocks waiting, each of three or four spectra, and fourfold
-    # realizations are two levels more of the tree, each a state; to keep what every block returns
-    # would take a thousand spectra.
+    # Threads have a few waiting results of blocks, each of three or four spectra. Four times as
+    # many realizations add two
+    # levels to the tree, each with a state. Keeping the result of every block would take a thousand
+    # spectra.
     assert many - few < (12 + 2 * 4) * BYTES
 
 
@@ -86,8 +87,9 @@ def test_bands_take_their_square_and_no_more():
     few = _peak(lambda: _terms(REALIZATIONS, workers=1))
     bands = _peak(lambda: _terms(REALIZATIONS, workers=1, bands=labels))
     realizations_a_block = max(1, _BLOCK // (2 * GRID.stored))
-    # band_covariance: three in every node of the tree, which are the sums and the mean and squares of
-    # their spread; in a block, merged, and in the result
+    # band_covariance: three in every node of the tree, the sums and the mean and squares of their
+    # spread; in a block,
+    # merged, and in the result
     nodes = math.ceil(math.log2(REALIZATIONS / 2))
     squares = (3 * nodes + 8) * (8 * 200**2)
     assert bands - few < squares + 8 * 200 * realizations_a_block + labels.nbytes + 2**20

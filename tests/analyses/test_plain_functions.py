@@ -1,4 +1,4 @@
-"""Plain functions with dims: the same results and the same counts as an integrand made of them."""
+"""Plain functions with dims: results and counts equal those of an integrand made from them."""
 
 import inspect
 
@@ -9,11 +9,11 @@ import mcspectra as mcs
 from mcspectra.core.errors import McspectraError, ParameterError
 
 PROFILED = ("integral", "interval", "variance", "rate", "rate_ci", "tried", "calls")
-PROBE = 28  # points at which `from_function` tries a function
+PROBE = 28  # Number of points on which `from_function` tests a function
 
 
 class Counting:
-    """exp(x0) + x1 on points (..., 2), which counts its points."""
+    """exp(x0) + x1 on points (..., 2); it counts its points."""
 
     def __init__(self):
         self.calls = 0
@@ -23,7 +23,7 @@ class Counting:
         return np.exp(x[..., 0]) + x[..., 1]
 
 
-# What takes an estimator, with few evaluations; two threads may compute the same fact of f
+# Functions that take an estimator, with few evaluations; two threads may compute the same fact of f
 CALLS = {
     "convergence": lambda f, **given: mcs.convergence(
         f, ["random", "jittered"], [4, 16], realizations=20, **given
@@ -65,7 +65,7 @@ CALLS = {
 
 
 def _numbers(found):
-    """All numbers of a result."""
+    """Return all numbers of a result."""
     if isinstance(found, mcs.Profile):
         return {name: np.asarray(getattr(found, name)) for name in PROFILED}
     if not hasattr(found, "data_vars"):
@@ -84,7 +84,7 @@ def test_a_function_is_as_good_as_an_integrand_of_it(name):
         _numbers(found).items(), _numbers(expected).values(), strict=True
     ):
         np.testing.assert_array_equal(values, others, err_msg=key)
-    # Profile and integrate call a function through their own budget, and do not try it before
+    # Profile and integrate call a function through their own budget, without a test before
     own = f.calls if name in ("profile", "integrate") else f.calls - PROBE
     assert own == made - PROBE
     if "evaluations" in getattr(found, "attrs", ()):

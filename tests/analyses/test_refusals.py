@@ -1,4 +1,4 @@
-"""What the functions of this room refuse beyond wrong options: `test_cuts.py` has those of analyses."""
+"""Invalid input of analyses other than wrong options, which `test_cuts.py` tests."""
 
 import numpy as np
 import pytest

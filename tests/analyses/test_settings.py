@@ -1,4 +1,4 @@
-"""Numbers that tune algorithms are fields of settings, and each field has a comment with its reason."""
+"""Tuning numbers of algorithms are fields of settings with a comment that gives the reason."""
 
 import ast
 from pathlib import Path
@@ -8,8 +8,8 @@ import pytest
 import mcspectra
 
 ROOMS = ("measure", "explain", "improve", "improve/designs", "profiler")
-# Numbers that no algorithm is tuned by: limits of float64, levels of intervals, rates of theory, labels of streams, the
-# tile of a kernel, a definition
+# Numbers that are not tuned: limits of float64, levels of intervals, rates of theory, labels of
+# streams, the tile of a kernel, a definition
 FACTS = {
     *("_EDGE", "_LEVEL", "_SIDE", "_RATES", "_TILE", "_START", "_PARTNER", "_ORDER", "_UNIFORM"),
     *("EFFECTIVE_SHARE", "UNDECIDED", "SHARED_SETS", "_PILOTS", "_PARTS", "_VERSION"),
@@ -20,7 +20,7 @@ MODULES = [
 
 
 def is_number(node):
-    """Whether an expression is made of numbers alone."""
+    """Return whether an expression consists of numbers alone."""
     leaves = (ast.Constant, ast.UnaryOp, ast.BinOp, ast.Tuple, ast.operator, ast.unaryop, ast.Load)
     numbers = [each for each in ast.walk(node) if isinstance(each, ast.Constant)]
     return (
@@ -51,7 +51,7 @@ def test_fields_of_settings_are_frozen_and_have_a_comment(path):
         assert "dataclass(frozen=True)" in [ast.unparse(each) for each in node.decorator_list]
         fields = [each for each in node.body if isinstance(each, ast.AnnAssign)]
         assert fields
-        # Fields that share a reason follow each other below one comment
+        # Fields with a common reason follow each other below one comment
         above = {each.end_lineno for each in fields}
         for each in fields:
             before = lines[each.lineno - 2].strip()

@@ -320,7 +320,7 @@ def test_all_methods_are_rows_and_those_without_a_value_say_why(run, run_json):
 def test_a_plan_without_an_answer_says_why(run):
     """The same holds for `predict`; among other samplers, such a sampler is a note."""
     sampler = ("--sampler", "sobol", "--target-error")
-    why = "a deterministic sampler has no variance: add owen or shift, or look at |bias|"
+    why = "a deterministic sampler has no variance: add owen or shift, or compare |bias|"
     code, out, err = run("plan", "gaussian", *sampler, 0.1)
     assert (code, out) == (2, "")
     assert why in err
@@ -342,7 +342,7 @@ def test_variance_prints_the_variance_beyond_its_half_width(run, run_json):
     assert rows["tail term"] == f"{data['tail_term']:.6g}"
     _, out, _ = run("variance", "gaussian", "--sampler", "sobol", "-n", 16, "-m", 20)
     assert "e-3" not in out
-    assert "sobol has no variance: add owen or shift, or look at |bias|" in out
+    assert "sobol has no variance: add owen or shift, or compare |bias|" in out
 
 
 def test_variance_has_a_table_for_each_sampler(run, run_json):

@@ -203,7 +203,7 @@ def test_converge_prints_an_infinite_upper_end(run, run_json):
     assert (
         f"{curve['variance'][0]:.4g} (≥ {low:.4g})  {curve['variance'][1]:.4g}  unresolved" in out
     )
-    assert "tails not resolved at n = 4: few estimates make the variance, tail index k̂ = " in out
+    assert "tails not resolved at n = 4: few estimates cause the variance, tail index k̂ = " in out
 
 
 def test_techniques_print_no_unresolved_rate(run):
@@ -233,7 +233,7 @@ def test_converge_finds_no_rate_in_noise_or_in_rounding(run, run_json):
     assert row[3] == "unresolved"
     assert float(row[4]) > 0.5
     assert "the rate is not resolved: use more realizations or larger counts" in out
-    assert "sobol has no variance: add owen or shift, or look at |bias|" in out
+    assert "sobol has no variance: add owen or shift, or compare |bias|" in out
     assert [line.split()[1:4] for line in out.splitlines() if line.startswith("sobol  ")] == [
         ["0", "0", "–"]
     ]

@@ -111,7 +111,9 @@ def test_text_has_rows_and_sentences(capsys):
             assert re.search(r"∫g²|exact|strata|torus|gains", found[0])  # Method of the prediction
         assert any(line.startswith(f"{name}: ") for line in lines)
     assert any("bottleneck of MIS" in line for line in lines)
-    assert "of all lines through the cube meet a jump of g" in " ".join(out.split())
+    assert "of all lines through the cube cross a discontinuity of the integrand" in " ".join(
+        out.split()
+    )
     assert not any(line.startswith("remedy") for line in lines)
 
 

@@ -1,4 +1,4 @@
-"""Color: each channel by its own density, by shared points, by one density, by all."""
+"""Color: channels with their own densities, with shared points, or with one density for all."""
 
 import numpy as np
 import pytest
@@ -54,7 +54,7 @@ def test_only_shared_points_tie_the_channels_together(sets, expected):
     values = estimator.estimate(estimator.draw(stream, 64, Stream.from_rng(4), 0, 2000))
     correlation = np.corrcoef(values.T)[0, 1]
     if expected is None:
-        # f_0/p_0 and f_1/p_1 at the same u: correlated as a quadrature says
+        # f_0/p_0 and f_1/p_1 at the same u have the correlation that quadrature gives
         u = (np.arange(100_000) + 0.5)[:, None] / 100_000
         g = sum(estimator.primary_values(c, u) for c in (0, 1))
         expected = np.corrcoef(g.T)[0, 1]
@@ -64,11 +64,13 @@ def test_only_shared_points_tie_the_channels_together(sets, expected):
 
 def test_a_density_with_jumps_costs_the_rate_and_a_density_for_each_channel_does_not():
     ways = mcs.estimators.channel_estimators(F, OWN, "piecewise-constant(values=[2, 3, 4, 4.5, 5])")
-    # Many counts: where a jump lies in its stratum changes with n, and the variance with it
+    # Use many counts: the position of a jump in its stratum changes with n, and so does the
+    # variance
     counts = [16, 23, 32, 45, 64, 91, 128, 181, 256, 362, 512]
     curve = mcs.convergence(list(ways.values()), "jittered", counts, realizations=500, rng=6)
     rates = curve["rate_ci"].assign_coords(estimator=list(ways))
-    # 1-D jittered: −3 smooth, −2 with jumps of g within strata (4/5, 3/5, … of no stratum's border)
+    # 1-D jittered rates: −3 if smooth, −2 with jumps of g inside strata (4/5, 3/5, … are no
+    # borders)
     for way in ("own", "shared", "mis"):
         low, high = rates.sel(estimator=way).transpose("bound", "channel").values
         assert (low < -2.8).all()

@@ -1,4 +1,4 @@
-"""Realizations that are the pixels of one image: said where variances over them are asked for."""
+"""Realizations that are the pixels of one image: a warning if their variance is requested."""
 
 import warnings
 

@@ -1,4 +1,4 @@
-"""Estimators: unbiased, weighted as defined, strict about densities."""
+"""Estimators are unbiased, weighted as defined, and reject densities that miss f."""
 
 import numpy as np
 import pytest
@@ -46,7 +46,7 @@ def test_perfect_importance_sampling_has_no_variance():
 
 
 def test_weights_are_those_of_the_definition():
-    """w_t/(p_t n_t) with w_t = (n_t p_t)^β / Σ (n_s p_s)^β."""
+    """Weights are w_t/(p_t n_t) with w_t = (n_t p_t)^β / Σ (n_s p_s)^β."""
     densities = [mcs.density("uniform", dims=1), mcs.density("linear(slope=1)", dims=1)]
     for heuristic, beta in (("balance", 1), ("power", 2)):
         e = mcs.MultipleImportance(SQUARE, densities, heuristic=heuristic, counts=(2, 1))
@@ -76,7 +76,7 @@ def test_density_zero_where_f_is_not():
         mcs.Estimator(SQUARE, "piecewise-constant(values=[0, 1, 1])")
     with pytest.raises(DensityError, match="would miss"):
         mcs.MultipleImportance(SQUARE, ["piecewise-constant(values=[0, 1])"] * 2)
-    # together they cover it
+    # Together the densities cover f
     mcs.MultipleImportance(
         SQUARE, ["piecewise-constant(values=[0, 1])", "piecewise-constant(values=[1, 0])"]
     )
@@ -93,7 +93,7 @@ def test_a_single_empty_cell_is_found():
 
 
 def test_functions_cannot_change_their_points():
-    """The points are weighted after f has seen them: f gets a read-only view."""
+    """f gets a read-only view, because the points are weighted after f has used them."""
 
     def in_place(x):
         x **= 2
@@ -113,7 +113,7 @@ def test_functions_cannot_change_their_points():
         (lambda: mcs.MultipleImportance(SQUARE, []), "one or more"),
         (lambda: mcs.MultipleImportance(SQUARE, "uniform"), "list"),
         (lambda: mcs.MultipleImportance(SQUARE, [None]), "None"),
-        (lambda: mcs.MultipleImportance(SQUARE, ["uniform"], counts=(1, 1)), "technique, 1 in all"),
+        (lambda: mcs.MultipleImportance(SQUARE, ["uniform"], counts=(1, 1)), "each technique .1."),
         (lambda: mcs.MultipleImportance(SQUARE, ["uniform"], counts=(0,)), "at least 1"),
         (lambda: mcs.estimators.TechniqueSum([]), "one or more"),
     ],

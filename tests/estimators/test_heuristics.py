@@ -1,4 +1,4 @@
-"""Heuristics: weights as defined, variances by quadrature of polynomials, optimal ones, bad input."""
+"""Heuristics: weights as defined, variances by quadrature, optimal weights, invalid input."""
 
 from functools import cache
 
@@ -8,10 +8,10 @@ import pytest
 import mcspectra as mcs
 from mcspectra.core.errors import ParameterError, UnknownName
 from mcspectra.core.streams import Stream
-from mcspectra.estimators.heuristics import HEURISTICS, Power, as_heuristic
+from mcspectra.estimators.heuristics import HEURISTICS, PowerHeuristic, as_heuristic
 
 SQUARE = mcs.integrand("polynomial(coefficients=[0, 0, 1])", dims=1)
-CUBIC = mcs.integrand("polynomial(coefficients=[1, -3, 0, 3])", dims=1)  # changes sign
+CUBIC = mcs.integrand("polynomial(coefficients=[1, -3, 0, 3])", dims=1)  # Changes sign
 PAIR = ["uniform", "linear(slope=1.5)"]
 TRIPLE = ["linear(slope=-1.5)", "uniform", "linear(slope=1.9)"]
 ALL = [
@@ -33,7 +33,7 @@ NODES, WEIGHTS = np.polynomial.legendre.leggauss(40)
 
 
 def _integrate(function, cuts=()):
-    """∫ over [0,1] by 40 nodes in each of 8 panels, cut where `cuts` says."""
+    """Integrate over [0,1] with 40 nodes in each of 8 panels, cut at `cuts`."""
     ends = np.unique([*np.linspace(0, 1, 9), *cuts])
     low, width = ends[:-1, None], np.diff(ends)[:, None]
     x = (low + width * (NODES + 1) / 2).ravel()
@@ -41,7 +41,7 @@ def _integrate(function, cuts=()):
 
 
 def _definition(name, q):
-    """w_t of q = n_t p_t (T, k), written from the definitions with loops."""
+    """Compute w_t of q = n_t p_t (T, k) from the definitions, with loops."""
     w = np.zeros_like(q)
     for k in range(q.shape[1]):
         column, top = q[:, k], q[:, k].max()
@@ -60,7 +60,7 @@ def _definition(name, q):
 
 
 def _factors(f, pdfs):
-    """v_t = second moment / variance of f/p_t."""
+    """Compute v_t = second moment / variance of f/p_t."""
     found = []
     for p in pdfs:
         square, mean = _integrate(lambda x, p=p: f(x) ** 2 / p(x)), _integrate(f)
@@ -69,7 +69,7 @@ def _factors(f, pdfs):
 
 
 def _system(f, pdfs, counts):
-    """A, b of the optimal weights and Σ n_t p_t."""
+    """Compute A and b of the optimal weights, and Σ n_t p_t."""
 
     def q(x):
         return sum(c * p(x) for c, p in zip(counts, pdfs, strict=True))
@@ -80,7 +80,7 @@ def _system(f, pdfs, counts):
 
 
 def _reference(f, pdfs, counts, name, n, cuts):
-    """Σ_t (1/n_t) (∫ (w_t f)²/p_t − (∫ w_t f)²) of random points."""
+    """Compute Σ_t (1/n_t) (∫ (w_t f)²/p_t − (∫ w_t f)²) of random points."""
     if name.startswith("optimal"):
         a, b, q = _system(f, pdfs, counts)
         return (_integrate(lambda x: f(x) ** 2 / q(x)) - np.linalg.solve(a, b) @ b) / n
@@ -102,7 +102,7 @@ def _reference(f, pdfs, counts, name, n, cuts):
 
 
 def _crossings(slopes, counts, alpha):
-    """Where c_s p_s = α c_t p_t for linear densities: exact borders of cutoff and maximum."""
+    """Solve c_s p_s = α c_t p_t for linear densities: exact borders of cutoff and maximum."""
     found = []
     for s, c in zip(slopes, counts, strict=True):
         for t, d in zip(slopes, counts, strict=True):
@@ -127,7 +127,7 @@ def _parts(f, slopes):
 
 @cache
 def _exact(name):
-    """Exact variance of n = 5 random points, shared by the tests that hold it against others."""
+    """Exact variance of n = 5 random points, shared by the tests that compare with it."""
     return mcs.exact_variance(_estimator(*CASE, name), "random", 5)
 
 
@@ -143,14 +143,14 @@ def test_the_exact_variance_is_the_quadrature_of_the_definition_and_that_of_a_si
     cuts = _crossings(slopes, counts, alpha)
     function, pdfs = _parts(f, slopes)
     expected = _reference(function, pdfs, counts, name, n, cuts)
-    # 1e-6 is what exact_variance promises; α and v of 4096 pilot points make another estimator
+    # exact_variance has an error of 1e-6; α and v of 4096 pilot points make another estimator
     if name in ("optimal", "variance-aware"):
         assert expected * (1 - 2e-6) < exact or name != "optimal"
         assert exact == pytest.approx(expected, rel=0.05)
     else:
         assert exact == pytest.approx(expected, rel=2e-6)
 
-    # The mean and its squares: 24 tests at 4.5 σ
+    # Compare mean and mean square: 24 tests at 4.5 σ
     found = _estimates(_estimator(f, slopes, counts, name), "random", n, realizations)
     assert abs(found.mean() - f.integral) < 4.5 * np.sqrt(exact / realizations)
     squares = (found - f.integral) ** 2
@@ -169,7 +169,7 @@ def test_weights_sum_to_one(name):
     weights = e.combination.weights(x)
     np.testing.assert_allclose(weights.sum(axis=0), 1, rtol=1e-14)
     assert (weights >= 0).all()
-    # what cannot sample x has no part in it, also for β = 0
+    # A technique that cannot sample x has weight 0, also for β = 0
     pdf = np.stack([p.pdf(x) for p in e.densities])
     assert not weights[pdf == 0].any()
 
@@ -183,7 +183,7 @@ def test_weights_of_extreme_densities_stay_finite(name):
 
 
 def test_family_relations():
-    """cutoff(0) = power(1) = balance; cutoff(1) = maximum; β → ∞ too; equal ones share equally."""
+    """cutoff(0) = power(1) = balance; cutoff(1) = maximum = power(∞); ties share equally."""
     q = np.random.default_rng(2).random((3, 200))
     make = {name: as_heuristic(name) for name in ("balance", "maximum")}
     for t in range(3):
@@ -203,7 +203,7 @@ def test_optimal_is_never_above_the_others_nor_balance_above_veachs_bound():
     exact = {name: 5 * _exact(name) for name in ALL if name not in ("optimal", "variance-aware")}
     best = exact["optimal(pilot='quadrature')"]
     assert all(best <= value * (1 + 1e-6) for value in exact.values())
-    # Veach 1997, Theorem 9.2, for weights that are not negative
+    # Veach 1997, Theorem 9.2, for nonnegative weights
     slack = (1 / min(counts) - 1 / sum(counts)) * f.integral**2
     for name, value in exact.items():
         if "optimal" not in name:
@@ -219,7 +219,7 @@ def test_optimal_of_what_the_densities_span_has_no_variance():
 
 
 def test_optimal_alpha_is_the_solution_of_the_normal_equations():
-    """The direct estimator's α minimizes ∫ (f − Σ α p)²/q: a least-squares fit by another route."""
+    """α of the direct estimator minimizes ∫ (f − Σ α p)²/q, checked by least squares."""
     e = _estimator(SQUARE, (0, 1.5), (1, 2), "optimal(pilot='quadrature')")
     x = (np.arange(20_000) + 0.5) / 20_000
     p = np.stack([np.ones_like(x), 1 + 1.5 * (x - 0.5)], axis=1)
@@ -236,13 +236,13 @@ def test_pilots_are_deterministic_and_close_to_quadrature():
     assert not np.array_equal(control("optimal"), control("optimal(seed=1)"))
     exact = control("optimal(pilot='quadrature')")
     runs = np.array([control(f"optimal(samples=2000, seed={s})") for s in range(40)])
-    # α is a ratio of means: consistent, its mean off by O(1/2000) of its spread's scale
+    # α is a ratio of means: consistent, with a bias of O(1/2000) of its spread
     z = (runs.mean(axis=0) - exact) / (runs.std(axis=0, ddof=1) / np.sqrt(40))
     assert np.abs(z).max() < 4
 
 
 def test_optimal_from_a_poor_pilot_is_unbiased():
-    """α from 3 points is far off, but fixed before the estimate draws: no bias."""
+    """α from 3 points has a large error, but is fixed before the estimate draws: no bias."""
     for seed in range(3):
         e = _estimator(SQUARE, (0, 1.5), (1, 1), f"optimal(samples=3, seed={seed})")
         means = [e.primary_integrand(t).integral for t in (0, 1)]
@@ -284,7 +284,7 @@ def test_each_channel_has_its_own_alpha():
 
 
 def test_both_views_of_optimal_weights_have_the_measured_variance():
-    """Smooth periodic f and p: half width 12 holds all of both, so captured is 1."""
+    """For smooth periodic f and p, half width 12 contains both completely, so captured is 1."""
     f = mcs.Integrand.from_function(lambda x: np.exp(np.cos(2 * np.pi * (x[..., 0] - 0.2))), dims=1)
 
     def pdf(x):
@@ -333,7 +333,7 @@ def test_shared_sets_are_the_same_points_and_joint_ones_split_one_set():
     assert [u.shape for u in joint] == [(2, 8, 1), (2, 4, 1), (2, 4, 1)]
     together = np.sort(np.concatenate(joint, axis=1), axis=1)
     assert np.array_equal(together, np.sort(whole, axis=1))
-    # one point of each technique in every four neighbors: jittered sets of their own
+    # One point of each technique in every four neighbors: each has its own jittered set
     assert np.array_equal(np.floor(np.sort(joint[1][..., 0], axis=1) * 4), [[0, 1, 2, 3]] * 2)
     sequence = mcs.sampler("sobol | owen", dims=1).draw(16, rng=1, first=5, realizations=2)
     runs = draw("sobol | owen", sets="joint", counts=(2, 1, 1))
@@ -341,7 +341,7 @@ def test_shared_sets_are_the_same_points_and_joint_ones_split_one_set():
 
 
 def test_shared_points_of_opposite_techniques_cancel():
-    """x and 1 − x with the same points: the sum is constant; with sets of their own it is not."""
+    """x and 1 − x have a constant sum with the same points, but not with independent sets."""
     g = ["linear", "linear(gradient=[-1], offset=1)"]
     shared = mcs.estimators.TechniqueSum(g, sets="shared", dims=1)
     d = mcs.convergence(shared, "random", [4], realizations=100)
@@ -357,7 +357,7 @@ def test_shared_points_of_opposite_techniques_cancel():
 
 def test_registry_knows_all_and_objects_are_taken():
     assert {name.partition("(")[0] for name in ALL} == set(HEURISTICS)
-    e = mcs.MultipleImportance(SQUARE, PAIR, heuristic=Power(beta=3), dims=1)
+    e = mcs.MultipleImportance(SQUARE, PAIR, heuristic=PowerHeuristic(beta=3), dims=1)
     assert "power(beta=3.0)" in e.spec
 
 
@@ -384,7 +384,7 @@ def test_bad_input(options, words):
 
 def test_bad_objects():
     with pytest.raises(ParameterError, match="finite"):
-        Power(beta=-1.0)
+        PowerHeuristic(beta=-1.0)
     with pytest.raises(UnknownName):
         as_heuristic("no-such-thing")
 
@@ -398,11 +398,12 @@ def test_joint_sets_need_a_count_that_the_sampler_can_make():
 @pytest.mark.parametrize(
     ("densities", "dims", "infinite"),
     [
-        # 1/p_t diverges for each, but at opposite ends: the balanced weights are exactly ½
+        # 1/p_t diverges for each density, but at opposite ends: the balanced weights are exactly ½
         (["linear(slope=2)", "linear(slope=-2)"], 1, False),
         (["linear(slope=2)", "linear(slope=2)"], 1, True),
         (["linear(slope=2)", "power(exponent=1)"], 2, True),
-        # both are 0 in the corners (0, 1) and (1, 0) only, where their sum grows like the distance
+        # Both densities are 0 only in the corners (0, 1) and (1, 0), where their sum grows like the
+        # distance
         (["linear(slope=2)", "linear(slope=-2)"], 2, False),
         (["piecewise-constant(values=[1, 0])", "piecewise-constant(values=[0, 1])"], 1, False),
         (["linear(slope=2)", "uniform"], 1, False),

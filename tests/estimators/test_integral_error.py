@@ -1,4 +1,4 @@
-"""How well an estimator's integral is known: 0 where it is exact, else what its parts say."""
+"""Error of an estimator's integral: 0 if exact, else the sum of the errors of its parts."""
 
 import numpy as np
 import pytest

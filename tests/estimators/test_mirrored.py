@@ -1,4 +1,5 @@
-"""Mirrored estimators: the sampler's mirroring bit for bit, exact variances, the slides' rates."""
+"""Mirrored estimators: equal bits with the mirroring sampler, exact variances, rates of the
+slides."""
 
 import itertools
 
@@ -13,7 +14,8 @@ from mcspectra.estimators.mirrored import FoldedIntegrand, SymmetrizedIntegrand
 MODES = ("integrand", "random", "uniform")
 SMOOTH = mcs.integrand("gaussian(center=[0.2, 1.4], width=0.3)", dims=2)
 SMOOTH_1D = mcs.integrand("gaussian(center=0.1, width=0.4)", dims=1)
-WITHIN = 4.0  # standard errors; of the 50 or so comparisons here, one in 300 seeds would fail
+# Allowed standard errors; of the 50 or so comparisons here, one in 300 seeds would fail
+WITHIN = 4.0
 
 
 def _estimators():
@@ -156,7 +158,7 @@ def test_reflected_integrands_keep_the_integral_and_channels():
     "spec", ["disk(center=[0.4, 0.3], radius=0.35)", "gaussian", "step(at=0.3)"]
 )
 def test_box_moments_of_folded_integrands(spec):
-    """Against the mean over a fine grid; boxes on both sides of the folds and across them."""
+    """Compare with the mean over a fine grid, for boxes on both sides of the folds and across."""
     f = mcs.integrand(spec, dims=2)
     g = FoldedIntegrand(f)
     lo = np.array([[0.1, 0.2], [0.3, 0.55], [0.45, 0.4], [0.0, 0.0], [0.5, 0.5]])
@@ -189,12 +191,12 @@ def test_terms_of_both_spaces_sum_to_the_truncated_variance_and_capture_it(mode,
     )
     terms = float(d["dc_term"] + d["power_term"] + d["cross_term"])
     assert terms == pytest.approx(float(d["truncated_variance"][-1]), rel=1e-9)
-    # What is cut off is a boundary term of order 1/half_width in the domain, 1/half_width³ else
+    # The truncated part is a boundary term of order 1/half_width in the domain, else 1/half_width³
     assert float(d["captured"]) == pytest.approx(1.0, abs=0.12 if space == "domain" else 0.06)
 
 
 def test_a_shift_leaves_no_cross_term_of_the_folded_integrand():
-    """Its relative size is that of the noise, 1/√realizations, and it goes down with them."""
+    """Its relative size is that of the noise, 1/√realizations, and decreases with it."""
     d = mcs.variance_terms(
         mcs.Mirrored(SMOOTH_1D), "jittered | shift", 16, space="primary", realizations=2000
     )
@@ -222,7 +224,8 @@ def test_exact_variances_against_measured(spec, mode, dims):
 
 
 def test_exact_variances_of_a_square():
-    """f = x² in 1-D: f(2u) twice, coins, and ḡ = u² − u + ½, all from moments of u within strata."""
+    """f = x² in 1-D: f(2u) twice, random reflections, and ḡ = u² − u + ½, from moments in
+    strata."""
     n = 12
     edges = np.arange(n + 1) / n
 
@@ -234,7 +237,7 @@ def test_exact_variances_of_a_square():
     u = np.polynomial.Polynomial([0, 1])
     average = u**2 - u + 0.5
     spread = [(p.integ()(1) - p.integ()(0)) for p in (u**4, average**2)]
-    folded = 2 * within((2 * u) ** 2, edges[: n // 2 + 1])  # the same on both sides of ½
+    folded = 2 * within((2 * u) ** 2, edges[: n // 2 + 1])  # The same on both sides of ½
     random = within(average, edges) + (spread[0] - spread[1]) / n
     uniform = within(average, edges[::2])
     square = mcs.integrand("polynomial(coefficients=[0, 0, 1])", dims=1)
@@ -250,7 +253,7 @@ def test_exact_variance_of_a_mirrored_sampler_is_that_of_the_mirrored_estimator(
 
 
 def test_exact_variance_of_a_folded_disk_is_exact_too():
-    """In 2-D only boxes of closed form do; 0.80 R n^-1.5 is impossible: the disk is cut by nothing."""
+    """In 2-D this needs closed-form boxes; the domain does not cut the disk."""
     disk = mcs.integrand("disk(center=[0.463, 0.517], radius=0.27)", dims=2)
     exact = mcs.exact_variance(mcs.Mirrored(disk), "jittered", 1024)
     # Four half-size disks: 4 · 1.0428109 · (R/2) n^-1.5 on average over generic positions
@@ -270,7 +273,8 @@ def _exact_rate(estimator, spec, low, high):
 
 
 def test_homogenisation_takes_minus_two_to_minus_one_and_a_half_and_folding_restores_it():
-    """Exactly, 2-D; strata of the folded integrand are twice as long, its curve bends later."""
+    """Exact rates in 2-D; strata of the folded integrand are twice as long, so its curve bends
+    later."""
     assert _exact_rate(SMOOTH, "jittered", 1024, 4096) == pytest.approx(-2.0, abs=0.05)
     assert _exact_rate(SMOOTH, "jittered | shift", 1024, 4096) == pytest.approx(-1.5, abs=0.05)
     for spec in ("jittered", "jittered | shift"):
@@ -280,14 +284,15 @@ def test_homogenisation_takes_minus_two_to_minus_one_and_a_half_and_folding_rest
 @pytest.mark.parametrize(("mode", "rate"), [("integrand", -3), ("random", -1), ("uniform", -3)])
 @pytest.mark.parametrize("spec", ["jittered", "jittered | shift"])
 def test_exact_rates_in_one_dim(mode, rate, spec):
-    """Jittered −3, shifted −2; folded and symmetrized −3 both; reflections at random −1."""
+    """Rates: jittered −3, shifted −2; folded and symmetrized both −3; random reflections −1."""
     mirrored = mcs.Mirrored(SMOOTH_1D, mode)
     assert _exact_rate(mirrored, spec, 32, 64) == pytest.approx(rate, abs=0.12)
     assert _exact_rate(SMOOTH_1D, "jittered | shift", 32, 64) == pytest.approx(-2.0, abs=0.1)
 
 
 def test_exact_rates_of_interior_edges_stay():
-    """A step in 2-D, homogenized: n^-1.5/6 for each edge of the border; the folded one has two."""
+    """A homogenized step in 2-D has n^-1.5/6 for each edge of the border; the folded one has
+    two."""
     step = mcs.integrand("step(at=0.35)", dims=2)
     for n in (64, 256):
         exact = mcs.exact_variance(mcs.Mirrored(step), "jittered | shift", n)
@@ -306,7 +311,7 @@ def test_the_study_of_the_slides():
         for homogenized, rate in zip((False, True), rates, strict=True):
             cell = study.sel(mirroring=name, homogenized=homogenized)
             half = float(cell["rate_ci"][1] - cell["rate_ci"][0]) / 2
-            # Curves bend at small n: the exact ones, over these counts, by 0.12 at most
+            # Curves bend at small n: the exact curves by at most 0.12 over these counts
             assert abs(float(cell["rate"]) - rate) < WITHIN / 1.96 * half + 0.12
 
 
@@ -343,7 +348,7 @@ def test_bad_input_of_the_study(keywords, words):
 
 
 def test_dims_are_those_of_the_estimator():
-    """They were ignored."""
+    """Earlier versions ignored these dims."""
     plain = mcs.Estimator("linear", dims=2)
     assert mcs.Mirrored(plain, dims=2).dims == 2
     with pytest.raises(ParameterError, match=r"dims is 3, but linear.* has 2 dims"):

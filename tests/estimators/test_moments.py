@@ -14,7 +14,8 @@ def test_merged_moments_are_those_of_all_values():
     for start, stop in ((1, 7), (7, 500), (500, 1000)):
         merged = merged.merge(Moments.of(values[start:stop]))
     assert merged.count == 1000
-    # 1e6 + noise: second moments keep 1e-16·1e12/1 = 1e-4 at worst of the offset column
+    # For 1e6 + noise, second moments have an error of 1e-16·1e12/1 = 1e-4 in the offset column at
+    # worst
     for name, tolerance in (("mean", 1e-14), ("m2", 1e-9), ("m3", 1e-7), ("m4", 1e-7)):
         assert np.allclose(getattr(merged, name), getattr(whole, name), rtol=tolerance), name
     assert np.allclose(whole.variance, values.var(axis=0, ddof=1))
@@ -33,7 +34,7 @@ LAWS = {
 @pytest.mark.parametrize("count", [20, 100, 1000])
 @pytest.mark.parametrize("law", LAWS)
 def test_interval_covers_the_variance(law, count):
-    """1000 samples of kurtoses 1.5 to 9: 93 to 97 % of the intervals hold it, within 3 binomial σ."""
+    """Of 1000 samples with kurtoses 1.5 to 9, 93 to 97 % of intervals hold, within 3 binomial σ."""
     draw, variance = LAWS[law]
     low, high = Moments.of(draw(np.random.default_rng(2), (count, 1000))).variance_ci.T
     covered = ((low <= variance) & (variance <= high)).mean()
@@ -41,7 +42,7 @@ def test_interval_covers_the_variance(law, count):
 
 
 def test_heavier_tails_are_covered_nine_times_in_ten():
-    """Lognormal estimates, kurtosis 114: 54 % of 20 were covered when the kurtosis was drawn to 3."""
+    """Lognormal estimates have kurtosis 114; shrinkage to 3 alone covered 54 % of 20 values."""
     values = np.exp(np.random.default_rng(3).standard_normal((20, 2000)))
     low, high = Moments.of(values).variance_ci.T
     truth = np.e * (np.e - 1)
@@ -85,24 +86,26 @@ def test_extremes_merge_to_those_of_all_values():
     ("law", "index"), [("exponential", 0.0), ("pareto", 0.4), ("bounded", -0.5)]
 )
 def test_tail_index_is_that_of_the_law(law, index):
-    """Mean of 300 fits to 63 of 20 000 values; of a Pareto law of exponent 2.5 k = 0.4."""
+    """Mean of 300 fits to 63 of 20 000 values; a Pareto law of exponent 2.5 has k = 0.4."""
     rng, shape = np.random.default_rng(6), (20_000, 300)
     values = {
         "exponential": lambda: rng.exponential(size=shape),
         "pareto": lambda: rng.pareto(2.5, shape),
-        # Density 2x: 0 is farther from the mean than 1, and 1/k = −2 since the density vanishes there
+        # Density 2x: 0 is farther from the mean than 1, and 1/k = −2 because the density vanishes
+        # there
         "bounded": lambda: rng.random(shape) ** 0.5,
     }[law]()
     found = Moments.of(values, tails=True).tail_index
-    # the fit's own bias is O(1/63), and the law of |x − mean| is Pareto but for (mean/x)²
+    # The bias of the fit is O(1/63), and |x − mean| is Pareto distributed up to (mean/x)²
     assert abs(found.mean() - index) < 0.06 + 4 * found.std() / np.sqrt(300)
 
 
 def test_infinite_variance_is_not_resolved():
-    """Student's t with 2 degrees: 1000 values, seven of eight samples say so; of 5 degrees, 1 in 11."""
+    """Student's t with 2 degrees: seven of eight samples of 1000 report it; with 5 degrees, 1 in
+    11."""
     rng = np.random.default_rng(7)
     heavy, light = (Moments.of(rng.standard_t(df, (1000, 500)), tails=True) for df in (2, 5))
-    # 87 and 9 % of 2000 other samples, 4 σ of 500
+    # 87 and 9 % in 2000 other samples; 4 σ of 500
     assert abs((~heavy.resolved).mean() - 0.87) < 4 * np.sqrt(0.87 * 0.13 / 500)
     assert abs((~light.resolved).mean() - 0.09) < 4 * np.sqrt(0.09 * 0.91 / 500)
     assert np.isinf(heavy.variance_ci[~heavy.resolved, 1]).all()
@@ -110,7 +113,8 @@ def test_infinite_variance_is_not_resolved():
 
 @pytest.mark.parametrize("count", [300, 500, 1000])
 def test_estimates_without_heavy_tails_are_resolved(count):
-    """Skew ones, whose sides together look heavy, and shares of hits, whose last steps do."""
+    """Skewed values whose two sides together look heavy, and shares of hits with coarse last
+    steps."""
     rng, shape = np.random.default_rng(8), (count, 1000)
     for values in (
         rng.normal(size=shape),
@@ -121,7 +125,7 @@ def test_estimates_without_heavy_tails_are_resolved(count):
         rng.binomial(4, 0.1, shape) / 4,
         rng.integers(0, 2, shape) / 1.0,
     ):
-        # 1 % of them, 4 σ
+        # 1 % of the samples, 4 σ
         assert (~Moments.of(values, tails=True).resolved).mean() < 0.01 + 4 * np.sqrt(0.01 / 1000)
 
 
@@ -141,7 +145,7 @@ def test_errors_of_differences_and_ratios_add_as_independent_ones_do():
 
 @pytest.mark.parametrize("exponent", [0.2, 0.3])
 def test_intervals_of_variances_of_heavy_values_cover(exponent):
-    """u^−0.3 has no fourth moment: by the kurtosis alone 85 % of intervals cover."""
+    """u^−0.3 has no fourth moment: intervals from the kurtosis alone cover 85 %."""
     rng, seeds = np.random.default_rng(1), 400
     truth = 1.0 / (1.0 - 2.0 * exponent) - 1.0 / (1.0 - exponent) ** 2
     ends = [
@@ -153,7 +157,7 @@ def test_intervals_of_variances_of_heavy_values_cover(exponent):
 
 
 def test_a_tail_of_more_values_is_not_resolved_sooner():
-    """The share of runs that are not resolved does not fall with the number of values."""
+    """The share of unresolved runs does not fall with the number of values."""
     rng = np.random.default_rng(2)
     shares = [
         np.mean(

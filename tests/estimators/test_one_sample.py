@@ -1,4 +1,4 @@
-"""One-sample model: mixture sampling with the balance heuristic, exact variances, bad input."""
+"""One-sample model: mixture sampling with the balance heuristic, exact variances, invalid input."""
 
 import numpy as np
 import pytest
@@ -10,12 +10,12 @@ CUBIC = mcs.integrand("polynomial(coefficients=[1, -3, 0, 3])", dims=1)
 PAIR = ["uniform", "linear(slope=0.8)"]
 CHANCE = (0.3, 0.7)
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(60)
-X, DX = (NODES + 1) / 2, WEIGHTS / 2  # 60 nodes: exact for the smooth functions below
+X, DX = (NODES + 1) / 2, WEIGHTS / 2  # 60 nodes are exact for the smooth functions below
 F, P = 1 - 3 * X + 3 * X**3, np.stack([np.ones(60), 1 + 0.8 * (X - 0.5)])
 
 
 def _variance(weights):
-    """Σ_t ∫ (w_t f)²/(P_t p_t) − (∫ f)² for one point."""
+    """Compute Σ_t ∫ (w_t f)²/(P_t p_t) − (∫ f)² for one point."""
     return sum(
         ((w * F) ** 2 / (chance * p) * DX).sum()
         for w, chance, p in zip(weights, CHANCE, P, strict=True)
@@ -34,7 +34,7 @@ def test_exact_variance_is_the_quadrature_of_the_definition(selection, beta):
 
 
 def test_balance_is_the_mixture_and_the_best():
-    """Var of mixture sampling, ∫f²/Σ P p − I², exactly; all other weights have more."""
+    """The variance of mixture sampling is ∫f²/Σ P p − I²; all other weights have more."""
     balance = mcs.estimators.OneSampleMIS(CUBIC, PAIR, CHANCE, dims=1)
     mixture = ((F**2 / (np.array(CHANCE) @ P)) * DX).sum() - (F * DX).sum() ** 2
     exact = mcs.exact_variance(balance, "random", 1)

@@ -1,4 +1,4 @@
-"""Deterministic split: counts in proportion, every point weighs 1/p of the mixture."""
+"""Deterministic split of a mixture: counts in proportion, and weight 1/p for every point."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def test_points_weigh_one_over_the_mixtures_pdf():
 
 
 def test_the_variance_is_that_of_a_stratified_mixture():
-    """n Var = ∫ f²/p − Σ_t w_t μ_t², μ_t = ∫ f p_t/p, for n points in all."""
+    """Check n Var = ∫ f²/p − Σ_t w_t μ_t² with μ_t = ∫ f p_t/p, for n points in total."""
     x = (np.arange(200_000)[:, None] + 0.5) / 200_000
     p, f = MIX.pdf(x), F(x)
     means = [(f * part.pdf(x) / p).mean() for part in MIX.parts]

@@ -1,4 +1,4 @@
-"""Regions where p is 0 and f is not: found however small, and no false alarm at zeros of p."""
+"""Regions with p = 0 and f ≠ 0 are found at any size, without false alarms at zeros of p."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ ONE = {dims: mcs.integrand("constant", dims=dims) for dims in (1, 2, 3, 5)}
 
 
 def without(low, high):
-    """Uniform on [0,1) without [low, high)."""
+    """The uniform density on [0,1) without [low, high)."""
     rest = 1 - (high - low)
 
     def sample(u):
@@ -83,7 +83,7 @@ def test_the_bright_pixel_of_f_is_probed():
 
 
 def test_both_sides_of_breaks_are_probed():
-    """f is 1 left of 0.5; p is 0 from 1e-7 left of it on."""
+    """f is 1 left of 0.5; p is 0 right of 0.5 − 1e-7."""
     p = mcs.densities.FunctionDensity(
         dims=2,
         pdf_function=lambda x: np.where(x[..., 0] < 0.5 - 1e-7, 2.0, 0.0),

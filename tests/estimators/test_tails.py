@@ -1,4 +1,4 @@
-"""The share of ∫f²/p that no sample reaches, against closed forms, and where it is said."""
+"""The share of ∫f²/p that no sample reaches: closed forms, and notes that report it."""
 
 import math
 
@@ -9,23 +9,23 @@ import mcspectra as mcs
 from mcspectra.estimators.moments import Moments
 from mcspectra.estimators.tails import tail_note, unsampled_note, unsampled_share
 
-POINTS = 2**12  # at least
+POINTS = 2**12  # Least number of probe points
 
 
 @pytest.mark.parametrize("exponent", [0.3, 0.5, 0.7])
 @pytest.mark.parametrize("samples", [10, 100, 2000])
 def test_the_share_of_a_power(exponent, samples):
-    """p = (a + 1) x^a: the mass 1/N lies below N^(-1/(a+1)), with the share x^(1-a) of ∫1/p."""
+    """For p = (a + 1) x^a, the mass 1/N lies below N^(-1/(a+1)), with the share x^(1-a) of ∫1/p."""
     estimator = mcs.Estimator("constant", f"power(exponent={exponent})", dims=1)
     border = samples ** (-1 / (exponent + 1))
-    # ∫ x^-a by a mean over points of spacing 1/N: the cell next to the pole errs by its own integral
+    # A mean over points of spacing 1/N has the error of the cell next to the pole, its own integral
     error = 2 * POINTS ** (exponent - 1) + 4 / (POINTS * border)
     assert unsampled_share(estimator, samples) == pytest.approx(border ** (1 - exponent), abs=error)
 
 
 def test_a_density_that_fits_has_no_tail():
     estimator = mcs.Estimator("polynomial(coefficients=[0, 0, 1])", "linear(slope=2)", dims=1)
-    # f²/p = x³/2: the share below N^(-1/2) is N^-2
+    # f²/p = x³/2, so the share below N^(-1/2) is N^-2
     assert unsampled_share(estimator, 100) == pytest.approx(1e-4, rel=1e-2)
     assert unsampled_note(estimator, 100) is None
 

@@ -1,4 +1,4 @@
-"""Integrands of every class, and an oracle: quadrature that is told nothing but values."""
+"""Integrands of every class, and an oracle: quadrature that uses values only."""
 
 from dataclasses import dataclass
 
@@ -45,14 +45,14 @@ SPECS = [
     ("formula(expression='sin(pi*x2)/(1 + x0*y)')", 3),
 ]
 
-# Where halving leaves √½ of the error (x^-½ at 0; borders do better), what is left is 1/(1 − √½) = 3.4
-# times the last difference.
+# Next to x^-½ at 0, halving leaves √½ of the error (borders do better). The rest is then 1/(1 − √½)
+# = 3.4 times the last difference.
 REMAINDER = 3.5
 
 
 @dataclass(frozen=True, eq=False)
 class Hidden(Integrand):
-    """Another integrand without its closed forms, with its breaks or others."""
+    """Another integrand without its closed forms, with its breaks or other breaks."""
 
     inner: Integrand
     places: tuple | None = None
@@ -94,7 +94,7 @@ def hidden():
 def oracle():
     """Integrate a callable of (..., C) values over the unit cube: value (C,) and its error.
 
-    With a sixteenth of the evaluations of other quadratures.
+    It uses a sixteenth of the evaluations of other quadratures.
     """
     budget = 2**17
 

@@ -1,4 +1,4 @@
-"""Errors of integrals hold for functions that no node sees; the probe keeps what it promises."""
+"""Errors of integrals hold for functions that no node resolves, as the probe promises."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from tests.prediction.adversarial import FAMILIES, make
 import mcspectra as mcs
 from mcspectra.integrands import _quadrature, integral_accuracy
 
-_FOUND = 10 / _quadrature.PROBE  # a volume that is missed in one of 20,000 cases
+_FOUND = 10 / _quadrature.PROBE  # Volume that is missed in one of 20,000 cases
 
 
 @pytest.mark.parametrize("dims", [1, 2, 4])
@@ -27,7 +27,7 @@ def test_errors_hold_for_what_is_narrow_or_oblique(family, dims):
 
 @pytest.mark.parametrize("dims", [1, 2, 4])
 def test_a_slab_of_the_width_that_is_promised_is_seen(dims):
-    """Wherever it lies: the points along each axis are a grid."""
+    """The slab may lie anywhere, because the points along each axis are a grid."""
     width = 1.001 / _quadrature.PROBE
     for axis in range(dims):
         x = np.sort(_quadrature.probe(dims)[:, axis])
@@ -36,7 +36,7 @@ def test_a_slab_of_the_width_that_is_promised_is_seen(dims):
 
 def test_smooth_functions_are_as_well_known_as_before():
     f = mcs.Integrand.from_function(lambda x: np.exp(x).prod(axis=-1), dims=2)
-    assert integral_accuracy(f)[1] <= 4e-12 * f.integral  # three times what is asked for
+    assert integral_accuracy(f)[1] <= 4e-12 * f.integral  # Three times the tolerance
     assert f.integral == pytest.approx((np.e - 1) ** 2, rel=1e-13)
 
 

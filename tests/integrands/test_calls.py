@@ -1,4 +1,4 @@
-"""Calls of an expensive function: counted, within a budget, kept by point, made in processes."""
+"""Calls of an expensive function: counted, limited, cached by point, and parallel."""
 
 import sqlite3
 
@@ -14,7 +14,7 @@ X = np.random.default_rng(1).random((300, 2))
 
 
 class Counting:
-    """A function that counts the points it was called at."""
+    """A function that counts the points at which it is called."""
 
     __name__ = "counting"
 
@@ -68,14 +68,14 @@ def test_an_interrupted_run_goes_on_where_it_stopped(tmp_path):
     f = Counting()
     with Calls(f, dims=2, budget=300, vectorized=False, cache=tmp_path / "f") as calls:
         assert np.array_equal(calls(X), TRUE)
-        assert calls.left == 0  # as without a cache
-        assert f.points == calls.made == 300 - kept + 1  # one to see that f is still the same
+        assert calls.left == 0  # Same as without a cache
+        assert f.points == calls.made == 300 - kept + 1  # One call checks that f has not changed
 
 
 def test_a_cache_of_another_function_is_refused(tmp_path):
     with Calls(Counting(), dims=2, budget=300, cache=tmp_path / "f") as calls:
         calls(X)
-    changed = pytest.raises(ParameterError, match="it has changed, or is random itself")
+    changed = pytest.raises(ParameterError, match="it has changed or is random")
     with Calls(Counting(2.0), dims=2, budget=300, cache=tmp_path / "f") as calls, changed:
         calls(X)
     with pytest.raises(ParameterError, match="is of counting in 2 dims, not of counting in 3"):

@@ -1,4 +1,4 @@
-"""One suite for every class: shapes, integrals, coefficients and box moments against quadrature."""
+"""A common suite for every class: shapes, integrals, coefficients and box moments by quadrature."""
 
 from functools import reduce
 
@@ -7,7 +7,7 @@ import pytest
 
 import mcspectra as mcs
 
-# A quadrature that knows values only sees a border in 1-D to rounding, in 2-D to 1e-3, in 3-D to 1e-2.
+# Quadrature from values only resolves a border in 1-D to rounding, in 2-D to 1e-3, in 3-D to 1e-2
 POWER = {1: 1e-9, 2: 1e-3, 3: 4e-2}
 
 
@@ -44,12 +44,12 @@ def test_the_integral(f, oracle):
 
 
 def is_curved(f):
-    """Whether it jumps along a line that is not at a break, where Gauss's rule is of no use."""
+    """Return whether f jumps along a line without a break, where Gauss rules fail."""
     return f.dims > 1 and any(name in f.spec for name in ("disk", "half-space"))
 
 
 def by_gauss(function, all_breaks, nodes):
-    """∫ of what is smooth between its breaks, values (P, C), by Gauss's rule in each box: (C,)."""
+    """Integrate a piecewise smooth function, values (P, C), by Gauss rules in each box: (C,)."""
     nodes, weights = np.polynomial.legendre.leggauss(nodes)
     axes, shares = [], []
     for breaks in all_breaks:
@@ -62,19 +62,20 @@ def by_gauss(function, all_breaks, nodes):
 
 
 def smooth_oracle(function, breaks):
-    """The integral and its error, of rules with 56 and 48 nodes along each part of an axis."""
+    """Return the integral and its error, from rules with 56 and 48 nodes per part of an axis."""
     value, other = (by_gauss(function, breaks, nodes) for nodes in (56, 48))
     return value, np.abs(value - other).max() + 1e-13 * (1 + np.abs(value).max())
 
 
 def test_coefficients(f, oracle):
-    """At small, large, negative and degenerate m (along an axis, along a diagonal), and at waves' own."""
+    """Test small, large, negative and degenerate m (along an axis or a diagonal), and waves'
+    own."""
     curved = is_curved(f)
     rng = np.random.default_rng(2)
     special = np.array([[1, 1, 1], [2, 4, 2], [0, 3, 0], [-5, 0, 0]])[:, : f.dims]
     waves_own = np.array([[3, 0, 0], [1, -2, 0]])[:, : f.dims]
     m = np.concatenate([special, rng.integers(-12, 13, (3, f.dims)), waves_own])
-    m = m[[3, 4]] if curved else m  # where the quadrature takes seconds
+    m = m[[3, 4]] if curved else m  # Frequencies at which the quadrature takes seconds
 
     def waves(x):
         angle = 2 * np.pi * x @ m.T
@@ -92,13 +93,13 @@ def test_coefficients(f, oracle):
 
 
 def test_the_grid(f):
-    """Hermitian, with the integral in the middle, and what `fourier` gives."""
+    """The grid is Hermitian, has the integral in the middle, and agrees with `fourier`."""
     grid = f.fourier_grid(3)
     mirrored = np.flip(grid, axis=tuple(range(f.dims))).conj()
     assert np.abs(grid - mirrored).max() < 1e-14 * max(1.0, np.abs(grid).max())
     assert np.allclose(grid[(3,) * f.dims], f.integral, rtol=0, atol=1e-12)
     m = np.stack(np.meshgrid(*[np.arange(-3, 4)] * f.dims, indexing="ij"), axis=-1)
-    other_grid = f.fourier_source.startswith("FFT")  # another grid, another error
+    other_grid = f.fourier_source.startswith("FFT")  # Another grid has another error
     assert np.abs(f.fourier(m) - grid).max() < (POWER[3] if other_grid else 1e-14)
 
 
@@ -114,7 +115,7 @@ def boxes(f, rng):
 
 
 def test_box_moments(f, oracle):
-    """Over boxes with irregular borders they sum to those of the whole; four against quadrature."""
+    """Boxes with irregular borders sum to the whole; four boxes agree with quadrature."""
     low, high = boxes(f, np.random.default_rng(3))
     found = f.box_moments(low, high)
     if found is None:
@@ -144,13 +145,14 @@ def test_box_moments(f, oracle):
             value, error = smooth_oracle(moments, breaks)
         assert error < (POWER[f.dims] if is_curved(f) else 1e-12 * (1 + np.abs(value).max()))
         expected = np.concatenate([np.ravel(part[index]) for part in found])
-        # Differences of primitives: an ulp of the whole in a box of small volume.
+        # Differences of primitives have an error of an ulp of the whole in a box of small volume
         rounding = 8 * np.finfo(float).eps * np.abs(whole).max() / (b - a).prod()
         assert np.abs(value - expected).max() <= error + rounding
 
 
 def test_variance_of_small_boxes_is_not_lost_to_rounding():
-    """Var = Σ (g_i h_i)²/12 to first order; in boxes of side 2^-10 differences of primitives fail."""
+    """Var = Σ (g_i h_i)²/12 to first order; differences of primitives fail in boxes of side
+    2^-10."""
     side = 2.0**-10
     low = np.random.default_rng(6).random((100, 2)) * (1 - side)
     for spec in ("gaussian", "christensen-gaussian", "christensen-bilinear", "cosine"):

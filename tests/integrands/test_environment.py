@@ -1,4 +1,4 @@
-"""Irradiance by environment maps: integrals, normals, interpolation, and what they refuse."""
+"""Irradiance by environment maps: integrals, normals, interpolation and invalid input."""
 
 import math
 
@@ -23,7 +23,7 @@ def midpoints(height, width):
 
 @pytest.mark.parametrize("normal", [(0, 0, 1), (0, 0, -3), (1, 0, 0), (1, -2, 0.5)])
 def test_an_even_sky_gives_pi(normal):
-    """∫ max(0, n·ω) dω = π whatever the normal."""
+    """∫ max(0, n·ω) dω = π for every normal."""
     f = Environment(values=np.ones((4, 8)), normal=normal)
     assert f.channels == 0
     assert f.integral == pytest.approx(math.pi, rel=1e-4)
@@ -33,7 +33,7 @@ def test_an_even_sky_gives_pi(normal):
 @pytest.mark.parametrize("height", [5, 6])
 @pytest.mark.parametrize("up", [1, -1])
 def test_exact_integrals_against_midpoints(height, up):
-    """Whether or not the horizon is a border of rows."""
+    """The horizon may or may not be a border of rows."""
     f = Environment(values=synthetic_sky(height, 10), normal=(0, 0, up))
     reference = f(midpoints(1200, 50)).mean(axis=(0, 1))
     assert f.integral_source == "exact"
@@ -46,7 +46,7 @@ def test_values_by_hand():
     cosine = np.maximum(directions(x)[..., 1], 0)
     expected = 2 * math.pi**2 * np.sin(math.pi * x[..., 1]) * cosine
     np.testing.assert_allclose(f(x), expected[..., None] * SKY, rtol=1e-13, atol=1e-13)
-    assert (f(x[:, 5:]) == 0).all()  # φ > π is behind
+    assert (f(x[:, 5:]) == 0).all()  # φ > π is behind the surface
 
 
 def test_turning_the_map_turns_the_normal():
@@ -101,7 +101,7 @@ def test_files_and_specs(tmp_path):
 
 
 def test_each_channel_by_its_own_density():
-    """The blue channel of the sky, jittered: its own density beats luminance, which beats none."""
+    """For the jittered blue channel, its own density beats luminance, which beats uniform."""
     f = mcs.integrand("environment(channel=2)")
     specs = ("uniform", "environment", "environment(channel=2)")
     estimators = [mcs.Estimator(f, spec) for spec in specs]

@@ -1,4 +1,4 @@
-"""Formulas: the values of NumPy's functions, and nothing but a sentence for everything else."""
+"""Formulas: the values of NumPy's functions, and an error message for everything else."""
 
 import pickle
 
@@ -142,7 +142,7 @@ def test_specs_and_pickles_make_it_again():
 
 
 def test_a_formula_has_parts_and_levels_to_count_and_no_characters():
-    """More than 1000 characters were refused."""
+    """Earlier versions refused more than 1000 characters."""
     text = " + ".join(f"{0.1:.15f} * sin({k} * x0)".ljust(80) for k in range(30))
     assert len(text) > 2000
     assert np.isfinite(Formula(expression=text, dims=1)(X[..., :1])).all()

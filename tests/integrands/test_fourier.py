@@ -47,7 +47,7 @@ def test_the_pieces_of_a_disk_on_the_torus_sum_to_the_whole():
 
 
 def clip_square(normal, offset):
-    """Vertices of the part of the unit square where normal·x < offset (Sutherland and Hodgman)."""
+    """Return vertices of the unit square where normal·x < offset (Sutherland and Hodgman)."""
     square = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
     kept = []
     for p, q in zip(square, np.roll(square, -1, axis=0), strict=True):
@@ -60,7 +60,7 @@ def clip_square(normal, offset):
 
 
 def polygon_fourier(vertices, m):
-    """By Gauss's theorem: f_m = i/(2π|m|²) Σ_edges (m·n) ∫_edge exp(−2πi m·x) ds."""
+    """Apply Gauss's theorem: f_m = i/(2π|m|²) Σ_edges (m·n) ∫_edge exp(−2πi m·x) ds."""
     total = 0.0
     for p, q in zip(vertices, np.roll(vertices, -1, axis=0), strict=True):
         edge = q - p
@@ -93,7 +93,7 @@ def test_half_planes_are_polygons(normal, offset):
 
 
 def test_a_gaussian_at_high_frequencies_decays_like_its_jump():
-    """f_m → i (f(1) − f(0)) / (2π m), the next term being (f'(1) − f'(0)) / (2π m)²."""
+    """f_m → i (f(1) − f(0)) / (2π m); the next term is (f'(1) − f'(0)) / (2π m)²."""
     f = mcs.integrands.Gaussian(center=0.3, width=0.2, dims=1)
     m = np.array([[10.0**k] for k in range(2, 8)])
     ends = f(np.array([[0.0], [1.0]]))
@@ -111,7 +111,7 @@ def test_a_gaussian_from_afar(center):
     x = 0.5 * (node + 1)
     for m in (0, 3):
         expected = (0.5 * weight * f(x[:, None]) * np.exp(-2j * np.pi * m * x)).sum()
-        # Relative: the tail 58 widths away is 1e-740 = 0, 22 widths away 1e-105.
+        # Relative error: the tail 58 widths away is 1e-740 = 0, 22 widths away 1e-105
         assert abs(f.fourier([[m]])[0] - expected) <= 1e-12 * f(x[:, None]).max()
 
 
@@ -126,7 +126,7 @@ def test_moderate_degrees_keep_their_digits():
 
 @pytest.mark.parametrize("dims", [3, 4, 6])
 def test_the_volume_of_a_cut_cube(dims):
-    """Irwin and Hall: at the middle of a sum of uniforms ½, below 1 c^d/d!."""
+    """Irwin-Hall distribution: ½ at the middle of a sum of uniforms, c^d/d! below 1."""
     normal = np.ones(dims)
     assert _cut_cube_volume(normal, dims / 2) == pytest.approx(0.5, rel=1e-12)
     assert _cut_cube_volume(normal, 0.8) == pytest.approx(

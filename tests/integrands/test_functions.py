@@ -1,4 +1,4 @@
-"""Callables as integrands: what is accepted, what is refused and how."""
+"""Callables as integrands: accepted and rejected functions."""
 
 import dataclasses
 import math

@@ -45,7 +45,8 @@ def midpoints(side):
 
 
 def test_the_integral_is_the_mean_of_the_values(light):
-    """The midpoint rule errs by 1/side² where f is smooth, by a cell a border where it jumps."""
+    """The midpoint rule has an error of 1/side² for smooth f, and of one cell per border at
+    jumps."""
     side = 512
     values = light(midpoints(side))
     jumps = 4 * values.max() / side if "occluder" in light.spec else 0.0
@@ -70,7 +71,7 @@ def test_values_in_the_words_of_the_definition(light):
 
 
 def hidden(light, w):
-    """Whether a linear solve puts the hit inside the occluder and before the light."""
+    """Return whether a linear solve puts the hit inside the occluder and before the light."""
     if light.occluder is None:
         return False
     corner, e0, e1 = (np.array(v) for v in light.occluder)
@@ -82,7 +83,7 @@ def hidden(light, w):
 
 
 def view_factor(a, b):
-    """From an element to a parallel rectangle a × b at distance 1 over one of its corners."""
+    """View factor of an element to a parallel rectangle a × b at distance 1 over one corner."""
     p, q = math.sqrt(1 + a * a), math.sqrt(1 + b * b)
     return (a / p * math.atan(b / p) + b / q * math.atan(a / q)) / (2 * math.pi)
 
@@ -110,7 +111,7 @@ def test_occluders_that_hide_nothing():
 
 
 def test_importance_sampling_by_solid_angle_takes_the_distance_out():
-    """f/p = Ω L cos θ: its variance is less than that of area sampling."""
+    """f/p = Ω L cos θ has less variance than area sampling."""
     where = "corner=[-1, -0.3, 0.2], edge0=[2, 0, 0], edge1=[0, 1, 0]"
     f = mcs.integrand(f"rectangle-light({where})")
     p = mcs.density(f"spherical-rectangle({where})")

@@ -1,4 +1,4 @@
-"""Genz's integrands by name, and functions of other fields with known integrals."""
+"""Genz's integrands by name, and functions from other fields with known integrals."""
 
 import math
 from fractions import Fraction
@@ -22,14 +22,14 @@ SPECS = [
     ("genz-continuous(u=[0, 0.7, 1])", 3),
     ("genz-discontinuous(a=[1, 2, 3], u=[0.2, 0.7, 0.1])", 3),
 ]
-SIGMAS = 6.0  # Student's t with 63 degrees: 1e-7 a number
+SIGMAS = 6.0  # Student's t with 63 degrees: probability 1e-7 per number
 
 
 @pytest.mark.parametrize(
     ("spec", "dims"), [*SPECS, *((name, dims) for name in ANY_DIMS for dims in (1, 7))]
 )
 def test_contract(spec, dims):
-    """Also finite at the corners, and made again by its spec."""
+    """Values are also finite at the corners, and the spec makes the integrand again."""
     f = mcs.integrand(spec, dims)
     check_integrand(f)
     assert np.isfinite(f(np.array([np.zeros(dims), np.ones(dims)]))).all()
@@ -37,7 +37,7 @@ def test_contract(spec, dims):
 
 
 def test_a_gaussian_of_genz_is_the_gaussian():
-    """In closed form, and values."""
+    """Compare with the closed form, and compare values."""
     f = mcs.integrand("genz-gaussian(a=[2, 30], u=[0.3, 1])")
     parts = [
         mcs.integrand(f"gaussian(center={u}, width={math.sqrt(0.5) / a!r})", dims=1)
@@ -50,7 +50,7 @@ def test_a_gaussian_of_genz_is_the_gaussian():
 
 @pytest.mark.parametrize(("a", "dims"), [(5.0, 1), (0.01, 3), (5.0, 12), (100.0, 20)])
 def test_corner_peak_is_the_sum_over_corners(a, dims):
-    """(1/d!) Π 1/a_i Σ_v (−1)^|v| / (1 + a·v), in fractions as it cancels; equal a: by |v|."""
+    """(1/d!) Π 1/a_i Σ_v (−1)^|v| / (1 + a·v), in fractions because it cancels; equal a: by |v|."""
     corners = sum(
         Fraction((-1) ** k * math.comb(dims, k)) / (1 + Fraction(a) * k) for k in range(dims + 1)
     )
@@ -72,7 +72,7 @@ ORACLES = {
             *(oracles.ratio_tracking, oracles.asian_option, oracles.digital_option),
         )
         for dims in (1, 2, 3, 16)
-        if dims < 16 or "gaussian" not in make.__name__  # whose peaks 2^16 points do not meet
+        if dims < 16 or "gaussian" not in make.__name__  # 2^16 points miss its peaks
     },
     "ratio_tracking of a loose majorant": oracles.ratio_tracking(6, majorant=2.0),
     "ishigami": oracles.ishigami()[0],
@@ -89,14 +89,14 @@ def test_randomized_points_find_the_known_integrals(name):
 
 @pytest.mark.parametrize("name", [name for name in ORACLES if ORACLES[name].dims <= 3])
 def test_quadrature_finds_the_known_integrals(name):
-    """Errors are estimates: up to a factor of three."""
+    """Errors are estimates, accurate to a factor of three."""
     f = ORACLES[name]
     unknown = mcs.Integrand.from_function(lambda x: f(x), dims=f.dims)
     assert abs(unknown.integral - f.integral) < 3.0 * integral_accuracy(unknown)[1]
 
 
 def _above_a_limit(u):
-    """Whether a cantilever of lognormal load and modulus, uniform length and width bends by 2.6 mm."""
+    """Return whether a cantilever with random load, modulus, length and width bends by 2.6 mm."""
     z = oracles.normal(u)
     load, modulus = 500.0 * np.exp(0.2 * z[..., 0]), 2.1e11 * np.exp(0.05 * z[..., 1])
     length, width = 1.0 + 0.1 * u[..., 2], 0.048 + 0.004 * u[..., 3]
@@ -104,7 +104,7 @@ def _above_a_limit(u):
 
 
 def _posterior_weights(s):
-    """Likelihood · prior / proposal of a linear model, a normal proposal s times as wide as the posterior."""
+    """Likelihood · prior / proposal of a linear model; the normal proposal is s times as wide."""
     rng, t = np.random.default_rng(1), np.linspace(-1.0, 1.0, 12)
     design = np.stack([np.ones_like(t), t], axis=1)
     data = design @ [0.4, -0.8] + 0.3 * rng.standard_normal(12)

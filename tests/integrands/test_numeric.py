@@ -1,4 +1,4 @@
-"""Quadrature: rules, coefficients and integrals against exact ones, accuracy, limits."""
+"""Quadrature: rules, coefficients and integrals compared with exact ones, accuracy, limits."""
 
 import numpy as np
 import pytest
@@ -13,15 +13,16 @@ K = 12
 
 @pytest.mark.parametrize("order", [1, 2, 5, 16])
 def test_a_wave_keeps_its_phase(order):
-    """The midpoint rule (order 1) is exact for waves, half-sample phase included."""
+    """The midpoint rule (order 1) is exact for waves, including the half-sample phase."""
     rule = AxisRule.make(32 * order, order)
     m = np.arange(-6.0, 7.0)
     found = rule.transform(np.cos(2 * np.pi * 5 * rule.nodes + 0.7), m)
     expected = np.where(m == 5, np.exp(0.7j) / 2, np.where(m == -5, np.exp(-0.7j) / 2, 0))
-    # order 2 integrates 5 of 32 cycles a cell to h⁴/4320 = (2π·11/32)⁴/4320 for the product's wave
+    # Order 2 integrates 5 of 32 cycles per cell to h⁴/4320 = (2π·11/32)⁴/4320 for the product's
+    # wave
     bound = {1: 1e-15, 2: (2 * np.pi * 11 / 32) ** 4 / 4320, 5: 1e-9, 16: 1e-15}[order]
     assert np.abs(found - expected).max() < bound
-    if order == 1:  # without the phase it is wrong by |exp(πi 5/32) − 1| / 2
+    if order == 1:  # Without the phase the error is |exp(πi 5/32) − 1| / 2
         dropped = np.fft.fft(np.cos(2 * np.pi * 5 * rule.nodes + 0.7))[m.astype(int)] / 32
         assert np.abs(dropped - expected).max() > 0.2
 
@@ -49,7 +50,7 @@ def test_pieces_of_cut_cells_fill_the_axis():
     ],
 )
 def test_smooth_and_broken_functions_to_rounding(spec, dims, hidden):
-    """Non-periodic f too: the border is a cell's edge. 8 nodes a wave and 16 a cell: 1e-10."""
+    """Also for non-periodic f, as the border is the edge of a cell; 8 nodes per wave give 1e-10."""
     f = mcs.integrand(spec, dims=dims)
     h = hidden(f)
     width = K if dims < 4 else 2
@@ -74,7 +75,7 @@ def test_smooth_and_broken_functions_to_rounding(spec, dims, hidden):
 def test_borders_that_no_axis_follows(spec, perimeter, hidden):
     """Cut cells of side h cover at most √2 h (perimeter + 2h).
 
-    A jump in a row of nodes costs at most one Gauss weight of the cell, and so along the other axis.
+    A jump in a row of nodes costs at most one Gauss weight of the cell, along each axis.
     """
     f = mcs.integrand(spec)
     h = hidden(f)
@@ -82,7 +83,7 @@ def test_borders_that_no_axis_follows(spec, perimeter, hidden):
     size = 16 / 2048
     area = 2**0.5 * size * (perimeter + 2 * size)
     assert np.abs(found).max() < 2 * gauss_rule(16)[1].max() * area
-    # An estimate, no bound; a tenth of the error would be too little to be of use.
+    # The error is an estimate, not a bound; a tenth of the true error would be useless
     assert fourier_accuracy(h, K)[1] > 0.1 * np.abs(found).max()
 
 
@@ -114,7 +115,7 @@ def test_results_are_remembered_and_cannot_be_spoilt():
 
 
 def test_the_known_integral_is_the_zeroth_coefficient():
-    """A border that no axis follows: the FFT is good to 1e-5, the integral is known."""
+    """For an oblique border the FFT is accurate to 1e-5, but the integral is known."""
     f = mcs.Integrand.from_function(
         lambda x: (x[..., 0] + x[..., 1] ** 2 < 0.5) * 1.0, dims=2, integral=2**0.5 / 3
     )
@@ -137,7 +138,7 @@ def test_the_known_integral_is_the_zeroth_coefficient():
 def test_integrals_1d(function, expected, tolerance):
     f = mcs.Integrand.from_function(lambda x: function(x), dims=1)
     assert f.integral == pytest.approx(expected, abs=max(tolerance, 1e-300))
-    # For x^-½ each halving leaves √½ of the error: the rest is 1/(1 − √½) of the last difference.
+    # For x^-½ each halving leaves √½ of the error, so the rest is 1/(1 − √½) of the last difference
     assert abs(f.integral - expected) <= 3.5 * integral_accuracy(f)[1] + 1e-15
 
 
@@ -146,7 +147,8 @@ def test_integrals_of_products(dims):
     f = mcs.Integrand.from_function(lambda x: np.exp(x).prod(axis=-1), dims=dims)
     expected = (np.e - 1) ** dims
     assert f.integral_source == "quadrature"
-    # At 4 nodes an axis in 5-D, 5 in 4-D; cells of side ½ and ¼: 1e-12 of it is asked for.
+    # 4 nodes per axis in 5-D, 5 in 4-D; cells of side ½ and ¼; the tolerance is 1e-12 of the
+    # integral
     assert f.integral == pytest.approx(expected, rel=1e-11)
 
 

@@ -1,4 +1,4 @@
-"""Integrals over equal cells: against closed forms, with breaks, channels, and little memory."""
+"""Integrals over equal cells: closed forms, breaks, channels, and low memory."""
 
 import tracemalloc
 
@@ -44,7 +44,7 @@ def test_breaks_within_cells_are_cut():
     p = np.array([1, 3, 2]) / 2
     ends = np.concatenate([[0], np.cumsum(p / 3)])
 
-    def primitive(u):  # of x(u)/p: ½ x² in x
+    def primitive(u):  # Primitive of x(u)/p: ½ x² in x
         return np.interp(u, ends, np.arange(4) / 3) ** 2 / 2
 
     np.testing.assert_allclose(cells[0], np.diff(primitive(np.arange(6) / 5)), rtol=1e-12)

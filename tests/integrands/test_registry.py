@@ -1,4 +1,4 @@
-"""Names, dims, bad parameters: what a user can type."""
+"""Names, dims and invalid parameters in user input."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,5 @@
-"""Smoothed edges: ramps by their definition, coefficients by quadrature, boxes that keep integrals."""
+"""Smoothed edges: ramps by definition, coefficients by quadrature, box means with equal
+integrals."""
 
 import numpy as np
 import pytest
@@ -68,7 +69,7 @@ def test_integrals_and_coefficients_of_ramps_against_a_grid(spec):
 
 
 def test_high_frequencies_of_wide_ramps_are_resolved():
-    """J_1-like decay of a disk, |m|^-3/2, becomes |m|^-5/2: averages of waves have to cancel."""
+    """The decay |m|^-3/2 of a disk (J_1) becomes |m|^-5/2, so averages of waves have to cancel."""
     g = mcs.smoothed("disk(center=0.5, radius=0.25)", 0.3, dims=2)
     fine = EdgeSmoothed(edge=g.edge, width=g.width)
     high = np.array([[61, 0], [120, 35]])
@@ -96,14 +97,14 @@ def test_boxes_keep_the_integral_and_are_means_over_boxes(spec):
     assert g.integral == f.integral
     steps = (np.arange(200) + 0.5) / 200
     grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1)
-    # Midpoints see kinks of g: 200^-2 · (slope ≤ 1/0.3) · their length
+    # Midpoints have errors at kinks of g: 200^-2 · (slope ≤ 1/0.3) · their length
     assert g(grid).mean() == pytest.approx(f.integral, abs=5e-4)
     offsets = (np.arange(300) + 0.5) / 300 - 0.5
     box = 0.3 * np.stack(np.meshgrid(offsets, offsets, indexing="ij"), axis=-1)
     for x in ([0.05, 0.5], [0.5, 0.98], [0.0, 1.0], [0.3, 0.6]):
         around = np.abs(x + box)
         reflected = np.where(around > 1, 2 - around, around)
-        # A border crosses at most 4 · 300 of the 300² cells, on a half of each on average
+        # A border crosses at most 4 · 300 of the 300² cells, and half of a cell on average
         assert g([x])[0] == pytest.approx(f(reflected).mean(), abs=8e-3)
 
 
@@ -124,7 +125,7 @@ def test_boxes_by_quadrature_keep_the_integral_too():
     f = mcs.Integrand.from_function(lambda x: np.exp(2 * x[..., 0]), dims=1)
     g = mcs.smoothed(f, 0.4, nodes=3)
     x = (np.arange(2**14) + 0.5)[:, None] / 2**14
-    assert g(x).mean() == pytest.approx(f.integral, rel=1e-8)  # midpoints: 4/(24 · 2^28)
+    assert g(x).mean() == pytest.approx(f.integral, rel=1e-8)  # Midpoints: 4/(24 · 2^28)
 
 
 @pytest.mark.parametrize(

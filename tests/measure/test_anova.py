@@ -258,7 +258,7 @@ def test_few_realisations_have_no_intervals_rather_than_points():
         for name in intervals:
             assert (np.isfinite(found[f"{name}_ci"]) == known).all()
         assert (found["anova_share_ci"][:, 1] > found["anova_share_ci"][:, 0]).all() == known
-        assert known or f"{realizations} realizations show no error" in found.attrs["note"]
+        assert known or f"{realizations} realizations give no error" in found.attrs["note"]
 
 
 def test_groups_of_axes_are_split_as_axes_are():

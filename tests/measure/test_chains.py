@@ -283,7 +283,7 @@ def test_structures_of_arviz():
 @pytest.mark.parametrize(
     ("draws", "options", "error", "words"),
     [
-        ([1.0], {}, ParameterError, "10 draws or more"),
+        ([1.0], {}, ParameterError, "at least 10 draws"),
         (np.zeros((2, 3, 4, 5)), {}, ParameterError, r"shape \(2, 3, 4, 5\)"),
         (np.r_[np.nan, np.arange(20.0)], {}, DomainError, "hold 1 NaN"),
         ("abc", {}, DomainError, "real numbers"),
@@ -333,7 +333,7 @@ def test_the_remedy_of_a_burn_in_is_carried_out():
     name, evidence, found = cause(x)
     dropped = int(found["burn_in"])
     assert name == "burn-in"
-    assert f"the first {dropped} of 1000 of each chain are left out" in evidence
+    assert f"the first {dropped} of 1000 of each chain are excluded" in evidence
     alone = mcs.measure.chain_error(x[:, dropped:])
     for same in ("mean", "mean_ci", "mcse", "ess"):
         np.testing.assert_allclose(found[same], alone[same], rtol=1e-12)

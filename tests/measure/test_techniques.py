@@ -237,6 +237,6 @@ def test_deterministic_sets_have_no_variance_and_say_so():
     for name in ("dc_term", "power_term", "cross_term", "predicted_variance", "measured_variance"):
         assert not found[name].values.any(), name
     assert np.isnan(found["captured_ci"].values).all()
-    said = "sobol has no variance: add owen or shift, or look at |bias|"
+    said = "sobol has no variance: add owen or shift, or compare |bias|"
     assert found.attrs["note"] == said
     assert mcs.predict("disk", "sobol", [16], method="all", realizations=8).attrs["note"] == said

@@ -70,7 +70,7 @@ def test_a_set_that_is_fixed_stands_beside_a_random_one():
     found = mcs.variance_terms("gaussian", ["random", "sobol"], 16, **OPTIONS)
     assert float(found["measured_variance"].sel(sampler="sobol")) == 0.0
     assert float(found["measured_variance"].sel(sampler="random")) > 0.0
-    assert found.attrs["note"] == "sobol has no variance: add owen or shift, or look at |bias|"
+    assert found.attrs["note"] == "sobol has no variance: add owen or shift, or compare |bias|"
 
 
 def test_infinite_weights_are_told_once():

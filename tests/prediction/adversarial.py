@@ -1,6 +1,6 @@
-"""Functions that quadrature may be blind to, with their integrals and variances in closed form.
+"""Functions that quadrature may miss, with their integrals and variances in closed form.
 
-Each is b + h on a set A, or a narrow bell; parts of boxes in half spaces are known exactly.
+Each is b + h on a set A, or a narrow bell. Parts of boxes in half-spaces are known exactly.
 """
 
 import itertools
@@ -21,7 +21,7 @@ BASE = 0.5
 
 @dataclass(frozen=True)
 class Case:
-    """A function, ∫f, ∫f², the volume that it differs on, and its means over boxes (…, d)."""
+    """A function, ∫f, ∫f², the volume of its deviation, and its means over boxes (…, d)."""
 
     family: str
     dims: int
@@ -35,7 +35,7 @@ class Case:
         return mcs.Integrand.from_function(self.function, dims=self.dims)
 
     def variance(self, sides):
-        """Of one point in each of the strata; () is for a random point."""
+        """Variance of one point in each of the strata; () is for a random point."""
         s = sides or (1,) * self.dims
         low = np.stack(np.meshgrid(*(np.arange(k) / k for k in s), indexing="ij"), -1)
         means, squares = self.moments(
@@ -45,7 +45,7 @@ class Case:
 
 
 def half_space(a, t, low, high):
-    """Part of boxes (..., d) where a·x <= t."""
+    """Return the part of boxes (..., d) where a·x <= t."""
     size = high - low
     rest = t - np.minimum(a * low, a * high).sum(-1)
     steps = np.abs(a) * size
@@ -58,13 +58,13 @@ def half_space(a, t, low, high):
 
 
 def overlap(lo, hi, low, high):
-    """Part of boxes (..., d) in the box lo … hi."""
+    """Return the part of boxes (..., d) in the box lo … hi."""
     part = np.clip(np.minimum(hi, high) - np.maximum(lo, low), 0.0, None) / (high - low)
     return np.asarray(part.prod(-1))
 
 
 def indicator(family, dims, height, inside, part):
-    """b + h in a set, of which `part` is known for boxes."""
+    """b + h in a set, whose `part` is known for boxes."""
 
     def function(x):
         return np.asarray(BASE + height * inside(x))
@@ -80,14 +80,14 @@ def indicator(family, dims, height, inside, part):
 
 
 def make(family, dims, seed):
-    """One case; the same for the same arguments."""
+    """Make one case, reproducible from its arguments."""
     rng = np.random.default_rng([FAMILIES.index(family), dims, seed])
     height = float(rng.choice([-1.0, 1.0]) * 10 ** rng.uniform(-0.5, 1.5))
     width = 10 ** -rng.uniform(1, 5)
     lo, hi = np.zeros(dims), np.ones(dims)
     if family in ("slab", "hidden-step"):
         axis = int(rng.integers(dims))
-        if family == "hidden-step":  # next to a border of cells
+        if family == "hidden-step":  # Next to a border of cells
             cells = 2 ** int(rng.integers(0, 6))
             width = min(width, 0.2)
             lo[axis] = (rng.integers(cells) + rng.choice([0.0, 0.5])) / cells
@@ -159,6 +159,6 @@ def make(family, dims, seed):
 
 
 def cases(count):
-    """The first `count`, all families and dims in turn."""
+    """Return the first `count` cases, cycling over families and dims."""
     kinds = [(family, d) for family in FAMILIES for d in (1, 2, 3, 4)]
     return [make(*kinds[i % len(kinds)], i // len(kinds)) for i in range(count)]

@@ -10,7 +10,7 @@ from mcspectra.prediction import prediction
 
 @pytest.fixture
 def use_settings(monkeypatch):
-    """Give settings to methods by their names, for all predictions of a test."""
+    """Apply settings to methods by name, for all predictions of a test."""
 
     def use(**settings):
         methods = tuple(

@@ -1,4 +1,4 @@
-"""Spectra of images of errors: the prediction is what is measured, and masks are ranked by it."""
+"""Spectra of error images: predictions agree with measurements, and rank masks."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from mcspectra.core.errors import McspectraError, NoClosedForm, ParameterError
 
 
 def bands(found, count=4):
-    """Predicted over measured power, over so many bands."""
+    """Return predicted over measured power in `count` bands."""
     names = ("predicted_power", "measured_power")
     parts = (np.array_split(found[name].values, count) for name in names)
     return np.array([p.mean() / m.mean() for p, m in zip(*parts, strict=True)])
@@ -26,18 +26,19 @@ def bands(found, count=4):
 )
 def test_predictions_are_what_is_measured(integrand, chain):
     found = mcs.prediction.image_error_spectrum(integrand, chain, 4, dims=2, half_width=24)
-    # Smooth: the same to what is left of ∫f². The disk: 2.5 % of ∫f² beyond the half width are taken as
-    # white; within a band of 16 images that is known to about 1 %.
+    # Smooth: equal up to the rest of ∫f². The disk: 2.5 % of ∫f² beyond the half width are treated
+    # as white;
+    # within a band, 16 images give that to about 1 %
     assert np.abs(bands(found) - 1.0).max() < (0.1 if integrand == "disk" else 0.005)
 
 
 def test_white_masks_make_white_noise_of_the_variance_of_a_pixel():
     chain = "sobol | decorrelate(mask='white', width=32)"
     found = mcs.prediction.image_error_spectrum("cosine(frequency=1)", chain, 1, dims=1, images=16)
-    # One frequency of one point: 2 |f_1|²
+    # One frequency of one point has the power 2 |f_1|²
     variance = 2 * abs(mcs.integrand("cosine(frequency=1)", dims=1).fourier([[1]]).item()) ** 2
     values = found["predicted_power"].values
-    sizes = np.pi * 2 * found["radius"].values * 32**2 / 32 / 2 / 2  # of each ring, in pairs
+    sizes = np.pi * 2 * found["radius"].values * 32**2 / 32 / 2 / 2  # Size of each ring, in pairs
     assert abs(values.mean() / variance - 1) < 4 / np.sqrt(16 * sizes.sum())
     assert abs(float(found["low_share"]) - 1.0) < 4 / np.sqrt(16 * sizes[:4].sum())
 
@@ -70,19 +71,19 @@ def test_the_tail_is_the_energy_that_the_half_width_leaves():
     f = mcs.integrand("disk")
     chain = "sobol | shift | decorrelate(mask='blue-noise', width=16)"
     found = mcs.prediction.image_error_spectrum(f, chain, 4, half_width=12)
-    energy = (np.abs(f.fourier_grid(12)) ** 2).sum()  # of ∫f² = ∫f
+    energy = (np.abs(f.fourier_grid(12)) ** 2).sum()  # Of ∫f² = ∫f
     assert float(found["tail_term"]) == pytest.approx((f.integral - energy) / 4)
 
 
 def test_pixels_of_different_integrands():
-    """A light that moves from pixel to pixel: each has its own coefficients."""
+    """A light moves from pixel to pixel, and each pixel has its own coefficients."""
     places = np.linspace(0.2, 0.8, 16**2)
     functions = [
         mcs.integrand(f"gaussian(center={p!r}, width=0.2)", dims=2) for p in places.tolist()
     ]
     chain = "random | decorrelate(mask='blue-noise', width=16)"
     found = mcs.prediction.image_error_spectrum(functions, chain, 4, half_width=12)
-    # Jumps at the border leave up to 2 % of ∫f² beyond the half width, which are taken as white
+    # Jumps at the border leave up to 2 % of ∫f² beyond the half width, which are treated as white
     assert np.abs(bands(found) - 1.0).max() < 0.1
     one = mcs.prediction.image_error_spectrum(functions[0], chain, 4, half_width=12)
     same = mcs.prediction.image_error_spectrum([functions[0]] * 16**2, chain, 4, half_width=12)
@@ -92,10 +93,14 @@ def test_pixels_of_different_integrands():
 @pytest.mark.parametrize(
     ("changes", "error", "match"),
     [
-        ({"sampler": "sobol"}, NoClosedForm, "do not share a spectrum; let it end in decorrelate"),
+        (
+            {"sampler": "sobol"},
+            NoClosedForm,
+            "do not share a spectrum; end the sampler with decorrelate",
+        ),
         ({"sampler": "sobol | decorrelate(mode='owen')"}, NoClosedForm, "mode shift"),
         ({"integrand": ["disk"] * 3}, ParameterError, "3 integrands for 64 × 64 pixels"),
-        ({"integrand": "gaussian", "dims": 5}, ParameterError, "1 to 3 dims"),
+        ({"integrand": "gaussian", "dims": 5}, ParameterError, "limits are 3 dims"),
         ({"half_width": 0}, ParameterError, "half_width is 0"),
         ({"half_width": 10**5}, ParameterError, "too many"),
         ({"images": 1}, ParameterError, "images is 1"),
@@ -115,7 +120,7 @@ def test_what_cannot_be_is_refused(changes, error, match):
 
 
 def test_a_tail_that_may_not_be_white_is_named_and_met_by_default():
-    """Of the bands of r2 with a lattice, what lies beyond was a sixth of the truth without a word."""
+    """In bands of r2 with a lattice, the part beyond was a sixth of the truth, without a note."""
     given = {"dims": 2, "images": 4, "half_width": 4}
     chain = "rank1-lattice | decorrelate(mask='r2', width=16)"
     few = mcs.prediction.image_error_spectrum("disk", chain, 16, **given)

@@ -1,4 +1,4 @@
-"""Variances of nets and strata from cells and moved sets, against exact values and measurements."""
+"""Variances of nets and strata from cells and moved sets: exact values and measurements."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from mcspectra.prediction.torus import of_moves
 
 
 def predicted(f, sampler, n):
-    """The prediction for a sampler given as text, or as one."""
+    """Predict for a sampler or its spec."""
     f = f if isinstance(f, Known) else Known(f)
     source = mcs.sampler(sampler, f.g.dims)
     method = of_moves if "digital-shift" in source.spec else of_levels
@@ -20,7 +20,7 @@ def predicted(f, sampler, n):
 
 
 def function(name, dims):
-    """Functions without closed forms, some with jumps across curves."""
+    """Return functions without closed forms, some with jumps across curves."""
     functions = {
         "product": lambda x: np.prod(1.0 / (1.0 + 4.0 * (x - 0.4) ** 2), axis=-1),
         "sum": lambda x: x.sum(axis=-1),
@@ -47,7 +47,7 @@ def function(name, dims):
 )
 def test_exact_values_of_smooth_functions(sampler, dims, n):
     f = function("product", dims)
-    if "lms" in sampler:  # the pairs of points have the law of owen
+    if "lms" in sampler:  # The pairs of points have the law of owen
         exact = mcs.exact_variance(mcs.Estimator(f), mcs.sampler("niederreiter | owen", dims), n)
     elif "scramble" in sampler:
         exact = mcs.exact_variance(mcs.Estimator(f), mcs.sampler("halton | owen", dims), n)
@@ -55,12 +55,13 @@ def test_exact_values_of_smooth_functions(sampler, dims, n):
         exact = mcs.exact_variance(mcs.Estimator(f), mcs.sampler(sampler, dims), n)
     found = predicted(f, sampler, n)
     assert found.variance == pytest.approx(exact, rel=1e-5)
-    assert abs(found.variance[0] - exact) <= found.error[0] + 1e-6 * exact  # of exact_variance
+    # Tolerance of exact_variance
+    assert abs(found.variance[0] - exact) <= found.error[0] + 1e-6 * exact
 
 
 @pytest.mark.parametrize("n", [16, 64])
 def test_digital_shifts_of_smooth_functions(n):
-    """One shift of our own after the other: the interval covers, and is narrow."""
+    """Random shifts are applied one after another: the interval covers, and is narrow."""
     f = function("product", 2)
     exact = mcs.exact_variance(mcs.Estimator(f), mcs.sampler("sobol | digital-shift", 2), n)
     found = predicted(f, "sobol | digital-shift", n)
@@ -70,7 +71,7 @@ def test_digital_shifts_of_smooth_functions(n):
 @pytest.mark.parametrize("dims", [1, 2, 3])
 @pytest.mark.parametrize("sampler", ["sobol | owen", "sobol | digital-shift"])
 def test_additive_functions_at_large_counts(sampler, dims):
-    """Each axis of these nets has one point in each n-th: jittered with owen, a grid with a shift."""
+    """Each axis has one point in each n-th: jittered with owen, a grid with a shift."""
     n = 4096 if dims < 3 else 512
     found = predicted(function("sum", dims), sampler, n)
     exact = dims / 12.0 / (float(n) ** 3 if "owen" in sampler else float(n) ** 2)
@@ -88,7 +89,7 @@ def test_sixty_five_thousand_points():
 @pytest.mark.parametrize("n", [16, 4096])
 @pytest.mark.parametrize("sampler", ["sobol | owen", "halton | owen", "jittered"])
 def test_sampled_cells_of_curves_agree_with_closed_forms(sampler, n):
-    """A disk that is known by its values only, against one whose shares of cells are exact."""
+    """Compare a disk without closed form with a disk whose shares of cells are exact."""
     exact = predicted(mcs.integrand("disk", dims=2), sampler, n)
     found = predicted(KNOWN_DISK, sampler, n)
     assert found.variance == pytest.approx(exact.variance, rel=0.005)
@@ -119,7 +120,7 @@ def test_measured_variances(name, sampler, dims, n):
 
 
 def measured(found, f, sampler, n):
-    """Within five standard errors of a measurement, and the interval of the prediction."""
+    """Check five standard errors of a measurement, plus the interval of the prediction."""
     result = mcs.convergence(
         mcs.Estimator(f), mcs.sampler(sampler, f.dims), [n], realizations=500, rng=3
     )
@@ -150,7 +151,7 @@ def test_digital_shifts_of_a_jump_along_a_diagonal():
 
 
 def test_poles_at_the_border_keep_their_energy():
-    """(x y)^-0.3: cells of a table miss a part of ∫f², which is most of the variance."""
+    """(x y)^-0.3: cells of a table miss a part of ∫f² that is most of the variance."""
     f = mcs.Integrand.from_function(
         lambda x: np.prod(np.maximum(x, 1e-300) ** -0.3, axis=-1), dims=2, integral=1 / 0.49
     )

@@ -1,4 +1,4 @@
-"""All methods agree: deterministic ones exactly, sampled ones within their errors; each by its name."""
+"""All methods agree: deterministic ones exactly, sampled ones within their errors."""
 
 import itertools
 import math
@@ -23,7 +23,8 @@ WAVE, WAVES = "cosine(frequency=3)", "cosine(frequency=[1, 2])"
 BELL = "gaussian(center=0.3)"
 LINE, PLANE = "linear(slope=1)", "linear(slope=[1, -0.5])"
 
-# Integrands of few frequencies, so that nothing is cut off; which methods apply is part of the test.
+# Integrands of few frequencies, so that nothing is truncated; the list of methods is part of the
+# test
 CASES = [
     (WAVE, None, "random", 1, 5, CHECKS),
     (WAVE, LINE, "random", 1, 5, CHECKS - {"homogenized"}),
@@ -60,7 +61,7 @@ def _of(table, name, method):
 
 
 def _standard_errors(table):
-    """Half widths of the 95 % intervals, the longer part on either side, as standard errors."""
+    """Return half widths of 95 % intervals, the longer side, as standard errors."""
     ends = table["predicted_variance_ci"].values
     half = np.abs(ends - table["predicted_variance"].values[:, None]).max(axis=1)
     return dict(zip(NAMES, half / stats.norm.ppf(0.975), strict=True))
@@ -68,12 +69,13 @@ def _standard_errors(table):
 
 @pytest.mark.parametrize(("f", "p", "spec", "dims", "n", "methods"), CASES)
 def test_all_methods_agree(f, p, spec, dims, n, methods):
-    """Pairs of methods differ by no more than their errors together; Šidák over all comparisons.
+    """Pairs of methods differ by at most their combined errors, Šidák over all comparisons.
 
-    Measured and terms are of the same realizations, and the same number: no frequency is cut off.
+    `measured` and `terms` use the same realizations, and give the same number, as no frequency is
+    truncated.
     """
     estimator = mcs.Estimator(mcs.integrand(f, dims=dims), p)
-    # To 1e-6 a quadrature for each offset of a Latin hypercube takes minutes
+    # With a tolerance of 1e-6, a quadrature for each offset of a Latin hypercube takes minutes
     options = {"tolerance": 1e-5, "half_width": 4, "realizations": REALIZATIONS, "rng": 8}
     table = _table(estimator, mcs.sampler(spec, dims=dims), n, **options)
     value, se = _values(table), _standard_errors(table)
@@ -86,7 +88,8 @@ def test_all_methods_agree(f, p, spec, dims, n, methods):
     limit = stats.norm.isf(0.5 * (1 - (1 - 1e-3) ** (1 / (5 * len(CASES)))))
     for a, b in itertools.combinations(sorted(found - {"terms"}), 2):
         both = math.hypot(se[a], se[b])
-        # Exact methods: quadrature to 1e-6, the table of an autocorrelation to 1e-4 of its curvature
+        # Exact methods: quadrature to 1e-6, the table of an autocorrelation to 1e-4 of its
+        # curvature
         assert abs(value[a] - value[b]) <= limit * both + 2e-6 * value[a], (a, b)
     for method in set(PREDICTIONS) - {"extrapolated"}:
         if "exact" in found and not math.isnan(value[method]):
@@ -99,7 +102,7 @@ def test_deterministic_methods_are_certain_and_sampled_ones_are_not():
     assert (width.sel({"method": ["covariance", "homogenized"]}) == 0).all()
     assert 0 < _of(width.to_dataset(name="w"), "w", "exact") < 2e-6 * _values(table)["exact"]
     assert (width.sel({"method": ["pair-correlation", "terms", "measured"]}) > 0).all()
-    # The mean of f has no part in the variance
+    # The mean of f does not change the variance
     raised = mcs.Integrand.from_function(lambda x: 2 + np.cos(6 * np.pi * x[..., 0]), dims=1)
     again = predict(raised, "jittered | shift", [4], method="homogenized", half_width=16)
     expected = _of(table, "predicted_variance", "homogenized")
@@ -107,7 +110,7 @@ def test_deterministic_methods_are_certain_and_sampled_ones_are_not():
 
 
 def test_a_cut_spectrum_says_so_and_misses_no_more_than_the_rest_allows():
-    """Jittered: |√V − √V_K| ≤ √(‖f − f_K‖²/n), the deviation of what is cut off, at most random's."""
+    """Jittered: |√V − √V_K| ≤ √(‖f − f_K‖²/n), the standard deviation of the truncated part."""
     f, n = mcs.integrand(BELL, dims=1), 8
     table = predict(f, "jittered", [n], method="covariance", half_width=8).isel(n=0)
     share = float(table["energy_share"])
@@ -116,7 +119,7 @@ def test_a_cut_spectrum_says_so_and_misses_no_more_than_the_rest_allows():
     assert 0.99 < share < 1.0
     exact, cut = mcs.exact_variance(f, "jittered", n), float(table["predicted_variance"])
     assert abs(math.sqrt(exact) - math.sqrt(cut)) <= math.sqrt((1 - share) * whole / n)
-    assert abs(exact - cut) > 0.1 * exact  # the border of the torus is a jump
+    assert abs(exact - cut) > 0.1 * exact  # The border of the torus is a jump
     wide = predict(f, "jittered", [n], method="covariance", half_width=256)
     assert abs(exact - float(wide["predicted_variance"][0])) < 0.05 * abs(exact - cut)
 
@@ -143,7 +146,7 @@ def test_channels_and_techniques():
 
 
 def test_infinite_weights_go_by_primary_space():
-    """f = x², p = 2x: Var(S_0) is infinite, the variance 1/(72 n) is not."""
+    """f = x², p = 2x: Var(S_0) is infinite, but the variance is 1/(72 n)."""
     f = mcs.Integrand.from_function(lambda x: x[..., 0] ** 2, dims=1, integral=1 / 3)
     estimator = mcs.Estimator(f, "linear(slope=2)")
     table = _table(estimator, "random", 5, half_width=64, realizations=400, rng=4)
@@ -153,7 +156,7 @@ def test_infinite_weights_go_by_primary_space():
 
 
 def test_a_method_fails_alone():
-    """∫f²/p diverges: the methods without spectra say so, and the others are there or say why."""
+    """∫f²/p diverges: methods without spectra report it, the others give values or reasons."""
     estimator = mcs.Estimator(
         mcs.integrand("cosine(frequency=1)", dims=1), mcs.density("power(exponent=1)", dims=1)
     )
@@ -167,7 +170,7 @@ def test_a_method_fails_alone():
 
 
 def test_several_samplers_and_counts_by_all_methods():
-    """One block for each: rows are those of single calls, and rates follow along n."""
+    """Each sampler has a block; rows equal single calls, and rates follow along n."""
     options = {"half_width": 4, "realizations": 100, "rng": 5}
     wave = mcs.integrand(WAVES, dims=2)
     found = predict(wave, ["random", "jittered"], [16, 64], method="all", **options)
@@ -186,7 +189,7 @@ def test_several_samplers_and_counts_by_all_methods():
 
 @pytest.mark.parametrize("method", NAMES)
 def test_one_method_is_its_row_of_all(method):
-    """Up to rounding: measured alone draws no spectra, whose blocks may be others."""
+    """Equal up to rounding: `measured` alone draws no spectra, so its blocks may differ."""
     arguments = ("gaussian", ["jittered", "jittered | shift", "sobol | digital-shift"], [16])
     options = {"half_width": 4, "realizations": 50, "rng": 5}
     table = predict(*arguments, method="all", **options)
@@ -212,7 +215,7 @@ def test_exact_is_exact_variance_with_the_error_of_its_quadrature():
     assert np.isnan(found["predicted_variance"].values[1]).all()
     assert found.attrs["note"].startswith("poisson-disk: No exact variance is known")
     assert found["method"].values.tolist() == [["exact"] * 2, ["none"] * 2]
-    # A tolerance that a disk cut by strata does not reach, and one that it does
+    # A tolerance that a disk cut by strata does not reach, and one that it reaches
     disk = "disk(center=0.4, radius=0.2)"
     tilted = mcs.Estimator(disk, "linear(slope=1.5)", dims=2)
     assert np.isnan(predict(tilted, "random", [4], method="exact")["predicted_variance"]).all()
@@ -237,7 +240,7 @@ def test_a_method_that_does_not_apply_is_refused(sampler, method, words):
     if words:
         with pytest.raises(NoClosedForm, match=words):
             asked()
-    else:  # it is there, and has none
+    else:  # The method applies, but has no value
         assert float(asked()["predicted_variance"][0]) == 0.0
 
 
@@ -257,7 +260,7 @@ def test_names_and_frequencies_are_refused_in_a_sentence():
 
 
 def _silent(dims):
-    """A function that may be asked about, but not evaluated."""
+    """Return a function that raises if it is evaluated."""
 
     def values(x):
         if made:
@@ -291,7 +294,7 @@ def test_what_methods_apply_to_and_cost_is_known_without_evaluations(dims):
 
 
 def test_auto_takes_the_first_that_is_narrow_enough_else_the_narrowest():
-    """In four dims products miss a ball: offsets of the lattice are tried as well."""
+    """In four dims products miss a ball, so offsets of the lattice are also tried."""
     ball = mcs.Integrand.from_function(
         lambda x: 1.0 * (((x - 0.5) ** 2).sum(axis=-1) < 0.2), dims=4
     )

@@ -1,4 +1,4 @@
-"""Exact variances of scrambled nets and Latin hypercubes: against 1-D theory, slow sums, and simulation."""
+"""Exact variances of scrambled nets and Latin hypercubes: 1-D theory, slow sums, simulation."""
 
 import itertools
 import math
@@ -14,7 +14,7 @@ REALIZATIONS = 3000
 
 
 def _pull(estimator, sampler, n, expected, rng):
-    """Difference of log variances in standard errors of the measured one."""
+    """Return the difference of log variances in standard errors of the measured variance."""
     d = mcs.convergence(estimator, sampler, [n], realizations=REALIZATIONS, rng=rng)
     low, high = d["variance_ci"].values[0]
     se = math.log(high / low) / (2 * stats.norm.ppf(0.975))
@@ -53,7 +53,7 @@ def test_a_digitally_shifted_net_in_1d_is_a_shifted_grid(n):
 
 
 def test_additive_functions_add_up():
-    """A net of t = 0 is a net of its axes: f = a x + b y has (a² + b²)/(12 n³)."""
+    """A net with t = 0 is a net along its axes: f = a x + b y has (a² + b²)/(12 n³)."""
     f = mcs.Estimator("linear(gradient=[1, 2])")
     assert mcs.exact_variance(f, "sobol | owen", 64) == pytest.approx(5 / (12 * 64**3), rel=1e-6)
 
@@ -93,7 +93,8 @@ def test_simulation_agrees(sampler, f, density, dims, n):
 
 @pytest.mark.parametrize("s", [1, 3, 8])
 def test_antithetic_pairs_take_away_lines_and_leave_the_second_order(s):
-    """x: 0. (x − ½)² in cells of side a = 1/s: the pair's mean is t² + const, t = ±a/2: a⁴/180 each."""
+    """x: 0. (x − ½)² in cells of side a = 1/s: the pair's mean is t² + const, t = ±a/2: a⁴/180
+    each."""
     sampler = mcs.sampler("antithetic-jittered", dims=1)
     assert mcs.exact_variance("linear", sampler, 2 * s) == pytest.approx(0.0, abs=1e-18)
     f = mcs.Integrand.from_function(lambda x: (x[..., 0] - 0.5) ** 2, dims=1)
@@ -110,8 +111,8 @@ def test_scrambled_sequences_are_those_of_the_randomisation():
 
 @pytest.mark.parametrize("n", [2, 3, 10])
 def test_latin_hypercubes_take_single_axes_from_n_cubed_and_products_as_they_are(n):
-    """f = x + y: 2/(12 n³). f = (x − ½)(y − ½): the strata's means are left, of mean square
-    ((1 − n^-2)/12)² each, and 1/144 in all: (1/n) [1/144 + ((1 − n^-2)/12)² /(n − 1)]."""
+    """f = x + y: 2/(12 n³). f = (x − ½)(y − ½): the means of strata remain, with mean square
+    ((1 − n^-2)/12)² each, and 1/144 in total: (1/n) [1/144 + ((1 − n^-2)/12)² /(n − 1)]."""
     both = mcs.Estimator("linear(gradient=[1, 1])")
     found = mcs.exact_variance(both, "latin-hypercube", n)
     assert found == pytest.approx(2 / (12 * n**3), rel=1e-9)
@@ -136,7 +137,7 @@ def test_two_techniques_and_channels():
 
 @pytest.mark.parametrize(("bases", "digits"), [((2,), (3,)), ((3, 2), (1, 2)), ((2, 2), (2, 0))])
 def test_levels_are_those_of_the_definition(bases, digits):
-    """σ²_l by inclusion and exclusion of mean squares of block means: another order of operations."""
+    """Compare σ²_l with inclusion and exclusion of mean squares of block means."""
     sides = tuple(b**k for b, k in zip(bases, digits, strict=True))
     values = np.random.default_rng(2).random((*sides, 1))
     found = level_variances(values, bases)[..., 0]

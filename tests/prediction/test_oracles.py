@@ -1,4 +1,4 @@
-"""Every row of the table of exact variances: by quadrature, and by simulation within 4 σ."""
+"""Every row of the table of exact variances: quadrature, and simulation within 4 σ."""
 
 import math
 
@@ -15,7 +15,7 @@ def _fraction(x):
 
 
 def _measured(estimator, sampler, n, expected, *, rng=1, sigmas=4.0):
-    """The measured variance agrees within `sigmas` of its own standard error."""
+    """Check that the measured variance agrees within `sigmas` of its own standard error."""
     d = mcs.convergence(estimator, sampler, [n], realizations=REALIZATIONS, rng=rng)
     low, high = d["variance_ci"].values[0]
     relative_se = math.log(high / low) / (2 * 1.959963984540054)
@@ -73,14 +73,14 @@ def test_smoothed_step_1d(n):
     width = 0.2
     estimator = mcs.Estimator(f"smoothed-step(at=0.437, width={width})", dims=1)
     exact = mcs.exact_variance(estimator, "jittered", n)
-    # Two strata hold the knees: a relative difference of at most 2 of the δn strata inside.
+    # Two strata contain the knees: a relative difference of at most 2 of the δn strata inside
     assert exact == pytest.approx(1 / (12 * width * n**3), rel=2 / (width * n))
     _measured(estimator, "jittered", n, exact)
 
 
 @pytest.mark.parametrize("n", [7, 64])
 def test_two_techniques_the_slowest_wins(n):
-    """½x + ½·1[x<a], each half its own technique: 1/(48n³) + {an}(1−{an})/(4n²)."""
+    """½x + ½·1[x<a], each half as a technique: 1/(48n³) + {an}(1−{an})/(4n²)."""
     a = 0.371
     half_ramp = mcs.integrand("linear(gradient=[0.5])", dims=1)
     half_step = mcs.Integrand.from_function(lambda x: 0.5 * (x[..., 0] < a), dims=1, integral=a / 2)
@@ -110,13 +110,13 @@ def test_smooth_2d_tends_to_the_gradient_formula():
     limit = float((w * g).sum()) / 12
     for n in (64, 1024):
         exact = mcs.exact_variance(estimator, "jittered", n)
-        # The next term is smaller by O(side²) = O(1/n), with second derivatives of order 1.
+        # The next term is smaller by O(side²) = O(1/n), with second derivatives of order 1
         assert exact == pytest.approx(limit / n**2, rel=2 / n)
     _measured(estimator, "jittered", 1024, limit / 1024**2)
 
 
 def test_disk_2d():
-    """Disk of radius R, generic center: → 1.0428109·R·n^-1.5; centered R = ¼: 0.80 to 0.87 of it."""
+    """Disk of radius R, generic center: 1.0428109·R·n^-1.5; centered R = ¼: 0.80 to 0.87 of it."""
     radius, sides = 0.2371, 200
     n = sides * sides
     values = []
@@ -128,7 +128,7 @@ def test_disk_2d():
     mean, se = np.mean(values), np.std(values, ddof=1) / math.sqrt(len(values))
     assert abs(mean - 1.0428109 * radius) < 4 * se + 1e-3 * radius
     centred = mcs.Estimator("disk(radius=0.25)")
-    # 0.796, 0.840, 0.874 at these n; beyond, it creeps toward 1 (0.897 at n = 4096).
+    # 0.796, 0.840, 0.874 at these n; it approaches 1 slowly (0.897 at n = 4096)
     for n in (256, 576, 1024):
         ratio = mcs.exact_variance(centred, "jittered", n) * n**1.5 / (1.0428109 * 0.25)
         assert 0.79 < ratio < 0.88

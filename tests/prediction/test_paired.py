@@ -1,4 +1,4 @@
-"""Orthogonal arrays, moved strata and scrambles in many dims: exact variances of products, and measurements."""
+"""Orthogonal arrays, moved strata and scrambles in many dims: exact variances and measurements."""
 
 import math
 
@@ -13,14 +13,14 @@ BALL = "formula(expression='where((x0-0.5)**2+(x1-0.5)**2+(x2-0.5)**2+(x3-0.5)**
 
 
 def predicted(f, sampler, n, method="auto"):
-    """Value, half its interval, and the name of the method."""
+    """Return value, half its interval, and the name of the method."""
     found = mcs.predict(mcs.integrand(f, dims=4), sampler, [n], method=method)
     low, high = found["predicted_variance_ci"].values[0]
     return float(found["predicted_variance"][0]), 0.5 * (high - low), str(found["method"].values[0])
 
 
 def measured(f, sampler, n, realizations=4000):
-    """Variance of the estimates and its standard error, which their kurtosis makes larger."""
+    """Return the variance of estimates and its standard error, with their kurtosis."""
     points = mcs.sampler(sampler, dims=4).draw(n, realizations=realizations, rng=3)
     means = mcs.integrand(f, dims=4)(points).mean(axis=1)
     away = (means - means.mean()) ** 2
@@ -42,10 +42,10 @@ def measured(f, sampler, n, realizations=4000):
     ],
 )
 def test_products_have_their_exact_variance(sampler, n):
-    """Orthogonal arrays under a shift were extrapolated, to within a quarter."""
+    """Earlier versions extrapolated orthogonal arrays under a shift, to within a quarter."""
     exact = mcs.exact_variance(mcs.integrand(PRODUCT, dims=4), sampler, n, tolerance=1e-3)
     value, half, _ = predicted(PRODUCT, sampler, n, "subsets")
-    assert abs(value - exact) <= 2.0 * half  # four standard errors
+    assert abs(value - exact) <= 2.0 * half  # Four standard errors
     assert half < 0.05 * value
 
 
@@ -58,7 +58,7 @@ def test_products_have_their_exact_variance(sampler, n):
     ],
 )
 def test_jumps_across_all_axes_are_those_measured(sampler, n):
-    """Sums of products miss them; strata that move were extrapolated to ±20 to 60 %."""
+    """Sums of products miss them; earlier versions extrapolated moving strata to ±20 to 60 %."""
     value, half, method = predicted(BALL, sampler, n)
     truth, error = measured(BALL, sampler, n)
     assert method == "subsets"
@@ -75,7 +75,8 @@ def test_jumps_across_all_axes_are_those_measured(sampler, n):
     ],
 )
 def test_smooth_functions_that_are_no_products(sampler, n):
-    """niederreiter | owen was extrapolated to ± 50 %, and digits in other bases ± 20 %."""
+    """Earlier versions extrapolated niederreiter | owen to ±50 %, digits in other bases to ±20
+    %."""
     value, half, method = predicted(ROTATED, sampler, n)
     truth, error = measured(ROTATED, sampler, n)
     assert method == "moves"
@@ -84,14 +85,14 @@ def test_smooth_functions_that_are_no_products(sampler, n):
 
 
 def test_scrambles_of_one_law_of_pairs_have_one_prediction():
-    """Linear scrambles were extrapolated: 0.45 of the variance of nested ones."""
+    """Earlier versions extrapolated linear scrambles: 0.45 of the variance of nested ones."""
     nested, linear = (predicted(BALL, f"sobol | {step}", 256) for step in ("owen", "lms"))
     assert linear[0] == pytest.approx(nested[0], rel=1e-12)
     assert linear[1] == pytest.approx(nested[1], rel=1e-12)
 
 
 def test_scrambles_agree_with_exact_variances():
-    """Of products, in bases 2 and 5."""
+    """Test products in bases 2 and 5."""
     for sampler, n in (("sobol | owen", 64), ("faure | owen", 125)):
         exact = mcs.exact_variance(mcs.integrand(PRODUCT, dims=4), sampler, n, tolerance=1e-3)
         value, half, _ = predicted(PRODUCT, sampler, n, "moves")
@@ -109,7 +110,7 @@ def test_which_laws_are_arrays():
 
 
 def test_energies_need_no_symmetry_of_g():
-    """A function of two of four axes, whose pairs of strata alone hold energy."""
+    """A function of two of four axes has energy only in their pairs of strata."""
     f = "formula(expression='cos(2*pi*(x0+x1))+0*x2*x3')"
     for sampler in ("orthogonal-array(jitter='jittered') | shift", "orthogonal-array | shift"):
         value, half, _ = predicted(f, sampler, 49, "subsets")

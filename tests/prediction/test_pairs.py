@@ -1,4 +1,4 @@
-"""Variances from pairs of points: against strata quadrature, formulas and simulation."""
+"""Variances from pairs of points: strata quadrature, formulas and simulation."""
 
 import tracemalloc
 
@@ -26,7 +26,7 @@ def by_pairs(estimator, sampler, n, **options):
 
 def se_of(found):
     low, high = np.moveaxis(found["predicted_variance_ci"].values, -1, 0)
-    with np.errstate(invalid="ignore"):  # both infinite
+    with np.errstate(invalid="ignore"):  # Both infinite
         return np.where(low == high, 0.0, high - low) / (2 * CONFIDENCE_Z)
 
 
@@ -46,7 +46,7 @@ def simulated(estimator, sampler, n, realizations=4000):
 def test_pair_sums_are_linear_between_entries(add, dims):
     generator = np.random.default_rng(1)
     points, table = generator.random((30, dims)), generator.random((5,) * dims)
-    points[:5] = np.round(points[:5] * 5) / 5 % 1  # differences at the entries, and 0
+    points[:5] = np.round(points[:5] * 5) / 5 % 1  # Differences at the entries, and 0
     differences = np.array([points[a] - points[b] for a in range(30) for b in range(a)])
     expected = map_coordinates(table, (differences % 1 * 5).T, order=1, mode="grid-wrap").sum()
     assert add(points, table) == pytest.approx(expected, rel=1e-12)
@@ -116,7 +116,7 @@ def _weighted(integrand, density, dims=1):
 @pytest.mark.parametrize(
     ("estimator", "power", "spec", "n"),
     [
-        # g = x²/2x at x = √u: Var g = 1/72; strata of √u/2 by hand below
+        # g = x²/2x at x = √u: Var g = 1/72; strata of √u/2 are computed by hand below
         ("square", None, "random", 16),
         ("square", None, "jittered", 16),
         ("gaussian(center=0.3)", 0.5, "random", 16),
@@ -124,7 +124,7 @@ def _weighted(integrand, density, dims=1):
     ],
 )
 def test_poles_and_roots_of_g_are_integrated_to_1e_6(estimator, power, spec, n):
-    """Against one-dimensional quadrature with the substitution that removes the root."""
+    """Compare with one-dimensional quadrature with the substitution that removes the root."""
     if power is None:
         f = mcs.Integrand.from_function(lambda x: x[..., 0] ** 2, dims=1)
         estimator = mcs.Estimator(f, mcs.density("power(exponent=1)", dims=1))
@@ -179,14 +179,14 @@ def test_one_infinite_channel_leaves_the_other():
 
 
 def test_pairs_that_do_not_converge_are_refused():
-    """A disk's border crosses cells: what fixed rules made of it was 3 % off."""
+    """A disk's border crosses cells, where fixed rules have an error of 3 %."""
     estimator = mcs.Estimator("disk(center=0.4, radius=0.2)", "linear(slope=1.5)", dims=2)
     with pytest.raises(NoClosedForm, match=r"has an error of .* in a variance"):
         by_pairs(estimator, "jittered", 256)
 
 
 def test_many_strata_take_little_memory():
-    """Matrices of nodes × cells were 8 GiB here."""
+    """Earlier matrices of nodes × cells took 8 GiB here."""
     estimator = _weighted("linear", "exponential(rate=3)")
     sampler = mcs.sampler("jittered", dims=1)
     tracemalloc.start()

@@ -1,4 +1,4 @@
-"""Predictions against precise measurements and closed forms; f is never sampled by the sampler."""
+"""Predictions compared with precise measurements and closed forms."""
 
 import math
 import warnings
@@ -18,7 +18,7 @@ DISK = "disk(center=(0.4,0.55),radius=0.3)"
 
 @pytest.fixture(autouse=True)
 def small(use_settings):
-    """A quarter of the sets that measure f or a table of it: intervals twice as wide, which methods know."""
+    """Use a quarter of the sets that measure f or its table, so intervals are twice as wide."""
     use_settings(
         table=methods.TableSettings(points=2**20),
         extrapolated=methods.ExtrapolationSettings(near_points=2**18),
@@ -26,7 +26,7 @@ def small(use_settings):
 
 
 def _measured(f, sampler, n, realizations):
-    """Variance of estimates and its standard error, of f alone: no quadrature of f² takes part."""
+    """Return variance of estimates and its standard error, without quadrature of f²."""
     f = mcs.integrand(f, dims=2) if isinstance(f, str) else f
     source = mcs.sampler(sampler, dims=f.dims) if isinstance(sampler, str) else sampler
     found = f(source.draw(n, realizations=realizations, rng=99)).mean(axis=1)
@@ -52,7 +52,7 @@ def test_torus_invariant_sets_are_predicted_within_their_interval(f, sampler, n)
     )
     measured, error = _measured(f, sampler, n, 3200)  # 4 √(2/3200) = 0.1
     assert str(found["method"].values[0]) in ("torus", "moves", "exact")
-    # four standard errors of the reference, beyond the interval of the prediction
+    # Four standard errors of the reference, beyond the interval of the prediction
     assert low - 4 * error < measured < high + 4 * error
     assert abs(value - measured) < max(0.05 * measured, 4 * error)
     assert 0.9 < float(found["energy_share"][0]) <= 1.0
@@ -60,7 +60,7 @@ def test_torus_invariant_sets_are_predicted_within_their_interval(f, sampler, n)
 
 
 def test_wave_under_a_shifted_lattice_is_its_dual_lattice():
-    # f_m = ½ at ±(1, −a): n points of a lattice see all of it or nothing
+    # f_m = ½ at ±(1, −a): n points of a lattice resolve all of it or nothing
     n = 64
     points = mcs.sampler("fibonacci | shift", dims=2)
     n = points.nearest_count(n)
@@ -101,7 +101,7 @@ def test_a_list_of_samplers_and_channels():
     assert found["predicted_variance"].dims == ("sampler", "n", "channel")
     first = found["predicted_variance"].sel(sampler="random").values[0]
     assert first[0] == pytest.approx(0.5 / 16, rel=1e-6)
-    assert np.isnan(first[1])  # of a constant
+    assert np.isnan(first[1])  # The channel is constant
     assert "vanishes" in found.attrs["note"]
 
 
@@ -136,7 +136,7 @@ def test_techniques_add_up_and_dependent_ones_are_measured():
 
 
 def test_jumps_across_many_axes_are_seen_by_scrambles_of_the_set():
-    """Sums of products miss them: 1.49 times the variance, within intervals that reach 0."""
+    """Sums of products miss them: 1.49 times the variance, with intervals that reach 0."""
     sampler, n = "sobol | owen", 300
     f = mcs.Integrand.from_function(lambda x: (x @ np.arange(1.0, 7.0) > 11.3) * 1.0, dims=6)
     with warnings.catch_warnings(record=True) as said:
@@ -146,7 +146,7 @@ def test_jumps_across_many_axes_are_seen_by_scrambles_of_the_set():
     assert str(found["method"].values[0]) == "moves"
     assert str(found["how"].values[0]) == "lms scrambles of the set"
     with warnings.catch_warnings(action="ignore"):
-        # 0.1 + 3 √(2/1500) = 0.21 is less than what was missed
+        # 0.1 + 3 √(2/1500) = 0.21 is less than the part that was missed
         measured, error = _measured(f, sampler, n, 1500)
     variance = float(found["predicted_variance"][0])
     low, high = found["predicted_variance_ci"].values[0]
@@ -164,7 +164,8 @@ def test_jumps_across_many_axes_are_seen_by_scrambles_of_the_set():
     ids=["jump", "kink"],
 )
 def test_sets_that_one_offset_moves_are_moved_where_products_miss_what_f_has(f, sampler, n):
-    """Of the simplex on 16 points of a lattice 0.64 ± 0.26 of the variance; the worst were 6 times off."""
+    """For the simplex on 16 lattice points products gave 0.64 ± 0.26; the worst error was 6
+    times."""
     f = mcs.Integrand.from_function(f, dims=4)
     found = predict(f, sampler, [n])
     how = "digital shifts" if "sobol" in sampler else "offsets of a lattice"
@@ -204,7 +205,7 @@ def test_what_no_theory_predicts_is_extrapolated_and_named():
     ids=["own", "correlated", "oblong"],
 )
 def test_sets_of_any_sampler_measure_a_table(f, sampler, n):
-    """Extrapolation was off by 11 times for the narrow one; a pole that the table cuts widens the interval."""
+    """Extrapolation had an error of 11 times for the narrow one; a cut pole widens the interval."""
     found = predict(mcs.integrand(f, dims=2), sampler, [n], method="table")
     measured, error = _measured(f, sampler, n, 2000)
     low, high = found["predicted_variance_ci"].values[0]
@@ -278,7 +279,7 @@ def _limit(f, sampler, dims, counts=(16, 64, 256, 1024)):
         ("gaussian", "jittered", 1, -3.0),
         ("gaussian", "jittered", 2, -2.0),
         (DISK, "jittered", 2, -1.5),
-        # a function that is not periodic jumps at the border of shifted strata: −1 − 1/d
+        # A function that is not periodic jumps at the border of shifted strata: −1 − 1/d
         ("linear", "jittered | shift", 1, -2.0),
         ("christensen-gaussian", "jittered | shift", 2, -1.5),
         ("linear", "jittered | shift", 2, -1.5),
@@ -294,7 +295,7 @@ def test_limits_are_those_of_theory(f, sampler, dims, limit):
 
 
 def test_a_singularity_has_a_limit_of_its_own():
-    # of x^-1/4, n Var is that of the first stratum and falls like n^-1/2
+    # For x^-1/4, n Var is that of the first stratum and falls like n^-1/2
     f = mcs.integrand("formula(expression='x0**(-0.25)')", dims=1)
     assert _limit(f, "jittered", 1)[0] == pytest.approx(-1.5, abs=0.02)
 
@@ -306,14 +307,14 @@ def test_a_singularity_has_a_limit_of_its_own():
 def test_a_small_jump_bends_the_curve_of_a_smooth_function(sampler, counts):
     """e^x + δ 1(x > a): variances A/n³ of the smooth part and B/n² of the stratum with the jump.
 
-    Strata of 4^k points cut 0.3 at 0.2 or 0.8. Curves of both slopes fit to 15 % in n, as exponents
-    are found to 0.04 (of the grid that is searched) over the 1.5 decades before the bend.
+    Strata of 4^k points cut 0.3 at 0.2 or 0.8. Curves of both slopes fit to 15 % in n, because
+    exponents are accurate to 0.04 (the grid of the search) over the 1.5 decades before the bend.
     """
     height = 0.05
     f = mcs.integrand(f"formula(expression='exp(x0)+{height}*(x0>0.3)')", dims=1)
     limit, bend = _limit(f, sampler, 1, counts)
     smooth, jump = (math.e**2 - 1) / 24, height**2 * 0.2 * 0.8
-    both = height * math.exp(0.3) * 0.2 * 0.8  # twice the covariance of both in this stratum
+    both = height * math.exp(0.3) * 0.2 * 0.8  # Twice the covariance of both in this stratum
     assert limit == pytest.approx(-2.0, abs=1e-9)
     assert bend == pytest.approx((smooth + both) / jump, rel=0.15)
 
@@ -326,11 +327,11 @@ def test_a_peak_bends_where_strata_resolve_it():
 
 
 def test_limits_are_not_known_where_slopes_do_not_agree():
-    """Lattices see half planes at −2.8, −2.0, −0.6 in turn, but never at the −3 of smooth functions."""
+    """Rates of lattices at half-planes are −2.8, −2.0, −0.6 in turn, never −3 as for smooth f."""
     f = mcs.integrand("formula(expression='(x0+x1>1)*1.')", dims=2)
     found = predict(f, "rank1-lattice | shift", [64, 1024])
     assert math.isnan(float(found["limit_rate"]))
-    assert "limit_rate is not known: the last local rates are" in found.attrs["note"]
+    assert "limit_rate is not given; the last local rates are" in found.attrs["note"]
 
 
 def _board(x):
@@ -357,13 +358,13 @@ def _small_disk(x):
         (_board, None, "sobol | digital-shift", [256, 1024], -2.0),
         (_small_step, None, "jittered", [16, 256], -1.5),
         (_small_step, None, "sobol | owen", [16, 256], -2.0),
-        (lambda x: _small_step(x, 0.5), None, "jittered", [16, 256], -2.0),  # at strata borders
+        (lambda x: _small_step(x, 0.5), None, "jittered", [16, 256], -2.0),  # At strata borders
         (_cut_peak, "linear(slope=-1)", "jittered", [16, 256], -1.5),
         (_small_disk, None, "jittered", [16, 256], -1.5),
     ],
 )
 def test_jumps_decide_on_limits(f, density, sampler, counts, limit):
-    """One of n strata is cut across an axis: −2; of strata of the cube n^(1 − 1/d): −1 − 1/d."""
+    """A jump across an axis cuts one of n strata: −2; in cubes n^(1 − 1/d) strata: −1 − 1/d."""
     f = mcs.Integrand.from_function(f, dims=2)
     estimator = mcs.Estimator(f, density) if density else f
     found = predict(estimator, sampler, counts)

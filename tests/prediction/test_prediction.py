@@ -38,10 +38,10 @@ def test_table(b, decay, dims, rate):
 @pytest.mark.parametrize("b", [0.0, 1.0, 2.0, 3.5])
 @pytest.mark.parametrize("excess", [0.5, 1.5, 2.6, 6.0])
 def test_formula_is_the_exponent_of_the_sum(dims, b, excess):
-    """Σ_ρ ρ^(d − 1 − γ) min(1, (ρ/N)^b)/n over integer shells, at large N, by its local slope.
+    """Compare with Σ_ρ ρ^(d − 1 − γ) min(1, (ρ/N)^b)/n over integer shells at large N.
 
-    The other power is smaller by N^-|b − excess|; its share bends the slope by no more than the gap
-    times that share.
+    The other power is smaller by N^-|b − excess|. Its share bends the local slope by at most the
+    gap times that share.
     """
     rho = np.arange(1, 2**19, dtype=float)
     ends = np.array([2.0**11, 2.0**13])
@@ -49,7 +49,7 @@ def test_formula_is_the_exponent_of_the_sum(dims, b, excess):
     slope = np.diff(np.log(sums))[0] / np.log(4)
     gap = abs(b - excess)
     share = 3 * gap * ends[0] ** -gap / max(1e-9, min(b, excess) or 1.0)
-    tail = (2**19 / ends[1]) ** -excess  # the sum ends somewhere
+    tail = (2**19 / ends[1]) ** -excess  # The sum ends somewhere
     expected = (mcs.prediction.predicted_rate(b, dims + excess, dims) + 1) * dims
     assert abs(slope - expected) < share + tail
 
@@ -62,7 +62,7 @@ GAUSSIAN, DISK = "christensen-gaussian", "disk(center=[0.463, 0.517], radius=0.2
     [("step(at=0.31)", 1, 1.0), (DISK, 2, 1.0), (GAUSSIAN, 2, 1.0), ("linear", 1, 1.0)],
 )
 def test_decay_of_jumps(integrand, dims, excess):
-    """d + 1. Ripples sin²(π m a) of a shell of M frequencies leave ½ M^-1/sin(π a) and less."""
+    """γ = d + 1. Ripples sin²(π m a) of a shell of M frequencies leave at most ½ M^-1/sin(π a)."""
     f = mcs.integrand(integrand, dims=dims)
     width = 512 if dims == 1 else 64
     assert mcs.prediction.integrand_decay(f, half_width=width) == pytest.approx(
@@ -71,7 +71,7 @@ def test_decay_of_jumps(integrand, dims, excess):
 
 
 def test_decay_of_a_jump_anywhere_at_the_default_width():
-    """γ = 2 wherever a step lies; at K = 64 these are 1.5 … 2.3. 48 intervals of 95 %: ≤ 9 miss."""
+    """γ = 2 for every step; at K = 64 it is 1.5 … 2.3. At most 9 of 48 intervals may miss."""
     places = np.arange(0.03, 0.98, 0.02)
     fits = [
         mcs.prediction.fitted_decay(mcs.integrand(f"step(at={at:.2f})", dims=1)) for at in places
@@ -80,7 +80,7 @@ def test_decay_of_a_jump_anywhere_at_the_default_width():
     assert np.abs(decay - 2.0).max() < 0.06
     assert all(fit.settled and fit.half_width == 512 for fit in fits)
     missed = sum(not fit.interval[0] <= 2.0 <= fit.interval[1] for fit in fits)
-    assert missed <= 9  # binomial(48, 0.05): more with probability 2e-4
+    assert missed <= 9  # Binomial(48, 0.05): more has probability 2e-4
 
 
 @pytest.mark.parametrize(("integrand", "dims"), [(DISK, 2), (GAUSSIAN, 2), ("linear", 1)])
@@ -92,16 +92,16 @@ def test_interval_of_the_decay_holds_that_of_a_jump(integrand, dims):
 
 
 def test_an_exponent_that_still_grows_is_no_limit():
-    """|f_m|² = exp(−4π²w²m²) with no jump above rounding: locally |m| to the −8π²w²m²."""
+    """|f_m|² = exp(−4π²w²m²) without a jump above rounding has the local exponent −8π²w²m²."""
     narrow = mcs.integrand("gaussian(center=0.5, width=0.05)", dims=1)
-    with pytest.warns(PreasymptoticWarning, match="no limit yet"):
+    with pytest.warns(PreasymptoticWarning, match="has not reached a limit"):
         assert mcs.prediction.integrand_decay(narrow, half_width=16) > 4
     assert not mcs.prediction.fitted_decay(narrow, half_width=16).settled
     assert mcs.prediction.integrand_decay(narrow) == INF
 
 
 def test_zeros_of_the_spectrum_are_no_noise():
-    """Two steps half apart: f_m = 0 at odd m, among them the only one from 4 to 5.7."""
+    """Two steps half apart: f_m = 0 at odd m, which include the only shell from 4 to 5.7."""
     twice = mcs.Integrand.from_function(lambda x: 1.0 * (2 * x[..., 0] % 1 < 0.5), dims=1)
     assert mcs.prediction.integrand_decay(twice, half_width=32) == pytest.approx(2.0, abs=0.6)
 

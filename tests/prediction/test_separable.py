@@ -1,4 +1,4 @@
-"""Sums and products of functions of one axis: curves, and variances that are known in closed form."""
+"""Sums and products of functions of one axis: curves, and variances in closed form."""
 
 import math
 
@@ -8,12 +8,12 @@ from scipy.stats import norm, t
 from tests.prediction.unlimited import predict
 
 import mcspectra as mcs
-from mcspectra.prediction.separable import Curve, separated
+from mcspectra.prediction.separable import PiecewiseCurve, separated
 from mcspectra.samplers import as_sampler
 
 
 def means_of_power(a, place, cells):
-    """Means of |x − place|^-a and of its square over equal cells."""
+    """Return means of |x − place|^-a and of its square over equal cells."""
     ends = np.arange(cells + 1) / cells - place
     return [cells * np.diff(np.sign(ends) * np.abs(ends) ** (1 - e) / (1 - e)) for e in (a, 2 * a)]
 
@@ -21,7 +21,7 @@ def means_of_power(a, place, cells):
 @pytest.mark.parametrize("place", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize("a", [0.1, 0.4, 0.45, 0.49])
 def test_curves_of_poles_have_the_energy_that_doubles_do_not_resolve(a, place):
-    curve = Curve.along(lambda x: np.abs(x - place) ** -a)
+    curve = PiecewiseCurve.along(lambda x: np.abs(x - place) ** -a)
     (mean,), (square,) = means_of_power(a, place, 1)
     assert curve.mean == pytest.approx(mean, rel=1e-9)
     off = abs(curve.square - (square - mean**2))
@@ -41,7 +41,7 @@ def test_curves_of_poles_have_the_energy_that_doubles_do_not_resolve(a, place):
     ],
 )
 def test_curves_of_quantiles_logarithms_jumps_kinks_and_waves(function, mean, square):
-    curve = Curve.along(function)
+    curve = PiecewiseCurve.along(function)
     assert curve.mean == pytest.approx(mean, rel=1e-7)
     assert curve.square + curve.mean**2 == pytest.approx(square, rel=1e-6)
 
@@ -51,14 +51,14 @@ def test_what_is_neither_a_sum_nor_a_product_is_not_taken_for_one():
         lambda x: 1.0 * (((x - 0.5) ** 2).sum(-1) < 0.1),
         lambda x: np.abs(x[..., 0] - x[..., 1]),
         lambda x: np.exp(x.prod(-1)),
-        lambda x: x.sum(-1) + 3.0 * (np.abs(x - 0.5) < 0.01).all(-1),  # a box that few points meet
+        lambda x: x.sum(-1) + 3.0 * (np.abs(x - 0.5) < 0.01).all(-1),  # A box that few points hit
     ):
         assert separated(mcs.Integrand.from_function(f, dims=2)) is None
 
 
 class TestUnbounded:
     def test_latin_hypercubes_of_quantiles(self):
-        """The variance within n strata, and no more: exact at n = 64 is 0.012925."""
+        """The exact variance within n strata at n = 64 is 0.012925."""
 
         def quantiles(x):
             return np.abs(t.ppf(x, 3)).sum(axis=-1)
@@ -81,7 +81,7 @@ class TestUnbounded:
         [(0.4, 0.0, 2, True), (0.45, 1.0, 2, False), (0.3, 0.3, 3, True), (0.4, 0.3, 6, False)],
     )
     def test_powers_in_closed_form(self, sampler, a, place, dims, product):
-        """Cells of one axis have means and mean squares in closed form; nets for sums alone."""
+        """Cells of one axis have closed-form means and mean squares; nets are for sums only."""
         n = 64
 
         def powers(x):
@@ -139,7 +139,7 @@ SAMPLERS = [
 @pytest.mark.parametrize("sampler", SAMPLERS)
 @pytest.mark.parametrize("dims", [3, 6])
 def test_functions_of_one_axis_are_never_refused(sampler, dims):
-    """Sums have the variances of their terms, whatever the dims; n = 64 has the sides 8², 4³ and 2⁶."""
+    """Sums have the variances of their terms in any dims; n = 64 has the sides 8², 4³ and 2⁶."""
     source = as_sampler(sampler, dims)
     n = 49 if sampler == "orthogonal-array" else 64
     alone = []
@@ -194,7 +194,7 @@ LAWS = [
 @pytest.mark.parametrize(("sampler", "n"), LAWS)
 @pytest.mark.parametrize("product", [False, True])
 def test_variances_of_sets_that_are_drawn(sampler, n, product):
-    """4,000 sets: 4.5 standard errors of a sample variance, of 18 tests."""
+    """4,000 sets: 4.5 standard errors of a sample variance, for 18 tests."""
     from mcspectra.prediction.exact import _by_axes
 
     def function(x):

@@ -1,4 +1,4 @@
-"""Predictions in many dims: exact cases, references drawn once, and what is refused."""
+"""Predictions in many dims: exact cases, references drawn once, and rejected input."""
 
 import math
 from functools import cache
@@ -15,13 +15,13 @@ from mcspectra.core.streams import Stream
 from mcspectra.prediction.known import Known
 from mcspectra.prediction.subsets import of_subsets
 
-RESOLVED = 0.01  # relative error of curves with jumps that the method itself allows for
+RESOLVED = 0.01  # Relative error of curves with jumps that the method itself assumes
 STREAM = Stream.from_rng(3)
 
 
 @cache
 def known_of(function, dims):
-    """An integrand of a function of points (…, d), and the facts found about it, which tests share."""
+    """Return an integrand of a function of points (…, d) with its facts, shared by the tests."""
     return Known(mcs.Integrand.from_function(function, dims=dims, integral=0.0))
 
 
@@ -51,7 +51,7 @@ def peaked(x):
 
 @cache
 def exact_of_a_line(spec, n):
-    """Exact variance of e^x in 1-D."""
+    """Return the exact variance of e^x in 1-D."""
     line = mcs.Integrand.from_function(lambda x: np.exp(x[..., 0]), dims=1, integral=0.0)
     return mcs.exact_variance(line, mcs.sampler(spec, dims=1), n)
 
@@ -75,7 +75,7 @@ class TestExact:
         ],
     )
     def test_sums_over_axes(self, sums, spec, n, of_axis):
-        """The variance is the sum of those of the axes, which are exact in 1-D."""
+        """The variance is the sum over the axes, which is exact in 1-D."""
         exact = sum((i + 1) ** 2 * exact_of_a_line(of_axis(i), n) for i in range(5))
         found = predicted(sums, spec, n)
         assert found.variance[0] == pytest.approx(exact, rel=RESOLVED)
@@ -90,7 +90,7 @@ class TestExact:
         ],
     )
     def test_nets_in_three_dims(self, function, spec):
-        """Where gains and Walsh spectra of all cells can still be summed."""
+        """Gains and Walsh spectra of all cells can still be summed here."""
         known = known_of(function, 3)
         exact = mcs.exact_variance(known.g, mcs.sampler(spec, dims=3), 16)
         found = predicted(known, spec, 16)
@@ -98,7 +98,7 @@ class TestExact:
         assert found.error[0] < 0.03 * exact
 
     def test_latin_hypercubes(self):
-        """Every subset v of the axes by itself: those of products are known."""
+        """The subsets v of the axes are known for products."""
         known, n, d = known_of(product, 3), 16, 3
         exact = mcs.exact_variance(known.g, mcs.sampler("latin-hypercube", dims=d), n)
         found = predicted(known, "latin-hypercube", n)
@@ -106,11 +106,11 @@ class TestExact:
 
     @pytest.mark.parametrize("n", [16, 1024])
     def test_latin_hypercubes_keep_the_energy_of_poles(self, n):
-        """(x y)^-0.25: nets see a part of ∫f² alone, and nearly all of it is of single axes."""
+        """(x y)^-0.25: nets resolve a part of ∫f² alone, and nearly all of it is of single axes."""
         f = known_of(poles, 2)
         ends = np.arange(n + 1) / n
         between = (16 / 9) * (n * np.diff(ends**0.75) * 4 / 3) ** 2
-        pairs = 1.0 / (n - 1.0)  # of what both axes vary with from stratum to stratum
+        pairs = 1.0 / (n - 1.0)  # Interaction of both axes from stratum to stratum
         main = between.mean() - (16 / 9) ** 2
         both = ((n * np.diff(ends**0.75) * 4 / 3) ** 2).mean() - 16 / 9
         exact = (4.0 - (16 / 9) ** 2 - 2 * main + pairs * both**2) / n
@@ -130,7 +130,7 @@ class TestExact:
         assert abs(found.variance[0] - exact) <= found.error[0] < 0.03 * exact
 
     def test_jumps_that_nobody_declares(self):
-        """A jump within a cell of n adds p(1 − p) n⁻² of its square: where it is has to be known."""
+        """A jump within a cell of n adds p(1 − p) n⁻² of its square, so its position matters."""
         places = np.array([0.2, 0.45, 0.71, 0.93])
         known, n = known_of(lambda x: (x > places).sum(axis=-1), 4), 1024
         inside = places * n % 1.0
@@ -139,7 +139,7 @@ class TestExact:
         assert found.variance[0] == pytest.approx(exact, rel=0.05)  # 1/64 of a cell, four times
 
     def test_exact_variances_with_a_loose_tolerance(self):
-        """Cells of 64 points in 5-D are too many; sums of products know the variance to 1 %."""
+        """Cells of 64 points in 5-D are too many; sums of products give the variance to 1 %."""
         f = mcs.integrand("formula(expression='exp((x0+x1+x2+x3+x4)/2)+x0')", dims=5)
         sampler = mcs.sampler("sobol | owen", dims=5)
         with pytest.raises(NoClosedForm, match="evaluations"):
@@ -150,7 +150,7 @@ class TestExact:
         error = (high - low) / (2 * 1.96)
         assert abs(found - float(measured.variance[0])) <= 0.01 * found + 4 * error
         with pytest.raises(NoClosedForm, match="evaluations"):
-            mcs.exact_variance(f, sampler, 64, tolerance=1.5e-3)  # finer than curves are known
+            mcs.exact_variance(f, sampler, 64, tolerance=1.5e-3)  # Below the error of the curves
 
 
 class TestReferences:
@@ -165,7 +165,7 @@ class TestReferences:
         assert abs(found.variance[0] - means.var(ddof=1)) <= found.error[0] + 3.5 * spread
 
     def test_what_products_miss(self):
-        """A ball has no short sum of products: the rest is a tail, and the interval knows."""
+        """A ball has no short sum of products: the rest is a tail, which widens the interval."""
         known = known_of(lambda x: ((x - 0.5) ** 2).sum(axis=-1) < 0.4, 5)
         found = predicted(known, "sobol | owen", 64)
         x = mcs.sampler("sobol | owen", dims=5).draw(64, realizations=1000, rng=5)
@@ -178,7 +178,7 @@ class TestReferences:
 
 class TestCost:
     def test_own_points_once(self):
-        """About 2^20 evaluations for all counts and samplers."""
+        """About 2^20 evaluations serve all counts and samplers."""
         calls = 0
 
         def counted(x):
@@ -223,7 +223,7 @@ class TestRefusals:
 
 
 def test_channels():
-    """Each channel is predicted by itself."""
+    """Each channel is predicted separately."""
 
     def both(x):
         return np.stack([additive(x), peaked(x)], axis=-1)
@@ -236,7 +236,8 @@ def test_channels():
 
 
 def test_a_fit_that_runs_away_where_no_point_is_does_not_predict():
-    # Products of twelve axes had a tenth of their energy at the border, and nets six times the variance
+    # Products of twelve axes had a tenth of their energy at the border, and nets six times the
+    # variance
     f = oracles.asian_option(12)
     found = predict(f, "sobol | owen", [256])
     points = mcs.sampler("sobol | owen", dims=12).draw(256, realizations=400, rng=1)
@@ -248,7 +249,7 @@ def test_a_fit_that_runs_away_where_no_point_is_does_not_predict():
 
 
 def test_jumps_in_more_dims_than_boxes_have():
-    """Lines see the jump; in over five dims nothing is cut there, and a prediction is made all the same."""
+    """Lines detect the jump; in over five dims nothing is cut there, but a prediction is made."""
 
     def stepped(x):
         return (x[..., 2] > 0.3) * x[..., 0] + x[..., 5] * x[..., 1]
@@ -263,14 +264,15 @@ def test_jumps_in_more_dims_than_boxes_have():
 
 
 def test_latin_hypercubes_of_a_kink_across_eight_axes_are_what_single_axes_leave():
-    """0.003189 ± 0.000033 was 4 % too much, of g_i that few profiles told.
+    """An earlier value was 4 % above 0.003189 ± 0.000033, due to g_i from few profiles.
 
-    The energy of two axes and more has the weight 1 to n/(n − 1); it follows from densities of sums.
+    Energies of two and more axes have a weight from 1 to n/(n − 1); the reference follows from
+    densities of sums.
     """
     weights, kink, steps, n = np.array([1, 2, 3, 1, 2, 3, 1, 2]), 8.2, 1000, 64
 
     def density(those):
-        """Of Σ w_i x_i, at steps of 1/steps."""
+        """Return the density of Σ w_i x_i at steps of 1/steps."""
         p = np.ones(1)
         for w in those:
             p = fftconvolve(p, np.full(w * steps, 1 / (w * steps)))

@@ -1,4 +1,4 @@
-"""Lattices that are shifted as a whole: sums over dual lattices, offsets, closed forms, measurements."""
+"""Lattices shifted as a whole: dual lattices, offsets, closed forms, measurements."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def moved(f, sampler, n):
 
 
 def unknown(f):
-    """The same function, whose coefficients are not known."""
+    """The same function without known coefficients."""
     return mcs.Integrand.from_function(f, dims=f.dims, integral=f.integral)
 
 
@@ -32,7 +32,7 @@ def unknown(f):
     ("sampler", "dims"), [("rank1-lattice | shift", 2), ("korobov(a=3) | shift", 3)]
 )
 def test_additive_functions_on_lattices(sampler, dims, n):
-    """Each axis has one point in each n-th: x is off by a rectangular error of 1/n."""
+    """Each axis has one point in each n-th, so x has a rectangular error of width 1/n."""
     n = n + 1 if dims == 3 else n  # 3 divides neither of these
     found = predicted(mcs.integrand("linear", dims=dims), sampler, n)
     gradient = mcs.integrand("linear", dims=dims)
@@ -59,7 +59,7 @@ def test_dual_lattices_and_offsets_agree(spec, sampler, n):
     assert "offsets" in offsets.how
     both = np.hypot(dual.error[0], offsets.error[0])
     assert abs(dual.variance[0] - offsets.variance[0]) <= both
-    assert both < 0.05 * dual.variance[0]  # the aim of predictions
+    assert both < 0.05 * dual.variance[0]  # The aim of predictions
 
 
 def test_what_no_dual_vector_meets_has_no_variance():

@@ -1,4 +1,4 @@
-"""Exact variances of functions that no node sees are refused, or within their errors."""
+"""Exact variances of functions that no node resolves are refused, or within their errors."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ from mcspectra.prediction.exact import estimated_variance, of_integrand
 
 
 def _worst(case, sampler, n, sides):
-    """Largest error over the claimed one, of all tolerances; 0 where the variance is refused."""
+    """Return the largest ratio of true to claimed error over tolerances; 0 if refused."""
     g, found = mcs.Estimator(case.integrand()).primary_integrand(0), [0.0]
     for tolerance in (1e-6, 1e-2, 1e-1):
         try:
@@ -33,7 +33,7 @@ def _worst(case, sampler, n, sides):
     ],
 )
 def test_random_points(family, dims):
-    """Without the comparison with integrals these were 0, or wrong by 2e-5 with 1e-6 promised."""
+    """Without comparison with integrals these were 0, or had errors of 2e-5 instead of 1e-6."""
     assert _worst(make(family, dims, 0), "random", 1, ()) <= 1.0
 
 
@@ -47,7 +47,7 @@ def test_jittered_points(family, dims):
 
 @pytest.mark.parametrize("sampler", ["regular | shift", "jittered | shift", "sobol | owen"])
 def test_other_samplers_see_a_slab(sampler):
-    """A point in it with probability 16 · 6e-5, of 16."""
+    """Of 16 points, one is in the slab with probability 16 · 6e-5."""
     f = mcs.Integrand.from_function(lambda x: (np.abs(x[..., 0] - 0.30003) < 3e-5) * 1.0, dims=1)
     found = mcs.exact_variance(f, mcs.sampler(sampler, dims=1), 16)
     assert found == pytest.approx(6e-5 / 16 - 6e-5**2, rel=1e-6)
@@ -90,7 +90,7 @@ def test_jumps_that_are_not_declared_have_variances_to_a_tolerance():
 
 @pytest.mark.parametrize("n", [64, 101])
 def test_latin_hypercubes_by_slabs_hold_their_error(n):
-    """Few evaluations: cells of 1/4 and slabs of 1/64 in place of 64² cells, or slabs alone."""
+    """With few evaluations: cells of 1/4 and slabs of 1/64 instead of 64² cells, or slabs alone."""
     g = mcs.Estimator("disk(center=(0.45, 0.52), radius=0.27)").primary_integrand(0)
     sampler = mcs.sampler("latin-hypercube", dims=2)
     expected, _ = of_integrand(sampler.law(n), g, 1e-6)
@@ -114,7 +114,7 @@ def test_tolerances_out_of_range(tolerance):
 
 
 def _slab(axis, center, width):
-    """x0, and a slab across an axis that holds half of ∫g² or more."""
+    """x0, plus a slab across an axis with at least half of ∫g²."""
     height = width**-0.5
     return mcs.Integrand.from_function(
         lambda x: x[..., 0] + height * (np.abs(x[..., axis] - center) < width / 2), dims=2
@@ -124,13 +124,13 @@ def _slab(axis, center, width):
 @pytest.mark.parametrize(("axis", "center", "width"), [(0, 0.301, 1.47e-4), (1, 0.497, 4.28e-4)])
 @pytest.mark.parametrize("sampler", ["random", "latin-hypercube", "sobol | owen"])
 def test_predictions_see_a_thin_slab(axis, center, width, sampler):
-    """Random points were given a tenth of their variance, with an interval of 1e-12; nets 14 % too much."""
+    """Random points got a tenth of their variance, with an interval of 1e-12; nets 14 % more."""
     height, n = width**-0.5, 64
     if sampler == "random":
         mean = 0.5 + height * width
         across = width * (center if axis == 0 else 0.5)
         expected = (1 / 3 + 2 * height * across + 1 - mean**2) / n
-    else:  # what is left of each axis within its strata; the slab lies in one or two of them
+    else:  # The rest of each axis within its strata; the slab lies in one or two of them
         edges = np.clip(np.arange(n + 1) / n, center - width / 2, center + width / 2)
         low, high = edges[:-1], edges[1:]
         part = (high - low) * n
@@ -148,7 +148,8 @@ def test_predictions_see_a_thin_slab(axis, center, width, sampler):
     [("random", 0), ("jittered", 1), ("latin-hypercube", 1), ("sobol | owen", 0)],
 )
 def test_no_method_is_sure_of_a_ridge_that_points_hardly_hit(sampler, seed):
-    """Scrambled points see a ridge much narrower than their cells as random ones do."""
+    """Scrambled points resolve a ridge much narrower than their cells no better than random
+    ones."""
     case = make("ridge", 2, seed)
     assert case.volume < 1e-4
     expected = case.variance((4, 4)) if sampler == "jittered" else case.variance(()) / 16
@@ -220,7 +221,7 @@ def test_errors_of_a_function_are_named_as_its_own():
 
 @pytest.mark.parametrize("exponent", [0.1, 0.2, 0.3, 0.4])
 def test_square_integrals_of_poles_that_cross_lie_within_their_errors(exponent):
-    """Levels of (xy)^-2a shrink as k r^k: one step of the series was claimed, 5.9e-5 where 7.9e-5 is true."""
+    """Levels of (xy)^-2a shrink as k r^k: the claimed error was 5.9e-5, the true one 7.9e-5."""
     f = mcs.integrand(f"formula(expression='(x0*x1)**-{exponent}')", dims=2)
     value, error = square_integral(f)
     assert abs(value[0] - (1.0 - 2.0 * exponent) ** -2.0) <= error[0] < 0.05 * value[0]

@@ -1,4 +1,4 @@
-"""`mcspectra.predict` with as many evaluations of a function as the methods take."""
+"""`mcspectra.predict` without a limit on evaluations of a function."""
 
 from functools import partial
 

@@ -293,12 +293,14 @@ def test_the_answer_is_the_least_error_that_is_significant_and_unbiased():
     assert str(answer(setups, why="Jumps are many.")) == f"{text} Cause: jumps are many."
     assert "Cause" not in str(answer(setups, why="No jump was found."))
     slow = {"sobol": setups["sobol"], "random": random.assign(rate=-1.0)}
-    assert "; random would need about 1600 (1100 to 2300) evaluations for it" in str(answer(slow))
+    assert "; random would need about 1600 (1100 to 2300) evaluations for the same RMSE" in str(
+        answer(slow)
+    )
     for other in (
         measured([0.02, 0.0099]),  # not significantly less
         measured([0.02, 0.0001], mean=1.1),  # another mean
         measured([0.0, 0.0]),  # no variance between realizations
     ):
         found = answer({"random": random, "other": other})
-        assert str(found) == "Keep random: nothing that was tried is surely better."
+        assert str(found) == "Keep random: no tested change is significantly better."
     assert not answer({"random": random})

@@ -266,8 +266,8 @@ def test_a_camera_with_a_lens_is_mentioned(tree):
 
 def test_sentences_name_jumps_bottleneck_and_remedy(tree):
     said = dict(pixel_sentences(tree))
-    assert "of all lines through the cube meet a jump of g" in said["light"]
-    assert "wraps around: to it g jumps there" in said["light"]
+    assert "of all lines through the cube cross a discontinuity of the integrand" in said["light"]
+    assert "wraps around, so the integrand is discontinuous there" in said["light"]
     assert said["bottleneck"] == bottleneck_sentence(tree)
     assert said["remedies"] == tree["remedies"].attrs["answer"]
     resolved = [r for r in pixel_rows(tree) if r.rate and r.rate_high - r.rate_low <= 1]
@@ -280,10 +280,10 @@ def test_light_missed_by_a_strategy_is_mentioned(tree):
     changed = tree.copy()
     curves = tree["convergence"].to_dataset()
     spec = str(curves["spec"].sel(strategy="bsdf").values)
-    note = f"{spec} with random: none of the estimates varies at n = 4"
+    note = f"{spec} with random: all estimates are equal at n = 4"
     changed["convergence"] = xr.DataTree(curves.assign_attrs(note=note))
     said = dict(pixel_sentences(changed))
-    assert said["not met"] == "bsdf with random: none of the estimates varies at n = 4"
+    assert said["not met"] == "bsdf with random: all estimates are equal at n = 4"
 
 
 def test_an_unresolved_steepest_rate_is_not_a_finding(tree):

@@ -1,4 +1,4 @@
-"""Estimators: an integrand with the way its samples are placed and weighted."""
+"""Estimators: an integrand combined with a method of placing and weighting samples."""
 
 import lazy_loader
 

@@ -1,9 +1,9 @@
-"""The interface of estimators: techniques, each a warp, a weight and an integrand.
+"""The interface of estimators: techniques, each with a warp, a weight and an integrand.
 
 An estimator with techniques t = 0 … T−1 draws n_t = n · counts[t] points u_tk of a sampler for each
-and returns I = Σ_t (1/n_t) Σ_k g_t(u_tk). Two views of it are analyzed:
+technique and returns I = Σ_t (1/n_t) Σ_k g_t(u_tk). Two views of it are analyzed:
 
-* *primary space*: integrands g_t on the unit cube with the sampler's own points;
+* *primary space*: the integrands g_t on the unit cube, with the sampler's own points;
 * *domain*: one integrand f with all warped points x_tk = T_t(u_tk), weighted w_t/(p_t n_t), so that
   I = Σ_tk weight_tk f(x_tk).
 """
@@ -52,14 +52,14 @@ __all__ = [
 
 
 class AbstractEstimator(ABC):
-    """An estimator of an integral, to be combined with any sampler.
+    """An estimator of an integral, which can be combined with any sampler.
 
     Attributes
     ----------
     counts
-        Points of each technique as multiples of n.
+        Number of points of each technique as a multiple of n.
     sets
-        How the point sets of the techniques belong together: `mcspectra.estimators.sets`.
+        Relation between the point sets of the techniques; see `mcspectra.estimators.sets`.
     """
 
     counts: tuple[int, ...]
@@ -79,12 +79,12 @@ class AbstractEstimator(ABC):
 
     @property
     def dims(self) -> int:
-        """Number of dims of the sampler that it needs."""
+        """Number of dims that the sampler must have."""
         return self.primary_integrand().dims
 
     @property
     def domain_dims(self) -> int:
-        """Number of dims of the domain view; without one, `dims` of primary space."""
+        """Number of dims of the domain view, or `dims` without a domain view."""
         return self.dims if self.domain_integrand is None else self.domain_integrand.dims
 
     @property
@@ -110,7 +110,7 @@ class AbstractEstimator(ABC):
 
     @property
     def integral_error(self) -> float:
-        """Standard error of `integral`, or an estimate of its absolute error; 0 where it is exact."""
+        """Standard error of `integral`, or its estimated absolute error; 0 if it is exact."""
         f = self.domain_integrand
         return sum(
             integral_accuracy(g)[1] for g in ([f] if f is not None else self._every_primary())
@@ -118,11 +118,11 @@ class AbstractEstimator(ABC):
 
     @property
     def is_black_box(self) -> bool:
-        """Whether a call of one of its integrands may be dear: `Integrand.is_black_box`."""
+        """Whether a call of one of its integrands may be expensive (`Integrand.is_black_box`)."""
         return any(g.is_black_box for g in self._every_primary())
 
     def known_integral(self) -> tuple[Any, float, str]:
-        """`integral`, `integral_error`, `integral_source`; NaN where they take calls of a black box."""
+        """Return `integral`, its error and source; NaN if it would need calls of a black box."""
         if self.is_black_box and self.integral_source != "exact":
             unknown = np.full(self.channels, np.nan) if self.channels else np.nan
             return unknown, math.nan, "unknown"
@@ -130,7 +130,7 @@ class AbstractEstimator(ABC):
 
     @property
     def domain_integrand(self) -> Integrand | None:
-        """The integrand f of the domain view, None where the techniques share no domain."""
+        """Integrand f of the domain view, or None if the techniques share no domain."""
         return None
 
     @property
@@ -140,22 +140,22 @@ class AbstractEstimator(ABC):
 
     @property
     def evaluations_per_point(self) -> int:
-        """Evaluations of the function underneath for each sample."""
+        """Evaluations of the underlying function per sample."""
         f = self.domain_integrand
         return 1 if f is None else f.evaluations_per_point
 
     @property
     def cost(self) -> int:
-        """Evaluations of the function underneath for each of n points of all techniques."""
+        """Evaluations of the underlying function per n, summed over the techniques."""
         return sum(self.counts) * self.evaluations_per_point
 
     @property
     def pilot_evaluations(self) -> int:
-        """Evaluations that were spent on a pilot, before any sample."""
+        """Evaluations that a pilot took before any sample."""
         return 0
 
     def primary_integrand(self, technique: int = 0) -> Integrand:
-        """The integrand g_t of the primary view, the same object each time: it keeps what was computed for it."""
+        """Return g_t of the primary view, cached because it stores results of quadrature."""
         if technique not in self._primaries:
             self._primaries[technique] = self._primary(technique)
         return self._primaries[technique]
@@ -172,31 +172,31 @@ class AbstractEstimator(ABC):
         """Make g_t."""
 
     def primary_breaks(self, technique: int) -> Breaks:
-        """Where g_t may jump or kink, along each axis of primary space."""
+        """Return positions where g_t may jump or kink, along each axis of primary space."""
         raise NotImplementedError
 
     @abstractmethod
     def primary_values(self, technique: int, u: Array) -> Array:
-        """g_t at primary points u (..., d): float64 (...) or (..., channels)."""
+        """Return g_t at primary points u (..., d): float64 (...) or (..., channels)."""
 
     def warp(self, technique: int, u: Array) -> Array:
-        """Domain points T_t(u)."""
+        """Return domain points T_t(u)."""
         raise NotImplementedError
 
     def weight(self, technique: int, x: Array) -> Array:
-        """Weights w_t(x)/p_t(x) of domain points of technique t."""
+        """Return weights w_t(x)/p_t(x) of domain points of technique t."""
         raise NotImplementedError
 
     def randomized(self, sampler: Sampler) -> Sampler:
-        """The sampler that `draw` uses: `sampler`, or `sampler` with randomizations added."""
+        """Return the sampler that `draw` uses: `sampler`, possibly with more randomizations."""
         return sampler
 
     def law(self, sampler: Sampler, n: int) -> Law:
-        """The law of the points of the first technique."""
+        """Return the law of the points of the first technique."""
         return self.randomized(sampler).law(set_sizes(self.sets, self.counts, n)[0])
 
     def check_sampler(self, sampler: Sampler, n: int) -> None:
-        """Raise unless `sampler` fits in dims and can draw every technique's count."""
+        """Raise unless `sampler` has the right dims and can draw every technique's count."""
         if sampler.dims != self.dims:
             raise ParameterError(
                 f"The estimator {self.spec} needs a sampler in {self.dims} dims; "
@@ -204,8 +204,9 @@ class AbstractEstimator(ABC):
             )
         if not sampler.independent:
             warn(
-                f"The realizations of {sampler.spec} are the pixels of one image, not independent: "
-                "their variance is that within one image, and its interval may be too narrow or wide.",
+                f"The realizations of {sampler.spec} are the pixels of one image, not "
+                "independent: the reported variance is the variance within one image, and its "
+                "interval may be too narrow or too wide.",
                 DependentRealizationsWarning,
             )
         for technique, size in enumerate(set_sizes(self.sets, self.counts, n)):
@@ -234,17 +235,17 @@ class AbstractEstimator(ABC):
     def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:
         """Draw realizations first … first+count−1 for each technique: arrays (count, n_t, d).
 
-        The first technique uses `stream` itself: it gets the points of ``sampler.draw(n, rng)``. How
-        the sets of the others belong to it: `mcspectra.estimators.sets`.
+        The first technique uses `stream` itself, so it gets the points of ``sampler.draw(n, rng)``.
+        See `mcspectra.estimators.sets` for the sets of the other techniques.
         """
         return draw_sets(self.sets, self.counts, sampler, n, stream, first, count)
 
     def estimate(self, points: list[Array]) -> Array:
-        """Estimates from primary points of each technique: float64 (R,) or (R, channels)."""
+        """Return estimates from primary points of each technique: (R,) or (R, channels)."""
         return self.estimate_of(self.primary_values(t, u) for t, u in enumerate(points))
 
     def estimate_of(self, values: Iterable[Array]) -> Array:
-        """Estimates from the primary values of each technique, (R, n) or (R, n, channels)."""
+        """Return estimates from the primary values of each technique, (R, n[, channels])."""
         total: Any = 0.0
         for each in values:
             total = total + each.mean(axis=1)
@@ -253,7 +254,7 @@ class AbstractEstimator(ABC):
         return np.asarray(total)
 
     def weighted_points(self, points: list[Array]) -> tuple[Array, Array]:
-        """Domain points (R, Σn_t, d) and weights w_t/(p_t n_t) (R, Σn_t)."""
+        """Return domain points (R, Σn_t, d) and weights w_t/(p_t n_t) (R, Σn_t)."""
         xs, weights = [], []
         for technique, u in enumerate(points):
             x = self.warp(technique, u)
@@ -262,7 +263,7 @@ class AbstractEstimator(ABC):
         return np.concatenate(xs, axis=1), np.concatenate(weights, axis=1)
 
     def moments(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> Moments:
-        """Moments of `count` estimates over realizations."""
+        """Return moments of `count` estimates over realizations."""
         return Moments.of(self.estimate(self.draw(sampler, n, stream, first, count)))
 
 
@@ -279,7 +280,7 @@ class DomainEstimator(AbstractEstimator):
 
     @property
     def dims(self) -> int:
-        """Number of dims of f: those of the sampler, unless a warp takes more."""
+        """Number of dims of the sampler: the dims of f, unless a warp needs more."""
         return self.integrand.dims
 
     @property
@@ -313,7 +314,7 @@ class PrimaryIntegrand(Derived):
     Attributes
     ----------
     density
-        p_t; None where points choose their technique.
+        p_t; None if each point selects its technique.
     """
 
     name: ClassVar[str] = "primary"
@@ -329,7 +330,7 @@ class PrimaryIntegrand(Derived):
 
     @property
     def breaks(self) -> Breaks:
-        """Discontinuities of f, of the warp and of the weights, carried to primary space."""
+        """Discontinuities of f, of the warp and of the weights, mapped to primary space."""
         return self.estimator.primary_breaks(self.technique)
 
     def _evaluate(self, x: Array) -> Array:
@@ -341,7 +342,7 @@ class PrimaryIntegrand(Derived):
 
 
 def carried_breaks(integrand: Integrand, density: Density, weights: Sequence[float] = ()) -> Breaks:
-    """Breaks of a warp and, in 1-D, those of f and of weights through the inverse warp."""
+    """Return breaks of a warp and, in 1-D, breaks of f and of weights mapped by its inverse."""
     own = density.breaks
     inner = (*integrand.breaks[0], *weights)
     if density.primary_dims > 1 or not inner:
@@ -352,18 +353,18 @@ def carried_breaks(integrand: Integrand, density: Density, weights: Sequence[flo
 
 @runtime_checkable
 class Weighted(Protocol):
-    """An estimator whose techniques are combined by a heuristic, which can be another."""
+    """An estimator whose techniques a heuristic combines; the heuristic can be replaced."""
 
     counts: tuple[int, ...]
 
     def with_heuristic(self, heuristic: str) -> AbstractEstimator:
-        """The same techniques, counts and sets with the heuristic of this spec."""
+        """Return the same techniques, counts and sets with the heuristic of this spec."""
 
     def alone(self, technique: int) -> AbstractEstimator:
-        """One technique without the others."""
+        """Return the estimator of one technique alone."""
 
     def technique_name(self, technique: int) -> str:
-        """Name of a technique."""
+        """Return the name of a technique."""
 
 
 def check_counts(counts: Any, techniques: int) -> tuple[int, ...]:
@@ -374,6 +375,6 @@ def check_counts(counts: Any, techniques: int) -> tuple[int, ...]:
     if len(values) != techniques:
         raise ParameterError(
             Parameter("counts"),
-            f" is {counts!r:.60}; give one number for each technique, {techniques} in all.",
+            f" is {counts!r:.60}; give one number for each technique ({techniques}).",
         )
     return tuple(as_integer(f"counts[{i}]", c, least=1) for i, c in enumerate(values))

@@ -1,18 +1,18 @@
-"""Color: every channel importance-sampled by its own density, or all by one density.
+"""Color: importance sampling of each channel by its own density, or of all by one density.
 
-One density for all channels, such as the density of the luminance, gives f_c/p jumps where p jumps
-and f_c does not; a density for each channel removes them, and the rest of f_c sets the rate.
-Four ways, made side by side by `channel_estimators`:
+With one density for all channels, such as the luminance's, f_c/p jumps where p jumps and f_c does
+not. A density for each channel removes these jumps, and the rest of f_c sets the rate.
+`channel_estimators` makes four methods:
 
 ``one``
-    All channels with the points of one density (the luminance's): n evaluations of f.
+    All channels use the points of one density (the luminance's): n evaluations of f.
 ``own``
-    Channel c with n independent points of its density p_c: C n evaluations.
+    Channel c uses n independent points of its density p_c: C n evaluations.
 ``shared``
-    The same with one set of primary points, warped by each density: C n evaluations, no fewer,
-    but errors of the channels that go together, so that noise has less color.
+    One set of primary points is warped by each density: C n evaluations as well, but the errors of
+    the channels are correlated, so noise has less color.
 ``mis``
-    All points of all densities for all channels, balance heuristic: C n evaluations.
+    All points of all densities serve all channels, with the balance heuristic: C n evaluations.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ _SETS = ("independent", "shared")
 
 @final
 class ChannelSampling(DomainEstimator):
-    """Channel c estimated with a density of its own, I_c = (1/n) Σ_k f_c(x_ck)/p_c(x_ck).
+    """Each channel estimated with its own density, I_c = (1/n) Σ_k f_c(x_ck)/p_c(x_ck).
 
-    A technique is a channel. There is no common domain: the spectra of the channels' points differ, and
-    analyses work in primary space.
+    A technique is a channel. There is no common domain, because the spectra of the channels' points
+    differ. Analyses work in primary space.
 
     Parameters
     ----------
@@ -58,16 +58,17 @@ class ChannelSampling(DomainEstimator):
     densities
         p_c, one for each channel, or their spec strings.
     sets
-        ``"independent"``: each channel has points of its own; ``"shared"``: all warp the same ones.
+        ``"independent"`` gives each channel its own points; ``"shared"`` warps one set for all.
     dims
         Number of dims for spec strings without ``dims``.
 
     Raises
     ------
     DensityError
-        A density is zero at points where its channel is not.
+        If a density is zero at points where its channel is not.
     ParameterError
-        f is scalar, densities of another number than channels, different dims, unknown sets.
+        If f is scalar, the numbers of densities and channels differ, the dims differ, or `sets` is
+        unknown.
     """
 
     def __init__(
@@ -92,24 +93,24 @@ class ChannelSampling(DomainEstimator):
 
     @property
     def domain_integrand(self) -> None:
-        """None: each channel has weighted points of its own."""
+        """None, because each channel has its own weighted points."""
         return
 
     def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:
-        """Draw a set for each channel, or one for all."""
+        """Draw a set for each channel, or one set for all."""
         if self.sets == "independent":
             return super().draw(sampler, n, stream, first, count)
         return [sampler.draw_stream(n, stream, first, count)] * len(self.densities)
 
     def _primary(self, technique: int) -> Integrand:
-        """g_c(u) = f_c(T_c(u))/p_c(T_c(u)) in channel c, 0 in the others."""
+        """Return g_c(u) = f_c(T_c(u))/p_c(T_c(u)) in channel c, 0 in the others."""
         return PrimaryIntegrand(self, technique, self.integrand, self.densities[technique])
 
     def primary_breaks(self, technique: int) -> Breaks:
         return carried_breaks(self.integrand, self.densities[technique])
 
     def primary_values(self, technique: int, u: Array) -> Array:
-        """g_c(u): (..., channels), 0 in all channels but one."""
+        """Return g_c(u): (..., channels), 0 in all channels but one."""
         x = self.densities[technique].sample(u)
         values = np.zeros((*u.shape[:-1], self.channels))
         own = self.integrand(x)[..., technique]
@@ -125,24 +126,25 @@ def channel_estimators(
     *,
     dims: int | None = None,
 ) -> dict[str, AbstractEstimator]:
-    """Make the ways of sampling a color integrand, to be compared by `mcspectra.convergence`.
+    """Make estimators of a color integrand, to be compared by `mcspectra.convergence`.
 
     Parameters
     ----------
     integrand
         f with C channels, or its spec string.
     densities
-        One for each channel.
+        One density for each channel.
     one
-        A density for all channels, such as the luminance's; None leaves that way out.
+        A density for all channels, such as the luminance's; None omits this method.
     dims
         Number of dims for spec strings without ``dims``.
 
     Returns
     -------
     dict
-        ``one`` (if given), ``own``, ``shared`` and ``mis``: see the module. At n points a technique the
-        last three evaluate f C n times, ``one`` n times: compare them at equal Σ counts · n.
+        ``one`` (if given), ``own``, ``shared`` and ``mis``; see the module. With n points per
+        technique the last three evaluate f C n times and ``one`` n times, so compare them at equal
+        Σ counts · n.
 
     Examples
     --------
@@ -150,7 +152,7 @@ def channel_estimators(
     >>> f = mcs.Integrand.from_function(
     ...     lambda x: np.concatenate([1 + x, 2 - x], axis=-1), dims=1, integral=[1.5, 1.5]
     ... )
-    >>> ways = mcs.estimators.channel_estimators(f, ["linear(slope=0.5)", "linear(slope=-0.5)"], "uniform")
+
     >>> list(ways)
     ['one', 'own', 'shared', 'mis']
     """
@@ -165,7 +167,7 @@ def channel_estimators(
 def _matched(
     integrand: Integrand | str, densities: Sequence[Density | str], dims: int | None
 ) -> tuple[Integrand, tuple[Density, ...]]:
-    """The integrand with a density for each channel."""
+    """Return the integrand with a density for each channel."""
     parts = densities if isinstance(densities, list | tuple) else ()
     f = as_integrand(integrand, known_dims(dims, integrand, *parts))
     if parts and f.channels != len(parts):

@@ -1,18 +1,19 @@
 """Heuristics of multiple importance sampling: how the techniques share an integrand.
 
-A heuristic gives weights w_t(x) that sum to 1 wherever any technique can sample; I is estimated by
-Σ_t (1/n_t) Σ_k w_t f/p_t [VeachGuibas1995]_. With q_t = n_t p_t, and the names of [Veach1997]_ §9.2:
+A heuristic gives weights w_t(x) that sum to 1 wherever any technique can sample. The estimator is
+I = Σ_t (1/n_t) Σ_k w_t f/p_t [VeachGuibas1995]_. With q_t = n_t p_t and the names of [Veach1997]_
+§9.2:
 
-* ``balance``: w_t = q_t / Σ_s q_s. No other weights have a variance of random points that is lower
-  by more than (1/min n_t − 1/Σ n_t) I² (his Theorem 9.2); that bound holds for weights ≥ 0.
-* ``power(beta=2)``: w_t = q_t^β / Σ_s q_s^β. β = 0 shares equally, β → ∞ is `maximum`.
+* ``balance``: w_t = q_t / Σ_s q_s. With random points, no other weights ≥ 0 have a variance that is
+  lower by more than (1/min n_t − 1/Σ n_t) I² (his Theorem 9.2).
+* ``power(beta=2)``: w_t = q_t^β / Σ_s q_s^β. β = 0 gives equal shares, β → ∞ is `maximum`.
 * ``cutoff(alpha=0.1)``: balance among techniques with q_t ≥ α max_s q_s, 0 for the others.
-* ``maximum``: all to the largest q_t; ties are shared equally, so that it is ``cutoff(alpha=1)``.
+* ``maximum``: weight 1 for the largest q_t. Ties share equally, as in ``cutoff(alpha=1)``.
 
-``optimal`` and ``variance-aware`` need to know f, from a pilot. That is a quadrature, or random points
-that the estimate does not use: either way the weights do not depend on the estimate's own samples, which
-keeps it unbiased. (The progressive estimator of [Kondapaneni2019]_, which solves for α from the samples that
-it weights, is consistent but biased, and is not offered.)
+``optimal`` and ``variance-aware`` use f, through a pilot: a quadrature, or random points that the
+estimate does not use. The weights do not depend on the estimate's own samples, so the estimate
+stays unbiased. (The progressive estimator of [Kondapaneni2019]_ solves for α from the samples that
+it weights. It is consistent but biased, and not implemented.)
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ __all__ = [
     "Maximum",
     "Optimal",
     "Pilot",
-    "Power",
+    "PowerHeuristic",
     "Residual",
     "VarianceAware",
     "as_heuristic",
@@ -53,30 +54,32 @@ __all__ = [
 
 _GRID = 2049
 _BISECTIONS = 45
-_EDGE = 1e-12  # from the ends of [0,1], where there are breaks anyway
+_EDGE = 1e-12  # Distance from the ends of [0,1] within which breaks are dropped
 
 _MOST_SAMPLES = 2**22
-_SINGULAR = 1e-10  # relative; densities that differ by less share one α
-_MOST_FACTOR = 1e8  # v_t = 1 + μ²/σ² of a technique whose samples are all alike, instead of ∞
-_FEW_CELLS = 2**12  # whether an integral diverges shows long before its value is known
+_SINGULAR = 1e-10  # Relative singular value below which densities share one α
+# Cap of v_t = 1 + μ²/σ² for a technique whose samples are all equal
+_MOST_FACTOR = 1e8
+# Cells of an integral that is only tested for divergence, which shows long before its value
+_FEW_CELLS = 2**12
 
 
 class Heuristic(Component, ABC):
-    """A rule that combines techniques: `ratio` gives weights from q_t, `fit` from f and p_t."""
+    """A rule that combines techniques: `ratio` gives weights from q_t, `fit` uses f and p_t."""
 
     @property
     def bounded(self) -> bool:
-        """Whether w_t/p_t is bounded as soon as one density is bounded from below."""
+        """Whether w_t/p_t is bounded if at least one density is bounded from below."""
         return True
 
     @property
     def smooth(self) -> bool:
-        """Whether weights are as smooth as the densities; if not, they jump to 0."""
+        """Whether weights are as smooth as the densities; otherwise they jump to 0."""
         return True
 
     @property
     def pilot_evaluations(self) -> int:
-        """Evaluations of f for points of a pilot; 0 where weights do not look at f."""
+        """Evaluations of f at the points of a pilot; 0 if weights do not depend on f."""
         return 0
 
     def fit(
@@ -90,12 +93,12 @@ class Heuristic(Component, ABC):
         return Combination(self, tuple(densities), tuple(map(float, shares)))
 
     def adapt(self, pilot: Pilot) -> tuple[tuple[float, ...], Array | None]:
-        """Return `shares` and `control` of the `Combination` that suits the values of a pilot."""
+        """Return `shares` and `control` of the `Combination` that a pilot suggests."""
         return tuple(map(float, pilot.shares)), None
 
     @abstractmethod
     def ratio(self, q: Array, technique: int) -> Array:
-        """w_t/q_t for q (T, ...) of all techniques: (...), 0 where all q are."""
+        """Return w_t/q_t (...) for q (T, ...) of all techniques, 0 where all q are 0."""
 
 
 HEURISTICS = Registry(
@@ -103,7 +106,8 @@ HEURISTICS = Registry(
     "mcspectra.heuristics",
     classes_of(
         {
-            "estimators.heuristics": "Balance Cutoff Maximum Optimal Power VarianceAware",
+            "estimators.heuristics": "Balance Cutoff Maximum Optimal power=PowerHeuristic "
+            "VarianceAware",
         }
     ),
     base=Heuristic,
@@ -114,15 +118,15 @@ HEURISTICS = Registry(
 class Pilot(ABC):
     """Interface to f and all p_t at sampled points, for heuristics that use f.
 
-    Points are rows of an array that only the pilot itself reads: of a domain that the techniques
-    share, or records of what a renderer found along a path.
+    Points are rows of an array that only the pilot interprets: points of a shared domain, or
+    records of a renderer's path.
 
     Attributes
     ----------
     shares
         n_t up to a common factor, (T,).
     channels
-        Channels of f, 0 if it is scalar.
+        Number of channels of f, 0 if it is scalar.
     """
 
     shares: Array
@@ -130,18 +134,18 @@ class Pilot(ABC):
 
     @abstractmethod
     def points(self, technique: int, count: int, seed: int) -> Array:
-        """Random points of a technique: (count, …)."""
+        """Return random points of a technique: (count, …)."""
 
     @abstractmethod
     def pdfs(self, x: Array) -> Array:
-        """p_t at k points: (T, k)."""
+        """Return p_t at k points: (T, k)."""
 
     @abstractmethod
     def values(self, x: Array) -> Array:
-        """f at k points: (k, channels), with one channel for scalars."""
+        """Return f at k points: (k, channels), with one channel for scalars."""
 
     def system(self, x: Array) -> Array:
-        """p_s p_t/q and f p_s/q side by side: (k, T, T + C)."""
+        """Return p_s p_t/q and f p_s/q, concatenated: (k, T, T + C)."""
         p = self.pdfs(x)
         q = self.shares @ p
         over = np.divide(p, q, out=np.zeros_like(p), where=q > 0)
@@ -149,19 +153,19 @@ class Pilot(ABC):
         return np.asarray(over.T[:, :, None] * right[:, None, :])
 
     def moments(self, x: Array) -> Array:
-        """Integrands f and f²/p_t of the moments where p_t > 0, f the mean of the channels: (k, T, 2)."""
+        """Return f and f²/p_t where p_t > 0, for f averaged over channels: (k, T, 2)."""
         p = self.pdfs(x).T
         f = np.broadcast_to(self.values(x).mean(axis=1)[:, None], p.shape)
         square = np.divide(f * f, p, out=np.zeros_like(p), where=p > 0)
         return np.stack([np.where(p > 0, f, 0.0), square], axis=-1)
 
     def quadrature(self, function: Callable[[Array], Array]) -> Array:  # noqa: ARG002
-        """Integrals of `system` or `moments` over the domain that the techniques share.
+        """Return integrals of `system` or `moments` over the domain that the techniques share.
 
         Raises
         ------
         ParameterError
-            The techniques share no domain.
+            If the techniques share no domain.
         """
         raise ParameterError(
             "These techniques share no domain to integrate over; give pilot='samples'."
@@ -171,19 +175,19 @@ class Pilot(ABC):
 @final
 @dataclass(frozen=True, eq=False)
 class Combination:
-    """Weights of one estimator: a heuristic that knows its densities.
+    """Weights of one estimator: a heuristic with its densities.
 
     Attributes
     ----------
     heuristic
-        Gives w_t from q_t = shares[t] p_t.
+        Rule for w_t from q_t = shares[t] p_t.
     densities
         p_t.
     shares
         n_t up to a common factor, times the factors of `variance-aware`.
     control
-        α_t (T,), or (T, channels), where Σ_t α_t p_t is taken off f and Σ_t α_t added to the
-        estimate (`optimal`); None where there is no such control variate.
+        α_t (T,) or (T, channels) for the control variate of `optimal`, else None. Σ_t α_t p_t is
+        subtracted from f and Σ_t α_t added to the estimate.
     """
 
     heuristic: Heuristic
@@ -192,7 +196,7 @@ class Combination:
     control: Array | None = None
 
     def over_density(self, technique: int, x: Array) -> Array:
-        """w_t/p_t at points x (..., d): (...)."""
+        """Return w_t/p_t at points x (..., d): (...)."""
         q = np.stack([c * p.pdf(x) for c, p in zip(self.shares, self.densities, strict=True)])
         return np.asarray(self.shares[technique] * self.heuristic.ratio(q, technique))
 
@@ -200,15 +204,15 @@ class Combination:
     def infinite(self) -> bool:
         """Whether ∫ Σ_t (w_t/p_t)² p_t diverges, so that Var(S_0) is infinite.
 
-        One ∫1/p_t that converges is enough for weights that are `Heuristic.bounded`. Where none does,
-        the densities may still cover for one another, as two that are 0 at opposite ends.
+        One convergent ∫1/p_t is enough for `Heuristic.bounded` weights. If all diverge, the
+        densities may still complement each other, such as two that are 0 at opposite ends.
         """
         finite = [math.isfinite(p.reciprocal_integral()) for p in self.densities]
         if all(finite) or (any(finite) and self.heuristic.bounded):
             return False
 
         def second_moment(x: Array) -> Array:
-            """Σ_t (w_t/p_t)² p_t at points x (..., d): (...)."""
+            """Return Σ_t (w_t/p_t)² p_t at points x (..., d): (...)."""
             pdfs = [density.pdf(x) for density in self.densities]
             with np.errstate(divide="ignore", over="ignore"):
                 parts = [self.over_density(t, x) ** 2 * pdf for t, pdf in enumerate(pdfs)]
@@ -218,15 +222,16 @@ class Combination:
         return not math.isfinite(mean_or_infinity(second_moment, dims, most_cells=_FEW_CELLS))
 
     def weights(self, x: Array) -> Array:
-        """w_t at points x (..., d): (T, ...), which sum to 1 where any density is positive."""
+        """Return w_t at points x (..., d): (T, ...); the sum is 1 where a density is positive."""
         techniques = range(len(self.densities))
         return np.stack([self.over_density(t, x) * self.densities[t].pdf(x) for t in techniques])
 
     @cached_property
     def breaks(self) -> tuple[float, ...]:
-        """Points of the domain where the weights may jump or kink: in 1-D only, else empty.
+        """Points of a 1-D domain where the weights may jump or kink; empty in more dims.
 
-        Crossings of densities are found on a grid of 2049 points: two within a cell are missed.
+        Crossings of densities are found on a grid of 2049 points. Two crossings in one cell are
+        missed.
         """
         if self.densities[0].dims > 1:
             return ()
@@ -237,7 +242,7 @@ class Combination:
         def active(x: Array) -> Array:
             return np.stack([self.over_density(t, x) > 0 for t in range(len(self.densities))])
 
-        # Bisect to where the set of techniques with a weight changes
+        # Bisect for the points where the set of techniques with a positive weight changes
         grid = np.linspace(0.0, 1.0, _GRID)[:, None]
         changes = (active(grid[:-1]) != active(grid[1:])).any(axis=0)
         low, high = grid[:-1][changes], grid[1:][changes]
@@ -248,15 +253,15 @@ class Combination:
         return tuple(sorted(found | set(high[:, 0].tolist())))
 
     def offset(self, x: Array) -> Array:
-        """Σ_t α_t p_t at points x (..., d): (...) or (..., channels)."""
-        assert self.control is not None  # asked for where there is one
+        """Return Σ_t α_t p_t at points x (..., d): (...) or (..., channels)."""
+        assert self.control is not None  # Called only with a control variate
         pdfs = np.stack([p.pdf(x) for p in self.densities], axis=-1)
         return np.asarray(pdfs @ self.control)
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class Power(Heuristic):
+class PowerHeuristic(Heuristic):
     """q_t^β / Σ q_s^β.
 
     Attributes
@@ -265,18 +270,19 @@ class Power(Heuristic):
         β ≥ 0; 1 is `balance`.
     """
 
+    name: ClassVar[str] = "power"
     beta: float = real(2.0, least=0.0)
 
     @property
     def bounded(self) -> bool:
-        """Where p_t → 0, w_t/p_t goes like p_t^(β−1)."""
+        """Whether β ≥ 1: for p_t → 0, w_t/p_t is proportional to p_t^(β−1)."""
         return self.beta >= 1.0
 
     def ratio(self, q: Array, technique: int) -> Array:
-        """q_t^(β−1) / Σ q_s^β, from q/max q, which neither overflows nor vanishes."""
+        """Return q_t^(β−1) / Σ q_s^β from q/max q, which neither overflows nor underflows."""
         largest = q.max(axis=0)
         scaled = np.divide(q, largest, out=np.zeros_like(q), where=largest > 0)
-        # 0⁰ is 1, but a technique that cannot sample x has no share there.
+        # 0⁰ is 1, but a technique that cannot sample x gets no share
         powers = np.where(scaled > 0, scaled**self.beta, 0.0)
         own = scaled[technique]
         part = own ** (self.beta - 1.0) if self.beta >= 1.0 else _divided(powers[technique], own)
@@ -311,7 +317,7 @@ class Cutoff(Heuristic):
         return self.alpha == 0.0
 
     def ratio(self, q: Array, technique: int) -> Array:
-        """1 over the sum of the q_s that are kept, 0 where q_t is not."""
+        """Return 1 over the sum of the q_s above the cutoff, 0 if q_t is below it."""
         kept = q >= self.alpha * q.max(axis=0)
         total = np.where(kept, q, 0.0).sum(axis=0)
         return _divided(kept[technique].astype(np.float64), total)
@@ -320,7 +326,7 @@ class Cutoff(Heuristic):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Maximum(Heuristic):
-    """All weight to the largest q_t, shared equally where several are largest."""
+    """Weight 1 for the largest q_t, shared equally among ties."""
 
     @property
     def smooth(self) -> bool:
@@ -332,7 +338,7 @@ class Maximum(Heuristic):
 
 @dataclass(frozen=True, kw_only=True)
 class _Piloted(Heuristic):
-    """The balance heuristic with what `adapt` finds out from a pilot."""
+    """The balance heuristic with parameters that `adapt` estimates from a pilot."""
 
     pilot: str = choice("samples", "quadrature")
     samples: int = whole(4096, least=2, most=_MOST_SAMPLES)
@@ -344,13 +350,13 @@ class _Piloted(Heuristic):
         return self.samples if self.pilot == "samples" else 0
 
     def ratio(self, q: Array, technique: int) -> Array:
-        """Ratio of `balance`."""
+        """Return the ratio of `balance`."""
         return Balance().ratio(q, technique)
 
     def fit(
         self, integrand: Integrand, densities: Sequence[Density], shares: Sequence[float]
     ) -> Combination:
-        """Find shares and control."""
+        """Estimate shares and control from the pilot."""
         parts = _Parts(integrand, tuple(densities), np.asarray(shares, np.float64))
         return Combination(self, parts.densities, *self.adapt(parts))
 
@@ -358,34 +364,34 @@ class _Piloted(Heuristic):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Optimal(_Piloted):
-    """The weights of least variance of random points, which may be negative [Kondapaneni2019]_.
+    """The weights of least variance of random points; they may be negative [Kondapaneni2019]_.
 
-    With q = Σ n_t p_t, they are w_t = α_t p_t/f + (n_t p_t/q)(1 − Σ_s α_s p_s/f),
-    where A α = b, A_st = ∫ p_s p_t/q, b_t = ∫ f p_t/q. Written out, w_t f/p_t is
+    With q = Σ n_t p_t, they are w_t = α_t p_t/f + (n_t p_t/q)(1 − Σ_s α_s p_s/f), with A α = b,
+    A_st = ∫ p_s p_t/q and b_t = ∫ f p_t/q. Then w_t f/p_t is
 
-        α_t + n_t (f − Σ_s α_s p_s)/q:
+        α_t + n_t (f − Σ_s α_s p_s)/q,
 
-    the balance heuristic on f with Σ α_s p_s as a control variate. In this form f may be 0, and each
-    channel has its own α. Identical or nearly identical densities make A singular; the solution of
-    least norm is taken, which has the same Σ α_s p_s.
+    the balance heuristic on f with Σ α_s p_s as a control variate. In this form f may be 0, and
+    each channel has its own α. Identical or nearly identical densities make A singular. The
+    solution of least norm is used then, which has the same Σ α_s p_s.
 
     Attributes
     ----------
     pilot
-        Where A and b are from: ``"samples"``, random points of all techniques in proportion to
-        their counts, or ``"quadrature"`` (then α is exact as far as that is).
+        Source of A and b: ``"samples"``, random points of all techniques in proportion to their
+        counts, or ``"quadrature"``, which makes α as exact as the quadrature.
     samples
-        Pilot points of all techniques together, at least 2; not counted in n.
+        Total number of pilot points of all techniques, at least 2; not counted in n.
     seed
         Seed of the pilot points.
     """
 
     def adapt(self, pilot: Pilot) -> tuple[tuple[float, ...], Array]:
-        """The counts as they are, and α: (T,) or (T, channels)."""
+        """Return the given counts, and α: (T,) or (T, channels)."""
         if self.pilot == "quadrature":
             found = pilot.quadrature(pilot.system)
         else:
-            # A and b side by side (T, T + C), of pilot points weighted by the balance heuristic
+            # Estimate A and b, (T, T + C), from pilot points weighted by the balance heuristic
             wanted = self.samples * pilot.shares / pilot.shares.sum()
             counts = np.maximum(1, np.rint(wanted).astype(np.int64))
             drawn = [pilot.points(t, m, self.seed) for t, m in enumerate(counts.tolist())]
@@ -404,28 +410,28 @@ class Optimal(_Piloted):
 class VarianceAware(_Piloted):
     """Balance with counts times v_t = second moment / variance of technique t [Grittmann2019]_.
 
-    w_t = v_t n_t p_t / Σ_s v_s n_s p_s with v_t = 1 + μ_t²/σ_t² of one random sample of f/p_t alone
-    (at most 10⁸): a technique of low variance gets more weight than by the balance
-    heuristic, which uses second moments. With several channels their mean is used.
+    w_t = v_t n_t p_t / Σ_s v_s n_s p_s with v_t = 1 + μ_t²/σ_t² of a single random sample of f/p_t,
+    at most 10⁸. A technique of low variance gets more weight than by the balance heuristic, which
+    uses second moments. With several channels their mean is used.
 
     Attributes
     ----------
     pilot
-        Where the moments are from: ``"samples"``, random points, as many of each technique, or
+        Source of the moments: ``"samples"``, equally many random points of each technique, or
         ``"quadrature"``.
     samples
-        Pilot points of all techniques together, at least 2; not counted in n.
+        Total number of pilot points of all techniques, at least 2; not counted in n.
     seed
         Seed of the pilot points.
     """
 
     def adapt(self, pilot: Pilot) -> tuple[tuple[float, ...], None]:
-        """The counts times the factors v_t, and no control variate."""
+        """Return the counts times the factors v_t, and no control variate."""
         techniques = len(pilot.shares)
         if self.pilot == "quadrature":
             found = pilot.quadrature(pilot.moments)
         else:
-            # Mean and mean square of f/p_t for random points of each technique
+            # Estimate mean and mean square of f/p_t from random points of each technique
             found = np.empty((techniques, 2))
             for t in range(techniques):
                 x = pilot.points(t, max(2, self.samples // techniques), self.seed)
@@ -464,7 +470,7 @@ class Residual(Derived):
 @final
 @dataclass(frozen=True)
 class _Parts(Pilot):
-    """The pilot of an integrand with its densities on the unit cube."""
+    """A pilot for an integrand and densities on the unit cube."""
 
     integrand: Integrand
     densities: tuple[Density, ...]
@@ -494,7 +500,7 @@ class _Parts(Pilot):
 @final
 @dataclass(frozen=True, eq=False)
 class _Packed(Derived):
-    """Several functions as the channels of one integrand, for the quadrature of integrands."""
+    """Several functions as the channels of one integrand, for quadrature."""
 
     name: ClassVar[str] = "pilot"
     text = "pilot of {0.integrand.spec}"
@@ -520,16 +526,16 @@ class _Packed(Derived):
 
 
 def _breaks(integrand: Integrand, densities: Sequence[Density]) -> Breaks:
-    """Breaks of f and, in 1-D, those of the warps carried to the domain."""
+    """Return breaks of f and, in 1-D, breaks of the warps mapped to the domain."""
     if integrand.dims > 1:
         return integrand.breaks
     return (tuple(sorted({*integrand.breaks[0], *_density_breaks(densities)})),)
 
 
 def _density_breaks(densities: Sequence[Density]) -> set[float]:
-    """Where 1-D densities may jump or kink, in the domain: the breaks of their warps, warped.
+    """Return domain points where 1-D densities may jump or kink: the breaks of their warps, warped.
 
-    Both sides of a break are, as it may stand for a whole interval where p is 0.
+    Both sides of a break are included, because it may stand for a whole interval with p = 0.
     """
     found: set[float] = set()
     for density in densities:
@@ -541,14 +547,14 @@ def _density_breaks(densities: Sequence[Density]) -> set[float]:
 
 
 def as_heuristic(given: object) -> Heuristic:
-    """Return a heuristic from one or from a spec string such as ``"power(beta=3)"``.
+    """Return a heuristic, or make one from a spec string such as ``"power(beta=3)"``.
 
     Raises
     ------
     UnknownName, SpecError
-        The spec names no heuristic, or cannot be read.
+        If the spec names no heuristic, or cannot be read.
     ParameterError
-        A parameter is out of range, or `given` has another type.
+        If a parameter is out of range, or `given` has another type.
     """
     if isinstance(given, Heuristic):
         return given
@@ -562,5 +568,5 @@ def as_heuristic(given: object) -> Heuristic:
 
 
 def _divided(part: Array, total: Array) -> Array:
-    """part/total, 0 where total is."""
+    """Return part/total, 0 where the total is 0."""
     return np.asarray(np.divide(part, total, out=np.zeros_like(total), where=total > 0))

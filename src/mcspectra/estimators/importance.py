@@ -48,15 +48,17 @@ class Estimator(DomainEstimator):
     density
         p with its warp T, or its spec string; None is the uniform density.
     dims
-        Number of dims for spec strings that do not say; otherwise the other argument's, or 2.
+        Number of dims for spec strings without ``dims``. By default that of the other argument, or
+        2.
 
     Raises
     ------
     DensityError
-        p is zero at points where f is not: found by probing (`mcspectra.estimators.support`), which
-        calls f where p is 0 at a probe, some thousand times at most, else not at all; a region that is missed is an error when it is sampled, or a bias.
+        If p is zero at points where f is not, as found by probing (`mcspectra.estimators.support`).
+        f is called only at probes where p is 0, at most some thousand times. A region that probing
+        misses is an error when it is sampled, or a bias.
     ParameterError
-        Different numbers of dims.
+        If the numbers of dims differ.
     """
 
     counts = (1,)
@@ -75,7 +77,7 @@ class Estimator(DomainEstimator):
 
     @property
     def dims(self) -> int:
-        """Number of dims of the sampler: those of f, or more where the density's warp takes more."""
+        """Number of dims of the sampler: the dims of f, or more if the warp needs more."""
         return self.integrand.dims if self.density is None else self.density.primary_dims
 
     @property
@@ -84,7 +86,7 @@ class Estimator(DomainEstimator):
 
     @property
     def pilot_evaluations(self) -> int:
-        """Those that f was made from."""
+        """Evaluations that were used to make f."""
         return self.integrand.pilot_evaluations
 
     @property
@@ -92,7 +94,7 @@ class Estimator(DomainEstimator):
         return self.density is not None and not np.isfinite(self.density.reciprocal_integral())
 
     def _primary(self, technique: int) -> Integrand:
-        """g(u) = f(T(u))/p(T(u)); f itself where p is uniform."""
+        """Return g(u) = f(T(u))/p(T(u)), or f itself if p is uniform."""
         if self.density is None:
             return self.integrand
         return PrimaryIntegrand(self, technique, self.integrand, self.density)
@@ -118,7 +120,7 @@ class Estimator(DomainEstimator):
 
 
 def is_function(given: Any) -> bool:
-    """Return whether this is a plain function: a callable that is not an integrand."""
+    """Return whether `given` is a plain function: a callable that is not an integrand."""
     return callable(given) and not isinstance(given, Integrand | AbstractEstimator)
 
 
@@ -128,7 +130,7 @@ def function_dims(function: Any, dims: int | None) -> int:
     Raises
     ------
     ParameterError
-        `dims` is missing or out of range, or the function is a class.
+        If `dims` is missing or out of range, or the function is a class.
     """
     if isinstance(function, type):
         raise ParameterError(
@@ -142,26 +144,26 @@ def function_dims(function: Any, dims: int | None) -> int:
 
 
 def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
-    """Return an estimator; an integrand, its spec string or a plain function is sampled uniformly.
+    """Return an estimator; an integrand, its spec or a plain function is sampled uniformly.
 
     Parameters
     ----------
     given
-        An estimator, an integrand or its spec string, or a vectorized function of points (…, d) to
-        values (…) or (…, channels), as for `mcspectra.Integrand.from_function`.
+        An estimator, an integrand, its spec string, or a vectorized function of points (…, d) with
+        values (…) or (…, channels), as in `mcspectra.Integrand.from_function`.
     dims
-        Number of dims: a function needs it, a spec string may leave it open, all others must agree.
+        Number of dims. A function needs it, a spec string may need it, all others must agree.
 
     Raises
     ------
     ParameterError
-        `given` has another type or other dims, or the function does not do as it should.
+        If `given` has another type or other dims, or the function does not meet its contract.
     """
     if isinstance(given, AbstractEstimator):
         if dims is not None and given.dims != as_integer("dims", dims, least=1):
             raise ParameterError(
-                f"dims is {dims}, but {given.spec} has {counted(given.dims, 'dim')}; leave dims out, or give a spec "
-                "that leaves them open."
+                f"dims is {dims}, but {given.spec} has {counted(given.dims, 'dim')}; leave dims "
+                "out, or give a spec without dims."
             )
         return given
     if is_function(given):
@@ -177,20 +179,22 @@ def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
 def as_subject(
     estimator: Any, sampler: Any, *, dims: int | None = None, lists: bool = False
 ) -> Subject:
-    """Return an estimator with a sampler, of equal dims, as the subject of an analysis.
+    """Return an estimator and a sampler of equal dims as the subject of an analysis.
 
     Parameters
     ----------
     estimator, sampler
-        As for `as_estimator` and `mcspectra.samplers.as_sampler`; with `lists` one or a list of each.
+        As in `as_estimator` and `mcspectra.samplers.as_sampler`; with `lists`, one or a list of
+        each.
     dims
-        Number of dims of functions and of spec strings that leave it open; by default those of the
-        first sampler that is not a spec string. Functions and samplers with dims of their own must agree with it.
+        Number of dims of functions and of spec strings without ``dims``. By default the dims of the
+        first sampler that is not a spec string. Functions and samplers with dims must agree with
+        it.
 
     Raises
     ------
     ParameterError
-        Something else, an empty list, or dims that differ.
+        If an argument has another type, a list is empty, or dims differ.
     """
     several, many = (lists and isinstance(given, list | tuple) for given in (estimator, sampler))
     if (several and not estimator) or (many and not sampler):
@@ -209,24 +213,24 @@ def as_subject(
 
 
 def scale(values: Array, weights: Array) -> Array:
-    """values (...) or (..., channels) times weights (...)."""
+    """Return values (...) or (..., channels) times weights (...)."""
     return np.asarray(values * (weights if values.ndim == weights.ndim else weights[..., None]))
 
 
 def known_dims(dims: int | None, *parts: Any) -> int | None:
-    """`dims`, or else those of the first integrand or density that is no spec string."""
+    """Return `dims`, or else those of the first integrand or density that is not a spec."""
     if dims is not None:
         return dims
     return next((part.dims for part in parts if isinstance(part, Integrand | Density)), None)
 
 
 def as_densities(given: Any, dims: int, need: str = " of one or more") -> tuple[Density, ...]:
-    """Return densities from a list of them or of their spec strings.
+    """Return densities from a list of densities or of their spec strings.
 
     Raises
     ------
     ParameterError
-        No list, an empty one, or one with None in it.
+        If `given` is not a list, is empty, or contains None.
     """
     if not isinstance(given, list | tuple) or len(given) == 0:
         raise ParameterError(f"densities is {shown(given)}; give a list{need}.")
@@ -237,7 +241,7 @@ def as_densities(given: Any, dims: int, need: str = " of one or more") -> tuple[
 
 
 def check_same_dims(components: list[Any]) -> None:
-    """Raise ParameterError unless all components have the same dims, those of a shared sampler."""
+    """Raise ParameterError unless all components have the dims of a shared sampler."""
     if len({component.dims for component in components}) > 1:
         shown = ", ".join(f"{component.spec} has {component.dims}" for component in components)
         raise ParameterError(f"All parts of an estimator need the same number of dims: {shown}.")

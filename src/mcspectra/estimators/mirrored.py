@@ -1,8 +1,8 @@
-"""Mirroring of any estimator: its primary-space integrand continued by reflection, folded, symmetrized.
+"""Mirrored estimators: the primary-space integrand is reflected, then folded or symmetrized.
 
-With f reflected at its upper faces, g(k + x) = f(x reflected in the coordinates with k_j = 1) for
-k ∈ {0,1}^d is continuous and of period 2. The two ways of having period 1 again are to stretch,
-f(1 − |2u − 1|) = g(2u), and to average over the images, 2^-d Σ_k g(k + u).
+Reflection of f at its upper faces gives g(k + x) = f(x reflected in the coordinates with k_j = 1)
+for k ∈ {0,1}^d. g is continuous and has period 2. There are two ways back to period 1: stretching,
+f(1 − |2u − 1|) = g(2u), and averaging over the images, 2^-d Σ_k g(k + u).
 """
 
 from __future__ import annotations
@@ -26,51 +26,51 @@ from mcspectra.samplers.randomizations import folded
 __all__ = ["MIRRORINGS", "FoldedIntegrand", "Mirrored", "SymmetrizedIntegrand"]
 
 MIRRORINGS = ("integrand", "random", "uniform")
-_MOST_DIMS = 12  # 2^d values of the integrand for one of its average over reflections
+_MOST_DIMS = 12  # One average over reflections takes 2^d values of the integrand
 
 
 @final
 class Mirrored(AbstractEstimator):
-    """An estimator of the same integral with its primary-space integrand mirrored.
+    """An estimator of the same integral with a mirrored primary-space integrand.
 
     Parameters
     ----------
     estimator
         The estimator to mirror (any number of techniques), an integrand, or its spec.
     mode
-        ``"integrand"``: the sampler's points u are spread over the 2^d mirror images, at 2u, and
-        folded back, u → 1 − |2u − 1|; ``"random"``: every coordinate of every point is reflected
-        or not, as by a fair coin; ``"uniform"``: n/2^d points are put into all 2^d images each.
+        ``"integrand"`` spreads the sampler's points u over the 2^d mirror images, at 2u, and folds
+        them back, u → 1 − |2u − 1|. ``"random"`` reflects each coordinate of each point with
+        probability ½. ``"uniform"`` puts n/2^d points into each of the 2^d images.
     dims
         Number of dims for spec strings without ``dims``.
 
     Raises
     ------
     ParameterError
-        Unknown mode, `estimator` is not an estimator, or has other dims.
+        If the mode is unknown, or `estimator` is not an estimator or has another number of dims.
 
     Notes
     -----
-    n counts evaluations of the integrand in all modes, so that variances at one n are at equal cost;
-    `samples_per_point` says how many of them come from one point of the sampler. The cost of d dims
-    is in what n evaluations are spread over: 2^d times the volume for ``"integrand"`` (strata twice
-    as long, in units of f), one point in 2^d for ``"uniform"``.
+    n counts evaluations of the integrand in all modes, so variances at one n have equal cost.
+    `samples_per_point` is the number of evaluations per point of the sampler. In d dims, mirroring
+    spreads n evaluations more thinly: over 2^d times the volume for ``"integrand"`` (strata twice
+    as long, in units of f), or over n/2^d points for ``"uniform"``.
 
-    The mirrored integrand has period 2 and is continuous across all faces if f is on the closed
-    cube. A shift in the sampler comes before mirroring and is one in that doubled domain: u + δ
-    goes to 2u + 2δ, and in the other modes the images k + u + δ modulo 2 are, in distribution,
-    those of (u + δ modulo 1). So wrap-around brings no discontinuity. An estimator with a sampler
-    ``S`` is thus the one inside with ``S | mirror(mode=...)``, point by point
-    (``mode='fold'`` for ``"integrand"``), while ``S | mirror(...) | shift`` moves folded points
-    across the jump between f(1) and f(0).
+    The mirrored integrand has period 2. It is continuous across all faces if f is continuous on the
+    closed cube. A shift in the sampler is applied before mirroring, in the doubled domain: u + δ
+    goes to 2u + 2δ. In the other modes the images k + u + δ modulo 2 have the same distribution as
+    the images of (u + δ modulo 1). So wrap-around causes no discontinuity. A mirrored estimator
+    with a sampler ``S`` equals the inner estimator with ``S | mirror(mode=...)``, point by point
+    (``mode='fold'`` for ``"integrand"``). In contrast, ``S | mirror(...) | shift`` moves folded
+    points across the jump between f(1) and f(0).
 
-    In ``"random"`` mode the coins are independent, and their variance, (1/n) times that of f
-    among the images of a point, goes down as 1/n whatever the sampler.
+    In ``"random"`` mode the reflections are independent. Their variance, (1/n) times the variance
+    of f over the images of a point, decreases as 1/n for every sampler.
 
     References
     ----------
-    The modes are our reading of the talk to [Singh2019]_, which names and pictures them; folding is
-    the baker's transform of [Hickernell2002]_.
+    The modes are our reading of the talk to [Singh2019]_, which names and illustrates them. Folding
+    is the baker's transform of [Hickernell2002]_.
 
     Examples
     --------
@@ -101,7 +101,7 @@ class Mirrored(AbstractEstimator):
 
     @property
     def samples_per_point(self) -> int:
-        """Evaluations that one point of the sampler makes: 2^d for ``"uniform"``, else 1."""
+        """Evaluations per point of the sampler: 2^d for ``"uniform"``, else 1."""
         return 1 << self.dims if self.mode == "uniform" else 1
 
     @property
@@ -118,7 +118,7 @@ class Mirrored(AbstractEstimator):
 
     @property
     def domain_integrand(self) -> Integrand | None:
-        """f, which the folded and warped points meet."""
+        """f, evaluated at the folded and warped points."""
         return self.estimator.domain_integrand
 
     @property
@@ -130,29 +130,29 @@ class Mirrored(AbstractEstimator):
         return self.estimator.infinite_weights
 
     def randomized(self, sampler: Sampler) -> Sampler:
-        """The sampler followed by reflections, where they are the points' own."""
+        """Return the sampler followed by reflections, if the mode reflects points."""
         source = self.estimator.randomized(sampler)
         return source if self.mode == "integrand" else source.then(Mirror(mode=self.mode))
 
     def check_sampler(self, sampler: Sampler, n: int) -> None:
-        """Raise unless the estimator inside accepts the sampler that `randomized` returns."""
+        """Raise unless the inner estimator accepts the sampler that `randomized` returns."""
         self.estimator.check_sampler(self.randomized(sampler), n)
 
     def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:
-        """Draw as the estimator inside does, n_t points each, reflected ones among them."""
+        """Draw n_t points of each technique as in the inner estimator, with reflected points."""
         return self.estimator.draw(self.randomized(sampler), n, stream, first, count)
 
     def _primary(self, technique: int) -> Integrand:
-        """g_t folded for ``"integrand"``; g_t for the other modes, which reflect the points."""
+        """Return g_t folded for ``"integrand"``, else g_t, because other modes reflect points."""
         g = self.estimator.primary_integrand(technique)
         return FoldedIntegrand(g) if self.mode == "integrand" else g
 
     def primary_values(self, technique: int, u: Array) -> Array:
-        """g_t at the folded points, or at the points already reflected."""
+        """Return g_t at the folded points, or at points that are already reflected."""
         return self.estimator.primary_values(technique, self._inside(u))
 
     def warp(self, technique: int, u: Array) -> Array:
-        """T_t of the folded points, or of the points already reflected."""
+        """Return T_t of the folded points, or of points that are already reflected."""
         return self.estimator.warp(technique, self._inside(u))
 
     def weight(self, technique: int, x: Array) -> Array:
@@ -165,7 +165,7 @@ class Mirrored(AbstractEstimator):
 @final
 @dataclass(frozen=True)
 class FoldedIntegrand(Derived):
-    """f(1 − |2u − 1|), every coordinate folded: continuous on the torus where f is on the cube."""
+    """f(1 − |2u − 1|), folded in every coordinate: periodic and continuous if f is continuous."""
 
     name: ClassVar[str] = "folded"
     text = "folded {0.integrand.spec}"
@@ -180,17 +180,17 @@ class FoldedIntegrand(Derived):
         )
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:
-        """Means over the parts of each box on either side of the folds, by those of f."""
+        """Combine means of f over the parts of each box on either side of the folds."""
         mean: Any = 0.0
         square: Any = 0.0
         for sides in itertools.product((False, True), repeat=self.dims):
-            # The image under folding of the part above (or below) ½, and its share of each box
+            # Fold the part above (or below) ½, and compute its share of each box
             above = np.array(sides)
             low = np.where(above, 1.0 - np.clip(hi, 0.5, 1.0), np.clip(lo, 0.0, 0.5))
             high = np.where(above, 1.0 - np.clip(lo, 0.5, 1.0), np.clip(hi, 0.0, 0.5))
             share = ((high - low) / (hi - lo)).prod(axis=-1)
             share = share[..., None] if self.channels else share
-            empty = ~(high > low)  # has no mean: any box will do, its share is 0
+            empty = ~(high > low)  # An empty part has the share 0, so any box will do
             found = self.integrand.box_moments(
                 np.where(empty, 0.0, 2.0 * low), np.where(empty, 1.0, 2.0 * high)
             )
@@ -200,13 +200,14 @@ class FoldedIntegrand(Derived):
         return mean, square
 
     def _evaluate(self, x: Array) -> Array:
-        return self.integrand(np.maximum(folded(x), 0.0))  # at 1, which no sample is, −2^-53
+        # At x = 1, which no sample has, rounding gives −2^-53
+        return self.integrand(np.maximum(folded(x), 0.0))
 
 
 @final
 @dataclass(frozen=True)
 class SymmetrizedIntegrand(Derived):
-    """2^-d Σ f(u reflected), the average over all reflections: of period 1 and continuous."""
+    """2^-d Σ f(u reflected), the average over all reflections: periodic and continuous."""
 
     name: ClassVar[str] = "symmetrized"
     text = "symmetrized {0.integrand.spec}"
@@ -215,8 +216,8 @@ class SymmetrizedIntegrand(Derived):
     def _check(self) -> None:
         if self.dims > _MOST_DIMS:
             raise ParameterError(
-                f"The average of {self.integrand.spec} over reflections takes 2^{self.dims} of its "
-                f"values; use at most {_MOST_DIMS} dims."
+                f"The average of {self.integrand.spec} over reflections takes 2^{self.dims} of "
+                f"its values; use at most {_MOST_DIMS} dims."
             )
 
     @property

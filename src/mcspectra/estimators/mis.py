@@ -1,11 +1,11 @@
 """Estimators with several techniques: multiple importance sampling, and sums of given techniques.
 
-Counts are per technique, as renderers count: n light samples *and* n BSDF samples. In the one-sample
-model each point chooses its technique:
+Counts are per technique, as in renderers: n light samples *and* n BSDF samples. In the one-sample
+model each point selects its technique:
 
-I = (1/n) Σ_k w_t f/(P_t p_t) with t chosen with probability P_t [VeachGuibas1995]_, §9.2.4 of
-[Veach1997]_: with the balance heuristic w_t = P_t p_t / Σ_s P_s p_s it is sampling of the mixture
-Σ_s P_s p_s, and no other weights have less variance with random points (his Theorem 9.4).
+I = (1/n) Σ_k w_t f/(P_t p_t), with t selected with probability P_t [VeachGuibas1995]_, §9.2.4 of
+[Veach1997]_. With the balance heuristic w_t = P_t p_t / Σ_s P_s p_s, this is sampling from the
+mixture Σ_s P_s p_s. No other weights have less variance with random points (his Theorem 9.4).
 """
 
 from __future__ import annotations
@@ -52,21 +52,21 @@ __all__ = [
 
 SELECTIONS = ("extra", "coordinate")
 
-_SUM = 1e-9  # by which probabilities may miss 1
-_EXACT = 1e-9  # shares such as 0.1 + 0.2 are taken as the fractions they stand for
+_SUM = 1e-9  # Largest allowed difference of the sum of probabilities from 1
+_EXACT = 1e-9  # Shares such as 0.1 + 0.2 are replaced by fractions within this distance
 
 
 class Combined(DomainEstimator):
-    """An estimator of f by densities that a heuristic combines.
+    """An estimator of f with densities that a heuristic combines.
 
     Attributes
     ----------
     densities
-        p_t, of the dims of f.
+        p_t, with the dims of f.
     heuristic
         Spec of the heuristic.
     combination
-        Its weights.
+        The weights of the heuristic.
     """
 
     densities: tuple[Density, ...]
@@ -74,7 +74,7 @@ class Combined(DomainEstimator):
     combination: Combination
 
     def _take(self, integrand: Integrand | str, densities: Any, dims: int | None) -> None:
-        """Set f and one or more p_t that cover it, of equal dims, from them or their specs."""
+        """Set f and the p_t, given as objects or specs; they must have equal dims and cover f."""
         parts = densities if isinstance(densities, list | tuple) else ()
         self.integrand = as_integrand(integrand, known_dims(dims, integrand, *parts))
         self.densities = as_densities(densities, self.integrand.dims)
@@ -92,7 +92,7 @@ class Combined(DomainEstimator):
 
     @property
     def infinite_weights(self) -> bool:
-        """Whether the combined weights have no second moment (`Combination.infinite`)."""
+        """Whether the combined weights have an infinite second moment (`Combination.infinite`)."""
         return self.combination.infinite
 
     @property
@@ -113,22 +113,23 @@ class MultipleImportance(Combined):
     densities
         p_t with their warps, or spec strings.
     heuristic
-        ``"balance"``: w_t = n_t p_t / Σ_s n_s p_s; ``"power"``: the same with squares (β = 2);
-        or another of `mcspectra.estimators.heuristics`, as a spec string or an object.
+        ``"balance"`` is w_t = n_t p_t / Σ_s n_s p_s; ``"power"`` is the same with squares (β = 2).
+        See `mcspectra.estimators.heuristics` for others. A spec string or an object.
     counts
-        n_t as multiples of n; the same for all by default.
+        n_t as multiples of n; equal by default.
     sets
-        How the points of the techniques belong together: ``"independent"``, ``"shared"`` or
-        ``"joint"``, see `mcspectra.estimators.sets`.
+        Relation between the point sets of the techniques: ``"independent"``, ``"shared"`` or
+        ``"joint"``; see `mcspectra.estimators.sets`.
     dims
         Number of dims for spec strings without ``dims``.
 
     Raises
     ------
     DensityError
-        All densities are zero at points where f is not.
+        If all densities are zero at points where f is not.
     ParameterError
-        No density, unknown heuristic, counts of another length, different numbers of dims.
+        If no density is given, the heuristic is unknown, the counts have another length, or the
+        numbers of dims differ.
     """
 
     def __init__(
@@ -163,7 +164,7 @@ class MultipleImportance(Combined):
         return carried_breaks(self.integrand, density, self.combination.breaks)
 
     def primary_values(self, technique: int, u: Array) -> Array:
-        """g_t(u), which with optimal weights is α_t + (f − Σ α_s p_s) w_t/p_t."""
+        """Return g_t(u); with optimal weights it is α_t + (f − Σ α_s p_s) w_t/p_t."""
         x = self.warp(technique, u)
         control = self.combination.control
         if control is None:
@@ -172,7 +173,7 @@ class MultipleImportance(Combined):
         return np.asarray(control[technique] + scale(left, self.weight(technique, x)))
 
     def with_heuristic(self, heuristic: str) -> MultipleImportance:
-        """The same techniques, counts and sets with the heuristic of this spec."""
+        """Return the same techniques, counts and sets with the heuristic of this spec."""
         return MultipleImportance(
             self.integrand,
             self.densities,
@@ -182,7 +183,7 @@ class MultipleImportance(Combined):
         )
 
     def alone(self, technique: int) -> Estimator:
-        """f sampled by one of the densities."""
+        """Return the estimator of f with one of the densities."""
         return Estimator(self.integrand, self.densities[technique])
 
     def technique_name(self, technique: int) -> str:
@@ -192,13 +193,13 @@ class MultipleImportance(Combined):
         return self.densities[technique].sample(u)
 
     def weight(self, technique: int, x: Array) -> Array:
-        """w_t/p_t, finite where any p_s is positive; those of `domain_integrand` if optimal."""
+        """Return w_t/p_t, finite where any p_s is positive; for `domain_integrand` if optimal."""
         return self.combination.over_density(technique, x)
 
 
 @final
 class OneSampleMIS(Combined):
-    """Multiple importance sampling with one technique for each point, chosen at random.
+    """Multiple importance sampling with one randomly selected technique per point.
 
     Parameters
     ----------
@@ -209,31 +210,33 @@ class OneSampleMIS(Combined):
     probabilities
         P_t, above 0 with the sum 1; equal by default.
     heuristic
-        As for `MultipleImportance`, with P_t in the place of n_t. ``"optimal"`` is the balance heuristic
-        with the control variate Σ α_t p_t, whose integral Σ α_t is added as it is [OwenZhou2000]_ §4,
-        rather than as α_t/P_t of the chosen technique, which would add variance.
+        As in `MultipleImportance`, with P_t instead of n_t. ``"optimal"`` is the balance heuristic
+        with the control variate Σ α_t p_t. Its integral Σ α_t is added directly [OwenZhou2000]_ §4,
+        because α_t/P_t of the selected technique would add variance.
     selection
-        ``"extra"``: the last of d + 1 coordinates chooses; ``"coordinate"``: the first of d chooses, and is
-        stretched to be used again. The coordinate's borders are Σ_{s<t} P_s.
+        ``"extra"``: the last of d + 1 coordinates selects the technique. ``"coordinate"``: the
+        first of d coordinates selects it and is stretched for reuse. The borders are Σ_{s<t} P_s.
     dims
         Number of dims of f for spec strings without ``dims``.
 
     Raises
     ------
     DensityError
-        All densities are zero at points where f is not.
+        If all densities are zero at points where f is not.
     ParameterError
-        No density, unknown heuristic, or invalid probabilities.
+        If no density is given, the heuristic is unknown, or the probabilities are invalid.
 
     Notes
     -----
-    The primary-space integrand jumps, in general, where the choice changes: an axis-aligned jump
-    that costs stratified points their rate, which separate sets of `MultipleImportance` do not have.
+    The primary-space integrand usually jumps where the selection changes. This axis-aligned jump
+    lowers the rate of stratified points. The separate sets of `MultipleImportance` do not have it.
 
     Examples
     --------
     >>> import mcspectra as mcs
-    >>> e = mcs.estimators.OneSampleMIS("gaussian", ["uniform", "linear(slope=1)"], [0.25, 0.75], dims=1)
+    >>> e = mcs.estimators.OneSampleMIS(
+    ...     "gaussian", ["uniform", "linear(slope=1)"], [0.25, 0.75], dims=1
+    ... )
     >>> e.dims, e.spec
     (2, 'gaussian / one-sample balance[0.25×uniform, 0.75×linear(slope=1)]')
     """
@@ -256,7 +259,8 @@ class OneSampleMIS(Combined):
         if given is not None:
             if not isinstance(given, list | tuple | np.ndarray) or len(given) != count:
                 raise ParameterError(
-                    f"probabilities is {shown(given)}; give a list of {count}, one for each density."
+                    f"probabilities is {shown(given)}; give a list of {count}, one for each "
+                    "density."
                 )
             found = as_reals("probabilities", given, count, above=0.0, most=1.0)
             if abs(sum(found) - 1.0) > _SUM:
@@ -271,7 +275,7 @@ class OneSampleMIS(Combined):
 
     @property
     def dims(self) -> int:
-        """d + 1, or d if a coordinate of the point chooses."""
+        """d + 1, or d if a coordinate of the point selects the technique."""
         return self.integrand.dims + (self.selection == "extra")
 
     @property
@@ -283,11 +287,11 @@ class OneSampleMIS(Combined):
         return f"{self.integrand.spec} / one-sample {self.heuristic}{split}[{shown}]"
 
     def _primary(self, technique: int) -> Integrand:
-        """g(u), of all techniques together."""
+        """Return g(u) of all techniques together."""
         return PrimaryIntegrand(self, technique, self.integrand)
 
     def primary_values(self, technique: int, u: Array) -> Array:
-        """g(u) = w_t f/(P_t p_t) at T_t of the rest of u, t chosen by its coordinate."""
+        """Return g(u) = w_t f/(P_t p_t) at T_t of the rest of u; its coordinate selects t."""
         del technique
         x, weights = self._chosen(u)
         values = scale(self.domain_integrand(x), weights)
@@ -299,19 +303,19 @@ class OneSampleMIS(Combined):
         return self._chosen(u)[0]
 
     def weighted_points(self, points: list[Array]) -> tuple[Array, Array]:
-        """Domain points (R, n, d) and weights w_t/(P_t p_t n) (R, n); they depend on the choice."""
+        """Return domain points (R, n, d) and weights w_t/(P_t p_t n) (R, n) of the selected t."""
         x, weights = self._chosen(points[0])
         return x, weights / x.shape[1]
 
     def primary_breaks(self, technique: int = 0) -> Breaks:  # noqa: ARG002
-        """Along each axis of primary space: borders of the choice, and breaks of every g_t."""
+        """Return borders of the selection and breaks of every g_t, along each primary axis."""
         found: list[set[float]] = [set() for _ in range(self.dims)]
         axis = self.dims - 1 if self.selection == "extra" else 0
         found[axis].update(self._borders[1:-1].tolist())
         for t, density in enumerate(self.densities):
             own = carried_breaks(self.integrand, density, self.combination.breaks)
             for i, places in enumerate(own):
-                if i == axis:  # of the part of the axis that chooses this technique
+                if i == axis:  # The part of the axis that selects this technique
                     stretched = (self._borders[t] + b * self.probabilities[t] for b in places)
                     found[i].update(map(float, stretched))
                 else:
@@ -319,7 +323,7 @@ class OneSampleMIS(Combined):
         return tuple(tuple(sorted(places)) for places in found)
 
     def _chosen(self, u: Array) -> tuple[Array, Array]:
-        """Domain points (..., d) and w_t/(P_t p_t) (...) of primary points (..., dims)."""
+        """Return domain points (..., d) and w_t/(P_t p_t) (...) of primary points (..., dims)."""
         flat = u.reshape(-1, self.dims)
         extra = self.selection == "extra"
         chooser, rest = flat[:, -1 if extra else 0], flat[:, : self.integrand.dims]
@@ -340,18 +344,18 @@ class OneSampleMIS(Combined):
 class TechniqueSum(AbstractEstimator):
     """A sum of separately sampled integrals, I = Σ_t (1/n_t) Σ_k g_t(u_tk).
 
-    For techniques whose warp and weights are inside the integrand already, such as light and BSDF
-    sampling of a renderer: each g_t lives on its own unit cube, so there is no common domain.
+    Each g_t already contains its warp and weights, such as light and BSDF sampling of a renderer.
+    It is defined on its own unit cube, so there is no common domain.
 
     Parameters
     ----------
     integrands
         g_t, or their spec strings.
     counts
-        n_t as multiples of n; the same for all by default.
+        n_t as multiples of n; equal by default.
     sets
-        How the points of the techniques belong together: ``"independent"``, ``"shared"`` or
-        ``"joint"``, see `mcspectra.estimators.sets`.
+        Relation between the point sets of the techniques: ``"independent"``, ``"shared"`` or
+        ``"joint"``; see `mcspectra.estimators.sets`.
     dims
         Number of dims for spec strings without ``dims``.
     """
@@ -392,29 +396,29 @@ class TechniqueSum(AbstractEstimator):
 def split_mixture(
     integrand: Integrand | str, mixture: Density | str, *, most: int = 1000
 ) -> MultipleImportance:
-    """Estimate with n w_t points of each part of a mixture, in place of points that choose.
+    """Estimate with n w_t points for each part of a mixture instead of random selection.
 
     Parameters
     ----------
     integrand
         f, or its spec string.
     mixture
-        `Mixture` or `Defensive`, or its spec string. Its selection does not matter.
+        `Mixture` or `Defensive`, or its spec string. Its `selection` has no effect.
     most
-        Largest total count, the common denominator of the shares.
+        Largest total count, which is the common denominator of the shares.
 
     Returns
     -------
     MultipleImportance
-        The parts with counts in proportion to their shares and the balance heuristic, so that every
-        point weighs 1/p of the mixture. With counts c_t the points are n Σ c_t in all. For random
-        points its variance is at most that of the mixture ([OwenZhou2000]_ §3.2: a stratified
-        mixture).
+        The parts with counts in proportion to their shares and the balance heuristic, so every
+        point has the weight 1/p of the mixture. With counts c_t there are n Σ c_t points. For
+        random points the variance is at most that of the mixture ([OwenZhou2000]_ §3.2: a
+        stratified mixture).
 
     Raises
     ------
     ParameterError
-        Not a mixture, or the shares have no common denominator up to `most`.
+        If `mixture` is not a mixture, or the shares have no common denominator up to `most`.
 
     Examples
     --------
@@ -430,7 +434,7 @@ def split_mixture(
             f"{shown(mixture)} is not a mixture; give mixture(parts=[…]) or defensive(density=…)."
         )
 
-    # Find the smallest whole numbers in proportion to the shares
+    # Find the smallest integers in proportion to the shares
     most, shares = as_integer("most", most, least=1), found.shares
     fractions = [Fraction(share).limit_denominator(most) for share in shares.tolist()]
     total = math.lcm(*(fraction.denominator for fraction in fractions))
@@ -439,6 +443,6 @@ def split_mixture(
         written = ", ".join(f"{share:.6g}" for share in shares)
         raise ParameterError(
             f"The shares {written} have no common denominator up to {most}; give weights that are "
-            "whole numbers with a small sum, or raise most."
+            "integers with a small sum, or raise most."
         )
     return MultipleImportance(f, found.parts, counts=[int(part * total) for part in fractions])

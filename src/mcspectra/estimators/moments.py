@@ -1,7 +1,7 @@
-"""Mergeable moments: mean, variance and its confidence interval, in blocks and in any number.
+"""Mergeable moments: mean, variance and its confidence interval, computed in blocks.
 
-Blocks are merged by the formulas of [ChanGolubLeVeque1983]_ and Pébay (2008), which do not
-cancel. All arrays have the realization axis first.
+Blocks are merged by the formulas of [ChanGolubLeVeque1983]_ and Pébay (2008), which avoid
+cancellation. All arrays have the realization axis first.
 """
 
 from __future__ import annotations
@@ -27,21 +27,27 @@ __all__ = [
     "variance_interval",
 ]
 
-_PRIOR = 20  # values' worth of the belief that the estimates are normal
-_LEAST = 10  # values that can show a tail at all
-_TAIL = 64  # smallest and largest values that are kept, and values that a tail index is fitted to
-_LEAST_TAIL = 300  # values of which these are the tail
-_CLUMPS = 4.0  # kurtosis, up to which far values are no tail
-_LEAST_POINTS = 3000  # whose 256 farthest are the tail
-_BEYOND = {16: 0.005, 64: 0.02, 256: 0.15}  # of the variance, by so many: what ends has a low one
-_MOST_ERROR = 2.0  # squared: fewer than one degree of freedom, an upper end above 100 s²
-# Tail index of the values above which the upper end of a variance allows for the tail, its standard
-# error for 64 values of a tail, and the index above which nothing bounds the variance. With an
-# index of ¼ the kurtosis is infinite. Of values u^−0.3 and with 1,000 realizations the interval
-# holds in 96 % (85 % by the kurtosis alone); for uniform, normal and exponential ones it is the same.
+# Weight, in number of values, of the prior that estimates are normal
+_PRIOR = 20
+_LEAST = 10  # Least number of values that can show a tail
+# Number of smallest and of largest values that are kept and that a tail index is fitted to
+_TAIL = 64
+_LEAST_TAIL = 300  # Least number of values for which these are a tail
+_CLUMPS = 4.0  # Kurtosis up to which far values do not count as a tail
+_LEAST_POINTS = 3000  # Least number of points whose 256 farthest are a tail
+# Largest share of the variance beyond all values, by the number of farthest values that the tail is
+# fitted to. Bounded values have a small share
+_BEYOND = {16: 0.005, 64: 0.02, 256: 0.15}
+# Largest squared error: above it there is less than one degree of freedom, and an upper end above
+# 100 s²
+_MOST_ERROR = 2.0
+# Tail index of the values above which the upper end of a variance accounts for the tail; its
+# standard error for 64 tail values; and the index above which the variance is unbounded. At index ¼
+# the kurtosis is infinite. For values u^−0.3 and 1,000 realizations the interval holds in 96 % of
+# cases (85 % by the kurtosis alone). For uniform, normal and exponential values it does not change.
 _TAILED, _INDEX_ERROR, _MOST_INDEX = 0.05, 0.16, 0.32
-# Quantile at 97.5 % of log(σ²/s²) for R values u^−k: rows by R, columns by k. Simulated with 1,200
-# to 20,000 sets of each kind
+# Quantile at 97.5 % of log(σ²/s²) for R values u^−k: rows by R, columns by k, from 1,200 to 20,000
+# simulated sets of each kind
 _TAIL_INDICES = (0.21, 0.26, 0.31, 0.36, 0.41, 0.46)
 _TAIL_COUNTS = (300, 1000, 3000, 10_000, 30_000, 100_000)
 _TAIL_ENDS = (
@@ -52,7 +58,7 @@ _TAIL_ENDS = (
     (0.084, 0.122, 0.188, 0.302, 0.534, 1.114),
     (0.048, 0.073, 0.122, 0.216, 0.415, 0.945),
 )
-_GROUPS = 32  # of stored sets, at most, that are left out in turn
+_GROUPS = 32  # Most groups of stored sets for the jackknife
 
 
 @final
@@ -63,7 +69,7 @@ class Measured:
     Attributes
     ----------
     log
-        Whether distances of the ends are ratios, as those of variances are.
+        Whether the interval is symmetric on a logarithmic scale, as for variances.
     """
 
     value: float
@@ -84,15 +90,15 @@ class Measured:
 
     @classmethod
     def of(cls, data: xr.Dataset, name: str, *, log: bool = False) -> Measured:
-        """Return a variable of a result that has an interval, ``NAME_ci``."""
+        """Return a variable of a result together with its interval ``NAME_ci``."""
         low, high = (float(end) for end in data[f"{name}_ci"].values)
         return cls(float(data[name]), low, high, log)
 
     def __truediv__(self, other: Measured | float) -> Measured:
-        """Divide by a number without error, or by another variance that is independent of this one.
+        """Divide by a number without error, or by another, independent variance.
 
-        Common random numbers, which vary together, make the interval too wide. The ratio is NaN where a
-        variance is not positive, or has no upper bound.
+        Common random numbers make the interval too wide, because both variances move together. The
+        ratio is NaN if a variance is not positive or has no upper bound.
         """
         if not isinstance(other, Measured):
             return Measured(self.value / other, self.low / other, self.high / other, self.log)
@@ -104,13 +110,13 @@ class Measured:
         return Measured(value, value * math.exp(-half), value * math.exp(half), log=True)
 
     def __sub__(self, other: Measured) -> Measured:
-        """Subtract another number that is independent of this one."""
+        """Subtract another, independent number."""
         value = self.value - other.value
         half = math.hypot(*((each.high - each.low) / 2 for each in (self, other)))
         return Measured(value, value - half, value + half)
 
     def widened(self, factor: float) -> tuple[float, float]:
-        """Return the ends of an interval so many times as wide, about the value."""
+        """Return the ends of an interval about the value, wider by the factor."""
         ends = (self.low, self.high)
         if self.log and min(self.value, *ends) > 0:
             low, high = (self.value * (end / self.value) ** factor for end in ends)
@@ -122,20 +128,20 @@ class Measured:
 @final
 @dataclass(frozen=True)
 class StoredSets:
-    """Moments by groups of stored sets, where realizations use few sets again and again.
+    """Moments by groups of stored sets, for samplers that reuse a limited number of sets.
 
-    Realization r uses the set r mod `sets`. Realizations of one set are not independent, so that errors
-    follow from leaving out one group of sets after the other (jackknife).
+    Realization r uses the set r mod `sets`. Realizations of one set are not independent, so errors
+    come from a jackknife that leaves out one group of sets at a time.
     """
 
     sets: int
-    count: Array  # values of each group, (G,)
+    count: Array  # Number of values of each group, (G,)
     mean: Array  # (G, …)
     m2: Array
 
     @staticmethod
     def of(values: Array, first: int, sets: int) -> StoredSets:
-        """Moments of values (R, …) of the realizations from `first` on, by groups of sets."""
+        """Return moments of values (R, …) by groups of sets; `first` is the first realization."""
         groups = min(sets, _GROUPS)
         label = (first + np.arange(len(values))) % sets % groups
         count = np.bincount(label, minlength=groups).astype(float)
@@ -148,7 +154,7 @@ class StoredSets:
         return StoredSets(sets, count, mean, m2)
 
     def merge(self, other: StoredSets) -> StoredSets:
-        """Moments of both, group by group."""
+        """Return the merged moments, group by group."""
         count = self.count + other.count
         part = self._by_group(np.divide(other.count, count, out=0.0 * count, where=count > 0))
         delta = other.mean - self.mean
@@ -156,7 +162,7 @@ class StoredSets:
         return StoredSets(self.sets, count, self.mean + part * delta, m2)
 
     def errors(self) -> tuple[Array, Array]:
-        """Standard errors of the variance of all values, relative to it, and of their mean.
+        """Return standard errors of the variance, relative to it, and of the mean of all values.
 
         Both are infinite for a single set. All groups must have values.
         """
@@ -193,12 +199,13 @@ class Moments:
     m2: Array
     m3: Array
     m4: Array
-    # The smallest and the largest values, sorted along the first axis, where tails are looked at
+    # Smallest and largest values, sorted along the first axis, if tails are examined
     extremes: Array | None = None
-    kept: int = field(default=_TAIL, kw_only=True)  # of each
-    # Of the values at single points that these are means of: they show tails that means hide
+    kept: int = field(default=_TAIL, kw_only=True)  # Number of smallest and of largest values
+    # Moments of the values at single points that these values average; they show tails that means
+    # hide
     points: Moments | None = field(default=None, kw_only=True)
-    # By stored sets, where a sampler has only so many; errors follow these once they are used again
+    # Moments by stored sets of samplers with few sets; errors use them once a set is reused
     stored: StoredSets | None = field(default=None, kw_only=True)
 
     @staticmethod
@@ -210,9 +217,9 @@ class Moments:
         first: int = 0,
         sets: int | None = None,
     ) -> Moments:
-        """Moments of values (R, ...) over their first axis, and with `tails` what `tail_index` needs.
+        """Return moments of values (R, ...) over their first axis; `tails` keeps the extremes.
 
-        With `sets` the values are those of the realizations from `first` on of a sampler with as many sets.
+        `sets` is the number of stored sets of the sampler, and `first` the first realization.
         """
         mean = values.mean(axis=0)
         deviation = values - mean
@@ -230,11 +237,11 @@ class Moments:
 
     @staticmethod
     def of_points(values: Array) -> Moments:
-        """Moments of values (N, ...) at single points, with what `beyond` needs."""
+        """Return moments of values (N, ...) at single points, with the extremes for `beyond`."""
         return Moments.of(values, tails=True, kept=max(_BEYOND))
 
     def merge(self, other: Moments) -> Moments:
-        """Moments of both sets of values together."""
+        """Return moments of both sets of values together."""
         a, b = self.count, other.count
         n = a + b
         delta = other.mean - self.mean
@@ -284,22 +291,22 @@ class Moments:
     def relative_se(self) -> Array:
         """Standard error of the variance relative to it, from the kurtosis of the values.
 
-        Var(s²)/σ⁴ = (κ − (R−3)/(R−1))/R [Kenney & Keeping 1951]. Few values understate κ: it is
-        drawn toward a normal's 3 with the weight of 20 values. At least the jackknife's of few sets that
-        are used again.
+        Var(s²)/σ⁴ = (κ − (R−3)/(R−1))/R [Kenney & Keeping 1951]. Few values underestimate κ, so κ
+        is pulled toward a normal's 3 with the weight of 20 values. If stored sets are reused, the
+        result is at least the jackknife error.
         """
         return np.maximum(self._alone_se, self._stored_errors()[0])
 
     @property
     def widening(self) -> Array:
-        """Factor, at least 1, by which few stored sets raise the error of the variance."""
+        """Factor, at least 1, by which reused stored sets raise the error of the variance."""
         alone = self._alone_se
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(alone > 0, np.maximum(self.relative_se / alone, 1.0), 1.0)
 
     @property
     def degrees(self) -> int:
-        """Number of independent values, or groups of stored sets, that errors rest on."""
+        """Number of independent values, or of groups of stored sets, behind the errors."""
         return len(self.stored.count) if self.stored is not None and self._reused else self.count
 
     @property
@@ -307,7 +314,7 @@ class Moments:
         return self.stored is not None and self.count > self.stored.sets
 
     def _stored_errors(self) -> tuple[Array, Array]:
-        """Errors by the stored sets of variance, relative to it, and mean; 0 where none is used again."""
+        """Return jackknife errors of the relative variance and the mean; 0 without reused sets."""
         if self.stored is None or not self._reused:
             none = np.zeros_like(self.m2)
             return none, none
@@ -315,7 +322,7 @@ class Moments:
 
     @property
     def _alone_se(self) -> Array:
-        """`relative_se` of independent values."""
+        """`relative_se` for independent values."""
         n = self.count
         if n < 2:
             return np.full_like(self.m2, np.nan)
@@ -327,19 +334,20 @@ class Moments:
 
     @property
     def known_se(self) -> Array:
-        """`relative_se`, infinite where the variance is not `resolved`."""
+        """`relative_se`, infinite if the variance is not `resolved`."""
         return np.where(self.resolved, self.relative_se, np.inf)
 
     @property
     def variance_ci(self) -> Array:
-        """95 % interval of the variance, (..., 2); the upper end is inf where it is not `resolved`.
+        """95 % interval of the variance, (..., 2); the upper end is inf if it is not `resolved`.
 
-        On a logarithmic scale from the kurtosis, as that of [Bonett2006]_; about a center that the
-        skewness moves, as his trimmed mean is, and wider upwards, since values without a tail make
-        s² and its error too small together. A tail index above 0.05 moves the upper end to at least the
-        quantile for values u^−k, with k one standard error above the index. The constants are chosen for 93 to 97 % from 20 values
-        on and kurtoses up to 10, whether skew, heavy, flat or two-peaked (``python -m benchmarks
-        coverage``); what they add vanishes as R grows.
+        The interval is logarithmic and uses the kurtosis, as in [Bonett2006]_, about a center that
+        the skewness moves, like his trimmed mean. It is wider upward, because values without a tail
+        make s² and its error too small together. A tail index above 0.05 moves the upper end to at
+        least the quantile for values u^−k, with k one standard error above the index. The constants
+        give a coverage of 93 to 97 % for 20 or more values and kurtoses up to 10, whether skewed,
+        heavy, flat or two-peaked (``python -m benchmarks coverage``). Their effect vanishes as R
+        grows.
         """
         low, high = self._log_errors()
         few = student_t(self.degrees) * self._stored_errors()[0]
@@ -357,10 +365,11 @@ class Moments:
     def resolved(self) -> Array:
         """Whether the values bound their variance from above.
 
-        Not if one or two of them make up most of it; nor if the tail index of their squares is more
-        than 0.64, above which their mean is far from normal with any number of them in reach
-        [Vehtari2024]_, and their kurtosis more than 4: values in a few clumps have a few far from others, too. Nor if the values that they are
-        means of follow a power law, and much of their variance lies beyond all of them.
+        They do not in three cases. One or two values make up most of the variance. Or the tail
+        index of their squares exceeds 0.64 and their kurtosis 4. Above 0.64 the mean is far from
+        normal for any feasible number of values [Vehtari2024]_; the kurtosis excludes values in a
+        few clumps. Or the values that they average follow a power law, and much of their variance
+        lies beyond all of them.
         """
         with np.errstate(invalid="ignore", divide="ignore"):
             few = self._log_errors()[1] ** 2 > _MOST_ERROR
@@ -372,20 +381,22 @@ class Moments:
 
     @property
     def tail_index(self) -> Array:
-        """k̂ of a generalized Pareto law of the farthest values: 0 exponential, ½ infinite variance.
+        """k̂ of a generalized Pareto distribution of the farthest values.
 
-        By probability-weighted moments [HoskingWallis1987]_ of the 63 largest over the 64th, of the values
-        on the side of the mean that reaches farther: both sides together are no tail where one ends
-        inside the other. NaN for fewer than 300 values, or without `tails`.
+        0 means exponential, ½ infinite variance. It is estimated by probability-weighted moments
+        [HoskingWallis1987]_ from the 63 largest values over the 64th, on the side of the mean that
+        reaches farther. Both sides together would not form a tail, as one may end inside the other.
+        NaN for fewer than 300 values, or without `tails`.
         """
         if self.extremes is None or self.count < _LEAST_TAIL:
             return np.full_like(self.m2, np.nan)
         return self._farthest(_TAIL)[1]
 
     def beyond(self, many: int) -> Array:
-        """Share of the variance beyond all values, if so many of the farthest tell their law.
+        """Return the share of the variance beyond all values, from the `many` farthest values.
 
-        Of values t^-k beyond a quantile that M of N exceed a part M^(2k − 1) of Σ t² is beyond them all.
+        For values t^-k, with M of N values above a quantile, a fraction M^(2k − 1) of Σ t² lies
+        beyond all.
         """
         far, index = self._farthest(many)
         share = np.divide((far**2).sum(axis=0), self.m2, out=0.0 * self.m2, where=self.m2 > 0)
@@ -393,14 +404,15 @@ class Moments:
         return np.asarray(np.where(np.isfinite(index), share * law, 0.0))
 
     def _farthest(self, many: int) -> tuple[Array, Array]:
-        """Distances of the farthest values from the mean, on its longer side, and their k̂."""
+        """Return distances of the farthest values from the mean, on its longer side, and k̂."""
         assert self.extremes is not None
         below = (self.mean - self.extremes[:many])[::-1]
         above = self.extremes[-many:] - self.mean
         far = np.where(above[-1] >= below[-1], above, below)
         excess = far[1:] - far[0]
 
-        # Values on a grid, such as shares of hits, stand for its cells: the tail begins half a step below
+        # Values on a grid, such as shares of hits, stand for grid cells, so the tail begins half a
+        # step below
         step = np.where(excess > 0, excess, np.inf).min(axis=0)
         grid = (excess[0] == 0) & (far[0] > 0) & np.isfinite(step)
         excess = excess + np.where(grid, step / 2, 0.0)
@@ -410,7 +422,7 @@ class Moments:
             return far, np.asarray(2.0 - first / (first - 2.0 * second))
 
     def _log_errors(self) -> tuple[Array, Array]:
-        """Standard errors of log s² for the lower and the upper end."""
+        """Return standard errors of log s² for the lower and the upper end."""
         n = self.count
         if n < 2:
             return np.full_like(self.m2, np.nan), np.full_like(self.m2, np.nan)
@@ -418,7 +430,7 @@ class Moments:
         with np.errstate(invalid="ignore", divide="ignore"):
             kurtosis = np.where(self.m2 > 0, n * self.m4 / self.m2**2, 3.0)
             skewness = np.where(self.m2 > 0, np.sqrt(n) * self.m3 / self.m2**1.5, 0.0)
-        # Fourth moment about the mean moved against the skewness, and what so few cannot show of it
+        # Fourth moment about the mean moved against the skewness, and the part that few values miss
         shift = 0.5 * n**-0.25 * skewness
         kurtosis = kurtosis + 4 * shift * skewness + 6 * shift**2 + shift**4
         unseen = 36.0 * n ** (-2 / 3) * np.sqrt(np.maximum(kurtosis - 2.0, 0.0))
@@ -436,11 +448,11 @@ class Moments:
 
 
 def _tail_end(index: Array, count: int) -> Array:
-    """Upper end of log(σ²/s²) for values with a tail, from `_TAIL_ENDS`."""
+    """Return the upper end of log(σ²/s²) for values with a tail, from `_TAIL_ENDS`."""
     k = np.clip(index + _INDEX_ERROR, _TAIL_INDICES[0], _TAIL_INDICES[-1])
     columns = np.arange(len(_TAIL_INDICES))
     place, rows = np.interp(k, _TAIL_INDICES, columns), np.log(_TAIL_COUNTS)
-    # Powers of the count between rows, and the last power beyond
+    # Interpolate powers of the count between rows, and extrapolate the last power
     x = math.log(count)
     row = int(np.clip(np.searchsorted(rows, x) - 1, 0, len(rows) - 2))
     part = (x - rows[row]) / (rows[row + 1] - rows[row])
@@ -449,7 +461,7 @@ def _tail_end(index: Array, count: int) -> Array:
 
 
 def _outermost(values: Array, kept: int) -> Array:
-    """The smallest and the largest values (R, ...), in order."""
+    """Return the smallest and the largest values (R, ...), sorted."""
     if len(values) > 2 * kept:
         parted = np.partition(values, (kept, len(values) - kept - 1), axis=0)
         values = np.concatenate([parted[:kept], parted[-kept:]])
@@ -457,9 +469,10 @@ def _outermost(values: Array, kept: int) -> Array:
 
 
 def variance_interval(variance: Array, relative_se: Array) -> Array:
-    """95 % interval of a variance, (..., 2), from χ² quantiles with ν = 2/relative_se² degrees.
+    """Return a 95 % interval of a variance, (..., 2), from χ² quantiles.
 
-    For normal values ν is R − 1 and the interval is exact; heavier tails have fewer degrees.
+    The number of degrees is ν = 2/relative_se². For normal values ν is R − 1 and the interval is
+    exact. Heavier tails have fewer degrees.
     """
     from scipy.special import gammaincinv
 
@@ -469,10 +482,11 @@ def variance_interval(variance: Array, relative_se: Array) -> Array:
 
 
 def mean_interval(values: Array) -> tuple[float, float]:
-    """95 % interval of the mean of independent estimates, (R,).
+    """Return a 95 % interval of the mean of independent estimates, (R,).
 
-    The hull of Student's t and of Hall's transform of it, cubic in the skewness [Hall1992]_: both are the
-    same where estimates are normal, and what is skewed reaches further to the side of its tail.
+    It is the hull of Student's t interval and Hall's transform of it, cubic in the skewness
+    [Hall1992]_. Both agree for normal estimates. For skewed estimates the interval extends farther
+    on the side of the tail.
     """
     count = len(values)
     mean, spread = float(values.mean()), float(values.std(ddof=1))
@@ -487,5 +501,5 @@ def mean_interval(values: Array) -> tuple[float, float]:
 
 
 def rounding_floor(size: Array) -> Array:
-    """Variance below which estimates of this size differ by rounding only: (16 ulps)²."""
+    """Return the variance below which estimates of this size differ by rounding: (16 ulps)²."""
     return np.asarray((16 * np.finfo(float).eps * np.abs(size)) ** 2)

@@ -1,8 +1,8 @@
 """Quadrature of primary-space integrands: means over strata and shifted grids, and ∫g².
 
-Strata are cut at the discontinuities that the integrand declares (`breaks`) and at the seam of the
-torus, more finely toward 0 and 1, where warps have their singularities, and integrated by
-Gauss-Legendre or, for integrands that know their moments over boxes, exactly.
+Strata are cut at the discontinuities that the integrand declares (`breaks`), at the seam of the
+torus, and more finely toward 0 and 1, where warps are singular. They are integrated by
+Gauss-Legendre rules, or exactly if the integrand has closed-form moments over boxes.
 """
 
 from __future__ import annotations
@@ -51,30 +51,44 @@ __all__ = [
 ]
 
 MOST_EVALUATIONS = 2.0**26
-"""Of an integrand, beyond which a quadrature is refused."""
+"""Most evaluations of an integrand in a quadrature; more is an error."""
 
 DIVERGES = 0.4995
-"""Exponent of g from which ∫g² is infinite, less what slopes are off by."""
+"""Exponent of g above which ∫g² is taken as infinite: ½ minus the error of slopes."""
 
-_BLOCK = 2**18  # evaluations at a time
+_BLOCK = 2**18  # Evaluations per call
 _ORDERS = ((12, 20), (6, 10), (4, 6))
-_MANY = 400  # nets in 2-D have n² cells: 10² nodes in each of more are too many
-_LEAST_PANELS = 32  # of the whole axis, where offsets of few strata are integrated over
-_FEW_CELLS = 2**13  # of a level: enough for curves of jumps, and an eighth of the time
-_SAME = 1e-9  # of √∫g²: a mean this near to an integral in closed form has seen all of g
-_RESOLVED = 1e-10  # relative error of ∫g² above which g has jumps that boxes could not follow
-_CENTER = 2**10  # points whose mean is subtracted before g is squared
-_POLE = 2.0  # times the largest value at the probe, which g² exceeds next to a pole
-_SUSPECT = 0.01  # relative error, beyond which there may be a pole, and all levels are worth it
+# Number of strata above which orders are lower: nets in 2-D have n² cells, so 10² nodes are too
+# many
+_MANY = 400
+# Least number of panels of the whole axis in integrals over offsets of few strata
+_LEAST_PANELS = 32
+# Cells per level: enough for curves of jumps, in an eighth of the time
+_FEW_CELLS = 2**13
+# Error as a fraction of √∫g² below which a mean resolves all of g
+_SAME = 1e-9
+# Relative error of ∫g² above which g has jumps that boxes did not resolve
+_RESOLVED = 1e-10
+_CENTER = 2**10  # Points for the mean that is subtracted before g is squared
+# Multiple of the largest value at the probe that g² exceeds next to a pole
+_POLE = 2.0
+# Relative error above which there may be a pole, so that all levels are computed
+_SUSPECT = 0.01
 _LOOKED_DIMS = 5
-_HIDDEN = 0.1  # of an error: regions that nodes do not see have a small part in it
-_GROWTH_LINES, _STEADY = 4, 0.02  # lines, and difference of two slopes of one exponent
-_FAR, _NEAR, _INSIDE = (30, 60, 90, 120), (20, 30, 40, 50), (8, 14, 20, 26)  # log2 of 1/distance
-_TOP, _RANK = 256, 8  # largest values at the probe, and the one beyond which they are not relied on
-_HEAVY, _AS_POWER, _LARGEST_POWER = 0.1, 0.6, 0.47  # exponents of their power law, and how like one
-_RISES = 0.02  # log2 of g from one distance to the next, which grows without end
+# Largest fraction of the error that may come from regions that nodes miss
+_HIDDEN = 0.1
+# Number of lines, and largest difference of two slopes with one exponent
+_GROWTH_LINES, _STEADY = 4, 0.02
+# log2 of 1/distance from 0, from 1 and from a break
+_FAR, _NEAR, _INSIDE = (30, 60, 90, 120), (20, 30, 40, 50), (8, 14, 20, 26)
+# Number of stored largest values at the probe, and rank beyond which the power law is used
+_TOP, _RANK = 256, 8
+# Least exponent of a power law, least ratio of its two slopes, and largest exponent used
+_HEAVY, _AS_POWER, _LARGEST_POWER = 0.1, 0.6, 0.47
+# Least rise of log2 |g| from one distance to the next that counts as unbounded growth
+_RISES = 0.02
 
-# √u near 0 is integrated to 1e-6 with panels down to 2^-20; in 2-D every panel costs a row of them.
+# Panels down to 2^-20 integrate √u near 0 to 1e-6. In 2-D every panel costs a row of panels.
 _GRADED = {
     dims: tuple(x for k in range(1, depth) for x in (0.5**k, 1.0 - 0.5**k))
     for dims, depth in ((1, 40), (2, 14))
@@ -84,13 +98,13 @@ _GRADED = {
 @final
 @dataclass(frozen=True, eq=False)
 class Pointwise(Derived):
-    """What is made of an integrand point by point, of as many channels or `width`."""
+    """A pointwise function of an integrand, with `width` channels or as many as the integrand."""
 
     name: ClassVar[str] = "pointwise"
     text = "{0.label}"
     is_black_box = False
     integrand: Integrand
-    values: Callable[[Array], Array]  # of points
+    values: Callable[[Array], Array]  # Maps points to values
     cuts: Breaks
     label: str
     width: int | None = None
@@ -113,7 +127,7 @@ class Pointwise(Derived):
 @final
 @dataclass(frozen=True, eq=False)
 class _Cut(Derived):
-    """An integrand with the breaks that were found as well."""
+    """An integrand with its declared and its detected breaks."""
 
     name: ClassVar[str] = "cut"
     text = "{0.integrand.spec}"
@@ -131,10 +145,10 @@ class _Cut(Derived):
 
 
 def looked_at(g: Integrand) -> Integrand:
-    """g, cut also where lines see jumps across an axis (`found_breaks`), if they see any.
+    """Return g with the jumps across an axis that line searches detect, if any (`found_breaks`).
 
-    Integrands of costly calls, in closed form, with a rule of their own or in over 5 dims are taken
-    as they are.
+    g is returned unchanged if its calls are costly, it has a closed form or its own rule, or over 5
+    dims.
     """
     cache = g._cache
     if cache.cut is None:
@@ -147,21 +161,21 @@ def looked_at(g: Integrand) -> Integrand:
 
 
 def blindness(g: Integrand, means: Array, squares: Array) -> Array:
-    """How far a rule's ∫g and ∫g² are off, as a variance: (channels,).
+    """Return the error of a rule for ∫g and ∫g², as a variance: (channels,).
 
     Parameters
     ----------
     g
         The integrand.
     means, squares
-        Means of g and g² over equal parts of the cube by that rule, (parts, channels).
+        Means of g and g² over equal parts of the cube by the rule, (parts, channels).
 
     Returns
     -------
     ndarray
-        0 where the sums agree with integrals by a rule that looks for what nodes miss
-        (`mcspectra.integrands._quadrature.adaptive_integral`), and it resolves g; or, where ∫g is
-        known in closed form, with that. Else the difference, and the error of the integrals.
+        0 if the sums agree with integrals by a rule that detects regions between nodes
+        (`mcspectra.integrands._quadrature.adaptive_integral`) and resolves g; or with ∫g, if that
+        has a closed form. Otherwise the difference, plus the error of the integrals.
     """
     mean, square = means.mean(axis=0), squares.mean(axis=0)
     exact = g._integral()
@@ -175,16 +189,18 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
     square_off = np.abs(square - 2.0 * middle * mean + middle**2 - second) - error - rounding
     largest = np.abs(means - middle).max(axis=0)
     missed = np.maximum(square_off, 0.0) + 2.0 * largest * np.maximum(off, 0.0)
-    # Integrals that are not resolved can hide as much as their error, jumps are where they were found
+    # Unresolved integrals may hide as much as their error; jumps are known where breaks were
+    # detected
     hides = (error > _RESOLVED * second) | isinstance(g, _Cut)
     return np.asarray(missed + np.where(hides, error, 0.0))
 
 
 def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
-    """A number a near to ∫g, ∫(g − a), ∫(g − a)² and the error of both, each (channels or 1,).
+    """Return a number a near ∫g, then ∫(g − a), ∫(g − a)² and the error of both: (channels or 1,).
 
-    In closed form, else by the rule that looks for what nodes miss; found once for each g. Of f by a learned
-    density over the domain, where its knots lie across the axes: those of g lie along curves.
+    They have a closed form, or come from the rule that detects regions between nodes, and are
+    cached. With a learned density, f is integrated over the domain: the density's knots lie across
+    the axes there, but along curves in primary space.
     """
     cache = g._cache
     if cache.moments is None:
@@ -200,12 +216,12 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
                 p = density.pdf(x)[..., None] if over_domain else 1.0
                 values = values_at(inside.integrand if over_domain else g, x)
                 first = values / p - middle
-                with np.errstate(over="ignore"):  # next to a pole
+                with np.errstate(over="ignore"):  # Next to a pole
                     return np.concatenate([first * p, first**2 * p], axis=-1)
 
             label, width = f"moments of {g.spec}", 2 * len(middle)
             both = Pointwise(g, centered, breaks, label, width)
-            if g.dims <= _LOOKED_DIMS and not over_domain:  # in more there are no boxes to cut
+            if g.dims <= _LOOKED_DIMS and not over_domain:  # In more dims there are no boxes to cut
                 both._cache.breaks = found_breaks(g)
             found = integral_estimate(both)
             first, second = np.split(found.value, 2)
@@ -222,18 +238,18 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
 @final
 @dataclass(frozen=True)
 class Rule:
-    """Gauss-Legendre nodes a piece and axis, evaluations beyond which it refuses, and another order."""
+    """Order of a Gauss-Legendre rule, its most evaluations, and a second order for comparison."""
 
     order: int
     most: float = MOST_EVALUATIONS
     against: int = 0
 
     def each(self, g: Integrand) -> int:
-        """Evaluations for one box; moments in closed form count as one at each corner."""
+        """Return evaluations for one box; closed-form moments count as one per corner."""
         return int((2 if in_closed_form(g) else self.order) ** g.dims)
 
     def check(self, what: str, evaluations: float) -> None:
-        """Refuse what would take too long; `what` begins the sentence."""
+        """Raise if the quadrature would take too long; `what` begins the sentence."""
         if evaluations > self.most:
             raise NoClosedForm(
                 f"{what} would take {evaluations:.2g} evaluations, more than {self.most:.2g}; use ",
@@ -243,12 +259,12 @@ class Rule:
 
 
 def orders_of(cells: int, dims: int) -> tuple[int, int]:
-    """Orders of two rules to compare; in 2-D and up lower, and for many cells lower still."""
+    """Return orders of two rules to compare: lower in 2-D and up, and lower for many cells."""
     return _ORDERS[0] if dims == 1 else _ORDERS[1] if cells < _MANY else _ORDERS[2]
 
 
 def unseen(g: Integrand) -> Array:
-    """What ∫g² may be off by for regions that nodes do not see, (channels or 1,): `moments`."""
+    """Return the error of ∫g² from regions that nodes miss, (channels or 1,); see `moments`."""
     none = np.zeros(max(1, g.channels))
     if g.costly or g.dims > _LOOKED_DIMS or in_closed_form(g):
         return none
@@ -257,11 +273,12 @@ def unseen(g: Integrand) -> Array:
 
 
 def beyond_points(g: Integrand) -> Array:
-    """Part of ∫g² next to poles that the points of the probe do not reach, (channels or 1,); 0 without poles.
+    """Return the part of ∫g² next to poles beyond the probe's points, (channels or 1,).
 
-    There is a pole where g is `unbounded` on lines, and where the largest values follow a power law:
-    from rank 4 to 32 they fall as much as from 32 to 256, where those of bells fall by an eighth. Of
-    values t^-a beyond rank k, ∫g² has k g_k² / (N (1 − 2a)).
+    It is 0 without poles. A pole is assumed if g is `unbounded` on lines, or if its largest values
+    follow a power law: from rank 4 to 32 they fall about as much as from 32 to 256. The values of
+    bells fall by only an eighth as much. For values t^-a, ranks beyond k contribute k g_k² / (N (1
+    − 2a)) to ∫g².
     """
     none = np.zeros(max(1, g.channels))
     if g.costly or in_closed_form(g):
@@ -284,7 +301,7 @@ def beyond_points(g: Integrand) -> Array:
 
 
 def constant(g: Integrand) -> str:
-    """What is to be said of an integrand that is the same at all points of the probe; else ''."""
+    """Return a sentence if an integrand is equal at all points of the probe, else ''."""
     if g.costly or in_closed_form(g) or g._integral() is not None:
         return ""
     values = g(probe(g.dims)).reshape(PROBE, -1)
@@ -294,13 +311,13 @@ def constant(g: Integrand) -> str:
         return ""
     return (
         f"{g.spec} is the same at all {PROBE} points of a probe: its variance is 0 to rounding, or "
-        f"lies in a region of less than about {10 / PROBE:.0e} of the volume; use convergence, or give "
-        "its integral (integral=) to say that it is constant"
+        f"comes from a region of less than about {10 / PROBE:.0e} of the volume; use convergence, "
+        "or give its integral (integral=) if it is constant"
     )
 
 
 def closed_moments(g: Integrand) -> tuple[Array, Array] | None:
-    """∫g and ∫g², both (channels or 1,), where g knows its moments over boxes."""
+    """Return ∫g and ∫g², both (channels or 1,), if g has closed-form moments over boxes."""
     found = g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims)))
     if found is None:
         return None
@@ -309,37 +326,39 @@ def closed_moments(g: Integrand) -> tuple[Array, Array] | None:
 
 
 def in_closed_form(g: Integrand) -> bool:
-    """Whether g knows its moments over boxes."""
+    """Return whether g has closed-form moments over boxes."""
     return closed_moments(g) is not None
 
 
 def values_at(g: Integrand, x: Array) -> Array:
-    """g at points (…, d): (…, channels or 1)."""
+    """Return g at points (…, d): (…, channels or 1)."""
     return np.asarray(g(x)).reshape(*x.shape[:-1], -1)
 
 
 def mesh(*axes: Array) -> Array:
-    """All points of a grid with these coordinates along the axes: (…, d)."""
+    """Return all points of a grid with these coordinates along the axes: (…, d)."""
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
 def grid(axis: Array, dims: int) -> Array:
-    """All points of a grid with the same coordinates along each axis, in C order: (k^dims, dims)."""
+    """Return a grid with equal coordinates along each axis, in C order: (k^dims, dims)."""
     return mesh(*[axis] * dims).reshape(-1, dims)
 
 
 def strata(
     g: Integrand, sides: tuple[int, ...], offset: Array, rule: Rule
 ) -> tuple[Array, Array, Array]:
-    """Means over strata, displaced by `offset` on the torus, mean variance within, and its error.
+    """Return means over strata displaced by `offset`, mean variance within strata, and its error.
 
-    (strata, channels), (channels,) and (channels,). The error is the `blindness`, and where jumps are
-    not known, twice the standard error that differences of two orders have in independent strata:
-    these may agree by chance in the mean.
+    The shapes are (strata, channels), (channels,) and (channels,). Displacement is on the torus.
+    The error is the `blindness`. If jumps are unknown, it also contains twice the standard error of
+    the differences between two orders in independent strata, because two orders may agree by chance
+    in the mean.
     """
     means, squares = stratum_moments(g, sides, offset, rule.order, rule.most)
     unseen = blindness(g, means, squares)
-    # Second pass about the stratum means would cost a second evaluation; clip what cancels.
+    # A second pass about the stratum means would cost a second evaluation, so clip cancellation
+    # errors
     within = np.maximum(squares - means * means, 0.0)
     if rule.against and not in_closed_form(g):
         coarse, squares = stratum_moments(g, sides, offset, rule.against, rule.most)
@@ -355,13 +374,13 @@ def stratum_moments(
     order: int | Array,
     most: float = MOST_EVALUATIONS,
 ) -> tuple[Array, Array]:
-    """Means of g and g² over strata, displaced by `offset` on the torus: (strata, channels or 1).
+    """Return means of g and g² over strata displaced on the torus: (strata, channels or 1).
 
-    By Gauss-Legendre of this order, or of one for each axis.
+    The Gauss-Legendre rule has this order, or one for each axis.
     """
 
     def cut(graded: tuple[float, ...]) -> list[tuple[Array, Array]]:
-        """Ends of the pieces between strata borders (j + offset)/sides, breaks and the seam 0."""
+        """Cut at strata borders (j + offset)/sides, breaks and the seam 0; return the ends."""
         axes = []
         for s, displaced, breaks in zip(sides, map(float, offset), g.breaks, strict=True):
             borders = (np.arange(s) / s + displaced) % 1.0
@@ -383,7 +402,7 @@ def stratum_moments(
         both = np.stack([np.asarray(m) for m in g.box_moments(*box) or ()])
         both = both.reshape(2, *(len(low) for low, _ in axes), -1)
     else:
-        # A tensor Gauss-Legendre rule over each piece, summed axis by axis but for the first
+        # Apply a tensor Gauss-Legendre rule to each piece, and sum along all axes but the first
         rules = [gauss_rule(each) for each in orders]
         grids = [
             (low[:, None] + (high - low)[:, None] * node).ravel()
@@ -400,7 +419,7 @@ def stratum_moments(
             parts.append(part)
         both = _sums(np.concatenate(parts, axis=1), 1, rules[0][1])
 
-    # Means over strata: pieces count by their share of the stratum, an axis after the other
+    # Average over strata, axis by axis: pieces count by their share of the stratum
     for i, (low, high) in enumerate(axes):
         middle = (0.5 * (low + high) - float(offset[i])) % 1.0
         stratum = np.minimum(np.floor(middle * sides[i]).astype(np.int64), sides[i] - 1)
@@ -414,13 +433,13 @@ def stratum_moments(
 
 
 def _sums(values: Array, axis: int, weights: Array) -> Array:
-    """Weighted sums of each len(weights) successive values along an axis."""
+    """Return weighted sums of each len(weights) successive values along an axis."""
     shape = (*values.shape[:axis], -1, len(weights), *values.shape[axis + 1 :])
     return np.asarray(np.moveaxis(values.reshape(shape), axis + 1, -1) @ weights)
 
 
 def offset_rule(g: Integrand, sides: tuple[int, ...], order: int) -> tuple[Array, Array]:
-    """Gauss nodes and weights for an offset uniform in one stratum, cut where breaks line up."""
+    """Return Gauss nodes and weights for a uniform offset in one stratum, cut at folded breaks."""
     node, weight = gauss_rule(order)
     per_axis = []
     for s, breaks in zip(sides, g.breaks, strict=True):
@@ -437,19 +456,20 @@ def offset_rule(g: Integrand, sides: tuple[int, ...], order: int) -> tuple[Array
 
 
 def grid_values(g: Integrand, sides: tuple[int, ...], offset: Array) -> Array:
-    """Values of g on the grid (j + offset·sides)/sides: (*sides, channels or 1)."""
+    """Return values of g on the grid (j + offset·sides)/sides: (*sides, channels or 1)."""
     x = mesh(*((np.arange(s) / s + o) % 1.0 for s, o in zip(sides, offset, strict=True)))
     return np.asarray(g(x)).reshape(*sides, -1)
 
 
 def square_integral(g: Integrand) -> tuple[Array, Array]:
-    """∫g² and an estimate of its absolute error, both (channels or 1,).
+    """Return ∫g² and an estimate of its absolute error, both (channels or 1,).
 
-    Infinite where g grows too fast across an axis (`growth`). Else by `moments`; in 1-D and 2-D also by
-    quadrature that records how much each level leaves unresolved (`mcspectra.densities.adaptive`), for f/p
-    over the domain, ∫ f²/p: points next to 1 are few in double precision, those of the domain are not.
-    The integral is infinite where that does not shrink, but for poles across an axis; else the smaller
-    error counts. In more dims other poles show as a large error at best.
+    The result is infinite if g grows too fast across an axis (`growth`). Otherwise it comes from
+    `moments`. In 1-D and 2-D a second quadrature records the unresolved part of each level
+    (`mcspectra.densities.adaptive`). It integrates ∫ f²/p over the domain for f/p, because double
+    precision has few points next to 1 in primary space. The integral is infinite if the unresolved
+    part does not shrink and no pole across an axis explains it. Otherwise the smaller error counts.
+    In more dims, other poles appear at best as a large error.
     """
     cache = g._cache
     if cache.square is not None:
@@ -462,15 +482,15 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     over_domain = warped and inside.density.dims == g.dims  # type: ignore[attr-defined]
 
     def square(x: Array) -> Array:
-        """g² at points (..., d), with channels; over the domain f²/p."""
-        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # next to a pole
+        """Return g² at points (..., d), with channels; over the domain f²/p."""
+        with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # Next to a pole
             if not over_domain:
                 return values_at(g, x) ** 2
             f = values_at(inside.integrand, x)  # type: ignore[attr-defined]
             p = inside.density.pdf(x)[..., None]  # type: ignore[attr-defined]
             return np.where(f == 0.0, 0.0, f**2 / p)
 
-    # By quadrature that records what each level leaves unresolved
+    # Integrate by levels, with the unresolved part of each
     for c in np.flatnonzero(np.isnan(by_levels)) if not in_closed_form(g) and g.dims <= 2 else ():
         seen = [0.0]
 
@@ -482,7 +502,7 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
         level = positive_integral(of_channel, g.dims, most_cells=_FEW_CELLS)
         if level[1] > _SUSPECT * level[0]:
             level = positive_integral(of_channel, g.dims)
-        # Narrow ridges grow from level to level like poles, but not beyond what the probe sees; where
+        # Narrow ridges grow from level to level like poles, but not beyond the probe's values. If
         # the exponent of a pole is known, it decides
         largest = max(seen)
         pole = largest > _POLE * float(of_channel(probe(g.dims)).max())
@@ -492,15 +512,15 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
         cache.square = by_levels, np.zeros(width)
         return cache.square
 
-    # By the rule that looks for what nodes miss
+    # Integrate by the rule that detects regions between nodes
     middle, first, second, error = moments(g)
     value = second + 2.0 * middle * first + middle**2
     error = error * (1.0 + 2.0 * np.abs(middle))
     with np.errstate(invalid="ignore"):
-        # Levels miss slabs, and boxes ends of poles
+        # The level rule can miss thin slabs; the box rule can miss the tips of poles
         more = by_levels - value - level_errors - error
         alike = np.abs(by_levels - value) <= level_errors + error
-    hidden = unseen(g)  # slabs, which levels miss altogether
+    hidden = unseen(g)  # Slabs, which levels miss completely
     better = alike & (level_errors + hidden < error) & (hidden < _HIDDEN * error)
     better |= np.isinf(by_levels) | over_domain & (more > 0.0)
     level_errors = np.where(np.isinf(by_levels), 0.0, level_errors + hidden)
@@ -512,25 +532,26 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
 
 
 def _inside(g: Integrand) -> tuple[Integrand, bool]:
-    """g as it was before cuts, and whether a density warps it."""
+    """Return g without detected cuts, and whether a density warps it."""
     inside = g.integrand if isinstance(g, _Cut) else g
     return inside, isinstance(inside, PrimaryIntegrand) and isinstance(inside.estimator, Estimator)
 
 
 def growth(g: Integrand) -> Array:
-    """Largest exponent a of g ~ t^-a at distance t from the ends of an axis or a break; 0 without one.
+    """Return the largest exponent a of g ~ t^-a at distance t from an axis end or break, else 0.
 
-    Per channel, (channels or 1,), along some lines: slopes of log |g| over the last distances, which must
-    agree. ∫g² diverges from a = ½ on, ∫g⁴ from ¼. Integrands in closed form have no such poles; those
-    that are costly or warped by a density are not looked at.
+    One exponent per channel, (channels or 1,), from the slopes of log |g| over the last distances
+    on some lines; the slopes must agree. ∫g² diverges for a ≥ ½, ∫g⁴ for a ≥ ¼. Integrands in
+    closed form have no such poles. Integrands that are costly or warped by a density are not
+    tested.
     """
     return _growth(g)[0]
 
 
 def unbounded(g: Integrand) -> bool:
-    """Whether g grows without end toward an end of an axis or a break, on the lines of `growth`.
+    """Return whether g is unbounded toward an axis end or a break, on the lines of `growth`.
 
-    Also where it grows like no power, as logarithms and quantiles do.
+    Growth slower than any power counts, such as that of logarithms and quantiles.
     """
     return bool(_growth(g)[1])
 

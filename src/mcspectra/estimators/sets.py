@@ -1,14 +1,14 @@
 """Relations between the point sets of several techniques: independent, shared or joint.
 
-* ``"independent"``: each technique draws a set of its own, from a stream of its own. Covariances
-  between techniques are 0.
-* ``"shared"``: all techniques get the same primary points; their counts must be equal. Techniques
-  whose integrands vary against each other then cancel, others add up.
-* ``"joint"``: one set of n · Σ counts points is split. Of a *sequence* (`Sampler.sequence`) technique
-  t gets a run of n · counts[t] consecutive points, the first technique the first ones. Other sets
-  are dealt: of every Σ counts consecutive points, counts[t] chosen at random go to technique t.
-  Neighbors in order are neighbors in space for strata, so that each technique gets a share of
-  every neighborhood; the random choice makes each technique's points uniform, hence unbiased.
+* ``"independent"``: each technique draws its own set from its own stream. Covariances between
+  techniques are 0.
+* ``"shared"``: all techniques use the same primary points, so their counts must be equal. Errors
+  cancel between techniques with opposite variation and add up between others.
+* ``"joint"``: one set of n · Σ counts points is split. From a *sequence* (`Sampler.sequence`)
+  technique t gets n · counts[t] consecutive points, beginning with the first technique. Other sets
+  are dealt: from every Σ counts consecutive points, counts[t] chosen at random go to technique t.
+  Consecutive points of strata are neighbors in space, so each technique gets a share of every
+  neighborhood. The random choice makes the points of each technique uniform, hence unbiased.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ __all__ = ["SETS", "check_sets", "draw_sets", "set_sizes"]
 
 SETS = ("independent", "shared", "joint")
 
-_TECHNIQUE = 1 << 20  # stream labels of the second and further techniques
-_DEAL = (1 << 20) - 1  # and of the choice of who gets which point of a joint set
+_TECHNIQUE = 1 << 20  # Stream labels of the second and later techniques
+_DEAL = (1 << 20) - 1  # Stream label for the choice of points of a joint set
 
 
 def check_sets(sets: object, counts: tuple[int, ...]) -> str:
@@ -44,7 +44,7 @@ def check_sets(sets: object, counts: tuple[int, ...]) -> str:
 
 
 def set_sizes(sets: str, counts: tuple[int, ...], n: int) -> list[int]:
-    """Sizes of the sets that are drawn of the sampler."""
+    """Return the sizes of the sets that are drawn from the sampler."""
     if sets == "joint":
         return [n * sum(counts)]
     return [n * counts[0]] if sets == "shared" else [n * count for count in counts]
@@ -59,9 +59,10 @@ def draw_sets(
     first: int,
     count: int,
 ) -> list[Array]:
-    """Points of each technique, (count, n · counts[t], d), for realizations first … first+count−1.
+    """Return points of each technique, (count, n · counts[t], d), for consecutive realizations.
 
-    The first draw uses `stream` itself: it gets the points of ``sampler.draw(size, rng)``.
+    The realizations are first … first+count−1. The first draw uses `stream` itself, so it gets the
+    points of ``sampler.draw(size, rng)``.
     """
     sizes = set_sizes(sets, counts, n)
     streams = [stream, *(stream.child(_TECHNIQUE + t) for t in range(1, len(sizes)))]

@@ -1,18 +1,18 @@
-"""Search by probing for a part of the domain where f is not 0 but the density is.
+"""Search for a part of the domain where f is not 0 but the density is, by probing.
 
-Probes, all deterministic:
+All probes are deterministic:
 
 * 4096 points of an additive recurrence, and in 1-D the centers of 8192 cells;
 * points next to faces and corners, at distances 2^-4, 2^-8 and 2^-12;
-* the zeros that densities know of (empty cells of tables, wherever they lie);
-* landmarks of integrands: both sides of their breaks, the brightest pixels of a picture;
-* in 1-D, and in 1-D parts of products and mixtures, the gaps of the warp: a region where p = 0 is
-  a jump of T, and bisection of 1024 intervals of u closes in on jumps, wider than 2^-30, of which
-  the largest in each interval counts.
+* known zeros of the densities (empty cells of tables at any position);
+* landmarks of integrands: both sides of their breaks, and the brightest pixels of an image;
+* in 1-D, and in 1-D parts of products and mixtures, gaps of the warp. A region with p = 0 is a jump
+  of T. Bisection of 1024 intervals of u finds jumps wider than 2^-30, the largest one in each
+  interval.
 
-Where p is 0 only at points (a power at 0, a tent at its ends) nothing is found: no probe lies there.
-The search misses a region without a probe, in 2-D and more, and gaps that a density's
-warp does not have: one computed from a pdf alone knows those wider than 2^-18
+A density that is 0 only at points (a power at 0, a tent at its ends) passes, because no probe lies
+there. The search misses regions without a probe in 2-D and more, and gaps that a density's warp
+does not have. A warp computed from a pdf alone has the gaps wider than 2^-18
 (`mcspectra.densities.NumericalDensity`).
 """
 
@@ -32,7 +32,7 @@ __all__ = ["check_support", "probe_points", "uncovered"]
 
 _PROBES = 4096
 _CELLS = 8192
-_NEAR = (2.0**-4, 2.0**-8, 2.0**-12)  # nearer, steep powers underflow to 0
+_NEAR = (2.0**-4, 2.0**-8, 2.0**-12)  # At smaller distances steep powers underflow to 0
 _FACES = 512
 _MOST_CORNERS = 4  # dims
 _BESIDE = 2.0**-30
@@ -41,12 +41,12 @@ _BISECTIONS = 32
 
 
 def check_support(integrand: Integrand, densities: Sequence[Density]) -> None:
-    """Raise where every density is 0 at a probe at which f is not.
+    """Raise if every density is 0 at a probe where f is not 0.
 
     Raises
     ------
     DensityError
-        The message says where.
+        If there is such a probe; the message gives its position.
     """
     x = uncovered(integrand, densities)
     if not len(x):
@@ -62,11 +62,11 @@ def check_support(integrand: Integrand, densities: Sequence[Density]) -> None:
 
 
 def uncovered(integrand: Integrand, densities: Sequence[Density]) -> Array:
-    """Probes (k, d) at which every density is 0; f is not called."""
+    """Return probes (k, d) at which every density is 0, without calling f."""
     dims = integrand.dims
     found = [probe_points(dims)]
 
-    # Points next to faces, one axis after another, and in few dims next to all corners
+    # Add points next to faces, one axis after another, and in few dims next to all corners
     points, k, near = found[0][:_FACES].copy(), np.arange(_FACES), np.resize(_NEAR, _FACES)
     points[k, k % dims] = np.where(k // dims % 2 == 0, near, 1.0 - near)
     found.append(points)
@@ -76,7 +76,7 @@ def uncovered(integrand: Integrand, densities: Sequence[Density]) -> Array:
     if dims == 1:
         found.append(((np.arange(_CELLS) + 0.5) / _CELLS)[:, None])
 
-    # Both sides of every break of f, at probes for the other axes, and what f itself names
+    # Add both sides of every break of f, at probes for the other axes, and the landmarks of f
     found.append(integrand.landmarks())
     for axis, breaks in enumerate(integrand.breaks):
         sides = np.array([*np.subtract(breaks, _BESIDE), *np.add(breaks, _BESIDE)])
@@ -85,7 +85,7 @@ def uncovered(integrand: Integrand, densities: Sequence[Density]) -> Array:
         points[:, axis] = sides
         found.append(points)
 
-    # What densities know of their zeros, and gaps of their warps
+    # Add gaps of the warps and known zeros of the densities
     found += [_gaps(density) for density in densities]
     found += [density.zero_points() for density in densities]
     x = np.concatenate(found)
@@ -94,18 +94,18 @@ def uncovered(integrand: Integrand, densities: Sequence[Density]) -> Array:
 
 
 def probe_points(dims: int, count: int = _PROBES) -> Array:
-    """Points (count, dims) that hit no grid line: the additive recurrence on square roots of primes."""
+    """Return points (count, dims) off all grid lines, from square roots of primes."""
     primes = np.array([2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71])
     steps = np.sqrt(np.resize(primes, dims) + np.arange(dims) // primes.size)
     return np.asarray((0.5 + np.arange(1, count + 1)[:, None] * steps) % 1.0)
 
 
 def _gaps(density: Density) -> Array:
-    """Points in gaps of the warp, or of those of the parts of a product or mixture: in 1-D.
+    """Return points in gaps of a 1-D warp, or of 1-D parts of a product or mixture.
 
-    They are the middles of the largest step of T in each of 1024 intervals of u. Each interval is
-    halved 32 times, to the half over which x moves more: at a jump x moves by the width of what T
-    leaves out, elsewhere by nothing in the end.
+    A point is the middle of the largest step of T in one of 1024 intervals of u. Each interval is
+    halved 32 times, each time to the half over which x moves more. At a jump, x moves by the width
+    of the gap; elsewhere the remaining step vanishes.
     """
     if isinstance(density, Product):
         return density.lifted([_gaps(part) for part in density.parts])

@@ -1,4 +1,4 @@
-"""Why an estimator is as noisy as it is: evidence, detectors and the causes that they name."""
+"""Causes of the noise of an estimator: evidence, detectors and the reported causes."""
 
 import lazy_loader
 

@@ -1,6 +1,6 @@
-"""Causes of noise in an estimator: each cause has a detector, evidence in numbers and a sentence.
+"""Causes of noise in an estimator, each with a detector, numbers as evidence and a sentence.
 
-`Evidence.of` evaluates the integrand. Detectors evaluate nothing: they read the evidence and return
+`Evidence.of` evaluates the integrand. Detectors evaluate nothing: they take the evidence and return
 a `Cause` or None. `CAUSES` lists the detectors with the most harmful cause first, and `causes_of`
 keeps that order.
 """
@@ -79,7 +79,7 @@ Name: TypeAlias = Literal[
 @final
 @dataclass(frozen=True)
 class CauseSettings:
-    """How a budget of evaluations is spent, and the thresholds above which causes are named.
+    """How a budget of evaluations is divided, and the thresholds above which causes are reported.
 
     "Insensitive between a and b" means that the first cause is right with a and with b in all of
     the 152 cases of ``python -m benchmarks settings``, as with the value itself.
@@ -100,20 +100,21 @@ class CauseSettings:
     # Fraction of the budget that is spent on the given sampler if nets cannot estimate its
     # variance. It leaves 40 % to nets. Insensitive between 0.125 and 0.5.
     given_share: float = 0.25
-    # Most of the evaluations for lines that the search for a pole may take. Insensitive between 0.4
-    # and 0.8; without any lines four of 152 causes are wrong.
+    # Largest fraction of the evaluations for lines that the search for a pole may take. Insensitive
+    # between 0.4 and 0.8; without any lines four of 152 causes are wrong.
     pole_share: float = 0.8
     # Fraction of the evaluations for lines that estimate the mean dimension. Insensitive between
     # 0.125 and 0.25; with 0.5, which leaves less for lines, four causes are wrong.
     dimension_share: float = 0.25
-    # Points whose values are evaluated twice to find noise. A function that is random at half of
-    # its points is found with probability 1 − 2^−8 = 0.996.
+    # Number of points whose values are evaluated twice to detect noise. A function that is random
+    # at half of its points is detected
+    # with probability 1 − 2^−8 = 0.996.
     again: int = 8
     # Difference of two values at a point that counts as rounding, as a fraction of the largest
-    # value: sums of 1e6 terms in float64, or of a few terms in float32, whose order changes, differ
-    # by less.
+    # value. Sums of 1e6 terms in float64, or
+    # of a few terms in float32, whose order changes, differ by less.
     same_value: float = 1e-6
-    # Largest square of a deviation, in units of the variance, above which a pole is looked for in
+    # Largest square of a deviation, in units of the variance, above which a pole is searched for in
     # many dims. Insensitive between 150 and 600.
     climbed: float = 300.0
     # Smallest and largest value of g whose squares, summed over any number of points, are within
@@ -124,8 +125,8 @@ class CauseSettings:
     # cube well enough for interactions of all axes. Insensitive between 4 and 8; with 2 one of 152
     # causes is wrong.
     many_dims: int = 4
-    # Number of points at which the law of the sampler is read. The kind of a law is the same for
-    # all n (tried: 32 and 128).
+    # Number of points for which the law of the sampler is read. The kind of a law is equal for all
+    # n (tested with 32 and 128).
     law_at: int = 64
     # Error of a measured exponent of growth: the variance counts as infinite above 0.48. The limit
     # is ½, and exponents of poles are right to 0.02 in all of 18 cases. Insensitive between 0.01
@@ -135,7 +136,8 @@ class CauseSettings:
     # 0.04 and 0.16.
     bend_error: float = 0.08
     # Tail index above which the integral does not exist. The limit is 1; a pole of order 1 is
-    # measured as 0.95 or more. It changes the sentence and the remedies only.
+    # measured as 0.95 or more. It changes only
+    # the sentence and the remedies.
     no_integral: float = 0.95
     # Exponent of growth at the border above which it is a main cause; slower growth is listed after
     # all others. With 0.04 two of 152 causes are wrong; insensitive between 0.08 and 0.16.
@@ -152,29 +154,31 @@ class CauseSettings:
     # 0.005 and 0.01; with 0.02 two of 152 causes are wrong.
     few_values: float = 0.05
     very_few_values: float = 0.01
-    # Number of different values, as a fraction of all evaluations, below which g is a function in
-    # steps. Insensitive between 0.025 and 0.1.
+    # Number of different values, as a fraction of all evaluations, below which g is a step
+    # function. Insensitive between 0.025 and 0.1.
     few_different: float = 0.05
-    # Least number of lines for a conclusion that nothing costs precision: with 4 lines a feature
-    # that half of all lines meet is missed with probability 1/16. Insensitive between 2 and 8.
+    # Least number of lines for the conclusion that there is no problem: with 4 lines a feature on
+    # half of all lines is missed with
+    # probability 1/16. Insensitive between 2 and 8.
     least_lines: int = 4
     # Fraction of the lines with a jump on which the jump stays in place on a parallel line: above
     # it, jumps are parallel to axes. Insensitive between 0.35 and 0.7; above 1 no jump is parallel
     # to an axis.
     straight: float = 0.7
     # Number of lines through jumps, as a fraction of those through cusps, above which g jumps. One
-    # line in 100 through a cusp of order ½ passes for a jump by chance.
+    # line in 100 through a cusp of order ½ appears to be a jump by chance.
     jumps_of_cusps: float = 0.05
-    # Fraction of the places along a line that are extremes, above which g oscillates. Noise has ⅔.
-    # Insensitive between 0.165 and 0.33; with 0.66, the value of noise, four causes are wrong.
+    # Fraction of the places along a line that are extremes above which g oscillates. Noise has ⅔.
+    # Insensitive between 0.165 and 0.33;
+    # with 0.66, the value of noise, four causes are wrong.
     turns: float = 0.33
     # Least number of waves along a line for an oscillation. The 16 steps of a line resolve fewer
     # waves. Insensitive between 3 and 12.
     waves: float = 6.0
     # Gain of nets over random points above which nets resolve g. Insensitive between 2 and 8.
     resolved: float = 4.0
-    # Points that resolve a smooth function, before a factor of 2 for each axis with waves.
-    # Insensitive between 8 and 32.
+    # Number of points that resolve a smooth function, before a factor of 2 for each axis with
+    # waves. Insensitive between 8 and 32.
     coarse_cube: float = 16.0
     # Mean dimension above which g varies with many axes at once: 1 is additive, 2 has pairs of
     # axes. Insensitive between 0.9 and 3.6.
@@ -185,8 +189,9 @@ class CauseSettings:
     # Mean squared difference between opposite faces, as a fraction of the variance of g, above
     # which a shift around the torus costs precision. Insensitive between 5e-4 and 2e-3.
     opposite: float = 1e-3
-    # Points at which the integral of a wrong density is measured. A net of this size gives the four
-    # digits that the sentence shows if 1/p is smooth; no decision depends on it.
+    # Number of points that measure the integral of a wrong density. A net of this size gives the
+    # four digits of the sentence if 1/p is
+    # smooth; no decision depends on it.
     pdf_points: int = 4096
     # Least number of sets whose spread gives a variance: 8 sets give it to a factor of 0.44 to 4.1,
     # with 95 %.
@@ -200,13 +205,13 @@ class CauseSettings:
     # 1e-16, and the mean of x along an axis of a scrambled net differs by 0.29 n^−1.5, which is
     # above 1e-9 for up to 400,000 points.
     rounding: float = 1e-9
-    # Distance between floating-point numbers that matters, as a fraction of the spread of g: steps
-    # of 1 % of the spread change its variance by 1e-5. Also the least variance along a line, as a
+    # Relevant distance between floating-point numbers, as a fraction of the spread of g: steps of 1
+    # % of the spread change its variance by 1e-5. It is also the least variance along a line, as a
     # fraction of the largest one. Insensitive between 0.005 and 0.02.
     coarse: float = 1e-2
-    # Part of the variance above which a technique is the cause, and above which it is so if its
-    # rate is also slower. Insensitive between 0.4 and 1.6 for the first, and between 0.25 and 1 for
-    # the second.
+    # Part of the variance above which a technique is the cause, and above which it is the cause if
+    # its rate is also slower. Insensitive between 0.4 and 1.6 for the first, and between 0.25 and 1
+    # for the second.
     dominant: float = 0.8
     largest_part: float = 0.5
     # Standard errors by which the rate of a technique must be slower: 95 % of a normal law.
@@ -218,7 +223,7 @@ class CauseSettings:
 
 
 CAUSE_SETTINGS = CauseSettings()
-"""Settings of all searches for causes, unless others are passed."""
+"""Default settings of the search for causes."""
 
 # Causes that are also reported for a noisy function: its lines have no shape
 _SHAPELESS = frozenset(
@@ -235,14 +240,14 @@ _SHAPELESS = frozenset(
 @final
 @dataclass(frozen=True)
 class Cause:
-    """A cause of noise that was found.
+    """A detected cause of noise.
 
     Attributes
     ----------
     name
         One of `Name`.
     sentence
-        The cause and its effect in words, with its numbers.
+        The cause and its effect in words, with numbers.
     evidence
         The numbers, by name.
     kinds
@@ -268,7 +273,7 @@ class Replicates:
         Means over each set of x − ½, cos 2πx and sin 2πx along every axis, (R, 3d). Their means
         over uniform points are 0.
     different
-        Number of different sets.
+        Number of distinct sets.
     """
 
     estimates: Array
@@ -279,7 +284,7 @@ class Replicates:
 @final
 @dataclass(frozen=True)
 class Evidence:
-    """Evaluations that the detectors read.
+    """Evaluations that the detectors use.
 
     Attributes
     ----------
@@ -292,7 +297,7 @@ class Evidence:
     lines
         Lines through the integrand g of each technique.
     pole
-        The pole of g, if one was found; only for a single technique.
+        The pole of g, if one was found; for a single technique only.
     mean_dimension
         Mean dimension of g, NaN if it was not estimated.
     replicates
@@ -302,9 +307,9 @@ class Evidence:
     calls
         Number of evaluations of the integrand.
     missed
-        A place, in words, where a density of the user is 0 and f is not; else empty.
+        A position, in words, where a density of the user is 0 and f is not; else empty.
     failed
-        Why g has no values at probes next to the border, with a place; else empty.
+        Why g has no values at probes next to the border, with a position; else empty.
     settings
         Thresholds of the detectors.
     """
@@ -336,20 +341,21 @@ class Evidence:
         Raises
         ------
         ParameterError
-            The budget is too small, or values are too large or too small for their powers.
+            If the budget is too small, or values are too large or too small for their powers.
         """
         each, n, nets = shares_of(estimator, sampler, budget, settings)
         sets = Sets.of(estimator, n, nets, stream.child(0))
         calls = nets * n * each
         size = max(float(np.abs(v).max()) for v in sets.values)
         if not math.isfinite(size):  # f gives finite numbers
-            raise ParameterError("The pdf is no number at some samples; give one that is finite.")
+            raise ParameterError("The pdf is not finite at some samples; give a finite pdf.")
         if size and not settings.smallest <= size <= settings.largest:
             raise ParameterError(
-                f"The values of f are of the size {size:.1g}, whose powers float64 does not hold; divide f by it."
+                f"The values of f are of the size {size:.1g}, and float64 does not hold their "
+                "powers; divide f by that size."
             )
 
-        # A place where a density of the user is 0 and f is not
+        # Find a position where a density of the user is 0 and f is not
         missed = ""
         if isinstance(estimator, Estimator) and isinstance(estimator.density, FunctionDensity):
             places = uncovered(estimator.integrand, [estimator.density])
@@ -358,7 +364,8 @@ class Evidence:
             if len(places) and (met := scalar(estimator, estimator.integrand(places)) != 0.0).any():
                 missed = point_in_words(places[met][0])
 
-        # The mean dimension and a pole of a single technique, then lines of each
+        # Find the mean dimension and a pole of a single technique, then evaluate lines of each
+        # technique
         lines: list[Lines] = []
         mean, pole, noise, failed = math.nan, None, 0.0, ""
         allowed = (
@@ -397,7 +404,7 @@ class Evidence:
                         pole = pole_of(g, points, values, most, own, settings.poles)
                     except BudgetError:
                         raise
-                    except ParameterError as error:  # the climb left the region of the samples
+                    except ParameterError as error:  # The climb left the region of the samples
                         failed = str(error)
             lines.append(lines_of(g, estimator.dims, allowed - made, own, settings.lines))
             calls += made * estimator.evaluations_per_point
@@ -425,7 +432,7 @@ class Evidence:
         while isinstance(law, laws.Folded | laws.Mirrored):
             law = law.inner
         shifted = isinstance(law, laws.Shifted)
-        # A mirrored estimator folds points after the shift, so that faces do not meet
+        # A mirrored estimator folds points after the shift, so faces do not meet
         return shifted and not isinstance(self.estimator, Mirrored)
 
     @property
@@ -437,16 +444,16 @@ class Evidence:
 
     @property
     def is_periodic(self) -> bool:
-        """Whether opposite faces of the cube meet without a jump, as far as lines tell."""
+        """Whether opposite faces of the cube meet without a jump, according to the lines."""
         return self.opposite <= self.settings.opposite
 
     def each(self, name: str) -> Array:
-        """An attribute of all lines."""
+        """Return an attribute of all lines."""
         return np.concatenate([getattr(lines, name) for lines in self.lines])
 
 
 def is_apart(estimator: AbstractEstimator, sampler: Sampler) -> bool:
-    """Whether the variance of a sampler cannot be estimated from nets."""
+    """Return whether the variance of a sampler cannot be estimated from nets."""
     told = sampler.spec in {NETS, "random", "jittered", "latin-hypercube"}
     return not told and not estimator.randomized(sampler).fixed
 
@@ -457,31 +464,31 @@ def shares_of(
     budget: int,
     settings: CauseSettings = CAUSE_SETTINGS,
 ) -> tuple[int, int, int]:
-    """Evaluations of a point, points of a net, and number of nets within a budget.
+    """Return evaluations per point, points of a net, and number of nets within a budget.
 
     Raises
     ------
     ParameterError
-        The budget is too small for nets of four points.
+        If the budget is too small for nets of four points.
     """
     each = estimator.cost
     share = 1.0 - settings.lines_share - settings.check_share
     share -= settings.given_share if is_apart(estimator, sampler) else 0.0
-    # The error of a rate falls with the number of nets only; that of the integral falls with their
-    # size also
+    # The error of a rate falls only with the number of nets; the error of the integral also falls
+    # with their size
     nets = int(settings.nets * max(1.0, math.sqrt(budget / (each * settings.more_from))))
     n = int(share * budget) // (nets * each)
     if n < 4:
         raise ParameterError(
-            f"A budget of {budget} evaluations is too small where each point takes {each}; give at least "
-            f"{math.ceil(4 * settings.nets * each / share)}."
+            f"A budget of {budget} evaluations is too small, because each point takes {each}; give "
+            f"at least {math.ceil(4 * settings.nets * each / share)}."
         )
     n = 1 << (n.bit_length() - 1)
     return each, n, min(int(share * budget) // (n * each), 2 * nets)
 
 
 def technique_name(estimator: AbstractEstimator, technique: int) -> str:
-    """The name of a technique, or its number if techniques have no names."""
+    """Return the name of a technique, or its number if techniques have no names."""
     return str(getattr(estimator, "technique_name", lambda t: f"technique {t}")(technique))
 
 
@@ -498,14 +505,14 @@ def _wrong_pdf(seen: Evidence) -> Cause | None:
                 found = float((1.0 / density.pdf(density.sample(u))).mean())
             return Cause(
                 "wrong-pdf",
-                f"{error} Every estimate is biased by it: that of a constant, 1, is {found:.4g}.",
+                f"{error} Every estimate is biased: the estimate of the constant 1 is {found:.4g}.",
                 {"of_one": found},
             )
     if not seen.missed:
         return None
     return Cause(
         "wrong-pdf",
-        f"The pdf is 0 at {seen.missed}, where f is not: every estimate misses that part.",
+        f"The pdf is 0 at {seen.missed}, where f is not 0: every estimate misses that part.",
     )
 
 
@@ -515,8 +522,9 @@ def _noisy_function(seen: Evidence) -> Cause | None:
     share = min(seen.noise / max(seen.scale**2, 1e-300), 1.0)
     return Cause(
         "noisy-function",
-        f"g has other values at the same point: random numbers of its own make about {share:.2g} of its variance, "
-        "which falls as 1/n with any points. Take them from further dims of the points.",
+        f"The integrand returns different values at the same point. Its own random numbers cause "
+        f"about {share:.2g} of its variance, which falls as 1/n with any points. Take them from "
+        "further dims of the points.",
         {"share": share},
     )
 
@@ -537,20 +545,21 @@ def _infinite_variance(seen: Evidence) -> Cause | None:
     for index, near, what, border in found:
         if index >= 0.5 - near:
             said = (
-                "from ½ on ∫g² is infinite: errors fall more slowly than n^−½ and no interval holds"
+                "∫g² is infinite (exponent ≥ ½), so errors fall more slowly than n^−½ and no "
+                "interval holds"
             )
-            said = "from 1 on it has no integral" if index >= known.no_integral else said
+            said = "it has no integral (exponent ≥ 1)" if index >= known.no_integral else said
             return Cause(
                 "infinite-variance",
-                f"g {what}, and {said}.",
+                f"The integrand g {what}: {said}.",
                 {"exponent": index},
                 ("fitted", "warp") if border and index < known.no_integral else (),
             )
     if seen.estimator.infinite_weights and _tail(seen)[1] > 0.5:
         return Cause(
             "infinite-variance",
-            f"1/p has no bound, and the tail index of the estimates is {_tail(seen)[1]:.2f}: from ½ on "
-            "the variance is infinite.",
+            f"1/p is unbounded, and the tail index of the estimates is {_tail(seen)[1]:.2f}: the "
+            "variance is infinite (index ≥ ½).",
             {"tail_index": _tail(seen)[1]},
             ("warp", "fitted"),
         )
@@ -558,18 +567,18 @@ def _infinite_variance(seen: Evidence) -> Cause | None:
 
 
 def _said(pole: Pole) -> str:
-    """The growth of g at a pole in words, with its tail index."""
+    """Describe the growth of g at a pole, with its tail index."""
     k, d = pole.codimension, len(pole.place)
     where = "a point" if k == d else f"a set of {d - k} dims"
     side = "of the border" if pole.border else "inside"
     if pole.exponent == 0.0:
-        return f"grows without bound, as a logarithm, toward places {side}"
-    index = f", a tail index of {pole.exponent:.2f}/{k}" if k > 1 else ""
+        return f"grows without bound, as a logarithm, toward points {side}"
+    index = f", with tail index {pole.exponent:.2f}/{k}" if k > 1 else ""
     return f"grows as r^−{pole.exponent:.2f} with the distance r to {where} {side}{index}"
 
 
 def _tail(seen: Evidence) -> tuple[float, float, float]:
-    """Share of the largest square, tail index and kurtosis of the values of g."""
+    """Return share of the largest square, tail index and kurtosis of the values of g."""
     values = seen.sets.pooled
     squares = (values - values.mean()) ** 2
     total = float(squares.sum())
@@ -590,10 +599,17 @@ def _heavy_tail(seen: Evidence) -> Cause | None:
     heavy = kurtosis > known.heavy_kurtosis and few < known.few_values
     if not (share > known.large_share or heavy or inside):
         return None
-    found = "" if not inside else "g has a pole inside. " if pole is None else f"g {_said(pole)}. "
+    found = (
+        ""
+        if not inside
+        else "The integrand has a pole inside. "
+        if pole is None
+        else f"The integrand {_said(pole)}. "
+    )
     said = (
-        f"Few evaluations make the variance: {100 * few:.2g} % of them hold nine tenths of it (kurtosis "
-        f"{kurtosis:.3g}, tail index {index:.2f}), so that most sets miss what matters."
+        f"A few evaluations cause the variance: {100 * few:.2g} % of them hold nine tenths of it "
+        f"(kurtosis {kurtosis:.3g}, tail index {index:.2f}), so most sets miss the important "
+        "region."
     )
     evidence = {
         "largest_share": share,
@@ -607,7 +623,7 @@ def _heavy_tail(seen: Evidence) -> Cause | None:
 
 
 def _sorted_share(values: Array) -> float:
-    """Fraction of the values that hold nine tenths of the variance."""
+    """Return the fraction of the values that hold nine tenths of the variance."""
     squares = np.sort((values - values.mean()) ** 2)[::-1].cumsum()
     return float(np.searchsorted(squares, 0.9 * squares[-1]) + 1) / len(values)
 
@@ -618,8 +634,8 @@ def _deterministic(seen: Evidence) -> Cause | None:
         return None
     return Cause(
         "deterministic-set",
-        f"{seen.sampler.spec} is the same set every time: its error is a bias that no spread shows. Add owen "
-        "or shift.",
+        f"{seen.sampler.spec} is deterministic: its error is a bias, which no spread between sets "
+        "reveals. Add owen or shift.",
         {"different": 1.0},
         ("sampler",),
     )
@@ -636,8 +652,8 @@ def _few_realizations(seen: Evidence) -> Cause | None:
         low, high = ((count - 1) / float(chi2.ppf(q, count - 1)) for q in (0.975, 0.025))
     return Cause(
         "few-realizations",
-        f"{seen.sampler.spec} has {count} sets, whose spread tells the variance to a factor of {low:.2g} to "
-        f"{high:.2g} only.",
+        f"{seen.sampler.spec} has {count} sets. Their spread gives the variance only to a factor "
+        f"between {low:.2g} and {high:.2g}.",
         {"realizations": float(count), "low": low, "high": high},
     )
 
@@ -651,8 +667,8 @@ def _correlated(seen: Evidence) -> Cause | None:
     if made.different < count:
         return Cause(
             "correlated-replicates",
-            f"Only {made.different} of {count} sets of {sampler} are different: their spread says less than "
-            "it seems.",
+            f"Only {made.different} of {count} sets of {sampler} are different, so their spread "
+            "underestimates the error.",
             {"different": float(made.different), "realizations": float(count)},
         )
     mean, spread = made.waves.mean(axis=0), made.waves.std(axis=0, ddof=1)
@@ -662,7 +678,8 @@ def _correlated(seen: Evidence) -> Cause | None:
     if serial > known.serial / math.sqrt(count * seen.sets.dims):
         return Cause(
             "correlated-replicates",
-            f"Each set of {sampler} is like the one before: the correlation of their means is {serial:.2f}.",
+            f"Each set of {sampler} resembles the previous one: the correlation of their means is "
+            f"{serial:.2f}.",
             {"correlation": serial, "realizations": float(count)},
         )
     away = mean[varies] / spread[varies] * math.sqrt(count)
@@ -675,8 +692,8 @@ def _correlated(seen: Evidence) -> Cause | None:
         return None
     return Cause(
         "correlated-replicates",
-        f"Means of sets of {sampler} are {most:.2g} standard errors away from those of uniform points: the sets "
-        "share an error, or their points are not uniform.",
+        f"Means of sets of {sampler} are {most:.2g} standard errors from those of uniform points: "
+        "the sets share an error, or their points are not uniform.",
         {"away": most, "realizations": float(count)},
     )
 
@@ -696,11 +713,12 @@ def _float_drift(seen: Evidence) -> Cause | None:
         return None
     return Cause(
         "float-drift",
-        f"Values of g are rounded to steps of {step:.2g}, {step / seen.scale:.2g} of their spread: compute "
-        "differences before sums, in float64."
+        f"Values of the integrand are rounded to steps of {step:.2g}, which is "
+        f"{step / seen.scale:.2g} of their spread. Compute differences before sums, in float64."
         if rounded
-        else f"Values of g are of float32: a running sum of {len(values)} of them in float32 is off by "
-        f"{drift:.2g} in the mean, beside an RMSE of {error:.2g}. Sum in float64.",
+        else f"Values of the integrand are float32: a running sum of {len(values)} of them in "
+        f"float32 has an error of {drift:.2g} in the mean; the RMSE is {error:.2g}. Sum in "
+        "float64.",
         {"step": step, "drift": drift, "rmse": error},
     )
 
@@ -724,8 +742,8 @@ def _slow_technique(seen: Evidence) -> Cause | None:
     name = technique_name(seen.estimator, worst)
     return Cause(
         "slow-technique",
-        f"{name} makes {100 * share:.0f} % of the variance at n = {n} with {NETS}, and its rate is "
-        f"{curves[worst].rate:.2f}.",
+        f"{name} causes {100 * share:.0f} % of the variance at n = {n} with {NETS}, and its rate "
+        f"is {curves[worst].rate:.2f}.",
         {"share": share, "technique": float(worst), "rate": curves[worst].rate},
         ("heuristic", "techniques", "warp"),
     )
@@ -733,7 +751,7 @@ def _slow_technique(seen: Evidence) -> Cause | None:
 
 def _jumps(seen: Evidence) -> Cause | None:
     meets = np.concatenate([lines.jumps(seen.scale) for lines in seen.lines])
-    # Lines bend at a pole inside of codimension 1 as they do at a jump
+    # Lines bend at a pole of codimension 1 inside as they do at a jump
     if seen.pole is not None and not seen.pole.border:
         meets &= seen.pole.codimension > 1
     cusps = sum(int(lines.cusps().sum()) for lines in seen.lines)
@@ -745,7 +763,8 @@ def _jumps(seen: Evidence) -> Cause | None:
             return None
         return Cause(
             "interior-jump",
-            f"g takes {alike} values only, so that it jumps, though no line that was looked at met it.",
+            f"The integrand takes only {alike} different values, so it is discontinuous, although "
+            "no tested line crosses a jump.",
             {"values": float(alike)},
             ("preintegrated", "smoothed"),
         )
@@ -753,18 +772,22 @@ def _jumps(seen: Evidence) -> Cause | None:
     share = float(meets.mean())
     straight = seen.each("straight")[meets].mean() > seen.settings.straight
     evidence = {"met_by": share, "height": size}
-    met = f"{100 * share:.0f} % of all lines through the cube meet a jump of g, {size:.2g} times its spread"
+    met = (
+        f"{100 * share:.0f} % of all lines through the cube cross a discontinuity of the "
+        f"integrand, {size:.2g} times its spread high"
+    )
     if straight or seen.sets.dims == 1:
         return Cause(
             "axis-parallel-jump",
-            f"{met}. The jump lies on planes normal to an axis: a border of strata there removes it.",
+            f"{met}. It lies on planes normal to an axis: a border of strata there removes its "
+            "effect.",
             evidence,
             ("aligned", "smoothed", "preintegrated"),
         )
     limit = -1.0 - 1.0 / seen.sets.dims
     return Cause(
         "interior-jump",
-        f"{met}. Strata on the jump keep their noise: {_limited(seen, limit)}.",
+        f"{met}. Strata on the discontinuity keep their noise: {_limited(seen, limit)}.",
         evidence | {"rate_limit": limit},
         ("preintegrated", "smoothed", "aligned"),
     )
@@ -776,8 +799,8 @@ def _border_jump(seen: Evidence) -> Cause | None:
         return None
     return Cause(
         "border-jump",
-        f"g differs between opposite faces by {math.sqrt(size):.2g} of its spread, and "
-        f"{seen.sampler.spec} wraps around: to it g jumps there.",
+        f"The integrand differs between opposite faces by {math.sqrt(size):.2g} of its spread. "
+        f"{seen.sampler.spec} wraps around, so the integrand is discontinuous there.",
         {"difference": math.sqrt(size)},
         ("unshifted", "mirrored", "sampler"),
     )
@@ -791,10 +814,10 @@ def _border_growth(seen: Evidence, *, slow: bool) -> Cause | None:
     said = f"grows without bound at the border, about as t^−{index:.2f}"
     if pole is not None and (slow or seen.growth <= grows):
         said = _said(pole)
-    what = "those of bounded functions have not" if slow else "no refinement inside removes"
+    what = "bounded functions do not have" if slow else "finer strata inside do not remove"
     return Cause(
         "border-growth",
-        f"g {said}: the outermost strata keep noise that {what}.",
+        f"The integrand {said}: the outermost strata keep noise that {what}.",
         {"slow_exponent" if slow else "exponent": index},
         ("fitted", "warp"),
     )
@@ -818,8 +841,8 @@ def _high_frequency(seen: Evidence) -> Cause | None:
         needed = max((4.0 * waves) ** max(axes, 1), 2.0 * seen.sets.n)
     return Cause(
         "high-frequency",
-        f"g goes up and down about {waves:.2g} times along a line: sets of fewer than about {needed:,.2g} points "
-        "do not see this order, and are no better than random points.",
+        f"The integrand oscillates about {waves:.2g} times along a line: sets of fewer than about "
+        f"{needed:,.2g} points do not resolve that and are no better than random points.",
         {"waves": float(waves), "resolved_by": float(needed)},
         ("sampler",),
     )
@@ -837,35 +860,36 @@ def _high_dimension(seen: Evidence) -> Cause | None:
         return None
     return Cause(
         "high-dimension",
-        f"g varies with about {mean:.1f} of its {d} dims at once, which {n} points cannot fill: the best "
-        f"sets have {gain:.2g} times less variance than random points.",
+        f"Interactions of about {mean:.1f} of its {d} dims dominate the integrand, and {n} points "
+        f"are too few for them: the best sets have {gain:.2g} times less variance than random "
+        "points.",
         {"mean_dimension": mean, "gain": gain},
         ("order", "regression", "preintegrated"),
     )
 
 
 def _limited(seen: Evidence, limit: float) -> str:
-    """The rate that theory allows stratified points, in words that agree with the measured rates.
+    """Describe the theoretical rate of stratified points, consistently with the measured rates.
 
-    Theory holds for large n. A measured rate whose interval is steeper is true of the counts that
-    were measured, so that the sentence names both.
+    Theory holds for large n. A measured rate with a steeper interval holds for the measured counts,
+    so the sentence gives both.
     """
     curves = [seen.curves[name] for name in (NETS, "jittered") if name in seen.curves]
     steepest = min((c for c in curves if c.rate_ci[1] < limit), key=lambda c: c.rate, default=None)
     if steepest is None:
-        return f"the variance of stratified points tends to n^{limit:.3g} at best".replace("-", "−")
+        return f"the variance of stratified points falls at best as n^{limit:.3g}".replace("-", "−")
     said = (
-        f"n^{limit:.3g} is the limit for large n, though up to n = {steepest.counts[-1]:.0f} the "
+        f"n^{limit:.3g} is the limit for large n, although up to n = {steepest.counts[-1]:.0f} the "
         f"variance falls as n^{steepest.rate:.2f}"
     )
     return said.replace("-", "−")
 
 
 def _cusps_and_kinks(seen: Evidence) -> tuple[Array, Array]:
-    """Lines through cusps, and through kinks; the more frequent ones are named.
+    """Return lines through cusps, and lines through kinks; the more frequent kind is reported.
 
-    On a single line the exponent of a cusp or a kink is known to about 0.1 only, and a jump next to
-    a steep part looks like either.
+    On a single line the exponent of a cusp or a kink has an error of about 0.1, and a jump next to
+    a steep part resembles either.
     """
     each = [(lines.cusps(), lines.kinks()) for lines in seen.lines]
     return tuple(map(np.concatenate, zip(*each, strict=True)))  # type: ignore[return-value]
@@ -876,12 +900,14 @@ def _cusp(seen: Evidence) -> Cause | None:
     if not cusps.sum() > kinks.sum():
         return None
     order, d = float(np.median(seen.each("exponent")[cusps])), seen.sets.dims
-    # A cell of side h next to the cusp has the variance h^(2a), and n^(1 − 1/d) cells are next to it
+    # A cell of side h next to the cusp has the variance h^(2a), and n^(1 − 1/d) cells are next to
+    # it
     limit = -1.0 - min(1.0 + 2.0 * order, 2.0) / d
     return Cause(
         "cusp",
-        f"{100 * cusps.mean():.0f} % of all lines through the cube meet a cusp of g: it is continuous "
-        f"there, with an infinite slope, about as |t|^{order:.2f}, and {_limited(seen, limit)}.",
+        f"{100 * cusps.mean():.0f} % of all lines through the cube cross a cusp of the integrand: "
+        f"it is continuous there with an infinite slope, about as |t|^{order:.2f}. "
+        f"In theory, {_limited(seen, limit)}.",
         {"met_by": float(cusps.mean()), "exponent": order, "rate_limit": limit},
         ("smoothed", "preintegrated"),
     )
@@ -893,8 +919,8 @@ def _kink(seen: Evidence) -> Cause | None:
         return None
     return Cause(
         "kink",
-        f"{100 * kinks.mean():.0f} % of all lines through the cube meet a kink of g: it is continuous, but "
-        "sets gain less from smoothness than they could.",
+        f"{100 * kinks.mean():.0f} % of all lines through the cube cross a kink of the integrand: "
+        "it is continuous, but samplers gain less than for a smooth function.",
         {"met_by": float(kinks.mean())},
         ("smoothed", "preintegrated"),
     )
@@ -923,7 +949,7 @@ CAUSES: tuple[Callable[[Evidence], Cause | None], ...] = (
 
 
 def causes_of(seen: Evidence) -> list[Cause]:
-    """All causes that are found, or the single cause `none`."""
+    """Return all detected causes, or the single cause `none`."""
     found = [cause for detect in CAUSES if (cause := detect(seen)) is not None]
     names = {cause.name for cause in found}
     # Steps between floating-point numbers are not jumps, and noise has no shape
@@ -951,12 +977,16 @@ def causes_of(seen: Evidence) -> list[Cause]:
         return [
             Cause(
                 "few-realizations",
-                f"Nothing was found that costs precision, but {looked or 'no'} line{'s' * (looked != 1)} through the "
-                f"cube {'were' if looked != 1 else 'was'} looked at: give {math.ceil(least / max(looked, 1))} times "
-                "the evaluations.",
+                f"No problem was found, but {looked or 'no'} line{'s' * (looked != 1)} through the "
+                f"cube {'were' if looked != 1 else 'was'} tested: give "
+                f"{math.ceil(least / max(looked, 1))} times the evaluations.",
                 {"lines": float(looked)},
             )
         ]
     return [
-        Cause("none", "Nothing was found that costs precision: g is smooth, and its sets show it.")
+        Cause(
+            "none",
+            "No problem was found: the integrand is smooth, and the variance falls as fast as it "
+            "should.",
+        )
     ]

@@ -1,7 +1,7 @@
 """Causes of the noise of an estimator with its sampler, and reasons why a change helps.
 
-The causes are those of a profile. Unbounded weights 1/p, and the part of the primary-space
-integrand g that is odd about the center of the cube, are two more reasons.
+The causes are those of a profile. There are two further reasons: unbounded weights 1/p, and a part
+of the primary-space integrand g that is odd about the center of the cube.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ __all__ = ["Diagnosis", "diagnose", "jumps_inside"]
 class DiagnosisSettings:
     """Evaluations of a diagnosis, and the parts of the variance that count as a reason."""
 
-    # Evaluations of g for the causes: the smallest budget at which `python -m benchmarks battery`
-    # names them.
+    # Number of evaluations of g for the causes: the smallest budget with which `python -m
+    # benchmarks battery` detects them.
     evaluations: int = 8192
     # Fraction of the variance of g above which its odd part is the reason for a gain, and above
     # which it is one of several reasons: the other part of the variance is then below 10 %, or at
@@ -62,23 +62,21 @@ class Diagnosis:
         if self.unbounded:
             found.insert(
                 0,
-                "1/p is unbounded: ∫1/p diverges, and where f does not vanish with p rare samples get "
-                "large weights.",
+                "1/p is unbounded: ∫1/p diverges, and rare samples get large weights unless f "
+                "vanishes with p.",
             )
         return " ".join(found)
 
     def removes(
         self, kind: str, name: str, *, biased: bool, unbounded: bool, jumps: bool | None
     ) -> str:
-        """Which cause a better change removes; empty if none is known.
+        """Describe the cause that a better change removes; empty if none is known.
 
         Parameters
         ----------
         kind, name, biased
             Those of the `mcspectra.improve.answers.Candidate`.
-        unbounded, jumps
-            For other warps: whether ∫1/p diverges, and whether g jumps inside, None if it was not
-            tested.
+            For other warps: whether ∫1/p diverges, and whether g jumps inside, None if not tested.
         """
         # The cause that this kind of change removes
         inside = _jumps(self.causes)
@@ -89,20 +87,21 @@ class Diagnosis:
             case "mirrored" if uniform and (self.odd or 0.0) >= _SETTINGS.mostly:
                 return f"g is odd about the center ({odd}): the images of a sample cancel it."
             case "unshifted" if wrapped:
-                return "Without the shift no stratum holds the jump between opposite sides."
+                return "Without the shift no stratum contains the jump between opposite sides."
             case "mirrored" if wrapped:
-                return "Reflected, g is continuous across the sides, and wrap-around meets no jump."
-            case "mirrored" if uniform and (self.odd or 0.0) >= _SETTINGS.partly:
-                return f"The images of a sample cancel what is odd about the center, {odd}."
-            case "aligned" if inside:
-                return "Borders of strata lie where g jumps, so that fewer strata hold a jump."
-            case "aligned" if wrapped:
                 return (
-                    "Strata that stay where they are do not wrap around the jump between opposite "
-                    "sides."
+                    "After reflection, g is continuous across the sides: wrap-around adds no jump."
                 )
+            case "mirrored" if uniform and (self.odd or 0.0) >= _SETTINGS.partly:
+                return (
+                    f"The images of a sample cancel the part that is odd about the center, {odd}."
+                )
+            case "aligned" if inside:
+                return "Borders of strata lie where g jumps, so fewer strata contain a jump."
+            case "aligned" if wrapped:
+                return "Strata without a shift do not wrap around the jump between opposite sides."
             case "smoothed" if inside and biased:
-                return "The jump inside becomes a ramp, for a bias that the mean squared error contains."
+                return "The jump inside becomes a ramp; the mean squared error includes its bias."
             case "smoothed" if inside:
                 return "The jump inside becomes a ramp; means over boxes keep the integral."
             case "warp" if self.unbounded and not unbounded:
@@ -112,23 +111,27 @@ class Diagnosis:
             case "fitted":
                 return "Its density is large where g is, as a pilot showed."
             case "regression":
-                return "What polynomials explain of g has a known integral and is left out."
+                return (
+                    "A polynomial that explains part of g has a known integral and is subtracted."
+                )
             case "order":
                 return (
-                    "The first coordinates, which sets sample best, are those that g varies with."
+                    "The first coordinates, which samplers resolve best, are those that g depends "
+                    "on most."
                 )
             case "preintegrated":
-                return "Its means are over the parts on both sides of the place where g jumps."
+                return "It integrates across the jump of g, on both of its sides."
             case "cubic":
                 return (
-                    "What polynomials in each cube explain of g is left out, as far as g is smooth."
+                    "Polynomials in each cube explain part of g, as far as g is smooth, and are "
+                    "subtracted."
                 )
             case "heuristic" if self.slow:
-                return f"It changes what {self.slow} contributes, most of the variance."
+                return f"It changes the contribution of {self.slow}, most of the variance."
             case "techniques" if self.slow and name != f"only {self.slow}":
-                return f"It leaves out {self.slow}, which makes most of the variance."
+                return f"It leaves out {self.slow}, which causes most of the variance."
             case "channels" if name.endswith("combined"):
-                return "No channel is left to the samples of a density of another shape."
+                return "No channel depends only on samples of a density of another shape."
             case "channels":
                 return "Each channel is divided by a density of its own shape."
         return ""
@@ -137,7 +140,7 @@ class Diagnosis:
 def diagnose(
     estimator: AbstractEstimator, sampler: Sampler, stream: Stream, most: int | None = None
 ) -> Diagnosis:
-    """Look for the causes of noise, within `most` evaluations of a user's function."""
+    """Find the causes of noise, within `most` evaluations of a user's function."""
     with counting("The diagnosis", most):
         causes, unseen = _looked_for(estimator, sampler, stream, most)
         # Fraction of the variance of g that cancels in its mean over all 2^d reflections about the
@@ -163,7 +166,7 @@ def diagnose(
 
 
 def jumps_inside(estimator: AbstractEstimator, sampler: Sampler) -> bool | None:
-    """Whether g jumps inside the cube; None if g could not be evaluated."""
+    """Return whether g jumps inside the cube; None if g could not be evaluated."""
     causes, unseen = _looked_for(estimator, sampler, Stream.from_rng(0), None)
     return None if unseen else _jumps(causes)
 
@@ -175,10 +178,10 @@ def _jumps(causes: list[Cause]) -> bool:
 def _looked_for(
     estimator: AbstractEstimator, sampler: Sampler, stream: Stream, most: int | None
 ) -> tuple[list[Cause], str]:
-    """The causes, or the reason why they could not be found."""
+    """Return the causes, or the reason why they could not be found."""
     budget = _SETTINGS.evaluations if most is None else min(most, _SETTINGS.evaluations)
     try:
         estimator.check_independent()
         return causes_of(Evidence.of(estimator, sampler, budget, stream)), ""
     except McspectraError as error:
-        return [], f"What costs precision was not looked for: {error}"
+        return [], f"The causes of noise could not be determined: {error}"

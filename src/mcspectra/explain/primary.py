@@ -1,4 +1,4 @@
-"""The primary-space integrand as a picture with its jumps, which explain slow rates.
+"""The primary-space integrand as an image with its jumps, which explain slow rates.
 
 Jumps inside the square and jumps between opposite sides reduce the rate of correlated samplers.
 Mirroring removes the jumps between opposite sides, but not the jumps inside.
@@ -35,22 +35,24 @@ class PictureSettings:
     """How jumps between opposite faces, and densities that reach zero, are recognized."""
 
     # Distances from a face at which g is evaluated. The square root of float64's spacing, 2^−26,
-    # balances the rounding of u against the change of a smooth g; 2^−40 is 2^14 times nearer and
-    # still exact next to 1.
+    # balances the rounding of u against the change
+    # of a smooth g. 2^−40 is 2^14 times closer and still exact next to 1.
     near: float = 2.0**-26
     nearer: float = 2.0**-40
-    # A difference of opposite faces is a jump if this part of it remains at the nearer distance.
-    # All of a jump remains; without one, 2^−14 of the difference of a smooth g remains and 2^−7 of
-    # that of a square root.
+    # Fraction of a difference of opposite faces that must remain at the smaller distance for a
+    # jump. All of a jump remains; without one, 2^−14
+    # of the difference of a smooth g remains and 2^−7 of that of a square root.
     stays: float = 0.5
-    # g has a pole at a face if it grows by more than this factor from the near to the nearer
-    # distance. The power t^−a grows so for a > 1/14, and no bounded function does near its bound.
+    # Factor of growth from the larger to the smaller distance above which g has a pole at a face.
+    # The power t^−a grows by more for a > 1/14, and
+    # bounded functions do not near their bound.
     grows: float = 2.0
     # Difference of opposite faces that counts as rounding, as a fraction of the range of g. The
     # near distance changes a smooth g by about 1e-8 of its range.
     negligible: float = 1e-7
-    # Points along each axis of the grid on which a density is searched for zeros. 64 steps hold all
-    # dyadic places down to 1/64, where densities in pieces and textures have their zeros.
+    # Number of points along each axis of the grid on which a density is searched for zeros. 64
+    # steps include all dyadic places down to 1/64,
+    # where densities in pieces and textures have their zeros.
     probes: int = 65
     # Value of p, as a fraction of its largest value on the grid, that counts as zero: 1/p is then
     # 1e9 times its least.
@@ -74,36 +76,36 @@ def primary_picture(
     estimator
         Estimator, integrand, an integrand's spec string, or a function.
     dims
-        Number of dims of a function, and of a spec that leaves it open.
+        Number of dims of a function, and of a spec without ``dims``.
     technique
         Number of the technique whose g is evaluated.
     resolution
-        Cells along each axis, 4 to 1024.
+        Number of cells along each axis, 4 to 1024.
 
     Returns
     -------
     xarray.Dataset
-        ``primary_value`` (u0, u1[, channel]): g at the centers of cells. ``primary_jump`` (axis,
-        u0, u1): size of the jump to the next cell along each axis, 0 where g is continuous.
-        ``face_jump`` (axis[, along]): size of the jump from u_axis = 0 to u_axis = 1, at centers
-        along the other axis; it matters to samplers that wrap around, and is infinite at poles.
-        ``primary_jump_length`` and ``primary_jump_height`` (kind): length of the curves of jumps
-        (their number in 1-D) and their mean height, for the kinds ``interior`` and ``boundary``.
-        The height is infinite if g is unbounded there; ``primary_pole`` (kind) is then 1.
-        ``reciprocal_unbounded``: 1 if 1/p is unbounded because p reaches 0 on a grid. Jumps of
-        several channels are Euclidean lengths.
+        ``primary_value`` (u0, u1[, channel]) is g at the centers of cells. ``primary_jump`` (axis,
+        u0, u1) is the size of the jump to the next cell along each axis, 0 where g is continuous.
+        ``face_jump`` (axis[, along]) is the size of the jump from u_axis = 0 to u_axis = 1, at
+        centers along the other axis. It affects samplers that wrap around, and is infinite at
+        poles. ``primary_jump_length`` and ``primary_jump_height`` (kind) are the length of the
+        curves of jumps (their number in 1-D) and their mean height, for the kinds ``interior`` and
+        ``boundary``. The height is infinite if g is unbounded there; ``primary_pole`` (kind) is
+        then 1. ``reciprocal_unbounded`` is 1 if 1/p is unbounded because p reaches 0 on a grid.
+        Jumps of several channels are Euclidean lengths.
 
     Raises
     ------
     ParameterError
-        More than two dims, no such technique, or a resolution out of range.
+        If there are more than two dims, no such technique, or a resolution out of range.
     DensityError
-        p is 0 where f is not.
+        If p is 0 where f is not.
     """
     found = as_estimator(estimator, dims)
     if found.dims > 2:
         raise ParameterError(
-            f"{found.spec} has {found.dims} dims; primary-space pictures are made in 1 and 2 dims."
+            f"{found.spec} has {found.dims} dims; primary-space pictures need 1 or 2 dims."
         )
     number = as_integer("technique", technique, least=0, most=len(found.counts) - 1)
     side = as_integer("resolution", resolution, least=4, most=1024)
@@ -117,12 +119,12 @@ def primary_picture(
     jumps = find_jumps(g, found.dims, side, scale=scale)
     line = (np.arange(side) + 0.5) / side
 
-    # Jumps (dims[, side]) between opposite faces, and places of faces with a pole
+    # Jumps (dims[, side]) between opposite faces, and positions of faces with a pole
     faces = np.zeros((found.dims, side ** (found.dims - 1)))
     face_poles = np.zeros(faces.shape, bool)
     along = grid_centers(side, found.dims - 1) if found.dims > 1 else np.empty((1, 0))
     for axis in range(found.dims):
-        # Values (2, k, channels) next to both faces, and nearer to them
+        # Values (2, k, channels) next to both faces, and closer to them
         near, nearer = (
             np.stack([g(np.insert(along, axis, end, axis=1)) for end in (gap, 1.0 - gap)])
             for gap in (_SETTINGS.near, _SETTINGS.nearer)

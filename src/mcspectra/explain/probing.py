@@ -1,21 +1,21 @@
 """Roughness of a black-box function: jumps, cusps and kinks along lines, and poles.
 
 A line is evaluated in equal steps, and close to its ends. The steps are halved about the largest
-second difference, with two evaluations for each halving. There the second difference shrinks with
-the square of the step where the function is smooth, with the step at a kink, and with the step to
-the power a at a cusp |t|^a. It stays at a jump and grows at a pole. Toward the ends of lines along
-the axes the steps shrink faster: the slope of
-log |g| is the exponent of the growth of g at the border.
+second difference, with two evaluations for each halving. Where the function is smooth, the second
+difference shrinks with the square of the step. At a kink it shrinks with the step, and at a cusp
+|t|^a with the step to the power a. It stays constant at a jump and grows at a pole. Toward the ends
+of lines along the axes the steps shrink faster: the slope of log |g| is the exponent of the growth
+of g at the border.
 
-A search climbs to poles. It begins at the largest or the smallest known value, takes steps in
-random directions where they climb, and halves the step where none climbs. The ellipsoid of
-directions adapts to the moves ([Hansen2001]_). The climb ends early on a bounded function. A
-function that grows as r^−a toward a set of codimension k leads the climb to that set. Along rays
-from the top the differences g(r) − g(4r) ∝ r^−a give a, whatever constant is added. |g|^(−2/a) is a
-quadratic form of the distance: its rank is k, with one for each face that the top lies on. The
-volume where |g| > λ is ∝ λ^(−k/a): ∫g² is infinite where a/k ≥ ½, and the integral does not exist
-where a/k ≥ 1. Where faces meet, a product of powers of distances to some of them has the tail of
-the largest power toward one face, or of the mean power of all.
+A search climbs to poles. It begins at the largest or the smallest known value, moves in random
+directions that climb, and halves the step if no direction climbs. The ellipsoid of directions
+adapts to the moves ([Hansen2001]_). The climb ends early on a bounded function. A function that
+grows as r^−a toward a set of codimension k leads the climb to that set. Along rays from the top the
+differences g(r) − g(4r) ∝ r^−a give a, for any additive constant. |g|^(−2/a) is a quadratic form of
+the distance. Its rank is k, including one for each face that contains the top. The volume where |g|
+> λ is ∝ λ^(−k/a): ∫g² is infinite for a/k ≥ ½, and the integral does not exist for a/k ≥ 1. Where
+faces meet, a product of powers of distances to some of them has the tail of the largest power
+toward one face, or of the mean power of all.
 """
 
 from __future__ import annotations
@@ -52,8 +52,9 @@ class LineSettings:
     Numbers of cases are those of ``python -m benchmarks settings``, as in `CauseSettings`.
     """
 
-    # Equal steps of a line before it is zoomed. Insensitive between 8 and 16; with 32, which leave
-    # half the lines, two of 152 causes are wrong.
+    # Number of equal steps of a line before it is zoomed. Insensitive between 8 and 16; with 32,
+    # which leave half the lines, two of 152
+    # causes are wrong.
     steps: int = 16
     # Halvings of the steps about the roughest place. 2^−12 of a step is 1.5e-5 of the line: far
     # above rounding, and far below the distance between features that 16 steps can find. With 6
@@ -68,9 +69,10 @@ class LineSettings:
     # Exponent below which the roughest place may be a jump. A jump has 0, up to 0.3 next to a steep
     # part, and a kink has 1. Insensitive between 0.2 and 0.8.
     jump: float = 0.4
-    # Bisections of the last step of such a line, and the fraction of its height that a jump keeps.
-    # A cusp of order 0.15 keeps 2^(−8 · 0.15) = 0.44 on average. 8 bisections end at 6e-8 of the
-    # line, so that a smooth step of a width above 1e-7 counts as a jump.
+    # Number of bisections of the last step of such a line, and the fraction of its height that a
+    # jump keeps. A cusp of order 0.15 keeps
+    # 2^(−8 · 0.15) = 0.44 on average. 8 bisections end at 6e-8 of the line, so a smooth step of a
+    # width above 1e-7 counts as a jump.
     bisections: int = 8
     kept: float = 0.75
     # Exponent below which a roughest place that is neither a jump nor a pole is a cusp. A cusp
@@ -90,23 +92,25 @@ class LineSettings:
     # of g. A sum of a thousand terms, in random order, is off by about √1000 = 32 spacings.
     # Insensitive between 16 and 64.
     grains: float = 32.0
-    # Growth goes on toward an end if the last gain is more than this part of the gain before. A
-    # bounded function gains 2^−10 of it, ln t gains 1, and t^−a gains 2^(10a). Insensitive between
-    # 0.33 and 0.65; with 1.3 growth as a logarithm is missed, and six of 152 causes are wrong.
+    # Fraction of the gain before that the last gain must exceed for growth to continue. A bounded
+    # function gains 2^−10 of it, ln t gains 1,
+    # and t^−a gains 2^(10a). Insensitive between 0.33 and 0.65; with 1.3 growth as a logarithm is
+    # missed, and six of 152 causes are wrong.
     goes_on: float = 0.65
     # Largest distance of the parallel line that tests whether a discontinuity is normal to the
     # axis. It moves an edge with a slope of 1 by 0.0025 or more, a hundred times the resolution of
     # the zoom. Insensitive between 0.0025 and 0.01.
     aside: float = 0.005
-    # Groups of axes along which the roughest place of a chord is displaced in turn: an edge normal
-    # to an axis moves with one of them. An edge across two axes passes for one with probability
-    # 1/3, and with more axes less often.
+    # Number of groups of axes along which the roughest place of a chord is displaced in turn: an
+    # edge normal to an axis moves with one of
+    # them. An edge across two axes appears to be one with probability 1/3, and with more axes less
+    # often.
     groups: int = 3
     # Distances from both ends of a line along an axis at which g is evaluated. The last ones are
-    # 2^10 apart, so that even t^−0.08 grows by 1.7 between them, and 2^−40 is still exact next to
-    # 1. Insensitive between half and double.
+    # 2^10 apart, so even t^−0.08 grows by 1.7
+    # between them, and 2^−40 is still exact next to 1. Insensitive between half and double.
     ends: tuple[float, ...] = (2.0**-4, 2.0**-12, 2.0**-20, 2.0**-30, 2.0**-40)
-    # Distance from an end at which g must not fail: samples of a few thousand points come as close.
+    # Distance from an end at which g must not fail; samples of a few thousand points come as close.
     inside: float = 2.0**-12
 
     @property
@@ -121,7 +125,7 @@ class LineSettings:
 
 
 LINE_SETTINGS = LineSettings()
-"""Settings of all lines, unless others are passed."""
+"""Default settings of lines."""
 
 
 @final
@@ -136,16 +140,17 @@ class PoleSettings:
     # the distance between neighboring points. With 8 halvings 30 of 152 causes and 10 of 18 poles
     # are wrong; insensitive between 16 and 32.
     halvings: int = 16
-    # Most moves with one step before it is halved in any case. Insensitive between 3 and 12.
+    # Largest number of moves with one step before it is halved. Insensitive between 3 and 12.
     moves: int = 6
-    # Halvings in a group: the climb is judged by the medians of its last three groups. With 2
-    # one of 18 poles is wrong; insensitive between 3 and 6.
+    # Number of halvings in a group: the climb is judged by the medians of its last three groups.
+    # With 2, one of 18 poles is wrong;
+    # insensitive between 3 and 6.
     group: int = 3
     # The climb ends as bounded if the last gain is less than this part of the gain before. Near a
     # smooth top the gains of three halvings fall to 4^−3, and toward ln r they stay equal.
     # Insensitive between 0.15 and 0.6.
     bounded: float = 0.3
-    # Rays from the top, whose median exponent is taken. Insensitive between 3 and 12.
+    # Number of rays from the top, whose median exponent is used. Insensitive between 3 and 12.
     rays: int = 6
     # Weight of the last move in the ellipsoid of directions, from 0 to 1. Insensitive
     # between 0.2 and 0.4; with 0.8 one of 18 poles is wrong.
@@ -154,15 +159,16 @@ class PoleSettings:
     # 16, so that an error of the top by one step changes the distance by 6 % at most. Insensitive
     # between half and double.
     radii: tuple[float, ...] = (2.0**4, 2.0**6, 2.0**8, 2.0**10, 2.0**12)
-    # How many of these radii are evaluated toward each face alone: three give one exponent with
-    # any constant added. With 2 four of 152 causes are wrong; insensitive between 3 and 6.
+    # Number of these radii that are evaluated toward each face alone: three give one exponent for
+    # any additive constant. With 2, four of
+    # 152 causes are wrong; insensitive between 3 and 6.
     near: int = 3
-    # Fraction of the rays that may rise outwards; more of them mean that the top is not a pole.
-    # Insensitive between 0.125 and 0.5.
+    # Fraction of the rays that may rise outward; if more do, the top is not a pole. Insensitive
+    # between 0.125 and 0.5.
     rising: float = 0.25
     # Distance from all faces but one at which growth toward that face alone is measured, in units
-    # of the last step. It is half of the first step, and 2^7 times the largest of the first three
-    # radii. Insensitive between 2^14 and 2^16.
+    # of the last step. It is half of the first
+    # step, and 2^7 times the largest of the first three radii. Insensitive between 2^14 and 2^16.
     away: float = 2.0**15
     # Exponent above which a function grows toward one face alone. Insensitive between 0.025 and
     # 0.1.
@@ -170,8 +176,8 @@ class PoleSettings:
     # Eigenvalues of the quadratic form above this part of the largest one count for the
     # codimension. Insensitive between 0.002 and 0.008.
     rank: float = 0.004
-    # A move is taken if the height grows by more than this factor; smaller gains are not worth the
-    # step. Insensitive down to 0.5; with 2 few moves are taken, and 15 of 18 poles are missed.
+    # Factor by which the height must grow for a move. Insensitive down to 0.5; with 2, few moves
+    # are made, and 15 of 18 poles are missed.
     better: float = 1.005
     # Number of the largest heights that are compared before a climb. Insensitive between 8 and 32.
     compared: int = 16
@@ -185,9 +191,9 @@ class PoleSettings:
 
 
 POLE_SETTINGS = PoleSettings()
-"""Settings of all climbs, unless others are passed."""
+"""Default settings of climbs."""
 
-# Distance of the top from a face that it lies on: the spacing of float64 below 1
+# Distance of the top from a face that contains it: the spacing of float64 below 1
 _EDGE = 2.0**-53
 
 Function = Callable[[Array], Array]
@@ -205,14 +211,14 @@ class Lines:
     exponent
         Exponent of the step in the second difference about the roughest place: (K,).
     kept
-        Fraction of the height that is left after bisections: (K,); 0 without them.
+        Fraction of the height that remains after bisections: (K,); 0 without bisections.
     place
         The roughest place, (K,), from 0 to 1 along the line.
     height
         Change of g at the roughest place: (K,).
     straight
-        Whether the change of g stays where it is when the line is displaced along other axes, as at
-        a discontinuity normal to one axis: (K,).
+        Whether the change of g stays in place when the line is displaced along other axes, as at a
+        discontinuity normal to one axis: (K,).
     growth
         Exponents a of g ~ t^−a at both ends of lines along axes, 0 where g does not grow: (K, 2);
         NaN for chords.
@@ -227,7 +233,8 @@ class Lines:
     settings
         The exponents that distinguish a pole, a jump and a kink.
     failed
-        Why g has no values close to some ends, with a place; else empty. They lack growth.
+        Why g has no values close to some ends, with a position; else empty. These ends have no
+        growth.
     """
 
     axis: Array
@@ -246,13 +253,13 @@ class Lines:
 
     @property
     def _rough(self) -> Array:
-        """Lines with a roughest place that is not a jump, and no smoother than a kink."""
+        """Return lines with a roughest place that is not a jump, and no smoother than a kink."""
         jump = self.kept > self.settings.kept
         return np.asarray(~jump & (self.exponent < self.settings.kink))
 
     @property
     def _steep(self) -> tuple[Array, bool]:
-        """Lines through poles or cusps, and whether these are poles.
+        """Return lines through poles or cusps, and whether these are poles.
 
         The exponent of a single line through a cusp may be negative by chance, but not the median.
         """
@@ -260,27 +267,27 @@ class Lines:
         return steep, bool(steep.any() and np.median(self.exponent[steep]) < 0.0)
 
     def jumps(self, scale: float) -> Array:
-        """Lines whose roughest place is a jump that is large enough for a spread `scale` of g."""
+        """Return lines whose roughest place is a jump that is large enough for a spread of g."""
         large = self.height > self.settings.least_jump * scale
         return np.asarray(large & (self.kept > self.settings.kept))
 
     def poles(self) -> Array:
-        """Lines whose roughest place is a pole."""
+        """Return lines whose roughest place is a pole."""
         steep, poles = self._steep
         return np.asarray(steep & (self.exponent < self.settings.pole) & poles)
 
     def cusps(self) -> Array:
-        """Lines whose roughest place is a cusp: g is continuous there, with an infinite slope."""
+        """Return lines whose roughest place is a cusp: g is continuous with an infinite slope."""
         steep, poles = self._steep
         return np.asarray(steep & (not poles))
 
     def kinks(self) -> Array:
-        """Lines whose roughest place is a kink."""
+        """Return lines whose roughest place is a kink."""
         return np.asarray(self._rough & (self.exponent >= self.settings.cusp))
 
 
 def grain(values: Array) -> float:
-    """Spacing of floating-point numbers at the largest value: of float32 if float32 holds all values."""
+    """Return the spacing of floats at the largest value: of float32 if float32 holds all values."""
     size = np.abs(values).max(initial=0.0)
     with np.errstate(over="ignore"):
         single = (values.astype(np.float32) == values).all()
@@ -338,12 +345,11 @@ def lines_of(
             )
 
     def at(t: Array, which: Any = slice(None)) -> Array:
-        """Values at places (K, m) along all lines, or along some."""
+        """Return values at places (K, m) along all lines, or along some."""
         x = start[which, None] + t[..., None] * way[which, None]
         return g(np.clip(x, 0.0, BELOW_ONE).reshape(-1, dims)).reshape(t.shape)
 
-    # Equal steps. Each line has a step and an offset of its own, so that no wave is in step with
-    # all lines
+    # Each line has its own step and offset, so that no wave is in phase with all lines
     part = rng.uniform(0.75, 1.0, (len(axis), 1))
     t = part * (np.arange(settings.steps) + rng.uniform(0.2, 0.8, (len(axis), 1)))
     t /= settings.steps
@@ -353,7 +359,7 @@ def lines_of(
     turns = (np.diff(np.sign(np.diff(y, axis=1)), axis=1) != 0).mean(axis=1)
     rows = np.arange(len(axis))
 
-    # The ends of lines along the axes. Growth counts if it goes on to the end and exceeds all
+    # The ends of lines along the axes. Growth counts if it continues to the end and exceeds all
     # values inside
     usual, straight = np.abs(y).max(), axis >= 0
     growth, ends = np.full((len(axis), 2), np.nan), np.full(len(axis), np.nan)
@@ -364,7 +370,7 @@ def lines_of(
         outer = at(both, straight)
     except BudgetError:
         raise
-    except ParameterError:  # g fails where hardly a sample falls: leave those lines without ends
+    except ParameterError:  # g fails where hardly any sample falls: leave those lines without ends
         outer = np.full(both.shape, np.nan)
         for k, row in enumerate(np.flatnonzero(straight)):
             try:
@@ -385,8 +391,8 @@ def lines_of(
     ends[straight] = outer[1, :, 1] - outer[0, :, 1]
 
     # Halve the steps about the largest second difference; places near an end count where g does not
-    # grow. Every other line takes the largest fourth difference: a kink stands out there although g
-    # is steep elsewhere
+    # grow. Every other line uses the largest fourth difference, in which a kink stands out even if
+    # g is steep elsewhere
     wide = np.full((2, len(axis)), np.nan)
     wide[:, straight] = np.where(grows, np.nan, outer[..., 1])
     t = np.column_stack([np.full(len(axis), gaps[1]), t, np.full(len(axis), 1.0 - gaps[1])])
@@ -409,8 +415,8 @@ def lines_of(
     scale = max(float(np.sqrt(spread.mean())), 1e-300)
     floor = max(settings.negligible * scale, settings.grains * grain(y[:, 1:-1]))
     rough = size[-1] > floor
-    # Second differences at rounding level, before the place was met, say nothing: take the first
-    # one above it
+    # Second differences at rounding level, before the place is reached, are meaningless: take the
+    # first one above that level
     first = np.argmax(size > floor, axis=0)
     size = np.where(size > floor, size, np.maximum(size[first, rows], 1e-300))
     slope = -np.polyfit(np.arange(settings.late + 1), np.log2(size), 1)[0]
@@ -435,8 +441,9 @@ def lines_of(
         ends_y = np.where(left, np.hstack([ends_y[:, :1], new]), np.hstack([new, ends_y[:, 1:]]))
     kept[may] = np.abs(np.diff(ends_y, axis=1)[:, 0]) / np.maximum(height[may], 1e-300)
 
-    # Displace the last window inwards: along all other axes for a line along an axis, and along
-    # groups of axes in turn for chords. A discontinuity that is not normal to an axis moves away
+    # Displace the last window inward: along all other axes for a line along an axis, and along
+    # groups of axes in turn for chords. A
+    # discontinuity that is not normal to an axis moves away
     stays = np.ones(len(axis), bool)
     if dims > 1:
         groups = min(settings.groups, dims)
@@ -447,7 +454,7 @@ def lines_of(
         aside = np.where(pair[:, :1] < 0.5, steps[:, None], -steps[:, None])
 
         def moved(which: Array, along: Array) -> Array:
-            """Whether the change of g is lost on some lines, displaced along some axes (K, d)."""
+            """Return whether the change of g is lost on lines displaced along some axes (K, d)."""
             x = pair[which] + np.where(along[:, None], aside[which], 0.0)
             found = g(np.clip(x, 0.0, BELOW_ONE).reshape(-1, dims)).reshape(-1, 2)
             return np.asarray(np.abs(np.diff(found, axis=1)[:, 0]) <= 0.5 * height[which])
@@ -478,16 +485,16 @@ def lines_of(
 
 
 def _bends(t: Array, y: Array) -> Array:
-    """Second differences of values at places (K, m), scaled to equal steps: (K, m − 2)."""
+    """Return second differences at places (K, m), scaled to equal steps: (K, m − 2)."""
     span = t[:, 2:] - t[:, :-2]
     return np.asarray(0.5 * span * np.abs(np.diff(np.diff(y) / np.diff(t))))
 
 
 def mean_dimension(g: Function, points: Array, values: Array, rng: np.random.Generator) -> float:
-    """Mean dimension Σ_i T_i/Var g; T_i is half the mean squared change when coordinate i is drawn again.
+    """Return the mean dimension Σ_i T_i/Var g.
 
-    g has the given values (k,) at the points (k, d), and is evaluated at d more points for each of
-    them.
+    T_i is half the mean squared change when coordinate i is redrawn. g has the given values (k,) at
+    the points (k, d), and is evaluated at d more points for each of them.
     """
     k, d = points.shape
     total = 0.0
@@ -502,7 +509,7 @@ def mean_dimension(g: Function, points: Array, values: Array, rng: np.random.Gen
 @final
 @dataclass(frozen=True)
 class Pole:
-    """A place where a function grows without bound.
+    """A set where a function grows without bound.
 
     Attributes
     ----------
@@ -552,7 +559,7 @@ def pole_of(
     def height(x: Array) -> Array:
         return np.abs(g(x) - centre)
 
-    # The largest values of a bounded function are alike
+    # The largest values of a bounded function are nearly equal
     measure = settings.rays * len(settings.radii) + d * settings.near + d * (d + 1) // 2
     order = np.argsort(values)
     for largest in sorted((order[::-1], order), key=lambda k: -abs(values[k[0]] - centre)):
@@ -586,7 +593,7 @@ def _climbed(
         if made + 2 * d > evaluations:
             return x, 0.0, made
         ways = np.linalg.qr(rng.standard_normal((d, d)))[0] @ np.linalg.cholesky(shape).T
-        size = step * rng.uniform(0.8, 1.25)  # so that no place comes twice
+        size = step * rng.uniform(0.8, 1.25)  # So that no place occurs twice
         around = np.clip(x + size * np.concatenate([ways, -ways]), 0.5 * step, 1.0 - 0.5 * step)
         new = g(around)
         made += 2 * d
@@ -629,7 +636,7 @@ def _measured(
         return None
     if exponent < settings.least_exponent:
         return Pole(top, 0.0, 1, bool(side.any()))
-    if side.sum() > 1:  # growth toward each face alone, away from the others
+    if side.sum() > 1:  # Growth toward each face alone, away from the others
         faces = np.flatnonzero(side)
         aside = np.where(side, top + settings.away * step * inward, top)
         close = radii[: settings.near]
@@ -652,7 +659,7 @@ def _measured(
     table[first, second] = table[second, first] = size
     own = np.diag(table)
     form = 0.5 * (table - own[:, None] - own) + 1.5 * np.diag(own)
-    # A face counts unless the pole continues from it inwards
+    # A face counts unless the pole continues from it inward
     side &= own > settings.rank * own.max()
     free = np.linalg.eigvalsh(form[np.ix_(~side, ~side)])
     rank = int(side.sum() + (free > settings.rank * own.max()).sum())
@@ -660,6 +667,6 @@ def _measured(
 
 
 def _slopes(values: Array) -> Array:
-    """Exponents a of values c + b r^−a at radii r, 4r, …, (m, k): (m − 2, k)."""
+    """Return exponents a of values c + b r^−a at radii r, 4r, …, (m, k): (m − 2, k)."""
     falls = np.maximum(values[:-1] - values[1:], 1e-300)
     return np.asarray(np.log(falls[:-1] / falls[1:]) / math.log(4.0))

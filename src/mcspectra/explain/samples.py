@@ -1,15 +1,15 @@
 """Variances of several samplers at all counts, from one array of evaluations.
 
 R scrambled nets of N points are evaluated once. Each run of 2^k of their points that starts at a
-multiple of 2^k is a scrambled net, so that means over runs have the variance of nets of all sizes.
-The variance between evaluations of different nets in one cell is the variance of jittered points.
-In the same way, slabs of an axis give the variance of Latin hypercubes, and the whole cube gives
-that of random points. Products of values of one net are left out where they are correlated.
+multiple of 2^k is a scrambled net. Means over runs therefore have the variance of nets of all
+sizes. The variance between evaluations of different nets in one cell is the variance of jittered
+points. In the same way, slabs of an axis give the variance of Latin hypercubes, and the whole cube
+gives that of random points. Products of values of one net are left out where they are correlated.
 
-Errors come from a jackknife over the nets, so that the error of the rate includes the correlation
+Errors come from a jackknife over the nets, so the error of the rate includes the correlation
 between counts. The rate is constant over the last octaves. Before them it drifts by a random walk
 from octave to octave, and the likelihood of the curve weights several sizes of its step. Therefore
-all counts of a straight curve determine its rate, and only the last counts of a bent one do.
+all counts of a straight curve determine its rate, but only the last counts of a bent one.
 """
 
 from __future__ import annotations
@@ -54,13 +54,14 @@ class CurveSettings:
     50 times each.
     """
 
-    # Slabs along an axis that stand for the strata of a Latin hypercube. Insensitive between 16 and
-    # 64; the variance of an additive function with n > 32 points is estimated (n/32)² times too
-    # large, as a bound.
+    # Number of slabs along an axis that represent the strata of a Latin hypercube. Insensitive
+    # between 16 and 64. The variance of an
+    # additive function with n > 32 points is estimated (n/32)² times too large, as a bound.
     slabs: int = 32
-    # Most dims in which the variance of jittered points is estimated; insensitive between 2 and 6.
-    # In 4 dims a net of 256 points, the most that 8,192 evaluations pay for, has 4 cells along an
-    # axis, so that the curve would have three counts.
+    # Largest number of dims in which the variance of jittered points is estimated; insensitive
+    # between 2 and 6. In 4 dims a net of 256
+    # points, the most that 8,192 evaluations allow, has 4 cells along an axis, so the curve would
+    # have three counts.
     jittered_dims: int = 3
     # Number of last octaves over which the rate is constant. With 2 intervals of rates are 1.4
     # times as wide and hold as often; with 6 they hold in 63 instead of 93 % of cases.
@@ -70,18 +71,19 @@ class CurveSettings:
     # in a few octaves. Half of them, double and 0.2 alone give intervals that hold in 94, 92 and 92
     # % of cases.
     drifts: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
-    # Standard error of a rate that is not known and is taken as −1: rates from −2 to 0 are within
-    # two of them.
+    # Standard error of an unknown rate, which is taken as −1: rates from −2 to 0 are within two of
+    # them.
     unknown: float = 0.5
-    # Least standard error of a logarithm of the variance: real curves are not straighter than 2 %.
-    # 0.01 and 0.04 give the same rates to 0.01.
+    # Least standard error of a logarithm of the variance, because real curves are not straighter
+    # than 2 %. 0.01 and 0.04 give the same
+    # rates to 0.01.
     floor: float = 0.02
-    # Standard errors within which a measured rate and a rate of theory agree: 95 % of a normal law.
+    # Standard errors within which a measured and a theoretical rate agree: 95 % of a normal law.
     agrees: float = 2.0
 
 
 CURVE_SETTINGS = CurveSettings()
-"""Settings of all curves, unless others are passed."""
+"""Default settings of curves."""
 
 
 @final
@@ -92,7 +94,7 @@ class Curve:
     Attributes
     ----------
     counts, variance, relative_se
-        (N,); the standard error is that of log variance.
+        Arrays (N,); the standard error is that of log variance.
     rate, rate_se
         Slope over the last octaves and its standard error; NaN if it cannot be fitted, for example
         because the variance vanishes.
@@ -105,7 +107,7 @@ class Curve:
         Smallest count at which the sets did not vary at all.
     level, scatter
         Logarithm of the line over the variance at the last count, and the standard deviation of the
-        logarithms about the line. Both are used beyond the counts, for curves that are no lines.
+        logarithms about the line. Both are used beyond the counts, for curves that are not lines.
     bend
         Expected change of the slope beyond the counts, and its standard error.
     """
@@ -123,7 +125,7 @@ class Curve:
     bend: float = 0.0
 
     def at(self, n: float) -> tuple[float, float]:
-        """The variance at n and the standard error of its logarithm; the rate extrapolates beyond the counts."""
+        """Return the variance at n and its logarithmic standard error, extrapolated by the rate."""
         if n >= self.vanishes or not len(self.counts):
             return 0.0, 0.0
         if n <= self.counts[-1]:
@@ -141,7 +143,7 @@ class Curve:
         return value, math.hypot(float(self.relative_se[-1]), away * error, walk, self.scatter)
 
     def towards(self, rate: float, error: float) -> Curve:
-        """This curve with the weighted mean of its rate and a rate of theory, unless the two disagree."""
+        """Average the rate with a theoretical rate, by weights, unless the two disagree."""
         if not abs(self.rate - rate) <= CURVE_SETTINGS.agrees * math.hypot(self.rate_se, error):
             return self
         share = error**2 / (error**2 + self.rate_se**2)
@@ -171,7 +173,7 @@ class _Part:
     values: Array
 
     def between(self, cell: Array, cells: int) -> Array:
-        """Mean over cells of their squared means, without products of two values of one net."""
+        """Return the mean over cells of their squared means, without products within one net."""
         r = len(self.values)
         place = (np.arange(r)[:, None] * cells + cell).ravel()
         sums = np.bincount(place, self.values.ravel(), r * cells).reshape(r, cells)
@@ -186,13 +188,13 @@ _Estimate = Callable[[_Part, int], Array]
 
 
 def _sums(x: Array) -> Array:
-    """Sums over all nets, then over all nets but each one: (1 + R, …) from (R, …)."""
+    """Return sums over all nets, then over all nets but each one: (1 + R, …) from (R, …)."""
     whole = x.sum(axis=0)
     return np.concatenate([whole[None], whole - x])
 
 
 def _means(x: Array) -> Array:
-    """Means over all nets, then over all nets but each one: (1 + R,) from (R,)."""
+    """Return means over all nets, then over all nets but each one: (1 + R,) from (R,)."""
     return np.asarray(_sums(x) / _sums(np.ones(len(x))))
 
 
@@ -215,7 +217,7 @@ class Sets:
 
     @staticmethod
     def of(estimator: AbstractEstimator, n: int, nets: int, stream: Stream) -> Sets:
-        """Evaluations at scrambled nets of n points."""
+        """Evaluate an estimator at scrambled nets of n points."""
         source = estimator.randomized(as_sampler(NETS, estimator.dims))
         points = estimator.draw(source, n, stream, 0, nets)
         return Sets(
@@ -246,7 +248,7 @@ class Sets:
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval of the mean over all nets, wider where g grows at the border."""
+        """95 % interval of the mean over all nets, wider if g grows at the border."""
         growths = []
         if len(self.values) == 1:
             growths = border_growth(self.points[0].reshape(-1, self.dims), self.values[0].ravel())
@@ -255,7 +257,7 @@ class Sets:
     def curves(
         self, settings: CurveSettings = CURVE_SETTINGS, names: Collection[str] | None = None
     ) -> dict[str, Curve]:
-        """The variance of each sampler that the evaluations can estimate, or of those in `names`."""
+        """Return the variance of each sampler that the evaluations can estimate, or of `names`."""
         counts = 2 ** np.arange(self.n.bit_length())
         found = {
             NETS: self._curve(_of_strata if self.dims == 1 else _of_nets, counts, settings),
@@ -269,13 +271,13 @@ class Sets:
             of_slabs = partial(_of_slabs, slabs=settings.slabs)
             many = counts[counts >= settings.slabs]
             found["latin-hypercube"] = self._curve(of_slabs, many, settings, -1.0)
-        # The variance between strata is a difference: a curve without counts is lost in its errors
+        # The variance between strata is a difference; without significant counts there is no curve
         if len(found["random"].counts):
             found = {name: curve for name, curve in found.items() if len(curve.counts)}
         return found
 
     def technique_curves(self, settings: CurveSettings = CURVE_SETTINGS) -> list[Curve]:
-        """The variance of each technique with scrambled nets, against N."""
+        """Return the variance of each technique with scrambled nets, against N."""
         counts = 2 ** np.arange(self.n.bit_length())
         parts = zip(self.points, self.values, self.counts, strict=True)
         return [Sets((p,), (v,), (c,))._curve(_of_nets, counts, settings) for p, v, c in parts]
@@ -287,11 +289,13 @@ class Sets:
         settings: CurveSettings,
         rate: float | None = None,
     ) -> Curve:
-        """The curve of an estimate, with errors by its jackknife."""
+        """Return the curve of an estimate, with errors by its jackknife."""
         parts = [_Part(p, v - v.mean()) for p, v in zip(self.points, self.values, strict=True)]
 
         found = np.stack([
-            np.sum([estimate(p, int(n) * c) for p, c in zip(parts, self.counts, strict=True)], axis=0)
+            np.sum([
+                estimate(p, int(n) * c) for p, c in zip(parts, self.counts, strict=True)
+            ], axis=0)
             for n in counts
         ], axis=1)  # fmt: skip
         size = float(self.estimates.mean())
@@ -301,7 +305,7 @@ class Sets:
 
 
 def scalar(estimator: AbstractEstimator, values: Array) -> Array:
-    """Values of one channel: the luminance of three, the mean of others."""
+    """Return values of one channel: the luminance of three channels, the mean of others."""
     if not estimator.channels:
         return np.asarray(values, float)
     weights = (
@@ -315,7 +319,7 @@ def scalar(estimator: AbstractEstimator, values: Array) -> Array:
 def curve_of(
     counts: Sequence[int], estimates: Sequence[Array], settings: CurveSettings = CURVE_SETTINGS
 ) -> Curve:
-    """The curve of independent estimates at several counts, (R,) each."""
+    """Return the curve of independent estimates at several counts, (R,) each."""
     found = np.array([e.var(ddof=1) for e in estimates])
     left = np.stack([
         [np.delete(e, r).var(ddof=1) for e in estimates] for r in range(len(estimates[0]))
@@ -335,10 +339,11 @@ def _fitted(
     *,
     exact: bool,
 ) -> Curve:
-    """The curve of variances `found`, (N,); `left` are the variances without each realization, (R, N).
+    """Return the curve of variances `found`, (N,), with a jackknife.
 
-    The rate is fitted unless it is given. With `exact`, a variance of zero is a result; otherwise
-    variances are differences, and zero means that one is lost in its errors.
+    `left` are the variances without each realization, (R, N). The rate is fitted unless it is
+    given. With `exact`, a variance of zero is a result; otherwise variances are differences, and
+    zero means that a variance is below its error.
     """
     degrees = len(left) - 1
     floor = rounding_floor(np.array(size))
@@ -378,7 +383,7 @@ def _fitted(
 
 
 def _of_nets(part: _Part, n: int) -> Array:
-    """Variance of the mean over n points of a scrambled net."""
+    """Return the variance of the mean over n points of a scrambled net."""
     r = len(part.values)
     squares = (part.values.reshape(r, -1, n).mean(axis=2) ** 2).mean(axis=1)
     own = part.values.mean(axis=1)
@@ -390,7 +395,7 @@ def _of_nets(part: _Part, n: int) -> Array:
 
 
 def _of_strata(part: _Part, n: int) -> Array:
-    """Variance of the mean over n jittered points."""
+    """Return the variance of the mean over n jittered points."""
     side = round(n ** (1.0 / part.points.shape[2]))
     index = np.floor(part.points * side).astype(np.int64)
     cell = index @ side ** np.arange(part.points.shape[2])
@@ -399,7 +404,7 @@ def _of_strata(part: _Part, n: int) -> Array:
 
 
 def _of_slabs(part: _Part, n: int, slabs: int) -> Array:
-    """Variance of the mean over a Latin hypercube of n points, many more than slabs."""
+    """Return the variance of a mean over a Latin hypercube with many more points than slabs."""
     whole = _of_nets(part, 1)
     mean = part.between(np.zeros(part.values.shape, np.int64), 1)
     for axis in range(part.points.shape[2]):

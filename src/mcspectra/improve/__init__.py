@@ -1,4 +1,4 @@
-"""Changes to an estimator or a sampler that lower the variance, compared, and designs."""
+"""Changes of an estimator or a sampler that lower the variance: comparisons and designs."""
 
 import lazy_loader
 

@@ -114,10 +114,10 @@ def strata_shift_scan(
     Raises
     ------
     CountError, ParameterError
-        The sampler has no set of a count, counts or offsets are not ascending, or offsets are too
-        many.
+        If the sampler has no set of a count, counts or offsets are not ascending, or there are too
+        many offsets.
     NoClosedForm
-        ``method="exact"`` and no exact variance is known.
+        If ``method="exact"`` and no exact variance is known.
 
     Notes
     -----
@@ -202,7 +202,7 @@ def best_alignment(
         dims of the sampler, if the sampler is not a spec.
     edges
         Positions of known edges; see `aligned`. If given, strata with borders at the edges are
-        tried too. This needs an estimator without a density and n = s^d.
+        also tested. This needs an estimator without a density and n = s^d.
     offsets, method
         Same as in `mcspectra.improve.strata_shift_scan`. A pattern search that halves its step 8
         times refines the best offset of the scan.
@@ -335,19 +335,20 @@ def aligned(
     Raises
     ------
     ParameterError
-        The estimator has a density, the edges are not in (0, 1), or n is not a power s^d.
+        If the estimator has a density, the edges are not in (0, 1), or n is not a power s^d.
     """
     given = as_estimator(estimator, dims)
     if not isinstance(given, Estimator) or given.density is not None:
         raise ParameterError(
-            f"{given.spec} has a density of its own; strata can be aligned with edges for an "
-            "estimator without one."
+            f"{given.spec} has its own density; give an estimator without a density to align "
+            "strata with edges."
         )
     count = as_integer("n", n, least=1)
     side = round(count ** (1.0 / given.dims))
     if side**given.dims != count:
         raise ParameterError(
-            f"n is {n}; strata of equal numbers along {given.dims} axes need a power s^{given.dims}."
+            f"n is {n}; strata of equal numbers along {given.dims} axes need a power "
+            f"s^{given.dims}."
         )
     return Estimator(given.integrand, AlignedStrata(edges=edges, strata=side))
 
@@ -376,7 +377,7 @@ class _Offsets:
         stream: Stream,
         workers: int,
     ) -> _Offsets:
-        """Variances at offsets; ``"auto"`` is exact where that is known for all counts, of no black box."""
+        """Measure or compute variances at offsets; see `strata_shift_scan` for the methods."""
         law = sampler.law(counts[0])
         if isinstance(law, Shifted):
             raise ParameterError(
@@ -402,7 +403,7 @@ class _Offsets:
         return self.sampler.then(StrataShift(offset=tuple(offset)))
 
     def at(self, offset: Sequence[float], n: int) -> tuple[Array, Array, Array, Array]:
-        """Return variances (C,), relative errors, rounding floors, intervals (C, 2) at an offset."""
+        """Return variances (C,), relative errors, rounding floors, intervals (C, 2)."""
         source = self.displaced(offset)
         if self.exact:
             size = np.abs(np.atleast_1d(self.estimator.integral))

@@ -1,9 +1,9 @@
 """The answer to "what should I use?": candidates, their results, and the advice that follows.
 
 A *candidate* is a changed estimator or sampler. Its *result* compares its error at a budget of
-evaluations with the set-up as given. An *answer* names the best candidate, or the set-up as given if
-no interval excludes it. `mcspectra.profile`, `mcspectra.remedies`, and studies of pixels
-and paths print an `Answer`.
+evaluations with the given set-up. An *answer* contains the best candidate, or the given set-up if
+no interval excludes it. `mcspectra.profile`, `mcspectra.remedies`, and studies of pixels and paths
+print an `Answer`.
 """
 
 from __future__ import annotations
@@ -38,17 +38,17 @@ __all__ = [
 class AnswerSettings:
     """Limits of the numbers in an answer."""
 
-    # Larger numbers of evaluations are not named: at 10^9 a second they take 11 days.
+    # Largest number of evaluations that an answer contains: at 10^9 per second 10^15 take 11 days.
     many: float = 1e15
-    # Least gain, in variance, at which a change that its interval does not decide is named: less is
-    # not worth a larger budget.
+    # Least gain in variance at which an undecided change is mentioned: a smaller gain is not worth
+    # a larger budget.
     may_gain: float = 2.0
 
 
 _SETTINGS = AnswerSettings()
 
 Verdict = Literal["given", "better", "worse", "undecided"]
-"""The result of a comparison with the set-up as given, by its interval."""
+"""Result of a comparison with the given set-up, by its interval."""
 
 
 @final
@@ -65,16 +65,16 @@ class Candidate:
     setup
         The estimator and the sampler after the change.
     biased
-        Whether it estimates another integral: its error is then about the given integral.
+        Whether it estimates another integral; its error is then relative to the given integral.
     pilot
         Evaluations beyond the budget that found the change. A pilot within the budget is part of
-        the set-up, `Setup.overhead`.
+        the set-up (`Setup.overhead`).
     effort
-        Cost of an evaluation over one of the given set-up, for paths that end earlier or later.
+        Cost of an evaluation relative to the given set-up, for paths of different lengths.
     ratio
         Expected variance over that of the given estimator at equal cost, NaN if it is not known.
     finite_below
-        If g grows as t^−a at the border, the variance is finite for a below this number.
+        Upper limit of a for a finite variance, if g grows as t^−a at the border.
     note
         A sentence that follows the reason.
     """
@@ -92,7 +92,7 @@ class Candidate:
 
     @property
     def key(self) -> str:
-        """A text that is the same for changes that make the same set-up."""
+        """Text that is equal for changes that make the same set-up."""
         specs = f"{self.setup.estimator.spec} with {self.setup.sampler.spec}"
         return specs if self.setup.at_count is None else f"{specs}, {self.name}"
 
@@ -100,7 +100,7 @@ class Candidate:
 @final
 @dataclass(frozen=True)
 class CandidateResult:
-    """The error of a candidate at a budget, and its ratio to the set-up as given.
+    """The error of a candidate at a budget, and its ratio to the given set-up.
 
     Attributes
     ----------
@@ -111,19 +111,19 @@ class CandidateResult:
     n
         Number of points of an estimate at the budget.
     rmse, rmse_ci
-        Root mean square error of an estimate, and its 95 % interval. The interval includes the error
-        of the rate beyond the counts that were measured. NaN if the size cannot be told.
+        Root mean square error of an estimate, and its 95 % interval. The interval includes the
+        error of the rate beyond the measured counts. NaN if the size cannot be determined.
     gain, gain_ci
-        Variance with the set-up as given over the variance after the change, and its interval. The
-        intervals of all candidates hold together at 95 %.
+        Ratio of the variances before and after the change, and its interval. The intervals of all
+        candidates are simultaneous, at 95 %.
     rate, rate_ci
         Slope of log variance against log n.
     needed, needed_ci
-        Evaluations with which the set-up as given has this RMSE, and their interval.
+        Evaluations with which the given set-up has this RMSE, and their interval.
     verdict
         The result by the interval of the gain.
     setup
-        The estimator and the sampler themselves; None for draws, and in results that are stored.
+        The estimator and the sampler; None for draws, and in stored results.
     """
 
     name: str
@@ -154,7 +154,7 @@ class CandidateResult:
     @property
     def _sampled(self) -> Setup:
         if self.setup is None:
-            raise ParameterError(f"{self.name} is known by name only: nothing is sampled here.")
+            raise ParameterError(f"{self.name} has no estimator, because nothing is sampled here.")
         return self.setup
 
     def to_dict(self) -> dict[str, Any]:
@@ -174,17 +174,17 @@ class Answer:
     budget
         Evaluations of the integrand in an estimate.
     given
-        The set-up with which all candidates are compared.
+        The set-up that all candidates are compared with.
     best
-        The first result that is better than the set-up as given, or `given`.
+        The first result that is better than the given set-up, or `given`.
     runner_up
-        The second best; or the undecided candidate with the least RMSE; None without any.
+        The second best, or the undecided candidate with the least RMSE, or None.
     causes
         Causes of the noise, the most important first.
     results
-        Results of all candidates that were compared, the given set-up first.
+        Results of all compared candidates, the given set-up first.
     tried, not_tried
-        Names of the candidates that were tried, and of others with the reason.
+        Names of the tested candidates, and of other candidates with the reason.
     instead
         A sentence that replaces the advice.
     why
@@ -204,7 +204,7 @@ class Answer:
 
     @staticmethod
     def of(budget: int, results: Sequence[CandidateResult], **said: Any) -> Answer:
-        """The answer of results: the set-up as given, then others, those that are preferred first.
+        """Make the answer from results: the given set-up, then others, the preferred ones first.
 
         `said` are other attributes.
         """
@@ -226,7 +226,7 @@ class Answer:
 
     @property
     def changes(self) -> bool:
-        """Whether a change is better than the set-up as given."""
+        """Whether a change is better than the given set-up."""
         return self.best is not self.given
 
     @property
@@ -246,7 +246,7 @@ class Answer:
 
     @property
     def gain(self) -> float:
-        """Variance with the set-up as given over that of the best candidate."""
+        """Ratio of the variances with the given set-up and with the best candidate."""
         return self.best.gain
 
     @property
@@ -260,32 +260,35 @@ class Answer:
         if self.instead:
             return self.instead
         best, given = self.best, self.given
-        name = given.specs[1]  # that of the sampler
+        name = given.specs[1]  # The sampler's spec
         if not self.changes:
-            many = f"none of the {len(self.tried)} changes that were tried is surely better"
-            none = many if len(self.tried) > 1 else "nothing that was tried is surely better"
+            many = f"none of the {len(self.tried)} tested changes is significantly better"
+            none = many if len(self.tried) > 1 else "no tested change is significantly better"
             return f"Keep {name}: {none}.{self._perhaps()}"
         what = f"{best.change[0].upper()}{best.change[1:]}"
         if math.isnan(best.gain):
             return (
-                f"{what}: it was better where both were measured, by how much at {self.budget} evaluations "
-                "these cannot tell."
+                f"{what}: it was better where both were measured, but its gain at {self.budget} "
+                "evaluations could not be extrapolated."
             )
         before = f"{given.rmse:.2g}" if math.isfinite(given.rmse) else "an infinite one"
-        text = f"{what}: RMSE {best.rmse:.2g}{_between(best.rmse_ci)} at {self.budget} evaluations instead of {before}"
+        text = (
+            f"{what}: RMSE {best.rmse:.2g}{_between(best.rmse_ci)} at {self.budget} evaluations "
+            f"instead of {before}"
+        )
         if self.budget < best.needed < _SETTINGS.many:
             needed = f"{rounded(best.needed)}{_between(best.needed_ci)}"
-            text += f"; {name} would need about {needed} evaluations for it"
+            text += f"; {name} would need about {needed} evaluations for the same RMSE"
         return f"{text}."
 
     def _perhaps(self) -> str:
-        """The change that may be better, if there is one."""
+        """Mention the change that may be better, if there is one."""
         other = self.runner_up
         if other is None or other.verdict != "undecided":
             return ""
         return (
-            f" With {other.name} the RMSE may be {other.rmse:.2g}{_between(other.rmse_ci)} instead of "
-            f"{self.given.rmse:.2g}, which a larger budget would tell."
+            f" With {other.name} the RMSE may be {other.rmse:.2g}{_between(other.rmse_ci)} instead "
+            f"of {self.given.rmse:.2g}; a larger budget would decide."
         )
 
     def __str__(self) -> str:
@@ -309,7 +312,7 @@ class Answer:
 
 
 def simultaneous_z(comparisons: int) -> float:
-    """Return the half width in standard errors of 95 % intervals that hold together [Šidák 1967]."""
+    """Return the half width of simultaneous 95 % intervals, in standard errors [Šidák 1967]."""
     from scipy.special import ndtri
 
     single = 0.95 ** (1.0 / max(1, comparisons))
@@ -317,7 +320,7 @@ def simultaneous_z(comparisons: int) -> float:
 
 
 def rounded(value: float) -> str:
-    """Two digits, in millions and larger units where numbers of evaluations are large."""
+    """Format with two digits, in millions and larger units for large numbers of evaluations."""
     for size, name in ((1e12, " trillion"), (1e9, " billion"), (1e6, " million"), (10.0, "")):
         if size <= value < _SETTINGS.many:
             scale = 1.0 if size < 1e6 else size
@@ -326,7 +329,7 @@ def rounded(value: float) -> str:
 
 
 def _between(ends: tuple[float, float]) -> str:
-    """An interval in parentheses, or nothing if it has no width or no ends."""
+    """Format an interval in parentheses; empty if it has no width or infinite ends."""
     low, high = ends
     if math.isinf(high) and 0.0 < low < math.inf:
         return f" ({rounded(low)} or more)"

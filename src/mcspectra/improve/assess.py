@@ -1,6 +1,6 @@
 """Assessment of candidates: errors at several costs on common random numbers, and their results.
 
-Candidates are compared with the set-up as given realization by realization, by influences
+Candidates are compared with the given set-up realization by realization, by influences
 (docs/theory.md, "Intervals of variances, and stopping"). If all estimates are equal, either the
 estimator has no variance, or no estimate has hit a rare event. If equal estimates differ from the
 integral, their error is unknown (NaN), not 0.
@@ -31,7 +31,7 @@ __all__ = [
     "Assessed",
     "Comparison",
     "Errors",
-    "Measured",
+    "MeasuredCandidate",
     "assessed",
     "compare",
     "estimates_of",
@@ -43,10 +43,10 @@ __all__ = [
 class AssessSettings:
     """Settings of the comparison of candidates."""
 
-    # Weight, in realizations, of the prior belief that estimates are normal, so that Var(ψ) = 2. It
-    # is used in the fit of rates; comparisons do not use it. At 100 realizations it reduces the
-    # scatter of standard errors of normal estimates from 12 to 10 %; intervals cover 93 to 95 % for
-    # any prior from 0 to 40.
+    # Weight, in realizations, of the prior that estimates are normal, so that Var(ψ) = 2. It is
+    # used in the fit of rates, not in
+    # comparisons. At 100 realizations it reduces the scatter of standard errors of normal estimates
+    # from 12 to 10 %; intervals cover 93 to 95 % for any prior from 0 to 40.
     prior: int = 20
     # Standard errors of the mean of the given set-up within which estimates that are all equal are
     # taken to be exact: a normal mean is beyond 4 with probability 6e-5.
@@ -66,8 +66,8 @@ class Errors:
     bias: Array  # mean estimate minus the integral, (N, C), NaN if that is not known
     influence: Array  # ψ, (N, R)
     noise: Array  # v below which the estimates differ by rounding only, (N,)
-    blind: Array  # whether the estimates are all equal, but differ from the integral, (N,)
-    # Evaluations before the first point; the rate leaves them out, since they do not grow
+    blind: Array  # Whether the estimates are all equal, but differ from the integral, (N,)
+    # Evaluations before the first point; the rate excludes them, because they do not grow
     overhead: int = 0
 
     @staticmethod
@@ -82,10 +82,10 @@ class Errors:
     ) -> Errors:
         """Compute errors of estimates (R, C), one array for each cost, of the integral (C,).
 
-        Errors are about the integral if `biased`, else about the mean of the estimates. `tolerance`
-        is the relative tolerance of the integral.
+        Errors are relative to the integral if `biased`, else to the mean of the estimates.
+        `tolerance` is the relative tolerance of the integral.
         """
-        # Compute mean squared errors and influences (R,), about the integral or the mean
+        # Compute mean squared errors and influences (R,), relative to the integral or the mean
         parts = []
         for values in estimates:
             count = len(values)
@@ -116,9 +116,9 @@ class Errors:
         )
 
     def checked(self, reference: Errors) -> Errors:
-        """These errors with a variance of 0 where estimates are all equal to the mean of the reference.
+        """Set the variance to 0 where equal estimates agree with the mean of the reference.
 
-        The integral is not known; the mean of the reference has a standard error.
+        This is for an unknown integral; the mean of the reference has a standard error.
         """
         if not np.isnan(self.bias).any() or reference.blind[-1]:
             return self
@@ -129,7 +129,7 @@ class Errors:
 
     @property
     def used(self) -> Array:
-        """Which errors are more than rounding noise, (N,)."""
+        """Whether each error exceeds rounding noise, (N,)."""
         return np.asarray(self.error > self.noise)
 
     @property
@@ -159,8 +159,8 @@ class Errors:
     def at(self, budget: float, *, carry: bool = True) -> tuple[float, Array]:
         """Return log v at a cost of `budget` and its influences (R,), extrapolated along the rate.
 
-        The last error is not extrapolated after a pilot: its evaluations are lost, and nets then
-        often have half the points that would fit into the budget.
+        After a pilot the last error is not extrapolated, because nets often have half the points
+        that would fit into the budget.
         """
         last = len(self.cost) - 1
         if not self.used[last]:
@@ -234,8 +234,8 @@ def _standard_error(influence: Array, prior: int = _SETTINGS.prior) -> float:
 
 @final
 @dataclass(frozen=True)
-class Measured:
-    """A candidate with its errors, in texts and numbers, as states of reductions have it.
+class MeasuredCandidate:
+    """A candidate with its errors, in texts and numbers, as stored in states of reductions.
 
     Attributes
     ----------
@@ -266,12 +266,12 @@ class Measured:
     jumps: bool | None = None
 
     @staticmethod
-    def of(candidate: Candidate, errors: Errors) -> Measured:
-        """A candidate whose estimates have these errors."""
+    def of(candidate: Candidate, errors: Errors) -> MeasuredCandidate:
+        """Make a candidate whose estimates have these errors."""
         setup = candidate.setup
         warp = candidate.kind == "warp"
         known = warp and not setup.is_black_box
-        return Measured(
+        return MeasuredCandidate(
             candidate.kind,
             candidate.name,
             candidate.change,
@@ -301,14 +301,14 @@ class Assessed:
     error, error_ci
         Variance or mean squared error at the budget, and its 95 % interval.
     ratio, ratio_ci
-        Error over that of the set-up as given, and its interval.
+        Ratio of the error to that of the given set-up, and its interval.
     rate_difference, rate_difference_ci
-        Rate minus the rate of the set-up as given, and its interval.
+        Rate minus the rate of the given set-up, and its interval.
     rate_verdict
         The result by this interval.
     """
 
-    measured: Measured
+    measured: MeasuredCandidate
     result: CandidateResult
     error: float
     error_ci: tuple[float, float]
@@ -320,19 +320,19 @@ class Assessed:
 
     @property
     def blind(self) -> bool:
-        """Whether all estimates at the budget are equal and miss the integral."""
+        """Whether all estimates at the budget are equal and differ from the integral."""
         return bool(self.measured.errors.blind[-1])
 
 
-def assessed(measured: Sequence[Measured], budget: int) -> list[Assessed]:
-    """Compare all candidates with the first, the set-up as given; intervals hold together at 95 %."""
+def assessed(measured: Sequence[MeasuredCandidate], budget: int) -> list[Assessed]:
+    """Compare all candidates with the first, the given set-up, with simultaneous 95 % intervals."""
     # One comparison of errors and one of rates for each change
     z = simultaneous_z(2 * (len(measured) - 1))
     reference = measured[0].errors
     slope = reference.rate()[0]
 
     def needed(log_ratio: float) -> float:
-        """Evaluations with which the set-up as given has the error after the change."""
+        """Return evaluations with which the given set-up has the error after the change."""
         if not slope < 0.0 or math.isnan(log_ratio):
             return math.nan
         return budget * math.exp(min(log_ratio / slope, 700.0))

@@ -1,8 +1,8 @@
 """Candidates: set-ups of an estimator and a sampler that differ from the given one in one respect.
 
 A *kind* of change is a function that takes the given set-up and yields candidates, each with an
-imperative that describes the change. A kind that has none raises the reason. `candidates_of` goes
-through the kinds.
+imperative that describes the change. A kind without candidates raises an error with the reason.
+`candidates_of` runs the kinds.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ _INSIDE = frozenset(
 class CandidateSettings:
     """Settings of the changes that are tried."""
 
-    # Samplers that the kind ``sampler`` tries: the usual choice of each family in the package
+    # Samplers of the kind ``sampler``: the usual choice of each family in the package
     samplers: tuple[str, ...] = (
         "random",
         "jittered",
@@ -81,15 +81,15 @@ class CandidateSettings:
     # Most dims in which cubic stratification is tried. Order 4 needs at least 4^d cells, 256 in
     # 4-D, and its rate n^(−1 − 8/d) gains little over nets there.
     most_cubic_dims: int = 3
-    # Most dims in which edges are smoothed by means over boxes. A mean takes the more evaluations
-    # the more dims a box has; smoothing by the distance takes one evaluation in any dims.
+    # Largest number of dims in which edges are smoothed by means over boxes. In more dims a mean
+    # takes more evaluations; smoothing by
+    # the distance takes one evaluation in any dims.
     most_boxed_dims: int = 2
-    # Divisor of the budget that gives the evaluations of a pilot. An eighth leaves room for
-    # estimates at the two largest budgets of `mcspectra.remedies`, B/4 and B, so that a rate can be
-    # fitted.
+    # Divisor of the budget that gives the evaluations of a pilot. An eighth allows estimates at the
+    # two largest budgets of `mcspectra.remedies`, B/4 and B, so a rate can be fitted.
     pilot_divisor: int = 8
     # Least number of points of a pilot. Each half of 32 determines 8 coefficients at 4 evaluations
-    # each, as `ChangeSettings.evaluations_per_term` asks.
+    # each, as required by `ChangeSettings.evaluations_per_term`.
     least_pilot: int = 64
     # Most points of a pilot. Regressions on 2048, 4096 and 8192 evaluations leave 1.08, 0.93 and
     # 0.89 % of the variance of an Asian option in 16-D, and fitted densities differ by 3 %
@@ -114,7 +114,7 @@ class Budget:
     realizations: int  # number of estimates of each measurement
     stream: Stream  # the search's own random numbers: the chosen change is measured again on others
     settings: CandidateSettings = _SETTINGS
-    # Evaluations of g at uniform points that were needed anyway; else fits take a pilot
+    # Evaluations of g at uniform points that exist already; otherwise fits take a pilot
     seen: Evaluations | None = None
 
 
@@ -183,7 +183,7 @@ def _candidate(
     *,
     biased: bool = False,
 ) -> Candidate | str:
-    """The candidate with the estimator, sampler or set-up that `make` gives, or why there is none."""
+    """Return the candidate with the estimator, sampler or set-up from `make`, or the reason."""
     try:
         made = make()
     except McspectraError as error:
@@ -205,7 +205,7 @@ def leave_shift_out(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG00
 
 
 def _without_shift(sampler: Sampler) -> Sampler | None:
-    """The sampler without its shifts; None where it has none."""
+    """Return the sampler without its shifts, or None if it has none."""
     plain, steps = sampler.plain, sampler.randomizations
     if not any(isinstance(step, Shift) for step in steps):
         return None
@@ -237,7 +237,7 @@ def align_strata(given: Setup, budget: Budget) -> _Candidates:
     change = "bend the strata so that their borders are at the edges"
     yield _candidate(given, "aligned", "aligned with edges", change, at_edges)
 
-    # Search the best offset
+    # Search for the best offset
     if given.is_black_box:
         yield "offset: Its search takes more evaluations than the budget."
         return
@@ -297,8 +297,8 @@ def change_heuristic(given: Setup, budget: Budget) -> _Candidates:
         pilot = as_heuristic(name).pilot_evaluations
         if pilot >= budget.evaluations:
             yield (
-                f"heuristic: {name}: Its pilot alone takes {pilot} evaluations, {budget.evaluations} "
-                "are the budget."
+                f"heuristic: {name}: Its pilot alone takes {pilot} evaluations; the budget is "
+                f"{budget.evaluations}."
             )
             continue
         change = f"combine the techniques by {as_heuristic(name).spec}"
@@ -381,7 +381,7 @@ def smooth_edges(given: Setup, budget: Budget) -> _Candidates:
     if given.is_black_box:
         raise ParameterError("The search for a width takes more evaluations than the budget.")
     if jumps_inside(estimator, given.sampler) is False:
-        raise ParameterError("No jump inside was found that could be smoothed.")
+        raise ParameterError("No jump inside was found, so there is nothing to smooth.")
     settings = budget.settings
     method = "distance" if estimator.dims > settings.most_boxed_dims else "auto"
     scan = smoothing_scan(
@@ -426,7 +426,7 @@ def separate_channels(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG
 
 
 def improve(kind: Kind, given: Setup, budget: Budget) -> _Candidates:
-    """Offer the changes of g that evaluations suggest: those known, or a pilot in the budget."""
+    """Offer the changes of g that evaluations suggest: known ones, or a pilot in the budget."""
     seen, charged = budget.seen, 0
     if seen is None:
         settings, each = budget.settings, given.estimator.evaluations_per_point
@@ -441,9 +441,9 @@ def improve(kind: Kind, given: Setup, budget: Budget) -> _Candidates:
         charged = given.overhead + count * each
     found = list(improvements(given, seen, [kind], charged=charged))
     if not found:
-        raise ParameterError(f"{len(seen.points)} evaluations show no gain by it.")
+        raise ParameterError(f"{len(seen.points)} evaluations show no gain from it.")
     yield from found
-    # Together with the best sampler for what is left, if another one is in use
+    # Combine with the best sampler for the remaining variance, if another sampler is in use
     nets = make_sampler(NETS, given.estimator.dims)
     if nets.spec != given.sampler.spec:
         for alone in found:
@@ -463,7 +463,8 @@ def stratify_cubes(given: Setup, budget: Budget) -> _Candidates:
     d, most = given.estimator.dims, budget.settings.most_cubic_dims
     if d > most:
         raise ParameterError(
-            f"In {d} dims cubes are too many for higher orders, which are tried in 1 to {most}."
+            f"In {d} dims there are too many cubes for higher orders, which are used in 1 to "
+            f"{most}."
         )
 
     def of_order(order: int) -> Setup:

@@ -153,7 +153,7 @@ class Evaluations:
 
     @cached_property
     def halves(self) -> tuple[Evaluations, Evaluations]:
-        """Every second evaluation, and the others; each half has neighbors of all points of a net."""
+        """Every second evaluation, and the others, so neighbors are in both halves."""
         odd = np.arange(len(self.points)) % 2 == 1
         return self.part(odd), self.part(~odd)
 
@@ -187,7 +187,7 @@ class Evaluations:
         """|g| over the density, of sum 1; a lower power of |g| if few points dominate the sum."""
         size = np.abs(self.values).sum(axis=1)
         if not size.any():
-            raise ParameterError("g is 0 at all points that were tried; give a larger budget.")
+            raise ParameterError("g is 0 at all tested points; give a larger budget.")
         size = size / size.max()
         least = min(0.1 * np.count_nonzero(size), 10.0 + 2.0 * self.points.shape[1])
         for power in 0.5 ** np.arange(8):
@@ -536,7 +536,7 @@ def _fitted(
         ),
         (
             "normal density",
-            "move and stretch the normal quantiles Φ⁻¹(u) of the inputs to where the integrand is large",
+            "move and stretch the normal quantiles Φ⁻¹(u) of the inputs to large values of g",
             [
                 partial(_normal, stretch=s, least_spread=settings.least_spread)
                 for s in ("move", "axes", "all")
@@ -626,7 +626,7 @@ def _order(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:
     before, after = basis.left(first, second), basis.left(first.turned(turn), second.turned(turn))
     yield (
         "order by variation",
-        "turn the normal quantiles Φ⁻¹(u) of the inputs, so that the integrand varies most along the first ones",
+        "rotate the normal quantiles Φ⁻¹(u) of the inputs, the most important ones first",
         _turned(g, seen.directions),
         after / max(before, 1e-300),
     )
@@ -664,7 +664,10 @@ def _preintegrated(g: Integrand, seen: Evaluations, settings: ChangeSettings) ->
         inner = _turned(g, seen.directions) if normal else g
         yield (
             name.format(axis),
-            f"take means {where.format(axis)}, on both sides of where the integrand jumps or leaves 0",
+            (
+                f"take means {where.format(axis)}, on both sides of where the integrand jumps or "
+                "leaves 0"
+            ),
             _Preintegrated(integrand=inner, axis=axis),
             float(np.sqrt(max(without[axis], unsure) * max(1.0 - alone, unsure))),
         )
@@ -709,7 +712,7 @@ def improvements(
     Raises
     ------
     ParameterError
-        Several techniques, or too few evaluations.
+        If there are several techniques, or too few evaluations.
     """
     g = _single(given.estimator)
     if len(seen.points) < 2 * _REGRESSION.evaluations_per_term:
@@ -761,7 +764,8 @@ def _turned(g: Integrand, directions: Array) -> _Warped:
 def _single(estimator: AbstractEstimator) -> Integrand:
     if estimator.counts != (1,):
         raise ParameterError(
-            f"{estimator.spec} has several samples a point; only estimators of one technique are changed."
+            f"{estimator.spec} has several samples per point; only estimators of one technique are "
+            "changed."
         )
     return estimator.primary_integrand(0)
 

@@ -76,7 +76,8 @@ class LearnSettings:
     )
     # Most dims of a learned density. In 24-D a flow takes 9 s to fit.
     most_dims: int = 24
-    # Least number of evaluations that can be asked for. Half of 256 is for the fit, a quarter is six
+    # Least number of evaluations that can be asked for. Half of 256 is for the fit, a quarter is
+    # six
     # sets of two points for each of five candidates, and a quarter checks the best of them.
     least_evaluations: int = 256
     # Least number of evaluations by default: `most_fitted` for the fit, and as many for the choice
@@ -377,9 +378,9 @@ def learned_density(
     dims
         Number of dims, up to 24; needed if neither f nor the sampler has one.
     evaluations
-        Most evaluations of f, at least 256. Half of them, at most 8192, are for the fit. One half of
-        the rest is for the choice between candidates, the other half checks the result. The default
-        is 16 n + 8192, and at least 24576.
+        Most evaluations of f, at least 256. Half of them, at most 8192, are for the fit. One half
+        of the rest is for the choice between candidates, the other half checks the result. The
+        default is 16 n + 8192, and at least 24576.
     defensive
         Least value δ of the density, above 0 and below 1: |f|/p is at most |f|/δ.
     rng
@@ -397,13 +398,13 @@ def learned_density(
     Raises
     ------
     ParameterError
-        The kind is unknown, a value is out of range, or the sampler is not random; f is NaN or
-        infinite at a point, or 0 at all points; evaluations are too few to compare candidates near
-        n.
+        If the kind is unknown, a value is out of range, or the sampler is not random; if f is NaN
+        or infinite at a point, or 0 at all points; or if evaluations are too few to compare
+        candidates near n.
     CountError
-        The sampler has no sets of n points.
+        If the sampler has no sets of n points.
     FileFormatError
-        The density cannot be written.
+        If the density cannot be written.
 
     Notes
     -----
@@ -449,7 +450,7 @@ def learned_density(
     evaluations = as_integer("evaluations", asked, least=settings.least_evaluations, most=2**28)
     if source.fixed:
         raise ParameterError(
-            f"{source.spec} is the same every time, so that it has no variance; add owen or shift."
+            f"{source.spec} is deterministic, so it has no variance; add owen or shift."
         )
     cached = cache_folder() / "densities"
     if chosen is None:
@@ -475,8 +476,8 @@ def learned_density(
         if count > allowed or allowed < n / settings.fewest_divisor:
             raise ParameterError(
                 f"{evaluations} evaluations are too few to compare {candidates} candidates and to "
-                f"check the best one by sets of n/{settings.fewest_divisor} points of {source.spec}, "
-                f"n = {n}, or more; give {8 * n} or more."
+                f"check the best one by sets of n/{settings.fewest_divisor} points of "
+                f"{source.spec}, n = {n}, or more; give {8 * n} or more."
             )
         counts.append(count)
 
@@ -494,8 +495,8 @@ def learned_density(
     seen = in_rounds(values_at, d, sizes, follow, stream)
     if not seen[1].any():
         raise ParameterError(
-            f"f is 0 at all {half} points that were tried; give more evaluations, or an integrand "
-            "that says where it is not."
+            f"f is 0 at all {half} tested points; give more evaluations, or an integrand with "
+            "landmarks where it is not 0."
         )
     for place, setting in enumerate(LEARNED[kind]):
         report(f"density of {integrand.spec}", 0.3 + 0.1 * place)
@@ -526,7 +527,8 @@ def learned_density(
         f"no candidate has less than {settings.most_ratio:g} of the variance of uniform points"
     )
 
-    # Check the choice on fresh points: the variances of sets, and the mean squares of single points.
+    # Check the choice on fresh points: the variances of sets, and the mean squares of single
+    # points.
     # A peak that the fit has missed may lie in none of the sets of p, but then raises ∫f²/p. If few
     # of the uniform points meet what f has, other peaks may be missed by all points
     if best is not uniform:
@@ -550,14 +552,14 @@ def learned_density(
         if effective < settings.least_effective:
             best = uniform
             no_gain = (
-                f"only about {effective:.0f} of {len(met)} uniform points met its peaks, and others "
-                "may be missed"
+                f"only about {effective:.0f} of {len(met)} uniform points hit its peaks, and "
+                "others may be missed"
             )
         elif not (after * most < before and (squares / pdf).sum() < squares.sum()):
             best = uniform
             no_gain = (
-                f"{2 * replicates * count} fresh evaluations do not confirm that the best candidate "
-                "has less variance than uniform points"
+                f"{2 * replicates * count} fresh evaluations do not confirm that the best "
+                "candidate has less variance than uniform points"
             )
     report(f"density of {integrand.spec}", 1.0)
     if not isinstance(best, SplineDensity):

@@ -1,11 +1,12 @@
 """Planning: the least number of points that reaches an error.
 
-The variance of known integrands is predicted at powers of two, and between two of them at counts that halve
-an octave. Functions of users are measured: scrambled nets give the variance of several samplers at
-once (`mcspectra.explain.samples`), and other samplers draw sets of their own. A measurement goes in
-stages, each with twice the evaluations of the one before, none of which is made twice. It ends at the
-first stage that knows n within a factor. A smaller error never takes fewer points: every search
-depends on the error through comparisons only, and no stage plans less than an earlier one excluded.
+The variance of known integrands is predicted at powers of two, and between two of them at counts
+from bisection. Functions of users are measured. Scrambled nets give the variance of several
+samplers at once (`mcspectra.explain.samples`); other samplers draw their own sets. A measurement
+has stages, each with twice the evaluations of the one before, and no evaluation is repeated. It
+ends at the first stage that determines n within a factor. A smaller error never takes fewer points:
+every search depends on the error through comparisons only, and no stage plans less than an earlier
+one excluded.
 """
 
 from __future__ import annotations
@@ -49,50 +50,51 @@ _TINY = float(np.finfo(float).tiny)
 class PlanSettings:
     """How the least count is searched in predictions."""
 
-    # Variances are predicted at powers of two up to this one. Beyond the last one the curve goes
-    # on with its rate. It is the largest count at which `predict` looks for the limit of rates.
+    # Largest power of two at which variances are predicted. Beyond it the curve is extrapolated
+    # with its rate. It is also the largest count at which
+    # `predict` seeks the limit of rates.
     octaves: int = 16
-    # Factor by which the curve goes below the wanted variance, so that the upper ends of
-    # intervals reach it as well.
+    # Factor by which the curve extends below the target variance, so that upper ends of intervals
+    # also reach it.
     margin: float = 4.0
-    # Points that a plan still names: more do not fit a 64-bit integer.
+    # Largest planned number of points; more do not fit a 64-bit integer.
     most: int = 2**62
-    # Inverse of the relative step in which n is searched between powers of two: up to 256 it is
-    # the least count, beyond that larger by 0.4 % at most, for eight predictions.
+    # Inverse of the relative step of the search for n between powers of two. Up to 256, n is the
+    # least count; beyond that it is too large by at most
+    # 0.4 %, for eight predictions.
     steps: int = 256
-    # Ratio of the ends of an interval of n above which the answer names it.
+    # Ratio of the ends of an interval of n above which the answer contains it.
     wide: float = 1.25
-    # Counts that are tried, one after the other, for estimators of several techniques, whose sets
-    # the sampler must all be able to draw.
+    # Number of consecutive counts that are tested for estimators of several techniques, because the
+    # sampler must be able to draw all sets.
     tries: int = 256
 
 
 @final
 @dataclass(frozen=True)
 class MeasuredPlanSettings:
-    """How many evaluations of a function a plan makes."""
+    """Settings for the evaluations of a function in a plan."""
 
-    # Most evaluations whatever is allowed: the points of a stage are in memory, 128 MB in 1-D.
+    # Largest number of evaluations under any limit: the points of a stage take 128 MB in 1-D.
     most: int = 2**24
-    # Evaluations of the first stage: as many as `profile` makes by default.
+    # Evaluations of the first stage: the default of `profile`.
     first: int = 2**12
     # Sets of the first stage: a variance of 32 sets has a standard error of a quarter of it.
     nets: int = 32
-    # Stages after which the sets are doubled instead of their points, once in three: of 2^18
-    # evaluations 128 sets remain, whose variance has a standard error of 12 %. Once in two stages
-    # leaves sets of half the points, beyond which rates of jumps are uncertain.
+    # The sets are doubled, instead of their points, in every stage whose number is a multiple of
+    # this. 2^18 evaluations then have 128 sets, whose variance has a standard error of 12 %. With 2
+    # the sets have half the points, and rates of jumps become uncertain.
     doubling: int = 3
-    # Least points of a set of the first stage: four counts, which show a rate.
+    # Least number of points of a set of the first stage: four counts, which give a rate.
     least: int = 8
     # Least number of sets for a variance, as in `profile`: for samplers of few stored sets.
     least_sets: int = 3
     # Ratio of the ends of an interval of n at which a stage is enough.
     narrow: float = 1.5
-    # A stage is enough for any n if it has the evaluations of 256 sets of n points: 256 sets give
-    # the variance to √(2/256) = 9 %.
+    # Number of sets with which a stage is enough for any n: it has the evaluations of 256 sets of n
+    # points, which give the variance to √(2/256) = 9 %.
     enough: int = 256
-    # Places in each octave at which a curve is compared with the error; it is a line between
-    # them.
+    # Number of points per octave at which a curve, linear in between, is compared with the error.
     parts: int = 16
 
 
@@ -104,7 +106,7 @@ _OF_NETS = {NETS, "random", "jittered"}
 @final
 @dataclass(frozen=True)
 class _Found:
-    """The answer for one sampler: n, the ends of its interval, and the variance there, (channels,).
+    """Answer for one sampler: n, the ends of its interval, and the variance there, (channels,).
 
     `curve` has the variance and the ends of its interval at `_CURVE`, (N, channels, 3).
     """
@@ -118,7 +120,7 @@ class _Found:
 
     @staticmethod
     def none(channels: int, note: str) -> _Found:
-        """No answer, and the reason."""
+        """Make a missing answer with its reason."""
         nan = math.nan
         curve = np.full((len(_CURVE), channels, 3), nan)
         return _Found(nan, (nan, nan), np.full(channels, nan), ("none", note), curve, (note,))
@@ -126,7 +128,7 @@ class _Found:
 
 @final
 class Plan(Counted, frozen=True, kw_only=True):
-    """Smallest number of points that reaches an error, predicted, or measured for users' functions."""
+    """Smallest number of points that reaches an error, predicted, or measured for functions."""
 
     function = "plan"
     verb = "plan"
@@ -138,12 +140,12 @@ class Plan(Counted, frozen=True, kw_only=True):
 
     target_error: Annotated[
         float,
-        Meta(gt=0.0, description="Wanted root mean square error of the estimate."),
+        Meta(gt=0.0, description="Target root mean square error of the estimate."),
     ]
     relative: Annotated[bool, Meta(description="The error is relative to the integral.")] = False
 
     def need(self, subject: Subject) -> Need:
-        """What predictions or measurements take; an integral that errors can be relative to."""
+        """Return the need of predictions or measurements; check that a relative error exists."""
         estimator, samplers = subject.estimator, subject.samplers
         for sampler in samplers:
             least = sampler.nearest_count(1)
@@ -154,7 +156,7 @@ class Plan(Counted, frozen=True, kw_only=True):
         integral = self._integral(estimator) if self.relative else 1.0
         if integral is not None and not np.all(np.abs(integral) > 0):
             raise ParameterError(
-                f"The integral of {estimator.spec} is {integral}, so that no error is a share of it; "
+                f"The integral of {estimator.spec} is {integral}, so no error is relative to it; "
                 "give ",
                 Parameter("target_error"),
                 " without relative.",
@@ -170,19 +172,19 @@ class Plan(Counted, frozen=True, kw_only=True):
         )
 
     def limit(self, subject: Subject) -> int | None:
-        """Most evaluations of a measurement; predictions of known integrands have no limit of their own."""
+        """Return the most evaluations of a measurement; known integrands have no limit."""
         if self.max_evaluations is None and _is_measured(subject.estimator):
             return LIMITS.evaluations
         return self.max_evaluations
 
     def _integral(self, estimator: AbstractEstimator) -> Any:
-        """The integral; None where it takes evaluations that are measured."""
+        """Return the integral; None if it takes evaluations that are measured."""
         if _is_measured(estimator) and estimator.integral_source != "exact":
             return None
         return estimator.integral
 
     def _parts(self, subject: Subject) -> list[str]:
-        """Samplers that are drawn for a measurement, which share its evaluations; nets first."""
+        """Return samplers that are drawn for a measurement and share its evaluations."""
         estimator = subject.estimator
         apart = [s.spec for s in subject.samplers if not _of_nets(estimator, s)]
         nets = len(apart) < len(subject.samplers)
@@ -191,7 +193,7 @@ class Plan(Counted, frozen=True, kw_only=True):
         return [NETS] * nets + [spec for spec in apart if spec not in fixed]
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[xr.Dataset]:
-        """Plan in one block, since each step of the search depends on the one before."""
+        """Plan in one block, because each step of the search depends on the one before."""
         return whole(lambda: self._planned(subject, stream), self.need(subject).cost)
 
     def _planned(self, subject: Subject, stream: Stream) -> xr.Dataset:
@@ -211,7 +213,7 @@ class Plan(Counted, frozen=True, kw_only=True):
             for note in each.notes
         ]
 
-        # The answer names the sampler with the fewest points first
+        # The sampler with the fewest points comes first in the answer
         evaluations = sum(estimator.counts)
         reached = sorted(
             (each.n, sampler.spec, *each.ends)
@@ -267,7 +269,7 @@ class Plan(Counted, frozen=True, kw_only=True):
         )
 
     def _by_measurement(self, subject: Subject, stream: Stream) -> tuple[Array, list[_Found]]:
-        """The wanted variance, (channels,), and the answer for each sampler."""
+        """Return the target variance, (channels,), and the answer for each sampler."""
         estimator, channels = subject.estimator, max(1, subject.estimator.channels)
         parts = self._parts(subject)
         limit = min(self.limit(subject) or _MEASURED.most, _MEASURED.most)
@@ -286,7 +288,7 @@ class Plan(Counted, frozen=True, kw_only=True):
                     break
             target = target * np.abs(means.mean(axis=0))
             if zero:
-                reason = "the integral may be 0, so that no error is a share of it"
+                reason = "the integral may be 0, so no error is relative to it"
                 return target**2, [_Found.none(channels, reason)] * len(subject.samplers)
         found = []
         for place, sampler in enumerate(subject.samplers):
@@ -302,7 +304,7 @@ class Plan(Counted, frozen=True, kw_only=True):
 
 
 def _between(low: float, high: float) -> str:
-    """An interval in parentheses, where it is wide."""
+    """Format an interval in parentheses if it is wide."""
     if math.isinf(high):
         return f" ({low:.0f} or more)"
     return f" ({low:.0f} to {high:.0f})" if high > _SETTINGS.wide * low else ""
@@ -312,15 +314,15 @@ def _between(low: float, high: float) -> str:
 
 
 def _by_prediction(predictor: Predictor, sampler: Sampler, target: Array) -> _Found:
-    """The least count whose predicted variances reach the target, of all channels."""
+    """Return the least count whose predicted variances of all channels reach the target."""
     estimator = predictor.estimator
     counts, found = list[int](), list[Cells]()
     curve = np.full((len(_CURVE), len(target), 3), np.nan)
 
     def at(n: int) -> Array:
-        """The predicted variance of a count, which is remembered."""
+        """Return the predicted variance of a count, cached."""
         cells = predictor.at(sampler, n)
-        if cells.notes[0] == VANISHES:  # to rounding, which counts as 0
+        if cells.notes[0] == VANISHES:  # At rounding level, which counts as 0
             cells = replace(cells, variance=np.nan_to_num(cells.variance))
         counts.append(n)
         found.append(cells)
@@ -350,7 +352,7 @@ def _least(
     target: Array,
     at: Callable[[int], Array],
 ) -> tuple[float, Array, tuple[str, str]]:
-    """The least count at which all channels reach the target, its variance, method and details."""
+    """Return the least count that reaches the target, its variance, method and details."""
     variances = [each.variance[0] for each in found]
     known = [k for k, v in enumerate(variances) if np.isfinite(v).all()]
     unknown = np.full(len(target), math.nan)
@@ -358,7 +360,7 @@ def _least(
         return math.nan, unknown, found[-1].named() if found else ("none", "")
     first = next((k for k in known if (variances[k] <= target).all()), None)
     if first is None:
-        # By the slope of the last predictions, rounded up to a count that the sampler can do
+        # Use the slope of the last predictions, rounded up to a count that the sampler allows
         last, earlier = known[-1], known[max(0, len(known) - 4)]
         ends, ratio = variances[last], counts[last] / counts[earlier]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -375,9 +377,10 @@ def _least(
     best = float(counts[first]), variances[first], found[first].named()
     before = [k for k in known if k < first]
 
-    # Halve the octaves between the last count that misses the target and the first that reaches it.
-    # Curves go up and down; but two targets take the same way as long as both are met or both are
-    # missed, and then the smaller one goes up. Nets are balanced at powers of their base alone
+    # Bisect the octaves between the last count that misses the target and the first that reaches
+    # it. Curves are not monotone. Two targets take the same
+    # path while both are met or both are missed; then the smaller one continues upward. Nets are
+    # balanced only at powers of their base
     if not before or _base(estimator.law(sampler, counts[first])):
         return best
     low, high = counts[before[-1]], counts[first]
@@ -406,9 +409,10 @@ def _ends(
     found: list[Cells],
     target: Array,
 ) -> tuple[float, float]:
-    """The least counts at which the lower and the upper ends of predicted variances reach the target.
+    """Return the least counts at which the ends of predicted variances reach the target.
 
-    Beyond the last count they go on along the last slopes, and are infinite where these never do.
+    Beyond the last count the ends are extrapolated by the last slopes. They are infinite if these
+    never reach the target.
     """
     order = [k for k in np.argsort(counts) if np.isfinite(found[k].variance[0]).all()]
     if not np.isfinite(n) or not order:
@@ -461,7 +465,7 @@ class _Stage:
 
 
 def _sizes(stage: int, share: int, each: int) -> tuple[int, int] | None:
-    """Sets of a stage, and the points of all of them; None beyond the share."""
+    """Return the number of sets of a stage and of their points; None beyond the share."""
     first = max(_MEASURED.first // each, _MEASURED.nets * _MEASURED.least)
     points = first << stage
     if points > share:
@@ -474,7 +478,7 @@ def _sizes(stage: int, share: int, each: int) -> tuple[int, int] | None:
 def _pooled(
     points: Sequence[Array], values: Sequence[Array], channels: int
 ) -> tuple[Array | None, Array]:
-    """`_Stage.points` and `_Stage.values` of points (R, n, d) and values (R, n, channels)."""
+    """Pool points (R, n, d) and values (R, n, channels) for `_Stage`."""
     most = max(values, key=lambda v: float(v.var(axis=(0, 1)).max()))
     x = points[0].reshape(-1, points[0].shape[2]) if len(points) == 1 else None
     return x, most.reshape(-1, channels)
@@ -482,7 +486,7 @@ def _pooled(
 
 @dataclass
 class _Nets:
-    """Scrambled nets, which have the points of the stage before among their own."""
+    """Scrambled nets, which include the points of the stage before."""
 
     estimator: AbstractEstimator
     share: int
@@ -492,13 +496,13 @@ class _Nets:
     evaluations: int = 0
 
     def stage(self, place: int) -> _Stage:
-        """A stage, which is made once, after those before it."""
+        """Return a stage, made once, after the stages before it."""
         while len(self.made) <= place:
             self.made.append(self._next())
         return self.made[place]
 
     def stages(self) -> Iterator[_Stage]:
-        """All stages within the share, each made when it is asked for."""
+        """Yield all stages within the share, each made on demand."""
         place = 0
         while _sizes(place, self.share, self.estimator.cost):
             yield self.stage(place)
@@ -543,7 +547,7 @@ class _Nets:
 
 @dataclass
 class _Own:
-    """Sets of a sampler at powers of a base, to which each stage adds sets and counts."""
+    """Sets of a sampler at powers of a base; each stage adds sets and counts."""
 
     estimator: AbstractEstimator
     sampler: Sampler
@@ -553,7 +557,7 @@ class _Own:
     evaluations: int = 0
 
     def stages(self) -> Iterator[_Stage]:
-        """All stages within the share, each made when it is asked for."""
+        """Yield all stages within the share, each made on demand."""
         estimator, sampler = self.estimator, self.sampler
         base = max(sampler.digit_bases, default=2)
         counts = sorted({
@@ -602,11 +606,11 @@ class _Own:
 
 
 def _in_stages(source: _Nets | _Own, sampler: Sampler, target: Array) -> _Found:
-    """The answer of the first stage that is sure enough of n, or of the last."""
+    """Return the answer of the first stage that determines n well enough, or of the last."""
     estimator, least, best = source.estimator, 0.0, None
     for stage in source.stages():
         curves = stage.curves.get(sampler.spec)
-        if curves is None:  # the variance is lost in its errors
+        if curves is None:  # The variance is below its error
             continue
         curve = _Ladder.of(curves)
         note, _ = doubt(stage.points, stage.values) or ("", False)
@@ -621,26 +625,26 @@ def _in_stages(source: _Nets | _Own, sampler: Sampler, target: Array) -> _Found:
     if best is None:
         return _Found.none(
             len(target),
-            f"{source.share * estimator.cost} evaluations do not tell its variance; give a larger "
-            "max_evaluations",
+            f"{source.share * estimator.cost} evaluations do not determine its variance; give a "
+            "larger max_evaluations",
         )
     stage, curves, curve, n, note = best
     last = min(float(c.counts[-1]) if len(c.counts) else c.vanishes for c in curves)
     vanishing = min(c.vanishes for c in curves)
     planned = _measured_count_from(estimator, sampler, n)
     if not math.isfinite(planned):
-        return _Found.none(len(target), "no count that it can do reaches the error")
+        return _Found.none(len(target), "no allowed count reaches the error")
     beyond = last < planned < vanishing
     if not note and beyond and any(math.isnan(c.rate) for c in curves):
-        note = f"{stage.evaluations} evaluations show no rate beyond n = {last:.0f}"
+        note = f"{stage.evaluations} evaluations give no rate beyond n = {last:.0f}"
     low, high = (
         _measured_count_from(estimator, sampler, math.exp(curve.reaches(target, side)))
         for side in (-1, 1)
     )
     if not note and math.isinf(high):
         note = (
-            f"{stage.evaluations} evaluations do not show the rate beyond n = {last:.0f} well enough for "
-            "an upper end; give a larger max_evaluations"
+            f"{stage.evaluations} evaluations do not determine the rate beyond n = {last:.0f} well "
+            "enough for an upper end; give a larger max_evaluations"
         )
     ends = min(low, planned), math.inf if note else max(high, planned)
     how = f"{stage.evaluations} evaluations"
@@ -659,14 +663,14 @@ def _in_stages(source: _Nets | _Own, sampler: Sampler, target: Array) -> _Found:
 @final
 @dataclass(frozen=True)
 class _Ladder:
-    """Curves of all channels at places that do not depend on the target.
+    """Curves of all channels at counts that do not depend on the target.
 
     Attributes
     ----------
     curves
-        One for each channel.
+        One curve for each channel.
     n
-        Counts at `MeasuredPlanSettings.parts` to the octave, (N,).
+        Counts, `MeasuredPlanSettings.parts` per octave, (N,).
     logs, half
         Logarithms of variances, and half their 95 % intervals, (N, channels).
     """
@@ -678,7 +682,7 @@ class _Ladder:
 
     @staticmethod
     def of(curves: Sequence[Curve]) -> _Ladder:
-        """The curves, to the largest number of points that a plan names."""
+        """Evaluate curves up to the largest number of points of a plan."""
         octaves = math.log2(_SETTINGS.most)
         n = np.exp2(np.arange(octaves * _MEASURED.parts + 1) / _MEASURED.parts)
         found = np.array([[curve.at(each) for curve in curves] for each in n])
@@ -686,12 +690,12 @@ class _Ladder:
         return _Ladder(curves, n, np.log(np.maximum(found[..., 0], _TINY)), t * found[..., 1])
 
     def reaches(self, target: Array, side: int) -> float:
-        """Logarithm of the least n at which an end of the interval (0: the variance) meets the target."""
+        """Return log of the least n at which an end (0: the variance) reaches the target."""
         off = (self.logs + side * self.half - np.log(target)).max(axis=1)
         return _crossing(np.log(self.n), off)
 
     def at(self, n: float) -> Array:
-        """The variance and the ends of its interval, (channels, 3)."""
+        """Return the variance and the ends of its interval, (channels, 3)."""
         found = np.array([curve.at(n) for curve in self.curves])
         t = student_t(1 + min(curve.degrees for curve in self.curves))
         variance, half = found[:, 0], t * found[:, 1]
@@ -700,7 +704,7 @@ class _Ladder:
 
     @property
     def trusted(self) -> float:
-        """The largest n with a narrow interval, at it and at all smaller n."""
+        """The largest n with a narrow interval at it and at all smaller n."""
         rates = [c.rate if math.isfinite(c.rate) else -1.0 for c in self.curves]
         width = (2.0 * self.half / np.maximum(-np.array(rates), 0.5)).max(axis=1)
         wide = np.flatnonzero(width > math.log(_MEASURED.narrow))
@@ -713,7 +717,7 @@ class _Ladder:
 
 
 def _crossing(x: Array, off: Array) -> float:
-    """First x at which a line through (x, off) is 0 or less; infinite if it stays above 0."""
+    """Return the first x at which a line through (x, off) is 0 or less; infinite if none."""
     reached = np.flatnonzero(off <= 0.0)
     if not len(reached):
         return math.inf
@@ -725,9 +729,9 @@ def _crossing(x: Array, off: Array) -> float:
 
 
 def _count_from(estimator: AbstractEstimator, sampler: Sampler, n: float) -> float:
-    """The least count of the sampler that is not less than n; for nets a power of their base.
+    """Return the least allowed count that is at least n; for nets a power of their base.
 
-    Infinite if the sampler has no such count. A count may be less than n by a millionth.
+    It is infinite if the sampler has no such count. A count may be less than n by a millionth.
     """
     if not n * (1.0 - 1e-6) <= min(_SETTINGS.most, sampler.max_count):
         return math.inf
@@ -745,7 +749,7 @@ def _count_from(estimator: AbstractEstimator, sampler: Sampler, n: float) -> flo
 
 
 def _measured_count_from(estimator: AbstractEstimator, sampler: Sampler, n: float) -> float:
-    """`_count_from`, of lattices among the powers of two: other counts have lattices of their own."""
+    """Apply `_count_from`, for lattices at powers of two, as each count has its own lattice."""
     leaf = leaf_of(estimator.law(sampler, sampler.nearest_count(1)))
     if not (isinstance(leaf, Fixed) and leaf.even):
         return _count_from(estimator, sampler, n)
@@ -757,14 +761,14 @@ def _measured_count_from(estimator: AbstractEstimator, sampler: Sampler, n: floa
 
 
 def _base(law: Law) -> int:
-    """The base of a net, which is balanced at its powers alone; 0 for other points."""
+    """Return the base of a net, which is balanced only at powers of it; 0 for other points."""
     leaf = leaf_of(law)
     bases = set(leaf.bases or ()) if isinstance(leaf, Fixed) else set()
     return bases.pop() if len(bases) == 1 else 0
 
 
 def _can(estimator: AbstractEstimator, sampler: Sampler, n: int) -> bool:
-    """Whether the sampler has sets of n points for each technique."""
+    """Return whether the sampler has sets of n points for each technique."""
     try:
         estimator.check_sampler(sampler, n)
     except CountError:
@@ -773,13 +777,13 @@ def _can(estimator: AbstractEstimator, sampler: Sampler, n: int) -> bool:
 
 
 def _is_measured(estimator: AbstractEstimator) -> bool:
-    """Whether evaluations are too costly for predictions, which take millions of them."""
+    """Return whether evaluations are too costly for predictions, which take millions."""
     techniques = range(len(estimator.counts))
     return estimator.is_black_box or any(estimator.primary_integrand(t).costly for t in techniques)
 
 
 def _of_nets(estimator: AbstractEstimator, sampler: Sampler) -> bool:
-    """Whether evaluations at nets give the variance of a sampler."""
+    """Return whether evaluations at nets give the variance of a sampler."""
     try:
         estimator.check_independent()
     except NoClosedForm:
@@ -801,48 +805,51 @@ def plan(
     max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Plan the least number of points for which an error is reached, for each sampler.
+    """Plan the least number of points that reaches an error, for each sampler.
 
     Parameters
     ----------
     estimator, samplers
         An estimator, and one sampler or a list of them.
     dims
-        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
         that is not a spec.
     target_error
-        Wanted root mean square error; of several channels of each.
+        Target root mean square error, for each channel.
     relative
-        Whether it is a share of the integral.
+        Whether it is relative to the integral.
     rng
         Seed (SPEC 7).
     workers
-        Threads; all processors by default. Results do not depend on it.
+        Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of a function or of a costly integrand, by default 2^18, which all samplers
-        share. A plan starts with 4,096 and doubles them until the interval of n is narrower than a factor of 1.5.
+        Most evaluations of a function or of a costly integrand, which all samplers share; by
+        default 2^18. A plan starts with 4,096 and doubles them until the interval of n is narrower
+        than a factor of 1.5.
 
     Returns
     -------
     xarray.Dataset
-        ``planned_n``, the least count with an RMSE of at most the target; NaN if it is not known. For nets
-        (sobol, pmj02 and the like, which other counts leave unbalanced) it is a power of their base, for
-        other samplers of known integrands it is found to 0.4 %. A smaller target never has a smaller
-        ``planned_n`` with the same seed. ``planned_n_ci(bound)``, this count if variances were at the ends
-        of their 95 % intervals; its upper end is infinite if the values do not bound the variance; the
-        attribute ``note`` has the reason. ``planned_error``, the RMSE at ``planned_n``; ``target_variance``, the
-        square of the target; the curve ``predicted_variance(n)`` with ``predicted_variance_ci(n, bound)`` at
-        powers of two that the sampler can do, to a quarter of the wanted variance or 2^16. Beyond what was
-        predicted or measured n follows from the last slope, and ``how`` says so. The coordinates ``method`` and
-        ``how``, attributes where there is one sampler, are those of `predict`, or ``"measured"`` with the
-        number of evaluations. A list adds the dim sampler. The attribute ``answer`` is a sentence.
+        ``planned_n``, the least count with an RMSE of at most the target; NaN if not known. For
+        nets (sobol, pmj02 and the like), which other counts leave unbalanced, it is a power of
+        their base. For other samplers of known integrands it is accurate to 0.4 %. With the same
+        seed a smaller target never has a smaller ``planned_n``. ``planned_n_ci(bound)`` is this
+        count for variances at the ends of their 95 % intervals. Its upper end is infinite if the
+        values do not bound the variance; the attribute ``note`` gives the reason. ``planned_error``
+        is the RMSE at ``planned_n``, and ``target_variance`` the square of the target. The curve
+        ``predicted_variance(n)`` with ``predicted_variance_ci(n, bound)`` is at allowed powers of
+        two, down to a quarter of the target variance or up to 2^16. Beyond the predicted or
+        measured counts n follows from the last slope, which ``how`` reports. The coordinates
+        ``method`` and ``how`` (attributes for a single sampler) are those of `predict`, or
+        ``"measured"`` with the number of evaluations. A list adds the dim sampler. The attribute
+        ``answer`` is a sentence.
 
     Raises
     ------
     ParameterError
-        The target is not positive, or relative to an integral of 0.
+        If the target is not positive, or relative to an integral of 0.
     BudgetError
-        `max_evaluations` is too few for any measurement.
+        If `max_evaluations` is too small for any measurement.
 
     Examples
     --------

@@ -1,8 +1,8 @@
 """Remedies: changes that lower an estimator's noise at a budget, measured, ranked and explained.
 
 Every candidate (`mcspectra.improve.candidates`) is run at the same budgets of integrand evaluations
-and on the same random numbers as the given set-up (`mcspectra.improve.assess`). Intervals of all
-comparisons hold together: a remedy is recommended only if its interval excludes the given
+and with the same random numbers as the given set-up (`mcspectra.improve.assess`). Intervals of all
+comparisons are simultaneous: a remedy is recommended only if its interval excludes the given
 set-up.
 """
 
@@ -27,7 +27,7 @@ from mcspectra.core.streams import RngLike, Stream
 from mcspectra.core.tally import counting
 from mcspectra.explain.diagnosis import Diagnosis, diagnose
 from mcspectra.improve.answers import Answer, Candidate, simultaneous_z
-from mcspectra.improve.assess import Assessed, Errors, Measured, assessed, estimates_of
+from mcspectra.improve.assess import Assessed, Errors, MeasuredCandidate, assessed, estimates_of
 from mcspectra.improve.candidates import KINDS, Budget, Kind, candidates_of
 from mcspectra.measure.doors import answer
 from mcspectra.measure.setup import Setup, affordable_count
@@ -47,9 +47,9 @@ class RemedySettings:
     # Number of budgets at which each set-up is measured. Five budgets B/256, B/64, B/16, B/4 and B
     # give a rate, and three degrees of freedom for the lack of fit.
     steps: int = 5
-    # Ratio of successive budgets. A smaller ratio costs more, in all 1/(1 − 1/ratio) times the
-    # largest budget (4/3 here); a larger ratio leaves two or three budgets that are enough for two
-    # counts.
+    # Ratio of successive budgets. A smaller ratio costs more: the total is 1/(1 − 1/ratio) times
+    # the largest budget (4/3 here). A larger ratio leaves
+    # only two or three budgets that are enough for two counts.
     ratio: int = 4
     # Expected number of changes of each kind, for the estimate of cost and memory before a run. All
     # 15 kinds together make 17 to 24 changes of functions in 2-D, and ``sampler`` alone makes
@@ -60,8 +60,8 @@ class RemedySettings:
     # size.
     exact_tolerance: float = 1e-9
     # The same for an integral by quadrature or by many points, whose error estimates can be too
-    # small. Equal estimates that miss a rare event differ from the integral by all of it, far more
-    # than this.
+    # small. Equal estimates that miss a rare event differ
+    # from the integral by far more than this.
     quadrature_tolerance: float = 1e-3
     # Number of standard errors of such an integral that are allowed if they exceed
     # `quadrature_tolerance`. A normal error is beyond 4 standard errors with probability 6e-5.
@@ -116,7 +116,8 @@ class Remedies(Counted, frozen=True, kw_only=True):
         Meta(
             ge=100,
             le=100_000,
-            description="Realizations of each change at each of five budgets; about 20 × budget × realizations evaluations in all.",
+            description="Realizations of each change at each of five budgets; in total about "
+            "20 × budget × realizations evaluations.",
             extra={"flag": "-m", "metavar": "R"},
         ),
     ] = 1000
@@ -129,12 +130,12 @@ class Remedies(Counted, frozen=True, kw_only=True):
         if len(counts) < 2:
             raise ParameterError(
                 f"{given.sampler.spec} has no two counts within {self.budget} evaluations for "
-                f"{given.estimator.spec}, which a rate takes; give a larger budget, or a sampler of "
-                "more counts."
+                f"{given.estimator.spec}, which a rate takes; give a larger budget, or a sampler "
+                "of more counts."
             )
         tries = 1 + _SETTINGS.tries * len(self._kinds)
         evaluations = self.realizations * given.cost * sum(counts)
-        if given.is_black_box:  # the diagnosis may take as many again
+        if given.is_black_box:  # The diagnosis may take as many again
             evaluations += self.budget * self.realizations
         return Need(
             cost=float(self.budget * self.realizations * tries) * ratio / (ratio - 1),
@@ -168,7 +169,10 @@ class Remedies(Counted, frozen=True, kw_only=True):
                             continue
                         setup, reason = change.setup, change.setup.too_dear(self.budget)
                         if index and unknown and (change.biased or not setup.unbiased):
-                            reason = "Its error is about the integral, which is unknown; give integral=…."
+                            reason = (
+                                "Its error is relative to the integral, which is unknown; give "
+                                "integral=…."
+                            )
                         else:
                             if setup.is_black_box:
                                 points = sum(_affordable(setup, self.budget).values())
@@ -190,7 +194,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         def result(found: _Trials) -> xr.Dataset:
             """Rank all set-ups by their variances; a set-up that two kinds make counts once."""
             assert found.diagnosis is not None
-            first: dict[str, Measured] = {}
+            first: dict[str, MeasuredCandidate] = {}
             for each in found.tried:
                 first.setdefault(each.key, each)
             return ranked(list(first.values()), found.not_tried, self.budget, found.diagnosis)
@@ -203,7 +207,9 @@ class Remedies(Counted, frozen=True, kw_only=True):
             result=result,
         )
 
-    def _measured(self, change: Candidate, given: Setup, stream: Stream) -> Measured | None:
+    def _measured(
+        self, change: Candidate, given: Setup, stream: Stream
+    ) -> MeasuredCandidate | None:
         """Measure errors at counts that fit into the budgets; None for fewer than two counts."""
         setup = change.setup
         cost: list[int] = []
@@ -211,7 +217,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         for step, n in _affordable(setup, self.budget).items():
             try:
                 estimator = setup.at(n)
-            except McspectraError:  # there are fewer strata than edges
+            except McspectraError:  # There are fewer strata than edges
                 continue
             cost.append(n * setup.cost + setup.overhead)
             own = stream.child(step)
@@ -235,7 +241,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
             tolerance=tolerance,
             overhead=setup.overhead,
         )
-        return Measured.of(change, errors)
+        return MeasuredCandidate.of(change, errors)
 
     @property
     def _kinds(self) -> tuple[Kind, ...]:
@@ -266,7 +272,7 @@ def remedies(
     budget
         Evaluations of the integrand in one estimate. An estimate with n points takes Σ counts · n.
     dims
-        Number of dims of a function, or of a spec that leaves it open. The default is the number of
+        Number of dims of a function, or of a spec without ``dims``. The default is the number of
         dims of the sampler, if the sampler is not a spec.
     realizations
         Realizations of each set-up at each of five budgets, from 100 to 100 000.
@@ -275,11 +281,11 @@ def remedies(
     kinds
         Kinds of change to try; all by default. See `mcspectra.improve.candidates.KINDS`.
     workers
-        Threads; all processors by default. Results do not depend on it.
+        Number of threads; all processors by default. It has no effect on results.
     max_evaluations
         Most evaluations of the integrand. A limit below the evaluations of the given set-up and its
-        diagnosis is refused before any evaluation. The kinds share the rest equally; a change that
-        does not fit into a share is not tried.
+        diagnosis raises before any evaluation. The kinds share the rest equally; a change that does
+        not fit into a share is not tried.
 
     Returns
     -------
@@ -287,7 +293,7 @@ def remedies(
         The labels of the dim ``remedy`` are names of changes in the order of their variances at the
         budget, with ``"as given"`` among them. Variables on ``remedy``: ``error`` (the variance, or
         the mean squared error of a biased change, summed over channels) with ``error_ci``;
-        ``error_ratio`` to the given set-up with ``error_ratio_ci``, which hold together at 95 %;
+        ``error_ratio`` to the given set-up with the simultaneous 95 % interval ``error_ratio_ci``;
         ``rate`` and ``rate_ci``; ``rate_difference`` with ``rate_difference_ci``, likewise;
         ``rank_by_rate``. Coordinates: ``kind``, ``change`` (an imperative), ``verdict`` and
         ``rate_verdict`` (better, worse, undecided, given) and ``reason``. Variables on (remedy,
@@ -298,7 +304,7 @@ def remedies(
     Raises
     ------
     ParameterError, CountError
-        A value is out of range, a kind is unknown, or the budget is too small for the set-up.
+        If a value is out of range, a kind is unknown, or the budget is too small for the set-up.
 
     Notes
     -----
@@ -330,7 +336,7 @@ def remedies(
 
 
 def ranked(
-    measured: Sequence[Measured],
+    measured: Sequence[MeasuredCandidate],
     not_tried: Sequence[str],
     budget: int,
     diagnosis: Diagnosis,
@@ -383,14 +389,16 @@ def ranked(
 
 
 def _reason(each: Assessed, diagnosis: Diagnosis) -> str:
-    """Why a candidate is better, or how the measurement ended if it is not."""
+    """Explain why a candidate is better, or how the measurement ended if it is not."""
     candidate = each.measured
     if each.result.verdict == "given":
         found = ""
     elif each.blind:
-        found = "Its estimates are all alike and miss the integral: what is rare was not met."
+        found = (
+            "Its estimates are all equal and differ from the integral: they missed a rare region."
+        )
     elif each.result.verdict == "undecided":
-        found = "Its interval does not tell it from the set-up as given."
+        found = "Its interval includes the given set-up."
     elif each.result.verdict == "worse":
         found = f"Its {'mean squared error' if candidate.biased else 'variance'} is larger."
     else:
@@ -407,7 +415,7 @@ def _reason(each: Assessed, diagnosis: Diagnosis) -> str:
             elif each.rate_verdict == "better":
                 found = f"Its rate is better, {each.result.rate:.2f}.".replace("-", "−")
             else:
-                found = "By how much its rate differs, the intervals leave open."
+                found = "The intervals of the rates overlap."
     return " ".join(filter(None, [found, candidate.note]))
 
 
@@ -419,17 +427,17 @@ def _answer(
     diagnosis: Diagnosis,
     not_tried: Sequence[str],
 ) -> Answer:
-    """The answer that the intervals support."""
+    """Make the answer that the intervals support."""
     results = [given.result, *(each.result for each in found if each is not given)]
     said: dict[str, Any] = {"causes": tuple(diagnosis.causes), "not_tried": tuple(not_tried)}
     if given.blind:
         alike = (
-            "All estimates of the set-up as given are alike and miss the integral: none has met what "
-            "makes it. Nothing can be said; give more realizations or a larger budget."
+            "All estimates of the given set-up are equal and differ from the integral: they missed "
+            "a rare region. No comparison is possible; give more realizations or a larger budget."
         )
         return Answer.of(budget, results[:1], instead=alike, **said)
     if len(results) == 1:
-        nothing = " ".join(["No change could be tried.", *not_tried[:3]])
+        nothing = " ".join(["No change could be tested.", *not_tried[:3]])
         return Answer.of(budget, results, instead=nothing, **said)
     answer = Answer.of(budget, results, **said)
     best = next(each for each in found if each.result is answer.best)
@@ -451,9 +459,9 @@ def _answer(
 
 @dataclass(frozen=True)
 class _Trials:
-    """Measured set-ups, reasons why others were not measured, and the diagnosis of the given one."""
+    """Measured set-ups, reasons for others, and the diagnosis of the given set-up."""
 
-    tried: list[Measured]
+    tried: list[MeasuredCandidate]
     not_tried: list[str]
     diagnosis: Diagnosis | None
 

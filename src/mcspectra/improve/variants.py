@@ -1,7 +1,7 @@
 """Convergence of variants of a set-up on the same random numbers: smoothed edges and mirroring.
 
-See docs/theory.md, "Mirroring and smoothing". The bias of a ramp does not fall with n, so that the
-width with the least mean squared error depends on n. The talk on [Singh2019]_ shows six convergence
+See docs/theory.md, "Mirroring and smoothing". The bias of a ramp does not fall with n, so the width
+with the least mean squared error depends on n. The talk on [Singh2019]_ shows six convergence
 plots: original, mirror-random and mirror-uniform, each with and without a shift of the samples.
 """
 
@@ -92,7 +92,8 @@ def smoothing_scan(
     Raises
     ------
     CountError, ParameterError
-        The sampler has no set of a count, widths are not ascending or impossible, or dims disagree.
+        If the sampler has no set of a count, widths are not ascending or impossible, or dims
+        disagree.
 
     Examples
     --------
@@ -194,9 +195,9 @@ def mirror_study(
     mirrorings
         Some of ``"original"``, ``"integrand"``, ``"random"``, ``"uniform"`` (`mcspectra.Mirrored`).
         The six plots of the slides do not include ``"integrand"``.
-    exact
-        Whether to return exact variances too. They are fast in 1-D, and take up to minutes for each
-        count of shifted sets in 2-D.
+        Whether exact variances are also returned. They are fast in 1-D, and take up to minutes for
+        each Whether to return exact variances too. They are fast in 1-D, and take up to minutes for
+        each count of shifted sets in 2-D.
     realizations, rng, max_evaluations, workers
         Same as in `mcspectra.convergence`. All curves share random numbers.
 
@@ -211,14 +212,15 @@ def mirror_study(
     Raises
     ------
     CountError, ParameterError
-        A sampler has no set of a count (``"uniform"`` needs multiples of 2^d), a mirroring is
+        If a sampler has no set of a count (``"uniform"`` needs multiples of 2^d), a mirroring is
         unknown or listed twice, the sampler already ends with a shift, or `exact` is neither True
         nor False.
 
     Examples
     --------
     >>> import mcspectra as mcs
-    >>> study = mcs.improve.mirror_study("linear", mcs.sampler("jittered", dims=1), [16, 512], rng=1)
+    >>> linear = mcs.sampler("jittered", dims=1)
+    >>> study = mcs.improve.mirror_study("linear", linear, [16, 512], rng=1)
     >>> [round(float(r), 1) for r in study["rate"].sel(mirroring="original")]
     [-3.0, -2.0]
     >>> [round(float(r), 1) for r in study["rate"].sel(mirroring="integrand")]
@@ -233,11 +235,12 @@ def mirror_study(
     texts = set(map(str, names))
     if not names or len(texts) < len(names) or not texts <= {*allowed}:
         raise ParameterError(
-            f"mirrorings is {mirrorings!r:.80}; give a list of some of {', '.join(allowed)}, each once."
+            f"mirrorings is {mirrorings!r:.80}; give a list of some of {', '.join(allowed)}, each "
+            "once."
         )
     if source.spec.endswith("| shift"):
         raise ParameterError(
-            f"{source.spec} is homogenized already; give it without the shift at its end."
+            f"{source.spec} is already homogenized; give it without the shift at its end."
         )
     samplers = [source, source.then(Shift())]
     estimators = [plain if name == _ORIGINAL else Mirrored(plain, name) for name in names]

@@ -1,4 +1,4 @@
-"""Numba kernels of the integrands: arrays only, nothing checked."""
+"""Numba kernels of the integrands; they take arrays and check nothing."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ __all__ = ["fill_squared_distances"]
 
 @kernel
 def fill_squared_distances(x: Array, center: Array, scale: float, out: Array) -> None:
-    """Σ_i (scale (x_i − c_i))² of points x (P, d): out (P,)."""
+    """Fill out (P,) with Σ_i (scale (x_i − c_i))² at points x (P, d)."""
     count, dims = x.shape
-    if dims == 2:  # of the usual case the compiler makes vector instructions
+    if dims == 2:  # The compiler vectorizes this common case
         for k in range(count):
             a, b = scale * (x[k, 0] - center[0]), scale * (x[k, 1] - center[1])
             out[k] = a * a + b * b

@@ -1,4 +1,4 @@
-"""Quadrature behind integrands: Fourier coefficients on tensor grids, integrals by adaptive boxes.
+"""Quadrature for integrands: Fourier coefficients on tensor grids, integrals on adaptive boxes.
 
 Method
 ------
@@ -6,11 +6,11 @@ An axis is cut into C cells of width 1/C with q Gauss-Legendre nodes each, at of
 
     ∫_0^1 f(x) exp(−2πi m x) dx ≈ Σ_q (w_q/C) exp(−2πi m o_q) FFT_q[m mod C],
 
-FFT_q over the cells of the values at their node q. With q = 1 it is the midpoint grid, whose
-half-sample phase exp(−πi m/C) must not be forgotten. Unlike a plain FFT it sees no jump between
-f(1) and f(0): the border is a cell's edge, and smooth f converge spectrally in q whether periodic or
-not. A cell with a discontinuity inside is left out and replaced by its pieces, each with q nodes of
-its own, which are few and summed directly.
+where FFT_q is over the cells, of the values at their node q. With q = 1 it is the midpoint grid,
+whose half-sample phase exp(−πi m/C) is required. Unlike a plain FFT, the rule has no jump between
+f(1) and f(0), because the border is the edge of a cell. Smooth f converge spectrally in q, periodic
+or not. A cell with a discontinuity inside is replaced by its pieces, each with q nodes. The pieces
+are few and are summed directly.
 """
 
 from __future__ import annotations
@@ -44,45 +44,54 @@ __all__ = [
     "slabs",
 ]
 
-_ORDER = 16  # nodes a cell: at 4 nodes a wavelength, 16 are good to 1e-10, at 8 to rounding
+# Nodes per cell: at 4 nodes per wavelength, 16 give 1e-10; at 8 they give rounding accuracy
+_ORDER = 16
 _LEAST_NODES = {1: 256, 2: 256, 3: 64, 4: 32}
-_BUDGET = 2**22  # evaluations up to which grids are refined
-_LIMIT = 2**24  # evaluations of a first grid, beyond which there is an error
+_BUDGET = 2**22  # Most evaluations of a refined grid
+_LIMIT = 2**24  # Most evaluations of a first grid; more is an error
 _FOURIER_TOLERANCE = 1e-10
-_BLOCK = 2**18  # points evaluated at once
-_CACHED = 2**17  # numbers that stay near to the processor while they are summed
+_BLOCK = 2**18  # Number of points evaluated at once
+_CACHED = 2**17  # Most numbers in a block that stays in the processor's cache
 
-_PRODUCT_NODES = {1: 512, 2: 512, 3: 64, 4: 32}  # of other product bases
-_CELL_NODES = {1: 64, 2: 16, 3: 4, 4: 2}  # whose functions are constant in cells
+_PRODUCT_NODES = {1: 512, 2: 512, 3: 64, 4: 32}  # Nodes per axis for other product bases
+# Nodes per axis of a cell, for bases that are constant in cells
+_CELL_NODES = {1: 64, 2: 16, 3: 4, 4: 2}
 _CELLS = {1: 32, 2: 8, 3: 4, 4: 2, 5: 2}
 _CELL_ORDER = {1: 16, 2: 8, 3: 6, 4: 5, 5: 4}
-_INTEGRAL_BUDGET = 2**21  # evaluations of an integral in boxes
+_INTEGRAL_BUDGET = 2**21  # Most evaluations of an integral on boxes
 _INTEGRAL_TOLERANCE = 1e-12
 _LATTICE_POINTS = 2**20
 PROBE = 2**17
-"""Points of `probe`, each of which stands for this part of the volume."""
+"""Number of points of `probe`; each represents 1/PROBE of the volume."""
 _SIGMAS = 3.0
-_INSET = (1e-10, 1e-6)  # of corners in 1-D and beyond, of the size of a box: slivers may be as thin
-_LEAST_INSET = 2.0**-51  # of the place
-_SMOOTH = 100.0  # times the last coefficients, which smooth functions do not exceed at a corner
-_LEAST_SEEN = 30  # points of a probe whose spread is an error bar
-_LOOKS = 2  # times as many points, that look at what the first ones led to
-_SMALLEST, _TINIEST = 2.0**-44, 2.0**-500  # sizes of a box, relative to its place and at 0
-_SLOW, _LEVELS = 0.99, 4  # largest ratio of successive differences, and levels that show it
+# Distance of corner values from the corner in 1-D and in more dims, as a fraction of the box
+_INSET = (1e-10, 1e-6)
+_LEAST_INSET = 2.0**-51  # Least distance of corner values, as a fraction of the position
+# Multiple of the last coefficients that smooth functions do not exceed at a corner
+_SMOOTH = 100.0
+_LEAST_SEEN = 30  # Least number of nonzero residuals whose spread is used as an error
+_LOOKS = 2  # Number of points of the second probe, as a multiple of the first
+# Smallest sizes of a box: relative to its position, and at 0
+_SMALLEST, _TINIEST = 2.0**-44, 2.0**-500
+# Largest ratio of successive differences, and number of levels that it is fitted to
+_SLOW, _LEVELS = 0.99, 4
 _HALVES, _UNSETTLED = 0.55, 1.5
 
-_LINE, _END = 2**14, 2.0**-40  # steps of a line, and where it begins
-_CANDIDATES = 16  # of a line: its largest steps
-_CUTS, _CUT = 34, 0.4871  # of a step, down to 2^-46, at no dyadic part of it
-_PEAKS, _CLIMBS, _GROWN = 4, 24, 4.0  # of a line, halvings about a pole, and what these lead to
-_STAYS = 0.5  # part of a step that is left of a jump
-_ASIDE, _ABOUT = 2.0**-20, 2.0**-30  # to a second line, and distance from the jump there
+_LINE, _END = 2**14, 2.0**-40  # Number of steps of a line, and position of its first point
+_CANDIDATES = 16  # Number of the largest steps of a line that are searched for jumps
+# Number of cuts of a step, down to 2^-46, and their position, which is not a dyadic fraction
+_CUTS, _CUT = 34, 0.4871
+# Peaks of a line, halvings around each, and growth that indicates a pole
+_PEAKS, _CLIMBS, _GROWN = 4, 24, 4.0
+_STAYS = 0.5  # Fraction of the first step that must remain at a jump
+# Offset of the second line, and distance from the jump at which lines are compared
+_ASIDE, _ABOUT = 2.0**-20, 2.0**-30
 _SAME_BREAK = 2.0**-40
-_FOUND = 2.0**-46  # width within which they lie
+_FOUND = 2.0**-46  # Uncertainty of a detected break
 
 
-class Function(Protocol):
-    """The parts of a `mcspectra.integrands.Integrand` that quadrature uses."""
+class QuadratureIntegrand(Protocol):
+    """The part of `mcspectra.integrands.Integrand` that quadrature uses."""
 
     @property
     def dims(self) -> int: ...
@@ -98,7 +107,7 @@ class Function(Protocol):
 
 @functools.lru_cache(maxsize=32)
 def gauss_rule(order: int) -> tuple[Array, Array]:
-    """Nodes and weights (order,) of Gauss-Legendre quadrature on [0,1]."""
+    """Return nodes and weights (order,) of Gauss-Legendre quadrature on [0,1]."""
     node, weight = np.polynomial.legendre.leggauss(order)
     return 0.5 * (node + 1.0), 0.5 * weight
 
@@ -111,10 +120,10 @@ class Estimate:
     Attributes
     ----------
     value, error, method
-        The value, an estimate of its absolute error (its largest entry), and how it was made.
+        The value, an estimate of its largest absolute error, and the method.
     unseen
-        Part of the error, by channel, that stands for regions that only the probe met; None where
-        nodes resolve all that the probe met.
+        Part of the error, by channel, due to regions that only the probe resolves. None if the
+        nodes resolve all of the probe's values.
     """
 
     value: Array
@@ -143,7 +152,7 @@ class AxisRule:
 
     @staticmethod
     def make(count: int, order: int, breaks: Sequence[float] = ()) -> AxisRule:
-        """Rule of `count` uniform nodes, `order` in a cell, cells cut at `breaks`."""
+        """Make a rule of `count` uniform nodes, `order` per cell, with cells cut at `breaks`."""
         cells = count // order
         node, weight = gauss_rule(order)
         nodes = ((np.arange(cells)[:, None] + node) / cells).ravel()
@@ -165,7 +174,7 @@ class AxisRule:
         )
 
     def transform(self, values: Array, m: Array) -> Array:
-        """Coefficients (..., U) at integers m (U,) of values (..., P) at the nodes."""
+        """Return coefficients (..., U) at integers m (U,) of values (..., P) at the nodes."""
         uniform = self.cells * self.order
         weighted = values * self.weights
         grid = weighted[..., :uniform].reshape(*values.shape[:-1], self.cells, self.order)
@@ -179,19 +188,20 @@ class AxisRule:
         return np.asarray(found)
 
 
-def refined_coefficients(function: Function, m: Sequence[Array]) -> Estimate:
-    """Coefficients at the tensor product of the integers m[i] (U_i,): (U_0, …, U_{d−1}[, channels]).
+def refined_coefficients(function: QuadratureIntegrand, m: Sequence[Array]) -> Estimate:
+    """Return coefficients on a product of integers m[i] (U_i,): (U_0, …, U_{d−1}[, channels]).
 
-    Starts with 16 nodes a wavelength of the highest frequency (8 from 3-D on, 4 where more would
-    exceed 2^24 evaluations) and at least 256 an axis (64 in 3-D, 32 in 4-D, 16 beyond), and doubles
-    until two grids agree to 1e-10 of the largest coefficient or the next exceeds 2^22 evaluations.
+    The first grid has 16 nodes per wavelength of the highest frequency: 8 from 3-D on, and 4 if
+    more would exceed 2^24 evaluations. It has at least 256 nodes per axis (64 in 3-D, 32 in 4-D, 16
+    in more dims). Grids are doubled until two agree to 1e-10 of the largest coefficient or the next
+    would exceed 2^22 evaluations.
 
     Raises
     ------
     ParameterError
-        The first grid exceeds 2^24 evaluations.
+        If the first grid exceeds 2^24 evaluations.
     """
-    # Choose the first grid by the highest frequency of each axis
+    # Choose the first grid by the highest frequency along each axis
     dims, least = len(m), _LEAST_NODES.get(len(m), 16)
     highest = [int(np.abs(axis).max()) for axis in m]
     for per_wave in (16, 8, 4) if dims <= 2 else (8, 4):
@@ -200,9 +210,9 @@ def refined_coefficients(function: Function, m: Sequence[Array]) -> Estimate:
             break
     else:
         raise ParameterError(
-            f"The Fourier coefficients of {function.spec} up to |m| = {max(highest)} in {dims} dims "
-            f"take {float(math.prod(counts)):.2g} evaluations, more than {_LIMIT:.2g}; ask for lower "
-            "frequencies, or give exact coefficients (fourier=)."
+            f"The Fourier coefficients of {function.spec} up to |m| = {max(highest)} in {dims} "
+            f"dims take {float(math.prod(counts)):.2g} evaluations, more than {_LIMIT:.2g}; "
+            "request lower frequencies, or give exact coefficients (fourier=)."
         )
 
     coarse = grid_coefficients(function, [c // 2 for c in counts], m)
@@ -216,8 +226,10 @@ def refined_coefficients(function: Function, m: Sequence[Array]) -> Estimate:
         coarse, counts = fine, [2 * c for c in counts]
 
 
-def grid_coefficients(function: Function, counts: Sequence[int], m: Sequence[Array]) -> Array:
-    """One tensor grid, transformed slab by slab along all axes but the first, and then along that."""
+def grid_coefficients(
+    function: QuadratureIntegrand, counts: Sequence[int], m: Sequence[Array]
+) -> Array:
+    """Transform one tensor grid slab by slab along all axes but the first, then along the first."""
     rules = [
         AxisRule.make(count, min(_ORDER, count), breaks)
         for count, breaks in zip(counts, function.breaks, strict=True)
@@ -233,8 +245,8 @@ def grid_coefficients(function: Function, counts: Sequence[int], m: Sequence[Arr
     return np.moveaxis(found, 0, -1) if function.channels else found[0]
 
 
-def slabs(function: Function, rules: Sequence[AxisRule]) -> Iterator[tuple[int, Array]]:
-    """Values on slabs of the product of the nodes, along the first axis: start, (C, p, P_1, …)."""
+def slabs(function: QuadratureIntegrand, rules: Sequence[AxisRule]) -> Iterator[tuple[int, Array]]:
+    """Yield values on slabs of the node grid along the first axis: start, (C, p, P_1, …)."""
     first, rest = rules[0].nodes, [rule.nodes for rule in rules[1:]]
     step = max(1, _BLOCK // math.prod(nodes.size for nodes in rest))
     for start in range(0, first.size, step):
@@ -243,32 +255,34 @@ def slabs(function: Function, rules: Sequence[AxisRule]) -> Iterator[tuple[int, 
 
 
 def _tensor(axes: Sequence[Array]) -> Array:
-    """Points (n_0, …, n_{d−1}, d) of a tensor grid."""
+    """Return the points (n_0, …, n_{d−1}, d) of a tensor grid."""
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
-def _columns(function: Function, x: Array) -> Array:
+def _columns(function: QuadratureIntegrand, x: Array) -> Array:
     values = function(x)
     return values if function.channels else values[..., None]
 
 
 def adaptive_integral(
-    function: Function,
+    function: QuadratureIntegrand,
     breaks: tuple[Array, ...],
     probed: Array | None = None,
     *,
     budget: int = _INTEGRAL_BUDGET,
 ) -> Estimate:
-    """∫ f in up to 5 dims by boxes that split until their halves agree: value (C,), C ≥ 1 channels.
+    """Return ∫ f in up to 5 dims on boxes that split until they agree: value (C,), C ≥ 1 channels.
 
-    Gauss-Legendre tensor rules on cells cut at `breaks` of each axis; `probed` are the values at the
-    points of `probe`, where they are known already. A cell is replaced by its 2^d parts, while
-    `budget` evaluations last, if they differ from it by more than its share of 1e-12 of ∫|f|, or if
-    the polynomial through their nodes is not what f is at a point of `probe`, each of which stands
-    for 2^-17 of the volume. The error is the sum of the last differences and of those that they would
-    lead to, or, if that is less, three standard errors of the mean of f minus polynomials over the
-    probe, which is then added to the value. Boxes that split for the probe alone are those that it hit,
-    not all that it might have hit: 2^18 other points then correct the value and give its error.
+    Gauss-Legendre tensor rules are used on cells cut at the `breaks` of each axis. `probed` are the
+    values at the points of `probe`, if they are known. While the `budget` of evaluations lasts, a
+    cell is replaced by its 2^d parts in two cases: they differ from it by more than its share of
+    1e-12 of ∫|f|, or the polynomial through their nodes differs from f at a point of `probe`. Each
+    point of the probe represents 2^-17 of the volume.
+
+    The error is the sum of the last differences and of the differences expected next. Alternatively
+    it is three standard errors of the mean of f minus the polynomials over the probe, if that is
+    less; the mean is then added to the value. Boxes that split only because of the probe show that
+    other regions may have been missed. 2^18 other points then correct the value and give its error.
     """
     dims, method = function.dims, "adaptive Gauss-Legendre quadrature with a probe"
     order = _CELL_ORDER[dims]
@@ -282,7 +296,7 @@ def adaptive_integral(
         found = [np.searchsorted(e, t, side="right") - 1 for e, t in zip(edges, x.T, strict=True)]
         return np.asarray(np.ravel_multi_index(tuple(found), tuple(len(e) - 1 for e in edges)))
 
-    # Values at the points of the probe, and the cell of each
+    # Evaluate f at the points of the probe, and find the cell of each
     points = probe(dims)
     cell = cells_of(points)
     seen = probed = _at_points(function, points) if probed is None else probed
@@ -294,11 +308,12 @@ def adaptive_integral(
     halves = _tensor([np.array([0.0, 0.5])] * dims).reshape(-1, dims)
     digits = 2 ** np.arange(dims)[::-1]
     fresh, surprises = np.full(len(points), True), np.zeros(coarse.shape[1])
-    alone = np.zeros(coarse.shape[1])  # what boxes that did not change are wrong by, for the probe
+    # Errors at the probe of boxes whose integral did not change
+    alone = np.zeros(coarse.shape[1])
     levels: list[tuple[Array, Array, Array, Array, Array]] = []
-    left: list[Array] = []  # differences of each level, in cells that changed
+    left: list[Array] = []  # Differences of each level, in cells that changed
     while True:
-        # Halve the boxes along every axis, the parts of a box side by side
+        # Halve the boxes along every axis; the parts of a box are adjacent
         budget -= len(low) * (2 * order) ** dims
         part = cell * 2**dims + (points >= (low + 0.5 * size)[cell]) @ digits
         low = (low[:, None] + halves * size[:, None]).reshape(-1, dims)
@@ -308,7 +323,7 @@ def adaptive_integral(
         fine = (weights @ values * volume[:, None]).reshape(len(coarse), 2**dims, -1)
         better = fine.sum(axis=1)
 
-        # Keep splitting those that changed by more than their share, if the budget allows
+        # Keep splitting boxes that changed by more than their share, if the budget allows
         scale = np.maximum(scale, np.abs(fine).sum(axis=(0, 1)))
         difference = np.abs(better - coarse)
         changed = (difference > _INTEGRAL_TOLERANCE * scale / len(coarse)).any(axis=1)
@@ -338,20 +353,21 @@ def adaptive_integral(
         cell = (np.cumsum(keep) - 1)[part[inside]]
         points, seen, fresh = points[inside], seen[inside], (fresh & ~surprise)[inside]
 
-    # Let the probe correct what is not resolved
+    # Let the probe correct unresolved boxes
     rest = missed[changed[cell]] / PROBE
     shift, spread = rest.sum(axis=0), _SIGMAS * np.sqrt((rest**2).sum(axis=0))
     better_known = (np.count_nonzero(rest, axis=0) >= _LEAST_SEEN) & (spread < error)
     biased = ~better_known & (_SIGMAS * np.abs(shift) > 2.0 * spread)
     total = np.where(better_known, total + shift, total)
     error = np.where(better_known, spread, np.where(biased, error + np.abs(shift) + spread, error))
-    error += _SIGMAS * _INTEGRAL_TOLERANCE * scale  # of jumps in cells of no weight
+    error += _SIGMAS * _INTEGRAL_TOLERANCE * scale  # Jumps in cells of negligible weight
     error += _FOUND * sum(map(len, breaks)) * np.ptp(probed, axis=0)
     if not surprises.any():
         return Estimate(total, float(error.max()), method)
 
-    # Look again, at other points, at cells that did not change: in 1-D the probe hits all that is as
-    # wide as what it saw, in more dims what nobody hit may be one of 2^18 points with 5 %
+    # Probe the unchanged cells again at other points. In 1-D the first probe hits every region as
+    # wide as the one it found. In more dims a region that 2^18 points miss may exist with
+    # probability 5 %
     again = probe(dims, _LOOKS)
     rest = _hidden(levels, again, cells_of(again), _at_points(function, again)) / len(again)
     rest[np.abs(rest) * len(again) <= _INTEGRAL_TOLERANCE * scale] = 0.0
@@ -366,17 +382,17 @@ def adaptive_integral(
 
 
 def search_breaks(
-    function: Function, *, budget: int = _INTEGRAL_BUDGET
+    function: QuadratureIntegrand, *, budget: int = _INTEGRAL_BUDGET
 ) -> tuple[tuple[Array, ...], Array]:
-    """For each axis the breaks that f declares, and jumps and poles across it that lines see.
+    """Return the breaks along each axis that f declares, with detected jumps and poles.
 
-    Also returns the values at the points of `probe`, which the search begins with.
+    The values at the points of `probe`, with which the search begins, are returned as well.
 
-    Lines along each axis go through two points of the probe, and through those with the least and
-    the greatest value. Their largest steps are cut down to 2^-46: what stays is a jump, or a
-    pole, and it lies across the axis if it is at the same place on a line beside. Boxes whose nodes
-    and tables whose cells would miss a thin slab are then cut at its faces. Of breaks that would make
-    too many boxes the highest are kept.
+    Lines along each axis go through two points of the probe, and through its points with the least
+    and the greatest value. The largest steps of a line are cut down to 2^-46. A step that remains
+    is a jump or a pole. It lies across the axis if a neighboring line has it at the same position.
+    Boxes and tables are then cut there, because their nodes or cells could miss a thin slab. If the
+    breaks would make too many boxes, those with the largest jumps are kept.
     """
     dims, points = function.dims, probe(function.dims)
     breaks = [np.array([b for b in axis if 0.0 < b < 1.0]) for axis in function.breaks]
@@ -384,11 +400,12 @@ def search_breaks(
     spread = np.where(seen.std(axis=0) > 0.0, seen.std(axis=0), np.inf)
     lines = points[np.unique([0, 1, *seen.argmin(axis=0), *seen.argmax(axis=0)])]
     rows, steps = np.arange(len(lines))[:, None], (np.arange(_LINE) + math.sqrt(0.5)) / _LINE
-    found: list[tuple[bool, float, int, float]] = []  # whether a peak, less its height, where
+    # Whether it is a peak, minus its height, axis, position
+    found: list[tuple[bool, float, int, float]] = []
     for axis in range(dims):
 
         def at(t: Array, aside: float = 0.0, axis: int = axis) -> Array:
-            """Values (L, M, C) at places (L, M) on the lines, or beside them."""
+            """Return values (L, M, C) at positions (L, M) on the lines, or on shifted lines."""
             x = np.repeat((lines[:, None] + aside) % 1.0, t.shape[1], axis=1)
             x[..., axis] = np.clip(t, _END, 1.0 - _END)
             return _at_points(function, x.reshape(-1, dims)).reshape(*t.shape, -1) / spread
@@ -396,7 +413,7 @@ def search_breaks(
         def apart(one: Array, other: Array) -> Array:
             return np.asarray(np.abs(one - other).max(axis=-1))
 
-        # The largest steps of each line
+        # Find the largest steps of each line
         t = np.tile([_END, *steps, 1.0 - _END], (len(lines), 1))
         t = np.sort(np.concatenate([t, lines[:, axis, None]], axis=1), axis=1)
         y = y_line = at(t)
@@ -405,7 +422,7 @@ def search_breaks(
         low, high, first = t[rows, chosen], t[rows, chosen + 1], step[rows, chosen]
         y_low, y_high = y[rows, chosen], y[rows, chosen + 1]
 
-        # Cut them down to what is left
+        # Cut them down to the jump that remains
         for _ in range(_CUTS):
             middle = low + _CUT * (high - low)
             y = at(middle)
@@ -424,7 +441,7 @@ def search_breaks(
             stays &= beside > _STAYS * here
         places = 0.5 * (low + high)
 
-        # The highest peaks of each line, which grow at a pole
+        # Climb the highest peaks of each line, which grow at a pole
         size = np.abs(y_line).max(axis=-1)
         peaks = (size[:, 1:-1] >= size[:, :-2]) & (size[:, 1:-1] >= size[:, 2:])
         top = 1 + np.argpartition(peaks * size[:, 1:-1], -_PEAKS, axis=1)[:, -_PEAKS:]
@@ -445,8 +462,8 @@ def search_breaks(
         ):
             found += [(peak, -h, axis, b) for h, b in zip(heights, at_places, strict=True)]
 
-    # Jumps before peaks, the highest first, as long as there is room for more boxes; corners of boxes are
-    # graded to where g grows at the border
+    # Take jumps before peaks, the highest first, while more boxes are affordable. Corners of boxes
+    # are graded toward a border at which g grows
     for peak, _, axis, place in sorted(found):
         if min(place, 1.0 - place) < _ABOUT:
             continue
@@ -459,20 +476,21 @@ def search_breaks(
 
 
 def _uniform(dims: int) -> Array:
-    """Edges of the first boxes along an axis."""
+    """Return the edges of the first boxes along an axis."""
     return np.linspace(0.0, 1.0, _CELLS[dims] + 1)
 
 
-def _at_points(function: Function, points: Array) -> Array:
-    """Values (K, C) at points (K, d)."""
+def _at_points(function: QuadratureIntegrand, points: Array) -> Array:
+    """Return values (K, C) at points (K, d)."""
     steps = range(0, len(points), _BLOCK)
     return np.concatenate([_columns(function, points[i : i + _BLOCK]) for i in steps])
 
 
 def _after(left: list[Array]) -> Array:
-    """Sum of all later differences, relative to the last: a geometric series, 1 where they halve.
+    """Return the sum of all later differences relative to the last, by a geometric series.
 
-    Where they hardly shrink, next to a pole, half as much again: the ratio is still on its way.
+    It is 1 if differences halve. Next to a pole they shrink slowly and the ratio still rises, so
+    the sum is increased by half.
     """
     first, last = np.maximum(left[0], 1e-300), left[-1]
     ratio = np.minimum((last / first) ** (1.0 / max(1, len(left) - 1)), _SLOW)
@@ -485,10 +503,11 @@ def _hidden(
     cell: Array,
     seen: Array,
 ) -> Array:
-    """Values `seen` minus the polynomials of the last boxes that hold the points: (K, C).
+    """Return values `seen` minus the polynomials of the last boxes that hold the points: (K, C).
 
-    `levels` are lower corners, sizes, values at nodes, which boxes were split again, and which changed;
-    `cell` is where the points (K, d) are in the first boxes. 0 in boxes that changed last.
+    `levels` are lower corners, sizes, values at nodes, and flags of boxes that were split again and
+    that changed. `cell` is the first box of each point (K, d). The result is 0 in boxes that
+    changed last.
     """
     dims, found, number = points.shape[1], np.zeros(seen.shape), np.arange(len(points))
     digits = 2 ** np.arange(dims)[::-1]
@@ -505,13 +524,12 @@ def _hidden(
 
 @functools.lru_cache(maxsize=8)
 def probe(dims: int, times: int = 1) -> Array:
-    """Points (2^17 or so many times more, d) that no cell, node or dyadic number knows of.
+    """Return points (2^17 `times`, d) that avoid cell borders, nodes and dyadic numbers.
 
-    The same at every call.
-
-    A Latin hypercube: a permutation of a regular grid along each axis, with an irrational offset. A
-    slab across an axis of a width of 2^-17 or more is always hit; any other region of volume v with
-    probability 1 − exp(−2^17 v), which is 1 − 5e-5 for v = 8e-5.
+    They are the same at every call. They form a Latin hypercube: a permutation of a regular grid
+    along each axis, with an irrational offset. A slab across an axis is always hit if its width is
+    at least 2^-17. Any other region of volume v is hit with probability 1 − exp(−2^17 v), which is
+    1 − 5e-5 for v = 8e-5.
     """
     keys = Stream(times - 1).uniforms(0, dims, times * PROBE)
     offsets = np.sqrt(np.arange(2, 2 + dims) + 0.5)[:, None] % 1.0
@@ -523,7 +541,7 @@ def probe(dims: int, times: int = 1) -> Array:
 def _residuals(
     values: Array, seen: Array, points: Array, low: Array, size: Array, cell: Array
 ) -> Array:
-    """Values `seen` (K, C) at points (K, d) minus polynomials through values (N, q^d, C) in cells."""
+    """Return values `seen` (K, C) at points (K, d) minus polynomials through (N, q^d, C)."""
     order = round(values.shape[1] ** (1.0 / points.shape[1]))
     legendre = np.polynomial.legendre.legvander
     inverse = np.linalg.inv(legendre(2.0 * gauss_rule(order)[0] - 1.0, order - 1))
@@ -540,8 +558,10 @@ def _residuals(
     return found
 
 
-def _cell_values(function: Function, low: Array, size: Array, order: int) -> tuple[Array, Array]:
-    """Values at the nodes of boxes (N, d), and next to their corners: (N, q^d or 2^d, C)."""
+def _cell_values(
+    function: QuadratureIntegrand, low: Array, size: Array, order: int
+) -> tuple[Array, Array]:
+    """Return values at the nodes of boxes (N, d) and near their corners: (N, q^d or 2^d, C)."""
     dims = low.shape[1]
     nodes = _tensor([gauss_rule(order)[0]] * dims).reshape(-1, dims)
     ends = _tensor([np.array([0.0, 1.0])] * dims).reshape(-1, dims)
@@ -559,10 +579,11 @@ def _cell_values(function: Function, low: Array, size: Array, order: int) -> tup
 
 
 def _slivers(values: Array, corners: Array) -> Array:
-    """Largest ∫|f| along the faces of boxes of volume 1 that nodes do not see: (N, C).
+    """Return the largest ∫|f| that nodes miss along the faces of boxes of volume 1: (N, C).
 
-    Beyond its outer nodes f may jump. It does where it differs at a corner from the polynomial
-    through the nodes by more than the last coefficients of that, which are its own error.
+    f may jump beyond the outer nodes. A jump is assumed if f at a corner differs from the
+    polynomial through the nodes by more than a multiple of its last coefficients, which estimate
+    its own error.
     """
     dims = round(math.log2(corners.shape[1]))
     order = round(values.shape[1] ** (1.0 / dims))
@@ -582,11 +603,12 @@ def _slivers(values: Array, corners: Array) -> Array:
     return np.asarray(missed.sum(axis=1) * node[0] * 2.0 ** (1 - dims))
 
 
-def lattice_integral(function: Function) -> Estimate:
-    """∫ f in any number of dims by the mean over 2^20 points of a Kronecker sequence: value (C,).
+def lattice_integral(function: QuadratureIntegrand) -> Estimate:
+    """Return ∫ f in any number of dims as a mean over 2^20 Kronecker points: value (C,).
 
-    Points ½ + k α mod 1 with the steps α of `golden_vector`. The error is three standard errors of 16
-    successive parts, shifted copies of each other: more than the true one.
+    The points are ½ + k α mod 1 with the steps α of `golden_vector`. The error is three standard
+    errors of 16 successive parts, which are shifted copies of each other. It exceeds the true
+    error.
     """
     alpha, sums = golden_vector(function.dims), []
     for start in range(1, _LATTICE_POINTS, 2**14):
@@ -598,13 +620,13 @@ def lattice_integral(function: Function) -> Estimate:
     return Estimate(value, float(_SIGMAS * spread.max()), method)
 
 
-def axis_rules(f: Function, half_width: int) -> list[AxisRule]:
-    """Composite Gauss-Legendre rules, 16 nodes to a wave of the half width (fewer beyond 2-D).
+def axis_rules(f: QuadratureIntegrand, half_width: int) -> list[AxisRule]:
+    """Return composite Gauss-Legendre rules, 16 nodes per wavelength (fewer beyond 2-D).
 
     Raises
     ------
     ParameterError
-        The product of the rules has more than 2^24 nodes.
+        If the product of the rules has more than 2^24 nodes.
     """
     least = _PRODUCT_NODES.get(f.dims, 16)
     for per_wave in (16, 8, 4):
@@ -620,16 +642,16 @@ def axis_rules(f: Function, half_width: int) -> list[AxisRule]:
 
 
 def product_coefficients(
-    f: Function, rules: Sequence[AxisRule], functions: Sequence[Array]
+    f: QuadratureIntegrand, rules: Sequence[AxisRule], functions: Sequence[Array]
 ) -> Array:
-    """∫ f Π_i φ_i for all products of real functions of one variable.
+    """Return ∫ f Π_i φ_i for all products of real functions of one variable.
 
     Parameters
     ----------
     f
         The integrand.
     rules
-        A rule for each axis, P_i nodes.
+        A rule for each axis, with P_i nodes.
     functions
         Their values at the nodes of each axis, (P_i, N_i).
 
@@ -642,20 +664,20 @@ def product_coefficients(
     for start, values in slabs(f, rules):
         weighted = [rule.weights[:, None] * phi for rule, phi in zip(rules, functions, strict=True)]
         weighted[0] = weighted[0][start : start + values.shape[1]]
-        # values (C, P_0, …): each step takes the first axis of nodes and adds one of functions
+        # Contract the first axis of nodes of values (C, P_0, …) and append an axis of functions
         for phi in weighted:
             values = np.tensordot(values, phi, axes=([1], [0]))
         total = total + values
     return np.asarray(total).reshape(max(1, f.channels), -1)
 
 
-def cell_integrals(f: Function, size: int) -> tuple[Array, str]:
-    """∫ f over each of size^d equal cells: float64 (channels or 1, size^d), and how it was found.
+def cell_integrals(f: QuadratureIntegrand, size: int) -> tuple[Array, str]:
+    """Return ∫ f over size^d equal cells: float64 (channels or 1, size^d), and the method.
 
     Raises
     ------
     ParameterError
-        More than 2^24 evaluations.
+        If it needs more than 2^24 evaluations.
     """
     cells = float(size) ** f.dims
     if cells > _LIMIT:
@@ -664,14 +686,14 @@ def cell_integrals(f: Function, size: int) -> tuple[Array, str]:
             Parameter("half_width"),
             " or levels.",
         )
-    # Take means over boxes, where the integrand knows them
+    # Use means over boxes if the integrand has them
     low = np.stack(np.meshgrid(*[np.arange(size) / size] * f.dims, indexing="ij"), axis=-1)
     low = low.reshape(-1, f.dims)
     moments = f.box_moments(low, low + 1.0 / size)
     if moments is not None:
         return np.asarray(moments[0]).reshape(len(low), -1).T / cells, "exact"
 
-    # Else add up the nodes of each cell, slab by slab
+    # Otherwise add up the nodes of each cell, slab by slab
     nodes = _CELL_NODES.get(f.dims, 2)
     while nodes > 1 and (float(nodes) * size) ** f.dims > _LIMIT:
         nodes //= 2
@@ -689,7 +711,7 @@ def cell_integrals(f: Function, size: int) -> tuple[Array, str]:
 
 
 def _sum_by(values: Array, axis: int, weights: Array, cell: Array) -> Array:
-    """Weighted sums along an axis over the nodes of each cell that has some, in their order."""
+    """Return weighted sums along an axis over the nodes of each nonempty cell, in order."""
     order = np.argsort(cell, kind="stable")
     first = np.flatnonzero(np.diff(cell[order], prepend=-1))
     shape = [1] * values.ndim

@@ -20,9 +20,9 @@ from mcspectra.integrands.base import Integrand, any_dims, per_axis
 
 __all__ = ["Constant", "Cosine", "Gaussian", "Linear", "Polynomial", "squared_distance"]
 
-_MAX_DEGREE = 20  # see `Polynomial._fourier`; beyond, powers of x are a bad basis in any case
-_LOW_FREQUENCY = 4  # 2π·4 is more than the highest degree, 20
-_NARROW = 0.5  # below this width 8 Gauss nodes integrate exp(−t²) to 1e-19; above, erf differences
+_MAX_DEGREE = 20  # Higher powers of x are ill-conditioned; see `Polynomial._fourier`
+_LOW_FREQUENCY = 4  # Cycles below which a Gauss rule is used: 2π·4 exceeds the highest degree, 20
+_NARROW = 0.5  # Width below which 8 Gauss nodes replace differences of erf (error 1e-19)
 
 
 def _as_coefficients(name: str, given: object) -> tuple[float, ...]:
@@ -62,7 +62,7 @@ class Constant(Integrand):
     dims: int = any_dims()
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:  # noqa: ARG002
-        """Value and its square."""
+        """Return the value and its square."""
         return np.full(lo.shape[:-1], self.value), np.full(lo.shape[:-1], self.value**2)
 
     def _evaluate(self, x: Array) -> Array:
@@ -83,7 +83,7 @@ class Linear(Integrand):
     Parameters
     ----------
     gradient
-        One number is the slope along the first axis, a list has a slope for each axis.
+        Slopes: a single number is the slope along the first axis, a list has one for each axis.
     offset
         Value at the origin.
     dims
@@ -99,7 +99,7 @@ class Linear(Integrand):
         return _along_first_axis(self.gradient, self.dims)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Mean at the center; the variance is Σ_i (g_i h_i)²/12 for sides h_i."""
+        """Return f at the center, plus Σ_i (g_i h_i)²/12 for the square, with sides h_i."""
         mean = self._evaluate(0.5 * (lo + hi))
         return mean, mean**2 + ((hi - lo) ** 2 @ self._slopes**2) / 12.0
 
@@ -125,7 +125,7 @@ class Polynomial(Integrand):
     Parameters
     ----------
     coefficients
-        c_0, c_1, … of 1, x, x², …: 1 to 21 numbers.
+        c_0, c_1, …, the factors of 1, x, x², …: 1 to 21 numbers.
     dims
         Number of dims.
     """
@@ -134,7 +134,7 @@ class Polynomial(Integrand):
     dims: int = any_dims()
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Products over axes, by a Gauss rule that is exact for the squared polynomial."""
+        """Return products over axes of a Gauss rule that is exact for the squared polynomial."""
         node, weight = gauss_rule(len(self.coefficients))
         values = self._factor(lo[..., None] + (hi - lo)[..., None] * node)
         return (values @ weight).prod(axis=-1), (values**2 @ weight).prod(axis=-1)
@@ -149,8 +149,9 @@ class Polynomial(Integrand):
         return sum(c / (k + 1) for k, c in enumerate(self.coefficients)) ** self.dims
 
     def _fourier(self, m: Array) -> Array:
-        # By parts I_k = ∫ x^k exp(−2πi m x) dx = (k I_{k−1} − 1)/(2πi m), where rounding does not
-        # grow: k < 2π|m|. At lower frequencies a Gauss rule is exact to rounding (degree 79, 3 cycles)
+        # Integration by parts gives I_k = ∫ x^k exp(−2πi m x) dx = (k I_{k−1} − 1)/(2πi m).
+        # Rounding errors do not grow while k < 2π|m|. At lower frequencies a Gauss rule of degree
+        # 79 is exact to rounding (3 cycles).
         node, weight = gauss_rule(40)
 
         def factor(frequency: Array) -> Array:
@@ -174,7 +175,8 @@ class Gaussian(Integrand):
     Parameters
     ----------
     center
-        Where f is 1: one number for all axes or one for each; it may lie outside the domain.
+        Position of the maximum, where f is 1: one number for all axes or one for each. It may lie
+        outside the domain.
     width
         Standard deviation, > 0.
     dims
@@ -187,7 +189,7 @@ class Gaussian(Integrand):
     dims: int = any_dims()
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Products of error functions; f² is a Gaussian of width/√2."""
+        """Return products of error functions; f² is a Gaussian of width/√2."""
         mean = _gaussian_mean(lo, hi, self._centers, self.width)
         square = _gaussian_mean(lo, hi, self._centers, self.width / math.sqrt(2.0))
         return mean.prod(axis=-1), square.prod(axis=-1)
@@ -209,14 +211,14 @@ class Gaussian(Integrand):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Cosine(Integrand):
-    """One wave, f(x) = cos(2π frequency·x + phase), that is two Fourier coefficients.
+    """A single wave, f(x) = cos(2π frequency·x + phase), with two Fourier coefficients.
 
     Parameters
     ----------
     frequency
-        Whole cycles: one number is along the first axis, a list has one for each axis.
+        Whole cycles: a single number is along the first axis, a list has one for each axis.
     phase
-        Radians.
+        Phase in radians.
     dims
         Number of dims.
     """
@@ -230,7 +232,7 @@ class Cosine(Integrand):
         return _along_first_axis(self.frequency, self.dims)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """cos at the center times Π sinc; f² = ½ + ½ cos of the doubled argument."""
+        """Use cos at the center times Π sinc; f² = ½ + ½ cos of the doubled argument."""
         argument = 2.0 * np.pi * (0.5 * (lo + hi) @ self._wave) + self.phase
         cycles = (hi - lo) * self._wave
         mean = np.cos(argument) * np.sinc(cycles).prod(axis=-1)
@@ -250,7 +252,7 @@ class Cosine(Integrand):
 
 
 def _along_first_axis(value: float | Sequence[float], dims: int) -> Array:
-    """Return a vector (d,): a single number is its first component."""
+    """Return a vector (d,); a single number becomes its first component."""
     vector = np.zeros(dims)
     vector[: 1 if isinstance(value, int | float) else dims] = value
     return vector
@@ -266,8 +268,8 @@ def _product_over_axes(m: Array, factors: Sequence[Callable[[Array], Array]]) ->
 
 
 def squared_distance(x: Array, center: Array, scale: float = 1.0) -> Array:
-    """Σ_i (scale (x_i − c_i))² of points x (..., d): float64 (...)."""
-    # NumPy's sum over a last axis of two or three numbers takes several times as long.
+    """Return Σ_i (scale (x_i − c_i))² at points x (..., d): float64 (...)."""
+    # NumPy sums over a last axis of two or three numbers several times more slowly
     from mcspectra.integrands._kernels import fill_squared_distances
 
     out = np.empty(x.shape[:-1])
@@ -277,11 +279,12 @@ def squared_distance(x: Array, center: Array, scale: float = 1.0) -> Array:
 
 
 def _gaussian_fourier(m: Array, center: float, width: float) -> Array:
-    """∫_0^1 exp(−(x−c)²/(2w²)) exp(−2πi m x) dx for integer m.
+    """Return ∫_0^1 exp(−(x−c)²/(2w²)) exp(−2πi m x) dx for integer m.
 
-    With t = (x−c)/(w√2) and β = π m w√2 it is w√2 e^{−2πimc} e^{−β²} (√π/2) [erf(t + iβ)] from x = 0
-    to 1. Written by the Faddeeva function W(z) = e^{−z²} erfc(−iz) in its upper half plane, where
-    |W| ≤ 1, nothing overflows at large m; the phases at the ends are exp(−2πi m) = 1.
+    With t = (x−c)/(w√2) and β = π m w√2, the integral is the difference between x = 0 and 1 of w√2
+    e^{−2πimc} e^{−β²} (√π/2) erf(t + iβ). It is written with the Faddeeva function W(z) = e^{−z²}
+    erfc(−iz) in the upper half plane. |W| ≤ 1 there, so nothing overflows at large m. The phases at
+    the ends are exp(−2πi m) = 1.
     """
     from scipy.special import wofz
 
@@ -298,7 +301,7 @@ def _gaussian_fourier(m: Array, center: float, width: float) -> Array:
 
 
 def _gaussian_mean(low: Array, high: Array, center: Array, width: float) -> Array:
-    """Mean of exp(−(x−c)²/(2w²)) over intervals [low, high], to rounding also where they are short."""
+    """Return means of exp(−(x−c)²/(2w²)) over [low, high], accurate also for short intervals."""
     from scipy.special import erf
 
     scale = math.sqrt(2.0) * width

@@ -1,10 +1,10 @@
-"""The interface of integrands, values, integral, Fourier coefficients; integrands of callables.
+"""The interface of integrands: values, integral, Fourier coefficients; integrands of callables.
 
-Conventions: f_m = ∫ f(x) exp(−2πi m·x) dx over [0,1)^d, integer m. Implementations write
-`_evaluate`, and `_integral` and `_fourier` where they are known exactly; otherwise composite
-Gauss-Legendre quadrature (with an FFT for the coefficients) stands in and `integral_source` and
-`fourier_source` say so. Each integrand has an `IntegrandCache` for what quadrature found out about it:
-an integrand must always give the same values.
+The coefficients are f_m = ∫ f(x) exp(−2πi m·x) dx over [0,1)^d for integer m. Implementations
+define `_evaluate`, and `_integral` and `_fourier` if they are known exactly. Otherwise composite
+Gauss-Legendre quadrature (with an FFT for the coefficients) is used, and `integral_source` and
+`fourier_source` report it. Each integrand stores results of quadrature in its `IntegrandCache`, so
+it must always give the same values.
 """
 
 from __future__ import annotations
@@ -70,17 +70,17 @@ __all__ = [
 ]
 
 Breaks = tuple[tuple[float, ...], ...]
-"""Places along each axis."""
+"""Positions along each axis."""
 
 _MOST_COEFFICIENTS = 2**26  # 1 GiB of complex numbers
 _EXACT_BLOCK = 2**20
 _KEPT = 4
 _ADAPTIVE_DIMS = 5
-_PROBE = (4, 7)  # two axes, so that functions of one list of points are found out
+_PROBE = (4, 7)  # Two axes, so that functions of a single list of points are detected
 
 
 def any_dims() -> Any:
-    """Declare the field `dims` of an integrand in any number of dims."""
+    """Declare the field `dims` of an integrand that takes any number of dims."""
 
     def check(name: str, given: object, integrand: str) -> int:
         try:
@@ -92,14 +92,14 @@ def any_dims() -> Any:
 
 
 def axis_number() -> Any:
-    """Declare a field that chooses one of the axes."""
+    """Declare a field that holds the number of an axis."""
     return checked(
         lambda name, given, dims: as_integer(name, given, least=0, most=dims - 1), 0, using="dims"
     )
 
 
 def per_axis(default: float | None, **limits: float) -> Any:
-    """Declare a field of one finite number, or one for each axis; it stays a single one if it was."""
+    """Declare a field of one finite number, or one per axis; a single number stays single."""
 
     def check(name: str, given: object, dims: int) -> float | tuple[float, ...]:
         found = as_reals(name, given, dims, **limits)
@@ -111,40 +111,40 @@ def per_axis(default: float | None, **limits: float) -> Any:
 @final
 @dataclass(slots=True, eq=False, repr=False)
 class IntegrandCache:
-    """What was found out about one integrand, each fact at its first use; None before.
+    """Results about one integrand, each computed at its first use; None before.
 
     Attributes
     ----------
     integral
-        ∫ f by quadrature, or by a rule of the integrand's own (`numeric_integral`).
+        ∫ f by quadrature, or by the integrand's own rule (`numeric_integral`).
     coefficients
-        Fourier coefficients by the tensor product of frequencies that they were asked for, the
-        last four.
+        Fourier coefficients, keyed by the tensor product of their frequencies; the last four are
+        kept.
     breaks
-        Places along each axis where f is declared to jump, or seen to (`found_breaks`).
+        Positions along each axis where f jumps, declared or detected (`found_breaks`).
     probed
-        Values at the points of `mcspectra.integrands._quadrature.probe`, which the search for breaks
-        leaves for the integral; they are let go there.
+        Values at the points of `mcspectra.integrands._quadrature.probe`. The search for breaks
+        stores them for the integral, which deletes them.
     cut
-        The integrand with these breaks, or itself where there are no more than it declares
+        The integrand with these breaks, or the integrand itself if it declares all of them
         (`mcspectra.estimators.quadrature.looked_at`).
     moments
-        A number a near to ∫ f, ∫ (f − a), ∫ (f − a)² and the error of both
+        A number a close to ∫ f, then ∫ (f − a), ∫ (f − a)² and the error of both
         (`mcspectra.estimators.quadrature.moments`).
     unseen_square
-        Error of ∫ (f − a)² for regions that only the probe met
+        Error of ∫ (f − a)² due to regions that only the probe resolves
         (`mcspectra.estimators.quadrature.unseen`).
     square
         ∫ f² and its absolute error (`mcspectra.estimators.quadrature.square_integral`).
     growth
-        Largest exponents of poles across an axis, and whether f grows without end
+        Largest exponents of poles across an axis, and whether f is unbounded
         (`mcspectra.estimators.quadrature.growth`).
     largest
         Largest values at the points of the probe, in descending order
         (`mcspectra.estimators.quadrature.beyond_points`).
     separable
-        f as sums or products of functions of one axis, one for each channel; empty if it is not one
-        (`mcspectra.prediction.separable.separated`).
+        f as sums or products of functions of one axis, one entry per channel; empty if f has no
+        such form (`mcspectra.prediction.separable.separated`).
     """
 
     integral: Estimate | None = None
@@ -168,7 +168,7 @@ class Integrand(Component, ABC):
     dims
         Number of dimensions d.
     channels
-        0 for a scalar function, else the number of channels (last axis of values).
+        0 for a scalar function, else the number of channels, the last axis of values.
     stock_samplers
         Specs of the samplers that come with the program that evaluates f.
     """
@@ -179,18 +179,18 @@ class Integrand(Component, ABC):
 
     @cached_property
     def _cache(self) -> IntegrandCache:
-        """What was found out about this integrand; it goes when the integrand goes."""
+        """Results about this integrand; they are deleted with it."""
         return IntegrandCache()
 
     def __call__(self, x: object) -> Array:
-        """Values at points x of shape (..., d): float64 (...) or (..., channels).
+        """Return values at points x of shape (..., d): float64 (...) or (..., channels).
 
         Raises
         ------
         DomainError
-            x has another number of dims, or is not finite.
+            If x has another number of dims, or is not finite.
         ParameterError
-            The function did not return real numbers of that shape.
+            If the function does not return real numbers of that shape.
         """
         points = as_real_array("x", x)
         if points.ndim == 0 or points.shape[-1] != self.dims:
@@ -199,38 +199,37 @@ class Integrand(Component, ABC):
             )
         if not in_unit_cube(points):
             raise DomainError(
-                f"{self.spec} was given points that are not finite or lie outside [0,1]; give points "
-                "of the unit cube."
+                f"{self.spec} was given points that are not finite or lie outside [0,1]; give "
+                "points of the unit cube."
             )
         if type(self).is_black_box is Integrand.is_black_box and self.is_black_box:
-            spend(
-                points.size // self.dims
-            )  # a class of another package; functions count themselves
+            # A class of another package; functions count their own calls
+            spend(points.size // self.dims)
         return self._evaluate(points)
 
     @property
     def integral(self) -> Any:
-        """∫ f over [0,1]^d: a float, or an array (channels,). Exact or not: `integral_source`."""
+        """∫ f over [0,1]^d: a float or an array (channels,); see `integral_source`."""
         exact = self._integral()
         return numeric_integral(self) if exact is None else exact
 
     @property
     def integral_source(self) -> str:
-        """``"exact"`` or how `integral` was computed; `integral_accuracy` says how well."""
+        """``"exact"`` or the method of `integral`; `integral_accuracy` gives its error."""
         return "exact" if self._integral() is not None else "quadrature"
 
     def fourier(self, m: object) -> Array:
-        """Fourier coefficients f_m at integer frequencies m of shape (..., d).
+        """Return Fourier coefficients f_m at integer frequencies m of shape (..., d).
 
         Returns
         -------
         ndarray
-            complex128, shape (...) or (..., channels). Exact or not: `fourier_source`.
+            complex128, shape (...) or (..., channels); `fourier_source` reports whether exact.
 
         Raises
         ------
         ParameterError
-            m is not integer, or needs a larger FFT grid than memory allows.
+            If m is not integer, or needs an FFT grid that is too large.
         """
         frequencies = as_frequencies(m, self.dims)
         if not np.array_equal(frequencies, np.rint(frequencies)):
@@ -241,7 +240,7 @@ class Integrand(Component, ABC):
         if exact is not None:
             return exact
 
-        # One tensor grid serves all: its size is set by the highest |m_i| along each axis
+        # One tensor grid serves all frequencies; the highest |m_i| along each axis sets its size
         axes, places = [], []
         for i in range(self.dims):
             distinct, where = np.unique(frequencies[..., i], return_inverse=True)
@@ -251,17 +250,17 @@ class Integrand(Component, ABC):
         return np.asarray(_quadrature(self, axes).value[tuple(places)])
 
     def fourier_grid(self, half_width: int) -> Array:
-        """Coefficients at all m in {−half_width … half_width}^d.
+        """Return the coefficients at all m in {−half_width … half_width}^d.
 
         Returns
         -------
         ndarray
-            complex128 of shape (2 half_width + 1,) * d, or with (channels,) after that.
+            complex128 of shape (2 half_width + 1,) * d, followed by (channels,) if f has channels.
 
         Raises
         ------
         ParameterError
-            More than 2^26 coefficients, or a quadrature of more than 2^24 evaluations.
+            If there are more than 2^26 coefficients or 2^24 evaluations.
         """
         m = _all_frequencies(self, half_width)
         if self._fourier(np.zeros((1, self.dims))) is None:
@@ -272,7 +271,7 @@ class Integrand(Component, ABC):
             exact = self._fourier(points[start : start + _EXACT_BLOCK])
             if exact is None:
                 raise ParameterError(
-                    f"{self.spec} knows its coefficients at some frequencies only."
+                    f"{self.spec} has exact coefficients at some frequencies only."
                 )
             blocks.append(exact)
         found = np.concatenate(blocks)
@@ -280,34 +279,34 @@ class Integrand(Component, ABC):
 
     @property
     def fourier_source(self) -> str:
-        """``"exact"`` or how `fourier` is computed."""
+        """``"exact"`` or the method of `fourier`."""
         probe = self._fourier(np.zeros((1, self.dims)))
         return "exact" if probe is not None else "FFT of composite Gauss-Legendre quadrature"
 
     @property
     def breaks(self) -> Breaks:
-        """For each axis, where f is discontinuous or not smooth across a whole axis-normal plane."""
+        """Positions along each axis where f or a derivative jumps across a plane normal to it."""
         return ((),) * self.dims
 
     @property
     def is_black_box(self) -> bool:
-        """Whether every call may be dear: another's function, of which no more is asked than was said."""
+        """Whether a call may be expensive: a function of the user or of another package."""
         return not type(self).__module__.startswith("mcspectra.")
 
     def landmarks(self) -> Array:
-        """Points (k, d) at which f may differ from 0 on a small region, for probing; often none."""
+        """Return points (k, d) in small regions where f may differ from 0; empty by default."""
         return np.empty((0, self.dims))
 
     @property
     def evaluations_per_point(self) -> int:
-        """Evaluations of the function underneath for one value; more than 1 where values are means."""
+        """Evaluations of the underlying function per value; more than 1 if values are means."""
         return 1
 
     pilot_evaluations: int = 0
-    """Evaluations of the function underneath that made it, before any value."""
+    """Evaluations of the underlying function before the first value, such as for a pilot."""
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:  # noqa: ARG002
-        """Means of f and of f² over axis-aligned boxes, where they are known in closed form.
+        """Return means of f and of f² over axis-aligned boxes, if they have a closed form.
 
         Parameters
         ----------
@@ -317,25 +316,25 @@ class Integrand(Component, ABC):
         Returns
         -------
         tuple of ndarray, or None
-            Mean of f and mean of f², each (...) or (..., channels); None where they are not known.
-            The variance within a stratum is their difference, mean f² − (mean f)².
+            Mean of f and mean of f², each (...) or (..., channels); None if they are not known. The
+            variance within a stratum is mean f² − (mean f)².
         """
         return None
 
     @abstractmethod
     def _evaluate(self, x: Array) -> Array:
-        """Values at float64 points (..., d)."""
+        """Return values at float64 points (..., d)."""
 
     def _integral(self) -> Any:
-        """The exact integral, or None where it is not known."""
+        """Return the exact integral, or None if it is not known."""
         return None
 
     def _estimated_integral(self) -> Estimate | None:
-        """The integral by a rule of the integrand's own, or None for quadrature."""
+        """Return the integral by the integrand's own rule, or None for quadrature."""
         return None
 
     def _fourier(self, m: Array) -> Array | None:  # noqa: ARG002
-        """Exact coefficients at integer m (float64, shape (..., d)), or None where not known."""
+        """Return exact coefficients at integer m (float64, shape (..., d)), or None."""
         return None
 
     @staticmethod
@@ -355,16 +354,16 @@ class Integrand(Component, ABC):
         dims
             Number of dimensions.
         integral
-            Its exact integral, if known: measurements give a bias only then. Where it is asked for by
-            name otherwise (`integral`), it is a quadrature of up to 2^21 calls.
+            Its exact integral, if known. Measurements report a bias only then. Otherwise the
+            attribute `integral` is computed by quadrature of up to 2^21 calls.
         fourier
             Its exact coefficients as a callable of integer m (..., d), if known.
 
         Raises
         ------
         ParameterError
-            The function is not callable, or returns another shape, complex numbers, NaN or infinity
-            on 28 test points, the only calls made here.
+            If the function is not callable, or returns another shape, complex numbers, NaN or
+            infinity on 28 test points, the only calls made here.
         """
         if not callable(function):
             raise ParameterError(
@@ -386,10 +385,10 @@ class Integrand(Component, ABC):
 
 
 class Derived(Integrand):
-    """An integrand made of another, whose properties hold where a subclass has none of its own.
+    """An integrand made of another one, whose properties are the defaults.
 
-    Subclasses are dataclasses with the field `integrand`; `text` makes their `spec`, for messages, of
-    the instance as ``{0}``.
+    Subclasses are dataclasses with the field `integrand`. They set `text`, a format of the instance
+    ``{0}`` that gives their `spec` for messages.
     """
 
     text: ClassVar[str]
@@ -405,7 +404,7 @@ class Derived(Integrand):
 
     @property
     def spec(self) -> str:
-        """Text for messages, not a spec to read again."""
+        """Text for messages; it cannot be parsed as a spec."""
         return self.text.format(self)
 
     @property
@@ -426,7 +425,7 @@ class Derived(Integrand):
 
 @dataclass(frozen=True, kw_only=True)
 class NamedFunction(Derived):
-    """A test function: `integrand` of a class, under its name."""
+    """A test function: the `integrand` of a class, under the name of the class."""
 
     integrand: Integrand = field(init=False, repr=False)
     spec = Component.spec
@@ -446,21 +445,23 @@ class NamedFunction(Derived):
 
 
 def _as_integrand(given: Integrand) -> Integrand:
-    """Return what is an integrand; specs are for `mcspectra.integrand` to read."""
+    """Return the given integrand; only `mcspectra.integrand` reads spec strings."""
     if not isinstance(given, Integrand):
-        raise ParameterError(f"{given!r:.80} is not an integrand; give what mcs.integrand makes.")
+        raise ParameterError(
+            f"{given!r:.80} is not an integrand; give the result of mcs.integrand."
+        )
     return given
 
 
 def _as_channel(name: str, channel: object, f: Integrand) -> int | str:
     if not _as_integrand(f).channels:
-        raise ParameterError(f"{f.spec} is scalar: it has no channels to choose.")
+        raise ParameterError(f"{f.spec} is scalar; give an integrand with channels.")
     if channel != "luminance":
         return as_integer(name, channel, least=0, most=f.channels - 1)
     if f.channels != len(REC709):
         raise ParameterError(
-            f"{f.spec} has {f.channels} channels, luminance needs {len(REC709)}; give the number of "
-            "a channel."
+            f"{f.spec} has {f.channels} channels, luminance needs {len(REC709)}; give the number "
+            "of a channel."
         )
     return "luminance"
 
@@ -475,12 +476,12 @@ class Channel(Derived):
     integrand
         The integrand f, with at least one channel.
     channel
-        Number of the channel, or ``"luminance"`` (Rec. 709; of three channels).
+        Number of the channel, or ``"luminance"`` (Rec. 709, three channels).
 
     Raises
     ------
     ParameterError
-        f is scalar, or has no such channel, or not three for the luminance.
+        If f is scalar, has no such channel, or does not have three channels for the luminance.
     """
 
     text = "{0.integrand.spec}[{0.channel}]"
@@ -489,7 +490,7 @@ class Channel(Derived):
     channel: int | str = checked(_as_channel, "luminance", using="integrand")
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:
-        """Means of f for a single channel; unknown for the luminance, which needs products."""
+        """Return means of f for one channel, or None for the luminance, which needs products."""
         found = self.integrand.box_moments(lo, hi)
         if found is None or self.channel == "luminance":
             return None
@@ -515,9 +516,9 @@ class Channel(Derived):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FunctionIntegrand(Integrand):
-    """A vectorized callable; make it with `Integrand.from_function`, which probes it.
+    """A vectorized callable, made with `Integrand.from_function`, which tests it.
 
-    The callable must always give the same values: integrals and coefficients are remembered.
+    The callable must always give the same values, because integrals and coefficients are cached.
     """
 
     name: ClassVar[str] = "function"
@@ -530,7 +531,7 @@ class FunctionIntegrand(Integrand):
 
     @property
     def spec(self) -> str:
-        """``function(name)``: text for messages, not a spec to read again."""
+        """``function(name)``, for messages; it cannot be parsed as a spec."""
         return f"function({getattr(self.function, '__name__', type(self.function).__name__)})"
 
     def _evaluate(self, x: Array) -> Array:
@@ -538,9 +539,9 @@ class FunctionIntegrand(Integrand):
         return self.checked_values(x)
 
     def checked_values(self, x: Array, *, finite: bool = True) -> Array:
-        """Values at points of the unit cube, of the right shape and finite; not counted.
+        """Return values at points of the unit cube, checked in shape and finite; not counted.
 
-        Without `finite` values may be NaN or infinite.
+        Without `finite`, values may be NaN or infinite.
         """
         shape = (*x.shape[:-1], self.channels) if self.channels else x.shape[:-1]
         try:
@@ -569,18 +570,19 @@ class FunctionIntegrand(Integrand):
 
 
 def fourier_grid(integrand: Integrand, half_width: int) -> Array:
-    """`Integrand.fourier_grid` of an integrand."""
+    """Return `Integrand.fourier_grid` of an integrand."""
     return _as_integrand(integrand).fourier_grid(half_width)
 
 
 def fourier_accuracy(integrand: Integrand, half_width: int) -> tuple[str, float]:
-    """Say how `fourier_grid` finds its coefficients, and how well.
+    """Return the method of `fourier_grid` and its error.
 
     Returns
     -------
     tuple
-        Description, and an estimate of the largest absolute error: 0 where they are exact, else the
-        largest difference from a grid of half the nodes (for smooth f far above the true error).
+        Description, and an estimate of the largest absolute error. The error is 0 if the
+        coefficients are exact, else the largest difference from a grid with half the nodes. For
+        smooth f that is far above the true error.
     """
     if _as_integrand(integrand)._fourier(np.zeros((1, integrand.dims))) is not None:
         return integrand.fourier_source, 0.0
@@ -589,19 +591,20 @@ def fourier_accuracy(integrand: Integrand, half_width: int) -> tuple[str, float]
 
 
 def numeric_integral(integrand: Integrand) -> Any:
-    """∫ f by quadrature: a float, or an array (channels,).
+    """Return ∫ f by quadrature: a float, or an array (channels,).
 
-    Up to 5 dims, Gauss-Legendre on boxes that are cut at the breaks, and at jumps across an axis that
-    lines see, and split adaptively to 1e-12 of ∫|f| or 2^21 evaluations; beyond, the mean over 2^20 points of a Kronecker sequence, to be
-    trusted to three to six digits. An integrand that has a rule of its own, as pixels have, is
-    integrated by that. `integral_accuracy` estimates the error.
+    Up to 5 dims, Gauss-Legendre quadrature on boxes is used. The boxes are cut at the breaks, and
+    at jumps across an axis that line searches detect. They are split adaptively to 1e-12 of ∫|f| or
+    2^21 evaluations. In more dims, the result is the mean over 2^20 points of a Kronecker sequence,
+    accurate to three to six digits. An integrand with its own rule, such as a pixel, uses that
+    rule. `integral_accuracy` estimates the error.
     """
     value = integral_estimate(integrand).value
     return value.copy() if integrand.channels else float(value[0])
 
 
 def integral_accuracy(integrand: Integrand) -> tuple[str, float]:
-    """Say how `integral` is found, and an estimate of its largest absolute error (0 if exact)."""
+    """Return the method of `integral` and an estimate of its absolute error (0 if exact)."""
     if _as_integrand(integrand)._integral() is not None:
         return "exact", 0.0
     found = integral_estimate(integrand)
@@ -626,15 +629,16 @@ def _check_size(integrand: Integrand, sizes: list[int]) -> None:
 
 
 def _quadrature(integrand: Integrand, m: Sequence[Array]) -> Estimate:
-    """Coefficients on a tensor product of frequencies, found once."""
+    """Return coefficients on a tensor product of frequencies, cached."""
     kept = integrand._cache.coefficients
     key = tuple(axis.tobytes() for axis in m)
     if key in kept:
         return kept[key]
     found = refined_coefficients(integrand, m)
     if all((axis == 0).any() for axis in m):
-        # The integral, exact or from the better rule, replaces the coefficient at 0. Where two grids
-        # agree by chance (a border along their diagonals), it shows that they are off
+        # The integral, exact or from the better rule, replaces the coefficient at 0. If two grids
+        # agree by chance (a border along their diagonals), the difference from the integral reveals
+        # their error
         zero = tuple(int(np.flatnonzero(axis == 0)[0]) for axis in m)
         value, integral = found.value.copy(), integrand.integral
         error = max(found.error, float(np.abs(value[zero] - integral).max()))
@@ -647,7 +651,7 @@ def _quadrature(integrand: Integrand, m: Sequence[Array]) -> Estimate:
 
 
 def integral_estimate(integrand: Integrand) -> Estimate:
-    """∫ f by quadrature as in `numeric_integral`, with its error; found once."""
+    """Return ∫ f by quadrature as in `numeric_integral`, with its error; cached."""
     cache = integrand._cache
     if cache.integral is None:
         found = integrand._estimated_integral()
@@ -660,7 +664,7 @@ def integral_estimate(integrand: Integrand) -> Estimate:
 
 
 def found_breaks(integrand: Integrand) -> tuple[Array, ...]:
-    """For each axis the breaks that f declares and those that lines see; found once.
+    """Return the breaks along each axis that f declares or line searches detect; cached.
 
     See `mcspectra.integrands._quadrature.search_breaks`.
     """
@@ -671,8 +675,8 @@ def found_breaks(integrand: Integrand) -> tuple[Array, ...]:
 
 
 def _probe(function: Callable[[Any], Any], dims: int) -> int:
-    """Return the number of channels, 0 for a scalar function, after a try on 28 points."""
-    # Points of an additive recurrence, on no grid line
+    """Return the number of channels, 0 for a scalar function, after a test on 28 points."""
+    # Points of an additive recurrence, off all grid lines
     steps = np.sqrt(np.arange(2, 2 + dims) + 0.5)
     x = ((0.5 + np.arange(1, 29)[:, None] * steps) % 1.0).reshape(*_PROBE, dims)
     try:
@@ -697,16 +701,16 @@ def _probe(function: Callable[[Any], Any], dims: int) -> int:
 
 
 def _works_on_one_point(function: Callable[[Any], Any], point: Array) -> bool:
-    """Whether a function that failed on arrays takes a point, or a number in 1-D."""
+    """Return whether a function that fails on arrays takes a point, or a number in 1-D."""
     for x in (point, float(point[0])):
-        with contextlib.suppress(Exception):  # the first failure is the one to report
+        with contextlib.suppress(Exception):  # The first failure is reported
             if np.ndim(function(x)) <= 1:
                 return True
     return False
 
 
 def _real_values(function: Callable[[Any], Any], x: Array) -> Array:
-    """Call `function` with a read-only view, as the same points are weighted afterwards."""
+    """Call `function` with a read-only view, because the points are used again afterward."""
     view = x.view()
     view.flags.writeable = False
     try:
@@ -748,13 +752,13 @@ def _check_integral(integral: object, channels: int) -> Any:
     except (TypeError, ValueError):
         raise ParameterError(f"integral is {integral!r}; give a real number.") from None
     if value.shape != shape or not np.isfinite(value).all():
-        wanted = f"{channels} finite numbers, one a channel" if channels else "one finite number"
+        wanted = f"{channels} finite numbers, one per channel" if channels else "one finite number"
         raise ParameterError(f"integral is {integral!r}; give {wanted}.")
     return value if channels else float(value)
 
 
 def _coefficients(fourier: Callable[[Any], Any], m: Array, channels: int) -> Array:
-    """Coefficients of a user's callable, complex128, checked in shape and finite."""
+    """Return coefficients of a user's callable, complex128, checked in shape and finite."""
     shape = (*m.shape[:-1], channels) if channels else m.shape[:-1]
     found = np.asarray(fourier(m))
     if found.shape != shape or found.dtype.kind not in "biufc":

@@ -1,9 +1,9 @@
-"""Calls of an expensive function: counted, within a budget, in processes, kept on disk by point.
+"""Calls of an expensive function: counted, limited by a budget, parallel, cached on disk.
 
-`Calls` is the one door to a function that costs something. It refuses what the budget does not cover
-before the function is called. A point found in the cache counts toward the budget like any other,
-although it costs no call: what is computed with a `Calls` therefore does not depend on how full the
-cache is, and a run that was interrupted gives the same bits when it is run again.
+`Calls` is the only way to call an expensive function. It raises before a call that the budget does
+not cover. A point found in the cache counts toward the budget like any other, although it costs no
+call. Results therefore do not depend on the state of the cache, and an interrupted run gives the
+same bits when it is repeated.
 """
 
 from __future__ import annotations
@@ -46,58 +46,59 @@ from mcspectra.integrands.base import FunctionIntegrand, Integrand
 
 __all__ = ["Calls"]
 
-_BLOCK, _FEW = 128, 8  # points a call of a vectorized function; single calls that are kept together
-_SAME = 1e-9  # relative: a value of the cache and the function's own
+# Points per call of a vectorized function, and single calls that are stored together
+_BLOCK, _FEW = 128, 8
+_SAME = 1e-9  # Relative difference up to which a cached value agrees with the function's value
 
-_integrand: Integrand  # of a worker process
+_integrand: Integrand  # Integrand of a worker process
 
 
 @final
 class Calls:
-    """A scalar function on [0,1)^d that is called no more often than a budget allows.
+    """A scalar function on [0,1)^d with a limited number of calls.
 
-    Close it, or use it in a ``with`` statement, where it has workers or a cache.
+    With workers or a cache, close it or use it in a ``with`` statement.
 
     Parameters
     ----------
     f
-        A callable of points (k, d), which gives (k,), or an integrand without channels.
+        A callable that maps points (k, d) to (k,), or an integrand without channels.
     dims
         Number of dimensions d.
     budget
-        Points that may be asked for in all.
+        Largest total number of points.
     vectorized
-        False for a function of a single point: an array (d,) to a number.
+        False for a function that maps a single point, an array (d,), to a number.
     workers
-        Processes that call f, each with points of its own. A script needs the guard
-        ``if __name__ == "__main__":`` then.
+        Number of processes that call f, each on its own points. If more than 1, a script needs the
+        guard ``if __name__ == "__main__":``.
     cache
-        Path of a file that keeps the values by point; it is made where there is none. It is for one
-        function with one set of parameters.
+        Path of a file that stores the values by point; it is created if missing. One file is for
+        one function with one set of parameters.
     on_error
-        ``"raise"`` where f fails, or gives NaN or infinity; or ``"skip"``: values are NaN there. If
-        f fails for several points at once it is called again for each of them.
+        ``"raise"`` if f fails or gives NaN or infinity; or ``"skip"``, which gives NaN at such
+        points. If f fails on several points at once, it is called again for each of them.
 
     Attributes
     ----------
     made
-        Calls of f that were made: values of single points.
+        Number of points at which f was called.
     left
-        Points that may still be asked for: `budget` less all that were, in the cache or not.
+        Number of points still allowed: `budget` minus all requested points, cached or not.
     skipped
         Number of points where f failed.
     skips
         Whether values are NaN where f fails.
     first_skipped
-        The first of these points (d,), None without any.
+        The first of these points (d,), or None.
 
     Raises
     ------
     ParameterError
-        f has channels or other dims, cannot be called, or cannot be sent to other processes; an
-        argument is out of range; the cache is of another function.
+        If f has channels or another number of dims, cannot be called or sent to other processes, if
+        an argument is out of range, or if the cache belongs to another function.
     FileFormatError
-        The cache is another kind of file.
+        If the cache is another kind of file.
 
     Examples
     --------
@@ -133,7 +134,7 @@ class Calls:
         if isinstance(f, Integrand) and (f.channels or f.dims != self.dims):
             raise ParameterError(
                 f"{f.spec} has {f.dims} dims and {f.channels} channels; give a scalar function in "
-                f"{self.dims} dims, such as a channel of it."
+                f"{self.dims} dims, such as one of its channels."
             )
         self.__name__ = self.name = (
             f.spec if isinstance(f, Integrand) else str(getattr(f, "__name__", type(f).__name__))
@@ -144,7 +145,7 @@ class Calls:
             if isinstance(f, Integrand)
             else FunctionIntegrand(function=f if vectorized else _OneByOne(f), dims=self.dims)
         )
-        # Counted here, and not again by tallies
+        # Calls are counted here, so tallies must not count them again
         g = self._f
         self._values = g.checked_values if isinstance(g, FunctionIntegrand) else g._evaluate
         self.skips = skips and isinstance(g, FunctionIntegrand)
@@ -156,7 +157,7 @@ class Calls:
             else None
         )
         self._cache = None if cache is None else _Cache(cache, self.name, self.dims)
-        self._checked = False  # whether the function still gives a value of the cache
+        self._checked = False  # Whether one cached value was compared with the function
         self._lock = threading.RLock()
 
     @property
@@ -164,31 +165,32 @@ class Calls:
         return self.budget - self._asked
 
     def __call__(self, x: object) -> Array:
-        """Values at points (..., d): float64 (...).
+        """Return values at points (..., d): float64 (...).
 
         Raises
         ------
         BudgetError
-            There are more points than are left; f was not called.
+            If more points are given than are left; f was not called.
         DomainError
-            The points have other dims, or lie outside the unit cube.
+            If the points have another number of dims, or lie outside the unit cube.
         ParameterError
-            f did not give one finite real number a point, or gives another than the cache holds.
+            If f does not give one finite real number per point, or differs from the cache.
         StorageError
-            The cache cannot be written.
+            If the cache cannot be written.
         """
         points = as_real_array("x", x)
         if points.ndim == 0 or points.shape[-1] != self.dims or not in_unit_cube(points):
             raise DomainError(
-                f"{self.name} was given points of shape {points.shape}; give points (..., {self.dims}) "
-                "of the unit cube."
+                f"{self.name} was given points of shape {points.shape}; give points "
+                f"(..., {self.dims}) of the unit cube."
             )
         flat = np.ascontiguousarray(points.reshape(-1, self.dims))
         with self._lock:
             if len(flat) > self.left:
                 raise BudgetError(
-                    f"{len(flat)} more calls of {self.name} are beyond the budget of {self.budget}, of "
-                    f"which {self.left} are left; give a budget of at least {self._asked + len(flat)}."
+                    f"{len(flat)} more calls of {self.name} exceed the budget of {self.budget}, of "
+                    f"which {self.left} are left; give a budget of at least "
+                    f"{self._asked + len(flat)}."
                 )
             values = self._cache.values(flat) if self._cache else np.full(len(flat), np.nan)
             fresh = np.flatnonzero(np.isnan(values))
@@ -209,16 +211,16 @@ class Calls:
         return values.reshape(points.shape[:-1])
 
     def skipped_in_words(self, least: float, most: float) -> str:
-        """How often and where f failed, and what an interval assumes: values from least to most."""
+        """Describe where f failed, and the values that an interval assumes there."""
         assert self.first_skipped is not None
         return (
             f"{self.skipped} of {self._asked} evaluations failed and were skipped, the first at "
-            f"{point_in_words(self.first_skipped)}: the interval holds if f lies between {least:.4g} "
-            f"and {most:.4g} there, as it does elsewhere"
+            f"{point_in_words(self.first_skipped)}: the interval holds if f lies between "
+            f"{least:.4g} and {most:.4g} there, as it does elsewhere"
         )
 
     def close(self) -> None:
-        """Let the processes and the cache go; what was found stays in its file."""
+        """Stop the processes and close the cache; the values stay in its file."""
         report(f"{self.budget} calls of {self.name}", 1.0)
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
@@ -232,13 +234,14 @@ class Calls:
         self.close()
 
     def _evaluated(self, x: Array, fresh: Array) -> Generator[tuple[Array, Array], None, None]:
-        """Places of points and their values, as they come."""
+        """Yield positions of points and their values in order of completion."""
         blocks = [fresh[i : i + self._block] for i in range(0, fresh.size, self._block)]
         if self._pool is None:
             for where in blocks:
                 try:
                     found = self._values(x[where])
-                except ParameterError as error:  # of a shape: it failed, or gave another one
+                # A shape error means that f failed or gave another shape
+                except ParameterError as error:
                     if self.made or self._block == _FEW or "shape" not in str(error):
                         raise
                     hint = "If it takes one point at a time, give vectorized=False."
@@ -253,7 +256,7 @@ class Calls:
                 yield tasks[task], task.result()
         except BrokenProcessPool:
             raise ParameterError(
-                f"A process that called {self.name} died; look at what it wrote, guard the script by "
+                f"A process that called {self.name} died; check its output, guard the script by "
                 'if __name__ == "__main__":, or give workers=1.'
             ) from None
         finally:
@@ -261,7 +264,7 @@ class Calls:
                 task.cancel()
 
     def _check_cache(self, x: Array, values: Array) -> None:
-        """Refuse a cache of values that f does not give any more, by one call, once."""
+        """Raise if the cache disagrees with f at one point; done once, by one call."""
         held = np.flatnonzero(~np.isnan(values))
         if self._checked or not held.size:
             return
@@ -271,14 +274,14 @@ class Calls:
         self.made += 1
         if abs(now - values[i]) > _SAME * max(abs(now), abs(values[i])):
             raise ParameterError(
-                f"The cache holds {values[i]:.10g} at {point_in_words(x[i])}, where {self.name} now gives "
-                f"{now:.10g}: it has changed, or is random itself; give another cache."
+                f"The cache holds {values[i]:.10g} at {point_in_words(x[i])}, where {self.name} "
+                f"now gives {now:.10g}: it has changed or is random; give another cache."
             )
 
 
 @final
 class _OneByOne:
-    """A function of one point (d,), for points (k, d)."""
+    """Applies a function of one point (d,) to points (k, d)."""
 
     def __init__(self, f: Callable[[Any], Any]) -> None:
         self.f = f
@@ -289,22 +292,23 @@ class _OneByOne:
         sizes = {value.size for value in values}
         if sizes - {1}:
             raise ParameterError(
-                f"{self.__name__} gave {max(sizes - {1})} values at one point; it must give a number."
+                f"{self.__name__} gave {max(sizes - {1})} values at one point; it must give "
+                "a number."
             )
         return np.array([value.reshape(()) for value in values])
 
 
 def _pool(f: Integrand, workers: int) -> ProcessPoolExecutor:
-    """Processes that know f: new ones, as forks of a process with threads may hang."""
+    """Return processes that hold f; they are spawned, because forks of threads may hang."""
     from multiprocessing import get_context
 
     cloudpickle = optional_package("cloudpickle", "cluster", "Calls in other processes need")
     try:
         sent = cloudpickle.dumps(f)
-    except Exception as error:  # noqa: BLE001 - whatever f holds
+    except Exception as error:  # noqa: BLE001 - pickling f may raise anything
         raise ParameterError(
-            f"{f.spec} cannot be sent to other processes ({reason_of(error, 200)}); give workers=1, or a "
-            "function without open files, locks or connections."
+            f"{f.spec} cannot be sent to other processes ({reason_of(error, 200)}); give "
+            "workers=1, or a function without open files, locks or connections."
         ) from None
     return ProcessPoolExecutor(workers, get_context("spawn"), _start_worker, (sent,))
 
@@ -313,7 +317,7 @@ def _start_worker(sent: bytes) -> None:
     import cloudpickle
 
     global _integrand
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the first process ends them
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # The main process ends the workers
     _integrand = cloudpickle.loads(sent)
 
 
@@ -326,7 +330,7 @@ def _in_worker_or_nan(x: Array) -> Array:
 
 
 def _values_or_nan(f: FunctionIntegrand, x: Array) -> Array:
-    """Values (k,), NaN where f fails or gives infinity."""
+    """Return values (k,), NaN where f fails or gives infinity."""
     try:
         values = f.checked_values(x, finite=False)
     except ParameterError:
@@ -338,7 +342,7 @@ def _values_or_nan(f: FunctionIntegrand, x: Array) -> Array:
 
 @final
 class _Cache:
-    """Values by a digest of the bytes of their points, in an SQLite file of one function."""
+    """Values of one function by a digest of each point's bytes, in an SQLite file."""
 
     def __init__(self, path: str | os.PathLike[str], function: str, dims: int) -> None:
         if not is_path(path):
@@ -348,28 +352,29 @@ class _Cache:
             self._file = sqlite3.connect(self._path, timeout=60.0, check_same_thread=False)
             self._file.execute(
                 "PRAGMA synchronous = OFF"
-            )  # Ctrl-C loses nothing, lack of power may
+            )  # Ctrl-C loses nothing; a power failure may
             with self._file:
                 self._file.execute("CREATE TABLE IF NOT EXISTS about (function TEXT, dims INTEGER)")
                 self._file.execute(
-                    "CREATE TABLE IF NOT EXISTS calls (point BLOB PRIMARY KEY, value REAL) WITHOUT ROWID"
+                    "CREATE TABLE IF NOT EXISTS calls "
+                    "(point BLOB PRIMARY KEY, value REAL) WITHOUT ROWID"
                 )
                 known = self._file.execute("SELECT * FROM about").fetchone()
                 if known is None:
                     self._file.execute("INSERT INTO about VALUES (?, ?)", (function, dims))
         except sqlite3.Error as error:
             raise FileFormatError(
-                f"The cache {path} cannot be used ({error}); give a new path, or that of an earlier cache."
+                f"The cache {path} cannot be used ({error}); give a new path or an earlier cache."
             ) from None
         if known not in (None, (function, dims)):
             self.close()
             raise ParameterError(
-                f"The cache {path} is of {known[0]} in {known[1]} dims, not of {function} in {dims}; give "
-                "another path."
+                f"The cache {path} is of {known[0]} in {known[1]} dims, not of {function} in "
+                f"{dims}; give another path."
             )
 
     def values(self, x: Array) -> Array:
-        """The values of points (k, d), NaN where they are not known."""
+        """Return the values at points (k, d), NaN for unknown points."""
         find = "SELECT value FROM calls WHERE point = ?"
         found = (self._file.execute(find, (_digest(point),)).fetchone() for point in x)
         return np.array([np.nan if each is None else each[0] for each in found], float)

@@ -1,9 +1,8 @@
-"""Integrands that are written as a formula such as ``exp(-x**2 - y**2)``, read as data.
+"""Integrands written as a formula such as ``exp(-x**2 - y**2)``, read as data.
 
-Python's parser reads the text; what it gives is walked once into a tree of NumPy's functions, and
-everything that is not in the lists below is refused. No name is looked up anywhere else, and nothing
-is evaluated as Python: numbers become floats before anything is done with them, so that ``9**9**9``
-is infinite instead of endless.
+Python's parser reads the text, and its tree is converted once into a tree of NumPy functions.
+Syntax that is not in the lists below is an error. No other name is looked up and no Python is
+evaluated. Numbers become floats first, so ``9**9**9`` is infinite and does not run forever.
 """
 
 from __future__ import annotations
@@ -26,14 +25,16 @@ from mcspectra.integrands.base import Breaks, Integrand, any_dims
 
 __all__ = ["Formula"]
 
-MOST_PARTS = 300  # numbers, names, operators and calls
+MOST_PARTS = 300  # Most numbers, names, operators and calls in a formula
 _MARK = re.compile(r"\w+|[^\w\s]")
-_MOST_MARKS = 6 * MOST_PARTS  # words and signs: a call has a name, brackets, commas and an exponent
+# Most words and signs: a call has a name, brackets, commas and an exponent
+_MOST_MARKS = 6 * MOST_PARTS
 _PROBES = 4
-_MOST_DEPTH = 100  # levels of a tree: reading and evaluating recurse, three frames a level
+# Most levels of the tree: reading and evaluation recurse with three frames per level
+_MOST_DEPTH = 100
 
 Evaluation: TypeAlias = Callable[[Array], Any]
-"""From points (..., d) to values, an array (...) or a number."""
+"""Maps points (..., d) to values, an array (...) or a number."""
 
 FUNCTIONS: Mapping[str, tuple[Callable[..., Any], int]] = {
     **{name: (getattr(np, name), 1) for name in (
@@ -46,7 +47,7 @@ FUNCTIONS: Mapping[str, tuple[Callable[..., Any], int]] = {
     "max": (np.maximum, 2),
     "where": (np.where, 3),
 }  # fmt: skip
-"""Functions by their names, with the number of arguments."""
+"""Functions by name, each with its number of arguments."""
 
 _CONSTANTS = {"pi": math.pi, "e": math.e}
 _AXES = "xyz"
@@ -62,23 +63,24 @@ _OPERATORS: Mapping[type, Callable[..., Any]] = {
 class Formula(Integrand):
     """A formula of the coordinates, read as data.
 
-    Such as ``exp(-x**2 - y**2)``: numbers, the coordinates x, y, z (or x0, x1, …), pi, e, the
-    operators + - * / ** %, comparisons, which are 1 where they hold and 0 elsewhere, and sin, cos,
-    tan, arcsin, arccos, arctan, arctan2, sinh, cosh, tanh, exp, log, log2, log10, sqrt, hypot, abs,
-    sign, sinc, floor, ceil, min, max and where. No other name is known, and nothing is run as Python.
+    An example is ``exp(-x**2 - y**2)``. A formula may contain numbers, the coordinates x, y, z (or
+    x0, x1, …), pi, e, the operators + - * / ** %, comparisons and functions. A comparison is 1
+    where it holds and 0 elsewhere. The functions are sin, cos, tan, arcsin, arccos, arctan,
+    arctan2, sinh, cosh, tanh, exp, log, log2, log10, sqrt, hypot, abs, sign, sinc, floor, ceil,
+    min, max and where. Any other name is an error, and nothing is run as Python.
 
     Parameters
     ----------
     expression
-        The formula, of 300 parts at most.
+        The formula, with at most 300 parts.
     dims
         Number of dims.
 
     Raises
     ------
     ParameterError
-        It is not a formula of this kind, names a coordinate beyond `dims`, or is not finite at all of four
-        points inside the cube.
+        If the text is not such a formula, names a coordinate beyond `dims`, or is not finite at
+        four test points inside the cube.
 
     Examples
     --------
@@ -96,12 +98,12 @@ class Formula(Integrand):
             raise ParameterError(
                 f"The formula is {shown(given)}; give text such as 'exp(-x**2 - y**2)'."
             )
-        steps = np.sqrt(np.arange(self.dims) + 2.5)  # an additive recurrence, on no symmetry
+        steps = np.sqrt(np.arange(self.dims) + 2.5)  # Additive recurrence, off all symmetry planes
         self._evaluate(np.arange(1, _PROBES + 1)[:, None] * steps % 1.0)
 
     @property
     def breaks(self) -> Breaks:
-        """Places where a coordinate is compared to a number."""
+        """Positions at which a coordinate is compared to a number."""
         return _compiled(self.expression, self.dims)[1]
 
     def _evaluate(self, x: Array) -> Array:
@@ -120,8 +122,8 @@ class Formula(Integrand):
 
 @lru_cache(64)
 def _compiled(text: str, dims: int) -> tuple[Evaluation, Breaks]:
-    """Read a formula: its evaluation, and where a coordinate is compared to a number."""
-    # Python's parser needs stack for every mark, and may end the process at a million of them
+    """Read a formula; return its evaluation and the places where coordinates meet numbers."""
+    # Python's parser needs stack for every mark; a million marks may end the process
     marks = sum(1 for _ in itertools.islice(_MARK.finditer(text), _MOST_MARKS + 1))
     if marks > _MOST_MARKS:
         raise ParameterError(
@@ -137,7 +139,7 @@ def _compiled(text: str, dims: int) -> tuple[Evaluation, Breaks]:
             "such as 'exp(-x**2 - y**2)', with * for products."
         ) from None
 
-    # Count parts and levels, without recursion; operators and marks of names that are read are no parts
+    # Count parts and levels without recursion; operators and contexts are not parts
     level: list[ast.AST] = [tree]
     parts = depth = 0
     kinds = ast.expr | ast.comprehension | ast.keyword
@@ -151,13 +153,13 @@ def _compiled(text: str, dims: int) -> tuple[Evaluation, Breaks]:
             f"on {_MOST_DEPTH} levels."
         )
 
-    reader = _Reader(dims)
+    reader = _TreeReader(dims)
     evaluate = reader.read(tree)
     return evaluate, tuple(tuple(sorted(places)) for places in reader.breaks)
 
 
-class _Reader:
-    """Turns a syntax tree into an evaluation; collects `breaks` on its way."""
+class _TreeReader:
+    """Converts a syntax tree into an evaluation and collects `breaks`."""
 
     def __init__(self, dims: int) -> None:
         self.dims = dims
@@ -202,7 +204,7 @@ class _Reader:
         )
 
     def _comparison(self, node: ast.Compare) -> Evaluation:
-        """1 where all of ``a < b < c`` hold, else 0."""
+        """Return 1 where all of ``a < b < c`` hold, else 0."""
         sides = [node.left, *node.comparators]
         for a, b in itertools.pairwise(sides):
             self._note_break(a, b)
@@ -233,7 +235,7 @@ class _Reader:
 
 
 def _number(value: object) -> Evaluation:
-    """A constant as a float: whole numbers of Python have no limit, floats have."""
+    """Return a constant as a float; Python's integers have no limit, floats have one."""
     try:
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise TypeError

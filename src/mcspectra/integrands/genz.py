@@ -1,4 +1,4 @@
-"""The six families of test integrands of [Genz1984]_, with exact integrals in any number of dims."""
+"""The six families of test integrands of [Genz1984]_, with exact integrals in any dimension."""
 
 from __future__ import annotations
 
@@ -26,20 +26,21 @@ __all__ = [
     "GenzProductPeak",
 ]
 
-_LEFT, _RIGHT = -40.0, 5.0  # ends of log s, the right one beyond log d, where e^-s leaves nothing
+# Ends of log s. The right end is added to log d; beyond it e^−s is negligible
+_LEFT, _RIGHT = -40.0, 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class Genz(Integrand):
-    """One of the functions of [Genz1984]_.
+    """Base class of the functions of [Genz1984]_.
 
     Parameters
     ----------
     a
-        Difficulty along the axes, > 0: one number for all or one for each.
+        Difficulty along the axes, > 0: one number for all axes or one for each.
     u
-        Places of peaks, kinks or jumps, in [0,1]: one number for all axes or one for each. Of
-        ``genz-oscillatory`` it is one number, a phase in cycles; ``genz-corner-peak`` has none.
+        Positions of peaks, kinks or jumps, in [0,1]: one number for all axes or one for each. For
+        ``genz-oscillatory``, u is one number, a phase in cycles. ``genz-corner-peak`` has no u.
     dims
         Number of dims.
     """
@@ -50,7 +51,7 @@ class Genz(Integrand):
 
 @dataclass(frozen=True, kw_only=True)
 class GenzProduct(Genz):
-    """One of Genz's functions that are products over axes."""
+    """Base class of Genz's functions that are products over axes."""
 
     u: float | Sequence[float] = per_axis(0.3, least=0.0, most=1.0)
     _u = each_axis("u")
@@ -58,11 +59,11 @@ class GenzProduct(Genz):
 
     @abstractmethod
     def _factors(self, x: Array) -> Array:
-        """Values of all factors at x (..., d): (..., d)."""
+        """Return the values of all factors at x (..., d): (..., d)."""
 
     @abstractmethod
     def _means(self) -> Array:
-        """Integrals of all factors: (d,)."""
+        """Return the integrals of all factors: (d,)."""
 
     def _check(self) -> None:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -91,7 +92,7 @@ class GenzOscillatory(Genz):
         return float(self._fourier(np.zeros(self.dims)).real)
 
     def _fourier(self, m: Array) -> Array:
-        """Of each of the two waves: ∫ exp(iax − 2πimx) dx = e^{iθ} sin θ/θ with θ = a/2 − πm."""
+        """Add two waves: ∫ exp(iax − 2πimx) dx = e^{iθ} sin θ/θ with θ = a/2 − πm."""
         waves = []
         for sign in (1.0, -1.0):
             theta = 0.5 * sign * self._a - np.pi * m
@@ -123,10 +124,11 @@ class GenzCornerPeak(Genz):
         return np.asarray((1.0 + x @ self._a) ** -(self.dims + 1.0))
 
     def _integral(self) -> float:
-        # The alternating sum over 2^d corners cancels. All terms are positive in
-        # ∫_0^∞ s^d e^{-s}/d! Π (1 − e^{−a_i s})/(a_i s) ds, s = e^y
+        # The alternating sum over 2^d corners cancels. All terms of the integral ∫_0^∞ s^d
+        # e^{-s}/d! Π (1 − e^{−a_i s})/(a_i s) ds with s = e^y are positive
         d = self.dims
-        step = 0.25 / math.sqrt(d + 64.0)  # a quarter of a standard deviation: good to rounding
+        # A quarter of a standard deviation gives rounding accuracy
+        step = 0.25 / math.sqrt(d + 64.0)
         y = np.arange(_LEFT, math.log(d + 1.0) + _RIGHT, step)
         s = np.exp(y)
         t = self._a[:, None] * s
@@ -154,7 +156,7 @@ class GenzContinuous(GenzProduct):
 
     @property
     def breaks(self) -> Breaks:
-        """The kinks."""
+        """The kinks inside (0, 1)."""
         return tuple((u,) if 0.0 < u < 1.0 else () for u in self._u.tolist())
 
     def _factors(self, x: Array) -> Array:
@@ -169,7 +171,7 @@ class GenzContinuous(GenzProduct):
 class GenzDiscontinuous(GenzProduct):
     """Genz's discontinuous function, f(x) = exp(Σ_i a_i x_i) where x_0 < u_0 and x_1 < u_1, else 0.
 
-    Places u of further axes do not count.
+    Only the first two components of u have an effect.
     """
 
     @property
@@ -178,7 +180,7 @@ class GenzDiscontinuous(GenzProduct):
 
     @property
     def breaks(self) -> Breaks:
-        """The jumps."""
+        """The jumps inside (0, 1)."""
         return tuple((u,) if 0.0 < u < 1.0 else () for u in self._ends.tolist())
 
     def _factors(self, x: Array) -> Array:

@@ -1,9 +1,9 @@
-"""Pictures as integrands: constant in each pixel, or as the light of a sky on a surface.
+"""Images as integrands: constant in each pixel, or as an environment that lights a surface.
 
-Conventions of environment maps are those of `mcspectra.core.environments`: x_0 is φ/2π, x_1 is θ/π. The
-density to go with one is ``environment`` of `mcspectra.densities.environment`. Sampled by luminance, a
-channel c keeps the ratio L_c / luminance, which jumps at the borders of colored pixels; sampled by its
-own density it keeps the cosine only, which is smooth but for its horizon.
+Environment maps follow `mcspectra.core.environments`: x_0 is φ/2π and x_1 is θ/π. The matching
+density is ``environment`` of `mcspectra.densities.environment`. Under sampling by luminance, a
+channel c keeps the ratio L_c / luminance, which jumps at the borders of colored pixels. Under
+sampling by its own density, only the cosine remains, which is smooth except at the horizon.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _LANDMARKS = 4096
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Picture(Integrand):
-    """A function of x by way of pixels (h, w) or (h, w, channels)."""
+    """Base class of functions of x that look up pixels (h, w) or (h, w, channels)."""
 
     path: str | os.PathLike[str] | None = checked(
         lambda _, given: os.fspath(given) if isinstance(given, os.PathLike) else given, None
@@ -42,25 +42,25 @@ class _Picture(Integrand):
     values: npt.ArrayLike | None = None
     channel: int | str | None = None
     dims: int = field(default=2, init=False)
-    _pixels: ClassVar[Any]  # made by subclasses: (h, w) or (h, w, channels)
+    _pixels: ClassVar[Any]  # Pixels (h, w) or (h, w, channels), made by subclasses
 
     def _check(self) -> None:
-        self._pixels  # noqa: B018 - reads the file, refuses bad pixels
+        self._pixels  # noqa: B018 - reads the file and raises on bad pixels
 
     @property
     def channels(self) -> int:  # type: ignore[override]
-        """Channels that were chosen."""
+        """Number of the selected channels, 0 if f is scalar."""
         return 0 if self._pixels.ndim == 2 else self._pixels.shape[2]
 
     def _pixel(self, x: Array) -> Array:
-        """The value of the pixel around x."""
+        """Return the value of the pixel that contains x."""
         height, width = self._pixels.shape[:2]
         column = np.minimum((x[..., 0] * width).astype(np.intp), width - 1)
         row = np.minimum((x[..., 1] * height).astype(np.intp), height - 1)
         return np.asarray(self._pixels[row, column])
 
     def _lines(self, first: float) -> Breaks:
-        """Borders of pixels, or centers if `first` is ½, along axes with at most 64 pixels."""
+        """Return pixel borders, or centers if `first` is ½, along axes with at most 64 pixels."""
         height, width = self._pixels.shape[:2]
         return tuple(
             tuple((np.arange(first, size) / size).tolist()) if size <= _MOST_BREAKS else ()
@@ -71,29 +71,30 @@ class _Picture(Integrand):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Image(_Picture):
-    """A picture on the unit square, constant in each pixel; x_0 runs along rows, x_1 down them.
+    """An image on the unit square, constant in each pixel; x_0 runs along rows, x_1 down them.
 
-    With v the pixels, w wide and h high, its coefficients are exact at every frequency: the discrete
-    transform V of the pixels, repeated periodically, times those of one pixel,
+    Its coefficients are exact at every frequency. For pixels v, w wide and h high, with the
+    discrete Fourier transform V, repeated periodically, they are
 
-        f_m = V[m_1 mod h, m_0 mod w]/(w h) · sinc(π m_0/w) sinc(π m_1/h) · exp(−πi (m_0/w + m_1/h)).
+      f_m = V[m_1 mod h, m_0 mod w]/(w h) · sinc(π m_0/w) sinc(π m_1/h) · exp(−πi (m_0/w + m_1/h)).
 
     Parameters
     ----------
     path
-        A file that `mcspectra.core.images.read_image` reads; PNG and JPEG are made linear.
+        Image file that `mcspectra.core.images.read_image` reads; PNG and JPEG are made linear.
     values
-        Pixels instead of a file: numbers of shape (h, w) or (h, w, channels), first row on top.
+        Pixels instead of a file: numbers of shape (h, w) or (h, w, channels), top row first.
     channel
-        Number of one channel, ``"luminance"`` (Rec. 709, of three), or None for all. All of a
-        one-channel picture is a scalar integrand.
+        Number of one channel, ``"luminance"`` (Rec. 709, three channels), or None for all. An image
+        with one channel is a scalar integrand.
 
     Raises
     ------
     ParameterError
-        Neither or both of path and values; not finite numbers of that shape; no such channel.
+        If neither or both of path and values are given, the pixels are not finite numbers of such a
+        shape, or the channel does not exist.
     FileFormatError
-        The file is missing or cannot be read.
+        If the file is missing or cannot be read.
     """
 
     @cached_property
@@ -114,7 +115,8 @@ class Image(_Picture):
             ) from None
         if pixels.ndim not in (2, 3) or pixels.size == 0:
             raise ParameterError(
-                f"values have shape {pixels.shape}; give pixels of shape (h, w) or (h, w, channels)."
+                f"values have shape {pixels.shape}; give pixels of shape (h, w) or "
+                "(h, w, channels)."
             )
         if not np.isfinite(pixels).all():
             raise ParameterError("values hold NaN or infinity; give finite pixels.")
@@ -126,7 +128,7 @@ class Image(_Picture):
         return self._lines(1.0)
 
     def landmarks(self) -> Array:
-        """Centers of the pixels that are not 0, of the 4096 largest at most."""
+        """Return centers of the nonzero pixels, at most the 4096 largest."""
         size = np.abs(self._pixels).reshape(*self._pixels.shape[:2], -1).max(axis=2)
         height, width = size.shape
         order = np.argpartition(size, max(0, size.size - _LANDMARKS), axis=None)[-_LANDMARKS:]
@@ -135,7 +137,7 @@ class Image(_Picture):
         return np.stack([(column + 0.5) / width, (row + 0.5) / height], axis=-1)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Sums over rectangles of the pixels and of their squares, fractions of pixels included."""
+        """Return means of the pixels and of their squares over rectangles."""
         plain, squared = self._tables
         return _box_means(plain, lo, hi), _box_means(squared, lo, hi)
 
@@ -161,7 +163,7 @@ class Image(_Picture):
         height, width = self._pixels.shape[:2]
         row = np.mod(m[..., 1], height).astype(np.intp)
         column = np.mod(m[..., 0], width).astype(np.intp)
-        cycles = m / np.array([width, height])  # in one pixel
+        cycles = m / np.array([width, height])  # Cycles in one pixel
         pixel = np.sinc(cycles).prod(axis=-1) * np.exp(-1j * np.pi * cycles.sum(axis=-1))
         found = self._transform[row, column]
         return np.asarray(found * (pixel[..., None] if self.channels else pixel))
@@ -172,29 +174,30 @@ class Image(_Picture):
 class Environment(_Picture):
     """Irradiance by a lat-long environment map: L(ω) max(0, n·ω), per unit of the square.
 
-    f(x) = 2π² sin(π x_1) L(x) max(0, n·ω(x)); its integral is the irradiance of a surface with the
+    f(x) = 2π² sin(π x_1) L(x) max(0, n·ω(x)). Its integral is the irradiance of a surface with the
     normal n.
 
     Parameters
     ----------
     path, values
-        A file that `mcspectra.core.images.read_image` reads, or pixels (h, w) or (h, w, channels),
-        linear and at least 0; by default `synthetic_sky`.
+        Image file that `mcspectra.core.images.read_image` reads, or pixels (h, w) or (h, w,
+        channels), linear and at least 0. The default is `synthetic_sky`.
     channel
-        Number of one channel, ``"luminance"`` (Rec. 709, of three), or None for all. All of a
-        one-channel map is a scalar integrand.
+        Number of one channel, ``"luminance"`` (Rec. 709, three channels), or None for all. A map
+        with one channel is a scalar integrand.
     normal
-        Three numbers, not all 0, of any length; +z is toward the first row.
+        Three numbers, not all 0, of any length; +z points to the first row.
     interpolation
-        ``"constant"`` in each pixel, or ``"bilinear"`` between centers: periodic in φ, the outermost
-        rows continued to the poles.
+        ``"constant"`` in each pixel, or ``"bilinear"`` between centers. Bilinear interpolation is
+        periodic in φ and constant between the outermost rows and the poles.
 
     Raises
     ------
     ParameterError
-        Both path and values; pixels, channel, normal or interpolation not as above.
+        If both path and values are given, or the pixels, channel, normal or interpolation are
+        invalid.
     FileFormatError
-        The file is missing or cannot be read.
+        If the file is missing or cannot be read.
     """
 
     normal: Sequence[float] = checked(lambda name, v: as_reals(name, v, 3), (0.0, 0.0, 1.0))
@@ -216,7 +219,7 @@ class Environment(_Picture):
 
     @property
     def breaks(self) -> Breaks:
-        """Pixel borders or centers, along axes with at most 64; the horizon of a vertical normal."""
+        """Pixel borders or centers along axes with at most 64; the horizon of a vertical normal."""
         columns, rows = self._lines(1.0 if self.interpolation == "constant" else 0.5)
         return columns, tuple(sorted({*rows, 0.5})) if self._vertical else rows
 
@@ -229,7 +232,7 @@ class Environment(_Picture):
         factor = 2 * math.pi**2 * np.sin(np.pi * x[..., 1]) * cosine
         if self.interpolation == "constant":
             radiance = self._pixel(x)
-        else:  # between the four centers around x
+        else:  # Interpolate between the four centers around x
             height, width = self._pixels.shape[:2]
             s, t = x[..., 0] * width - 0.5, np.clip(x[..., 1] * height - 0.5, 0, height - 1)
             left, top = np.floor(s).astype(np.intp), np.floor(t).astype(np.intp)
@@ -252,7 +255,7 @@ class Environment(_Picture):
 
 
 def _chosen(pixels: Array, channel: object) -> Array:
-    """Return one channel (h, w), or all of several (h, w, channels)."""
+    """Return one channel (h, w), or all channels (h, w, channels)."""
     count = pixels.shape[2]
     if channel is None:
         return pixels if count > 1 else pixels[..., 0]
@@ -261,8 +264,8 @@ def _chosen(pixels: Array, channel: object) -> Array:
     if type(channel) is int and 0 <= channel < count:
         return pixels[..., channel]
     raise ParameterError(
-        f"channel is {shown(channel)}, but the picture has {count}; give a number from 0 to {count - 1}, "
-        "'luminance' (of three channels), or None for all."
+        f"channel is {shown(channel)}, but the image has {count}; give a number from 0 to "
+        f"{count - 1}, 'luminance' (three channels), or None for all."
     )
 
 
@@ -273,7 +276,7 @@ def _summed_area(pixels: Array) -> Array:
 
 
 def _box_means(table: Array, lo: Array, hi: Array) -> Array:
-    """Mean over boxes from a summed-area table: its bilinear interpolant is the exact primitive."""
+    """Return means over boxes; bilinear interpolation of a summed-area table is exact."""
     height, width = table.shape[0] - 1, table.shape[1] - 1
     total: Any = 0.0
     for x, sx in ((hi[..., 0], 1.0), (lo[..., 0], -1.0)):
@@ -290,7 +293,7 @@ def _box_means(table: Array, lo: Array, hi: Array) -> Array:
 def _between(
     table: Array, columns: tuple[Array, Array], rows: tuple[Array, Array], s: Array, t: Array
 ) -> Array:
-    """Bilinear interpolation at shares s of the way between two columns, t between two rows."""
+    """Interpolate bilinearly at fractions s between two columns and t between two rows."""
     if table.ndim == 3:
         s, t = s[..., None], t[..., None]
     (left, right), (top, bottom) = columns, rows

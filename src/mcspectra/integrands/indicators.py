@@ -1,6 +1,6 @@
-"""Discontinuous integrands, and one smoothed: indicators of half-spaces and balls, and ramps.
+"""Discontinuous integrands: steps, disks and half-spaces; and a ramp, the smoothed step.
 
-The strict inequality decides on borders, so that 1[x < a] of a grid point at a is 0.
+The inequality is strict at borders, so 1[x < a] is 0 at a grid point x = a.
 """
 
 from __future__ import annotations
@@ -29,20 +29,20 @@ from mcspectra.integrands.base import (
 
 __all__ = ["Disk", "HalfSpace", "SmoothedStep", "Step"]
 
-_CYCLES, _ORDER = 8, 32  # 32 Gauss nodes integrate 8 cycles of a wave to rounding
-_BLOCK = 2**22  # complex numbers in one block of a sum over nodes: 64 MiB
-_CONDITION = 1e-10  # relative rounding that inclusion and exclusion may cost
+_CYCLES, _ORDER = 8, 32  # Panels of 8 cycles of a wave, which 32 Gauss nodes integrate to rounding
+_BLOCK = 2**22  # Complex numbers in one block of a sum over nodes: 64 MiB
+_CONDITION = 1e-10  # Largest relative rounding error that inclusion and exclusion may cause
 
 
 class _Indicator(Integrand):
-    """A function of values 0 and 1."""
+    """Base class of functions with the values 0 and 1."""
 
     @abstractmethod
     def _share(self, lo: Array, hi: Array) -> Array | None:
-        """Share of boxes where it is 1, if known."""
+        """Return the fraction of each box where f is 1, or None if it is not known."""
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:
-        """The share of each box, twice: f² = f."""
+        """Return the fraction of each box where f is 1, twice: f² = f."""
         share = self._share(lo, hi)
         return None if share is None else (share, share)
 
@@ -59,9 +59,9 @@ class Step(_Indicator):
     Parameters
     ----------
     at
-        Place of the step, in [0,1].
+        Position of the step, in [0,1].
     axis
-        Which axis, from 0.
+        Number of the axis, from 0.
     dims
         Number of dims.
     """
@@ -72,7 +72,7 @@ class Step(_Indicator):
 
     @property
     def breaks(self) -> Breaks:
-        """The step."""
+        """The position of the step."""
         return _on_axis(self.dims, self.axis, self.at)
 
     def _share(self, lo: Array, hi: Array) -> Array:
@@ -88,7 +88,7 @@ class Step(_Indicator):
 @final
 @dataclass(frozen=True, kw_only=True)
 class SmoothedStep(Integrand):
-    """A falling ramp along one axis, f(x) = (at + width/2 − x_axis)/width, held between 0 and 1.
+    """A falling ramp, f(x) = (at + width/2 − x_axis)/width, clipped to [0, 1].
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ class SmoothedStep(Integrand):
     width
         Width of the ramp, > 0; the ramp may reach beyond the domain.
     axis
-        Which axis, from 0.
+        Number of the axis, from 0.
     dims
         Number of dims.
     """
@@ -114,12 +114,12 @@ class SmoothedStep(Integrand):
 
     @property
     def breaks(self) -> Breaks:
-        """The two knees, where they are inside."""
+        """The two ends of the ramp that lie inside the domain."""
         inside = (knee for knee in self._ramp if 0.0 < knee < 1.0)
         return _on_axis(self.dims, self.axis, *inside)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Share below the ramp, and the trapezoid and its square within the ramp."""
+        """Add the part of each box below the ramp and the trapezoid within the ramp."""
         start, stop = self._ramp
         low, high = lo[..., self.axis], hi[..., self.axis]
         full, sloped = _overlap(low, high, 0.0, start), _overlap(low, high, start, stop)
@@ -139,7 +139,8 @@ class SmoothedStep(Integrand):
         return float(start + (stop - start) * middle)
 
     def _fourier(self, m: Array) -> Array:
-        # By parts: f_m = (f(0) − f(1) + ∫ f' exp(−2πi m x) dx) / (2πi m), with f' = −1/width.
+        # Integrate by parts: f_m = (f(0) − f(1) + ∫ f' exp(−2πi m x) dx) / (2πi m), with f' =
+        # −1/width
         along = m[..., self.axis]
         slope = _interval_fourier(along, *self._ramp) / self.width
         drop = self._height(0.0) - self._height(1.0)
@@ -152,9 +153,9 @@ class SmoothedStep(Integrand):
 class Disk(_Indicator):
     """The indicator of a ball, f(x) = 1 where |x − center| < radius, else 0.
 
-    In 2-D everything is exact, also where the domain cuts the disk: its coefficients are then
-    integrated chord by chord, to rounding. In 3-D and more a ball inside the domain is exact
-    (Bessel functions), one that is cut is left to quadrature. There is no wrap-around.
+    In 2-D everything is exact. If the domain cuts the disk, the coefficients are integrated chord
+    by chord, to rounding. In 3-D and more, a ball inside the domain is exact (Bessel functions) and
+    a cut ball needs quadrature. There is no wrap-around.
 
     Parameters
     ----------
@@ -185,13 +186,13 @@ class Disk(_Indicator):
 
     @property
     def breaks(self) -> Breaks:
-        """Both ends in 1-D; in more dims the border lies along no axis."""
+        """Both ends in 1-D; in more dims the border is not normal to an axis."""
         inside = tuple(end for end in self._interval if 0.0 < end < 1.0)
         return (inside,) if self.dims == 1 else ((),) * self.dims
 
     @property
     def fourier_source(self) -> str:
-        """Bessel functions where the disk is inside the domain, else chords."""
+        """Bessel functions if the disk is inside the domain, else chords."""
         if self.dims == 2 and not self._inside:
             return "Gauss-Legendre quadrature over exact chords, to rounding"
         return super().fourier_source
@@ -213,7 +214,7 @@ class Disk(_Indicator):
         if not self._inside:
             return _cut_disk_fourier(m, self._centers, self.radius) if self.dims == 2 else None
 
-        # (r/|m|)^{d/2} J_{d/2}(2π r |m|) exp(−2πi m·c)
+        # The coefficient is (r/|m|)^{d/2} J_{d/2}(2π r |m|) exp(−2πi m·c)
         from scipy.special import jv
 
         order, length = self.dims / 2, np.sqrt((m * m).sum(axis=-1))
@@ -228,8 +229,9 @@ class Disk(_Indicator):
 class HalfSpace(_Indicator):
     """The indicator of a half-space, f(x) = 1 where normal·x < offset, else 0.
 
-    Exact in 1-D and 2-D; in more dims the integral is exact (where inclusion and exclusion of the
-    cube's corners keeps ten digits, at most 16 dims) and the coefficients come from quadrature.
+    Integral and coefficients are exact in 1-D and 2-D. In more dims the integral is exact if
+    inclusion and exclusion of the cube's corners keeps ten digits (at most 16 dims), and the
+    coefficients come from quadrature.
 
     Parameters
     ----------
@@ -284,33 +286,33 @@ def _on_axis(dims: int, axis: int, *places: float) -> Breaks:
 
 
 def _only_along(m: Array, axis: int, coefficients: Array) -> Array:
-    """Coefficients of a function of x_axis alone: 0 where another component of m is not 0."""
+    """Return coefficients of a function of x_axis: 0 if another component of m is not 0."""
     others = (np.delete(m, axis, axis=-1) != 0).any(axis=-1)
     return np.where(others, 0.0, coefficients)
 
 
 def _overlap(low: Array, high: Array, start: float, stop: float) -> Array:
-    """Share of the intervals [low, high] that lies in [start, stop]."""
+    """Return the fraction of the intervals [low, high] that lies in [start, stop]."""
     inside = np.minimum(high, stop) - np.maximum(low, start)
     return np.asarray(np.maximum(inside, 0.0) / (high - low))
 
 
 def _interval_fourier(nu: Array, low: Array | float, high: Array | float) -> Array:
-    """∫_low^high exp(−2πi ν x) dx for real ν, without a singular case at ν = 0."""
+    """Return ∫_low^high exp(−2πi ν x) dx for real ν, also at ν = 0."""
     width = high - low
     return np.asarray(width * np.sinc(nu * width) * np.exp(-1j * np.pi * nu * (low + high)))
 
 
 def _ball_volume(dims: int, radius: float) -> float:
-    """Volume of a d-ball."""
+    """Return the volume of a d-ball."""
     return float(math.pi ** (dims / 2) * radius**dims / math.gamma(dims / 2 + 1))
 
 
 def _disk_share(lo: Array, hi: Array, center: Array, radius: float) -> Array:
-    """Share of the rectangles [lo, hi], (..., 2), that lies in a disk.
+    """Return the fraction of the rectangles [lo, hi], (..., 2), that lies in a disk.
 
-    By inclusion and exclusion of quadrants, with rectangles wholly inside or outside told apart
-    first: there the difference of nearly equal areas would leave rounding where 0 or 1 is right.
+    Areas of quadrants are combined by inclusion and exclusion. Rectangles wholly inside or outside
+    are set to 1 or 0 first, because differences of nearly equal areas would leave rounding errors.
     """
     a, b = (lo - center) / radius, (hi - center) / radius
     box = (b - a).prod(axis=-1)
@@ -327,27 +329,27 @@ def _disk_share(lo: Array, hi: Array, center: Array, radius: float) -> Array:
 
 
 def _quadrant(x: Array, y: Array) -> Array:
-    """Area of the unit disk within (−∞, x] × (−∞, y]."""
+    """Return the area of the unit disk within (−∞, x] × (−∞, y]."""
     x, y = np.clip(x, -1.0, 1.0), np.clip(y, -1.0, 1.0)
     k = np.sqrt(1.0 - y * y)
     inner = np.clip(x, -k, k)
-    strip = y * (inner + k)  # where the chord is cut at height y
+    strip = y * (inner + k)  # The chord at height y cuts the disk
     below = _half_area(inner) - _half_area(-k) + strip
     caps = _half_area(np.minimum(x, -k)) + _half_area(np.maximum(x, k)) - _half_area(k)
     return np.asarray(np.where(y < 0, below, _half_area(x) + caps + strip))
 
 
 def _half_area(x: Array) -> Array:
-    """∫_{−1}^x √(1−t²) dt."""
+    """Return ∫_{−1}^x √(1−t²) dt."""
     return np.asarray(0.5 * (x * np.sqrt(1.0 - x * x) + np.arcsin(x) + 0.5 * np.pi))
 
 
 def _cut_disk_fourier(m: Array, center: Array, radius: float) -> Array:
-    """Coefficients of a disk cut by the unit square, m (..., 2): chords, integrated over x_0.
+    """Return coefficients of a disk cut by the unit square at m (..., 2), chord by chord.
 
-    Along a chord the integral is exact; over x_0 = c_0 + r sin θ, where chords are smooth between
-    the kinks at which the circle meets the borders, Gauss-Legendre panels are short enough for the
-    highest frequency to be integrated to rounding. Cost O(U_0 U_1 (|m| + const)) for U_i distinct m_i.
+    Along a chord the integral is exact. Chords are smooth in x_0 = c_0 + r sin θ between the kinks
+    at which the circle meets the borders. Gauss-Legendre panels there are short enough to integrate
+    the highest frequency to rounding. The cost is O(U_0 U_1 (|m| + const)) for U_i distinct m_i.
     """
     m0, where0 = np.unique(m[..., 0], return_inverse=True)
     m1, where1 = np.unique(m[..., 1], return_inverse=True)
@@ -380,10 +382,11 @@ def _cut_disk_fourier(m: Array, center: Array, radius: float) -> Array:
 
 
 def _half_plane_share(lo: Array, hi: Array, normal: Array, offset: float) -> Array:
-    """Share of the boxes [lo, hi], (..., 1) or (..., 2), in which normal·x < offset.
+    """Return the fraction of the boxes [lo, hi], (..., 1) or (..., 2), with normal·x < offset.
 
-    In units of the box, with both components of the normal made positive by reflection, it is the
-    distribution function of a u + b v for uniform u, v: a trapezoid with corners at b and a, a ≥ b.
+    In units of the box, with the normal reflected to positive components, it is the distribution
+    function of a u + b v for uniform u, v. Its density is a trapezoid with corners at b and a, a ≥
+    b.
     """
     sides = (hi - lo) * normal
     level = offset - lo @ normal - np.minimum(sides, 0.0).sum(axis=-1)
@@ -391,18 +394,18 @@ def _half_plane_share(lo: Array, hi: Array, normal: Array, offset: float) -> Arr
     a = sides[..., -1]
     b = sides[..., 0] if sides.shape[-1] == 2 else np.zeros_like(a)
     level = np.clip(level, 0.0, a + b)
-    mirrored = np.minimum(level, a + b - level)  # the distribution is symmetric about (a + b)/2
+    mirrored = np.minimum(level, a + b - level)  # The distribution is symmetric about (a + b)/2
     twice = np.where(b > 0, 2.0 * a * b, 1.0)
     share = np.where(mirrored < b, mirrored**2 / twice, (mirrored - 0.5 * b) / a)
     return np.asarray(np.where(level > 0.5 * (a + b), 1.0 - share, share))
 
 
 def _cut_cube_volume(normal: Array, offset: float) -> float | None:
-    """Volume of {x in [0,1]^d: normal·x < offset}; None where rounding would spoil it.
+    """Return the volume of {x in [0,1]^d: normal·x < offset}, or None if rounding spoils it.
 
-    With k positive components after reflection, Σ_v (−1)^|v| (offset − n·v)_+^k / (k! Π n_i) over
-    the corners v of the cube [BarrowSmith1979]_. The terms cancel: the
-    relative rounding is checked.
+    With k positive components after reflection, the volume is Σ_v (−1)^|v| (offset − n·v)_+^k / (k!
+    Π n_i) over the corners v of the cube [BarrowSmith1979]_. The terms cancel, so the relative
+    rounding error is checked.
     """
     level = offset - np.minimum(normal, 0.0).sum()
     n = np.abs(normal[normal != 0])
@@ -420,11 +423,12 @@ def _cut_cube_volume(normal: Array, offset: float) -> float | None:
 
 
 def _half_plane_fourier(m: Array, normal: Array, offset: float) -> Array:
-    """Coefficients of the indicator of normal·x < offset on the unit square, m (..., 2).
+    """Return coefficients of the indicator of normal·x < offset on the unit square, m (..., 2).
 
-    The region is {x_k < α + β x_j} or its complement, with k the axis on which the normal is larger,
-    so that |β| ≤ 1; where the line is inside, x_j in [a, b], the integral along x_k is exact and
-    what is left is one of exp(−2πi (m_j + β m_k) x_j), regular also where m is normal to the line.
+    The region is {x_k < α + β x_j} or its complement. Axis k has the larger component of the
+    normal, so |β| ≤ 1. The line is inside the square for x_j in [a, b]. The integral along x_k is
+    exact there; an integral of exp(−2πi (m_j + β m_k) x_j) remains, which is regular also if m is
+    normal to the line.
     """
     k = int(np.argmax(np.abs(normal)))
     mj, mk = m[..., 1 - k], m[..., k]
@@ -433,13 +437,13 @@ def _half_plane_fourier(m: Array, normal: Array, offset: float) -> Array:
         a, b = (0.0, 1.0) if 0 < alpha < 1 else (0.0, 0.0)
     else:
         a, b = np.clip(sorted((-alpha / beta, (1 - alpha) / beta)), 0, 1).tolist()
-    if beta == 0:  # where the line is above the square
+    if beta == 0:  # Columns in which the line is above the square
         full = (0.0, 1.0) if alpha >= 1 else (0.0, 0.0)
     else:
         cross = min(max((1.0 - alpha) / beta, 0.0), 1.0)
         full = (cross, 1.0) if beta > 0 else (0.0, cross)
 
-    # ∫_a^b ∫_0^{α+βx} exp(−2πi (m_j x + m_k y)) dy dx, and all of the column where it is full
+    # Integrate ∫_a^b ∫_0^{α+βx} exp(−2πi (m_j x + m_k y)) dy dx, and add the full columns
     flat = mk == 0
     edge = np.exp(-2j * np.pi * mk * alpha) * _interval_fourier(mj + beta * mk, a, b)
     base = _interval_fourier(mj, a, b)
@@ -451,7 +455,7 @@ def _half_plane_fourier(m: Array, normal: Array, offset: float) -> Array:
 
 
 def _ramp_fourier(m: Array, a: float, b: float) -> Array:
-    """∫_a^b x exp(−2πi m x) dx for integer m, by parts."""
+    """Return ∫_a^b x exp(−2πi m x) dx for integer m, by parts."""
     zero = m == 0
     c = 2j * np.pi * np.where(zero, 1.0, m)
     at_a, at_b = np.exp(-c * a), np.exp(-c * b)

@@ -1,4 +1,4 @@
-"""Irradiance from a rectangular light, over the light's area: a rendering integrand with a known answer."""
+"""Irradiance from a rectangular light: a rendering integrand whose exact integral is known."""
 
 from __future__ import annotations
 
@@ -19,7 +19,8 @@ __all__ = ["RectangleLight"]
 Vector = tuple[float, float, float]
 
 _CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-_FLAT = 1e-12  # height of an occluder's plane over the origin, relative, that hides nothing
+# Relative height of an occluder's plane over the origin below which the occluder hides nothing
+_FLAT = 1e-12
 
 
 def _as_occluder(_: str, value: Any) -> tuple[Vector, Vector, Vector]:
@@ -37,32 +38,32 @@ def _as_occluder(_: str, value: Any) -> tuple[Vector, Vector, Vector]:
 @final
 @dataclass(frozen=True, kw_only=True)
 class RectangleLight(Integrand):
-    """Irradiance at a point from a light: f(s, t) = L cos θ cos θ' V area / r².
+    """Irradiance at a point lit by a rectangle: f(s, t) = L cos θ cos θ' V area / r².
 
     (s, t) stands for the point corner + s e_0 + t e_1 of the light, which emits the same radiance L
-    on both sides. θ is the angle to the receiver's normal (f = 0 below its horizon), θ' that to the
-    light's, V the visibility past the occluder. Lights are those of the densities
-    ``spherical-rectangle`` and, for parallelograms, ``spherical-triangle``.
+    on both sides. θ is the angle to the receiver's normal (f = 0 below its horizon), θ' the angle
+    to the light's normal, and V the visibility past the occluder. The densities
+    ``spherical-rectangle`` and, for parallelograms, ``spherical-triangle`` sample these lights.
 
     Attributes
     ----------
     corner, edge0, edge1
-        A corner of the light and the edges from it; any parallelogram with an area.
+        A corner of the light and the edges from it. Any parallelogram with an area is allowed.
     origin
-        The point that is lit; not in the plane of the light.
+        The lit point; it must not lie in the plane of the light.
     normal
-        Normal of the receiver, of any length but 0.
+        Normal of the receiver, of any positive length.
     radiance
         L, at least 0.
     occluder
-        None, or the corner and both edges of an opaque parallelogram: ``[[x, y, z], …]``. It hides
-        what lies behind it, and puts a jump along its shadow into f.
+        None, or the corner and both edges of an opaque parallelogram: ``[[x, y, z], …]``. Its
+        shadow makes f discontinuous.
 
     Notes
     -----
-    The integral is exact: Lambert's formula for polygons, E = (L/2) Σ_i Γ_i n·(v_i × v_{i+1})/|…|
-    with the angle Γ_i of the edge v_i v_{i+1}, less what the occluder's silhouette cuts out of the
-    light. Its rounding error is about 1e-15 L, whatever the size of the light.
+    The integral is exact. It is Lambert's formula for polygons, E = (L/2) Σ_i Γ_i n·(v_i ×
+    v_{i+1})/|…| with the angle Γ_i of the edge v_i v_{i+1}, minus the part of the light behind the
+    occluder. Its rounding error is about 1e-15 L for any size of the light.
     """
 
     dims: int = field(default=2, init=False)
@@ -81,7 +82,7 @@ class RectangleLight(Integrand):
 
     @cached_property
     def _light(self) -> tuple[Array, Array, Array]:
-        """Corner about the origin and both edges."""
+        """Corner relative to the origin, and both edges."""
         return np.subtract(self.corner, self.origin), np.array(self.edge0), np.array(self.edge1)
 
     @cached_property
@@ -95,7 +96,7 @@ class RectangleLight(Integrand):
 
     @cached_property
     def _shade(self) -> tuple[Array, Array, Array] | None:
-        """The occluder about the origin; None where it hides nothing."""
+        """Occluder relative to the origin, or None if it hides nothing."""
         if self.occluder is None:
             return None
         corner, edge0, edge1 = np.array(self.occluder)
@@ -112,11 +113,11 @@ class RectangleLight(Integrand):
         return np.asarray(self.radiance * cosines * self._visible(w) / norm(w) ** 4)
 
     def _visible(self, w: Array) -> Array:
-        """Whether nothing lies between the origin and points w (..., 3)."""
+        """Return whether nothing lies between the origin and points w (..., 3)."""
         if self._shade is None:
             return np.ones(w.shape[:-1], bool)
         corner, e0, e1 = self._shade
-        # corner + a e0 + b e1 = τ w, by Cramer's rule
+        # Solve corner + a e0 + b e1 = τ w by Cramer's rule
         across = w @ np.cross(e0, e1)
         scale = np.divide(1.0, across, out=np.zeros_like(across), where=across != 0)
         a = -(w @ np.cross(corner, e1)) * scale
@@ -131,7 +132,7 @@ class RectangleLight(Integrand):
         return self.radiance * (self._irradiance(lit) - self._irradiance(self._shadow(lit)))
 
     def _irradiance(self, polygon: Array) -> float:
-        """Lambert's formula for corners (k, 3) above the horizon, unit radiance."""
+        """Apply Lambert's formula to corners (k, 3) above the horizon, for unit radiance."""
         following = np.roll(polygon, -1, axis=0)
         crossed = np.cross(polygon, following)
         lengths = norm(crossed)
@@ -140,14 +141,15 @@ class RectangleLight(Integrand):
         return 0.5 * abs(float(ratios @ (crossed @ self._up)))
 
     def _shadow(self, lit: Array) -> Array:
-        """The part of a polygon of the light that the occluder hides."""
+        """Return the part of a polygon of the light that the occluder hides."""
         if self._shade is None:
             return lit[:0]
         corner, e0, e1 = self._shade
         toward = np.cross(self._light[1], self._light[2])
         toward = toward / norm(toward) * np.sign(self._light[0] @ toward)
         shade = _clip(corner + _CORNERS @ np.stack([e0, e1]), toward, 0.0)
-        shade = -_clip(-shade, toward, -self._height)  # what is behind the light hides nothing
+        # Parts of the occluder behind the light hide nothing
+        shade = -_clip(-shade, toward, -self._height)
         if len(shade) < 3:
             return lit[:0]
         middle = shade.mean(axis=0)
@@ -158,7 +160,7 @@ class RectangleLight(Integrand):
 
 
 def _clip(polygon: Array, normal: Array, offset: float) -> Array:
-    """The part of a convex polygon (k, 3) where normal·x >= offset [SutherlandHodgman1974]_."""
+    """Clip a convex polygon (k, 3) to normal·x >= offset [SutherlandHodgman1974]_."""
     if not len(polygon):
         return polygon
     heights = polygon @ normal - offset

@@ -1,4 +1,4 @@
-"""Integrands by name."""
+"""Registry of integrands by name."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ INTEGRANDS = Registry(
     classes_of(
         {
             "integrands.analytic": "Constant Cosine Gaussian Linear Polynomial",
-            "integrands.christensen": "ChristensenBilinear ChristensenDisk ChristensenGaussian ChristensenStep "
-            "ChristensenTriangle",
+            "integrands.christensen": "ChristensenBilinear ChristensenDisk ChristensenGaussian "
+            "ChristensenStep ChristensenTriangle",
             "integrands.formula": "Formula",
-            "integrands.genz": "GenzContinuous GenzCornerPeak GenzDiscontinuous GenzGaussian GenzOscillatory "
-            "GenzProductPeak",
+            "integrands.genz": "GenzContinuous GenzCornerPeak GenzDiscontinuous GenzGaussian "
+            "GenzOscillatory GenzProductPeak",
             "integrands.image": "Environment Image",
             "integrands.indicators": "Disk HalfSpace SmoothedStep Step",
             "integrands.lights": "RectangleLight",
@@ -42,14 +42,14 @@ def integrand(spec: str, dims: int | None = None) -> Integrand:
     spec
         ``name`` or ``name(key=value, ...)``; see ``mcspectra list integrands``.
     dims
-        Number of dims; by default those the spec says, or the integrand's own, or 2.
+        Number of dims. By default the spec's own, else the integrand's, else 2.
 
     Raises
     ------
     SpecError
-        The spec cannot be read; `UnknownName` if the name is not registered.
+        If the spec cannot be read; `UnknownName` if the name is not registered.
     ParameterError
-        A parameter is unknown, missing or out of range, or dims disagree.
+        If a parameter is unknown, missing or out of range, or the numbers of dims disagree.
     """
     asked = None if dims is None else as_integer("dims", dims, least=1, most=MAX_DIMS)
     found: Integrand = INTEGRANDS.build(parse(spec), asked)
@@ -57,12 +57,12 @@ def integrand(spec: str, dims: int | None = None) -> Integrand:
 
 
 def as_integrand(given: object, dims: int | None = None) -> Integrand:
-    """Return an integrand from one or from a spec string; `dims`, if given, must agree.
+    """Return an integrand, or make one from a spec string; `dims`, if given, must agree.
 
     Raises
     ------
     ParameterError
-        `given` has another type, or other dims.
+        If `given` is neither, or has another number of dims.
     """
     if isinstance(given, str):
         return integrand(given, dims)

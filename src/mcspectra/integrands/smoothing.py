@@ -1,9 +1,10 @@
-"""Smoothed edges: ramps instead of jumps, for a better rate of convergence at the price of a bias.
+"""Smoothed edges: ramps instead of jumps, for faster convergence at the price of a bias.
 
-Two ways. An edge that is known by its signed distance, 1 where σ(x) < 0, becomes the linear ramp
-½ − σ/δ, held between 0 and 1: the average of the edges moved by τ, uniform in [−δ/2, δ/2], whose
-integrals and coefficients are therefore averages of theirs. Anything else is averaged over a box of
-side δ about x, with f continued by reflection at the faces of the domain, which keeps the integral.
+There are two methods. If the signed distance σ(x) to an edge is known (f = 1 where σ < 0), the edge
+becomes the linear ramp ½ − σ/δ, clipped to [0, 1]. That is the average of the edges moved by τ,
+uniform in [−δ/2, δ/2], so its integral and coefficients are averages over the moved edges. Any
+other integrand is averaged over a box of side δ about x. Reflection at the faces of the domain
+keeps the integral.
 """
 
 from __future__ import annotations
@@ -27,7 +28,8 @@ from mcspectra.integrands.registry import as_integrand
 __all__ = ["BoxSmoothed", "EdgeSmoothed", "smoothed"]
 
 _METHODS = ("auto", "distance", "box")
-_CYCLES, _ORDER = 8, 32  # nodes over τ: to rounding for 8 cycles of a wave, as for cut disks
+# Nodes over τ give rounding accuracy for 8 cycles of a wave, as for cut disks
+_CYCLES, _ORDER = 8, 32
 _MOST_NODES = 4096
 
 
@@ -46,14 +48,14 @@ def smoothed(
     integrand
         f, or its spec string.
     width
-        δ > 0, the width of a ramp across the edge or the side of the box.
+        δ > 0, the width of the ramp across the edge or the side of the box.
     method
-        ``"distance"``: a linear ramp across the edge, for step, disk, half-space and the discontinuous
-        test functions of [Christensen2018]_; ``"box"``: the mean over a box, for any f and δ ≤ 1;
-        ``"auto"``: the first where it is known.
+        ``"distance"`` is a linear ramp across the edge, for step, disk, half-space and the
+        discontinuous test functions of [Christensen2018]_. ``"box"`` is the mean over a box, for
+        any f and δ ≤ 1. ``"auto"`` uses the distance if it is known, else the box.
     nodes
-        For ``"box"``, where means over boxes have no closed form: Gauss nodes along each axis, at most
-        4096 in all. Each jump is then divided into so many steps, not taken away.
+        Number of Gauss nodes along each axis for ``"box"`` if means over boxes have no closed form,
+        at most 4096 in total. Each jump is then divided into `nodes` smaller jumps and not removed.
     dims
         Number of dims for a spec string without ``dims``.
 
@@ -65,7 +67,7 @@ def smoothed(
     Raises
     ------
     ParameterError
-        The width is not positive or too large, or no distance is known.
+        If the width is not positive or too large, or no distance is known.
 
     Examples
     --------
@@ -99,7 +101,7 @@ class EdgeSmoothed(Integrand):
     edge
         The indicator.
     width
-        Width of the ramp, > 0, normal to the border; for a ball less than its diameter.
+        Width of the ramp normal to the border, > 0; for a ball it must be less than the diameter.
     """
 
     edge: Disk | HalfSpace
@@ -108,8 +110,8 @@ class EdgeSmoothed(Integrand):
     def _check(self) -> None:
         if isinstance(self.edge, Disk) and self.width >= 2.0 * self.edge.radius:
             raise ParameterError(
-                f"width is {self.width:g}; the ramp of a disk of radius {self.edge.radius:g} must be "
-                f"narrower than {2.0 * self.edge.radius:g}."
+                f"width is {self.width:g}; the ramp of a disk of radius {self.edge.radius:g} must "
+                f"be narrower than {2.0 * self.edge.radius:g}."
             )
 
     @property
@@ -124,13 +126,13 @@ class EdgeSmoothed(Integrand):
 
     @property
     def breaks(self) -> Breaks:
-        """Both ends of the ramp, where the edge itself is a break."""
+        """Both ends of the ramp, if the edge itself is a break."""
         ends = [self._moved(t).breaks for t in (-0.5 * self.width, 0.5 * self.width)]
         return tuple(tuple(sorted({*a, *b})) for a, b in zip(*ends, strict=True))
 
     @property
     def fourier_source(self) -> str:
-        """Source for the edge; its coefficients are averaged over its positions by quadrature."""
+        """Source for the edge, with quadrature over its positions."""
         if self.edge._fourier(np.zeros((1, self.dims))) is None:
             return super().fourier_source
         return f"{self.edge.fourier_source}, averaged over edges by Gauss-Legendre quadrature"
@@ -143,7 +145,7 @@ class EdgeSmoothed(Integrand):
         return np.asarray((x @ normal - self.edge.offset) / np.linalg.norm(normal))
 
     def _moved(self, by: float) -> Disk | HalfSpace:
-        """The indicator with its border moved outwards."""
+        """Return the indicator with its border moved outward."""
         if isinstance(self.edge, Disk):
             return replace(self.edge, radius=self.edge.radius + by)
         length = float(np.linalg.norm(self.edge._normal))
@@ -153,7 +155,7 @@ class EdgeSmoothed(Integrand):
         return np.clip(0.5 - self._distance(x) / self.width, 0.0, 1.0)
 
     def _mean(self, known: Callable[[Disk | HalfSpace], Any], panels: int = 1) -> Any:
-        """Average of something known over positions of the border; None where it is not known."""
+        """Average a quantity over positions of the border; return None if it is not known."""
         node, weight = gauss_rule(_ORDER)
         places = ((np.arange(panels)[:, None] + node) / panels).ravel()
         total: Any = 0.0
@@ -185,11 +187,11 @@ class BoxSmoothed(Derived):
     width
         Side of the box, in (0, 1].
     nodes
-        Gauss nodes along each axis where f knows no means over boxes.
+        Number of Gauss nodes along each axis if f has no closed-form means over boxes.
 
     Notes
     -----
-    Even continuation and an even kernel, the rule's nodes included, keep the integral: ∫ f_δ = ∫ f.
+    The even continuation and the even kernel, including its nodes, keep the integral: ∫ f_δ = ∫ f.
     """
 
     text = "{0.integrand.spec} averaged over boxes of side {0.width:g}"
@@ -200,31 +202,31 @@ class BoxSmoothed(Derived):
     def _check(self) -> None:
         if not self._known and self.nodes**self.dims > _MOST_NODES:
             raise ParameterError(
-                f"One smoothed value of {self.integrand.spec} takes {self.nodes}^{self.dims} of its "
-                f"values; lower nodes= to need at most {_MOST_NODES}."
+                f"One smoothed value of {self.integrand.spec} takes {self.nodes}^{self.dims} of "
+                f"its values; lower nodes= to need at most {_MOST_NODES}."
             )
 
     @property
     def integral(self) -> Any:
-        """Integral of f."""
+        """The integral of f."""
         return self.integrand.integral
 
     @property
     def evaluations_per_point(self) -> int:
-        """``nodes^d`` where f knows no means over boxes."""
+        """``nodes^d`` if f has no closed-form means over boxes."""
         inside = self.integrand.evaluations_per_point
         return inside if self._known else inside * self.nodes**self.dims
 
     @property
     def _known(self) -> bool:
-        """Whether f knows its means over boxes."""
-        few = self.dims <= 6  # 3^d parts of a box
+        """Whether f has closed-form means over boxes."""
+        few = self.dims <= 6  # A box may have 3^d parts
         unit = np.zeros((1, self.dims)), np.ones((1, self.dims))
         return few and self.integrand.box_moments(*unit) is not None
 
     @property
     def breaks(self) -> Breaks:
-        """Points where the box starts or stops covering a break of f, or crosses a face."""
+        """Points at which the box starts or stops covering a break of f, or crosses a face."""
         half = 0.5 * self.width
         moved = [
             {half, 1 - half, *(b - half for b in axis), *(b + half for b in axis)}
@@ -242,7 +244,8 @@ class BoxSmoothed(Derived):
                 total = total + weight[list(place)].prod() * self.integrand(inside)
             return np.asarray(total)
 
-        # Parts of the box below 0 (−1), inside (0) and above 1 (1) along each axis, reflected
+        # Split the box along each axis: below 0 (−1), inside (0) and above 1 (1); reflect the outer
+        # parts
         low, high = x - 0.5 * self.width, x + 0.5 * self.width
         for parts in itertools.product((-1, 0, 1), repeat=self.dims):
             part = np.array(parts)
@@ -255,6 +258,6 @@ class BoxSmoothed(Derived):
             found = self.integrand.box_moments(
                 np.where(empty, 0.0, start), np.where(empty, 1.0, stop)
             )
-            assert found is not None  # _known
+            assert found is not None  # Because `_known` is true
             total = total + (share[..., None] if self.channels else share) * found[0]
         return np.asarray(total)

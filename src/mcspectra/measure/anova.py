@@ -1,13 +1,12 @@
-"""ANOVA of a variance in many dims: which axes, alone or together, the noise comes from.
+"""ANOVA of a variance in many dims: contributions of axes, alone or together, to the noise.
 
 docs/theory.md, "Analysis by axes", derives both methods. `anova_variances` is pick-freeze
 [Sobol2001]_ with whole point sets. The part of the empty set of axes is 0, but its sample is
-subtracted from all others: it contains most of their errors, so that shares near 1 are precise.
+subtracted from all others: it contains most of their errors, so shares near 1 are precise.
 
 `anova_spectrum` draws frequencies with a probability q(m) = Π_{i∈u} q_1(m_i), q_1(k) ∝ 1/k² up to
-K. The
-|f_m|² of a function with jumps or a boundary term falls like 1/m_i² along each axis, so that the terms
-|f_m|² ⟨|S_m|²⟩ / q(m) are bounded.
+K. The |f_m|² of a function with jumps or a boundary term falls like 1/m_i² along each axis, so the
+terms |f_m|² ⟨|S_m|²⟩ / q(m) are bounded.
 """
 
 from __future__ import annotations
@@ -47,34 +46,34 @@ if TYPE_CHECKING:
 __all__ = ["EFFECTIVE_SHARE", "Anova", "AnovaSpectrum", "anova_spectrum", "anova_variances"]
 
 EFFECTIVE_SHARE = 0.99
-"""Share of the variance that effective dimensions hold, by their definition [Caflisch1997]_."""
+"""Share of the variance that defines effective dimensions [Caflisch1997]_."""
 
 
 @dataclass(frozen=True)
 class AnovaSettings:
     """Limits of memory, and the numbers of realizations and batches that give errors."""
 
-    # Most axes, or groups of axes: the pairs of 64 axes are 2,016 subsets, each with an estimate
-    # for every realization.
+    # Largest number of axes, or groups of axes: the pairs of 64 axes are 2,016 subsets, each with
+    # an estimate for every realization.
     most_dims: int = 64
-    # Most estimates that are kept, over all subsets and realizations: they take 0.5 GiB in float64.
+    # Largest number of stored estimates, over all subsets and realizations: 0.5 GiB in float64.
     most_values: int = 2**26
-    # Most frequencies in all: with the four numbers that each has in 1-D (its component,
-    # probability, power and coefficient) they take 0.6 GiB.
+    # Largest total number of frequencies. Four numbers for each in 1-D (component, probability,
+    # power and coefficient) take 0.6 GiB.
     most_frequencies: int = 2**24
     # Least number of realizations that give a standard error. With two, both products of deviations
-    # are equal, so that the error would be 0; `variance_terms` also needs four.
+    # are equal and the error would be 0; `variance_terms` also needs four.
     least: int = 4
-    # Independent batches of frequencies, whose spread gives the standard error. Student's t with 15
-    # degrees of freedom makes intervals 9 % wider than a normal law; twice the batches would gain 4
-    # %, half of them lose 11 %.
+    # Number of independent batches of frequencies, whose spread gives the standard error. Student's
+    # t with 15 degrees of freedom makes intervals 9 % wider than a normal law; twice the batches
+    # would gain 4 %, half would lose 11 %.
     batches: int = 16
 
 
 _SETTINGS = AnovaSettings()
 
 _Group = Annotated[int, Meta(ge=0, lt=_SETTINGS.most_dims)]
-_PARTNER, _ORDER, _UNIFORM = 0x616E6F, 0x616E70, 0x616E71  # stream labels
+_PARTNER, _ORDER, _UNIFORM = 0x616E6F, 0x616E70, 0x616E71  # Stream labels
 
 
 @final
@@ -88,25 +87,27 @@ class Anova(Counted, frozen=True, kw_only=True):
         *("anova_variance", "anova_variance_se", "total_variance", "total_variance_se"),
         *("higher_order_variance", "higher_order_variance_se"),
         *(f"{name}{end}" for end in ("", "_ci") for name in (
-            "anova_share", "total_share", "higher_order_share", "truncation_share", "mean_dimension",
-            "effective_dimension_truncation", "effective_dimension_superposition", "variance",
+            "anova_share", "total_share", "higher_order_share", "truncation_share",
+            "mean_dimension", "effective_dimension_truncation",
+            "effective_dimension_superposition", "variance",
         )),
     )  # fmt: skip
     provenance = ("estimator", "sampler", "n", "realizations", "order", "stream_key")
 
     n: Annotated[int, COUNT] = 1
-    order: Annotated[int, Meta(ge=1, le=2, description="1: single axes; 2: pairs of axes too.")] = 2
+    order: Annotated[int, Meta(ge=1, le=2, description="1: single axes; 2: also pairs.")] = 2
     realizations: Annotated[int, REALIZATIONS] = 10_000
     groups: Annotated[
         tuple[_Group, ...] | None,
         Meta(
-            description="Number of the group of each axis, from 0; a group counts as one axis; by default each axis is a group.",
+            description="Number of the group of each axis, from 0; a group counts as one axis. By "
+            "default each axis is a group.",
             extra={"metavar": "G,G,…"},
         ),
     ] = None
 
     def need(self, subject: Subject) -> Need:
-        """The estimates of all subsets of the axes fit in memory."""
+        """Check that the estimates of all subsets of the axes fit into memory."""
         estimator = subject.estimator
         estimator.check_sampler(subject.sampler, self.n)
         subsets = len(_frozen(max(self._group_of_axes(estimator.dims)) + 1, self.order))
@@ -114,7 +115,7 @@ class Anova(Counted, frozen=True, kw_only=True):
         if values > _SETTINGS.most_values:
             raise ParameterError(
                 f"{self.realizations} realizations of {values // self.realizations} subsets take "
-                f"{8 * values / 2**30:.3g} GiB; ask for at most "
+                f"{8 * values / 2**30:.3g} GiB; request at most "
                 f"{_SETTINGS.most_values * self.realizations // values} realizations, or for ",
                 Parameter("order", 1),
                 ".",
@@ -128,7 +129,7 @@ class Anova(Counted, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Estimates]:
-        """The estimates of every realization: covariances need the means of all."""
+        """Return the estimates of every realization, because covariances need the means of all."""
         e, sampler, n = subject.estimator, subject.sampler, self.n
         partner = stream.child(_PARTNER)
         groups = self._group_of_axes(e.dims)
@@ -138,15 +139,15 @@ class Anova(Counted, frozen=True, kw_only=True):
 
         @functools.cache
         def same_always() -> bool:
-            """Whether all streams give the same set, so that it has no independent partner."""
+            """Return whether all streams give one set, which then has no independent partner."""
             one, other = (sampler.draw_stream(n, s, 0, 1) for s in (stream, partner))
             return np.array_equal(one, other)
 
         def estimates(index: int) -> _Estimates:
-            """Estimates with the axes of each subset kept and the others replaced."""
+            """Return estimates with the axes of each subset kept and the others replaced."""
             block = blocks[index]
             kept = e.draw(sampler, n, stream, *block)
-            # Independent sets, each in an order of its own; random points if all sets are the same
+            # Independent sets, each in its own order; random points if all sets are equal
             if same_always():
                 random = as_sampler("random", sampler.dims)
                 others = e.draw(random, n, stream.child(_UNIFORM), *block)
@@ -170,7 +171,7 @@ class Anova(Counted, frozen=True, kw_only=True):
         )
 
     def _group_of_axes(self, dims: int) -> tuple[int, ...]:
-        """The group of each axis, which the analysis treats as one axis."""
+        """Return the group of each axis; the analysis treats a group as one axis."""
         given = tuple(range(dims)) if self.groups is None else self.groups
         if len(given) != dims or {*given} != {*range(max(given) + 1)}:
             raise ParameterError(
@@ -187,12 +188,12 @@ class Anova(Counted, frozen=True, kw_only=True):
         return given
 
     def _labelled(self, estimates: Array, subject: Subject) -> xr.Dataset:
-        """Linear combinations of the covariances of all subsets with the first, as a dataset."""
+        """Return linear combinations of covariances of all subsets with the first, as a dataset."""
         moments, count = Moments.of(estimates[0], tails=True), estimates.shape[1]
         # Products of deviations, whose means over realizations are covariances: (S, R, channels)
         deviation = estimates - estimates.mean(axis=1, keepdims=True)
         products = deviation * (deviation[0] * (count / (count - 1)))
-        # With two realizations both products are equal, so that their spread is no error
+        # With two realizations both products are equal, so their spread is not an error
         least = _SETTINGS.least
         per_root = count**-0.5 if count >= least else math.nan
         dims = max(self._group_of_axes(subject.estimator.dims)) + 1
@@ -200,20 +201,20 @@ class Anova(Counted, frozen=True, kw_only=True):
         weight = dict(zip(frozen, np.eye(len(frozen)), strict=True))
 
         def below(*u: int) -> Array:
-            """The weights of all subsets of u together."""
+            """Return the weights of all subsets of u together."""
             return np.asarray(weight[u] - weight[()])
 
         parts = [
             below(*u) - sum((below(a) for a in u if len(u) > 1), np.zeros(len(frozen)))
             for u in listed
         ]
-        # The variance by the same pairs, and each realization's part of it
+        # The variance from the same pairs, and each realization's part of it
         varies = moments.variance > rounding_floor(moments.mean)
         every = weighted_sum(below(*axes), products)
         whole = np.where(varies, every.mean(axis=0), np.nan)
 
         def combined(weights: list[Array]) -> tuple[Array, Array, Array, Array]:
-            """Combinations (U, S) of the covariances with errors, and as shares of the variance with 95 % intervals."""
+            """Return combinations (U, S) of covariances with errors, and shares with intervals."""
             each = [weighted_sum(row, products) for row in weights]
             means = np.stack([q.mean(axis=0) for q in each])
             errors, share = (
@@ -239,7 +240,7 @@ class Anova(Counted, frozen=True, kw_only=True):
         *_, by_size, by_size_ci = combined(up_to)
         *_, mean_size, mean_size_ci = combined([np.sum(totals, axis=0)])
         alone = ("channel",)
-        few = f"{count} realizations show no error; {least} are the least" if count < least else ""
+        few = f"{count} realizations give no error; use at least {least}" if count < least else ""
         return dataset(
             {
                 "anova_variance": (("subset", "channel"), own),
@@ -316,7 +317,7 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
     ] = 64
 
     def need(self, subject: Subject) -> Need:
-        """The coefficients are exact, the points uniform, and the frequencies not correlated."""
+        """Check that coefficients are exact, points uniform, and frequencies uncorrelated."""
         estimator, sampler = subject.estimator, subject.sampler
         estimator.check_sampler(sampler, self.n)
         plain = isinstance(estimator, Estimator) and estimator.density is None
@@ -339,7 +340,8 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
         if total > _SETTINGS.most_frequencies:
             raise ParameterError(
                 f"{self.frequencies} frequencies of {subsets} subsets are more than "
-                f"{_SETTINGS.most_frequencies:.3g} in all; ask for fewer frequencies or a lower order."
+                f"{_SETTINGS.most_frequencies:.3g} in total; lower the number of frequencies "
+                "or the order."
             )
         return Need(
             cost=float(total * self.n * self.realizations) / _SETTINGS.batches,
@@ -347,12 +349,12 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Batches]:
-        """Batches of frequencies and sets, independent of each other."""
+        """Return batches of frequencies and sets, independent of each other."""
         f, n, dims = subject.estimator.integrand, self.n, subject.estimator.dims
         subsets = _subsets(dims, self.order)
         batches = _SETTINGS.batches
         count = self.frequencies // batches
-        # Law of one component: ±k with probability ∝ 1/k², k = 1 … K
+        # Distribution of one component: ±k with probability ∝ 1/k², k = 1 … K
         cumulative = np.cumsum(np.arange(1.0, self.half_width + 1) ** -2)
 
         def batch(index: int) -> _Batches:
@@ -419,50 +421,51 @@ def anova_variances(
         The estimator with its sampler and number of points, in up to 64 dims or groups. Random
         sampling with n = 1, the default, gives the ANOVA variances σ²_u of the integrand itself.
     dims
-        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
         that is not a spec.
     order
-        Most axes of a subset, 1 or 2.
+        Largest number of axes of a subset, 1 or 2.
     realizations
-        Independent pairs of point sets, at least 2.
+        Number of independent pairs of point sets, at least 2.
     groups
-        Group of each axis, numbered from 0 without gaps: subsets, ``axis`` and ``axes`` are then of
-        groups, for example the bounces of a path. By default every axis is one.
+        Group of each axis, numbered from 0 without gaps. Subsets, ``axis`` and ``axes`` then refer
+        to groups, for example the bounces of a path. By default every axis is a group.
     rng
         Seed (SPEC 7). Realization r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
     workers
-        Threads; all processors by default. Results do not depend on it.
+        Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more is refused, before it starts
-        if possible.
+        Most evaluations of the integrand. An analysis that takes more raises, before it starts if
+        possible.
 
     Returns
     -------
     xarray.Dataset
         ``anova_variance(subset)`` c_u, with ``_se``, and ``anova_share(subset)``, its share of the
-        variance of the same pairs, so that all shares sum to 1. The shares of single axes are the
-        first-order Sobol' indices. ``total_variance(axis)``, the sum of c_u over all u that hold
-        the axis, with ``_se``, and ``total_share(axis)``, the total Sobol' indices.
-        ``higher_order_variance``, the part of subsets beyond `order`, with ``_se``, and
-        ``higher_order_share``. ``truncation_share(axes)``, the share of the first axes.
-        ``effective_dimension_truncation``, ``effective_dimension_superposition`` (NaN beyond
-        `order`) and ``mean_dimension``, the mean of
-        |u| weighted by c_u. ``variance``. Shares and dimensions have 95 % intervals ``_ci``, not cut at
-        0 and 1. Intervals of ratios of means come from the delta method with Student's t. Those of
-        effective dimensions end where the ends of the shares cross 99 %, or at infinity if the
-        lower one does not. Errors and intervals of fewer than 4 realizations are NaN. An integrand
-        with several channels adds a dim channel.
+        variance of the same pairs, so all shares sum to 1. The shares of single axes are the
+        first-order Sobol' indices. ``total_variance(axis)`` is the sum of c_u over all u with the
+        axis, with ``_se``, and ``total_share(axis)`` are the total Sobol' indices.
+        ``higher_order_variance`` is the part of subsets beyond `order`, with ``_se``, and
+        ``higher_order_share`` its share. ``truncation_share(axes)`` is the share of the first axes.
+        ``effective_dimension_truncation`` and ``effective_dimension_superposition`` (NaN beyond
+        `order`); ``mean_dimension``, the mean of |u| weighted by c_u; ``variance``.
+
+        Shares and dimensions have 95 % intervals ``_ci``, not clipped to 0 and 1. Intervals of
+        ratios of means come from the delta method with Student's t. Intervals of effective
+        dimensions end where the ends of the shares cross 99 %, or at infinity if the lower end does
+        not. Errors and intervals of fewer than 4 realizations are NaN. Several channels add a dim
+        channel.
 
     Raises
     ------
     ParameterError, CountError
-        A value is out of range, or the estimates would not fit in memory.
+        If a value is out of range, or the estimates would not fit into memory.
 
     Notes
     -----
     The cost is O(R n d²) evaluations for order 2 and O(R n d) for order 1. c_u may be negative if
     parts are correlated, or by noise within its standard error. Given sets (`Sampler.from_points`)
-    have no independent partners; random points replace the partners, with larger errors.
+    have no independent partners; random points replace these, with larger errors.
 
     Examples
     --------
@@ -486,7 +489,7 @@ def anova_spectrum(
     realizations: int = 64,
     rng: RngLike = 0,
 ) -> xr.Dataset:
-    """Split the variance that a sampler leaves among subsets of the axes, by sampled frequencies.
+    """Split the variance of a sampler among subsets of the axes, by sampled frequencies.
 
     Parameters
     ----------
@@ -496,33 +499,33 @@ def anova_spectrum(
     sampler, n
         Points that are the same after any translation: random, or with shift.
     dims
-        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
         that is not a spec.
     order
-        Most axes of a subset, 1 to 3.
+        Largest number of axes of a subset, 1 to 3.
     frequencies
-        Frequencies sampled of each subset, at least 32.
+        Number of sampled frequencies of each subset, at least 32.
     half_width
         Largest |m_i|; higher frequencies are left out.
     realizations
-        Point sets in all, at least 32, where ⟨|S_m|²⟩ is not known in closed form.
+        Total number of point sets, at least 32, if ⟨|S_m|²⟩ has no closed form.
     rng
         Seed (SPEC 7).
 
     Returns
     -------
     xarray.Dataset
-        ``anova_variance`` c_u and ``anova_variance_se`` on dim subset, as `anova_variances` has them; the
+        ``anova_variance`` c_u and ``anova_variance_se`` on dim subset, as in `anova_variances`. The
         error is that of the mean of 16 independent batches of frequencies and sets. The attribute
-        ``power`` says whether ⟨|S_m|²⟩ is exact.
+        ``power`` reports whether ⟨|S_m|²⟩ is exact.
 
     Raises
     ------
     NoClosedForm
-        The coefficients are not exact, the points have a density, or their frequencies are
-        correlated: `anova_variances` needs none of this.
+        If the coefficients are not exact, the points have a density, or their frequencies are
+        correlated. `anova_variances` has no such requirements.
     ParameterError, CountError
-        A value is out of range, or the frequencies would not fit in memory.
+        If a value is out of range, or the frequencies would not fit into memory.
 
     Examples
     --------
@@ -553,12 +556,12 @@ class _Batches:
 
 
 def _subsets(dims: int, order: int) -> list[tuple[int, ...]]:
-    """The subsets of 1 to `order` axes, by size."""
+    """Return the subsets of 1 to `order` axes, by size."""
     return [u for s in range(1, order + 1) for u in itertools.combinations(range(dims), s)]
 
 
 def _frozen(dims: int, order: int) -> list[tuple[int, ...]]:
-    """The subsets of axes that are kept, each once, the full and the empty set first."""
+    """Return the subsets of axes that are kept, each once, the full and the empty set first."""
     axes = tuple(range(dims))
     without = [(*axes[:i], *axes[i + 1 :]) for i in axes]
     first = [axes[:s] for s in range(1, dims)]
@@ -566,13 +569,13 @@ def _frozen(dims: int, order: int) -> list[tuple[int, ...]]:
 
 
 def _least(shares: Array) -> Array:
-    """Smallest number, counted from 1, whose share (s, ...) is enough; NaN if no share is."""
+    """Return the smallest number, from 1, whose share (s, ...) is enough; NaN if no share is."""
     enough = shares >= EFFECTIVE_SHARE
     return np.where(enough.any(axis=0), enough.argmax(axis=0) + 1.0, np.nan)
 
 
 def _least_ci(ends: Array) -> Array:
-    """Interval of that number from the intervals of the shares, (s, channels, 2) → (channels, 2)."""
+    """Return the interval of that number from (s, channels, 2): (channels, 2)."""
     least = _least(ends)[..., ::-1]
     unknown = np.asarray(np.isnan(ends).any(axis=(0, 2)))[:, None]
     return np.where(unknown, np.nan, np.nan_to_num(least, nan=np.inf))

@@ -1,7 +1,7 @@
-"""Partitions of the basis functions into bands, whose parts of an estimate are compared.
+"""Partitions of the basis functions into bands, which split an estimate into parts.
 
-A band is a set of functions; I_a = Σ_{m in a} conj(f_m) S_m, and Cov(I_a, I_b) summed over all pairs of
-bands is the variance.
+A band is a set of functions with the estimate I_a = Σ_{m in a} conj(f_m) S_m. The sum of Cov(I_a,
+I_b) over all pairs of bands is the variance.
 """
 
 from __future__ import annotations
@@ -25,10 +25,12 @@ PARTITIONS = ("radial", "anova", "wedge", "dyadic")
 class BandSettings:
     """Limits and numbers of bands."""
 
-    # Most bands of a user's labels: the covariance of 4,096 bands takes 128 MiB for each channel.
+    # Largest number of bands in a user's labels: the covariance of 4,096 bands takes 128 MiB per
+    # channel.
     most: int = 4096
-    # Sectors of the directions of ±m, 15° each: both axes and both diagonals are centers of
-    # sectors, with two other sectors between them.
+    # Number of sectors of directions ±m, 15° each: both axes and both diagonals are centers of
+    # sectors, with two other
+    # sectors in between.
     wedges: int = 12
 
 
@@ -56,20 +58,22 @@ class Bands:
 
 
 def make_bands(bands: str | Array, basis: Basis) -> Bands:
-    """Make a partition by name, or of the user's labels.
+    """Make a partition by name, or from the user's labels.
 
     Parameters
     ----------
     bands
-        ``radial``: shells of the length of the oscillations, one wide; ``dyadic``: shells that double;
-        ``anova``: by the axes along which a function varies, so that the bands are the parts of the
-        ANOVA decomposition; ``wedge`` (2-D): the constant, and 12 sectors of 15° of the direction
-        of ±m (Walsh and Haar: of the numbers of oscillations along the axes, powers of two); or integer labels ≥ 0, an array of the basis' shape, the same for m and −m.
+        ``radial`` are shells of |m| of width one; ``dyadic`` are shells whose width doubles.
+        ``anova`` groups functions by the axes along which they vary, so the bands are the parts of
+        the ANOVA decomposition. ``wedge`` (2-D) has the constant and 12 sectors of 15° of the
+        direction of ±m (for Walsh and Haar, of the numbers of oscillations along the axes, powers
+        of two). Integer labels ≥ 0 are an array of the basis' shape, equal for m and −m.
 
     Raises
     ------
     ParameterError
-        An unknown name, labels of another shape, type or range, or ones that part m from −m.
+        If the name is unknown, or labels have another shape, type or range, or differ between m and
+        −m.
     """
     check_bands(bands, basis)
     labels: tuple[str, ...] | list[str]
@@ -96,7 +100,7 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
             wedges = _SETTINGS.wedges
             sector = (
                 np.rint(angle / np.pi * wedges).astype(np.int64) % wedges
-            )  # centered on the axes
+            )  # Centered on the axes
             of = np.where((m == 0).all(axis=1), 0, 1 + sector)
             labels = ["constant", *(f"{180 * k / wedges:g}°" for k in range(wedges))]
             meaning = "wedge: direction of m"
@@ -107,7 +111,8 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
                 raise ParameterError(
                     Parameter("bands"),
                     f" has shape {given.shape} and type {given.dtype}; give "
-                    f"{', '.join(map(repr, PARTITIONS))} or integer labels from 0 to {_SETTINGS.most - 1} of "
+                    f"{', '.join(map(repr, PARTITIONS))} or integer labels from 0 to "
+                    f"{_SETTINGS.most - 1} of "
                     f"shape {basis.shape}.",
                 )
             of, meaning = basis.pick(given).astype(np.int64), "given"
@@ -116,7 +121,8 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
                     "bands must be the same for m and −m, so that band estimates are real."
                 )
             labels = tuple(map(str, range(int(of.max()) + 1)))
-    # The last may be empty: small grids, and bases without negative indices, lack directions.
+    # The last labels may have no members: small grids, and bases without negative indices, lack
+    # directions.
     return Bands(of, tuple(labels[: int(of.max()) + 1]), f"band ({meaning})")
 
 

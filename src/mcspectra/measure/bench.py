@@ -1,8 +1,7 @@
-"""The bench: samplers side by side on standard integrands, by variance, rank, spectrum, quality, speed.
+"""Comparison of samplers on standard integrands by variance, rank, spectrum, quality and speed.
 
-The bench combines `convergence`, `power_spectrum`, `pair_correlation` and `quality_figures`. It is
-not an `Analysis`, because it measures speed, and the result of an analysis has the same bits every
-time.
+It combines `convergence`, `power_spectrum`, `pair_correlation` and `quality_figures`. It is not an
+`Analysis`, because it measures speed, and the result of an analysis has the same bits every time.
 """
 
 from __future__ import annotations
@@ -64,33 +63,37 @@ BENCH_QUALITY = (
 """Figures of quality that are measured at every count."""
 
 SHARED_SETS = 8
-"""Optimized sets of a sampler, used again under random translations: making one takes seconds to minutes."""
+"""Number of optimized sets that are reused under random translations, as they are slow to make."""
 
 
 @dataclass(frozen=True)
 class BenchSettings:
     """Numbers of sets, and sizes of spectra and pictures, of a bench."""
 
-    # Given sets of each count that are measured without a randomization: their spread gives a
+    # Number of given sets per count that are measured without a randomization: their spread gives a
     # variance to 35 %.
     enough_sets: int = 16
-    # Half widths of the spectra in 1, 2 and 3 dims, for 513, 16,641 and 68,921 frequencies: maps of
-    # these sizes are printed in full. Spectra in more dims are left out.
+    # Half widths of the spectra in 1, 2 and 3 dims, for 513, 16,641 and 68,921 frequencies. Larger
+    # maps would not be printed in full. Spectra in more dims are omitted.
     half_widths: tuple[int, ...] = (256, 64, 20)
-    # Sets whose figures of quality are averaged. At 256 points in 2-D single figures of scrambled
-    # nets differ by 1 to 5 % and those of random points by 11 to 27 %, so that means of 8 sets are
-    # known to 2 % and 10 %.
+    # Number of sets whose figures of quality are averaged. At 256 points in 2-D single figures of
+    # scrambled nets differ by
+    # 1 to 5 % and those of random points by 11 to 27 %, so means of 8 sets are accurate to 2 % and
+    # 10 %.
     quality_sets: int = 8
     # Least number of sets for an interval of the pair correlation. Student's t with 7 degrees of
-    # freedom makes it a fifth wider than a normal law, and fewer sets hide the curve in a plot.
+    # freedom makes it a fifth
+    # wider than a normal law. With fewer sets the interval would hide the curve in a plot.
     few_sets: int = 8
-    # Most sets over which the pair correlation is averaged: at 256 points in 2-D 8, 16 and 32 sets
-    # give half widths of 0.05, 0.03 and 0.02.
+    # Largest number of sets over which the pair correlation is averaged: at 256 points in 2-D, 8,
+    # 16 and 32 sets give half
+    # widths of 0.05, 0.03 and 0.02.
     pair_sets: int = 16
-    # Most points of the set that is drawn as a picture: more dots overlap.
+    # Largest number of points of a drawn set, because more dots overlap.
     most_pictured: int = 1024
-    # Most dims of the integrands. The difficulty of Genz's functions is shared by all dims, so that
-    # in more dims they are nearly linear along each axis.
+    # Largest number of dims of the integrands. Genz's difficulty is divided among the dims, so in
+    # more dims his functions
+    # are nearly linear along each axis.
     most_dims: int = 64
 
 
@@ -136,45 +139,49 @@ def sampler_bench(
     Parameters
     ----------
     samplers
-        Samplers, spec strings, arrays of points: all that `as_sampler` takes. Spec strings are made
-        in all dims, other samplers count in their own only. Sets that are the same every time are
-        randomized by owen (digital nets) or shift where variances are measured, and so are fewer than 16
-        given sets of a count: points of files are recognized as nets in base 2, 3 or 5.
+        Samplers, spec strings or arrays of points, as in `as_sampler`. Spec strings are built for
+        all dims; other samplers are used in their own dims. Sets that are always the same are
+        randomized by owen (digital nets) or shift for the measurement of variances. The same holds
+        for fewer than 16 given sets of a count; points of files are recognized as nets in base 2, 3
+        or 5.
     counts
-        Numbers of points; each sampler takes the nearest that it can make.
+        Numbers of points; each sampler uses the nearest counts that it allows.
     dims
-        Number of dims, or several: the integrands are made in all of them; spectra, pair correlations,
-        quality and speed are of the first, projections of all.
+        One or several numbers of dims. The integrands are built for all of them. Spectra, pair
+        correlations, quality and speed use the first number, projections all.
     realizations
-        Realizations for each variance; for given sets at most their number.
+        Number of realizations for each variance; for given sets at most the number of sets.
     rng
-        A whole number: seed.
+        Seed, an integer.
 
     Returns
     -------
     xarray.Dataset
-        On (sampler, integrand, n): ``mean``, ``variance``, ``variance_ci``, ``points_made`` (the count);
-        on (sampler, integrand): ``rate``, ``rate_ci``, ``rank`` by n · variance at the largest n, and
-        ``rank_ci``, simultaneous 95 % intervals of all ranks; on (sampler, n): figures of quality, and
-        ``points_per_second`` of one thread that makes them, NaN where they are read; on (sampler,
-        m0, …) and (sampler, radius): ``power``, ``radial_power``, ``anisotropy_db`` (1 to 3 dims); on
-        (sampler, r): ``pair_correlation``, ``pair_correlation_ci``; on (sampler, point, axis): ``points``, one
-        set in the most dims that the sampler can do; ``pictured_n`` is the count of spectra. NaN where a sampler cannot do the dims or the count. The coordinate
-        ``randomization`` of a sampler names what was applied to it where variances are measured, as the
-        attribute ``note`` does.
+        On (sampler, integrand, n): ``mean``, ``variance``, ``variance_ci`` and ``points_made``, the
+        count. On (sampler, integrand): ``rate``, ``rate_ci``, ``rank`` by n · variance at the
+        largest n, and ``rank_ci``, simultaneous 95 % intervals of all ranks. On (sampler, n):
+        figures of quality, and ``points_per_second`` of one thread that generates them, NaN for
+        points that are read. On (sampler, m0, …) and (sampler, radius): ``power``,
+        ``radial_power``, ``anisotropy_db`` (1 to 3 dims). On (sampler, r): ``pair_correlation``,
+        ``pair_correlation_ci``. On (sampler, point, axis): ``points``, one set in the sampler's
+        largest number of dims. ``pictured_n`` is the count of spectra. Values are NaN if a sampler
+        does not allow the dims or the count. The coordinate ``randomization`` of a sampler names
+        the randomization that was added for the measurement of variances, and so does the attribute
+        ``note``.
 
     Raises
     ------
     ParameterError
-        No samplers, two alike, or one that can do none of the dims.
+        If there are no samplers, two are alike, or one allows none of the dims.
     McspectraError
-        A sampler cannot be made or drawn; the message says why.
+        If a sampler cannot be made or drawn; the message gives the reason.
 
     Notes
     -----
-    The integrands are Genz's six families [Genz1984]_ (smooth, a kink, an axis-parallel jump) with his
-    difficulties, a half-space whose border is oblique, a ball up to 3 dims and Sobol's g-function. All
-    but ``points_per_second`` depend on samplers and seed alone; every sampler has a stream of its own.
+    The integrands are Genz's six families [Genz1984]_ (smooth, a kink, an axis-parallel jump) with
+    his difficulties, a half-space with an oblique border, a ball in up to 3 dims and Sobol's
+    g-function. All results except ``points_per_second`` depend on samplers and seed alone; every
+    sampler has its own stream.
     """
     for name, given in (("samplers", samplers), ("counts", counts), ("dims", dims)):
         if not isinstance(given, list | tuple | range) and not (
@@ -190,11 +197,12 @@ def sampler_bench(
     seed = as_integer("rng", rng, least=0)
     if not samplers or len(asked) < 2 or not wanted:
         raise ParameterError(
-            f"Given: {counted(len(samplers), 'sampler')}, {counted(len(asked), 'count')} and {counted(len(wanted), 'choice')} of dims; "
-            "give a sampler or more, two counts or more, and one number of dims or more."
+            f"Given: {counted(len(samplers), 'sampler')}, {counted(len(asked), 'count')} and "
+            f"{counted(len(wanted), 'choice')} of dims; give at least one sampler, two counts and "
+            "one number of dims."
         )
 
-    # Make each in all dims that it can do
+    # Make each sampler in all dims that it allows
     made = list[tuple[str, dict[int, Sampler]]]()
     for given in samplers:
         sources: dict[int, Sampler] = {}
@@ -207,7 +215,7 @@ def sampler_bench(
                 reason = reason or error
         if reason is not None and not sources:
             raise reason
-        # But those in which all counts asked for are one, such as strata in 10-D
+        # Leave out dims in which all requested counts coincide, such as strata in 10-D
         single = [d for d, each in sources.items() if len(_nearest(each, asked)) < 2]
         for d in single if len(single) < len(sources) else ():
             del sources[d]
@@ -215,9 +223,11 @@ def sampler_bench(
     specs = [spec for spec, _ in made]
     for spec in specs:
         if specs.count(spec) > 1:
-            raise ParameterError(f"The sampler {short_spec(spec)} is listed twice; list each once.")
+            raise ParameterError(
+                f"The sampler {short_spec(spec)} is listed twice; list each sampler once."
+            )
     labels = list(map(short_spec, specs))
-    if len(set(labels)) < len(labels):  # files of one name in several folders, say
+    if len(set(labels)) < len(labels):  # For example, files of one name in several folders
         labels = specs
 
     tasks = [task for d in wanted for task in standard_tasks(d)]
@@ -231,16 +241,17 @@ def sampler_bench(
         for d, source in sources.items():
             made_counts = sorted(set(_nearest(source, asked).values()))
             free, step = free_of(source, made_counts)
-            if not step:  # a function may use no generator
+            if not step:  # A function may use no generator
                 n = made_counts[-1]
                 if different_realizations(source, n, Stream.from_rng(own), 2) == 1:
                     free, step = randomized(source, made_counts)
             if step and step not in added:
                 notes.append(
-                    f"{label} has too few different sets: its variances are measured with {short_spec(free.spec)}"
+                    f"{label} has too few different sets: its variances are measured with "
+                    f"{short_spec(free.spec)}"
                 )
             added |= {step: None} if step else {}
-            # Convergence on the tasks at the counts nearest to those asked for
+            # Convergence on the tasks at the counts nearest to the requested ones
             nearest, own_tasks = _nearest(free, asked), [t for t in tasks if t.dims == d]
             numbers, sets = sorted({*nearest.values()}), many
             if isinstance(free, GivenPoints):
@@ -254,7 +265,7 @@ def sampler_bench(
             points = np.broadcast_to(np.array(numbers, float), (len(own_tasks), len(numbers)))
             parts.append(curves.merge(dataset({"points_made": (("integrand", "n"), points)})))
         if lacking := [f"{d}-D" for d in wanted if d not in sources]:
-            notes.append(f"{label} cannot do {' and '.join(lacking)}")
+            notes.append(f"{label} does not allow {' and '.join(lacking)}")
         most = sources[max(sources)]
         one = most.draw(most.nearest_count(min(asked[-1], _SETTINGS.most_pictured)), rng=seed)[0]
         at = {"point": range(len(one)), "axis": range(most.dims)}
@@ -263,7 +274,7 @@ def sampler_bench(
         applied.append(", ".join(added))
     report("bench", 1.0)
 
-    # Side by side, on the places of all; then ranks
+    # Combine the results of all samplers on common coordinates, then compute ranks
     import xarray as xr
 
     found = xr.concat(
@@ -311,9 +322,9 @@ def ranks(variance: Array, variance_ci: Array, n: Array) -> tuple[Array, Array]:
     Returns
     -------
     tuple
-        Ranks (sampler, task), 1 the least; their ends (sampler, task, 2). The lower one is one more than
-        the number of samplers that are better for sure, by differences of independent estimates of
-        log variance and Bonferroni over all pairs on all tasks.
+        Ranks (sampler, task), where 1 is the least variance; their ends (sampler, task, 2). The
+        lower end is one more than the number of significantly better samplers, by differences of
+        independent estimates of log variance and Bonferroni over all pairs on all tasks.
     """
     known = (variance >= 0.0) & np.isfinite(variance)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -323,7 +334,7 @@ def ranks(variance: Array, variance_ci: Array, n: Array) -> tuple[Array, Array]:
     pairs = sum(math.comb(int(k), 2) for k in known.sum(axis=0))
     z = stats.norm.ppf(1.0 - (1.0 - _LEVEL) / (2.0 * max(pairs, 1)))
 
-    # i is better than k for sure where the ends that face each other leave a gap
+    # i is significantly better than k if their intervals leave a gap
     with np.errstate(invalid="ignore"):
         gap = logs[None] - logs[:, None]
         sure = gap > z * np.hypot(steps[:, None, :, 1], steps[None, ..., 0])
@@ -345,14 +356,14 @@ def standard_tasks(dims: int) -> Iterator[Task]:
 
 
 def _nearest(source: Sampler, asked: Sequence[int]) -> dict[int, int]:
-    """Counts that a sampler can make, by the nearest of those asked for: each count once."""
+    """Return allowed counts of a sampler by the nearest requested counts, each count once."""
     found = {n: source.nearest_count(n) for n in asked}
     best = {count: min(asked, key=lambda n: abs(n - count)) for count in found.values()}
     return {n: count for n, count in found.items() if best[count] == n}
 
 
 def _look(source: Sampler, asked: Sequence[int], own: Any, seed: int) -> xr.Dataset:
-    """Spectrum, pair correlation, quality and speed."""
+    """Compute spectrum, pair correlation, quality and speed."""
     stream = Stream.from_rng(own)
     nearest = _nearest(source, asked)
     n = max(nearest.values())
@@ -366,7 +377,7 @@ def _look(source: Sampler, asked: Sequence[int], own: Any, seed: int) -> xr.Data
         parts += [spectrum[["power", "radial_power"]], rings]
     if n > 1:
         pairs = pair_correlation(source, n, realizations=min(sets, _SETTINGS.pair_sets), rng=own)
-        if sets < _SETTINGS.few_sets:  # intervals would hide the curve
+        if sets < _SETTINGS.few_sets:  # Intervals would hide the curve
             pairs["pair_correlation_ci"][:] = np.nan
         parts.append(pairs[["pair_correlation", "pair_correlation_ci"]])
     means: dict[str, list[float]] = {name: [] for name in (*BENCH_QUALITY, "points_per_second")}
@@ -384,14 +395,14 @@ def _look(source: Sampler, asked: Sequence[int], own: Any, seed: int) -> xr.Data
 
 
 def _joined(parts: Sequence[xr.Dataset]) -> xr.Dataset:
-    """Results about one sampler as one; curves of several dims follow each other."""
+    """Merge results about one sampler; curves of several dims follow each other."""
     import xarray as xr
 
     return xr.merge(parts, join="outer", compat="no_conflicts", combine_attrs="override")
 
 
 def shared_sets(source: Sampler) -> Sampler:
-    """Make do with a few sets of an optimized sampler, each used many times."""
+    """Return a sampler that reuses a few sets of an optimized sampler."""
     if isinstance(source, OptimisedSampler):
         return replace(source, sets=source.sets or SHARED_SETS)
     if isinstance(source, Randomized) and isinstance(source.base, OptimisedSampler):
@@ -400,7 +411,7 @@ def shared_sets(source: Sampler) -> Sampler:
 
 
 def free_of(source: Sampler, counts: Sequence[int]) -> tuple[Sampler, str]:
-    """Return a sampler whose variance can be measured at these counts, and what was added, or "".
+    """Return a sampler whose variance can be measured at these counts, and the addition or "".
 
     Sets that do not vary enough are randomized.
     """
@@ -419,7 +430,7 @@ def randomized(source: Sampler, counts: Sequence[int]) -> tuple[Sampler, str]:
 
 
 def making_seconds(source: Sampler, n: int, rng: int) -> float:
-    """Return the best time of a few draws on one thread, without the cache; NaN for points that are read."""
+    """Return the best time of a few draws on one thread without the cache; NaN for read points."""
     if isinstance(source.plain, GivenPoints):
         return math.nan
     stream = Stream.from_rng(rng)

@@ -1,8 +1,8 @@
-"""Estimates that missed the source of their variance, and the sentences that report it.
+"""Estimates that missed the source of their variance, and sentences that report it.
 
-Estimates without spread, estimates whose mean is off the integral, and estimates of which one makes
-most of the variance give no upper bound. `blindness` finds them with the help of the known
-integral, ∫g² and poles.
+Three kinds of estimates give no upper bound: estimates without spread, estimates whose mean differs
+from the integral, and estimates of which one causes most of the variance. `blindness` detects them
+with the known integral, ∫g² and poles.
 """
 
 from __future__ import annotations
@@ -27,24 +27,26 @@ __all__ = ["blindness", "blindness_of", "is_fixed"]
 
 @dataclass(frozen=True)
 class BlindnessSettings:
-    """Thresholds above which estimates are taken to have missed the source of their variance."""
+    """Thresholds for estimates that missed the source of their variance."""
 
-    # Part of Σ (estimate − mean)² in one square above which the tail is not resolved. In samples of
-    # 1,000 exponential numbers the largest square has 4 % (median), and 17 % once in a thousand
-    # samples; normal ones have 1.2 and 2.4 %.
+    # Share of one square in Σ (estimate − mean)² above which the tail is not resolved. In samples
+    # of 1,000 exponential
+    # numbers the largest square has 4 % (median), and 17 % once in a thousand samples; for normal
+    # numbers it is 1.2 and
+    # 2.4 %.
     large_share: float = 0.2
-    # Probability that the largest square of a few normal estimates exceeds the share that is used
-    # for them.
+    # Probability that the largest square of a few normal estimates exceeds the limit for them.
     rarely: float = 1e-3
-    # κ − 1 of estimates above which ∫g² is computed to see whether the variance is infinite. It is
-    # 2 for normal and 8 for exponential estimates. A smaller value costs time only, a larger one
-    # leaves more poles to other tests.
+    # κ − 1 of estimates above which ∫g² is computed to test for an infinite variance. It is 2 for
+    # normal and 8 for
+    # exponential estimates. A smaller value only costs time; a larger one leaves more poles to
+    # other tests.
     peaked: float = 9.0
-    # Exponent of a pole above which ∫g⁴ diverges. The limit is ¼, and fitted slopes are right to
+    # Exponent of a pole above which ∫g⁴ diverges: the limit ¼ minus the error of fitted slopes,
     # 5e-4.
     no_kurtosis: float = 0.2495
-    # Standard errors between the mean and the integral that cannot be chance: a normal law has a
-    # probability of 6e-7, which stays small over the many counts of a study.
+    # Standard errors between the mean and the integral that exclude chance. The normal probability
+    # is 6e-7, which stays small over the many counts of a study.
     far: float = 5.0
 
 
@@ -52,7 +54,7 @@ _SETTINGS = BlindnessSettings()
 
 
 def is_fixed(estimator: AbstractEstimator, sampler: Sampler) -> bool:
-    """Whether all estimates have the same points."""
+    """Return whether all estimates use the same points."""
     dealt = estimator.sets == "joint" and len(estimator.counts) > 1 and not sampler.sequence
     return estimator.randomized(sampler).fixed and not dealt
 
@@ -64,25 +66,25 @@ def blindness(
     realizations: int,
     measured: dict[str, Array],
 ) -> tuple[Array, list[str]]:
-    """Estimates that missed the source of their variance, and sentences that explain it.
+    """Return estimates that missed the source of their variance, and explanatory sentences.
 
     Parameters
     ----------
     measured
         Arrays (estimator, sampler, n, channel) by name: ``realizations``, ``variance``, its
         ``relative_se``, the ``largest_share`` of a square in it, whether it is ``resolved``, the
-        ``tail_index``, ``bias``, ``bias_se`` and the ``floor`` of rounding.
+        ``tail_index``, ``bias``, ``bias_se`` and the rounding ``floor``.
 
     Returns
     -------
     tuple
-        Whether each variance has no finite upper end, in the shape of ``variance``; the sentences.
+        Whether each variance is unbounded, in the shape of ``variance``; and the sentences.
     """
     from scipy.special import gammainc, ndtr, stdtrit
 
     r = measured["realizations"]
-    # More points lighten tails: a tail that is heavy at n is heavy at smaller counts, observed
-    # there or not
+    # Tails get lighter with more points, so a tail that is heavy at n is also heavy at smaller
+    # counts, observed or not
     heavy, unresolved = (
         np.logical_or.accumulate(found[:, :, ::-1], axis=2)[:, :, ::-1]
         for found in (measured["largest_share"] > _large_share(r), ~measured["resolved"])
@@ -101,11 +103,12 @@ def blindness(
         unsampled = unsampled_note(e, int(counts[-1]) * realizations)
         if unsampled is not None:
             notes[f"{e.spec}: {unsampled}"] = None
-        # Largest exponent of poles of any technique; black boxes are not called for it
+        # Largest exponent of poles of any technique; black boxes are not called
         techniques = range(len(e.counts) if not e.is_black_box else 0)
         peaks = np.max([growth(e.primary_integrand(t)) for t in techniques], axis=0, initial=0.0)
-        # n times the variance of random points, Σ_t (∫g_t² − (∫g_t)²)/counts[t]: NaN without a
-        # closed form. If the variance may be infinite, a quadrature of ∫g² is tried
+        # n times the variance of random points, Σ_t (∫g_t² − (∫g_t)²)/counts[t]; NaN without a
+        # closed form. If the
+        # variance may be infinite, a quadrature of ∫g² is tried
         doubtful, of_random = bool((suspect & varies)[i].any()), np.zeros(max(1, e.channels))
         for t, count in enumerate(e.counts):
             g, unknown = e.primary_integrand(t), np.full(of_random.shape, np.nan)
@@ -131,24 +134,26 @@ def blindness(
             agrees = ~missed[at] & (varies[at].any(axis=0) | (e.integral_source == "exact"))
             excess = true / np.where(varies[at], of["variance"], np.nan)
 
-            # The first condition that holds at a count is reported, with the worst value over
-            # counts
+            # Report the first condition that holds at a count, with the worst value over the counts
             everywhere = np.ones_like(low)
             for text, where, size in (
-                ("∫g² diverges, the variance is infinite", everywhere & np.isinf(of_random), excess),
-                ("none of the estimates varies{at}: what makes their variance was not met",
+                ("∫g² diverges: infinite variance", everywhere & np.isinf(of_random), excess),
+                ("all estimates are equal{at}: the samples missed the source of the variance",
                  ~varies[at] & ~agrees, excess),
-                ("∫g² makes the variance {worst:.3g} times the measured one{at}: what is rare was not met",
+                (("by ∫g² the variance is {worst:.3g} times the measured one{at}: samples missed "
+                 "a rare region"),
                  varies[at] & known & low, excess),
-                ("the mean is {worst:+.3g} standard errors off the integral{at}: what is rare was not met",
+                (("the mean is {worst:+.3g} standard errors from the integral{at}: samples missed "
+                 "a rare region"),
                  far[at] & source.unbiased, pull[at]),
-                ("∫g⁴ diverges, g grows as t^-{worst:.2g}: no estimates bound the variance",
+                ("∫g⁴ diverges because g grows as t^-{worst:.2g}: no estimates bound the variance",
                  everywhere & (peaks >= _SETTINGS.no_kurtosis), everywhere * peaks),
-                ("tails not resolved{at}: a single estimate makes {worst:.3g} % of the variance",
+                ("tails not resolved{at}: a single estimate causes {worst:.3g} % of the variance",
                  heavy[at] & varies[at], 100 * of["largest_share"]),
-                ("tails not resolved{at}: few estimates make the variance, tail index k̂ = {worst:.2f}",
+                (("tails not resolved{at}: few estimates cause the variance, tail index k̂ = "
+                 "{worst:.2f}"),
                  unresolved[at] & varies[at] & np.isfinite(of["tail_index"]), of["tail_index"]),
-                ("tails not resolved{at}: few estimates make the variance",
+                ("tails not resolved{at}: few estimates cause the variance",
                  unresolved[at] & varies[at], excess),
             ):  # fmt: skip
                 new = where & ~blind[at]
@@ -159,14 +164,14 @@ def blindness(
                     notes[f"{e.spec} with {sampler.spec}: {said}"] = None
             blind[at] |= unsampled is not None
     if blind.any():
-        notes["none of these variances has a finite upper bound"] = None
+        notes["these variances have no finite upper bound"] = None
     return blind, [*notes, *fixed]
 
 
 def blindness_of(
     estimator: AbstractEstimator, sampler: Sampler, n: int, moments: Moments
 ) -> tuple[Array, list[str]]:
-    """`blindness` for one sampler and count, by channel; estimates without variance also have a sentence."""
+    """Apply `blindness` to one sampler and count, by channel; also report vanishing variances."""
     integral, error, _ = estimator.known_integral()
     bias = moments.mean - np.atleast_1d(integral)
     measured = {
@@ -186,10 +191,10 @@ def blindness_of(
 
 
 def _large_share(realizations: Array) -> Array:
-    """Share of the variance in one square, above which the tail of the estimates is not resolved.
+    """Return the share of one square in the variance above which the tail is not resolved.
 
-    A fifth, or more for few realizations: normal ones exceed it once in a thousand times [Grubbs
-    1950].
+    It is a fifth, or more for few realizations: normal ones exceed it with probability 0.001
+    [Grubbs 1950].
     """
     from scipy.special import stdtrit
 

@@ -1,13 +1,13 @@
 """The error of the mean of correlated draws: Markov chains as samplers in time.
 
-A stationary chain with the spectral density S(ν), ν in cycles per draw, has a mean over n draws with
+A stationary chain has the spectral density S(ν), ν in cycles per draw. Its mean over n draws has
 
     Var = ∫ S(ν) |W(ν)|² dν = (1/n) ∫ S(ν) F_n(ν) dν,    F_n(ν) = sin²(πnν) / (n sin²(πν)),
 
-the power term with the Fejér kernel of the window W of equal weights; stationarity makes dc and
-cross term vanish. S comes from an autoregression whose order is chosen by AIC, as in
-[Thompson2010]_. Its autocovariances are corrected for the mean that was subtracted: removing a mean
-of variance V lowers all of them by V. The scatter of the chains' means is a second, independent
+which is the power term with the Fejér kernel of the window W of equal weights. Stationarity makes
+dc and cross term vanish. S comes from an autoregression whose order is chosen by AIC, as in
+[Thompson2010]_. Its autocovariances are corrected for the subtracted mean: removing a mean of
+variance V lowers all of them by V. The scatter of the chains' means is a second, independent
 estimate. Both are pooled by degrees of freedom. If they disagree, the chains are in different parts
 of the distribution, and the error has no upper bound.
 """
@@ -33,73 +33,78 @@ __all__ = ["CHAIN_SETTINGS", "ChainSettings", "chain_error", "quantity_error"]
 
 @dataclass(frozen=True)
 class ChainSettings:
-    """Thresholds of the causes that are named for chains.
+    """Thresholds of the causes that are reported for chains.
 
     Numbers of cases are those of ``python -m benchmarks settings --chains``.
     """
 
-    # Least number of draws of a chain: fewer leave an autoregression of order 2 at most (a quarter
-    # of the draws).
+    # Least number of draws of a chain. Fewer draws allow an autoregression of order 2 at most (a
+    # quarter of the draws).
     least_draws: int = 10
-    # Standard errors of the power of the mean chain above which chains are correlated: a normal law
-    # has a probability of 6e-7. Half of it has 2 false alarms in 475; double misses all of 50 sets
-    # of chains with a common part of 0.3.
+    # Standard errors of the power of the mean chain above which chains are correlated: the normal
+    # probability is 6e-7. Half has 2
+    # false alarms in 475; double misses all of 50 sets of chains with a common part of 0.3.
     score: float = 5.0
-    # Probability that a test names a cause for chains that have none. Two tests of drift and one of
-    # means are made for each quantity, so that a model of 100 quantities has a false alarm in 2 %
-    # of runs. With 1e-2 there are 4 false alarms in 475; 1e-6 finds the same faults.
+    # Probability that a test reports a cause for chains without one. Two tests of drift and one of
+    # means are made for each quantity, so a model of 100 quantities has a false alarm in 2 % of
+    # runs. With 1e-2 there are 4 false alarms in 475; 1e-6 finds the same faults.
     alarm: float = 1e-4
-    # Length of a chain, in autocorrelation times, below which it has not forgotten its start. Half
-    # of it misses 43 of 50 chains with ρ = 0.99, and double takes 21 of 25 short chains for stuck.
+    # Length of a chain, in autocorrelation times, below which it still depends on its start. Half
+    # misses 43 of 50 chains with
+    # ρ = 0.99; double takes 21 of 25 short chains for stuck.
     forgotten: float = 8.0
     # First parts of a chain, as fractions of its draws, whose means are compared with that of the
-    # last half: shorter parts hold too few draws for a normal law, and longer ones are half of it.
+    # last half. Shorter parts have too
+    # few draws for a normal law, and longer ones are half of it.
     starts: tuple[float, ...] = (0.05, 0.1, 0.2)
-    # Probability of a difference above which the draws that remain count as stationary, and the
-    # factor by which more draws are left out: at the first such place the bias of the mean may
-    # still be a standard error. Of 200 sets of 4 chains of 1,000 normal draws + 5 exp(−t/100), 153
-    # are named (47 are stuck, without an end), and 93 % of intervals hold. With 0.3 and 1.5 it is
-    # 76 % and 93 %, with 0.1 and 1.5 90 % and 89 %.
+    # Probability of a difference above which the remaining draws count as stationary, and factor by
+    # which more draws are left out, because the bias of the mean may still be a standard error
+    # there. Of 200 sets of 4 chains of 1,000 normal draws + 5 exp(−t/100), 153 are reported (47 are
+    # stuck, without an end), and 93 % of intervals hold. With 0.3 and 1.5 it is 76 % and 93 %, with
+    # 0.1 and 1.5 90 % and 89 %.
     settled: float = 0.2
     margin: float = 2.0
-    # Probability of a difference between the last two quarters of a chain below which it drifts to
-    # its end. With 0.001 4 of 50 linear drifts are named a burn-in.
+    # Probability of a difference between the last two quarters of a chain below which it drifts
+    # until its end. With 0.001, 4 of 50
+    # linear drifts are reported as a burn-in.
     ends_alike: float = 0.05
-    # Numbers of draws that are tried, as parts of a chain, and the largest fraction that is left
-    # out: the last half is what the start is compared with.
+    # Candidate numbers of draws, as parts of a chain, and the largest fraction that is left out:
+    # the last half is the reference for
+    # the start.
     cuts: int = 40
     most_left_out: float = 0.5
-    # Fraction of the draws that repeat one value in a row, above which a chain is stuck.
-    # Insensitive between 0.05 and 0.1; 0.2 misses a run of 110 draws in 1,000.
+    # Fraction of consecutive equal draws above which a chain is stuck. Insensitive between 0.05 and
+    # 0.1; 0.2 misses a run of 110 draws in 1,000.
     run: float = 0.1
-    # Number of different values above which repeated draws are a fault: a count or a flag repeats
+    # Number of different values above which repeated draws are a fault. A count or a flag repeats
     # its values.
     values: int = 20
-    # Part of the variance between the two sides of the mean, above which draws lie on two levels.
-    # It is 0.64 for a normal law, 0.75 for a uniform one and 1 for two values. 0.7 takes 22 of 50
+    # Part of the variance between the two sides of the mean above which draws lie on two levels. It
+    # is 0.64 for a normal law, 0.75 for a uniform one and 1 for two values. 0.7 takes 22 of 50
     # random walks for levels; 0.95 misses levels that are 8 standard deviations apart.
     two_levels: float = 0.85
-    # Most moves of each chain from one level to the other: with 20 of them the share of time on a
-    # level is known to about 1/√20 = 22 %. Insensitive between 10 and 40.
+    # Largest number of moves of each chain between the levels. With 20 moves the share of time on a
+    # level has an error of about 1/√20 = 22 %. Insensitive between 10 and 40.
     switches: int = 20
-    # Tail index above which a tail is heavy. The variance is infinite from ½ on, and an index from
-    # 2,000 draws has a standard error of about 0.1. 0.5 finds 49 of 50 chains with infinite
+    # Tail index above which a tail is heavy. The variance is infinite for ½ and above, and an index
+    # from 2,000 draws has a standard error of about 0.1. 0.5 finds 49 of 50 chains with infinite
     # variance, 0.6 finds 47 and 0.8 finds 25.
     heavy: float = 0.6
     # Least number of draws in a tail whose index is fitted: 20 draws give it to about 0.3. With 10
     # there is a false alarm in 475; 20 and 40 have none and find the same tails.
     least_tail: int = 20
-    # Smallest size of the largest draw of a quantity; its inverse is the largest. Squares of both,
-    # summed over any number of draws, are within the range of float64.
+    # Smallest allowed size of the largest draw of a quantity; its inverse is the largest. Squares
+    # of both, summed over any number of
+    # draws, are within the range of float64.
     smallest: float = 1e-100
-    # Degrees of freedom of the error below which realizations are few: with 6 the error is known to
-    # 1/√12 = 29 %. With 3 one of 25 chains of 12 draws is missed, and with 12 there are 12 false
+    # Degrees of freedom of the error below which realizations are few: with 6 the error is accurate
+    # to 1/√12 = 29 %. With 3, one of 25 chains of 12 draws is missed; with 12 there are 12 false
     # alarms in 475.
     few_degrees: float = 6.0
 
 
 CHAIN_SETTINGS = ChainSettings()
-"""Settings of all chains, unless others are passed."""
+"""Default settings of chains."""
 
 _VARIABLES: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("mean", "mcse", "ess", "spectrum_at_zero", "burn_in"), ()),
@@ -116,38 +121,38 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
     Parameters
     ----------
     draws
-        Real numbers: (n,) for one chain, (chain, draw), or (chain, draw, quantity); a DataArray or
-        Dataset with the dims chain and draw; or an object with such a Dataset as its group
-        posterior, for example ArviZ's InferenceData or DataTree.
+        Real numbers: (n,) for one chain, (chain, draw), or (chain, draw, quantity). Also a
+        DataArray or Dataset with the dims chain and draw, or an object with such a Dataset as its
+        group posterior, for example ArviZ's InferenceData or DataTree.
     weights
-        Importance weights or multiplicities of the draws, (n,) or (chain, draw), not negative; by
-        default all alike. The error is that of the ratio estimate Σwx/Σw, linearized.
+        Importance weights or multiplicities of the draws, (n,) or (chain, draw), not negative;
+        equal by default. The error is that of the ratio estimate Σwx/Σw, linearized.
 
     Returns
     -------
     xarray.Dataset
-        ``mean`` with ``mean_ci``; ``mcse``, the standard error of the mean, with ``mcse_ci``; ``ess``,
-        variance of the draws / mcse², with ``ess_ci``: more than n for antithetic chains;
-        ``spectrum_at_zero``, S(0); ``burn_in``, the number of draws at the start of each chain that
-        all of these leave out, because they depend on where the chain began. On the dim ``band``, octaves of frequency named by their periods, with
-        ``band_low`` and ``band_high`` in cycles per draw: ``error_share``, what of the error comes
-        from there, ``draw_share``, what of the variance of the draws does, ``chain_spectrum``, measured
-        mean of S, with ``chain_spectrum_ci``, and ``fitted_spectrum``. Coordinates ``cause`` (names
-        with commas between, or none) and ``evidence``, a sentence on each. Several quantities add a dim
-        quantity. Where a chain is stuck or its tails are heavy, nothing bounds the error: the
-        intervals have no end.
+        ``mean`` with ``mean_ci``; ``mcse``, the standard error of the mean, with ``mcse_ci``;
+        ``ess``, variance of the draws / mcse², with ``ess_ci``, which exceeds n for antithetic
+        chains; ``spectrum_at_zero``, S(0). ``burn_in`` is the number of initial draws of each chain
+        that all of these leave out, because they depend on the start. On the dim ``band``, octaves
+        of frequency named by their periods, with ``band_low`` and ``band_high`` in cycles per draw:
+        ``error_share``, the share of the error; ``draw_share``, the share of the variance of the
+        draws; ``chain_spectrum``, the measured mean of S, with ``chain_spectrum_ci``; and
+        ``fitted_spectrum``. Coordinates are ``cause`` (comma-separated names, or none) and
+        ``evidence``, a sentence on each. Several quantities add a dim quantity. For stuck chains or
+        heavy tails nothing bounds the error, and the intervals are infinite.
 
     Raises
     ------
-    ParameterError, DomainError
-        Fewer than 10 draws, other dims, values that are no finite numbers, weights that are negative
-        or all zero in a chain; draws whose squares are beyond the range of numbers.
+        If there are fewer than 10 draws, other dims, values that are not finite, weights that are
+        negative or all zero in a chain, or draws whose squares exceed the range of floats.
 
     Notes
     -----
-    S(0) from an autoregression has a smaller error, and its interval a coverage nearer to 95 %, than the
-    initial monotone sequence, which cannot see antithetic or oscillating chains, and than averages
-    of the lowest frequencies (docs/theory.md, "Chains"). Cost O(n log n).
+    S(0) from an autoregression has a smaller error, and an interval with coverage closer to 95 %,
+    than two alternatives: the initial monotone sequence, which cannot resolve antithetic or
+    oscillating chains, and averages of the lowest frequencies (docs/theory.md,
+    "Chains"). The cost is O(n log n).
 
     Examples
     --------
@@ -169,8 +174,8 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
         w = w.reshape(chains, n)
         if not np.isfinite(w).all() or w.min() < 0 or not w.any(axis=1).all():
             raise DomainError(
-                "weights are negative, not finite, or all zero in a chain; give finite numbers from "
-                "0, such as multiplicities or importance weights."
+                "weights are negative, not finite, or all zero in a chain; give finite "
+                "numbers from 0, such as multiplicities or importance weights."
             )
         w = w / w.mean()
 
@@ -178,14 +183,16 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
     smallest = CHAIN_SETTINGS.smallest
     if ((sizes > 1 / smallest) | ((sizes > 0) & (sizes < smallest))).any():
         raise DomainError(
-            f"draws are as large as {sizes.max():.3g} and as small as {sizes.min():.3g}; scale each "
-            f"quantity to a size between {smallest:g} and {1 / smallest:g}."
+            f"draws are as large as {sizes.max():.3g} and as small as {sizes.min():.3g}; scale "
+            f"each quantity to a size between {smallest:g} and {1 / smallest:g}."
         )
 
     found = [quantity_error(each, w) for each in values]
     note = None
     if chains == 1:
-        note = "One chain cannot show a mode that it never met: run several from scattered starts."
+        note = (
+            "One chain cannot show a mode that it never reached; run several from scattered starts."
+        )
     elif chains > n:
         note = (
             f"The first of {chains} × {n} draws is the axis of the chains; transpose if it is not."
@@ -214,7 +221,7 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
 
 
 def _quantities(draws: Any) -> tuple[list[str], Array]:
-    """Names of the quantities (empty for an array with one quantity) and values (quantity, chain, draw)."""
+    """Return names of the quantities (empty for one) and values (quantity, chain, draw)."""
     import xarray as xr
 
     # Take the variables of the posterior if there are groups
@@ -231,8 +238,8 @@ def _quantities(draws: Any) -> tuple[list[str], Array]:
         if isinstance(part, xr.DataArray):
             if "draw" not in part.dims:
                 raise ParameterError(
-                    f"{what} have the dims {', '.join(map(str, part.dims)) or 'none'}; name the axis "
-                    "of time draw, and that of several chains chain."
+                    f"{what} have the dims {', '.join(map(str, part.dims)) or 'none'}; name the "
+                    "axis of time 'draw', and that of several chains 'chain'."
                 )
             part = part if "chain" in part.dims else part.expand_dims("chain")
             part = part.transpose("chain", "draw", ...)
@@ -241,7 +248,7 @@ def _quantities(draws: Any) -> tuple[list[str], Array]:
         shape, x = x.shape, x[None] if x.ndim == 1 else x
         if x.ndim < 2 or (x.ndim > 3 and not name) or not x.size or x.shape[1] < least:
             raise ParameterError(
-                f"{what} have shape {shape}; give {least} draws or more, of shape (n,), "
+                f"{what} have shape {shape}; give at least {least} draws, of shape (n,), "
                 "(chain, draw) or (chain, draw, quantity)."
             )
         if bad := int(np.count_nonzero(~np.isfinite(x))):
@@ -251,17 +258,20 @@ def _quantities(draws: Any) -> tuple[list[str], Array]:
         names += [f"{name}[{place}]" if place else name for place in places]
         found.append(np.moveaxis(x.reshape(*x.shape[:2], -1), -1, 0))
     if not found:
-        raise ParameterError("draws hold no variables; give some with the dims chain and draw.")
-    if "" in parts:  # an array has numbers for names, where it has several quantities
+        raise ParameterError(
+            "draws hold no variables; give variables with the dims chain and draw."
+        )
+    if "" in parts:  # Arrays with several quantities have numbers as names
         names = [name.strip("[]") for name in names if name]
     return names, np.ascontiguousarray(np.concatenate(found))
 
 
 @dataclass(frozen=True)
-class _Fit:
-    """An autoregression of chains that share its law, and the error of a chain's mean by it."""
+class _ChainFit:
+    """An autoregression of chains with a common law, and the error of a chain's mean from it."""
 
-    coefficients: Array  # coefficients of the draws, 1 first, whose sum is white noise
+    # Coefficients of the draws, 1 first, whose weighted sum is white noise
+    coefficients: Array
     variance: float  # variance of a chain's mean, ∫ S F_n / n
     spread: float  # variance of a draw
     at_zero: float  # S(0)
@@ -272,7 +282,7 @@ class _Fit:
     frequency: Array  # j / length cycles per draw, from 0 to ½
 
 
-def _fitted(z: Array) -> _Fit:
+def _fitted(z: Array) -> _ChainFit:
     """Fit chains (chain, draw), each about its own mean."""
     from scipy.fft import irfft, next_fast_len, rfft
     from scipy.linalg import solve_toeplitz
@@ -280,14 +290,14 @@ def _fitted(z: Array) -> _Fit:
     chains, n = z.shape
     length = next_fast_len(2 * n, real=True)
     frequency = np.arange(length // 2 + 1) / length
-    both = np.full(frequency.size, 2.0 / length)  # ± ν, and once 0 and ½
+    both = np.full(frequency.size, 2.0 / length)  # ±ν, but 0 and ½ once
     both[0] /= 2.0
     both[-1] /= 1.0 + (length % 2 == 0)
     with np.errstate(invalid="ignore"):
         kernel = (np.sin(np.pi * n * frequency) / np.sin(np.pi * frequency)) ** 2 / n
     kernel[0] = n
 
-    # Fit to the covariances, then again after adding the variance of the mean that was subtracted
+    # Fit to the covariances, then again after adding the variance of the subtracted mean
     centred = z - z.mean(axis=1, keepdims=True)
     power = np.mean([np.abs(rfft(row, length)) ** 2 for row in centred], axis=0)
     most = int(min(n // 4, 10 * math.log10(n * chains)))
@@ -312,18 +322,18 @@ def _fitted(z: Array) -> _Fit:
         variance = float(error.sum())
 
     # The error of log S(0) by the delta method; the covariance of the coefficients contains Γ⁻¹.
-    # AIC tries two orders more than it needs, so that the error includes one more coefficient
-    # although it may be 0
+    # AIC uses two orders more than
+    # necessary, so the error includes one more coefficient even if it is 0
     order = len(chosen) + 1
     sums = solve_toeplitz(covariance[:order], np.ones(order)).sum() * innovation
     square = (2.0 + 4.0 * max(float(sums), 0.0) / float(chosen.sum()) ** 2) / (n * chains)
     spread, at_zero, degrees = float(covariance[0]), float(spectrum[0]), 2.0 / square
     power /= n
-    return _Fit(chosen, variance, spread, at_zero, degrees, spectrum, error, power, frequency)
+    return _ChainFit(chosen, variance, spread, at_zero, degrees, spectrum, error, power, frequency)
 
 
 def quantity_error(x: Array, w: Array, settings: ChainSettings = CHAIN_SETTINGS) -> dict[str, Any]:
-    """The variables of the result for one quantity (chain, draw) with weights of the same shape."""
+    """Return the variables of the result for one quantity (chain, draw) with weights."""
     n = x.shape[1]
     dropped = _burn_in(w * x, settings)
     if not dropped:
@@ -332,11 +342,11 @@ def quantity_error(x: Array, w: Array, settings: ChainSettings = CHAIN_SETTINGS)
         drifts = "the chain drifts: its mean still moves after half of the draws"
         return _stationary_error(x, w, _edges(n), drifts, settings)
     rest = _stationary_error(x[:, dropped:], w[:, dropped:], _edges(n), "", settings)
-    if "stuck-chain" in rest["cause"]:  # the end moves as the start does
+    if "stuck-chain" in rest["cause"]:  # The end moves as the start does
         return _stationary_error(x, w, _edges(n), "", settings)
     said = (
-        f"the first draws depend on where the chains began, so that the first {dropped} of {n} of "
-        "each chain are left out of the mean and of its error: drop them"
+        f"the first draws depend on where the chains began, so the first {dropped} of {n} of each "
+        "chain are excluded from the mean and its error: drop them"
     )
     causes = "" if rest["cause"] == "none" else f", {rest['cause']}"
     evidence = f"; {rest['evidence']}" if rest["evidence"] else ""
@@ -348,7 +358,7 @@ def quantity_error(x: Array, w: Array, settings: ChainSettings = CHAIN_SETTINGS)
 
 
 def _burn_in(z: Array, settings: ChainSettings) -> int:
-    """Number of draws of each chain that depend on where it began; n if more than half do.
+    """Return the number of draws of each chain that depend on its start; n if over half do.
 
     The mean of the first draws, over all chains, is compared with that of the last half, whose
     spectrum at frequency 0 gives the error of both. Normal scores of the draws have no tails.
@@ -367,7 +377,7 @@ def _burn_in(z: Array, settings: ChainSettings) -> int:
     fit = _fitted(last)
 
     def chance(start: int, stop: int, first: int = half) -> float:
-        """Probability that draws of a stationary chain differ as much from those after `first`."""
+        """Return the probability of such a difference between stationary draws."""
         spread = fit.at_zero * (1.0 / (stop - start) + 1.0 / (n - first)) / chains
         away = float(mean[start:stop].mean() - mean[first:].mean())
         return float(f.sf(away**2 / spread, 1, fit.degrees))
@@ -392,9 +402,9 @@ def _burn_in(z: Array, settings: ChainSettings) -> int:
 def _stationary_error(
     x: Array, w: Array, edges: Array, drifts: str, settings: ChainSettings
 ) -> dict[str, Any]:
-    """The variables for draws (chain, draw) without a burn-in, with bands between edges.
+    """Return the variables for draws (chain, draw) without a burn-in, with bands between edges.
 
-    `drifts` says how the chains drift, if that is known; else it is empty.
+    `drifts` describes how the chains drift, if that is known; else it is empty.
     """
     from scipy.signal import lfilter
     from scipy.stats import chi2, f, t
@@ -487,12 +497,12 @@ def _stationary_error(
     # Fit the tail of draws that are an autocorrelation time apart
     index = _tail_index(z[:, :: max(1, math.ceil(tau))].ravel(), settings.least_tail)
     if index > settings.heavy:
-        causes["heavy-tail"] = f"the tail index is {index:.2f}: beyond ½ the variance is infinite"
+        causes["heavy-tail"] = f"the tail index is {index:.2f}: above ½ the variance is infinite"
     degrees += rows - 1
     if not stuck and degrees < settings.few_degrees:
-        causes["few-realizations"] = "the draws are too few to know their error to 30 %"
+        causes["few-realizations"] = "there are too few draws to know their error to 30 %"
 
-    # Intervals by Student's t and χ²; they have no end if the error has no upper bound
+    # Intervals by Student's t and χ²; they are infinite if the error has no upper bound
     bounded = not {"stuck-chain", "heavy-tail"} & set(causes)
     mcse = math.sqrt(variance)
     half = float(t.ppf(0.975, degrees)) * mcse if bounded else math.inf
@@ -528,7 +538,7 @@ def _stationary_error(
 
 
 def _tail_index(z: Array, least: int) -> float:
-    """k̂ of a generalized Pareto law of the largest |z − median| [Vehtari2024]_; NaN below `least` draws."""
+    """Return k̂ of a generalized Pareto law of the largest |z − median| [Vehtari2024]_, or NaN."""
     most = int(min(z.size / 10, 3 * math.sqrt(z.size)))
     if most < least:
         return math.nan
@@ -544,9 +554,9 @@ def _tail_index(z: Array, least: int) -> float:
     likelihood = most * (np.log(-b / k) - k - 1)
     weight = np.exp(likelihood - likelihood.max())
     index = float(np.log1p(-(b @ weight) / weight.sum() * excess).mean())
-    return (most * index + 5) / (most + 10)  # prior of the reference: ten more draws with ½
+    return (most * index + 5) / (most + 10)  # Prior of the reference: ten more draws with ½
 
 
 def _edges(n: int) -> Array:
-    """Ends of the bands: octaves below ½, down to 1/n, and from 0."""
+    """Return ends of the bands: octaves below ½, down to 1/n, and from 0."""
     return np.append(0.0, 2.0 ** np.arange(-math.floor(math.log2(n)), 0))

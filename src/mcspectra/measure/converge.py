@@ -1,11 +1,11 @@
 """Convergence: measured variance against n and its fitted rate.
 
-The number of realizations is given, or grows until the variance is known well enough
-(docs/theory.md, "Intervals of variances, and stopping"). It grows in stages that depend only on
-earlier estimates, so that the result has the same bits for any number of workers. A stop counts
-only if the next stage, at least a quarter longer, confirms it: a skewed sample tends to stop first
-when its kurtosis is underestimated. Estimates without any spread do not prove that the variance is
-0: after 10,000 of them the error is NaN, and the precision is not reached.
+The number of realizations is given, or grows until the variance is accurate enough (docs/theory.md,
+"Intervals of variances, and stopping"). It grows in stages that depend only on earlier estimates,
+so the result has the same bits for any number of workers. A stop counts only if the next stage, at
+least a quarter longer, confirms it: a skewed sample tends to stop first when its kurtosis is
+underestimated. Estimates without any spread do not prove that the variance is 0. After 10,000 of
+them the error is NaN, and the precision is not reached.
 
 If the estimates missed the source of the variance, its interval has no finite upper end, the rate
 has no interval, and the attribute ``note`` explains why (`mcspectra.measure.blindness`).
@@ -59,7 +59,7 @@ __all__ = [
     "realizations_needed",
 ]
 
-Precision = Annotated[float, Meta(ge=1e-4, le=1.0)]  # a better one takes billions of realizations
+Precision = Annotated[float, Meta(ge=1e-4, le=1.0)]  # A smaller one takes billions of realizations
 
 
 @dataclass(frozen=True)
@@ -69,25 +69,25 @@ class StageSettings:
     # Realizations of the first stage: the kurtosis of 100 normal estimates has a standard error of
     # √(24/100) = 0.5. Insensitive between 50 and 200.
     first: int = 100
-    # Least and most factor by which a stage makes the sample longer: a quarter more confirms a
-    # stop, and after a factor of 4 the kurtosis is known twice as well, so that the next length is
-    # better chosen. With 1.1 searches for 10 % end at an error of 10.3 %; with 1.25 it is 9 %, and
-    # 1.5 takes 30 % more. Insensitive to a leap between 2 and 8 (``python -m benchmarks settings
-    # --stages``).
+    # Least and largest factor by which a stage lengthens the sample. A quarter more confirms a
+    # stop. After a factor of 4 the
+    # kurtosis is twice as accurate, so the next length is better chosen. With 1.1, searches for 10
+    # % end at an error of 10.3 %; with 1.25 it is 9 %, and 1.5 takes 30 % more. The largest factor
+    # is insensitive between 2 and 8 (``python -m benchmarks settings --stages``).
     step: float = 1.25
     leap: float = 4.0
-    # Realizations without spread after which the search ends: an event of probability 3e-4 is met
-    # with 95 %.
+    # Number of realizations without spread after which the search ends: an event of probability
+    # 3e-4 occurs with 95 %.
     blank: int = 10_000
-    # Blocks hold a usual block over this number: two blocks for a thousand realizations of a
-    # thousand points, so that two threads have work.
+    # Divisor of the usual block length: a thousand realizations of a thousand points then have two
+    # blocks for two threads.
     parts: int = 2
 
 
 STAGE_SETTINGS = StageSettings()
-"""Settings of all searches, unless others are passed."""
+"""Default settings of searches."""
 
-_TAIL = ("largest_share", "resolved", "tail_index")  # fields of `Moments` that describe the tail
+_TAIL = ("largest_share", "resolved", "tail_index")  # Fields of `Moments` that describe the tail
 
 _DIMS = {
     "variance": ("n", "channel"),
@@ -120,26 +120,27 @@ class Convergence(Counted, frozen=True, kw_only=True):
         int,
         REALIZATIONS,
         Meta(
-            description="Realizations at each count, or the limit of their number if a relative error is given."
+            description="Realizations at each count; with a relative error, the largest number.",
         ),
     ] = 1000
     relative_error: Annotated[
         Precision | None,
         Meta(
-            description="Stop at a count when the relative standard error of the variance is this small."
+            description="Stop at a count when its variance has at most this relative standard "
+            "error.",
         ),
     ] = None
     fit_last: Annotated[Window, FIT_LAST] = None
 
     def need(self, subject: Subject) -> Need:
-        """Every sampler can do every count, and all fit in one dataset."""
+        """Check that every sampler allows every count, and that all fit in one dataset."""
         estimators, samplers = subject.estimators, subject.samplers
         check_window(self.fit_last, len(self.counts))
         channels = sorted({e.channels for e in estimators})
         if len(channels) > 1:
             raise ParameterError(
-                f"The estimators have {' and '.join(map(str, channels))} channels; compare those of "
-                "equal numbers."
+                f"The estimators have {' and '.join(map(str, channels))} channels; compare "
+                "estimators with equal numbers."
             )
         for estimator, sampler, n in itertools.product(estimators, samplers, self.counts):
             estimator.check_sampler(sampler, n)
@@ -153,7 +154,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
-        """The next realizations of every cell that needs some, by the part of the cell."""
+        """Yield the next realizations of every cell that needs some, by the part of the cell."""
         cells = self._cells(subject, stream)
         found = yield from in_step([
             cell.all_of(part, self.realizations)
@@ -184,7 +185,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         known = np.array([error for _, error, _ in references])[:, None, None, None]
         floor = rounding_floor(np.fmax(np.abs(mean), np.abs(integral)))
 
-        # A set that is the same every time has no variance; the rest is rounding noise
+        # A deterministic set has no variance; the rest is rounding noise
         fixed = np.array([[is_fixed(e, s) for s in samplers] for e in estimators])
         variance[fixed], interval[fixed], mean_se[fixed] = 0.0, 0.0, 0.0
         v, r, f = (np.moveaxis(a, 2, 0) for a in (variance, relative, floor))
@@ -203,7 +204,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         ns = np.array(self.counts)
         blind, notes = blindness(estimators, samplers, ns, self.realizations, measured)
         if np.isnan(integral).any():
-            notes.append("the integral is unknown, so that no bias is measured; give integral=…")
+            notes.append("the integral is unknown, so no bias is measured; give integral=…")
         interval[blind, 1] = np.inf
         fitted = (ns >= fits["first_n"][..., None]) & np.moveaxis(variance > floor, 2, -1)
         unknown = (fitted & np.moveaxis(blind, 2, -1)).any(axis=-1)
@@ -262,15 +263,15 @@ class Convergence(Counted, frozen=True, kw_only=True):
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
-        """Any run of realizations of a cell."""
+        """Return any run of realizations of a cell."""
         part, first, realizations = map(int, key.split("-"))
         return self._cells(subject, stream)[part].run(part, first, realizations)
 
     def _cells(self, subject: Subject, stream: Stream) -> list[MomentsCell]:
-        """By group of estimators that share realizations, by sampler, by count.
+        """Return cells by group of estimators that share realizations, by sampler, by count.
 
-        One technique that has no `draw` of its own gets the sampler's points: all such share them.
-        A wanted precision takes as many realizations as each estimator needs by itself.
+        Estimators of one technique without their own `draw` use the sampler's points and share
+        them. With a requested precision, each estimator takes the realizations that it needs.
         """
         estimators = tuple(subject.estimators)
         draws = AbstractEstimator.draw
@@ -286,7 +287,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
 
 @final
 class RealizationsNeeded(Counted, frozen=True, kw_only=True):
-    """How many realizations a wanted precision of the variance takes."""
+    """Number of realizations for a requested precision of the variance."""
 
     function = "measure.realizations_needed"
     variables = (
@@ -297,15 +298,15 @@ class RealizationsNeeded(Counted, frozen=True, kw_only=True):
 
     n: Annotated[int, COUNT]
     relative_error: Annotated[
-        Precision, Meta(description="Wanted relative standard error of the variance.")
+        Precision, Meta(description="Requested relative standard error of the variance.")
     ] = 0.05
     max_realizations: Annotated[
         int,
-        Meta(ge=2, le=MAX_REALIZATIONS, description="Most realizations, whatever the precision."),
+        Meta(ge=2, le=MAX_REALIZATIONS, description="Most realizations, at any precision."),
     ] = 1_000_000
 
     def need(self, subject: Subject) -> Need:
-        """The sampler can do the count."""
+        """Check that the sampler allows the count."""
         estimator = subject.estimator
         estimator.check_sampler(subject.sampler, self.n)
         evaluations = sum(estimator.counts)
@@ -315,7 +316,7 @@ class RealizationsNeeded(Counted, frozen=True, kw_only=True):
         return Need(cost=expected * self.n * evaluations, memory=memory)
 
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
-        """The next realizations."""
+        """Yield the next realizations."""
         cell = MomentsCell((subject.estimator,), subject.sampler, self.n, stream)
         search = cell.until_precise(0, self.relative_error, self.max_realizations)
         (((moments, reached),),) = yield from in_step([search])
@@ -342,7 +343,7 @@ class RealizationsNeeded(Counted, frozen=True, kw_only=True):
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
-        """Any run of realizations."""
+        """Return any run of realizations."""
         cell = MomentsCell((subject.estimator,), subject.sampler, self.n, stream)
         return cell.run(*map(int, key.split("-")))
 
@@ -365,55 +366,61 @@ def convergence(
     Parameters
     ----------
     estimator, sampler
-        One or a list of each, no sampler twice. Samplers may be spec strings. For plain sampling an
-        estimator may be an integrand, its spec string, or a vectorized function of points (…, d).
+        One or a list of each, without duplicates. Samplers may be spec strings. For plain sampling
+        an estimator may be an integrand, its spec string, or a vectorized function of points (…,
+        d).
     dims
-        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
         that is not a spec.
     counts
-        Numbers of points n, ascending; each must be one that every sampler can do.
+        Ascending numbers of points n that every sampler allows.
     realizations
-        Independent realizations for each n, at least 2; with `relative_error` the limit of their number.
+        Number of independent realizations for each n, at least 2; with `relative_error`, the
+        largest number.
     rng
-        Seed (SPEC 7); each n has a stream of its own, shared by all estimators and samplers
-        (common random numbers).
+        Seed (SPEC 7). Each n has its own stream, shared by all estimators and samplers (common
+        random numbers).
     relative_error
-        Stop each count as soon as the standard error of its variance, relative to it, is this small
-        (`realizations_needed`); by default all realizations are used.
+        Relative standard error of the variance at which each count stops (`realizations_needed`).
+        By default all realizations are used.
     fit_last
-        Number of last counts that are fitted; all by default. ``"auto"`` takes as many as lie on a
-        line: `mcspectra.core.fits.fit_rate`.
+        Number of last counts that are fitted; all by default. ``"auto"`` uses as many as lie on a
+        line; see `mcspectra.core.fits.fit_rate`.
     workers
-        Threads; all processors by default. Results do not depend on it.
+        Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more is refused, before it starts
-        if possible.
+        Most evaluations of the integrand. An analysis that takes more raises, before it starts if
+        possible.
 
     Returns
     -------
     xarray.Dataset
-        ``variance(n)``, ``variance_ci(n, bound)``, ``mean(n)``, ``mean_se(n)``, ``bias(n)`` and
-        ``mse(n)`` against the estimator's integral (attribute ``integral_source``), ``bias_se(n)``,
-        which has the integral's own error in it (both NaN, and ``mse`` the variance, where the function
-        is the user's and its integral not given), ``realizations_used(n)``, with `relative_error`
-        ``reached(n)`` (1: yes; 0: `realizations` came first, or there was no spread), ``rate``,
-        ``rate_ci(bound)``, ``fit_first_n`` (the smallest count of the fit) and ``fit_chi2`` (its lack of
-        fit per degree of freedom). A set that is the same every time has the variance 0 and no
-        rate. The attribute ``note`` says so, and where the estimates missed what makes their variance:
-        none varies, their tails are not resolved (a fifth or more of it is one square, or the tail
-        index k̂ is that of a variance that is hardly finite, or values of a user's function of one technique
-        follow a power law that has much of their variance beyond all of them), the mean is five standard errors off the
-        integral, ∫g² diverges or is more than random points met, or most of it lies where no
-        sample falls (`mcspectra.estimators.tails`). The upper end of ``variance_ci`` is then infinite, and
-        both ends of ``rate_ci``. Where a sampler has fewer stored sets than realizations, which
-        translations use again, errors are at least those of leaving out one group of sets after the other. Lists add the dims estimator and sampler, several channels the dim
-        channel. Counts whose variance is rounding noise are left out of the fit; the rate of fewer
-        than two others is NaN.
+        ``variance(n)``, ``variance_ci(n, bound)``, ``mean(n)``, ``mean_se(n)``; ``bias(n)`` and
+        ``mse(n)`` relative to the estimator's integral (attribute ``integral_source``), and
+        ``bias_se(n)``, which includes the integral's error. For a user's function without a given
+        integral both are NaN, and ``mse`` is the variance. ``realizations_used(n)``; with
+        `relative_error` ``reached(n)`` (1: yes; 0: `realizations` came first, or there was no
+        spread). ``rate``, ``rate_ci(bound)``, ``fit_first_n`` (the smallest count of the fit) and
+        ``fit_chi2`` (its lack of fit per degree of freedom).
+
+        A deterministic set has the variance 0 and no rate, which the attribute ``note`` reports.
+        The note also reports estimates that missed the source of their variance: all are equal;
+        their tails are not resolved; the mean is five standard errors from the integral; ∫g²
+        diverges or exceeds the value of random points; or most of ∫g² lies where no sample falls
+        (`mcspectra.estimators.tails`). Tails are not resolved in three cases: one square is a fifth
+        or more of the variance; the tail index k̂ is that of a hardly finite variance; or values of
+        a user's function of one technique follow a power law with much of their variance beyond all
+        of them. The upper end of ``variance_ci`` and both ends of ``rate_ci`` are then infinite.
+
+        If a sampler has fewer stored sets than realizations and reuses them under translations,
+        errors are at least those of a jackknife over groups of sets. Lists add the dims estimator
+        and sampler, several channels the dim channel. Counts whose variance is rounding noise are
+        left out of the fit; the rate of fewer than two other counts is NaN.
 
     Raises
     ------
     CountError, ParameterError
-        A sampler cannot do a count, dims disagree, counts are not ascending.
+        If a sampler does not allow a count, dims disagree, or counts are not ascending.
 
     Examples
     --------
@@ -437,46 +444,45 @@ def realizations_needed(
     max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Go on until the relative standard error of the variance is reached.
+    """Add realizations until the relative standard error of the variance is reached.
 
     Parameters
     ----------
     estimator, sampler, n
         The estimator, its sampler and the number of points.
-    dims
-        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
-        that is not a spec.
+        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
+        that is not a spec. that is not a spec.
     relative_error
-        Wanted standard error of the variance, relative to it, of every channel.
+        Requested standard error of the variance, relative to it, of every channel.
     max_realizations
-        Stop there in any case, at least 2.
+        Largest number of realizations, at least 2.
     rng
         Seed (SPEC 7). Realization r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
     workers
-        Threads; all processors by default. Results do not depend on it.
+        Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more is refused, before it starts
-        if possible.
+        Most evaluations of the integrand. An analysis that takes more raises, before it starts if
+        possible.
 
     Returns
     -------
     xarray.Dataset
-        ``realizations_used``, ``reached`` (1: yes, confirmed by the last stage; 0: the maximum came
-        first, or the estimates showed no spread), ``variance`` with ``variance_ci``,
-        ``variance_relative_se`` (NaN without spread; infinite where tails are not resolved, as the
-        attribute ``note`` says), ``skewness`` and ``kurtosis`` of the estimates (0 and 3 for normal
-        ones), ``mean``, ``mean_se``; a dim channel where f has several.
+        ``realizations_used``; ``reached`` (1: yes, confirmed by the last stage; 0: the maximum came
+        first, or the estimates had no spread); ``variance`` with ``variance_ci``;
+        ``variance_relative_se`` (NaN without spread; infinite if tails are not resolved, which the
+        attribute ``note`` reports); ``skewness`` and ``kurtosis`` of the estimates (0 and 3 for
+        normal ones); ``mean``, ``mean_se``. Several channels add a dim channel.
 
     Raises
     ------
     ParameterError, CountError
-        A value is out of range, or the sampler cannot do `n`.
+        If a value is out of range, or the sampler does not allow `n`.
 
     Notes
     -----
-    The search takes about (κ − 1)/relative_error² realizations, and a quarter more to confirm. It
-    cannot account for events that are too rare to occur: compare ``skewness`` with its value for
-    the integrand.
+    The search takes about (κ − 1)/relative_error² realizations, and a quarter more for
+    confirmation. It cannot account for events that are too rare to occur: compare ``skewness`` with
+    its value for the integrand.
 
     Examples
     --------
@@ -489,7 +495,7 @@ def realizations_needed(
     return answer(RealizationsNeeded, locals())
 
 
-_Found: TypeAlias = tuple[Moments, bool]  # and whether the wanted precision was reached
+_Found: TypeAlias = tuple[Moments, bool]  # Moments, and whether the requested precision was reached
 
 _Search: TypeAlias = "Generator[Reduction[list[Moments]], list[Moments], list[_Found]]"
 
@@ -497,7 +503,7 @@ _Search: TypeAlias = "Generator[Reduction[list[Moments]], list[Moments], list[_F
 @final
 @dataclass(frozen=True)
 class MomentsCell:
-    """Estimators that draw the same sets of n points of a sampler: moments of their estimates."""
+    """Estimators that use the same sets of n points, for moments of their estimates."""
 
     estimators: tuple[AbstractEstimator, ...]
     sampler: Sampler
@@ -505,7 +511,7 @@ class MomentsCell:
     stream: Stream
 
     def run(self, part: int, first: int, realizations: int) -> Reduction[list[Moments]]:
-        """Moments of each estimator over `realizations` realizations, beginning with `first`."""
+        """Return moments of each estimator over `realizations` realizations from `first` on."""
         evaluations = self.n * sum(self.estimators[0].counts)
         numbers = evaluations * self.estimators[0].dims  # coordinates of a realization
         blocks = realization_blocks(realizations, STAGE_SETTINGS.parts * numbers, first=first)
@@ -516,7 +522,7 @@ class MomentsCell:
             return [of_estimator(e, points) for e in self.estimators]
 
         def of_estimator(e: AbstractEstimator, points: list[Array]) -> tuple[Array, Moments | None]:
-            """Estimates (R, channels or 1); poles of black boxes show only in the values at points."""
+            """Return estimates (R, channels or 1); for black boxes also moments at points."""
             if len(points) > 1 or not e.is_black_box:
                 return e.estimate(points).reshape(len(points[0]), -1), None
             values = e.primary_values(0, points[0])
@@ -543,7 +549,7 @@ class MomentsCell:
         )
 
     def all_of(self, part: int, realizations: int) -> _Search:
-        """A given number of realizations."""
+        """Use a given number of realizations."""
         return [(moments, True) for moments in (yield self.run(part, 0, realizations))]
 
     def until_precise(
@@ -557,7 +563,7 @@ class MomentsCell:
         (moments,) = yield self.run(part, 0, min(settings.first, most))
         before = False
         while True:
-            # Largest error among the channels that vary; NaN if none does
+            # Largest error among the channels that vary; NaN if none varies
             varies = moments.variance > rounding_floor(moments.mean)
             error = float(moments.known_se[varies].max()) if varies.any() else math.nan
             now, blank = error <= relative_error, math.isnan(error)
@@ -573,7 +579,7 @@ class MomentsCell:
 
 
 def count_stream(stream: Stream, n: int) -> Stream:
-    """The stream of one count: the same for every estimator and sampler, another for every n."""
+    """Return the stream of one count: common to all estimators and samplers."""
     return stream.child(n)
 
 
@@ -586,7 +592,7 @@ def count_moments(
     workers: int = 1,
     first: int = 0,
 ) -> Moments:
-    """Moments of the estimates of realizations first … first + realizations − 1, channels last."""
+    """Return moments of estimates of consecutive realizations from `first` on, channels last."""
     run = MomentsCell((estimator,), sampler, n, stream).run(0, first, realizations)
     tree: MergeTree[list[Moments]] = MergeTree()
     for state in map_in_order(run.block, range(run.blocks), workers):

@@ -1,4 +1,4 @@
-"""Parts that all analyses share: the body of their public functions, coordinates of results, sentences."""
+"""Common parts of all analyses: the body of their public functions, coordinates and sentences."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ if TYPE_CHECKING:
 
 __all__ = ["NO_VARIANCE", "VANISHES", "answer", "counted"]
 
-NO_VARIANCE = "has no variance: add owen or shift, or look at |bias|"
-"""Words about a sampler whose set is the same every time, after its name."""
+NO_VARIANCE = "has no variance: add owen or shift, or compare |bias|"
+"""Text after the name of a sampler whose set is always the same."""
 
 VANISHES = "the variance vanishes to rounding"
-"""Words about estimates that all equal the integral."""
+"""Text about estimates that all equal the integral."""
 
 
 def answer(analysis: type[Analysis], arguments: Mapping[str, Any]) -> xr.Dataset:
-    """Compute an analysis for its public function, whose arguments (`locals()`) are named as its options.
+    """Run an analysis for its public function; `locals()` has the names of its options.
 
     Parameters
     ----------
     analysis
-        Its class.
+        The class of the analysis.
     arguments
-        ``estimator``, ``sampler`` or ``samplers``, ``dims``, ``rng``, ``workers`` if it has threads, and
-        every option.
+        ``estimator``, ``sampler`` or ``samplers``, ``dims``, ``rng``, ``workers`` for analyses with
+        threads, and every option.
     """
     sampler = arguments.get("sampler", arguments.get("samplers"))
     subject = as_subject(
@@ -42,5 +42,5 @@ def answer(analysis: type[Analysis], arguments: Mapping[str, Any]) -> xr.Dataset
 
 
 def counted(dim: str, values: Any, meaning: str) -> tuple[str, Any, dict[str, str]]:
-    """A coordinate of pure numbers along a dim."""
+    """Return a coordinate of dimensionless numbers along a dim."""
     return dim, values, {"long_name": meaning, "units": "1"}

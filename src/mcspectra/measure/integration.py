@@ -1,27 +1,28 @@
 """An integral with its interval for a budget of calls: replicates of randomized sets, Student's t.
 
-A budget of N calls is R replicates of n points. If the variance of a replicate is ∝ n^-θ, the
-interval has a half width ∝ t_{R−1} n^{−θ/2} R^{−1/2}. Few replicates of many points are best for
-large θ, for example for smooth functions and scrambled nets. More replicates are best for θ near 1:
-they make t smaller at no cost. A quarter of the budget measures θ, with eight replicates whose
-points are the first ones of the sets that follow: prefixes of a randomized sequence.
+A budget of N calls is divided into R replicates of n points. If the variance of a replicate is ∝
+n^-θ, the interval has a half width ∝ t_{R−1} n^{−θ/2} R^{−1/2}. Few replicates of many points are
+best for large θ, for example for smooth functions and scrambled nets. More replicates are best for
+θ near 1, because they make t smaller at no cost. A quarter of the budget measures θ with eight
+replicates. Their points are the first ones of the later sets, prefixes of a randomized sequence.
 
-The interval is the hull of Student's t and of Hall's transform of it (`mean_interval`): of 300 seeds at 256
-calls it holds the integral of x^−½ in 88 % (74 % by Student's t alone) and that of e^(x + y) in 97 % (96 %).
+The interval is the hull of Student's t interval and Hall's transform of it (`mean_interval`). For
+300 seeds at 256 calls it holds the integral of x^−½ in 88 % (74 % by Student's t alone) and that of
+e^(x + y) in 97 % (96 %).
 
-Where f grows without bound toward a face of the cube, the errors of strata follow a law of their own,
-whose quantiles replace those of Student's t where they are wider (`estimators/tails.py`).
+If f grows without bound toward a face of the cube, the errors of strata follow another law. Its
+quantiles replace those of Student's t if they are wider (`estimators/tails.py`).
 
-Both are asymptotic in R, and eight replicates are the least. Events with a probability below 1/R
-for each replicate may be missed, for example a step along an axis next to a line of the net: then
-the interval is too short [Owen2025]_. Intervals that hold for any bounded function would take n =
-Θ(N^{1/(θ+1)}) [Jain2026]_: most of the budget would go to replicates, and the error of a smooth
+Both are asymptotic in R, and eight replicates are the minimum. Events with a probability below 1/R
+for each replicate may be missed, for example a step along an axis next to a line of the net. The
+interval is then too short [Owen2025]_. Intervals that hold for any bounded function would need n =
+Θ(N^{1/(θ+1)}) [Jain2026]_. Most of the budget would go to replicates, and the error of a smooth
 function would be ten times as large.
 
 Most linear scrambles of a net have far smaller errors than the few that cause the variance. The
 *median* of replicates ignores these few, and its error falls faster than any power of n for smooth
 f ([Pan2024]_). Order statistics bound the median for any distribution, because half of the
-estimates are above it. Nested scrambles have no such sets, and their mean is better.
+estimates are above it. Nested scrambles have no such sets, so their mean is better.
 """
 
 from __future__ import annotations
@@ -74,46 +75,48 @@ __all__ = ["integrate"]
 
 @dataclass(frozen=True)
 class IntegrationSettings:
-    """How a budget is split into replicates, and when a median replaces the mean.
+    """How a budget is divided into replicates, and when a median replaces the mean.
 
-    Numbers are those of 40 runs with 512 and with 4,096 calls on each of five functions: smooth
-    ones in 2 and 4 dims, x^−½, a quarter disk and a kink.
+    Numbers are from 40 runs with 512 and with 4,096 calls on each of five functions: smooth ones in
+    2 and 4 dims, x^−½, a quarter disk and a kink.
     """
 
-    # Least number of replicates. Intervals of 16 are 1.6 to 1.9 times as wide for smooth functions;
-    # those of 4 are as wide as those of 8 on average, but miss events of probability 1/8 more
+    # Least number of replicates. Intervals of 16 are 1.6 to 1.9 times as wide for smooth functions.
+    # Those of 4 are as wide as those of 8 on average, but miss events of probability 1/8 more
     # often.
     least: int = 8
     # Least number of replicates of a median: odd, so that it is one of them. The 95 % interval then
-    # ends at the second and the last but one, so that one bad scramble on either side does no harm.
-    # Intervals of 7 are as wide on average, and those of 21 are 1.5 times as wide.
+    # ends at the second and the last but one, so one bad scramble on either side has no effect.
+    # Intervals of 7 are as wide on average; those of 21 are 1.5 times as wide.
     least_of_median: int = 11
     # Number of points at which the kind of scramble is read from the law of the sampler, which is
-    # the same for all n.
+    # equal for all n.
     law_at: int = 64
-    # The longest sets are longer by this factor than those that the rate is measured with.
-    # Insensitive between 2 and 8: widths differ by 1 % on average.
+    # Ratio of the longest sets to the sets that measure the rate. Insensitive between 2 and 8:
+    # widths differ by 1 % on average.
     pilot: int = 4
-    # Number of prefixes of a replicate that the rate is fitted to, each half of the next. With 2 of
-    # them intervals are 6 % wider; insensitive between 4 and 6.
+    # Number of prefixes of a replicate that the rate is fitted to, each half as long as the next.
+    # With 2 prefixes intervals are
+    # 6 % wider; insensitive between 4 and 6.
     levels: int = 4
-    # The median is taken to be better if the interval of the mean is wider by this factor. With 1
-    # intervals of the median hold the integral in 90 instead of 93 % of runs, and with 4 they are
-    # 12 % wider.
+    # Factor by which the interval of the mean must be wider before the median is taken to be
+    # better. With 1, intervals of the
+    # median hold the integral in 90 instead of 93 % of runs; with 4 they are 12 % wider.
     stands_out: float = 2.0
-    # Calls before the width is compared with a tolerance the first time: 8 replicates of 128
-    # points, whose interval is right for usual functions.
+    # Number of calls before the width is first compared with a tolerance: 8 replicates of 128
+    # points, whose interval is right
+    # for usual functions.
     first: int = 2**10
-    # Factor by which calls are more than those that the rate asks for, so that most tolerances take
-    # two rounds: a width of 8 replicates has a standard error of 25 %.
+    # Ratio of the calls to those that the rate requires, so that most tolerances take two rounds: a
+    # width of 8 replicates has a standard error of 25 %.
     margin: float = 1.3
-    # Largest factor between the calls of two rounds, as the first rates are not sure.
+    # Largest ratio of the calls of two rounds, because the first rates are uncertain.
     growth: float = 4.0
 
 
 _SETTINGS = IntegrationSettings()
 
-_SIDE = 0.025  # probability on either side of a 95 % interval
+_SIDE = 0.025  # Probability on either side of a 95 % interval
 _RATES = 1.0, 3.0  # θ of random points, and of smooth functions under scrambled nets
 
 
@@ -137,57 +140,59 @@ def integrate(
     Parameters
     ----------
     f
-        A vectorized function of points (…, d) to values (…); an integrand or its spec string, without channels;
-        or an estimator of one technique, such as ``Estimator(f, density)``.
+        A vectorized function of points (…, d) with values (…), an integrand without channels or its
+        spec string, or an estimator of one technique, such as ``Estimator(f, density)``.
     budget
-        Most calls of f, each of one point. f is not called beyond this number.
+        Most calls of f, each for one point. f is not called beyond this number.
     sampler
-        A randomized one; by default ``"sobol | owen"``, for the median ``"sobol | lms"``.
+        A randomized sampler; by default ``"sobol | owen"``, for the median ``"sobol | lms"``.
     dims
         Number of dims, needed if neither f nor the sampler has one.
     combine
-        ``"mean"`` of the replicates or, for linear scrambles such as ``lms``, ``"median"``: far better where
-        f is smooth, in one dim, and in two from about 2,000 calls on.
+        ``"mean"`` of the replicates, or ``"median"`` for linear scrambles such as ``lms``. The
+        median is far better for smooth f in one dim, and in two dims from about 2,000 calls on.
     vectorized, workers, cache
-        For slow functions: see `mcspectra.integrands.Calls`. An interrupted call continues when it
-        is called again with the same cache, and gives the same bits.
+        Options for slow functions; see `mcspectra.integrands.Calls`. An interrupted call continues
+        when it is repeated with the same cache, and gives the same bits.
     on_error
-        ``"raise"`` where f fails or is not finite, or ``"skip"``: such points are counted. The value
-        takes the mean of all others for them. The interval reaches from their least to their largest
-        value for each, and the note says how many there are, and where the first one is.
+        ``"raise"`` if f fails or is not finite. ``"skip"`` counts such points. The value uses the
+        mean of all other points for them. The interval covers their least to largest value for each
+        such point. The note reports their number and the first one.
     tolerance
-        Half width of the interval at which the calls end, although the budget allows more. The note
-        says so if the budget ends first.
+        Half width of the interval at which the calls end, even if the budget allows more. The note
+        reports if the budget ends first.
     profile
-        The `mcspectra.Profile` of f. Its answer is carried out: the estimator and the sampler are those
-        that it advises. Its evaluations, which are not part of this budget, are used again: the value
-        is the mean of its integral and the new one, weighted by their intervals.
+        The `mcspectra.Profile` of f. The estimator and the sampler are the ones that it advises.
+        Its evaluations, which are not part of this budget, are reused: the value is the mean of its
+        integral and the new one, weighted by their intervals.
     rng
         Seed (SPEC 7).
 
     Returns
     -------
     xarray.Dataset
-        ``value`` (NaN without an integral), ``interval(bound)`` (95 %, over the replicates; for the median at least, of that of
-        all replicates, which are as often too large as too small), ``calls`` that were made, ``skipped`` calls that failed,
-        ``replicates``, ``n`` points of each, and ``rate``, of the variance as it was measured for the
-        split, NaN where it was not. The interval is infinite where all replicates are alike, where f
-        grows toward a face of the cube so fast that its variance is infinite, and where a few
-        values hold most of the variance; the attribute ``note`` says why. Slower growth makes the interval wider to the side of the growth.
+        ``value`` (NaN without an integral). ``interval(bound)``, 95 % over the replicates; for the
+        median it holds, with at least 95 %, the median of the distribution of replicates, which are
+        as often too large as too small. ``calls`` that were made,
+        ``skipped`` calls that failed, ``replicates``, ``n`` points of each, and ``rate`` of the
+        variance as measured for the division of the budget, NaN if not measured. The interval is
+        infinite if all replicates are equal, if f grows toward a face of the cube so fast that its
+        variance is infinite, or if a few values hold most of the variance. The attribute ``note``
+        gives the reason. Slower growth widens the interval on the side of the growth.
 
     Warns
     -----
     InfiniteVarianceWarning
-        The variance of f is infinite, or f has no integral.
+        If the variance of f is infinite, or f has no integral.
 
     Raises
     ------
     ParameterError
-        A value is out of range, the sampler is not random, f has channels or several techniques,
-        the budget is too small for eight replicates (eleven for a median), a median is asked for
-        without linear scrambles; errors of `mcspectra.integrands.Calls`.
+        If a value is out of range, the sampler is not random, f has channels or several techniques,
+        the budget is too small for eight replicates (eleven for a median), or a median is requested
+        without linear scrambles; also errors of `mcspectra.integrands.Calls`.
     ConfigError
-        The budget's points and values are more than this machine's memory.
+        If the points and values of the budget exceed this machine's memory.
 
     Examples
     --------
@@ -227,15 +232,15 @@ def integrate(
     source = as_sampler(usual if sampler is None else sampler, known)
     if source.fixed:
         raise ParameterError(
-            f"{source.spec} is the same every time, which says nothing of its error; add owen or shift."
+            f"{source.spec} is deterministic, so no error bar exists; add owen or shift."
         )
     law = source.law(source.nearest_count(_SETTINGS.law_at))
     linear = isinstance(law, Scrambled) and law.kind == "linear" and law.uniform
     if median and not linear:
         raise ParameterError(
             Parameter("combine"),
-            f" is 'median', and {source.spec} is no linear scramble, few of whose sets make the "
-            "variance: take the mean, which is better, or a sampler such as sobol | lms.",
+            f" is 'median', and {source.spec} is not a linear scramble, whose variance a few sets "
+            "cause: use the mean, which is better, or a sampler such as sobol | lms.",
         )
     each = 1 if is_function(f) else estimator.evaluations_per_point
     calls = Calls(
@@ -251,13 +256,14 @@ def integrate(
     check_memory(memory_of(calls.budget, known), "integrate")
     stream = Stream.from_rng(rng)
 
-    # Make replicates; with a tolerance few first, then as many as its interval takes
+    # Make replicates; with a tolerance a few first, then as many as the interval requires
     allowed = calls.budget if tolerance is None else min(calls.budget, _SETTINGS.first)
     with calls:
         sets = _sampled(calls, setup, stream, allowed, median=median)
         found = _estimated(sets, law, median=median, linear=linear)
         while allowed < calls.budget and not found.half_width <= least_width:
-            # The width falls as the root of the variance; an open interval takes twice the calls
+            # The width falls as the root of the variance; an infinite interval takes twice the
+            # calls
             wider = min(found.half_width / least_width, 2.0**_SETTINGS.growth)
             more = wider ** (2.0 / sets.rate if sets.rate > 0.0 else 2.0)
             more = min(max(_SETTINGS.margin * more, 2.0), _SETTINGS.growth)
@@ -304,7 +310,7 @@ def integrate(
 
 @dataclass(frozen=True)
 class _Replicates:
-    """Points (R, n, d) and values (R, n) of replicates, NaN where f failed, and θ of the variance."""
+    """Points (R, n, d) and values (R, n) of replicates, NaN where f failed; θ of the variance."""
 
     points: Array
     values: Array
@@ -320,7 +326,7 @@ def _sampled(
     median: bool,
     known: _Replicates | None = None,
 ) -> _Replicates:
-    """Replicates of at most `allowed` points in all; values of `known` ones are not made again."""
+    """Make replicates of at most `allowed` points in total; values of `known` ones are reused."""
     source, few = setup.sampler, _SETTINGS.least
     least = _SETTINGS.least_of_median if median else few
     most = affordable_count(setup, allowed // least)
@@ -338,7 +344,7 @@ def _sampled(
             first = known.values[:few]
         else:
             first = calls(source.draw_stream(pilot, stream, 0, few))
-        # θ of a variance ∝ n^-θ; the largest if a prefix has no variance
+        # θ of a variance ∝ n^-θ; the largest value if a prefix has no variance
         prefixes = first.shape[1] >> np.arange(_SETTINGS.levels)
         known_first = _filled(first)
         means = np.stack([known_first[:, :n].mean(axis=1) for n in prefixes])
@@ -347,7 +353,7 @@ def _sampled(
             slope = np.polyfit(np.log(prefixes), np.log(variances), 1)[0]
             rate = float(np.clip(-slope, *_RATES))
 
-    # Choose the number of points of a replicate, then make all of them
+    # Choose the number of points of a replicate, then make all replicates
     counts = {most}
     while rate < _RATES[1] and (n := affordable_count(setup, min(counts) // 2)):
         if n < max(pilot or 1, 2):
@@ -365,7 +371,7 @@ def _sampled(
     replicates = allowed // n
     while replicates >= least and replicates * n - min(replicates, rows) * columns > calls.left:
         replicates -= 1
-    if replicates < least and known is not None:  # too few calls are left for longer sets
+    if replicates < least and known is not None:  # Too few calls are left for longer sets
         return known
     have = have[:replicates]
     x = source.draw_stream(n, stream, 0, replicates)
@@ -379,9 +385,9 @@ def _sampled(
 
 @dataclass(frozen=True)
 class _Estimated:
-    """The value, its interval and a note; why the variance is infinite, if it is.
+    """The value, its interval, a note, and the reason for an infinite variance, if it is infinite.
 
-    `values` have the mean of all others where f failed; `alike` is true if replicates do not vary.
+    `values` have the mean of all others where f failed. `alike` is true if replicates do not vary.
     """
 
     value: float
@@ -397,7 +403,7 @@ class _Estimated:
 
 
 def _estimated(sets: _Replicates, law: Law, *, median: bool, linear: bool) -> _Estimated:
-    """The estimate of replicates; its interval is infinite if nothing varies."""
+    """Return the estimate from replicates; its interval is infinite if nothing varies."""
     from scipy.special import bdtr
 
     # Points where f failed have the mean of all others
@@ -405,8 +411,9 @@ def _estimated(sets: _Replicates, law: Law, *, median: bool, linear: bool) -> _E
     means, replicates = values.mean(axis=1), len(values)
     moments = Moments.of(means, tails=True)
     value, interval = float(moments.mean), mean_interval(means)
-    # Growth at the border: strata have skewed errors, and a variance may not exist. Other tails that
-    # are not resolved leave the interval without an end
+    # With growth at the border, strata have skewed errors, and a variance may not exist. Other
+    # unresolved tails leave the interval
+    # unbounded
     growths = border_growth(sets.points.reshape(-1, sets.points.shape[-1]), values.ravel())
     endless = growth_note(growths)
     note = None if growths else tail_note(moments) or few_note(values.ravel())
@@ -414,7 +421,7 @@ def _estimated(sets: _Replicates, law: Law, *, median: bool, linear: bool) -> _E
         interval = -math.inf, math.inf
     elif endless or not isinstance(law, Independent):
         interval = growing_interval(means, growths)
-    # The median; if no set stands out from its neighbors, f is rough or n is small
+    # Take the median; if no set stands out from its neighbors, f is rough or n is small
     outer = int((bdtr(np.arange(replicates), replicates, 0.5) < _SIDE).sum()) - 1
     ends = np.sort(means)[[outer, -1 - outer]]
     stand_out = linear and 0.0 < _SETTINGS.stands_out * np.ptp(ends) < np.ptp(interval)
@@ -425,12 +432,15 @@ def _estimated(sets: _Replicates, law: Law, *, median: bool, linear: bool) -> _E
         if not stand_out:
             note = "no replicate stands out: the mean is as good, unless n is larger or f smoother"
     elif stand_out:
-        note = "few replicates make the variance, as linear scrambles do: combine='median' leaves them out"
+        note = (
+            "few replicates cause the variance, as with linear scrambles: combine='median' "
+            "ignores them"
+        )
     alike = bool(moments.variance <= rounding_floor(moments.mean))
     alike = alike and not (median and bool(np.ptp(values)))
     if alike:
         interval, endless = (-math.inf, math.inf), None
-        note = "all replicates are alike: f is constant, or what varies was not met"
+        note = "all replicates are equal: f is constant, or no point hit the region where it varies"
     elif endless:
         interval, note = (-math.inf, math.inf), endless
         if any(growth.without_integral() for growth in growths):
@@ -439,11 +449,12 @@ def _estimated(sets: _Replicates, law: Law, *, median: bool, linear: bool) -> _E
 
 
 def _advised(f: Any, profile: Any) -> tuple[AbstractEstimator, Sampler]:
-    """The estimator and the sampler that the profile of f advises."""
+    """Return the estimator and the sampler that the profile of f advises."""
     answer = getattr(profile, "answer", None)
     if answer is None:
         raise ParameterError(
-            Parameter("profile"), f" is {profile!r:.60}; give what profile(f) returns."
+            Parameter("profile"),
+            f" is {profile!r:.60}; give the result of profile(f).",
         )
     of = profile.function
     if not (f is of or (isinstance(f, str) and f == of)):
@@ -461,25 +472,26 @@ def _with_profile(
     profile: Any,
     found: _Estimated,
 ) -> tuple[float, tuple[float, float], str | None]:
-    """The mean of an estimate and a profile's, whose errors do not correlate, and its interval.
+    """Combine an estimate with that of a profile, whose error is uncorrelated; return an interval.
 
-    The advised estimator is fitted to evaluations of the profile. For any of them its estimates have the
-    mean ∫f, so that their errors do not correlate with those of the profile.
+    The advised estimator is fitted to evaluations of the profile. For any such fit its estimates
+    have the mean ∫f, so their errors are uncorrelated with those of the profile.
     """
     low, high = profile.interval
     twice = 2.0 * low - profile.integral, 2.0 * high - profile.integral
     if found.alike and twice[0] <= value <= twice[1] and high - low < math.inf:
-        # f varied in the profile, and does no more with the points that it advised. The value is within
-        # two half widths, about four standard errors, of the mean of the profile
+        # f varied in the profile, but is constant to rounding at the advised points. The value is
+        # within two half widths,
+        # about four standard errors, of the mean of the profile
         away = math.sqrt(float(rounding_floor(np.array(value))))
-        return value, (value - away, value + away), "all replicates are alike to rounding"
+        return value, (value - away, value + away), "all replicates are equal to rounding"
     widths = interval[1] - interval[0], high - low
     if math.isinf(widths[0]) and not math.isinf(widths[1]):
-        note = f"the interval is that of the profile, since with what it advises {note}"
+        note = f"the interval is that of the profile, because with the advised points {note}"
         return profile.integral, (low, high), note
     if not (math.isfinite(sum(widths)) and min(widths) > 0.0):
         return value, interval, note
-    # The width of few replicates has a large error: use the expected width if it is smaller
+    # The width of few replicates has a large error, so use the expected width if it is smaller
     best, (replicates, n) = profile.answer.best, found.values.shape
     expected = 4.0 * best.rmse * (n / best.n) ** (0.5 * best.rate) * replicates**-0.5
     own = min(widths[0], expected) if math.isfinite(expected) else widths[0]
@@ -492,7 +504,7 @@ def _with_profile(
 
 
 def _filled(values: Array) -> Array:
-    """Values with the mean of all others in place of NaN."""
+    """Return values with the mean of all others instead of NaN."""
     failed = np.isnan(values)
     if not failed.any():
         return values

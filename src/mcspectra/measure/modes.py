@@ -1,18 +1,17 @@
-"""Leading modes of a covariance of spectra: which patterns of coefficients vary together.
+"""Leading modes of a covariance of spectra: patterns of coefficients that vary together.
 
-The eigenvectors of Cov(y_m, y_l), y_m = conj(f_m) S_m or S_m itself, are the patterns over the
-frequencies whose amplitudes are uncorrelated, its eigenvalues their variances. The matrix is never
-formed. Randomized subspace iteration [Halko2011]_ needs only its product with a few vectors: one
-pass over the realizations, which can be drawn again. The range of A Ω, with Ω random, holds the
-leading eigenvectors up to errors that shrink with every further product. The eigenpairs of A
-projected on that range (Rayleigh-Ritz) are the result, and ‖A v − λ v‖ bounds the distance of λ to
-an eigenvalue of A. The coordinates are the real and imaginary parts of the stored coefficients,
-times √2 if −m is not stored.
+The eigenvectors of Cov(y_m, y_l), with y_m = conj(f_m) S_m or S_m itself, are patterns over the
+frequencies whose amplitudes are uncorrelated. The eigenvalues are the variances of these
+amplitudes. The matrix is never formed. Randomized subspace iteration [Halko2011]_ needs only its
+product with a few vectors: one pass over the realizations, which can be drawn again. The range of A
+Ω, with Ω random, holds the leading eigenvectors up to errors that shrink with every further
+product. The eigenpairs of A projected on that range (Rayleigh-Ritz) are the result, and ‖A v − λ v‖
+bounds the distance of λ to an eigenvalue of A. The coordinates are the real and imaginary parts of
+the stored coefficients, times √2 if −m is not stored.
 
-A itself is a sample: each batch of realizations gives a variance along v, and the spread over
-batches gives the error of λ as the variance along v. This error does not include that v was
-selected for a large λ: `noise_edge` is the largest eigenvalue that this selection gives for a flat
-spectrum.
+A itself is a sample. Each batch of realizations gives a variance along v, and the spread over
+batches gives the error of λ as the variance along v. This error excludes the selection of v for a
+large λ: `noise_edge` is the largest eigenvalue that the selection gives for a flat spectrum.
 """
 
 from __future__ import annotations
@@ -60,7 +59,7 @@ class ModeSettings:
     # Vectors in addition to the modes. [Halko2011]_ proves bounds for any number and recommends 5
     # to 10.
     oversampling: int = 8
-    # Most numbers of one set of vectors: they take 1 GiB in float64.
+    # Largest number of elements of one set of vectors: 1 GiB in float64.
     most_numbers: int = 2**27
     # Realizations per coefficient below which a note warns of sampling noise. With 10 of them the
     # edge of the spectrum of noise is (1 + √(1/10))² = 1.73 times its mean [Marchenko1967]_.
@@ -71,7 +70,7 @@ class ModeSettings:
 
 
 _SETTINGS = ModeSettings()
-_START = 0x6D6F6465  # stream label of the first vectors
+_START = 0x6D6F6465  # Stream label of the first vectors
 
 
 @final
@@ -93,7 +92,8 @@ class Modes(Counted, frozen=True, kw_only=True):
     weighted: Annotated[
         bool,
         Meta(
-            description="Weight the coefficients of the points by those of the integrand: conj(f_m) S_m instead of S_m.",
+            description="Weight the coefficients of the points by those of the integrand: "
+            "conj(f_m) S_m instead of S_m.",
             extra={
                 "flag": "--points-only",
                 "help": "modes of the points alone, without the coefficients of the integrand",
@@ -124,7 +124,7 @@ class Modes(Counted, frozen=True, kw_only=True):
     eps: Annotated[float, options.EPS] = 1e-9
 
     def need(self, subject: Subject) -> Need:
-        """The vectors fit."""
+        """Check that the vectors fit into memory."""
         estimator = subject.estimator
         estimator.check_sampler(subject.sampler, self.n)
         as_integer("channel", self.channel, least=0, most=max(0, estimator.channels - 1))
@@ -134,8 +134,8 @@ class Modes(Counted, frozen=True, kw_only=True):
         numbers = size * (self.modes + _SETTINGS.oversampling)
         if numbers > _SETTINGS.most_numbers:
             raise ParameterError(
-                f"{self.modes} modes of {size} coefficients take {8 * size * self.modes / 2**30:.3g} "
-                "GiB; ask for fewer, or for a smaller ",
+                f"{self.modes} modes of {size} coefficients take "
+                f"{8 * size * self.modes / 2**30:.3g} GiB; request fewer, or a smaller ",
                 Parameter("half_width"),
                 ".",
             )
@@ -147,7 +147,7 @@ class Modes(Counted, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
-        """A pass over the realizations after the other, each with vectors that the last one gave."""
+        """Yield one pass over the realizations after another, each with the vectors of the last."""
         estimator, n = subject.estimator, self.n
         frequencies = Frequencies.of(subject, self)
         if frequencies.diverge:
@@ -157,7 +157,7 @@ class Modes(Counted, frozen=True, kw_only=True):
                 ".",
             )
 
-        # Which stored coefficients belong to the bands of these labels
+        # Find the stored coefficients in the bands of these labels
         partition = make_bands(self.bands, frequencies.basis)
         inside = np.ones(frequencies.basis.stored, bool)
         if self.band is not None:
@@ -181,7 +181,7 @@ class Modes(Counted, frozen=True, kw_only=True):
         blocks = realization_blocks(
             self.realizations, numbers, multiple=2, least=BATCH_SETTINGS.least
         )
-        group = -(-len(blocks) // BATCH_SETTINGS.least)  # blocks of a batch
+        group = -(-len(blocks) // BATCH_SETTINGS.least)  # Number of blocks of a batch
 
         def step(number: int, vectors: Array) -> Reduction[CovarianceProduct]:
             def batch(index: int) -> CovarianceProduct:
@@ -217,7 +217,8 @@ class Modes(Counted, frozen=True, kw_only=True):
         values, vectors, residuals, errors = found.eigenpairs(vectors)
         diagonal = found.squares / (found.count - 1)
 
-        # Patterns over the frequencies; each vector's sign is such that the mode adds to the estimate
+        # Patterns over the frequencies; each vector's sign is such that the mode adds to the
+        # estimate
         modes, basis, techniques = self.modes, view.basis, len(view.transforms)
         values, vectors = values[:modes], vectors[:, :modes]
         amplitude = product(coordinates.direction[None], vectors)[0]
@@ -228,8 +229,9 @@ class Modes(Counted, frozen=True, kw_only=True):
         patterns = np.where(conjugate, patterns.conj(), patterns)
         patterns = patterns.reshape(modes, techniques, *basis.shape)
         trace, size = float(diagonal.sum()), coordinates.size
-        # Largest sample eigenvalue of a flat spectrum of the same trace, by Marchenko and Pastur: with D
-        # coordinates that vary, λ (1 + √(D/(R − 1)))² in the limit of many of both [Marchenko1967]_
+        # Largest sample eigenvalue of a flat spectrum of the same trace, by Marchenko and Pastur.
+        # With D varying
+        # coordinates it is λ (1 + √(D/(R − 1)))² in the limit of large D and R [Marchenko1967]_
         least = _SETTINGS.rounding * diagonal.max(initial=0.0)
         varying = int(np.count_nonzero(diagonal > least))
         level = trace / varying if varying else 0.0
@@ -237,7 +239,7 @@ class Modes(Counted, frozen=True, kw_only=True):
         mode = counted("mode", np.arange(modes), "mode, by eigenvalue")
         note = (
             f"{self.realizations} realizations of {size} coefficients: the largest eigenvalues "
-            "of a sample are too large; compare noise_edge, the largest that a flat spectrum would have."
+            "of a sample are too large; compare noise_edge, the largest of a flat spectrum."
         )
         return dataset(
             {
@@ -263,7 +265,7 @@ class Modes(Counted, frozen=True, kw_only=True):
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
-        """A pass; the passes before it are repeated, because their vectors are needed."""
+        """Return one pass; earlier passes are repeated, because their vectors are needed."""
         steps = self.reduction(subject, stream)
         states = None
         while True:
@@ -300,42 +302,41 @@ def covariance_modes(
     Parameters
     ----------
     estimator, sampler, n
-        See `variance_terms`.
+        Same as in `variance_terms`.
     dims, half_width, realizations, rng, basis, space, engine, eps, workers
-        See `variance_terms`.
+        Same as in `variance_terms`.
     modes
-        How many, at most as many as coefficients.
+        Number of modes, at most the number of coefficients.
     weighted
-        True: modes of conj(f_m) S_m, whose covariances sum to the variance. False: modes of S_m,
-        the points alone.
+        If true, modes of conj(f_m) S_m, whose covariances sum to the variance. If false, modes of
+        S_m, the points alone.
     bands, band
-        Restrict to the functions of a band or several: their labels in the partition `bands`
-        (`mcspectra.measure.bands.make_bands`); None: all.
+        Labels of the bands to include, from the partition `bands`
+        (`mcspectra.measure.bands.make_bands`); None for all.
     channel
-        Which channel of the integrand.
+        Number of the channel of the integrand.
     passes
-        Passes over the realizations, at least 2; each one more makes small gaps between
-        eigenvalues larger.
+        Number of passes over the realizations, at least 2. More passes separate close eigenvalues.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more is refused, before it starts
-        if possible.
+        Most evaluations of the integrand. An analysis that takes more raises, before it starts if
+        possible.
 
     Returns
     -------
     xarray.Dataset
-        ``eigenvalue(mode)``, descending, of the sample covariance; ``eigenvalue_se(mode)``, its
-        error as the variance along the mode, by batch means; ``noise_edge``, the largest eigenvalue
-        to expect if all were equal: sampling alone makes flat spectra steep unless there are many
-        more realizations than coefficients; ``eigenvalue_residual(mode)``, numerical: a bound of
-        the distance to an eigenvalue of the sample covariance; ``eigenvalue_share(mode)`` of the
-        trace; ``mode_contribution(mode)``, what the mode alone gives to the variance of the
-        band-limited estimate; ``mode_vector(mode, m0, …)``, of norm 1 over all frequencies;
-        ``band_trace``, the sum of all eigenvalues.
+        ``eigenvalue(mode)`` of the sample covariance, descending; ``eigenvalue_se(mode)``, the
+        error of the variance along the mode, by batch means. ``noise_edge`` is the largest
+        eigenvalue to expect if all were equal: sampling alone makes flat spectra steep, unless
+        there are many more realizations than coefficients. ``eigenvalue_residual(mode)`` bounds the
+        numerical distance to an eigenvalue of the sample covariance. ``eigenvalue_share(mode)`` is
+        the share of the trace, and ``mode_contribution(mode)`` the mode's own contribution to the
+        variance of the band-limited estimate. ``mode_vector(mode, m0, …)`` has norm 1 over all
+        frequencies. ``band_trace`` is the sum of all eigenvalues.
 
     Raises
     ------
     ParameterError
-        A value is out of range, a label unknown, the vectors would be too large, or ∫1/p diverges.
+        If a value is out of range, a label unknown, the vectors too large, or ∫1/p diverges.
 
     Notes
     -----
@@ -359,10 +360,10 @@ class _Coordinates:
     # Indices of the band's coefficients among the stored coefficients of all techniques: int64 (P,)
     place: Array
     factor: Array  # y = factor · S, with conj(f_m) or 1, times `scale`: (P,)
-    scale: Array  # √2 for a coefficient that stands for −m too, else 1: (P,)
-    # Which of these have an imaginary part: all but the constants, in a complex basis; (Q,)
+    scale: Array  # √2 for a coefficient that also stands for −m, else 1: (P,)
+    # Those of them with an imaginary part: all but the constants, in a complex basis; (Q,)
     complex: Array
-    direction: Array  # the band's part of the estimate is its scalar product with z: (D,)
+    direction: Array  # The band's part of the estimate is its scalar product with z: (D,)
 
     @staticmethod
     def of(view: View, inside: Array, channel: int, *, weighted: bool) -> _Coordinates:
@@ -383,12 +384,12 @@ class _Coordinates:
         return len(self.direction)
 
     def real(self, s: Array) -> Array:
-        """z of spectra (R, T·H): float64 (R, D)."""
+        """Return z of spectra (R, T·H): float64 (R, D)."""
         y = s[:, self.place] * self.factor
         return np.concatenate([y.real, y.imag[:, self.complex]], axis=1)
 
     def stored(self, vectors: Array, size: int) -> Array:
-        """Patterns over all `size` stored coefficients, (k, size), of vectors (D, k)."""
+        """Return patterns over all `size` stored coefficients, (k, size), of vectors (D, k)."""
         half = len(self.place)
         y: Array = vectors[:half].T
         if self.size > half:
@@ -415,7 +416,7 @@ class CovarianceProduct:
 
     @staticmethod
     def of(z: Array, vectors: Array) -> CovarianceProduct:
-        """Sums of realizations z, (R, D); of no batch yet."""
+        """Return sums of realizations z, (R, D), without a batch."""
         mean, width = z.mean(axis=0), vectors.shape[1]
         deviation = z - mean
         total = product(deviation.T, product(deviation, vectors))
@@ -424,7 +425,7 @@ class CovarianceProduct:
         return CovarianceProduct(len(z), mean, along, total, squares, *none)
 
     def merge(self, other: CovarianceProduct) -> CovarianceProduct:
-        """Sums over the realizations of both, about their common mean."""
+        """Return sums over the realizations of both, about their common mean."""
         count = self.count + other.count
         delta, along = other.mean - self.mean, other.along - self.along
         factor, part = self.count * other.count / count, other.count / count
@@ -439,9 +440,10 @@ class CovarianceProduct:
         )
 
     def eigenpairs(self, vectors: Array) -> tuple[Array, Array, Array, Array]:
-        """Eigenpairs of the unbiased covariance A in the range of orthonormal vectors (D, k).
+        """Return eigenpairs of the unbiased covariance A in the range of vectors (D, k).
 
-        Eigenvalues, descending; eigenvectors, (D, k); ‖A v − λ v‖; standard errors.
+        The results are descending eigenvalues; eigenvectors, (D, k); ‖A v − λ v‖; and standard
+        errors.
         """
         image = self.product / (self.count - 1)
         values, rotation = eigenpairs(product(vectors.T, image))

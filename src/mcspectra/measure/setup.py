@@ -1,4 +1,4 @@
-"""An estimator with its sampler, and the counts of points that a budget affords."""
+"""An estimator with its sampler, and the affordable numbers of points."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ __all__ = ["Setup", "affordable_count"]
 
 @dataclass(frozen=True)
 class CountSettings:
-    """How far the search for a count of points goes."""
+    """Limits of the search for a number of points."""
 
-    # Counts that are tried before the search ends, and the inverse of its relative step for
-    # samplers that have a count near every number. Counts of a net or of strata are closer to each
-    # other than that; 64 and 1,024 find the same.
+    # Number of candidate counts, and the inverse of the relative step for samplers with a count
+    # near every number.
+    # Counts of nets or strata are closer to each other than the step; 64 and 1,024 find the same.
     tries: int = 256
 
 
@@ -36,7 +36,7 @@ class Setup:
     at_count: Callable[[int], AbstractEstimator] | None = None
 
     def at(self, n: int) -> AbstractEstimator:
-        """The estimator for n points."""
+        """Return the estimator for n points."""
         return self.estimator if self.at_count is None else self.at_count(n)
 
     @property
@@ -46,33 +46,33 @@ class Setup:
 
     @property
     def overhead(self) -> int:
-        """Evaluations before the first point: those of a pilot."""
+        """Evaluations before the first point, such as those of a pilot."""
         return self.estimator.pilot_evaluations
 
     @property
     def is_black_box(self) -> bool:
-        """Whether searches must not evaluate the integrand as if it cost nothing."""
+        """Whether evaluations of the integrand count as expensive."""
         return self.estimator.is_black_box
 
     @property
     def unbiased(self) -> bool:
-        """Whether the points that are drawn are uniform, so that estimates have no bias."""
+        """Whether the drawn points are uniform, so that estimates have no bias."""
         return self.estimator.randomized(self.sampler).unbiased
 
     def too_dear(self, budget: int) -> str:
-        """Why no two counts are within a budget."""
+        """Return why no two counts are within a budget."""
         if self.overhead >= budget:
-            return f"Its pilot alone takes {self.overhead} evaluations, {budget} are the budget."
+            return f"Its pilot alone takes {self.overhead} evaluations; the budget is {budget}."
         if self.cost > sum(self.estimator.counts):
             points = self.cost // sum(self.estimator.counts)
-            return f"Each of its samples takes {points} evaluations: too few fit into {budget}."
+            return f"Each of its samples takes {points} evaluations; too few fit into {budget}."
         return f"{self.sampler.spec} has no two counts within {budget} evaluations."
 
 
 def affordable_count(setup: Setup, budget: int) -> int | None:
-    """Largest n whose estimate takes at most `budget` evaluations and which can be drawn, or None.
+    """Return the largest n that can be drawn within `budget` evaluations, or None.
 
-    Counts that a sampler warns of (nets away from powers of their base) are passed over.
+    Counts for which a sampler warns (nets away from powers of their base) are skipped.
     """
     source = setup.estimator.randomized(setup.sampler)
     n: int | None = min(max(budget - setup.overhead, 0) // setup.cost, source.max_count)
@@ -88,8 +88,8 @@ def affordable_count(setup: Setup, budget: int) -> int | None:
                 pass
             else:
                 return n
-        # Go to the power of the base below if other counts are poor, in large steps if counts are
-        # dense
+        # If other counts are poor, use the next smaller power of the base; use large steps if
+        # counts are dense
         base = max(source.digit_bases, default=2)
         power = base ** int(math.log(n, base) + 1e-9)
         if poor and power < n:

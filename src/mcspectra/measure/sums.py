@@ -1,11 +1,11 @@
-"""Mergeable second moments of spectra and band-limited estimates: memory flat in realizations.
+"""Mergeable second moments of spectra and band-limited estimates, in constant memory.
 
 The power term, the contribution map and the band covariance follow from them (docs/theory.md,
 "Contributions and bands"). Errors come from batch means: every block of realizations gives an
-unbiased estimate, so that the spread over B blocks gives the error of their mean, with the quantile
-of Student's t for B − 1 degrees of freedom. The estimate from all realizations together is a little
-more precise than that mean, so that the errors are on the safe side. Where realizations use few
-stored sets again and again, groups of these sets take the place of the blocks.
+unbiased estimate. The spread over B blocks gives the error of their mean, with the quantile of
+Student's t for B − 1 degrees of freedom. The estimate from all realizations together is slightly
+more precise, so the errors are conservative. If realizations reuse a few stored sets, groups of
+these sets replace the blocks.
 """
 
 from __future__ import annotations
@@ -59,14 +59,14 @@ BATCH_SETTINGS = BatchSettings()
 
 @dataclass(frozen=True)
 class StoredGroups:
-    """How realizations that use few stored sets again and again are grouped: r uses the set r mod `sets`.
+    """Groups of realizations that reuse stored sets: realization r uses the set r mod `sets`.
 
     Attributes
     ----------
     first
         Number of the first realization of a block.
     sets, groups
-        Number of sets, and of groups of them: errors are those of the spread over groups.
+        Number of sets, and of groups of sets, whose spread gives the errors.
     """
 
     first: int
@@ -75,18 +75,18 @@ class StoredGroups:
 
     @staticmethod
     def of(law: Law, realizations: int, first: int) -> StoredGroups | None:
-        """Return the groups of the sets of a law; None where no set is used twice."""
+        """Return the groups of the sets of a law, or None if no set is reused."""
         sets = independent_sets(law)
         if sets is None or sets >= realizations:
             return None
-        # A group varies by two realizations: translations of one set, or else two sets
+        # A group needs two realizations for a variance: translations of one set, or two sets
         alone = law.stationary and realizations >= 2 * sets
         return StoredGroups(
             first, sets, min(sets if alone else max(sets // 2, 1), BATCH_SETTINGS.least)
         )
 
     def labels(self, count: int) -> Array:
-        """Groups of the realizations of a block."""
+        """Return the group of each realization of a block."""
         return np.asarray((self.first + np.arange(count)) % self.sets % self.groups)
 
 
@@ -97,14 +97,14 @@ class TermSums:
     sums: SpectralSums
     measured: Moments
     batches: Batches | None  # None if no block has two realizations
-    # By group of stored sets, "0", "1", …, in place of blocks; None where no set is used twice
+    # By group of stored sets, "0", "1", …, instead of blocks; None if no set is reused
     by_group: dict[str, TermSums] | None = None
 
     @staticmethod
     def of(
         spectra: Array, estimates: Array, partition: Partition, stored: StoredGroups | None = None
     ) -> TermSums:
-        """Sums of a block: spectra (R, H), real or complex like the coefficients, estimates (R, C)."""
+        """Return sums of a block: spectra (R, H), real or complex, and estimates (R, C)."""
         sums = SpectralSums.of(spectra, partition)
         if stored is None:
             measured = Moments.of(estimates, tails=True)
@@ -119,7 +119,7 @@ class TermSums:
         return TermSums(sums, measured, None, groups)
 
     def merge(self, other: TermSums) -> TermSums:
-        """Sums of both, group by group."""
+        """Return sums of both, group by group."""
         groups = None
         if self.by_group is not None and other.by_group is not None:
             groups = dict(self.by_group)
@@ -132,7 +132,7 @@ class TermSums:
         return TermSums(sums, measured, batches, groups)
 
     def all_batches(self, partition: Partition) -> Batches | None:
-        """What blocks say, or groups of stored sets; None where none has two realizations."""
+        """Return the batches by block or stored sets; None if all have one realization."""
         if self.by_group is None:
             return self.batches
         each = (Batches.of(g.sums, g.measured, partition) for g in self.by_group.values())
@@ -148,10 +148,10 @@ class Partition:
     # complex
     coefficients: Array
     double: Array  # 2.0 for a coefficient that also stands for −m, else 1.0: (H,)
-    dc: Array  # which coefficients are those of the constant function: bool (H,)
+    dc: Array  # Whether a coefficient belongs to the constant function: bool (H,)
     band: Array  # band of each coefficient: int64 (H,)
-    shell: Array  # half width at which each coefficient comes in: int64 (H,)
-    matrix: bool = False  # whether to keep the full covariance matrix
+    shell: Array  # Half width from which each coefficient is included: int64 (H,)
+    matrix: bool = False  # Whether to keep the full covariance matrix
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ class SpectralSums:
 
     @staticmethod
     def of(s: Array, partition: Partition) -> SpectralSums:
-        """Sums of a block: s is (R, H), real or complex like the coefficients."""
+        """Return sums of a block: s is (R, H), real or complex like the coefficients."""
         f, double = partition.coefficients, partition.double
         shape = (len(s), len(f))
         bands = np.zeros((*shape, int(partition.band.max()) + 1))
@@ -200,7 +200,7 @@ class SpectralSums:
         )
 
     def terms(self, partition: Partition) -> tuple[Array, Array, Array]:
-        """Dc, power and cross term, each (C,): unbiased, and their sum is the variance of I."""
+        """Return dc, power and cross term, each (C,), unbiased; their sum is the variance of I."""
         f = partition.coefficients
         sums = np.zeros((len(f), 3))
         term_sums(f, self.m2, self.cov, partition.double, partition.dc, sums)
@@ -208,12 +208,12 @@ class SpectralSums:
         return dc, power, total - dc - power
 
     def contribution(self, partition: Partition) -> Array:
-        """Contribution of each stored coefficient to the variance, for ±m each: (C, H)."""
+        """Return contributions of stored coefficients to the variance, for ±m each: (C, H)."""
         f = partition.coefficients
         return np.asarray((f.conj() * self.cov).real / max(self.count - 1, 1))
 
     def merge(self, other: SpectralSums) -> SpectralSums:
-        """Sums of both sets of realizations together (Chan, Golub & LeVeque 1983)."""
+        """Return sums of both sets of realizations together (Chan, Golub & LeVeque 1983)."""
         a, b = self.count, other.count
         factor, part = a * b / (a + b), b / (a + b)
         delta = other.mean - self.mean
@@ -238,10 +238,10 @@ class SpectralSums:
 
 @dataclass(frozen=True)
 class RunningSpread:
-    """Sums over blocks of arrays x of weight w, for the error of their weighted mean; of one shape and type.
+    """Sums over blocks of arrays x of weight w, for the error of their weighted mean.
 
-    Deviations are from the mean with the weights w², which is the mean of equal blocks. Of complex numbers
-    the error is the root of the mean |error|².
+    All arrays have one shape and type. Deviations are from the mean with weights w², which is the
+    mean of equal blocks. For complex numbers the error is the root of the mean |error|².
     """
 
     total: SUM  # Σ w² x
@@ -252,13 +252,13 @@ class RunningSpread:
 
     @staticmethod
     def of(values: Array, weight: float) -> RunningSpread:
-        """Sums of one array."""
+        """Return sums of one array."""
         weight = float(weight)
         total = weight**2 * values
         return RunningSpread(total, (total * values.conj()).real, weight, weight**2)
 
     def error(self) -> Array:
-        """Standard error of the mean, in the shape of the arrays; NaN for one."""
+        """Return the standard error of the mean, in the shape of the arrays; NaN for one array."""
         if self.blocks < 2:
             return np.full(self.squares.shape, np.nan)
         squares = self.squares - np.abs(self.total) ** 2 / self.squared
@@ -268,19 +268,20 @@ class RunningSpread:
 
 @dataclass(frozen=True)
 class Batches:
-    """Estimates of each block: all terms and variances, but only the spread of maps and matrices."""
+    """Estimates of each block: all terms and variances, and the spread of maps and matrices."""
 
     weights: JOIN  # degrees of freedom of each block: (B,)
     values: JOIN  # dc, power and cross term and measured variance: (B, 4, C)
-    # Spread of the contributions (C, H), of the covariances of bands (C, A, A) and, if they are
-    # wanted, of the stored covariances (H, 2H)
+    # Spread of the contributions (C, H), of the covariances of bands (C, A, A) and, if requested,
+    # of the stored
+    # covariances (H, 2H)
     contribution: RunningSpread
     band_covariance: RunningSpread
     matrix: RunningSpread | None
 
     @staticmethod
     def of(sums: SpectralSums, measured: Moments, partition: Partition) -> Batches | None:
-        """The estimates of one block; None for one realization, which has no covariance."""
+        """Return the estimates of one block; None for one realization, which has no covariance."""
         degrees = sums.count - 1
         if degrees < 1:
             return None
@@ -300,21 +301,21 @@ class Batches:
 
     @property
     def share(self) -> Array:
-        """Weight of each block in a mean, (B,)."""
+        """Return the weight of each block in a mean, (B,)."""
         return np.asarray(self.weights / self.weights.sum())
 
     def term_errors(self) -> Array:
-        """Standard errors of dc, power and cross term: (3, C)."""
+        """Return standard errors of dc, power and cross term: (3, C)."""
         terms, share = self.values[:, :3], self.share
         return spread(terms - weighted_sum(share, terms), share)
 
     def captured_factors(self) -> Array:
-        """Ends of the 95 % interval of predicted over measured variance, over that ratio: (C, 2)."""
+        """Return ends of the 95 % interval of predicted/measured variance, over it: (C, 2)."""
         return ratio_factors(self.values[:, :3].sum(axis=1), self.values[:, 3], self.share)
 
 
 def spread(deviation: Array, share: Array) -> Array:
-    """Standard error of a weighted mean over blocks (B, ...) from deviations; NaN for one block."""
+    """Return the standard error of a weighted mean over blocks (B, ...); NaN for one block."""
     blocks = len(share)
     if blocks < 2:
         return np.full(deviation.shape[1:], np.nan)
@@ -323,12 +324,12 @@ def spread(deviation: Array, share: Array) -> Array:
 
 
 def ratio_factors(above: Array, below: Array, share: Array) -> Array:
-    """Ends of the 95 % interval of a ratio of means of positive block values (B, ...), over it: (..., 2).
+    """Return ends of the 95 % interval of a ratio of means, over the ratio: (..., 2).
 
-    The interval is that of the logarithm, by the jackknife with Student's t [Miller1974]_. If few
-    blocks hold most of the error, the others missed the tail: the interval is 1 + √(excess kurtosis
-    / B) times as wide, and the skewness makes it wider on the side of that tail (``python -m
-    benchmarks coverage``).
+    The means are of positive block values (B, ...). The interval is logarithmic, by the jackknife
+    with Student's t [Miller1974]_. If few blocks hold most of the error, the others missed the
+    tail. The interval is then 1 + √(excess kurtosis / B) times as wide, and the skewness widens it
+    on the side of that tail (``python -m benchmarks coverage``).
     """
     blocks = len(share)
     if blocks < 2:
@@ -346,5 +347,5 @@ def ratio_factors(above: Array, below: Array, share: Array) -> Array:
     skewness, kurtosis = (unit**3).mean(axis=0), (unit**4).mean(axis=0)
     wider = 1.0 + np.sqrt(np.maximum(kurtosis - 3.0, 0.0) / blocks)
     low, high = (error * (wider + np.maximum(sign * skewness, 0.0)) for sign in (-1, 1))
-    with np.errstate(over="ignore"):  # no upper end where nothing is captured but rounding
+    with np.errstate(over="ignore"):  # No upper end if only rounding is captured
         return np.asarray(np.exp(np.stack([-low, high], axis=-1)))

@@ -1,11 +1,11 @@
-"""The terms of each technique and between techniques: which strategy makes the variance.
+"""The terms of each technique and between techniques: which technique causes the variance.
 
-The variance is the sum over all pairs of techniques of Cov(E_t, E_s), E_t the part of an estimate
-that t adds. Off the diagonal it is 0 for independent sets, but not for techniques that share points
-(`mcspectra.estimators.sets`). Each covariance has a dc, a power and a cross term, with the spectrum
-S^t and the integrand f^t of technique t instead of S and f. As n grows, the slowest rate of a
-technique becomes the rate of the sum. That technique is the *bottleneck* if the 95 % interval of
-its rate lies above the intervals of all other techniques.
+The variance is the sum over all pairs of techniques of Cov(E_t, E_s), where E_t is the part of an
+estimate from technique t. Off the diagonal it is 0 for independent sets, but not for techniques
+that share points (`mcspectra.estimators.sets`). Each covariance has a dc, a power and a cross term,
+with the spectrum S^t and the integrand f^t of technique t instead of S and f. For large n, the
+slowest rate of a technique becomes the rate of the sum. That technique is the *bottleneck* if the
+95 % interval of its rate lies above the intervals of all other techniques.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ _FINITE = ("technique_covariance", "technique_variance", "measured_variance", "m
 class TechniqueSettings:
     """Limit of memory for pairs of techniques."""
 
-    # Most complex numbers of Σ_r S^t conj(S^s), over all pairs of techniques and frequencies: they
-    # take 512 MiB.
+    # Largest number of complex values of Σ_r S^t conj(S^s), over all pairs of techniques and
+    # frequencies: 512 MiB.
     most: int = 2**25
 
 
@@ -102,7 +102,7 @@ class Techniques(Counted, frozen=True, kw_only=True):
     eps: Annotated[float, options.EPS] = 1e-9
 
     def need(self, subject: Subject) -> Need:
-        """The covariances fit."""
+        """Check that the covariances fit into memory."""
         estimator, counts = subject.estimator, self._counts
         check_window(self.fit_last, len(counts))
         for n in counts:
@@ -125,16 +125,16 @@ class Techniques(Counted, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
-        """The sums of all counts at once."""
+        """Return the sums of all counts at once."""
         estimator, counts = subject.estimator, self._counts
         frequencies = Frequencies.of(subject, self)
         views = [frequencies.view(n, self, apart=True) for n in counts]
         techniques = len(estimator.counts)
 
         def of_count(key: str, view: View, n: int, own: Stream) -> Reduction[_Total]:
-            """Sums of one count; a block is a batch too."""
+            """Return sums of one count; a block is also a batch."""
             evaluations = n * sum(estimator.counts)
-            # Coordinates of a realization or, where they are more, the numbers of its spectra
+            # Number of coordinates of a realization, or of its spectra if that is larger
             numbers = max(evaluations * estimator.dims, 4 * techniques * view.basis.stored)
             blocks = realization_blocks(
                 self.realizations, numbers, multiple=2, least=BATCH_SETTINGS.least
@@ -165,7 +165,7 @@ class Techniques(Counted, frozen=True, kw_only=True):
             for name, (dims, _) in parts[0].items()
         }
         notes: dict[str, Any] = {} if self._several else {"n": counts[0]}
-        if is_fixed(estimator, subject.sampler):  # the rest is rounding
+        if is_fixed(estimator, subject.sampler):  # The rest is rounding
             notes["note"] = f"{subject.sampler.spec} {NO_VARIANCE}"
             variables = {
                 name: (dims, v if name.startswith(("mean", "captured")) else np.zeros_like(v))
@@ -232,53 +232,54 @@ def technique_terms(
     estimator, sampler
         A `MultipleImportance`, a `TechniqueSum` or any other estimator, and its sampler.
     counts
-        Points n of each technique in units of its ``counts``; a list of ascending numbers adds the dim
-        n, rates and the bottleneck.
+        Number of points n of each technique in units of its ``counts``. A list of ascending numbers
+        adds the dim n, rates and the bottleneck.
     dims, half_width, basis, engine, eps, workers
-        See `variance_terms`.
+        Same as in `variance_terms`.
     realizations
-        Independent realizations for each n, at least 2.
+        Number of independent realizations for each n, at least 2.
     rng
-        Seed (SPEC 7). With a single n realizations are those of `variance_terms`; with a list, each
-        n has the stream that it has in `convergence`.
+        Seed (SPEC 7). With a single n, realizations are those of `variance_terms`; with a list,
+        each n has the same stream as in `convergence`.
     space
-        ``"domain"`` or ``"primary"`` as for `variance_terms`; by default the domain where there is one.
-        In primary space the dc terms are 0, as every technique's points have equal weights.
+        ``"domain"`` or ``"primary"`` as in `variance_terms`; by default the domain, if there is
+        one. In primary space the dc terms are 0, because the points of every technique have equal
+        weights.
     fit_last
-        Number of last counts that rates are fitted to: see `convergence`.
+        Number of last counts that rates are fitted to, as in `convergence`.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more is refused, before it starts
-        if possible.
+        Most evaluations of the integrand. An analysis that takes more raises, before it starts if
+        possible.
 
     Returns
     -------
     xarray.Dataset
         On technique and technique_other: ``technique_covariance`` of the techniques' parts of the
-        estimate, which sums to ``measured_variance``; ``technique_dc_term``,
-        ``technique_power_term`` and ``technique_cross_term``, which sum to ``predicted_variance``;
-        ``_se`` of these four (batch means: from 4 realizations on). ``dc_term``, ``power_term``,
-        ``cross_term`` of `variance_terms`: in the domain the sums over pairs. In primary space each
-        technique has frequencies of its own: dc and power are sums over the diagonal, and cross is
-        the rest. On technique: ``technique_variance`` with ``_ci``, the diagonal. ``captured`` with
-        ``_ci``. With a list of n: ``technique_rate`` and ``rate`` with ``_ci``, and ``bottleneck``:
-        the technique whose rate is slower than all others' by intervals that do not overlap, −1 for
-        undecided; the attribute ``bottleneck`` has it in words. Techniques without variance take no
-        part. Several channels add a dim channel.
+        estimate, which sums to ``measured_variance``; and ``technique_dc_term``,
+        ``technique_power_term`` and ``technique_cross_term``, which sum to ``predicted_variance``.
+        All four have ``_se`` (batch means, from 4 realizations on). ``dc_term``, ``power_term`` and
+        ``cross_term`` are those of `variance_terms`: in the domain the sums over pairs. In primary
+        space each technique has its own frequencies, so dc and power are sums over the diagonal and
+        cross is the rest. On technique: ``technique_variance`` with ``_ci``, the diagonal.
+        ``captured`` with ``_ci``. With a list of n: ``technique_rate`` and ``rate`` with ``_ci``,
+        and ``bottleneck``, the technique with a significantly slower rate than all others
+        (intervals do not overlap), or −1 if undecided. The attribute ``bottleneck`` has its name.
+        Techniques without variance are excluded. Several channels add a dim channel.
 
     Raises
     ------
     CountError, ParameterError
-        A value is out of range, dims disagree, or the sampler cannot do a count.
+        If a value is out of range, dims disagree, or the sampler does not allow a count.
 
     Warns
     -----
     InfiniteWeightVarianceWarning
-        ∫1/p diverges: the spectral terms of the domain view are NaN.
+        If ∫1/p diverges. The spectral terms of the domain view are then NaN.
 
     Notes
     -----
-    O(R (n + T² M)) time and O(T² M) memory for T techniques and M frequencies. The bottleneck looks
-    at the techniques' own variances: correlations between techniques may undo it.
+    O(R (n + T² M)) time and O(T² M) memory for T techniques and M frequencies. The bottleneck
+    compares the techniques' own variances; correlations between techniques may cancel it.
 
     Examples
     --------
@@ -301,18 +302,18 @@ class _Total:
 
 
 def _variables(total: _Total, view: View) -> Variables:
-    """Result variables of one count, with a leading channel axis."""
+    """Return result variables of one count, with a leading channel axis."""
     found, moments = total.sums.covariances(view), total.sums.moments
     share = total.weights / total.weights.sum()
-    # As many times as large as few stored sets make the error of the whole variance
+    # Scaled by the factor by which few stored sets raise the error of the whole variance
     wider = moments.widening[:, -1]
     errors = spread(total.values - weighted_sum(share, total.values), share)
     errors = errors * wider[:, None, None]
     predicted = found[:3].sum(axis=(0, 2, 3))
-    # Of each block: predicted and measured variance of the whole estimate, (B, 2, C)
+    # For each block: predicted and measured variance of the whole estimate, (B, 2, C)
     whole = total.values.sum(axis=(-2, -1))
     sides = np.stack([whole[:, :3].sum(axis=1), whole[:, 3]], axis=1)
-    # As `variance_terms` has it: in primary space each technique has frequencies of its own.
+    # As in `variance_terms`, each technique has its own frequencies in primary space
     dc, power = (np.einsum("cts->c" if view.space == "domain" else "ctt->c", c) for c in found[:2])
     measured, mean = moments.variance[:, -1], moments.mean[:, -1]
     real = np.where(measured > rounding_floor(mean), measured, np.nan)
@@ -353,9 +354,9 @@ class TechniqueSums:
     def of(
         view: View, points: list[Array], first: int = 0, sets: int | None = None
     ) -> TechniqueSums:
-        """Sums of a block; `first` and `sets` are as in `Moments.of`."""
+        """Return sums of a block; `first` and `sets` are as in `Moments.of`."""
         parts = view.spectra(points)
-        # Part of the estimate that each technique adds, (R, C, T), truncated and in full
+        # Part of the estimate from each technique, (R, C, T), truncated and complete
         weighted = view.integrand_coefficients.conj() * view.basis.double
         truncated = np.stack(
             [product(s, weighted[:, t].T).real for t, s in enumerate(parts)], axis=2
@@ -374,7 +375,7 @@ class TechniqueSums:
         )
 
     def merge(self, other: TechniqueSums) -> TechniqueSums:
-        """Sums of both sets of realizations together (Chan, Golub & LeVeque 1983)."""
+        """Return sums of both sets of realizations together (Chan, Golub & LeVeque 1983)."""
         a, b = self.count, other.count
         factor, part = a * b / (a + b), b / (a + b)
         delta, jump = other.mean - self.mean, other.values_mean - self.values_mean
@@ -393,9 +394,9 @@ class TechniqueSums:
         )
 
     def covariances(self, view: View) -> Array:
-        """Dc, power and cross term and measured covariance of pairs: (4, C, T, T).
+        """Return dc, power and cross term and measured covariance of pairs: (4, C, T, T).
 
-        Unbiased: dc + power + cross is the covariance of the truncated estimates.
+        They are unbiased: dc + power + cross is the covariance of the truncated estimates.
         """
         f, basis, degrees = view.integrand_coefficients, view.basis, max(self.count - 1, 1)
         weighted = self.products * basis.double / degrees
@@ -408,27 +409,27 @@ class TechniqueSums:
 
 
 def technique_estimates(estimator: AbstractEstimator, points: list[Array]) -> Array:
-    """Parts of the estimates of a block that the techniques add, then their sum: (R, C, T + 1)."""
+    """Return the parts of the estimates from each technique, then their sum: (R, C, T + 1)."""
     each = [estimator.primary_values(t, u).mean(axis=1) for t, u in enumerate(points)]
     parts = np.stack([v.reshape(len(v), -1) for v in each], axis=2)
     return np.concatenate([parts, parts.sum(axis=2, keepdims=True)], axis=2)
 
 
 def _paired(f: Array, products: Array) -> Array:
-    """Re Σ_h conj(f^t_h) f^s_h products^ts_h: (C, T, T)."""
+    """Return Re Σ_h conj(f^t_h) f^s_h products^ts_h: (C, T, T)."""
     return np.stack([np.einsum("th,sh,tsh->ts", g.conj(), g, products).real for g in f])
 
 
 def technique_rates(
     ns: Sequence[int], moments: Sequence[Moments], window: int | str | None = None
 ) -> tuple[Variables, list[int]]:
-    """Rates of all techniques and of the whole estimate, and the bottleneck of each channel.
+    """Return rates of all techniques and of the whole estimate, and the bottleneck by channel.
 
-    `moments` are, for each count, those of `technique_estimates`.
+    `moments` are those of `technique_estimates` for each count.
     """
     variance = np.stack([m.variance for m in moments])  # (N, C, T + 1)
     relative = np.stack([m.relative_se for m in moments])
-    # Rounding is relative to the whole estimate, since a part of it may be 0.
+    # Rounding is relative to the whole estimate, because a part of it may be 0
     size = np.stack([np.abs(m.mean).max(axis=1, keepdims=True) for m in moments])
     floor = np.broadcast_to(rounding_floor(size), variance.shape)
     fits = fit_rates(np.array(ns), variance, relative, floor, window)
@@ -443,7 +444,7 @@ def technique_rates(
         )
         low = intervals[slowest, 0]
         others = [intervals[t, 1] for t in moving if t != slowest]
-        # A rate that could not be fitted compares false: undecided.
+        # A rate that could not be fitted compares false, hence undecided
         decided = moving and math.isfinite(low) and all(high < low for high in others)
         choice.append(slowest if decided else UNDECIDED)
     variables: Variables = {

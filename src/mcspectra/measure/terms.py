@@ -1,7 +1,8 @@
 """The three terms: variance of an estimator predicted and explained from spectra.
 
-docs/theory.md, "The three terms", "Contributions and bands". No M × M matrix is stored. In primary
-space every technique has its own integrand and points, and the sums run over (technique, m).
+See docs/theory.md, "The three terms" and "Contributions and bands". No M × M matrix is stored. In
+primary space every technique has its own integrand and points, and the sums run over (technique,
+m).
 """
 
 from __future__ import annotations
@@ -48,7 +49,8 @@ __all__ = ["Terms", "variance_terms"]
 class TermSettings:
     """Limit of memory for the full cross matrix."""
 
-    # Most frequencies of a full cross matrix: two complex matrices of that size take 0.5 GiB.
+    # Largest number of frequencies of a full cross matrix: two complex matrices of that size take
+    # 0.5 GiB.
     most_matrix: int = 4096
 
 
@@ -96,7 +98,7 @@ class Terms(Counted, frozen=True, kw_only=True):
     eps: Annotated[float, options.EPS] = 1e-9
 
     def need(self, subject: Subject) -> Need:
-        """The spectra fit, and there are such bands."""
+        """Check that the spectra fit into memory, and that the bands exist."""
         estimator, several = subject.estimator, len(subject.samplers)
         for sampler in subject.samplers:
             estimator.check_sampler(sampler, self.n)
@@ -105,8 +107,9 @@ class Terms(Counted, frozen=True, kw_only=True):
         size, evaluations = frequencies.size, sum(estimator.counts)
         if self.cross_matrix and size > _SETTINGS.most_matrix:
             raise ParameterError(
-                f"The cross matrix of {size} frequencies takes {32 * size**2 / 2**30:.3g} GiB; ask "
-                f"for at most {_SETTINGS.most_matrix} frequencies, or use contribution and band_covariance."
+                f"The cross matrix of {size} frequencies takes {32 * size**2 / 2**30:.3g} GiB; "
+                f"request at most {_SETTINGS.most_matrix} frequencies, or use contribution and "
+                "band_covariance."
             )
         kept = several * (size + (2 * size * size if self.cross_matrix else 0))
         each = self.realizations * evaluations * self.n * estimator.evaluations_per_point
@@ -117,13 +120,13 @@ class Terms(Counted, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[list[TermSums]]:
-        """Sums over all realizations of each sampler; a block is a batch too."""
+        """Return sums over all realizations of each sampler; a block is also a batch."""
         estimator, samplers, n = subject.estimator, subject.samplers, self.n
         frequencies = self._frequencies(subject)
         view = frequencies.view(n, self)
         bands = make_bands(self.bands, view.basis)
         partition = view.partition(bands.of, self.cross_matrix)
-        # Coordinates of a realization or, where they are more, the numbers of its spectra
+        # Number of coordinates of a realization, or of its spectra if that is larger
         numbers = max(n * estimator.dims * sum(estimator.counts), 2 * partition.double.size)
         blocks = realization_blocks(
             self.realizations, numbers, multiple=2, least=BATCH_SETTINGS.least
@@ -153,7 +156,7 @@ class Terms(Counted, frozen=True, kw_only=True):
                 own["measured_variance_ci"][1][blind, 1] = np.inf
                 captured = own["captured_ci"][1]
                 captured[blind, 0] = np.minimum(captured[blind, 0], 0.0)
-                if is_fixed(estimator, sampler):  # the rest is rounding
+                if is_fixed(estimator, sampler):  # The rest is rounding
                     known = ("mean", "energy_share", "captured")
                     own = {
                         name: (dims, v if name.startswith(known) else np.zeros_like(v))
@@ -189,7 +192,7 @@ class Terms(Counted, frozen=True, kw_only=True):
                         each = np.repeat(np.arange(techniques), basis.size)
                         matrix[f"{name}_technique"] = (name, each)
 
-            # Labels as an attribute: arrays of strings have no place in zarr's specification yet.
+            # Labels are an attribute, because zarr's specification has no arrays of strings yet
             about = {"long_name": bands.meaning, "units": "1", "labels": ", ".join(bands.labels)}
             places = np.arange(len(bands.labels))
             widths = np.arange(basis.half_width + 1)
@@ -227,14 +230,15 @@ class Terms(Counted, frozen=True, kw_only=True):
         )
 
     def _frequencies(self, subject: Subject) -> Frequencies:
-        """The basis functions, which are the same for all samplers."""
+        """Return the basis functions, which are the same for all samplers."""
         samplers = subject.samplers if self.basis == "auto" else subject.samplers[:1]
         found = [Frequencies.of(Subject(subject.estimator, s), self, self.n) for s in samplers]
         names = {s.spec: each.basis.name for s, each in zip(samplers, found, strict=True)}
         if len(set(names.values())) > 1:
             chosen = ", ".join(f"{basis} for {sampler}" for sampler, basis in names.items())
             raise ParameterError(
-                f"basis is 'auto', which is {chosen}; name one basis, or analyze the samplers one by one."
+                f"basis is 'auto', which is {chosen}; name one basis, or analyze the samplers one "
+                "by one."
             )
         return found[0]
 
@@ -257,80 +261,83 @@ def variance_terms(
     max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Predict the variance of an estimator from spectra, term by term, and measure it for comparison.
+    """Predict the variance of an estimator from spectra, term by term, and measure it.
 
     Parameters
     ----------
     estimator, sampler, n
-        The estimator with one sampler, or with a list of different samplers, which share random
-        numbers; `n` counts each technique's points in units of its ``counts``.
+        The estimator with one sampler, or with a list of different samplers, which use the same
+        random numbers. `n` is the number of points of each technique in units of its ``counts``.
     dims
-        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
         that is not a spec.
     half_width
-        Frequencies m run over {−half_width … half_width}^d. By default 64, or twice n^(1/d) as a
-        power of two if that is more; fewer if f has no higher frequencies, or if there would be
-        more than 2^17.
+        Frequencies m run over {−half_width … half_width}^d. The default is 64, or the power of two
+        near 2 n^(1/d) if that is larger. It is lower if f has no higher frequencies, or if there
+        would be more than 2^17.
     realizations
-        Independent realizations, at least 2.
+        Number of independent realizations, at least 2.
     rng
         Seed (SPEC 7). Realization r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
     basis
-        ``"fourier"``, ``"cosine"``, ``"walsh"`` or ``"haar"`` (`mcspectra.spectra.bases`), or ``"auto"``:
-        the one that fits the sampler's randomization, which the attribute ``basis`` then names; a
-        list of samplers needs one that fits them all.
+        ``"fourier"``, ``"cosine"``, ``"walsh"`` or ``"haar"`` (`mcspectra.spectra.bases`).
+        ``"auto"`` is the one that fits the sampler's randomization; the attribute ``basis`` reports
+        it. A list of samplers needs a basis that fits all.
     space
-        ``"domain"``: f with the warped, weighted points (the paper's view); ``"primary"``: g(u) with
-        the sampler's own points, where discontinuities made by the warp are visible. By default the
-        domain, where there is one.
+        ``"domain"`` uses f with the warped, weighted points (the paper's view). ``"primary"`` uses
+        g(u) with the sampler's own points, which shows discontinuities of the warp. The default is
+        the domain, if there is one.
     bands
-        ``"radial"``, ``"dyadic"``, ``"anova"``, ``"wedge"``, or an integer label ≥ 0 for every basis
-        function: `mcspectra.measure.bands.make_bands`.
+        ``"radial"``, ``"dyadic"``, ``"anova"``, ``"wedge"``, or an integer label ≥ 0 for every
+        basis function; see `mcspectra.measure.bands.make_bands`.
     cross_matrix
-        Also return C_ml and conj(f_m) f_l C_ml in full, for at most 4096 frequencies.
+        Whether to return C_ml and conj(f_m) f_l C_ml in full, for at most 4096 frequencies.
     engine, eps
         See `mcspectra.spectra.transforms`.
     workers
-        Threads; all processors by default. Results do not depend on it.
+        Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more is refused, before it starts
-        if possible.
+        Most evaluations of the integrand. An analysis that takes more raises, before it starts if
+        possible.
 
     Returns
     -------
     xarray.Dataset
-        ``dc_term``, ``power_term``, ``cross_term``, ``predicted_variance`` (their sum) with
-        ``_ci``, ``measured_variance`` with ``_ci``, ``captured`` with ``_ci`` (predicted/measured,
-        NaN where the measured variance is rounding noise), ``energy_share``, the part of ∫f² within
-        the half width, and ``tail_term``, the variance of the rest if points were random to it,
-        ``contribution`` and ``power_contribution`` on m0, m1, …, ``band_covariance(band,
-        band_other)``, ``truncated_variance(half_width)`` and
-        ``captured_by_half_width(half_width)``; a dim sampler for a list, a dim channel where f has
-        several, a dim technique on maps of a primary space with several. With `cross_matrix`,
-        ``coefficient_covariance(m, l)`` and ``cross_matrix(m, l)``. Standard errors ``_se`` of the
-        terms, ``contribution``, ``band_covariance`` and both matrices, and ``_ci`` of the terms, by
-        batch means (from 4 realizations on): their number is the attribute ``batches``, and 95 % is
-        Student's t with one degree of freedom less; that of ``captured`` is of its logarithm, wider
-        where few batches hold most of the error. A set that is the same every time has no variance.
-        The attribute ``note`` says so, and it names estimates that missed the source of their
-        variance (see `convergence`): the upper end of ``measured_variance_ci`` is then infinite,
-        and the lower end of ``captured_ci`` is 0.
+        ``dc_term``, ``power_term``, ``cross_term`` and ``predicted_variance``, their sum, with
+        ``_ci``; ``measured_variance`` with ``_ci``. ``captured`` with ``_ci`` is
+        predicted/measured, NaN if the measured variance is rounding noise. ``energy_share`` is the
+        part of ∫f² within the half width, and ``tail_term`` the variance of the rest for random
+        points. ``contribution`` and ``power_contribution`` are on m0, m1, …. Further variables are
+        ``band_covariance(band, band_other)``, ``truncated_variance(half_width)`` and
+        ``captured_by_half_width(half_width)``. A list adds a dim sampler, several channels a dim
+        channel, and several techniques in primary space a dim technique on maps. With
+        `cross_matrix` there are ``coefficient_covariance(m, l)`` and ``cross_matrix(m, l)``.
+
+        The terms, ``contribution``, ``band_covariance`` and both matrices have standard errors
+        ``_se``, and the terms ``_ci``, by batch means from 4 realizations on. The attribute
+        ``batches`` is the number of batches, and 95 % intervals use Student's t with one degree of
+        freedom less. The interval of ``captured`` is logarithmic, and wider if few batches hold
+        most of the error. A set that is always the same has no variance, which the attribute
+        ``note`` reports. The note also names estimates that missed the source of their variance
+        (see `convergence`). The upper end of ``measured_variance_ci`` is then infinite, and the
+        lower end of ``captured_ci`` is 0.
 
     Raises
     ------
     ParameterError
-        A value is out of range, dims disagree, or the matrix would be too large.
+        If a value is out of range, dims disagree, or the matrix would be too large.
 
     Warns
     -----
     InfiniteWeightVarianceWarning
-        ∫1/p diverges: the terms are infinite in the domain view and are given as NaN or infinity.
+        If ∫1/p diverges. The terms of the domain view are then infinite and given as NaN or
+        infinity.
 
     Notes
     -----
     O(R (n + M log M)) time and O(M + bands²) memory. 95 % intervals follow from the kurtosis of the
-    estimates. A truncated spectrum predicts part of the variance: see ``captured``; `mcspectra.predict`
-    predicts all of it.
+    estimates. A truncated spectrum predicts part of the variance, which ``captured`` reports;
+    `mcspectra.predict` predicts all of it.
 
     Examples
     --------
@@ -344,10 +351,10 @@ def variance_terms(
 
 
 def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
-    """All result variables with a leading channel axis; errors are NaN with fewer than two blocks."""
+    """Return all variables with a channel axis first; errors are NaN for fewer than two blocks."""
     sums, measured, basis = total.sums, total.measured, view.basis
     batches = total.all_batches(partition)
-    assert batches is not None  # the first block has two realizations at least
+    assert batches is not None  # The first block has at least two realizations
     f, degrees = partition.coefficients, sums.count - 1
     shape = (len(f), len(view.transforms), basis.stored)
     maps, pairs = ("channel", "technique", *basis.names), ("channel", "band", "band_other")
@@ -372,7 +379,7 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
         variables[f"{name}_se"] = ("channel",), error
         variables[f"{name}_ci"] = interval(value, student_t(batches.count) * error)
 
-    # Part of the variance that the frequencies hold; NaN if the variance is rounding noise
+    # Part of the variance in the frequencies; NaN if the variance is rounding noise
     real = np.where(measured.variance > rounding_floor(measured.mean), measured.variance, np.nan)
     with np.errstate(invalid="ignore"):  # 0 times infinity if nothing is captured
         captured_ci = (predicted / real)[:, None] * batches.captured_factors()
@@ -394,9 +401,10 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
     variables["band_covariance"] = pairs, sums.band_m2 / degrees
     variables["band_covariance_se"] = pairs, batches.band_covariance.error()
 
-    # Full C_ml and conj(f_m) f_l C_ml; errors of conjugates are the same, |f_m f_l| scales them
+    # Full C_ml and conj(f_m) f_l C_ml; errors of conjugates are equal and scale with |f_m f_l|
     if sums.matrix is not None and batches.matrix is not None:
-        # Of each coefficient of each technique: its place among those stored, whether conjugate
+        # For each coefficient of each technique: its position among the stored ones, and whether it
+        # is conjugated
         techniques, (place, conjugate) = len(view.transforms), basis.whole()
         index = (np.arange(techniques)[:, None] * basis.stored + place).ravel()
         flip = np.tile(conjugate, techniques)
@@ -415,7 +423,7 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
 
 
 def _predicted_ci(total: TermSums, batches: Batches) -> Array:
-    """95 % interval of the sum of the terms, (C, 2); of few stored sets at least that of their spread."""
+    """Return a 95 % interval of the sum of the terms, (C, 2), with the error of few stored sets."""
     truncated = total.sums.truncated
     interval = truncated.variance_ci[:, -1]
     if total.by_group is None or batches.count < 2:
@@ -431,10 +439,11 @@ def _predicted_ci(total: TermSums, batches: Batches) -> Array:
 
 
 def _signed(stored: Array, index: Array, flip: Array) -> Array:
-    """⟨S_a conj S_b⟩ for a, b plain or conjugated, from the stored blocks with and without conj.
+    """Return ⟨S_a conj S_b⟩ for a, b plain or conjugated, from the stored blocks.
 
-    S_{−l} = conj S_l gives C_{m,−l} = Cov(S_m, conj S_l), the pseudo-covariance. In primary space
-    the coefficients of the techniques follow one another.
+    The stored blocks are those with and without conj. S_{−l} = conj S_l gives C_{m,−l} = Cov(S_m,
+    conj S_l), the pseudo-covariance. In primary space the coefficients of the techniques follow one
+    another.
     """
     size = len(stored)
     plain, pseudo = stored[:, :size][np.ix_(index, index)], stored[:, size:][np.ix_(index, index)]

@@ -34,14 +34,15 @@ class FrequencySettings:
     # Least default half width: features of 1/128 of the cube, the pixels of a thumbnail, are
     # resolved.
     least_width: int = 64
-    # Most frequencies of a default half width, 2^17: in 2-D a half width of 128 still fits, 181² =
-    # 2^15 cells do not matter, and one spectrum takes 1 MiB in half storage.
+    # Largest number of frequencies of a default half width, 2^17. In 2-D a half width of 128 fits,
+    # and one spectrum takes 1 MiB in half storage.
     most_frequencies: int = 2**17
-    # Part of Σ|f_m|² outside half the width below which the width is halved: ten roundings of
+    # Fraction of Σ|f_m|² outside half the width below which the width is halved: ten roundings of
     # float64.
     rounding: float = 1e-15
-    # Points at which mean squares of weights and functions are taken. They give the energy share of
-    # a smooth f to 1e-4, and of a discontinuous one to 1 %.
+    # Number of points for mean squares of weights and functions. They give the energy share of a
+    # smooth f to 1e-4, and of
+    # a discontinuous one to 1 %.
     probes: int = 2**14
 
 
@@ -59,10 +60,10 @@ class Frequencies:
 
     @staticmethod
     def of(subject: Subject, asked: Any, n: int = 1) -> Frequencies:
-        """Choose the space, the half width for n points and the basis that an analysis leaves open.
+        """Choose space, half width for n points and basis, if an analysis leaves them open.
 
-        The basis ``"auto"`` is the one that fits the points that an estimator makes. A mirrored
-        integrand has folded points in the domain, in primary space those of the sampler.
+        The basis ``"auto"`` fits the points of the estimator. The points of a mirrored integrand
+        are folded in the domain; in primary space they are those of the sampler.
         """
         estimator, space, basis = subject.estimator, asked.space, asked.basis
         domain = estimator.domain_integrand
@@ -77,7 +78,7 @@ class Frequencies:
         dims = estimator.dims if chosen == "primary" else estimator.domain_dims
         width: int | None = asked.half_width
         if width is None:
-            # Twice the frequency n^(1/d) above which n strata are like random points, within the
+            # Twice the frequency n^(1/d), above which n strata are like random points, within the
             # limits
             width = max(
                 _SETTINGS.least_width, 2 ** math.ceil(math.log2(2.0 * n ** (1.0 / dims)) - 1e-9)
@@ -104,7 +105,7 @@ class Frequencies:
 
     @property
     def size(self) -> int:
-        """Number of coefficients: in primary space of each technique."""
+        """Number of coefficients; in primary space, for each technique."""
         techniques = len(self.estimator.counts) if self.space == "primary" else 1
         return self.basis.size * techniques
 
@@ -114,7 +115,7 @@ class Frequencies:
         return self.space == "domain" and self.estimator.infinite_weights
 
     def view(self, n: int, asked: Any, *, apart: bool = False) -> View:
-        """Prepare the transforms of n points and f's coefficients, with `apart` for each technique.
+        """Prepare transforms of n points and coefficients of f, with `apart` by technique.
 
         Techniques are always separate in primary space.
         """
@@ -141,8 +142,8 @@ class Frequencies:
     ) -> Variables:
         """Replace the variables of terms that diverge by NaN, or by infinity."""
         warn(
-            f"∫1/p diverges for {self.estimator.spec}: Var(S_0) and the spectral terms are infinite "
-            "although the estimate's variance need not be; use space='primary'.",
+            f"∫1/p diverges for {self.estimator.spec}: Var(S_0) and the spectral terms are "
+            "infinite, although the variance of the estimate may be finite; use space='primary'.",
             InfiniteWeightVarianceWarning,
         )
         return {
@@ -160,18 +161,19 @@ class View:
     estimator: AbstractEstimator
     space: str
     basis: Basis
-    transforms: tuple[Coefficients, ...]  # one for each technique's points, or one for all points
+    transforms: tuple[Coefficients, ...]  # One for each technique's points, or one for all points
     engine: str
     integrand_coefficients: Array  # f^t, (C, T, H)
     source: str  # origin of the coefficients
 
     def spectra(self, points: list[Array]) -> list[Array]:
-        """Spectra of a block, (R, H), of each technique, or of all together."""
+        """Return spectra of a block, (R, H), of each technique, or of all together."""
         if self.space == "primary":
             return [
                 transform(u, None) for transform, u in zip(self.transforms, points, strict=True)
             ]
-        if len(self.transforms) == 1:  # weights of one may depend on u, beyond x
+        # Weights of a single technique may depend on u, not only on x
+        if len(self.transforms) == 1:
             return [self.transforms[0](*self.estimator.weighted_points(points))]
         warped = [self.estimator.warp(t, u) for t, u in enumerate(points)]
         return [
@@ -180,12 +182,12 @@ class View:
         ]
 
     def coefficients(self, points: list[Array]) -> Array:
-        """Spectra of a block, those of the techniques side by side: (R, T·H)."""
+        """Return spectra of a block, with the techniques concatenated: (R, T·H)."""
         parts = self.spectra(points)
         return parts[0] if len(parts) == 1 else np.concatenate(parts, axis=1)
 
     def energy(self, n: int) -> tuple[Array, Array]:
-        """Part of ∫f² that the basis functions hold, and the variance of the rest for random points.
+        """Return the part of ∫f² in the basis functions, and the random variance of the rest.
 
         Both are (channels or 1,), and NaN if ∫f² is not known. The power of random points is (1/n)
         times the mean square of the weights.
@@ -218,7 +220,7 @@ class View:
         return np.minimum(share, 1.0), (rest * level).sum(axis=1) / n
 
     def partition(self, band: Array, matrix: bool) -> Partition:
-        """Coefficients and labels, repeated for each technique."""
+        """Return coefficients and labels, repeated for each technique."""
         techniques = len(self.transforms)
         shell = self.basis.oscillations().max(axis=1)
         dc = np.zeros(self.basis.stored, bool)

@@ -1,4 +1,4 @@
-"""Variance as the law of a sampler and facts about an integrand give it, without estimates."""
+"""Predictions of the variance from the law of a sampler and facts about an integrand."""
 
 import lazy_loader
 

@@ -1,13 +1,14 @@
 """Methods that check a prediction: pairs of points, sums over frequencies, and a measurement.
 
-The three methods that sum over frequencies include those within a half width only; `energy_share` is the
-part of ∫f² that these hold. Where it is 1, all methods give the same number (docs/spectra.md).
+The three methods that sum over frequencies include only those within a half width. `energy_share`
+is the part of ∫f² in these frequencies. If it is 1, all methods give the same number
+(docs/spectra.md).
 
-Pair correlation (docs/theory.md, "Pair correlation"): random and jittered points have pairs of known
-density; those of a stationary set are counted in full, not by distance only, and add up A(x_i − x_k)
-with the autocorrelation A of the integrand on the torus, tabulated and linear between the entries.
-Averaging A over directions, so that g(|h|) would do, is exact for isotropic sets only: measured at
-n = 16, it gives 1.7 to 3.7 times the variance of smooth integrands for latin-hypercube with shift.
+Pair correlation (docs/theory.md, "Pair correlation"): pairs of random and jittered points have a
+known density. Pairs of a stationary set are counted completely, not by distance only. They add up
+A(x_i − x_k) with the autocorrelation A of the integrand on the torus, tabulated with linear
+interpolation. Averaging A over directions to g(|h|) is exact for isotropic sets only: at n = 16, it
+gives 1.7 to 3.7 times the variance of smooth integrands for latin-hypercube with shift.
 """
 
 from __future__ import annotations
@@ -60,30 +61,32 @@ __all__ = [
 ]
 
 _PAIRS_AT_ONCE = 2**16
-"""Pairs of frequencies that are in memory together: 1 MB of complex numbers for each array."""
+"""Number of pairs of frequencies in memory: 1 MB of complex numbers for each array."""
 _ROUNDING = 4e-15
-"""Rounding error of ∫g², relative: some units in the last place of double precision."""
+"""Relative rounding error of ∫g²: some units in the last place of double precision."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class CheckSettings:
-    """How far the checks go.
+    """Limits of the checks.
 
     Attributes
     ----------
     most_frequencies
-        Frequencies whose covariance is summed at most: half width 312 in 1-D, 12 in 2-D, 4 in 3-D, 2 in
-        4-D, and 390,625 pairs. In 6 dims and more there would be fewer than three along each axis.
+        Largest number of frequencies whose covariance is summed: half width 312 in 1-D, 12 in 2-D,
+        4 in 3-D, 2 in 4-D, and 390,625 pairs. In 6 dims and more there would be fewer than three
+        along each axis.
     cells
-        Cells along each axis, by number of dims, where the autocorrelation of g is sampled. What sampling
-        misses of ∫g² cancels. A linear interpolant of a wave of frequency k is off by (2πk/cells)²/8 of
-        it: 5e-6 k² in 2-D and 5e-9 k² in 1-D.
+        Number of cells along each axis, by number of dims, for samples of the autocorrelation of g.
+        The error of ∫g² due to sampling cancels. A linear interpolant of a wave of frequency k has
+        the relative error (2πk/cells)²/8: 5e-6 k² in 2-D and 5e-9 k² in 1-D.
     most_points
-        Points of a set whose pairs are counted at most: 2^17 points have 8.6e9 pairs in each set.
+        Largest number of points of a set whose pairs are counted: 2^17 points have 8.6e9 pairs in
+        each set.
     tolerance
-        Relative error of a variance by known pairs above which the method refuses: that of
-        `exact_variance`, which it checks.
+        Relative error of a variance from known pairs above which the method raises. It equals that
+        of `exact_variance`, which it checks.
     """
 
     most_frequencies: int = 625
@@ -98,7 +101,7 @@ _SETTINGS = CheckSettings()
 def terms_for(
     estimator: AbstractEstimator, n: int, half_width: int | None, realizations: int
 ) -> Terms:
-    """The analysis whose spectra, estimates and half width the methods of this module use."""
+    """Return the analysis whose spectra, estimates and half width this module uses."""
     whole = estimator.domain_integrand is not None and not estimator.infinite_weights
     space: Any = "domain" if whole else "primary"
     return Terms(n=n, half_width=half_width, realizations=realizations, space=space)
@@ -107,7 +110,7 @@ def terms_for(
 def of_covariance(
     estimator: AbstractEstimator, sampler: Sampler, n: int, asked: Terms, _: Stream
 ) -> Cells:
-    """Σ_m Σ_l conj(f_m) f_l C_ml, with the covariance C_ml of coefficients in closed form."""
+    """Sum conj(f_m) f_l C_ml over m and l, with the covariance C_ml in closed form."""
     given = _of_one_technique(estimator)
     side = int(_SETTINGS.most_frequencies ** (1.0 / estimator.domain_dims) + 1e-9)
     if side < 3:
@@ -127,14 +130,14 @@ def of_covariance(
 def of_homogenized(
     estimator: AbstractEstimator, sampler: Sampler, n: int, asked: Terms, _: Stream
 ) -> Cells:
-    """Σ_{m≠0} |f_m|² ⟨|S_m|²⟩; the variance is NaN where the power has no closed form."""
+    """Sum |f_m|² ⟨|S_m|²⟩ over m ≠ 0; NaN if the power has no closed form."""
     given, width = _of_one_technique(estimator), _half_width(estimator, sampler, n, asked)
     if not _homogeneous(given, sampler, n):
         raise NoClosedForm(
             "The homogenized formula holds for uniform points that are the same after any "
             f"translation, not for {given.spec} with {sampler.spec}; add shift."
         )
-    FrequencyGrid(estimator.domain_dims, width)  # refuses too many frequencies
+    FrequencyGrid(estimator.domain_dims, width)  # Raises if there are too many frequencies
     m, f = _coefficients(given, width)
     try:
         known = closed_form_power(sampler, n, m)
@@ -146,7 +149,7 @@ def of_homogenized(
 
 
 def draws_power(estimator: AbstractEstimator, sampler: Sampler, n: int) -> bool:
-    """Whether the homogenized formula applies, but its power has no closed form."""
+    """Return whether the homogenized formula applies, but its power has no closed form."""
     given = _of_one_technique(estimator)
     try:
         closed_form_power(sampler, n, np.ones((1, estimator.domain_dims)))
@@ -161,9 +164,9 @@ def of_terms(
     realizations: int,
     homogenized: Cells | None,
 ) -> dict[str, Cells]:
-    """Rows of the methods that a result of `terms_for` answers.
+    """Return rows of the methods that use a result of `terms_for`.
 
-    These are the sum of the three terms, the measured variance and, where the homogenized formula
+    These are the sum of the three terms, the measured variance and, if the homogenized formula
     takes its power from realizations, the power term.
     """
     share: Any = np.nan
@@ -212,12 +215,12 @@ def _of_one_technique(estimator: AbstractEstimator) -> Estimator:
 
 
 def _homogeneous(given: Estimator, sampler: Sampler, n: int) -> bool:
-    """Whether the points are uniform and the same after any translation."""
+    """Return whether the points are uniform and the same after any translation."""
     return given.density is None and sampler.law(n).stationary
 
 
 def _half_width(estimator: AbstractEstimator, sampler: Sampler, n: int, asked: Terms) -> int:
-    """The half width that was asked for, or else the default of `variance_terms`."""
+    """Return the requested half width, or else the default of `variance_terms`."""
     if asked.half_width is not None:
         return asked.half_width
     domain = msgspec.structs.replace(asked, space="domain")
@@ -225,45 +228,45 @@ def _half_width(estimator: AbstractEstimator, sampler: Sampler, n: int, asked: T
 
 
 def _coefficients(given: Estimator, width: int) -> tuple[Array, Array]:
-    """Frequencies within a half width, (F, d), and the coefficients of f there, (F, channels or 1)."""
+    """Return frequencies within a half width, (F, d), and coefficients of f, (F, channels or 1)."""
     m = grid(np.arange(-width, width + 1), given.integrand.dims)
     return m, given.integrand.fourier(m).reshape(len(m), -1)
 
 
 def _share(estimator: AbstractEstimator, f: Array) -> Any:
-    """Part of ∫f² that the coefficients hold; NaN where ∫f² is not known."""
+    """Return the part of ∫f² in the coefficients; NaN if ∫f² is not known."""
     within = (np.abs(f) ** 2).reshape(-1, max(1, estimator.channels)).sum(axis=0)
     try:
         assert estimator.domain_integrand is not None
         whole, _ = square_integral(estimator.domain_integrand)
-    except ParameterError:  # too many dims for a quadrature
+    except ParameterError:  # Too many dims for a quadrature
         return np.nan
     return np.divide(within, whole, out=np.ones(len(whole)), where=whole > 0)
 
 
 def _certain(method: str, variance: Array, how: str, share: Any) -> Cells:
-    """A row of a method that samples nothing."""
+    """Return a row of a method that samples nothing."""
     return Cells.row(method, how, variance, variance, variance, share=share, channels=len(variance))
 
 
 def of_pairs(
     estimator: AbstractEstimator, sampler: Sampler, n: int, asked: Terms, stream: Stream
 ) -> Cells:
-    """The variance from the pairs of points alone; infinite where ∫g² diverges.
+    """Return the variance from the pairs of points alone; infinite if ∫g² diverges.
 
-    The pairs of ``random`` and ``jittered`` are known exactly, to a relative error of about 1e-6; those of
-    another stationary set in 1-D or 2-D are counted in `realizations` sets.
+    The pairs of ``random`` and ``jittered`` are known exactly, with a relative error of about 1e-6.
+    Pairs of another stationary set in 1-D or 2-D are counted in `realizations` sets.
 
     Raises
     ------
     NoClosedForm
-        The set is not stationary, has fixed differences (shifted grids and lattices), or has more
-        dims; or a quadrature does not converge to 1e-6.
+        If the set is not stationary, has fixed differences (shifted grids and lattices) or more
+        dims, or a quadrature does not converge to 1e-6.
     """
     estimator.check_independent()
     source, realizations = estimator.randomized(sampler), asked.realizations
 
-    # Whether pairs are known, or may be counted
+    # Check whether pairs are known, or may be counted
     law = source.law(n)
     jittered = isinstance(law, Strata) and law.jittered
     exact = jittered or isinstance(law, Independent)
@@ -280,7 +283,7 @@ def of_pairs(
     for technique, count in enumerate(estimator.counts):
         g = estimator.primary_integrand(technique)
         if exact:
-            # Random: all pairs; jittered: those in different cells
+            # All pairs of random points; pairs in different cells of jittered points
             (square, square_error), points = square_integral(g), n * count
             sides: Any = getattr(source.law(points), "sides", (1,) * g.dims)
             squares = []  # Σ_j (∫_cell j g)²
@@ -292,12 +295,12 @@ def of_pairs(
             square = np.where(diverges, 0.0, square)
             part = np.where(diverges, np.inf, square / points - fine)
             error = np.where(diverges, 0.0, square_error / points + np.abs(fine - coarse))
-            # Where the variance vanishes, rounding is all there is
+            # If the variance vanishes, only rounding remains
             floor = _ROUNDING * square / points
             if not np.all(error <= np.maximum(_SETTINGS.tolerance * np.abs(part), floor)):
                 raise NoClosedForm(
-                    f"The quadrature over pairs of {g.spec} has an error of {np.max(error):.2g} in a "
-                    f"variance of {np.max(square / points - fine):.6g}; use another method."
+                    f"The quadrature over pairs of {g.spec} has an error of {np.max(error):.2g} in "
+                    f"a variance of {np.max(square / points - fine):.6g}; use another method."
                 )
             variance = variance + np.maximum(part, 0.0)
             continue
@@ -306,7 +309,7 @@ def of_pairs(
         first = technique * realizations
         for realization in range(first, first + realizations):
             tree.add(one(realization))
-        # Pairs of a set that is translated again are the same
+        # Translating a set does not change its pairs
         sets = independent_sets(source.law(n * count))
         value, se = tree.total().mean_and_error(sets)
         z = CONFIDENCE_Z if sets is None else student_t(min(sets, realizations))
@@ -326,7 +329,7 @@ def of_pairs(
 def _of_counted_pairs(
     sampler: Sampler, n: int, g: Integrand, stream: Stream
 ) -> Callable[[int], MeanSums]:
-    """Returns the estimate of one realization: the mean of A over its pairs."""
+    """Return the estimator of one realization: the mean of A over its pairs."""
     if n > _SETTINGS.most_points:
         raise ParameterError(
             f"{n} points have too many pairs to count; give {_SETTINGS.most_points} at most."
@@ -343,7 +346,7 @@ def _of_counted_pairs(
         raise NoClosedForm(
             f"∫g² of {g.spec} diverges: with points that are each uniform the variance is infinite."
         )
-    # The mean of the table instead of I²: what its sampling gets wrong cancels
+    # Use the mean of the table instead of I², so that its sampling error cancels
     constant = square / n - table.reshape(len(table), -1).mean(axis=-1)
     add = pair_sum_1d if g.dims == 1 else pair_sum_2d
 

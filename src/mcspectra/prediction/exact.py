@@ -1,27 +1,29 @@
 """Exact variances of random and stratified sampling and of scrambled nets, by quadrature.
 
-Strata, with and without a common offset, are in docs/theory.md, "Exact variances of strata", as is
-nested uniform scrambling ("Gains of scrambled nets"). Beyond these:
+Strata, with and without a common offset, and nested uniform scrambling are in docs/theory.md,
+"Exact variances of strata" and "Gains of scrambled nets". Further samplers:
 
-* Digital shift in base 2, coordinates whole multiples of 2^-L: the shift is one of L bits and,
-  below them, an offset δ uniform in a cell that all points share. For given δ the values of g over
-  the grid have a Walsh spectrum ĝ_m(δ), the points ŝ_m = (1/n) Σ_k wal_m(x_k), of which |ŝ_m|² is 1
-  on the dual net and 0 elsewhere for digital nets, and
+* Digital shift in base 2 of coordinates that are multiples of 2^-L: the shift has L random bits,
+  and below them an offset δ, uniform in a cell, that all points share. For given δ the values of g
+  on the grid have the Walsh spectrum ĝ_m(δ). The points have ŝ_m = (1/n) Σ_k wal_m(x_k); for
+  digital nets |ŝ_m|² is 1 on the dual net and 0 elsewhere. Then
 
       Var = E_δ [Σ_{m ≠ 0} ĝ_m² ŝ_m²] + Var_δ ĝ_0.
-* Latin hypercubes: on each axis two points are in different ones of n strata. With ω² the mean variance
-  within n^d cells and σ²_v the ANOVA parts of the means of the cells, v a subset of the axes,
+* Latin hypercubes: on each axis two points are in different ones of n strata. ω² is the mean
+  variance within n^d cells, and σ²_v are the ANOVA parts of the cell means for a subset v of the
+  axes. Then
 
       Var = (1/n) [ω² + Σ_{v ≠ ∅} (1 + (n − 1) (−1/(n − 1))^|v|) σ²_v],
 
-  without what varies along single axes from stratum to stratum [Stein1987]_.
+  without the variation along single axes from stratum to stratum [Stein1987]_.
 * Antithetic jittered [Haber1967]_: one jittered point for each cell, with h(u) = (g(u) + g(u'))/2
-  in the place of g, u' reflected through the center of the cell.
-* Mirrored: folded points see the folded integrand; images of all n/2^d points see the average ḡ of g
-  over reflections, and so do, on average over the coins, points reflected at random. The coins add
+  instead of g, where u' is u reflected through the center of the cell.
+* Mirrored: folded points sample the folded integrand. All images of n/2^d points sample the average
+  ḡ of g over reflections. Points reflected at random do so on average, and the reflections add
   E[Var(g | point)]/n = (Var g − Var ḡ)/n if each point is uniform.
 
-Quadratures of two orders must agree, and their sums with ∫g and ∫g² (`blindness`), else NoClosedForm.
+Quadratures of two orders must agree with each other and with ∫g and ∫g² (`blindness`), else they
+raise NoClosedForm.
 """
 
 from __future__ import annotations
@@ -62,7 +64,7 @@ from mcspectra.estimators.quadrature import (
 from mcspectra.integrands import Integrand, integral_accuracy
 from mcspectra.integrands._quadrature import gauss_rule
 from mcspectra.prediction.known import Known
-from mcspectra.prediction.separable import Curve, Separable, separated
+from mcspectra.prediction.separable import PiecewiseCurve, Separable, separated
 from mcspectra.prediction.subsets import TORUS, of_subsets, pair_sums, pairs_of
 from mcspectra.samplers import Sampler
 from mcspectra.samplers.law import (
@@ -93,68 +95,68 @@ __all__ = [
 ]
 
 EXACT_TOLERANCE = 1e-6
-"""Largest relative error of an exact variance, where nobody asks for another."""
+"""Default for the largest relative error of an exact variance."""
 
 
 @final
 @dataclass(frozen=True)
 class ExactSettings:
-    """When quadratures agree, and how the curve of an axis is cut into cells.
+    """Settings for the agreement of quadratures, and for the cells of curves along axes.
 
-    "Insensitive" means: half and twice the value change no variance by more than 1e-9 in twelve cases. The
-    cases are sums and products with jumps, kinks and poles, a wave, a disk and a ridge, at n = 64 and 1024.
+    "Insensitive" means that half and twice the value change no variance by more than 1e-9 in twelve
+    cases. The cases are sums and products with jumps, kinks and poles, a wave, a disk and a ridge,
+    at n = 64 and 1024.
     """
 
-    # Error that is accepted at any tolerance, as a fraction of ∫g²/n. Insensitive.
+    # Error accepted at any tolerance, as a fraction of ∫g²/n. Insensitive.
     negligible: float = 1e-9
-    # The difference between two orders times this factor bounds the error of the higher order. At a
-    # jump both orders have errors of about the same size. With half of it the second try of a ridge
-    # is left out.
+    # Factor by which the difference between two orders bounds the error of the higher order. At a
+    # jump both orders have errors of about the same size. With half of it the second attempt for a
+    # ridge is skipped.
     safety: float = 3.0
-    # A refusal names a larger tolerance if the relative error is below this value.
+    # Relative error below which an error message suggests a larger tolerance.
     offered: float = 0.5
-    # The second try has orders that are larger by the first factor. It is made if the error is at
-    # most so many tolerances as the second says. Half and twice the first change the ridge by 1e-5
-    # and 8e-10.
+    # Factor by which the second attempt raises the orders, and largest error, in tolerances, for
+    # which it is made. Half and twice the first change the ridge by 1e-5 and 8e-10.
     finer: int = 4
     hope: float = 10.0
-    # Sums of products may answer in this number of dims or more and at this tolerance or a larger
-    # one: their curves have relative errors of 2e-3. Insensitive.
+    # Least number of dims and least tolerance for fits by sums of products, whose curves have
+    # relative errors of 2e-3. Insensitive.
     many_dims: int = 4
     loose: float = 1e-3
-    # Largest number of binary digits of a coordinate, which limits the cells of digital shifts.
+    # Largest number of binary digits of a coordinate. It limits the cells of digital shifts.
     most_bits: int = 24
-    # Factor to the stated error of ∫h² next to a pole. It changes intervals, not variances.
+    # Factor for the reported error of ∫h² next to a pole. It changes intervals, not variances.
     doubt: float = 3.0
     # Relative rounding error of ∫g², and of sums along an axis.
     rounding: float = 4e-15
     exact: float = 1e-9
     # Largest number of cells of an axis. Half changes the variance of halton | shift at n = 1024 by
-    # 2e-4, twice by 5e-5. The second limits the time: number of pairs of points times dims.
+    # 2e-4, twice by 5e-5. The second value limits the time: pairs of points times dims.
     most_cells: int = 2**18
     most_pairs: float = 2.0**32
-    # Quadrature nodes in each cell, and fewer nodes if there are more than 2^14 cells. With 3
-    # instead of 6 a sum with poles changes by 3e-6, with 12 by 8e-11.
+    # Quadrature nodes per cell, and fewer nodes for more than 2^14 cells. With 3 instead of 6 a sum
+    # with poles changes by 3e-6, with 12 by 8e-11.
     many_nodes: int = 16
     few_nodes: int = 6
     deep: int = 14
-    # Relative error of the assumption that power beyond the last octave has the mean power of that
-    # octave. It changes intervals, not variances.
+    # Relative error of the power beyond the last octave, which is assumed to have the mean power of
+    # that octave. It changes intervals, not variances.
     white: float = 0.02
     # Rounding error of a mean over a set, as a fraction of √∫h², and of the variance of such means,
     # as a fraction of ∫h²/n. Insensitive.
     rounded_mean: float = 1e-15
     rounded_variance: float = 1e-15
-    # Points evaluated at a time. The result does not depend on it.
+    # Points evaluated at a time. It has no effect on the result.
     at_once: int = 2**20
-    # A variance within cells below this fraction of ∫h² is rounding. Insensitive.
+    # Variance within cells, as a fraction of ∫h², below which it is rounding. Insensitive.
     nothing: float = 1e-12
-    # Number of octaves (factor 8) of offsets that resolve a cusp. Insensitive.
+    # Number of octaves of offsets (factor 8) that resolve a cusp. Insensitive.
     cusps: int = 10
-    # Points are a grid if n times their coordinates is this near to whole numbers. Insensitive.
+    # Distance from integers of n times the coordinates below which points are a grid. Insensitive.
     even: float = 1e-6
-    # Relative error of a product's variance if the points are rounded to cells of 2^-15. Smaller
-    # tolerances are refused.
+    # Relative error of a product's variance if points are rounded to cells of 2^-15. Smaller
+    # tolerances raise.
     rounded_points: float = 0.02
 
 
@@ -175,47 +177,50 @@ def exact_variance(
     Parameters
     ----------
     estimator, sampler, n
-        Any estimator with one of: random, jittered, regular, uniform-jitter, each alone or with
-        shift or strata-shift, and with mirror; antithetic-jittered; latin-hypercube, alone or with
-        shift; nets and sequences such as sobol or halton with owen, and those in base 2 with digital-shift. Latin hypercubes and nets take cells,
-        about n to a side: some thousands of points in 2-D, some tens in 3-D. Sums and products of
-        functions of one axis are answered in any dims, also with orthogonal arrays and shifted sets.
+        Any estimator with one of these samplers: random, jittered, regular or uniform-jitter, each
+        alone or with shift or strata-shift, and with mirror; antithetic-jittered; latin-hypercube,
+        alone or with shift; nets and sequences such as sobol or halton with owen, and those in base
+        2 with digital-shift. Latin hypercubes and nets need about n cells per side, which limits n
+        to some thousands in 2-D and some tens in 3-D. Sums and products of functions of one axis
+        work in any dims, also with orthogonal arrays and shifted sets.
     dims
-        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
         that is not a spec.
     tolerance
-        Relative error up to which a variance is given, 1e-12 to 1. Jumps that f does not declare
-        and no axis follows take 1e-3 for random points, some 0.1 for strata; a refusal says how much.
-        From 1e-3 on, in 4 dims and more, a fit by sums of products of functions of one axis may answer,
-        with its 95 % interval within the tolerance: latin-hypercube, nets with owen, sets with shift.
+        Largest relative error of the variance, 1e-12 to 1. For jumps that f does not declare and
+        that are not across an axis, 1e-3 is feasible with random points, some 0.1 with strata; the
+        error message gives a feasible value. With 1e-3 or more in at least 4 dims, a fit by sums of
+        products of functions of one axis may be used, if its 95 % interval is within the tolerance:
+        for latin-hypercube, nets with owen, sets with shift.
     max_evaluations
-        Most evaluations of a user's function: BudgetError where it takes more.
+        Most evaluations of a user's function; more raise BudgetError.
 
     Returns
     -------
     float or ndarray
-        The variance; an array (channels,) where f has several. Its relative error is less than
-        `tolerance`; infinite where ∫g² diverges; exactly 0 where it is no more than rounding, of
-        integrands whose integral is known alone.
+        The variance; an array (channels,) if f has several channels. Its relative error is less
+        than `tolerance`. It is infinite if ∫g² diverges. For integrands with a known integral it is
+        exactly 0 at rounding level.
 
     Raises
     ------
     NoClosedForm
-        Not known for this sampler, or the quadrature does not converge (discontinuities that are
-        neither axis-aligned nor integrated in closed form); or g was the same wherever it was looked at,
-        and nobody said that it is constant.
+        If the variance is not known for this sampler; if the quadrature does not converge
+        (discontinuities that are neither axis-aligned nor integrated in closed form); or if g is
+        equal at all points of the probe and not declared constant.
     ParameterError
-        `tolerance` is no number from 1e-12 to 1.
+        If `tolerance` is not a number from 1e-12 to 1.
 
     Notes
     -----
-    Jumps and poles across an axis that g does not declare are found along lines, and cells are cut there.
-    Where ∫g is not known in closed form, the sums of the quadrature are compared with integrals that
-    2^17 points look after: a slab across an axis of width 2^-17 or more is found, any other region of
-    volume v, in which g differs, with probability 1 − exp(−2^17 v): 1 − 5e-5 for v = 8e-5. Narrower
-    peaks may be missed, and their variance with them. What these points alone saw is looked at again at
-    2^18 others, and counts in the error. ∫g² is infinite where g grows across an axis like t^-½ or faster
-    (from an exponent of 0.4995 on), or where quadrature does not see its poles shrink.
+    Jumps and poles across an axis that g does not declare are found along lines, and cells are cut
+    there. If ∫g has no closed form, the quadrature's sums are compared with integrals that 2^17
+    probe points check. The probe finds a slab across an axis of width 2^-17 or more. It finds any
+    other region of volume v, in which g differs, with probability 1 − exp(−2^17 v), which is 1 −
+    5e-5 for v = 8e-5. Narrower peaks and their variance may be missed. Regions that only the probe
+    finds are examined again at 2^18 other points and enter the error. ∫g² is infinite if g grows
+    across an axis like t^-½ or faster (exponent at least 0.4995), or if the contribution of its
+    poles does not shrink under refinement.
 
     Examples
     --------
@@ -235,7 +240,7 @@ def exact_variance(
 def estimated_variance(
     estimator: AbstractEstimator | Integrand | str, sampler: Sampler | str, n: int, tolerance: float
 ) -> tuple[Array, Array]:
-    """`exact_variance` and a bound of its absolute error, both (channels or 1,)."""
+    """Return `exact_variance` and a bound of its absolute error, both (channels or 1,)."""
     subject = as_subject(estimator, sampler)
     given: AbstractEstimator = subject.estimator
     n = subject.sampler.check_count(n)
@@ -258,7 +263,7 @@ def estimated_variance(
                 raise
             found = by_axes.variance, by_axes.error
         total = total + np.stack(found)
-    if not total[0].any():  # one technique of several may well vanish
+    if not total[0].any():  # One technique of several may be constant
         said = [constant(given.primary_integrand(t)) for t in range(len(given.counts))]
         if all(said):
             raise NoClosedForm(f"{said[0]}.")
@@ -268,27 +273,27 @@ def estimated_variance(
 def of_integrand(
     law: Law, g: Integrand, tolerance: float, most: float = MOST_EVALUATIONS
 ) -> tuple[Array, Array]:
-    """Variance and a bound of its error, (channels or 1,); 0 where the variance is all rounding.
+    """Return variance and a bound of its error, (channels or 1,); 0 at rounding level.
 
-    The error is that by which two orders differ, and the `blindness` of the higher one; of random
-    points that of ∫g². Orders are raised once where this would do; not where `most` is less, for
-    methods that come next.
+    The error is the difference between two orders plus the `blindness` of the higher order; for
+    random points it is the error of ∫g². Orders are raised once if that would suffice, unless
+    `most` is lower because other methods follow.
 
     Raises
     ------
     NoClosedForm
-        As `exact_variance`, the error is more than `tolerance` times the variance, or a rule would
-        take more than about `most` evaluations.
+        If `exact_variance` would raise, the error exceeds `tolerance` times the variance, or a rule
+        would take more than about `most` evaluations.
     """
     g, lines = looked_at(g), False
     if not (in_closed_form(g) or g.costly):
-        # Lines follow poles and waves as cells do not, at a small part of their cost
+        # Lines resolve poles and waves that cells do not, at a small part of the cost
         lines = bool(beyond_points(g).any()) or (most >= MOST_EVALUATIONS and g.dims > 1)
         if lines and separated(g):
             with contextlib.suppress(NoClosedForm):
                 return _within(_by_axes(law, g), law, g, tolerance)
         square, _ = square_integral(g) if law.uniform else (np.zeros(1), 0)
-        if np.isinf(square).all():  # one point next to the pole outweighs all others
+        if np.isinf(square).all():  # One point next to the pole outweighs all others
             return square, np.zeros(len(square))
     try:
         return _by_cells(law, g, tolerance, most)
@@ -302,7 +307,7 @@ def of_integrand(
 
 
 def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Array, Array]:
-    """`of_integrand` by quadrature over all axes together."""
+    """Compute `of_integrand` by quadrature over all axes together."""
     n = law.n
     square = square_error = np.full(max(1, g.channels), np.nan)
     if law.uniform and not (in_closed_form(g) or g.costly):
@@ -310,7 +315,8 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
     if isinstance(law, Independent):
         middle, first, second, error = moments(g)
         value = second - first**2
-        # Three standard errors of the integrals become 4.5: of 1,000 functions none is to be beyond
+        # Three standard errors of the integrals become 4.5, so that none of 1,000 functions exceeds
+        # them
         error = 1.5 * error * (1.0 + 2.0 * np.abs(first)) + 4e-15 * (second + middle**2)
         if (error > tolerance * value).any() and np.isfinite(square).all():
             mean, off = np.atleast_1d(g.integral), integral_accuracy(g)[1]
@@ -331,7 +337,7 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
         try:
             high, unseen = _variance(law, g, Rule(times * fine, most, times * coarse))
             low = high
-            if not (cells and in_closed_form(g)):  # moments of cells in closed form have no order
+            if not (cells and in_closed_form(g)):  # Closed-form moments of cells have no order
                 low, _ = _variance(law, g, Rule(times * coarse, most))
         except NoClosedForm:
             if times == 1:
@@ -345,9 +351,10 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
         return high, error
     square, _ = square_integral(g)
     agree |= error <= _SETTINGS.negligible * np.max(square) / n
-    if law.uniform:  # one point next to the pole outweighs all others
+    if law.uniform:  # One point next to the pole outweighs all others
         high = np.where(np.isinf(square), np.inf, high)
-    # Σ (mean g² − (mean g)²)/n is rounded by some 1e-15 of ∫g²/n: all there is if it vanishes.
+    # Σ (mean g² − (mean g)²)/n has a rounding error of about 1e-15 ∫g²/n, which remains if it
+    # vanishes
     rounding = 4e-15 * square / n
     known = agree | np.isinf(high) | (error <= _SETTINGS.safety * rounding)
     if not known.all():
@@ -356,7 +363,8 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
         larger = f", or tolerance={enough:.1e}" if enough < _SETTINGS.offered else ""
         raise NoClosedForm(
             f"The stratum quadrature of {g.spec} does not converge ({np.max(low):.6g} against "
-            f"{np.max(high):.6g}, error {np.max(error):.2g}) to a tolerance of {tolerance:.1g}; use ",
+            f"{np.max(high):.6g}, error {np.max(error):.2g}) to a tolerance of {tolerance:.1g}; "
+            "use ",
             *MEASURE_IT,
             f"{larger}.",
         )
@@ -367,7 +375,7 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
 def _within(
     found: tuple[Array, Array], law: Law, g: Integrand, tolerance: float
 ) -> tuple[Array, Array]:
-    """What was found, if its error is within the tolerance; 0 where it is no more than rounding."""
+    """Return the result if its error is within the tolerance; 0 at rounding level."""
     value, error = found
     if np.isinf(value).any():
         return value, np.where(np.isinf(value), 0.0, error)
@@ -377,8 +385,8 @@ def _within(
     known = (error <= tolerance * value) | (error <= _SETTINGS.negligible * size / law.n)
     if not known.all():
         raise NoClosedForm(
-            f"The quadrature of {g.spec} along its axes does not converge ({np.max(value):.6g}, error "
-            f"{np.max(error):.2g}) to a tolerance of {tolerance:.1g}; use ",
+            f"The quadrature of {g.spec} along its axes does not converge ({np.max(value):.6g}, "
+            f"error {np.max(error):.2g}) to a tolerance of {tolerance:.1g}; use ",
             *MEASURE_IT,
             ".",
         )
@@ -386,19 +394,20 @@ def _within(
 
 
 def _by_axes(law: Law, g: Integrand) -> tuple[Array, Array]:
-    """Variance of a sum or a product of functions of one axis, and a bound of its error, (channels or 1,).
+    """Return the variance of a sum or product of functions of one axis, and its error bound.
 
     Raises
     ------
     NoClosedForm
-        The pairs of points have no law that is known here.
+        If the law of the pairs of points is not known.
     """
     law = Independent(n=1, dims=law.dims) if law.n == 1 and law.uniform else law
     image = isinstance(law, Folded) or (isinstance(law, Mirrored) and law.inner.uniform)
     if image:
         seen = FoldedIntegrand(g) if isinstance(law, Folded) else SymmetrizedIntegrand(g)
         value, error = _by_axes(law.inner, looked_at(seen))  # type: ignore[attr-defined]
-        if isinstance(law, Mirrored) and law.mode == "random":  # the coins
+        # Add the variance of the random reflections
+        if isinstance(law, Mirrored) and law.mode == "random":
             one = Independent(n=law.n, dims=law.dims)
             whole, average = _by_axes(one, g), _by_axes(one, looked_at(seen))
             value = value + np.maximum(whole[0] - average[0], 0.0)
@@ -423,21 +432,21 @@ def _of_separable(law: Law, g: Separable) -> tuple[float, float]:
     error = _SETTINGS.doubt * doubt / n + _SETTINGS.rounding * (spread + g.mean**2) / n
 
     def together(kappa: Array) -> float:
-        """Covariance of g at two points from those of the functions of the axes, (dims,)."""
+        """Return the covariance of g at two points from the covariances along the axes, (dims,)."""
         if not g.product:
             return float(kappa.sum())
-        total = 0.0  # Π (μ² + κ) − Π μ², where nothing cancels
+        total = 0.0  # Π (μ² + κ) − Π μ² without cancellation
         for axis, each in enumerate(kappa):
             rest = means[axis + 1 :] + kappa[axis + 1 :]
             total += means[:axis].prod() * each * rest.prod()
         return float(total)
 
-    # Strata: the mean variances within cells, at an offset or over all of them
+    # Strata: mean variances within cells, at one offset or averaged over all
     set_, offset = unmoved(law)
     shifted = isinstance(law, Shifted)
     off: list[float] = []
 
-    def within(sides: Sequence[int], curves: Sequence[Curve] = g.curves) -> Array:
+    def within(sides: Sequence[int], curves: Sequence[PiecewiseCurve] = g.curves) -> Array:
         values = []
         for curve, side, moved in zip(curves, sides, offset, strict=True):
             if not shifted:
@@ -497,8 +506,8 @@ def _of_separable(law: Law, g: Separable) -> tuple[float, float]:
     return value, error + (_SETTINGS.exact + max(off, default=0.0)) * abs(value)
 
 
-def _over_offsets(curve: Curve, side: int, order: int) -> float:
-    """Mean variance within cells over all offsets, which has cusps where places of the curve meet borders."""
+def _over_offsets(curve: PiecewiseCurve, side: int, order: int) -> float:
+    """Average the variance within cells over all offsets, with cusps at the curve's places."""
     node, weight = gauss_rule(order)
     ends = {0.0, 1.0}
     for place in (0.0, *curve.places.tolist()):
@@ -513,21 +522,21 @@ def _over_offsets(curve: Curve, side: int, order: int) -> float:
     return total
 
 
-def _paired(curve: Curve, side: int) -> Curve:
-    """The mean of a curve at a point and at its reflection through the center of its cell, less that mean."""
+def _paired(curve: PiecewiseCurve, side: int) -> PiecewiseCurve:
+    """Return the mean of a curve at a point and at its reflection in its cell, centered."""
 
     def both(x: Array) -> Array:
         cell = np.minimum(np.floor(x * side), side - 1.0)
         return 0.5 * (curve(x) + curve(np.clip((2.0 * cell + 1.0) / side - x, 0.0, BELOW_ONE)))
 
-    found = Curve.along(both, (np.arange(1, side) / side).tolist())
+    found = PiecewiseCurve.along(both, (np.arange(1, side) / side).tolist())
     if found is None:
-        raise NoClosedForm("Reflections in cells do not settle along an axis.")
+        raise NoClosedForm("Polynomials do not resolve the reflections in cells along an axis.")
     return found
 
 
 def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]:
-    """A sum, under scrambles and shifts of a set: the variances of its projections."""
+    """Predict a sum under scrambles and shifts of a set, from the variances of its projections."""
     n, value, error = law.n, 0.0, 0.0
     for axis, (x, curve) in enumerate(zip(inner.points.T, g.curves, strict=True)):
         if curve.square == 0.0:
@@ -580,17 +589,17 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
                 and n % period == 0
                 and not (places % (n // period)).any()
             ):
-                # A grid: its mean is a curve of the offset within one cell
+                # The mean over a grid is a curve of the offset within one cell
                 steps = np.arange(period) / period
 
-                def mean(t: Array, curve: Curve = curve, steps: Array = steps) -> Array:
+                def mean(t: Array, curve: PiecewiseCurve = curve, steps: Array = steps) -> Array:
                     parts = np.array_split(t, max(1, t.size * steps.size // _SETTINGS.at_once))
                     moved = ((part[:, None] / steps.size + steps) % 1.0 for part in parts)
                     return np.concatenate([curve(each).mean(axis=1) - curve.mean for each in moved])
 
                 folded = np.unique(curve.places * period % 1.0).tolist()
                 rounding = _SETTINGS.rounded_mean * math.sqrt(curve.square + curve.mean**2)
-                of_offset = Curve.along(mean, folded, rounding)
+                of_offset = PiecewiseCurve.along(mean, folded, rounding)
                 if of_offset is not None:
                     value += of_offset.square
                     error += _SETTINGS.rounded_variance * curve.square / n
@@ -610,7 +619,8 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
                     energy[-1] *= 0.5
                     found.append(float(energy[1:] @ power[1:]) + float(spreads.mean()) / n)
                     continue
-                # Any points: the power at the frequencies that cells resolve, and white beyond
+                # For other points, use the power at frequencies that cells resolve, and white noise
+                # beyond
                 most = size // 8
                 m = np.arange(1, most + 1)
                 import finufft
@@ -621,7 +631,7 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
                 power = np.abs(sums[most + 1 :]) ** 2
                 energy = energy[1 : most + 1] / np.sinc(m / size) ** 2
                 tail = max(curve.square - float(energy.sum()), 0.0)
-                last = slice(most // 2, most)  # the octave whose mean power the tail has
+                last = slice(most // 2, most)  # The tail has the mean power of this octave
                 weight = n * float(energy[last] @ power[last]) / max(energy[last].sum(), 1e-300)
                 error += (abs(weight - 1.0) + _SETTINGS.white) * tail / n if size == finest else 0.0
                 found.append(float(energy @ power) + weight * tail / n)
@@ -633,7 +643,7 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
 
 
 def _of_set(law: Law, g: Separable) -> tuple[float, float]:
-    """A product, under scrambles and shifts of a set: the mean over all pairs of points."""
+    """Predict a product under scrambles and shifts of a set, from the mean over pairs of points."""
     n = law.n
     pairs, codes, rows = pairs_of(law, Stream.from_rng(0))
     if float(len(rows)) * n * law.dims > _SETTINGS.most_pairs:
@@ -682,16 +692,16 @@ def _of_set(law: Law, g: Separable) -> tuple[float, float]:
 
 
 def _refined(fine: float, middle: float, coarse: float) -> tuple[float, float]:
-    """The limit of results by cells, of twice and of four times their width, and its error (Richardson)."""
+    """Extrapolate results for cells of one, two and four widths, with the error (Richardson)."""
     first, second = fine + (fine - middle) / 3.0, middle + (middle - coarse) / 3.0
     return first, abs(first - second)
 
 
 def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
-    """Variance of the mean of g over a set, and what it may miss; (channels,) or (1,)."""
+    """Return the variance of the mean of g over a set, and its possible error; (channels or 1,)."""
     n, none = law.n, np.zeros(g.dims)
     match law:
-        # The variance of the set inside with another integrand
+        # Use the variance of the inner set with another integrand
         case Folded(inner=inner):
             return _variance(inner, FoldedIntegrand(g), rule)
         case Mirrored(inner=inner, mode="uniform"):
@@ -699,8 +709,8 @@ def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
         case Mirrored(inner=inner):
             if not inner.uniform:
                 raise NoClosedForm(
-                    f"No exact variance is known for random reflections of {inner.name}, whose points "
-                    "are not uniform; use ",
+                    f"No exact variance is known for random reflections of {inner.name}, whose "
+                    "points are not uniform; use ",
                     *MEASURE_IT,
                     ".",
                 )
@@ -710,7 +720,7 @@ def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
             coins = np.maximum(whole - _variance(one, average, rule)[0], 0.0)
             return part + coins / n, unseen + missed / n
         case Strata(sides=sides, motif=AntitheticPair()):
-            # One jittered point in each of n/2 cells, with the mean of g at it and at its reflection
+            # One jittered point in each of n/2 cells, with the mean of g at it and its reflection
             _, spread, unseen = strata(paired(g, sides[0]), sides, none, rule)
             return spread / (n // 2), unseen / (n // 2)
         case Scrambled(inner=Fixed() as net) if law.nested_pairs:
@@ -721,7 +731,7 @@ def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
             _, spread, unseen = strata(g, (1,) * g.dims, none, rule)
             return spread / n, unseen / n
 
-    # One point in each stratum, or a grid, with fixed and random offsets
+    # One point in each stratum, or a grid, with fixed or random offsets
     set_, offset = unmoved(law)
     shifted = isinstance(law, Shifted)
     if isinstance(set_, PairedAxes) and set_.latin and g.dims > 1 and not offset.any():
@@ -740,7 +750,8 @@ def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
         _, spread, unseen = strata(g, sides, np.mod(offset, 1.0 / np.array(sides)), rule)
         return spread / n, unseen / n
     if grid and not shifted:
-        return np.zeros(max(1, g.channels)), np.zeros(max(1, g.channels))  # a deterministic set
+        # A deterministic set has no variance
+        return np.zeros(max(1, g.channels)), np.zeros(max(1, g.channels))
     nodes, weights = offset_rule(g, sides, rule.order)
     rule.check(f"The exact variance of {law.name}", float(len(nodes) * n) * rule.each(g))
     if not grid:
@@ -757,13 +768,13 @@ def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
 
 
 def paired(g: Integrand, side: int) -> Integrand:
-    """The mean of g at a point and at its reflection through the center of its cell of `side`^d."""
+    """Average g at a point and at its reflection through the center of its cell of `side`^d."""
 
     def reflected(x: Array) -> Array:
         cell = np.minimum(np.floor(x * side), side - 1.0)
         return np.asarray(np.clip((2.0 * cell + 1.0) / side - x, 0.0, 1.0))
 
-    borders = (np.arange(1, side) / side).tolist()  # where the mean jumps
+    borders = (np.arange(1, side) / side).tolist()  # Positions where the average jumps
     breaks = tuple(
         tuple(sorted({*axis, *reflected(np.asarray(axis, float)).tolist(), *borders}))
         for axis in g.breaks
@@ -773,17 +784,17 @@ def paired(g: Integrand, side: int) -> Integrand:
 
 
 def _latin(law: Law, g: Integrand, rule: Rule, *, shifted: bool) -> tuple[Array, Array]:
-    """Over the offset of the cells the mean: the points are uniform for each, and nothing is added.
+    """Average over the offset of the cells; the points are uniform for each offset.
 
-    Where n^d cells are too many, larger ones, of each n^d a whole number, and slabs of width 1/n: what
-    several axes share within these cells has a weight from 1 to 1 + 1/(n − 1).
+    If n^d cells are too many, larger cells that hold a whole number of these are used, with slabs
+    of width 1/n. Interactions within the larger cells then have a weight from 1 to 1 + 1/(n − 1).
     """
     n = law.n
     fine, nodes, weights = (n,) * g.dims, np.zeros((1, g.dims)), np.ones(1)
-    if shifted:  # a mean over all cells is smooth
+    if shifted:  # A mean over all cells is smooth
         nodes, weights = offset_rule(g, fine, rule.order // 2 + 2)
     one = float(len(nodes) * rule.each(g))
-    # In 1-D and 2-D pieces of cells are more than cells: those next to 0 and 1 are cut
+    # In 1-D and 2-D there are more pieces than cells, because cells next to 0 and 1 are cut
     most = rule.most / one / (1 if in_closed_form(g) or g.dims > 2 else 2)
     side = next((m for m in range(n, 1, -1) if n % m == 0 and m**g.dims <= most), 1)
     if side < n:
@@ -808,20 +819,21 @@ def _latin(law: Law, g: Integrand, rule: Rule, *, shifted: bool) -> tuple[Array,
 
 
 def _nested(net: Fixed, bases: tuple[int, ...], g: Integrand, rule: Rule) -> tuple[Array, Array]:
-    """Nested uniform scrambling of a net."""
+    """Compute nested uniform scrambling of a net."""
     n, points = net.n, net.points
-    # For each axis the number of digits in which all coordinates differ
+    # Find the number of digits of each axis in which all coordinates differ
     digits = []
     for axis, base in enumerate(bases):
         level, limit = 0, math.floor(_SETTINGS.most_bits / math.log2(base))
-        # As in spectra.gain: coordinates rounded down to below a digit count as that digit
+        # As in spectra.gain, coordinates that are rounded down to just below a digit count as that
+        # digit
         x = points[:, axis] + (0.0 if base & (base - 1) == 0 else 2.0**-50)
         while len(np.unique(np.floor(x * base**level))) < n:
             level += 1
             if level > limit:
                 raise NoClosedForm(
-                    f"Axis {axis} of {net.name} has coordinates that coincide or nearly so; the "
-                    "exact variance of nested scrambling is known for distinct ones only."
+                    f"Axis {axis} of {net.name} has coordinates that coincide or nearly coincide; "
+                    "the exact variance of nested scrambling is known for distinct ones only."
                 )
         digits.append(level)
     sides = tuple(b**level for b, level in zip(bases, digits, strict=True))
@@ -839,7 +851,7 @@ def _nested(net: Fixed, bases: tuple[int, ...], g: Integrand, rule: Rule) -> tup
 
 
 def _digitally_shifted(net: Fixed, g: Integrand, rule: Rule) -> tuple[Array, Array]:
-    """A digital shift of a net in base 2."""
+    """Compute a digital shift of a net in base 2."""
     points = net.points
     whole = (
         2**bits
@@ -849,8 +861,8 @@ def _digitally_shifted(net: Fixed, g: Integrand, rule: Rule) -> tuple[Array, Arr
     cells = next(whole, None)
     if cells is None:
         raise NoClosedForm(
-            f"Coordinates of {net.name} have more than {_SETTINGS.most_bits} bits; use convergence or "
-            "variance_terms."
+            f"Coordinates of {net.name} have more than {_SETTINGS.most_bits} bits; use convergence "
+            "or variance_terms."
         )
     sides = (cells,) * g.dims
     rule.check(f"The exact variance of {g.spec}", (float(cells) * rule.order) ** g.dims)
@@ -873,18 +885,18 @@ def _digitally_shifted(net: Fixed, g: Integrand, rule: Rule) -> tuple[Array, Arr
 
 
 def _hadamard(values: Array, dims: int) -> Array:
-    """`hadamard` along each of the first `dims` axes."""
+    """Apply `hadamard` along each of the first `dims` axes."""
     for axis in range(dims):
         values = np.moveaxis(hadamard(np.moveaxis(values, axis, -1)), -1, axis)
     return values
 
 
 def level_variances(means: Array, bases: tuple[int, ...], axis: int = 0) -> Array:
-    """σ²_l of all levels up to those of the cells, from the means of a function over the cells.
+    """Return σ²_l of all levels up to those of the cells, from the cell means of a function.
 
-    Means (b_0^L_0, b_1^L_1, …, channels) in the bases b_i of the axes become
-    (L_0 + 1, L_1 + 1, …, channels), at level 0 of all axes the square of the mean. They are split
-    along `axis` into what each digit adds, then along those after it.
+    Means have shape (b_0^L_0, b_1^L_1, …, channels) with the base b_i of axis i. The result has
+    shape (L_0 + 1, L_1 + 1, …, channels), with the square of the mean at level 0 of all axes. The
+    means are split along `axis` into the contributions of each digit, then along the later axes.
     """
     if axis == len(bases):
         return np.asarray((means**2).mean(axis=tuple(range(axis))))

@@ -1,10 +1,10 @@
 """The error spectrum of an image whose pixels share a set: predicted from spectra, and measured.
 
-A pixel p of a sampler that ends in ``decorrelate`` has the shared set moved by a shift δ_p, so that its
-error is Σ_{m≠0} conj(f^p_m) S_m e^{−2πi m·δ_p}: one spectrum S_m for all pixels, and a phase for each. The
-covariance between two pixels is the cross term with their two integrands; the power of the image of
-errors over frequencies between pixels is its transform. What a mask moves to high frequencies depends
-on f and on S_m, which is why masks are ranked for an integrand.
+With a sampler that ends in ``decorrelate``, pixel p moves the shared set by a shift δ_p. Its error
+is Σ_{m≠0} conj(f^p_m) S_m e^{−2πi m·δ_p}, with one spectrum S_m for all pixels and a phase for
+each. The covariance of two pixels is the cross term with their two integrands. Its transform is the
+power of the error image over spatial frequencies. The effect of a mask depends on f and on S_m, so
+masks are ranked for an integrand.
 """
 
 from __future__ import annotations
@@ -33,28 +33,28 @@ if TYPE_CHECKING:
 __all__ = ["ImageErrorSettings", "image_error_spectrum"]
 
 _LOW = 0.125
-"""Cycles per pixel up to which the eye does not blur noise away."""
+"""Cycles per pixel below which the eye does not blur noise away."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class ImageErrorSettings:
-    """How far the spectra of images of errors are summed.
+    """Limits of the sums over spectra of error images.
 
     Attributes
     ----------
     most_dims
-        Most dims: in 4 dims, half width 31 would take all of `most_values`, and transforms are known
-        in up to 3 dims.
+        Largest number of dims. In 4 dims, half width 31 would take all of `most_values`, and
+        transforms exist in up to 3 dims.
     most_values
-        Coefficients, or points of one image, at most: 256 MiB of complex numbers.
+        Largest number of coefficients, or of points of one image: 256 MiB of complex numbers.
     half_width, lost, most_modes
-        Half width of the frequencies that are counted first; it is doubled until less than the part
-        `lost` of the power of every band lies beyond it, or there are `most_modes` frequencies: half
-        width 724 in 2-D, 63 in 3-D. One percent is less than the standard error of 16 images.
+        Initial half width. It is doubled until less than the fraction `lost` of the power of every
+        band lies beyond it, or there are `most_modes` frequencies: half width 724 in 2-D, 63 in
+        3-D. One percent is less than the standard error of 16 images.
     beyond
-        Part of the power of a band above which the note says that it lies beyond the half width: such a
-        part can change the order of masks.
+        Fraction of the power of a band beyond the half width above which a note reports it, because
+        it can change the order of masks.
     precision
         Relative error of the transforms, far below that of the images.
     """
@@ -82,41 +82,45 @@ def image_error_spectrum(
     rng: RngLike = 0,
     max_evaluations: int | None = None,
 ) -> xr.Dataset:
-    """Predict the power of an image of errors over radial frequency, and measure it.
+    """Predict the power of an error image over radial frequency, and measure it.
 
     Parameters
     ----------
     integrand
-        That of all pixels, or one for each of width² pixels, row by row; in 1 to 3 dims.
+        One integrand for all pixels, or one for each of width² pixels, row by row; in 1 to 3 dims.
     sampler
         A chain that ends in ``decorrelate(mask=…, width=…)`` with mode shift.
     n
-        Samples of a pixel.
+        Number of samples per pixel.
     half_width
-        Frequencies m in {−half_width … half_width}^d are predicted term by term; the rest of ∫f² as if
-        points were random to it and pixels to each other. By default 24, and where coefficients are
-        known in closed form doubled until the rest is under 1 % of every band, or there are 2^21.
+        Frequencies m in {−half_width … half_width}^d are predicted term by term. The rest of ∫f² is
+        treated as if points were random and pixels independent. The default is 24. With closed-form
+        coefficients it is doubled until the rest is under 1 % of every band, or there are 2^21
+        frequencies.
     images
-        Independent images, at least 2: shared sets and places of the mask.
+        Number of independent images, at least 2, each with its own shared set and position of the
+        mask.
     max_evaluations
-        Most evaluations of a user's function: BudgetError where it takes more.
+        Most evaluations of a user's function; more raise BudgetError.
 
     Returns
     -------
     xarray.Dataset
-        On dim radius, in cycles a pixel: ``predicted_power``, from coefficients of f and spectra of the sets,
-        and ``measured_power``, from f at their points, with ``measured_power_ci``; both f², white noise has
-        the variance of a pixel. ``tail_term``, the part of the prediction beyond the half width, which the
-        attribute ``note`` names where it is large, and
-        ``low_share``: predicted power below 1/8 cycle a pixel over its mean, by which masks are ranked (white
-        noise 1).
+        On dim radius, in cycles per pixel. ``predicted_power`` comes from coefficients of f and
+        spectra of the sets. ``measured_power``, with ``measured_power_ci``, comes from f at their
+        points. Both have the units of f²; white noise has the variance of a pixel. ``tail_term`` is
+        the part of the prediction beyond the half width; the attribute ``note`` reports it if it is
+        large. ``low_share`` is the predicted power below 1/8 cycle per pixel over its mean, 1 for
+        white noise. It ranks masks.
 
     Raises
     ------
     NoClosedForm
-        The sampler does not end in ``decorrelate`` with mode shift, whose pixels alone share a spectrum.
+        If the sampler does not end in ``decorrelate`` with mode shift. Only such pixels share a
+        spectrum.
     ParameterError
-        Another number of integrands than pixels, over 3 dims, or too many frequencies or points.
+        If the numbers of integrands and pixels differ, there are over 3 dims, or too many
+        frequencies or points.
 
     References
     ----------
@@ -145,28 +149,28 @@ def image_error_spectrum(
     last = (source.randomizations or (None,))[-1]
     if not isinstance(last, Decorrelate) or last.mode != "shift":
         raise NoClosedForm(
-            f"The pixels of {source.spec} do not share a spectrum; let it end in decorrelate(mask=…), mode "
-            "shift."
+            f"The pixels of {source.spec} do not share a spectrum; end the sampler with "
+            "decorrelate(mask=…), mode shift."
         )
     width, n = last.width, source.check_count(n)
     pixels = width * width
     if len(functions) not in (1, pixels) or any(f.dims != d or f.channels for f in functions):
         raise ParameterError(
-            f"There are {len(functions)} integrands for {width} × {width} pixels; give one, or one for each, "
-            f"of one channel in {d} dims."
+            f"There are {len(functions)} integrands for {width} × {width} pixels; give one, or one "
+            f"for each pixel, of one channel in {d} dims."
         )
     sizes = (len(functions) * (2 * (half_width or _SETTINGS.half_width) + 1) ** d, pixels * n)
     if d > _SETTINGS.most_dims or max(sizes) > _SETTINGS.most_values:
         raise ParameterError(
-            f"{sizes[0]:,} coefficients in {d} dims and {sizes[1]:,} points are too many: 1 to {_SETTINGS.most_dims} "
-            f"dims and {_SETTINGS.most_values:,} of each are possible; lower ",
+            f"{sizes[0]:,} coefficients in {d} dims and {sizes[1]:,} points are too many: the "
+            f"limits are {_SETTINGS.most_dims} dims and {_SETTINGS.most_values:,} of each; lower ",
             Parameter("half_width"),
             ", n or the mask's width.",
         )
 
     stream = Stream.from_rng(rng)
     with counting("image_error_spectrum", max_evaluations) as tally:
-        # Images of errors as they are, of shared sets and shifts that the prediction takes, too
+        # Measured error images; the prediction uses the same shared sets and shifts
         rings, integrals = Rings(width, width), np.array([f.integral for f in functions])
         sets, shifts = np.empty((images, n, d)), np.empty((images, pixels, d))
         measured = np.empty((images, rings.radius.size))
@@ -179,7 +183,8 @@ def image_error_spectrum(
                 values = np.array([f(own).mean() for f, own in zip(functions, x, strict=True)])
             measured[k] = rings.mean(_power(values - integrals, width))
 
-        # The same from coefficients without f_0, until the rest of ∫f² is lost in the weakest band
+        # Predict them from coefficients without f_0, until the rest of ∫f² is negligible in the
+        # weakest band
         whole = np.array([float(square_integral(f)[0][0] - f.integral**2) for f in functions])
         exact = all(f.fourier_source == "exact" for f in functions)
         reach, grows = half_width or _SETTINGS.half_width, half_width is None and exact
@@ -203,8 +208,8 @@ def image_error_spectrum(
     weight = rings.sizes
     level = float(np.average(spectrum, weights=weight))
     note = (
-        f"up to {beyond:.0%} of a band is what lies beyond half width {reach} and counts as white between "
-        "pixels, which masks with an order (r2) and lattices do not make of it: raise half_width"
+        f"up to {beyond:.0%} of a band lies beyond half width {reach} and is treated as white "
+        "between pixels, which is wrong for masks with an order (r2) and lattices; raise half_width"
     )
     low = rings.radius < _LOW
     share = float(np.average(spectrum[low], weights=weight[low])) / level if level else math.nan
@@ -231,12 +236,12 @@ def image_error_spectrum(
 
 
 def _power(errors: Array, width: int) -> Array:
-    """Power of an image over the frequencies of `numpy.fft.rfft2`; white noise has its variance."""
+    """Return the power of an image over the frequencies of `numpy.fft.rfft2`."""
     return np.asarray(np.abs(np.fft.rfft2(errors.reshape(width, width))) ** 2 / width**2)
 
 
 def _errors(known: Array, points: Array, shifts: Array) -> Array:
-    """Σ conj(f^p_m) S_m e^{−2πi m·δ_p} of all pixels, with the shared set's S_m = Σ e^{−2πi m·x} / n."""
+    """Return Σ conj(f^p_m) S_m e^{−2πi m·δ_p} of all pixels, with S_m = Σ e^{−2πi m·x} / n."""
     import finufft
 
     d = points.shape[1]
@@ -256,6 +261,6 @@ def _errors(known: Array, points: Array, shifts: Array) -> Array:
         return np.asarray(found.real)
     phases = np.exp(-1j * places[..., None] * (np.arange(known.shape[1]) - known.shape[1] // 2))
     terms = np.conj(known) * shared
-    for phase in phases:  # sums over the first axis that is left
+    for phase in phases:  # Sum over the first remaining axis
         terms = np.einsum("pm,pm...->p...", phase, terms)
     return np.asarray(terms.real)

@@ -1,7 +1,7 @@
-"""What methods of prediction share: facts about an integrand, and the result of a method.
+"""Common parts of the methods of prediction: facts about an integrand, and the result of a method.
 
-A method predicts by a function ``(law, known, stream) -> Predicted`` that raises `NoClosedForm` where it
-does not apply. It may evaluate g anywhere except at the sampler's own points.
+A method is a function ``(law, known, stream) -> Predicted`` that raises `NoClosedForm` if it does
+not apply. It may evaluate g anywhere except at the sampler's own points.
 """
 
 from __future__ import annotations
@@ -38,24 +38,24 @@ Made = TypeVar("Made")
 @final
 @dataclass(frozen=True)
 class Predicted:
-    """The variance of the mean of g over n points, by one method; arrays are (channels or 1,).
+    """The variance of the mean of g over n points by one method; arrays are (channels or 1,).
 
     Attributes
     ----------
     variance
-        Its value, positive.
+        The predicted variance, positive.
     error
-        Half of its 95 % interval: of quadrature, of sampled spectra, and what the tail may be off by.
+        Half of its 95 % interval: errors of quadrature, of sampled spectra and of the tail.
     how
-        A few words of detail, such as the number of sets.
+        Short description, such as the number of sets.
     share
-        Part of ∫g² that was counted term by term.
+        Part of ∫g² that was summed term by term.
     tail
-        Part of `variance` that stands for the rest, in the same units as `variance`.
+        Part of `variance` that represents the rest, in the same units.
     method
-        Name of the method in `METHODS`, which the loop over them fills in.
+        Name of the method in `METHODS`, filled in by the loop over the methods.
     poles
-        Whether `error` covers poles of g that tables and points do not reach.
+        Whether `error` covers poles of g beyond tables and points.
     """
 
     variance: Array
@@ -70,16 +70,16 @@ class Predicted:
 @final
 @dataclass(frozen=True)
 class Cells:
-    """Predicted variances of several samplers, counts or methods, a row each.
+    """Predicted variances of several samplers, counts or methods, one row each.
 
     Attributes
     ----------
     variance, low, high
-        The value and the ends of its 95 % interval, (N, channels or 1); NaN where it is not known.
+        Value and ends of its 95 % interval, (N, channels or 1); NaN if not known.
     share, tail
         See `Predicted`.
     methods, hows, notes
-        Names of the methods, details or reasons why there is no value, and notes; (N,).
+        Names of the methods, details or reasons for a missing value, and notes; (N,).
     """
 
     variance: JOIN
@@ -104,13 +104,13 @@ class Cells:
         note: str = "",
         channels: int = 1,
     ) -> Cells:
-        """A single row, whose numbers are (channels,) or the same for all channels."""
+        """Make a single row; numbers are (channels,) or equal for all channels."""
         numbers = [np.full((1, channels), each) for each in (variance, low, high, share, tail)]
         return Cells(*numbers, *(np.array([text]) for text in (method, how, note)))
 
     @staticmethod
     def unknown(reason: str, channels: int) -> Cells:
-        """A row without a value, and the reason."""
+        """Make a row with a reason instead of a value."""
         nan, why = math.nan, reason.rstrip(".")
         return Cells.row(
             "none", why, nan, nan, nan, share=nan, tail=nan, note=why, channels=channels
@@ -118,17 +118,17 @@ class Cells:
 
     @staticmethod
     def joined(parts: Sequence[Cells]) -> Cells:
-        """Rows one after the other."""
+        """Concatenate rows."""
         return Cells(
             *(np.concatenate(each) for each in zip(*map(Cells._arrays, parts), strict=True))
         )
 
     def named(self, place: int = 0) -> tuple[str, str]:
-        """Method and details of a row."""
+        """Return method and details of a row."""
         return str(self.methods[place]), str(self.hows[place])
 
     def at(self, place: int) -> Cells:
-        """A single row."""
+        """Return a single row."""
         return Cells(*(each[place : place + 1] for each in self._arrays()))
 
     def _arrays(self) -> tuple[Array, ...]:
@@ -137,10 +137,10 @@ class Cells:
 
 @final
 class Known:
-    """An integrand in primary space and facts about it that serve all methods, counts and samplers.
+    """An integrand in primary space, with cached facts for all methods, counts and samplers.
 
-    All of them cut it at the jumps that lines see across an axis (`looked_at`). What quadrature finds
-    out about it is in its own `mcspectra.integrands.base.IntegrandCache`.
+    All methods cut it at jumps that line searches detect across an axis (`looked_at`). Results of
+    quadrature are in the integrand's own `mcspectra.integrands.base.IntegrandCache`.
     """
 
     def __init__(self, given: Integrand) -> None:
@@ -155,7 +155,7 @@ class Known:
 
     @property
     def costly(self) -> bool:
-        """Whether evaluations take so long that few methods are worth theirs."""
+        """Whether evaluations are so slow that only few methods are worthwhile."""
         return self.given.costly
 
     @cached_property
@@ -170,7 +170,7 @@ class Known:
 
     @cached_property
     def diverges(self) -> Array:
-        """Whether ∫g² is infinite, as lines across the axes tell, (channels or 1,)."""
+        """Whether ∫g² is infinite according to lines across the axes, (channels or 1,)."""
         found = growth(self.g) >= DIVERGES
         if self.unresolved.any() and (parts := separated(self.g)):
             found = found | np.array([part.diverges for part in parts])
@@ -178,21 +178,21 @@ class Known:
 
     @cached_property
     def unresolved(self) -> Array:
-        """Part of ∫g² next to poles that tables and points do not reach, (channels or 1,)."""
+        """Part of ∫g² next to poles beyond tables and points, (channels or 1,)."""
         return beyond_points(self.g)
 
     @cached_property
     def constant(self) -> str:
-        """What is to be said where g is the same wherever it was looked at; else empty."""
+        """A message if g is equal at all points of the probe; else empty."""
         return constant(self.g)
 
     @cached_property
     def unseen(self) -> Array:
-        """What ∫g² may be off by for regions that nodes do not see, (channels or 1,)."""
+        """Error of ∫g² from regions that nodes miss, (channels or 1,)."""
         return unseen(self.g)
 
     def once(self, key: Hashable, make: Callable[[], Made]) -> Made:
-        """Return what `make` returns, made at the first call with this key."""
+        """Return the result of `make`, computed at the first call with this key."""
         with self._lock:
             if key not in self._made:
                 self._made[key] = make()
@@ -200,6 +200,6 @@ class Known:
 
 
 def half_interval(values: Array) -> Array:
-    """Half of the 95 % interval of the mean over the first axis, by Student's t."""
+    """Return half of the 95 % interval of the mean over the first axis, by Student's t."""
     count = len(values)
     return np.asarray(student_t(count) * values.std(axis=0, ddof=1) / math.sqrt(count))

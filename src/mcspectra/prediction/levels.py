@@ -1,17 +1,19 @@
 """Variances of scrambled nets and of strata from means of g over cells.
 
-Nested uniform scrambling weighs the part σ²_l of g that varies with l_j digits of coordinate j by the
-gain Γ_l of the net (docs/theory.md, "Gains of scrambled nets"). Gains are 1 but for finitely many
-levels, about those of at most n cells: of Σ l_j near log n, not of all l_j near log n. So
+Nested uniform scrambling weighs σ²_l, the part of g that varies with l_j digits of coordinate j, by
+the gain Γ_l of the net (docs/theory.md, "Gains of scrambled nets"). All but finitely many gains are
+1. The exceptions are levels of at most about n cells, with Σ l_j near log n, not every l_j near log
+n. So
 
-    n Var = Σ_{l ≤ T} Γ_l σ²_l + ω²_T − Σ_{l ≰ T} (1 − Γ_l) σ²_l
+    n Var = Σ_{l ≤ T} Γ_l σ²_l + ω²_T − Σ_{l ≰ T} (1 − Γ_l) σ²_l,
 
-with ω²_T the mean variance within the cells of one table T and σ²_l from some tables of as many cells
-that are longer along some axes. A digital shift has weights that depend on g: see `of_moves`.
+where ω²_T is the mean variance within the cells of one table T. The σ²_l come from tables with
+equally many cells that are longer along some axes. A digital shift has weights that depend on g;
+see `of_moves`.
 
-Cells are integrated in closed form where g knows its moments over boxes, else by Gauss-Legendre, cut
-at the breaks of g, and once more by a composite rule where g varies most from cell to cell: there
-curves of jumps are. Both are done twice, by a fine and a coarse rule; the error is their difference.
+Cells are integrated in closed form if g has moments over boxes, else by Gauss-Legendre rules cut at
+the breaks of g. Cells whose neighbors have very different g contain curves of jumps, and get
+a composite rule. Integration uses a fine and a coarse rule, and the error is their difference.
 """
 
 from __future__ import annotations
@@ -44,43 +46,45 @@ Levels = tuple[int, ...]
 @final
 @dataclass(frozen=True, kw_only=True)
 class LevelsSettings:
-    """How cells are chosen and integrated.
+    """Settings for the choice and integration of cells.
 
-    Changes are those of seven cells: a jump along a line, smooth functions and a pole in 1 to 3 dims, with
-    jittered, sobol | owen and halton | owen at n = 64 to 1024.
+    Stated changes refer to seven cases: a jump along a line, smooth functions and a pole in 1 to 3
+    dims, with jittered, sobol | owen and halton | owen at n = 64 to 1024.
 
     Attributes
     ----------
     most_dims
-        Most dims of tables of cells: in four, 32,768 cells would have 13 to a side.
+        Largest number of dims: in 4-D, 32,768 cells would have 13 per side.
     cells
-        Cells of the first table, by number of dims. Half and twice as many change variances by less than
-        0.1 %, within the intervals.
+        Number of cells of the first table, by number of dims. Half and twice as many change
+        variances by less than 0.1 %, within the intervals.
     long, most_cells
-        Cells of a table that is longer along some axes: up to `long` n Π b_j, which holds the levels of
-        as many digits as n has and one more, and at most `most_cells`. Insensitive to half and twice each.
+        Number of cells of a table that is longer along some axes: up to `long` n Π b_j, which
+        covers the digits of n and one more, and at most `most_cells`. Insensitive to half and twice
+        each.
     more
-        Digits beyond those of n whose gains are asked for. As a rule all coordinates differ there.
-        Insensitive between 1 and 6.
+        Number of digits beyond those of n for which gains are computed. All coordinates usually
+        differ there. Insensitive between 1 and 6.
     orders
-        Orders of the coarse and the fine Gauss-Legendre rule in each cell, by number of dims. Their
-        difference is the error.
+        Orders of the coarse and the fine Gauss-Legendre rule in each cell, by number of dims. The
+        error is their difference.
     parts
-        Parts along each axis of a cell with a jump, by number of dims. Half as many change variances by up
-        to 0.13 % and twice as many by 0.05 %, within the intervals.
+        Number of parts along each axis of a cell with a jump, by number of dims. Half as many
+        change variances by up to 0.13 % and twice as many by 0.05 %, within the intervals.
     most_rough, rough
-        Cells that are cut into parts at most, by number of dims, and how much more g must vary in one than
-        in the mean cell. Both are insensitive to half and twice: a jump cuts some hundred of 65,536 cells
-        in 2-D and some thousand of 32,768 in 3-D.
+        Largest number of cells that are divided, by number of dims, and least variation of g in
+        such a cell relative to the mean cell. Both are insensitive to half and twice. A jump cuts
+        some hundred of 65,536 cells in 2-D and some thousand of 32,768 in 3-D.
     block
-        Evaluations at a time, 16 MB in 2-D. The result does not depend on it.
+        Evaluations per call, 16 MB in 2-D. It has no effect on the result.
     clear, doubt
-        Errors of ∫g² that the part which tables miss of it must exceed to be added, and the doubt about
-        the weight of this part: it lies at poles, within one cell, with a gain between 0 and about 1.
-        Half of `clear` adds a part of noise, 0.015 % of a variance; twice is the same.
+        Part of ∫g² that tables miss, in units of its error, above which it is added; and the
+        uncertainty of its weight. This part lies at poles within one cell, with a gain between 0
+        and about 1. Half of `clear` adds some noise, 0.015 % of a variance; twice changes nothing.
     most_error, noise
-        Half interval, relative to the variance, above which the method refuses, unless it is below `noise`
-        times ∫g²: other methods do better than a fifth. Both are insensitive to half and twice.
+        Largest half interval relative to the variance, unless it is below `noise` times ∫g²; above
+        it the method raises, because other methods have errors below a fifth. Both are insensitive
+        to half and twice.
     """
 
     most_dims: int = 3
@@ -103,7 +107,7 @@ class LevelsSettings:
 
 _SETTINGS = LevelsSettings()
 _ROUNDING = 4e-15
-"""Rounding error of ∫g², relative: some units in the last place of double precision."""
+"""Relative rounding error of ∫g²: some units in the last place of double precision."""
 
 
 def of_levels(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
@@ -112,17 +116,18 @@ def of_levels(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
     Parameters
     ----------
     law
-        In 1 to 3 dims: fixed sets with nested or linear scrambling; strata without a random shift.
+        Law in 1 to 3 dims: fixed sets with nested or linear scrambling; strata without a random
+        shift.
     known
         g, and the tables made for other counts and samplers.
     stream
-        Not used: nothing is random.
+        Not used, because nothing is random.
 
     Raises
     ------
     NoClosedForm
-        Another sampler, more dims, g not finite at a node, a set without any randomness, or a result
-        that may be off by more than a fifth.
+        If the sampler is another one, has more dims or no randomness, g is not finite at a node, or
+        the result may be wrong by more than a fifth.
 
     References
     ----------
@@ -133,7 +138,8 @@ def of_levels(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
     n, dims = law.n, law.dims
     if dims > _SETTINGS.most_dims:
         raise NoClosedForm(
-            f"Tables of cells are for at most {_SETTINGS.most_dims} dims; {known.g.spec} has {dims}."
+            f"Tables of cells are for at most {_SETTINGS.most_dims} dims; {known.g.spec} has "
+            f"{dims}."
         )
     if isinstance(law, Scrambled) and law.nested_pairs and isinstance(law.inner, Fixed):
         return _scrambled(law.inner, law.bases, known)
@@ -152,11 +158,11 @@ def of_levels(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
 
 
 def _scrambled(net: Fixed, bases: tuple[int, ...], known: Known) -> Predicted:
-    """Nested scrambling of a fixed set."""
+    """Predict nested scrambling of a fixed set."""
     n, dims = net.n, net.dims
     origin: Any = (0,) * dims
 
-    # Gains, a few digits further than n has: as a rule all coordinates differ there
+    # Compute gains a few digits beyond those of n, where all coordinates usually differ
     levels = math.ceil(math.log(max(n, 2), min(bases)) - 1e-9) + _SETTINGS.more
     try:
         gains = gains_at(net, bases, levels)
@@ -165,7 +171,7 @@ def _scrambled(net: Fixed, bases: tuple[int, ...], known: Known) -> Predicted:
     wanted = np.abs(gains - 1.0) > 1e-9
     wanted[origin] = False
 
-    # Σ Γ_l σ²_l and Σ σ²_l over the levels of the tables
+    # Sum Γ_l σ²_l and σ²_l over the levels of the tables
     least = _SETTINGS.cells[dims]
     most = max(least, min(_SETTINGS.long * n * math.prod(bases), _SETTINGS.most_cells))
     held = list(_tables(wanted, bases, least, most))
@@ -180,13 +186,13 @@ def _scrambled(net: Fixed, bases: tuple[int, ...], known: Known) -> Predicted:
         first = first or (parts, *spread)
         at = tuple(np.indices([level + 1 for level in cells]))
         new = ~counted[at]
-        new[origin] = False  # the mean, which has no gain
+        new[origin] = False  # The mean has no gain
         ends = tuple(np.minimum(axis, side - 1) for axis, side in zip(at, gains.shape, strict=True))
         plain = plain + parts[:, new].sum(axis=1)
         weighed = weighed + (gains[ends][..., None] * parts)[:, new].sum(axis=1)
         counted[at] = True
 
-    # The rest has weight 1 where no level is missing
+    # The rest has weight 1 if no level is missing
     assert first is not None
     parts, within, off = first
     inside = parts.reshape(len(within), -1, within.shape[1]).sum(axis=1)
@@ -202,7 +208,7 @@ def _scrambled(net: Fixed, bases: tuple[int, ...], known: Known) -> Predicted:
 
 
 def _tables(wanted: Array, bases: Sequence[int], least: int, most: int) -> Iterator[Levels]:
-    """Levels of tables: one of about cubes, `least` of them, then of `most` until all wanted are held."""
+    """Yield levels of tables: first about cubes, then tables of `most` cells for the others."""
 
     def grown(levels: Levels, most: int = most) -> Levels:
         while True:
@@ -218,7 +224,7 @@ def _tables(wanted: Array, bases: Sequence[int], least: int, most: int) -> Itera
     left = [levels for levels in left if math.prod(map(pow, bases, levels)) <= most]
     found = [first]
     while left := [v for v in left if any(map(int.__gt__, v, found[-1]))]:
-        # The longest first, and of these the one of most cells
+        # Take the longest first, and among equals the one with most cells
         found.append(grown(max(left, key=lambda v: (max(v), sum(v)))))
         yield found[-1]
 
@@ -226,16 +232,16 @@ def _tables(wanted: Array, bases: Sequence[int], least: int, most: int) -> Itera
 def _table(
     g: Integrand, bases: Sequence[int], levels: Levels, *, whole: bool
 ) -> tuple[Array, Array, Array]:
-    """Parts of g over cells, by a coarse and a fine rule (Q = 2) or exactly (Q = 1).
+    """Return parts of g over cells, by a coarse and a fine rule (Q = 2) or exactly (Q = 1).
 
-    σ²_l, (Q, levels + 1 of each axis, channels), that of level 0 the square of the mean; the mean variance
-    within cells, (Q, channels), and twice its standard error.
+    The parts are σ²_l, (Q, levels + 1 of each axis, channels), with the square of the mean at level
+    0. The mean variance within cells, (Q, channels), and twice its standard error follow.
     """
     sides = tuple(map(pow, bases, levels))
     means, squares = _cell_moments(g, sides, np.zeros(g.dims), refined=whole)
 
-    # Squares of means and the variance within the cells are both off by what the rules err at jumps,
-    # in all by nothing. In long cells without these products are right: errors of two rules are
+    # Squares of means and the variance within cells have opposite errors at jumps, which cancel. In
+    # long cells without the variance within, products of the two rules are used, whose errors are
     # hardly correlated
     pairs = ([(0, 0), (-1, -1)] if whole else [(-1, -1), (0, -1)])[: len(means)]
     halves = [0.5 * (means[a] + sign * means[b]) for a, b in pairs for sign in (1.0, -1.0)]
@@ -246,9 +252,10 @@ def _table(
 
 
 def _spread(means: Array, squares: Array) -> tuple[Array, Array]:
-    """Mean over cells of the variance within, (Q, channels), and twice its standard error.
+    """Return the mean over cells of the variance within, (Q, channels), and twice its error.
 
-    Of moments (Q, …, channels); rules err in each cell by itself, and may agree by chance in the mean.
+    Moments are (Q, …, channels). Rules have independent errors in each cell and may agree by chance
+    in the mean.
     """
     within = np.maximum(squares - means**2, 0.0).reshape(len(means), -1, means.shape[-1])
     error = 2.0 * np.sqrt(((within[-1] - within[0]) ** 2).sum(axis=0)) / within.shape[1]
@@ -258,15 +265,16 @@ def _spread(means: Array, squares: Array) -> tuple[Array, Array]:
 def _cell_moments(
     g: Integrand, sides: tuple[int, ...], offset: Array, *, refined: bool = True
 ) -> tuple[Array, Array]:
-    """Means of g and of g² over cells, displaced by `offset`, both (Q, *sides, channels).
+    """Return means of g and of g² over cells displaced by `offset`, both (Q, *sides, channels).
 
-    `refined` where g varies most, if it is not known in closed form.
+    With `refined`, cells with most variation are integrated more finely, unless there is a closed
+    form.
     """
     dims = g.dims
     if in_closed_form(g):
         mean, square = stratum_moments(g, sides, offset, 1)
         return mean.reshape(1, *sides, -1), square.reshape(1, *sides, -1)
-    # Axes that are cut more finely than those of a cube take a node less
+    # Axes that are cut more finely than those of a cube take one node less
     fine = np.array([not refined and side**dims > _SETTINGS.cells[dims] for side in sides])
     by_order = [stratum_moments(g, sides, offset, order - fine) for order in _SETTINGS.orders[dims]]
     means = np.stack([m for m, _ in by_order]).reshape(2, *sides, -1)
@@ -276,7 +284,7 @@ def _cell_moments(
     if not refined:
         return means, squares
 
-    # Find where g varies most, within a cell and to its neighbors, but for cells that breaks cut
+    # Find cells with most variation within and to their neighbors, except cells that breaks cut
     from scipy.ndimage import maximum_filter, minimum_filter
 
     size = (3,) * dims + (1,)
@@ -285,7 +293,7 @@ def _cell_moments(
     varies = varies + np.sqrt(np.maximum(squares[-1] - fine**2, 0.0))
     rough = (varies / np.maximum(varies.max(axis=tuple(range(dims))), 1e-300)).sum(axis=-1)
     limit = _SETTINGS.rough * rough.mean()
-    edges = (0.0, *((1e-9, 1.0 - 1e-9) if dims <= 2 else ()))  # warps have their poles there
+    edges = (0.0, *((1e-9, 1.0 - 1e-9) if dims <= 2 else ()))  # Warps have their poles there
     for axis, breaks in enumerate(g.breaks):
         place = (np.array([*edges, *breaks]) - offset[axis]) % 1.0 * sides[axis]
         cut = place[np.abs(place - np.rint(place)) > 1e-12]
@@ -294,7 +302,7 @@ def _cell_moments(
     chosen = np.argpartition(rough.ravel(), rough.size - most)[rough.size - most :]
     chosen = np.sort(chosen[rough.ravel()[chosen] > limit])
 
-    # Integrate over parts of these
+    # Integrate over parts of these cells
     channels = means.shape[-1]
     for q, order in enumerate(_SETTINGS.orders[dims]):
         node, weight = gauss_rule(order)
@@ -316,11 +324,11 @@ def _cell_moments(
 def _strata(
     sides: tuple[int, ...], offset: Array, n: int, known: Known, how: str, *, whole: bool = True
 ) -> Predicted:
-    """An independent value of g in each of n equal strata, or n values in one.
+    """Predict an independent value of g in each of n equal strata, or n values in one.
 
-    `whole` where g is the same for all n, so that ∫g² is worth to be known by itself.
+    `whole` states that g is the same for all n, so that computing ∫g² separately is worthwhile.
     """
-    # Cells of multiples of the sides, up to a number or as many as there are
+    # Choose cells that divide the strata, up to the number of cells in the settings
     sizes = sides
     while not in_closed_form(known.g):
         axis = int(np.argmin(sizes))
@@ -340,7 +348,7 @@ def _strata(
 
 
 def _missed(known: Known, square: Array) -> Array:
-    """∫g² less that of a table, at poles at the border, which cells of a table do not resolve."""
+    """Return ∫g² minus that of a table: the part at poles at the border that cells miss."""
     if in_closed_form(known.g):
         return 0.0 * square
     exact, error = known.square
@@ -348,7 +356,7 @@ def _missed(known: Known, square: Array) -> Array:
 
 
 def _merged(moment: Array, sides: tuple[int, ...]) -> Array:
-    """Means over coarser cells of moments (Q, cells of each axis, channels)."""
+    """Return means over coarser cells of moments (Q, cells of each axis, channels)."""
     for axis, side in enumerate(sides, start=1):
         shape = (*moment.shape[:axis], side, -1, *moment.shape[axis + 1 :])
         moment = moment.reshape(shape).mean(axis=axis + 1)
@@ -358,13 +366,13 @@ def _merged(moment: Array, sides: tuple[int, ...]) -> Array:
 def _predicted(
     scaled: Array, n: int, square: Array, how: str, *, rest: Any = 0.0, doubt: Any = 0.0
 ) -> Predicted:
-    """Of n times the variance by each rule, (Q, channels), and ∫g²; the rest is not term by term."""
+    """Return the prediction from n times the variance by each rule, (Q, channels), and ∫g²."""
     rounding = _ROUNDING * square
     value = np.where(scaled[-1] > rounding, scaled[-1], 0.0)
     error = np.abs(scaled[-1] - scaled[0]) + doubt + rounding + 1e-9 * value
     if ((error > _SETTINGS.most_error * value) & (error > _SETTINGS.noise * square)).any():
         raise NoClosedForm(
-            f"Cells do not resolve the variance: {np.max(value) / n:.3g} may be off by "
+            f"Cells do not resolve the variance: {np.max(value) / n:.3g} may be wrong by "
             f"{np.max(error) / n:.2g}; use ",
             Function("convergence"),
             ".",

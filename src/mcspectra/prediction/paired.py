@@ -1,8 +1,9 @@
 """Variances of orthogonal arrays, from the energies of an integrand between strata of its axes.
 
 Along each axis g is a sum of four parts: its mean, means over strata (β), means over the parts of a
-stratum (δ), and the remainder within parts. `PairedAxes` states how two different points lie on an axis.
-Each relation multiplies the four parts, of s strata with m parts each, by
+stratum (δ), and the remainder within parts. `PairedAxes` describes the relation of two different
+points on an axis. Each relation multiplies the four parts by the following factors, for s strata
+with m parts each:
 
     (1, −1/(s−1), 0, 0)     in different strata,
     (1, 1, 0, 0)            independent in the same stratum,
@@ -12,14 +13,14 @@ Let E_u be the energy of g with part u_i along axis i. Then
 
     n Var = Σ_u (1 + λ_u) E_u,    λ_u = n Σ_p share_p Π_i factor_p,i(u_i),
 
-with the sum over the patterns p of pairs. Arrays of strength 2 have λ = −1 for one β, for two β and, where
-parts are shared out, for one δ, so that these energies add no variance [Owen1992]_. For more axes λ decreases
-with powers of 1/s.
+with the sum over the patterns p of pairs. Arrays of strength 2 have λ = −1 for one β, for two β
+and, if each stratum has one point per part, for one δ. These energies add no variance [Owen1992]_.
+For more axes λ decreases with powers of 1/s.
 
-The fit of `mcspectra.prediction.subsets`, functions of single axes and products of such functions, has a
-known variance. The rest is estimated: at pairs of points that share strata of two or three axes, chosen at
-random, the mean product of g without its single axes, minus that of the fit. Energies of more axes than
-three, of g minus the fit, are not estimated and widen the interval.
+The fit of `mcspectra.prediction.subsets` consists of functions of single axes and products of such
+functions, and has a known variance. The rest is estimated from random pairs of points that share
+strata of two or three axes: the mean product of g without its single axes, minus that of the fit.
+Energies of g minus the fit in more than three axes are not estimated and widen the interval.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ from mcspectra.core.errors import NoClosedForm
 from mcspectra.core.streams import Stream
 from mcspectra.estimators.quadrature import values_at
 from mcspectra.prediction.known import Known, Predicted, half_interval
-from mcspectra.prediction.subsets import SUBSET_SETTINGS, Parts, all_parts, net, offsets_within
+from mcspectra.prediction.subsets import SUBSET_SETTINGS, AnovaModel, all_parts, net, offsets_within
 from mcspectra.samplers.law import Law, PairedAxes, Relation, Shifted, unmoved
 
 __all__ = ["PairedSettings", "evaluations", "is_array", "of_arrays"]
@@ -56,11 +57,12 @@ class PairedSettings:
     Attributes
     ----------
     pairs
-        Pairs in each replicate for the entries of `_MULTIPLES`. Half and twice
-        as many change the variances of a Gaussian, a ball and a kink in 4-D with orthogonal-array | shift at
-        n = 289 by less than 0.5 %; their half intervals are 0.9, 2.1 and 0.5 %.
+        Number of pairs in each replicate for the entries of `_MULTIPLES`. Half and twice as many
+        change the variances of a Gaussian, a ball and a kink in 4-D with orthogonal-array | shift
+        at n = 289 by less than 0.5 %. Their half intervals are 0.9, 2.1 and 0.5 %.
     replicates
-        Scrambled nets of pairs. Their spread gives the interval, with Student's t of 15 degrees of freedom.
+        Number of scrambled nets of pairs. Their spread gives the interval, with 15 degrees of
+        freedom.
     """
 
     pairs: tuple[int, int, int] = (1 << 16, 1 << 13, 1 << 13)
@@ -71,23 +73,23 @@ _SETTINGS = PairedSettings()
 
 
 def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
-    """Predict the variance with an orthogonal array of strength 2, moved or shifted or not.
+    """Predict the variance of an orthogonal array of strength 2, possibly moved or shifted.
 
     Raises
     ------
     NoClosedForm
-        The law is no orthogonal array, or does not treat all axes alike.
+        If the law is not an orthogonal array, or does not treat all axes alike.
     """
     array, by = unmoved(law)
     if not (is_array(law) and isinstance(array, PairedAxes)):
-        raise NoClosedForm(f"{law.name} is no orthogonal array that treats all axes alike.")
+        raise NoClosedForm(f"{law.name} is not an orthogonal array that treats all axes alike.")
     n, s = law.n, array.strata[0]
     parts = array.parts[0] if any("mates" in p.axes for p in array.patterns) else 1
     offsets = offsets_within(1.0 / s, by, uniform=isinstance(law, Shifted))
     one, part, two, both, three = (
         _weight(array, along) for along in ((_BETWEEN,), (_AMONG,), *_MULTIPLES.values())
     )
-    # The largest weight of all energies of three axes or more that are not estimated
+    # The largest weight of the energies of three or more axes that are not estimated
     rest = max(
         abs(_weight(array, (_BETWEEN,) * k + (_AMONG,) * (axes - k)))
         for axes in range(3, max(law.dims, 3) + 1)
@@ -102,7 +104,8 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
             ("arrays", c, s, parts, at),
             functools.partial(_energies, p, c, s, parts, offsets, known),
         )
-        # n Var of single axes (all profiles, then each group), of the fit in several axes, and the rest
+        # n Var of single axes (all profiles, then each group), of the fit in several axes, and of
+        # the rest
         alone = sums.single @ np.array([1.0, 1.0 + part, 1.0 + one])
         several = _of_products(array, sums)
         beside = more @ np.array([1.0, two, both, three])
@@ -118,12 +121,12 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
 
 
 def evaluations() -> float:
-    """Evaluations of g that one prediction takes, in addition to those of the fit."""
+    """Return evaluations of g of one prediction, in addition to those of the fit."""
     return float(2 * sum(_SETTINGS.pairs) * _SETTINGS.replicates)
 
 
 def is_array(law: Law) -> bool:
-    """Whether points are an orthogonal array in several dims that treats all axes alike.
+    """Return whether points are an orthogonal array in several dims that treats all axes alike.
 
     It may be moved or shifted.
     """
@@ -144,7 +147,7 @@ def is_array(law: Law) -> bool:
 
 
 def _factor(relation: Relation, part: str, strata: int, parts: int) -> float:
-    """The factor by which a relation of two points multiplies a part of g along one axis."""
+    """Return the factor of a relation of two points for a part of g along one axis."""
     if part == _MEAN:
         return 1.0
     if relation == "apart":
@@ -155,7 +158,7 @@ def _factor(relation: Relation, part: str, strata: int, parts: int) -> float:
 
 
 def _weight(law: PairedAxes, along: Sequence[str]) -> float:
-    """λ of these parts along the first axes and means along the others; 0 if g has fewer axes."""
+    """Return λ of these parts along the first axes and means along the others; 0 for fewer axes."""
     s, m, missing = law.strata[0], law.parts[0], law.dims - len(along)
     if missing < 0:
         return 0.0
@@ -174,7 +177,7 @@ class _Sums:
     Attributes
     ----------
     single
-        Energies within parts, between parts and between strata, summed over the axes: (1 + groups, 3).
+        Energies within parts, between parts and between strata, summed over axes: (1 + groups, 3).
     means
         Means of the factors, (dims, products).
     covariances
@@ -188,7 +191,7 @@ class _Sums:
 
 
 def _of_products(law: PairedAxes, sums: _Sums) -> float:
-    """n times the variance of a sum of products minus its single axes."""
+    """Return n times the variance of a sum of products minus its single axes."""
     s, m = law.strata[0], law.parts[0]
     whole, parts, strata = np.moveaxis(sums.covariances, 1, 0)
     kept = {"self": whole, "apart": -strata / (s - 1), "same": strata}
@@ -206,17 +209,23 @@ def _of_products(law: PairedAxes, sums: _Sums) -> float:
 
 
 def _energies(
-    p: Parts, channel: int, s: int, parts: int, offsets: Sequence[Sequence[float]], known: Known
+    p: AnovaModel,
+    channel: int,
+    s: int,
+    parts: int,
+    offsets: Sequence[Sequence[float]],
+    known: Known,
 ) -> tuple[_Sums, Array]:
-    """Energies of single axes and moments of the fit, and energies of g minus those of the fit.
+    """Return energies of single axes and moments of the fit, and energies of g minus the fit.
 
-    The latter are (replicates, 4): of all parts of several axes, and of the entries of `_MULTIPLES`.
+    The latter are (replicates, 4): of all parts of several axes, and of the entries of
+    `_MULTIPLES`.
     """
     singles, means, covariances = np.zeros((len(p.main[0]), 3)), list[Array](), list[Array]()
     own, centers = len(p.main[0]), list[Array]()
     for curves, main, factors, places in zip(p.axes, p.main, p.factors, offsets, strict=True):
         both = np.concatenate([main, factors])
-        # Fine cells hold the whole energy; means over parts and strata are exact
+        # Fine cells contain the whole energy; means over parts and strata are exact
         jumps = len(curves.knots) > 2
         values = curves.cells(both, SUBSET_SETTINGS.finest if jumps else SUBSET_SETTINGS.fine)
         mean = values.mean(axis=-1)
@@ -240,7 +249,7 @@ def _energies(
     others = np.stack([np.prod(np.delete(sums.means, i, axis=0), axis=0) for i in range(d)])
 
     def left(x: Array) -> Array:
-        """g minus its single axes, and the products minus theirs: (2, …)."""
+        """Return g minus its single axes, and the products minus theirs: (2, …)."""
         flat = x.reshape(-1, d)
         alone, products, single = np.zeros(len(flat)), np.ones(1), np.zeros(1)
         for i, (axis, main, factors) in enumerate(zip(p.axes, p.main, p.factors, strict=True)):
@@ -272,13 +281,14 @@ def _energies(
         one, two = left(x), left(other)
         middle = 0.5 * (one + two).mean(axis=(1, 2), keepdims=True)
         one, two = one - middle, two - middle
-        # Sums over all choices of axes are their number times the mean; two different parts can be swapped
+        # A sum over choices of axes is their number times the mean; two different parts can be
+        # swapped
         many = math.comb(d, len(along)) * (2 if name == "parts" else 1)
         product, square = one * two, 0.5 * (one**2 + two**2)
         more[:, 1 + k] = many * (product[0] - product[1]).mean(axis=-1)
         if k == 0:
             more[:, 0] = (square[0] - square[1]).mean(axis=-1)
-    # Pairs that share parts share strata, and those that share three strata share two of them
+    # Pairs that share parts share strata, and pairs that share three strata share two of them
     more[:, 2] -= 2.0 * more[:, 1] if parts > 1 and d > 1 else 0.0
     more[:, 3] -= (d - 2) * more[:, 1] if d > 2 else 0.0
     return sums, more

@@ -1,10 +1,10 @@
-"""Predictions: the variance at every n by the most trusted method, by one method, or by all of them.
+"""Predictions: the variance at every n by the most trusted method, by one, or by all of them.
 
-`METHODS` lists the methods in their order of trust. Those up to ``extrapolated`` work in primary space:
-each technique has its own integrand on the unit cube, and independent techniques add up. The method
-``auto`` tries those that apply and takes the first whose interval is narrow enough, else the narrowest.
-The last of them measures small sets of the sampler and extrapolates, and its name says so. The other
-methods check a prediction.
+`METHODS` lists the methods in their order of trust. Methods up to ``extrapolated`` work in primary
+space: each technique has its own integrand on the unit cube, and independent techniques add up.
+``auto`` tries the methods that apply. It returns the first prediction whose interval is narrow
+enough, else the narrowest. The last of these methods measures small sets of the sampler and
+extrapolates, which its name states. The remaining methods check a prediction.
 """
 
 from __future__ import annotations
@@ -88,8 +88,8 @@ __all__ = [
     "METHODS",
     "NAMES",
     "AutoSettings",
+    "EvaluationLimits",
     "ExtrapolationSettings",
-    "LimitSettings",
     "Method",
     "Prediction",
     "Predictor",
@@ -101,30 +101,30 @@ __all__ = [
 ]
 
 _OFFSET = 0.5 - 0.5 / 3**0.5
-"""Offset c of strata at which c(1 − c), the part of jumps at faces, has its mean over all shifts."""
+"""Offset c of strata for which c(1 − c), the weight of jumps at faces, has its mean over shifts."""
 _MEMORY = 2**29
-"""Bytes that coefficients and transforms of all regions take."""
+"""Largest memory, in bytes, of coefficients and transforms of all regions."""
 _OVERHEAD = 1e6
-"""Work of a prediction besides evaluations, in evaluations."""
+"""Work of a prediction apart from evaluations, in units of evaluations."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class QuadratureSettings:
-    """When `auto` takes a quadrature.
+    """Conditions under which `auto` uses a quadrature.
 
     Attributes
     ----------
     tolerance
-        Relative error of a quadrature that comes before all other methods: their intervals are of this
-        size at best where g jumps. Of 5 samplers and a jump along a line at n = 64, 0.003 refuses one more
-        and 0.03 one less.
+        Largest relative error of a quadrature that precedes all other methods, whose intervals are
+        at best of this size if g jumps. For 5 samplers and a jump along a line at n = 64, 0.003
+        rejects one more and 0.03 one less.
     evaluations
-        Evaluations of g beyond which other methods come first: a sixteenth of those of `exact_variance`.
-        Insensitive between 2^20 and 2^24 for the same samplers.
+        Number of evaluations of g above which other methods come first: a sixteenth of those of
+        `exact_variance`. Insensitive between 2^20 and 2^24 for the same samplers.
     most_breaks
-        Breaks of g up to which strata with a random shift are integrated over in several dims: offsets
-        are cut at each of them along each axis, so that their number grows with the power d.
+        Largest number of breaks of g for which strata with a random shift are integrated in several
+        dims. Offsets are cut at each break along each axis, so their number grows with the power d.
     """
 
     tolerance: float = 0.01
@@ -135,23 +135,24 @@ class QuadratureSettings:
 @final
 @dataclass(frozen=True, kw_only=True)
 class AutoSettings:
-    """How narrow intervals must be, and where limits of rates are looked for.
+    """Required widths of intervals, and counts at which limits of rates are sought.
 
     Attributes
     ----------
     moved, measured
-        Half interval of sums of products, relative to the variance, above which offsets of the set are
-        tried, and above which measurements are: those of 8,192 offsets have a standard error of
-        √(2/8192) = 1.6 % and intervals of 3 %, extrapolations one of about a fifth.
+        Half interval of sums of products, relative to the variance, above which offsets of the set
+        are tried, and above which measurements are tried. 8,192 offsets have a standard error of
+        √(2/8192) = 1.6 % and intervals of 3 %; extrapolations have intervals of about a fifth.
     ahead, most_ahead
-        Factor to the count beyond the last one that shows the limit of rates, and log2 of the largest
-        such count. Of strata, which are cheap in one table of cells, the largest count is taken.
+        Factor from the last requested count to a count that shows the limit of rates, and log2 of
+        the largest such count. Strata are cheap in one table of cells, so their largest count is
+        used.
     loose
-        Half interval, relative to the variance, above which a count beyond the last one says nothing
-        about rates: over two octaves it moves a slope by 0.16.
+        Half interval, relative to the variance, above which a count beyond the last one is not used
+        for rates: over two octaves it changes a slope by 0.16.
     square, coefficients, tables
-        Evaluations that ∫g², its coefficients, and tables of cells or of products take, about: the first
-        is the budget of the integral, the others the sizes of the tables in 2-D.
+        Approximate evaluations of ∫g², of its coefficients, and of tables of cells or of products.
+        The first is the budget of the integral; the others are the sizes of the tables in 2-D.
     """
 
     moved: float = 0.03
@@ -167,28 +168,30 @@ class AutoSettings:
 @final
 @dataclass(frozen=True, kw_only=True)
 class TableSettings:
-    """How g is tabulated at the middles of cells, and measured with sets of the sampler.
+    """Settings for a table of g at the centers of cells, measured with sets of the sampler.
 
-    Changes are those of three cells at n = 64: a jump along a line and a smooth g in 2-D with pmj02, and a
-    Gaussian of width 0.1 in 3-D with latin-hypercube, whose half intervals are about 3 %.
+    Stated changes refer to three cases at n = 64: a jump along a line and a smooth g in 2-D with
+    pmj02, and a Gaussian of width 0.1 in 3-D with latin-hypercube. Their half intervals are about 3
+    %.
 
     Attributes
     ----------
     cells
-        Cells along each axis, by number of dims: about a million in 2-D and 3-D. Half
-        and twice as many change the variance by less than 1 %, and half intervals by 0.6 % where g jumps.
+        Number of cells along each axis, by number of dims: about a million cells in 2-D and 3-D.
+        Half and twice as many change the variance by less than 1 %, and half intervals by 0.6 % if
+        g jumps.
     probe
-        Random points at which the table is compared with g: the mean square that it misses has a
-        relative standard error of about 1/256 where it is not heavy-tailed. Insensitive between 2^15 and
-        2^17.
+        Number of random points at which the table is compared with g. The mean square difference
+        has a relative standard error of about 1/256 if it is not heavy-tailed. Insensitive between
+        2^15 and 2^17.
     block
-        Points evaluated at a time, 1 MB in 2-D. The result does not depend on it.
+        Points per call, 1 MB in 2-D. It has no effect on the result.
     points
-        Points of all sets together, which limits the work at large n: above n = 420 there are fewer than
-        `most_sets`.
+        Total number of points of all sets, which limits the work at large n. Above n = 420 there
+        are fewer sets than `most_sets`.
     least_sets, most_sets
-        Sets that are drawn at least and at most: the standard error of a variance of R sets is √(2/R) of
-        it, 10 % and 1.4 %.
+        Least and largest number of sets. The relative standard error of a variance of R sets is
+        √(2/R), which is 10 % and 1.4 %.
     """
 
     cells: Mapping[int, int] = field(default_factory=lambda: {1: 2**16, 2: 2**10, 3: 100})
@@ -202,33 +205,34 @@ class TableSettings:
 @final
 @dataclass(frozen=True, kw_only=True)
 class ExtrapolationSettings:
-    """Which counts are measured, and how a line through them is drawn.
+    """Settings for the measured counts, and for the line through them.
 
-    Changes are those of three cells: a jump along a plane in 4-D and a smooth g in 2-D with sobol | owen at
-    n = 256 and 1024, and a smooth g in 4-D with latin-hypercube at n = 100.
+    Stated changes refer to three cases: a jump along a plane in 4-D and a smooth g in 2-D with
+    sobol | owen at n = 256 and 1024, and a smooth g in 4-D with latin-hypercube at n = 100.
 
     Attributes
     ----------
     small
-        Small counts, at which measurements cost little; they count where there are few counts next to n.
-        Insensitive to one more or less.
+        Small counts, whose measurements cost little. They are used if there are few counts close to
+        n. Insensitive to one more or less.
     largest
-        Largest count that is measured, of f that is cheap. Between 2^11 and 2^13 variances change by less
-        than 1.5 %.
+        Largest measured count of cheap f. Between 2^11 and 2^13 variances change by less than 1.5
+        %.
     near
-        Parts of n by which the counts next to it are apart at most, so that they lie within an eighth
-        of it and the line hardly extrapolates. Insensitive between 8 and 32.
+        Inverse of the largest distance between counts close to n, as a fraction of n. They then lie
+        within an eighth of n, and the line hardly extrapolates. Insensitive between 8 and 32.
     fitted
-        Counts nearest to n that the line goes through: three leave one degree of freedom, with which
-        Student's t is 12.7, and four leave two, with 4.3. Eight give half the interval for twice the
-        evaluations.
+        Number of counts closest to n that the line is fitted to. Three leave one degree of freedom,
+        for which Student's t is 12.7; four leave two, with 4.3. Eight halve the interval for twice
+        the evaluations.
     sets
-        Realizations of each small count: variances to √(2/2000) = 3 %.
+        Realizations of each small count, which give variances to √(2/2000) = 3 %.
     near_sets, near_points
-        Realizations of a count next to n at least, and their points: what is more. Half and twice as many
-        change variances by less than 4 %, well within intervals of 14 to 60 %.
+        Least number of realizations of a count close to n, and of their points; the larger
+        requirement holds. Half and twice as many change variances by less than 4 %, well within
+        intervals of 14 to 60 %.
     most_factor
-        Largest factor by which an extrapolation is said to be off, so that exponentials stay finite.
+        Largest factor of the reported error of an extrapolation, so that exponentials stay finite.
         Insensitive between 15 and 60.
     """
 
@@ -244,31 +248,32 @@ class ExtrapolationSettings:
 
 @final
 @dataclass(frozen=True, kw_only=True)
-class LimitSettings:
-    """How many evaluations of users' functions are made, and which counts few of them measure.
+class EvaluationLimits:
+    """Limits on evaluations of users' functions, and the counts that few evaluations measure.
 
     Attributes
     ----------
     evaluations
-        Most evaluations unless more are allowed: a second of a function that takes 4 µs a point. Ends of
-        intervals are then variances times or over 1.5 at counts that are measured, and 2 at 4,096.
+        Default for the most evaluations: a second for a function that takes 4 µs per point. Ends of
+        intervals are then variances times or over 1.5 at measured counts, and 2 at 4,096.
     predictions
-        Least evaluations, for each technique, with which methods predict. For smooth functions and jumps
-        in 1-D to 4-D with four samplers they took 1.2 to 13 million.
+        Least number of evaluations, for each technique, with which methods predict. For smooth
+        functions and jumps in 1-D to 4-D with four samplers they need 1.2 to 13 million.
     sets, least_sets
-        Realizations of each count above which larger counts are measured, and least number of them:
-        their variances have standard errors of 14 % and 35 %.
+        Realizations of each count above which larger counts are measured as well, and least number
+        of realizations. Their variances have standard errors of 14 % and 35 %.
     first, least_counts
-        Least of the measured counts, and least number of them: a line takes two, errors one or two
-        more, and the count that is predicted is left out.
+        Smallest measured count, and least number of measured counts. A line takes two, its error
+        one or two more, and the predicted count is excluded.
     beyond
-        Largest measured count over the largest that is asked for.
+        Ratio of the largest measured count to the largest requested count.
     probe
-        Part of the evaluations that are made at random points, which show growth toward the border
-        and values that hold most of the variance: 16,384 of 2^18. Such a variance is refused.
+        Fraction of the evaluations at random points, 16,384 of 2^18. They detect growth toward the
+        border and variances that depend on a few values, which are not predicted.
     fitted
-        Counts that a line goes through: five leave three degrees of freedom, with which Student's t is
-        3.2. With four intervals are 1.4 times as wide; six do not follow curves that bend.
+        Number of counts that a line is fitted to. Five leave three degrees of freedom, for which
+        Student's t is 3.2. With four, intervals are 1.4 times as wide; six do not follow curves
+        that bend.
     """
 
     evaluations: int = 2**18
@@ -282,8 +287,8 @@ class LimitSettings:
     fitted: int = 5
 
 
-LIMITS = LimitSettings()
-"""Limits of users' functions."""
+LIMITS = EvaluationLimits()
+"""Limits for users' functions."""
 
 _QUADRATURE_SETTINGS, _AUTO = QuadratureSettings(), AutoSettings()
 _TABLE, _EXTRAPOLATION = TableSettings(), ExtrapolationSettings()
@@ -295,7 +300,7 @@ def of_quadrature(
     stream: Stream,  # noqa: ARG001
     settings: QuadratureSettings = _QUADRATURE_SETTINGS,
 ) -> Predicted:
-    """The exact variance, to the error of its quadrature; shifted strata are cheaper on the torus."""
+    """Return the variance by quadrature, except for shifted strata that would take long."""
     g = known.g
     costs_much = not in_closed_form(g) or sum(map(len, g.breaks)) > settings.most_breaks
     if g.dims > 1 and isinstance(law, Shifted) and costs_much and not lines_suffice(known):
@@ -305,12 +310,12 @@ def of_quadrature(
 
 
 def lines_suffice(known: Known) -> bool:
-    """Whether g has poles, and one line along each axis says all about it."""
+    """Return whether g has poles and one line along each axis determines all of g."""
     return bool(known.unresolved.any()) and separated(known.g) is not None
 
 
 def of_divergence(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
-    """The variance of points that are each uniform, where ∫g² diverges: infinite."""
+    """Return the infinite variance of points that are each uniform, if ∫g² diverges."""
     diverges = np.isinf(known.square[0])
     if not diverges.any():
         raise NoClosedForm("∫g² is finite.")
@@ -319,10 +324,10 @@ def of_divergence(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa:
 
 
 def of_table(law: Law, known: Known, stream: Stream, settings: TableSettings = _TABLE) -> Predicted:
-    """Measure a table of g with sets of the sampler, and add what the table leaves out.
+    """Measure a table of g with sets of the sampler, and add the part that the table misses.
 
-    It holds g at the middles of fine cells, once for all samplers and counts, and is linear between them.
-    What it leaves out is as fine as its cells, and counts as white: ∫(g − table)²/n.
+    The table holds g at the centers of fine cells, once for all samplers and counts, and is linear
+    in between. The missing part varies within cells and is treated as white noise: ∫(g − table)²/n.
     """
     if known.g.dims not in settings.cells:
         raise NoClosedForm("A table takes 1 to 3 dims.")
@@ -335,7 +340,7 @@ def of_table(law: Law, known: Known, stream: Stream, settings: TableSettings = _
     side, block = settings.cells[g.dims], settings.block
 
     def tabulated() -> tuple[Integrand, Array, Array]:
-        """A table of g, and ∫(g − table)² with half its 95 % interval, by channel."""
+        """Make a table of g, with ∫(g − table)² and half its 95 % interval, by channel."""
         from scipy.interpolate import RegularGridInterpolator
 
         axes = [(np.arange(side) + 0.5) / side] * g.dims
@@ -356,7 +361,7 @@ def of_table(law: Law, known: Known, stream: Stream, settings: TableSettings = _
     if not (moments.resolved & (moments.variance > rounding_floor(moments.mean))).all():
         raise NoClosedForm(f"{sets} sets do not resolve the variance of {law.name}.")
     tail = missed / n
-    # Points may be as good within cells as they are beyond, or as bad as at random
+    # Within cells, points may be as good as at larger scales, or as bad as random points
     error = CONFIDENCE_Z * moments.relative_se * moments.variance + tail + miss / n
     share = 1.0 - np.minimum(missed / known.square[0], 1.0)
     return Predicted(moments.variance + tail, error, f"{sets} sets", share, tail)
@@ -379,8 +384,9 @@ def extrapolated(
     stream: Stream,
     settings: ExtrapolationSettings = _EXTRAPOLATION,
 ) -> Predicted:
-    """A line through the logarithms of variances measured at the small counts nearest to n, without n."""
-    # Counts about n that sets fill as n: of a power of two others, else in steps of one that divides n
+    """Fit a line to log variances measured at the small counts closest to n, without n itself."""
+    # Counts around n that sets fill like n: powers of two, or steps of a power of two that divides
+    # n
     step = min(n & -n, 1 << max(0, (n // settings.near).bit_length() - 1))
     near = [n + k * step for k in (-2, -1, 1, 2)]
     if n & (n - 1) == 0:
@@ -393,7 +399,8 @@ def extrapolated(
         if count == n or len(found) == settings.fitted:
             continue
         with contextlib.suppress(CountError):
-            if sum(estimator.counts) > 1:  # one has its nearest counts, without more warnings
+            # One technique uses its nearest counts, without more warnings
+            if sum(estimator.counts) > 1:
                 estimator.check_sampler(sampler, count)
             close = counts[count]
             sets = (
@@ -409,10 +416,11 @@ def extrapolated(
                 found.append((count, moments))
     if len(found) < settings.fitted - 1:
         raise NoClosedForm(
-            f"No method predicts {sampler.spec}, and its small sets show no variance or are too few."
+            f"No method predicts {sampler.spec}, and its small sets are too few or have no "
+            "variance."
         )
 
-    # The scatter about the line is at least that of the measurements
+    # The scatter about the line is at least the error of the measurements
     from scipy.special import stdtrit
 
     x = np.log([float(count) for count, _ in found])
@@ -435,31 +443,31 @@ def extrapolated(
 @final
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """A way to find the variance.
+    """A method of finding the variance.
 
     Attributes
     ----------
     name, summary
-        Its name, and how it finds the variance.
+        Name, and a short description of the computation.
     predict
-        Predicts the mean of g over the points of a law, for one technique. Raises `NoClosedForm`
-        where it does not apply. None for methods that answer for whole estimators only.
+        Predicts the mean of g over the points of a law, for one technique. Raises `NoClosedForm` if
+        it does not apply. None for methods that work on whole estimators only.
     applies
-        Whether ``auto`` tries it for a law and an integrand; nothing is evaluated to find out.
-        A method that is asked for by its name is tried always.
+        Whether ``auto`` tries it for a law and an integrand, decided without evaluations. A method
+        requested by name is always tried.
     ahead
-        Whether ``auto`` tries it at counts beyond those that were asked for, which show the limit of
-        rates: it draws no sets, and is cheap at large n. Facts about g may have to be found for that.
+        Whether ``auto`` tries it beyond the requested counts, for the limit of rates. It must be
+        cheap at large n and draw no sets, but may compute facts about g.
     enough
-        Half interval, relative to the variance, up to which ``auto`` takes its prediction without
-        trying the next method.
+        Largest half interval, relative to the variance, with which ``auto`` accepts its prediction
+        without trying the next method.
     cost
-        Evaluations of g that it takes at most, or about, where no other count has taken them before.
+        Approximate or largest number of evaluations of g, if no other count has already made them.
     of_estimator
-        Answers for an estimator, where the method is asked for by its name and does not work
+        Prediction for a whole estimator, if the method is requested by name and does not work
         technique by technique.
     realized
-        Whether it takes realizations of the estimates, which methods share.
+        Whether it uses realizations of the estimates, which methods share.
     """
 
     name: str
@@ -476,30 +484,30 @@ class Method:
 
 
 def _mirrored(law: Law) -> bool:
-    """Whether the set inside, with another integrand, has the same variance."""
+    """Return whether the inner set, with another integrand, has the same variance."""
     return isinstance(law, Folded | Mirrored) and not law.inner.fixed
 
 
 def _one_offset(law: Law) -> bool:
-    """Whether `of_torus` is cheap at large n: no sets are drawn."""
+    """Return whether `of_torus` is cheap at large n because no sets are drawn."""
     return isinstance(law, Independent) or (isinstance(law, Shifted) and law.inner.fixed)
 
 
 def _latin(law: Law) -> bool:
-    """Whether points are a Latin hypercube in several dims, for which sums over axes are exact."""
+    """Return whether points are a Latin hypercube in several dims, with exact sums over axes."""
     return isinstance(law, PairedAxes) and law.latin and law.dims > 1
 
 
 def _moves_apply(law: Law, known: Known) -> bool:
-    """Whether offsets of a set are worth their evaluations."""
+    """Return whether offsets of a set are worth their evaluations."""
     return moves_resolve(law, known) or (not known.costly and moves_at_once(law))
 
 
 def _enough_of_sums(law: Law, known: Known) -> float:
-    """Where products miss jumps and kinks across many axes, other methods may be narrower."""
+    """Return the accepted half interval of sums of products, which may miss jumps and kinks."""
     if _moves_apply(law, known):
         return _AUTO.moved
-    leaf = leaf_of(law)  # a count of a lattice tells nothing about the counts next to it
+    leaf = leaf_of(law)  # The variance of a lattice does not predict that of close counts
     return math.inf if isinstance(leaf, Fixed) and leaf.even else _AUTO.measured
 
 
@@ -513,7 +521,7 @@ def _cost_of_quadrature(law: Law, known: Known) -> float:  # noqa: ARG001
 def _exactly(
     estimator: AbstractEstimator, sampler: Sampler, n: int, asked: Prediction, _: Stream
 ) -> Cells:
-    """`exact_variance`, with the error of its quadrature."""
+    """Return `exact_variance`, with the error of its quadrature."""
     value, error = estimated_variance(estimator, sampler, n, asked.tolerance)
     low, high = np.maximum(value - error, 0.0), value + error
     width = max(1, estimator.channels)
@@ -523,7 +531,7 @@ def _exactly(
 def _checked(
     check: Callable[[AbstractEstimator, Sampler, int, Terms, Stream], Cells],
 ) -> Callable[[AbstractEstimator, Sampler, int, Prediction, Stream], Cells]:
-    """A check of `mcspectra.prediction.cross_checks` with the options of a prediction."""
+    """Wrap a check of `mcspectra.prediction.cross_checks` with the options of a prediction."""
 
     def of_estimator(
         estimator: AbstractEstimator, sampler: Sampler, n: int, asked: Prediction, stream: Stream
@@ -572,7 +580,7 @@ METHODS: tuple[Method, ...] = (
         ahead=lambda law, known: not (_one_offset(law) or _latin(law) or moves_resolve(law, known)),
         cost=lambda *_: _AUTO.tables,
     ),
-    # A quadrature evaluates g anew at every count; tables, as precise, serve all counts
+    # A quadrature evaluates g again at every count; equally precise tables serve all counts
     replace(
         _QUADRATURE,
         applies=lambda law, known: (
@@ -641,17 +649,17 @@ METHODS: tuple[Method, ...] = (
     Method(name="terms", summary="dc, power and cross term of `variance_terms`", realized=True),
     Method(name="measured", summary="sample variance of the estimates at n", realized=True),
 )
-"""All methods, the most trusted prediction first; one name may stand at several places."""
+"""All methods, the most trusted prediction first; a name may occur several times."""
 
 NAMES = tuple(dict.fromkeys(method.name for method in METHODS))
 """Names of methods in the order of `METHODS`."""
 
 _LIMIT = "limit"
-"""Stands for ``auto`` at counts beyond those that were asked for."""
+"""Name for ``auto`` at counts beyond the requested ones."""
 
 
 def tried(name: str, law: Law, known: Known) -> list[Method]:
-    """The methods that answer to a name for one technique, in their order of trust."""
+    """Return the methods with a name for one technique, in their order of trust."""
     usable = [method for method in METHODS if method.predict is not None]
     if name == "auto":
         return [method for method in usable if method.applies(law, known)]
@@ -661,8 +669,8 @@ def tried(name: str, law: Law, known: Known) -> list[Method]:
 
 
 _METHOD = Meta(
-    description="auto: the most trusted method that applies; all: every method side by side; or the name "
-    "of a method.",
+    description="auto: the most trusted method that applies; all: every method side by side; or "
+    "the name of a method.",
     extra={"choices": ("auto", "all", *NAMES)},
 )
 
@@ -693,8 +701,8 @@ class Prediction(Counted, frozen=True, kw_only=True):
     half_width: Annotated[
         Annotated[int, HALF_WIDTH] | None,
         Meta(
-            description="Largest frequency along each axis in the methods covariance, homogenized and terms; by "
-            "default it is chosen for n and the integrand.",
+            description="Largest frequency along each axis in the methods covariance, homogenized "
+            "and terms. The default depends on n and the integrand.",
         ),
     ] = None
     realizations: Annotated[
@@ -702,7 +710,8 @@ class Prediction(Counted, frozen=True, kw_only=True):
         Meta(
             ge=4,
             le=MAX_REALIZATIONS,
-            description="Realizations in the methods pair-correlation, homogenized, terms and measured.",
+            description="Realizations in the methods pair-correlation, homogenized, terms and "
+            "measured.",
             extra={"flag": "-m", "metavar": "R"},
         ),
     ] = 1000
@@ -716,9 +725,9 @@ class Prediction(Counted, frozen=True, kw_only=True):
         return any(method.realized for method in METHODS if method.name in self._names)
 
     def limit(self, subject: Subject) -> int | None:
-        """Most evaluations of functions.
+        """Return the most evaluations of functions.
 
-        There is no limit by default for known integrands, nor for a method that is asked for by name.
+        By default there is no limit for known integrands, nor for a method requested by name.
         """
         chosen = self.method in ("auto", "extrapolated")
         if self.max_evaluations is None and chosen and subject.estimator.is_black_box:
@@ -726,7 +735,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         return self.max_evaluations
 
     def _measures(self, subject: Subject) -> bool:
-        """Whether evaluations are too few for anything but measurements at small counts."""
+        """Return whether evaluations suffice only for measurements at small counts."""
         limit = self.limit(subject)
         enough = LIMITS.predictions * len(subject.estimator.counts)
         if limit is None or limit >= enough or not subject.estimator.is_black_box:
@@ -734,7 +743,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         return self.method in ("auto", "extrapolated")
 
     def need(self, subject: Subject) -> Need:
-        """Every sampler can do every count, and the spectra fit."""
+        """Check that every sampler allows every count, and that the spectra fit."""
         estimator, samplers, names = subject.estimator, subject.samplers, self._names
         if self._measures(subject):
             for sampler in samplers:
@@ -766,7 +775,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
     def _cost(
         self, estimator: AbstractEstimator, sampler: Sampler, n: int, known: Sequence[Known]
     ) -> float:
-        """Evaluations of the methods that are asked for, of `auto` of the one that is tried first."""
+        """Return evaluations of the requested methods; for `auto`, of the method tried first."""
         source, cost = estimator.randomized(sampler), 0.0
         for count, each in zip(estimator.counts, known, strict=True):
             law = source.law(n * count)
@@ -776,20 +785,20 @@ class Prediction(Counted, frozen=True, kw_only=True):
         return cost
 
     def _terms(self, subject: Subject, n: int) -> tuple[Terms, Need, str]:
-        """The analysis behind the sampled methods, its need, and why it has no frequencies, or empty."""
+        """Return the analysis of the sampled methods, its need, and why frequencies are missing."""
         asked = terms_for(subject.estimator, n, self.half_width, self.realizations)
         without, refusal = msgspec.structs.replace(asked, half_width=0), ""
         if self.method != "measured":
             try:
                 return asked, asked.need(subject), ""
-            except ParameterError as error:  # too many frequencies, or too many for some memory
+            except ParameterError as error:  # Too many frequencies, or too many for the memory
                 if self.method != "all":
                     raise
                 refusal = str(error)
         return without, without.need(subject), refusal
 
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
-        """A block for each sampler, method and count; the sampled methods share realizations."""
+        """Yield a block for each sampler, method and count; sampled methods share realizations."""
         estimator, samplers, names = subject.estimator, subject.samplers, self._names
         auto, channels = self.method == "auto", max(1, estimator.channels)
         of_estimator = {method.name: method.of_estimator for method in reversed(METHODS)}
@@ -804,7 +813,8 @@ class Prediction(Counted, frozen=True, kw_only=True):
         predictor = Predictor(estimator, stream, measured, self.limit(subject) or 0)
         own, other = (Stream.from_rng(np.random.SeedSequence([stream.key, k])) for k in (0, 1))
 
-        # Counts of a sampler: with auto others, too, which show rates and their limit; 0 is none
+        # Counts of a sampler; with auto, more counts for rates and their limit; 0 stands for no
+        # count
         counts = [_places(s, self.counts) if auto else [0, *self.counts, 0, 0] for s in samplers]
         wanted = [(s, name, n) for s, each in enumerate(counts) for name in names for n in each]
         alone = {method.name for method in METHODS if method.predict or method.of_estimator}
@@ -819,10 +829,10 @@ class Prediction(Counted, frozen=True, kw_only=True):
                 return predictor.at(sampler, n, name)
             try:
                 return answer(estimator, sampler, n, self, other)
-            except (NoClosedForm, ParameterError) as refusal:  # arguments were checked before
+            except (NoClosedForm, ParameterError) as refusal:  # Arguments were checked before
                 return Cells.unknown(str(refusal), channels)
 
-        # Spectra and estimates of realizations, for each sampler and count
+        # Sample spectra and estimates for each sampler and count
         sampled = {}
         for s, sampler in enumerate(samplers):
             for n in self.counts if self._realized else ():
@@ -862,7 +872,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         cells: Cells,
         notes: list[str],
     ) -> xr.Dataset:
-        """The dataset of cells by sampler, method and count, with rates along the counts."""
+        """Return the dataset of cells by sampler, method and count, with rates along the counts."""
         estimator, samplers, methods = subject.estimator, subject.samplers, self._names
         auto, alone = self.method == "auto", subject.sampler is samplers[0]
         channels = max(1, estimator.channels)
@@ -870,9 +880,9 @@ class Prediction(Counted, frozen=True, kw_only=True):
         full = (len(samplers), len(methods), -1, channels)
         n = np.array([each for each in counts for _ in methods], float)
 
-        # Rates from the count before, of the first one to the next; not of intervals that reach 0
+        # Rates from the count before; the first one to the next. Intervals that reach 0 have none
         known = np.where(cells.low > 0.0, cells.variance, np.nan).reshape(shape)
-        with np.errstate(invalid="ignore"):  # both infinite
+        with np.errstate(invalid="ignore"):  # Both infinite
             half = cells.high - cells.variance
         loose = (half > _AUTO.loose * cells.variance).reshape(shape)
         known[:, 1 + len(self.counts) :][loose[:, 1 + len(self.counts) :]] = np.nan
@@ -889,10 +899,10 @@ class Prediction(Counted, frozen=True, kw_only=True):
             3, 0, 1, 2
         )
         seen = auto and predictor.measured is None
-        if not seen:  # no count beyond those asked for shows where rates tend to
+        if not seen:  # Only counts beyond the requested ones show the limit of rates
             limit, bend = np.full_like(limit, np.nan), np.full_like(bend, np.nan)
 
-        # Leave out the counts that were not asked for
+        # Leave out the additional counts
         variance, low, high, share, tail = (
             values.reshape(full)[:, :, asked]
             for values in (cells.variance, cells.low, cells.high, cells.share, cells.tail)
@@ -902,12 +912,13 @@ class Prediction(Counted, frozen=True, kw_only=True):
             for texts in (cells.methods, cells.hows, cells.notes)
         )
 
-        # What is to be said: with all methods their reasons stand in `how` alone
+        # Collect notes; with all methods the reasons are only in `how`
         said = list(dict.fromkeys(filter(None, notes)))
         if predictor.measured is not None:
             said.append(
-                f"measured at small counts with {self.limit(subject)} evaluations at most; predictions may "
-                f"take {LIMITS.predictions * len(estimator.counts)}, to be allowed by max_evaluations"
+                f"measured at small counts with at most {self.limit(subject)} evaluations; a "
+                f"prediction may need {LIMITS.predictions * len(estimator.counts)}; raise "
+                "max_evaluations to allow it"
             )
         if self.method not in ("auto", "all", "exact") and np.isnan(variance).all():
             reasons = list(dict.fromkeys(map(str, why.ravel())))
@@ -942,7 +953,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
             names, hows = (np.take(texts, 0, place) for texts in (names, hows))
             coords["method"] = by, names, {"long_name": "method of the prediction"}
             drop.append("method")
-        about = {"long_name": "how the method found the variance, or why it did not"}
+        about = {"long_name": "details of the method, or why it gave no value"}
         coords["how"] = by, hows, about
         rated = ("sampler", "method", "channel")
         return dataset(
@@ -978,23 +989,23 @@ def predict(
     max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Predict the variance and its rate from what is known of f and of the samplers.
+    """Predict the variance and its rate from properties of f and of the samplers.
 
     Parameters
     ----------
     estimator
-        An estimator or, for plain sampling, an integrand, its spec string, or a vectorized function of
-        points (…, d).
+        An estimator or, for plain sampling, an integrand, its spec string, or a vectorized function
+        of points (…, d).
     samplers
-        One or a list, no sampler twice.
+        One sampler or a list without duplicates.
     counts
-        Numbers of points n, ascending; each must be one that every sampler can do.
+        Ascending numbers of points n that every sampler allows.
     dims
-        Number of dims of a function, and of a spec that leaves it open; by default those of a sampler
+        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
         that is not a spec.
     method
-        ``"auto"``: the most trusted method that applies; ``"all"``: every method, side by side, on a dim
-        ``method``; or one of these names, from `METHODS`.
+        ``"auto"`` is the most trusted method that applies. ``"all"`` computes every method, on a
+        dim ``method``. Other values are these names from `METHODS`.
 
         * ``"exact"``: a closed form, or quadrature over strata or levels, as in `exact_variance`
         * ``"torus"``: Σ|g_m|² times the power, for points that are the same after any translation
@@ -1004,76 +1015,78 @@ def predict(
         * ``"table"``: sets of the sampler on a table of g
         * ``"extrapolated"``: a line through variances measured at other counts
         * ``"pair-correlation"``: pairs of points, known or counted, without frequencies
-        * ``"covariance"``: Σ conj(f_m) f_l C_ml, with C_ml in closed form, of 625 frequencies at most
+        * ``"covariance"``: Σ conj(f_m) f_l C_ml, closed-form C_ml, for at most 625 frequencies
         * ``"homogenized"``: Σ|f_m|² times the power, in closed form or from realizations
         * ``"terms"``: the sum of the terms of `variance_terms`
         * ``"measured"``: the sample variance of the estimates at n
     tolerance
         Largest relative error of a variance by the method exact.
     half_width
-        Of the methods covariance, homogenized and terms, which sum over the frequencies m in
-        {−half_width … half_width}^d; by default as in `variance_terms`.
+        Half width for the methods covariance, homogenized and terms, which sum over the frequencies
+        m in {−half_width … half_width}^d; by default as in `variance_terms`.
     realizations
-        Of the methods pair-correlation, homogenized, terms and measured; at least 4, which standard
-        errors take.
+        Realizations for the methods pair-correlation, homogenized, terms and measured; at least 4,
+        which standard errors need.
     rng
-        Seed (SPEC 7), of methods that draw sets. Pairs are counted in other sets than those that are
-        measured.
+        Seed (SPEC 7) of methods that draw sets. Pairs are counted in other sets than the measured
+        ones.
     workers
-        Threads; all processors by default. Results do not depend on it.
+        Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of the integrand. The methods ``auto`` and ``extrapolated`` evaluate users'
-        functions 2^18 times at most by default: they measure sets of small counts, with wider intervals
-        (``extrapolated``). From 2^24 for each technique on, ``auto`` predicts. A method that takes more
-        than the limit is refused, where that is known before it starts.
+        Most evaluations of the integrand. By default ``auto`` and ``extrapolated`` evaluate users'
+        functions at most 2^18 times: they measure sets of small counts and have wider intervals
+        (``extrapolated``). With 2^24 or more for each technique, ``auto`` predicts. A method that
+        would need more than the limit raises, if that is known before it starts.
 
     Returns
     -------
     xarray.Dataset
-        ``predicted_variance(n)`` with its 95 % interval ``predicted_variance_ci(n, bound)``;
-        ``energy_share(n)``, the part of ∫g² (of ∫f² for sums over frequencies) that was counted term by
-        term, 1 for methods without one; ``tail_variance(n)``, the part
-        of the variance that stands for the rest; ``local_rate(n)``, the slope from the count before (at
-        the first, to the next); ``predicted_rate``, the slope over all counts, as `convergence` fits
-        it; ``limit_rate``, the exponent that rates tend to, and ``bend_n``, where a line of this slope
-        meets that of smaller n, if the two differ by more than 0.3: both NaN where they are not known,
-        and where `method` is not ``"auto"``. Counts whose interval reaches 0 have no rates.
+        ``predicted_variance(n)`` with its 95 % interval ``predicted_variance_ci(n, bound)``.
+        ``energy_share(n)`` is the part of ∫g² (of ∫f² for sums over frequencies) that was summed
+        term by term, 1 for methods without terms; ``tail_variance(n)`` is the variance that
+        represents the rest. ``local_rate(n)`` is the slope from the count before (at the first, to
+        the next). ``predicted_rate`` is the slope over all counts, fitted as in `convergence`.
+        ``limit_rate`` is the exponent that rates tend to, and ``bend_n`` the n at which the earlier
+        rate gives way to it, if the two differ by more than 0.3. Both are NaN if they are not known
+        or `method` is not ``"auto"``. Counts whose interval reaches 0 have no rates.
 
-        The coordinate ``method`` is the name of the method at each n, ``"none"`` where there is no value;
-        with ``"all"`` it is a dim. The coordinate ``how`` has details, such as the number of sets, or the
-        reason why there is no value. A list adds the dim sampler, several channels the dim channel.
-        Where there is no variance, or no more than rounding, it is NaN, and the attribute ``note`` says so;
-        the method exact gives 0 there.
+        The coordinate ``method`` is the name of the method at each n, ``"none"`` if there is no
+        value; with ``"all"`` it is a dim. The coordinate ``how`` has details, such as the number of
+        sets, or the reason for a missing value. A list of samplers adds the dim sampler, several
+        channels the dim channel. A variance at rounding level is NaN, and the attribute ``note``
+        reports it; the method exact gives 0.
 
     Raises
     ------
     CountError, ParameterError
-        A sampler cannot do a count, dims disagree, counts are not ascending.
+        If a sampler does not allow a count, dims disagree, or counts are not ascending.
     NoClosedForm
-        A single method, other than exact, applies to no sampler at any n.
+        If a single method, other than exact, applies to no sampler at any n.
 
     Notes
     -----
-    Methods of predictions cut f at jumps across an axis that lines see, and no interval is narrower than what a
-    probe of 2^17 points saw and the nodes did not; f that is the same at all of them has no prediction,
-    unless its integral is known.
+    Methods cut f at jumps across an axis that line searches detect. 2^17 probe points are compared
+    with the nodes, and each interval is widened by the difference. f that is equal at all probe
+    points has no prediction, unless its integral is known.
 
-    f is evaluated at nodes and on grids of our own. A fixed set that is shifted or scrambled is moved by up to
-    8,192 shifts or scrambles of our own (`moves`): lattices with shift and nets with digital-shift in 1 to 3
-    dims, and all such sets where sums of products leave a half interval over 3 %. Linear scrambles stand
-    for nested ones, whose law of pairs is the same. Of samplers of which nothing is known but their sets,
-    these measure a `table` of f in 1 to 3 dims; in more, or where f is expensive, `auto` evaluates f at their
-    points (`extrapolated`): 2,000 realizations each of small
-    counts, or of those next to n where f is not expensive, never of n. So it is, too, where jumps and kinks
-    across many axes leave sums of products an interval wider than a fifth, if it gives the narrower one.
+    f is evaluated at nodes and on grids of predict itself. A shifted or scrambled fixed set is
+    moved by up to 8,192 random shifts or scrambles (`moves`). This is used for lattices with shift
+    and nets with digital-shift in 1 to 3 dims, and for all such sets if sums of products leave a
+    half interval over 3 %. Linear scrambles replace nested ones, whose pairs have the same law.
+    Samplers without known structure measure a `table` of f in 1 to 3 dims. In more dims, or for
+    expensive f, `auto` evaluates f at their points (`extrapolated`): 2,000 realizations each of
+    small counts or, for cheap f, of counts close to n, never of n. The same is done if jumps and
+    kinks across many axes leave an interval wider than a fifth, and the narrower interval is used.
 
-    Limits are known in theory for random points, −1, and at jumps of g in up to 5 dims: −1 − 1/d for strata
-    of the cube and for jumps along curves, −2 for other sets at jumps across an axis that are not at
-    borders of their cells at all counts. They stand where the last slopes are no slower. Else slopes over
-    the last octaves must agree, up to 4 times the last count, of strata up to n = 2^16, where that needs no
-    drawn sets (1 to 3 dims); they stand for the exponent of theory that is near them, −1 − k/d, −2 or −3,
-    and for themselves where there is none and they do not change. Where they do not agree ``limit_rate``
-    is NaN and the attribute ``note`` has the last rates. Jumps of less than 1e-4 of g are not seen.
+    Limits are known in theory for random points, −1, and for jumps of g in up to 5 dims. They are
+    −1 − 1/d for strata of the cube and for jumps along curves. They are −2 for other sets at jumps
+    across an axis, unless these are at borders of cells at all counts. These limits are used if the
+    last slopes are no slower. Otherwise slopes over the last octaves must agree, up to 4 times the
+    last count, or up to n = 2^16 for strata, if no sets have to be drawn (1 to 3 dims). The limit
+    is then a nearby exponent of theory, −1 − k/d, −2 or −3, or the slope itself if there is none
+    and the slope is constant. If the slopes do not agree, ``limit_rate`` is NaN and the attribute
+    ``note`` has the last rates. Jumps of less than 1e-4 of g are not detected.
+
 
     Examples
     --------
@@ -1090,13 +1103,13 @@ def predict(
 
 
 def knowledge(estimator: AbstractEstimator) -> list[Known]:
-    """What there is to know of the integrand of each technique; nothing is evaluated yet."""
+    """Return an empty `Known` for the integrand of each technique; nothing is evaluated yet."""
     return [Known(estimator.primary_integrand(t)) for t in range(len(estimator.counts))]
 
 
 @final
 class Predictor:
-    """Predicts one estimator at many counts; what is known of its integrands is found once."""
+    """Predicts one estimator at many counts; facts about its integrands are computed once."""
 
     def __init__(
         self,
@@ -1105,15 +1118,15 @@ class Predictor:
         measured: Mapping[str, ExtrapolationSettings] | None = None,
         limit: int = 0,
     ) -> None:
-        """With `measured`, settings by sampler, variances are measured within a limit of evaluations."""
+        """With `measured`, settings by sampler, measure variances within a limit of evaluations."""
         self.estimator, self.measured, self._limit = estimator, measured, limit
         self._known = knowledge(estimator)
         self._stream = stream
 
     def at(self, sampler: Sampler, n: int, name: str = "auto") -> Cells:
-        """The prediction of one count: the sum over the techniques; NaN where no method applies.
+        """Predict one count, summed over the techniques; NaN if no method applies.
 
-        By the methods that answer to `name`: see `tried`.
+        The methods are those of `name`; see `tried`.
         """
         estimator = self.estimator
         source, width = estimator.randomized(sampler), max(1, estimator.channels)
@@ -1126,8 +1139,8 @@ class Predictor:
                 raise NoClosedForm(f"a deterministic sampler {NO_VARIANCE}")
             known, stream = self._known, self._stream
             if self.measured is not None:
-                if name == _LIMIT:  # a measurement has no limit of rates
-                    raise NoClosedForm("a measurement goes no further than the counts asked for")
+                if name == _LIMIT:  # A measurement has no limit of rates
+                    raise NoClosedForm("a measurement does not extend beyond the requested counts")
                 reason, lost = known[0].once("doubt", self._doubted) or ("", False)
                 if lost:
                     raise NoClosedForm(reason)
@@ -1135,7 +1148,7 @@ class Predictor:
                     estimator, sampler, n, known[0], stream, self.measured[sampler.spec]
                 )
                 high = found.variance + found.error
-                low = found.variance**2 / high  # the same distance on a logarithmic scale
+                low = found.variance**2 / high  # The same distance on a logarithmic scale
                 if reason:
                     high = np.full_like(high, math.inf)
                 return Cells.row(
@@ -1148,7 +1161,7 @@ class Predictor:
             said = [each.constant for each in known]
             if all(said):
                 raise NoClosedForm(said[0])
-            # The predictions of all techniques, together where they depend on each other
+            # Predict each technique, or all together if they depend on each other
             try:
                 estimator.check_independent()
             except NoClosedForm:
@@ -1162,7 +1175,7 @@ class Predictor:
                     predicted(source.law(n * c), each, stream.child(t), name)
                     for t, (c, each) in places
                 ]
-            # What their shares weigh
+            # Compute the weights of their shares
             squares = [np.ones(len(parts[0].variance))]
             if len(parts) > 1:
                 squares = [each.square[0] for each in known]
@@ -1190,7 +1203,7 @@ class Predictor:
                 note = VANISHES
                 total[np.ix_([0, 1, 3], vanishes)] = math.nan
         variance, error, share, tail = total
-        with np.errstate(invalid="ignore"):  # both infinite
+        with np.errstate(invalid="ignore"):  # Both infinite
             low = np.where(np.isinf(variance), np.inf, np.maximum(variance - error, 0.0))
         high = variance + error
         return Cells.row(
@@ -1198,7 +1211,7 @@ class Predictor:
         )
 
     def _doubted(self) -> tuple[str, bool] | None:
-        """Why random points do not bound the variance: see `mcspectra.estimators.tails.doubt`."""
+        """Return why random points do not bound the variance; see `tails.doubt`."""
         estimator, channels = self.estimator, max(1, self.estimator.channels)
         count = max(1, int(LIMITS.probe * self._limit) // estimator.cost)
         rng, dims = self._stream.child(len(estimator.counts)).generator(0), estimator.dims
@@ -1209,7 +1222,7 @@ class Predictor:
         return doubt(points[0] if len(points) == 1 else None, flat[most])
 
     def slowest(self, sampler: Sampler, counts: Sequence[int]) -> Slowest:
-        """What theory knows of the rate at large n: of several techniques the slowest."""
+        """Return the theoretical rate at large n, of the slowest technique."""
         source, found = self.estimator.randomized(sampler), []
         if self.measured is not None:
             return Slowest()
@@ -1224,11 +1237,11 @@ class Predictor:
 
 
 def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
-    """The prediction of one technique by the methods that answer to a name: see `tried`.
+    """Predict one technique by the methods of a name; see `tried`.
 
-    The first whose interval is narrow enough, else the narrowest.
+    Return the first prediction whose interval is narrow enough, else the narrowest.
     """
-    if law.n == 1 and law.uniform:  # one point, which is as at random
+    if law.n == 1 and law.uniform:  # A single point is a random point
         law = Independent(n=1, dims=law.dims)
     law = as_scrambled(law)
     if name == _LIMIT and isinstance(law, Shifted) and isinstance(law.inner, Strata):
@@ -1239,11 +1252,11 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
         spread = student_t(len(parts)) * values.std(axis=0, ddof=1) / math.sqrt(len(parts))
         error = np.hypot(np.mean([part.error for part in parts], axis=0), spread)
         return replace(parts[0], variance=values.mean(axis=0), error=error)
-    if known.constant:  # a technique of several
+    if known.constant:  # One of several techniques
         none = 0.0 * known.square[0]
         used = name if name in NAMES else NAMES[0]
         return Predicted(none, none, "the same at all points", method=used)
-    # A method that is asked for by its name might give a number
+    # A method requested by name might return a finite number
     if name in NAMES and law.uniform and known.diverges.any():
         infinite = np.where(known.diverges, math.inf, math.nan)
         return Predicted(infinite, infinite, "∫g² = ∞", 0.0, infinite, name)
@@ -1257,7 +1270,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
         except NoClosedForm as refusal:
             reason = refusal
             continue
-        # One method may see what others do not: none knows more than the probe
+        # No interval is narrower than the error from regions that only the probe resolves
         if np.isfinite(found.variance).all():
             error = np.maximum(found.error, known.unseen / law.n)
             if not found.poles:
@@ -1276,7 +1289,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
 
 
 def _of_the_set_inside(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
-    """The prediction of a set before it was folded or mirrored, with another integrand.
+    """Predict a set before it was folded or mirrored, with another integrand.
 
     See `mcspectra.prediction.exact`.
     """
@@ -1294,7 +1307,7 @@ def _of_the_set_inside(law: Law, known: Known, stream: Stream, name: str) -> Pre
 
 
 def _small_counts(estimator: AbstractEstimator, sampler: Sampler, largest: int) -> list[int]:
-    """Counts about powers of two that the sampler can do, to somewhat beyond the largest asked for."""
+    """Return allowed counts near powers of two, to somewhat beyond the largest requested one."""
     top = max(LIMITS.beyond * largest, LIMITS.first << LIMITS.least_counts - 1)
     counts = list[int]()
     for k in range(LIMITS.first.bit_length() - 1, top.bit_length()):
@@ -1306,7 +1319,7 @@ def _small_counts(estimator: AbstractEstimator, sampler: Sampler, largest: int) 
 
 
 def _within(counts: Sequence[int], points: int) -> ExtrapolationSettings:
-    """Settings whose measurements take `points` points in all."""
+    """Return settings whose measurements take `points` points in total."""
     used = list(counts)
     while len(used) > LIMITS.least_counts and points // sum(used) < LIMITS.sets:
         used.pop()
@@ -1315,13 +1328,13 @@ def _within(counts: Sequence[int], points: int) -> ExtrapolationSettings:
 
 
 def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:
-    """A count before a single one, the counts, and two beyond them; 0 where there is none."""
+    """Return one count before a single one, the counts, and two beyond; 0 where there is none."""
     last = counts[-1]
     half = sampler.nearest_count(max(1, last // 2)) if len(counts) == 1 else last
     ahead, leaf = [_AUTO.ahead * last], leaf_of(sampler.law(last))
     if (
         isinstance(leaf, Strata) and leaf.jittered
-    ):  # which are cheap where one table has the cells of all
+    ):  # One table with the cells of all counts makes strata cheap
         top = sampler.dims * (_AUTO.most_ahead // sampler.dims)
         ahead = [2 ** (top - max(sampler.dims, 2)), 2**top]
     beyond = [sampler.nearest_count(n) for n in ahead if n <= 2**_AUTO.most_ahead]

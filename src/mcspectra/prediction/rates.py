@@ -1,8 +1,9 @@
-"""Rates predicted from two exponents: how power starts at low frequencies, how an integrand ends.
+"""Rates predicted from the power at low frequencies and the integrand at high frequencies.
 
-docs/theory.md, "Rates". γ is fitted to means of |f_m|² over shells half an octave wide. Ripples of the
-spectrum, of frequency one over the distance of two jumps, and terms of higher order scatter these means
-about the line; the interval is that of the scatter, with Student's t.
+See docs/theory.md, "Rates". γ is fitted to means of |f_m|² over shells half an octave wide. Two
+effects scatter these means about the line: terms of higher order, and ripples of the spectrum whose
+frequency is one over the distance of two jumps. The interval comes from this scatter, with
+Student's t.
 """
 
 from __future__ import annotations
@@ -51,33 +52,33 @@ __all__ = [
 ]
 
 DECAYS = {"jump": 1.0, "kink": 3.0, "smooth": math.inf}
-"""γ − d by what is not smooth: values, first derivatives across a hypersurface, or nothing."""
+"""γ − d for a jump of the values or of first derivatives across a hypersurface, or for none."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class DecaySettings:
-    """How the decay of |f_m|² is fitted.
+    """Settings for the fit of the decay of |f_m|².
 
     Attributes
     ----------
     octaves
-        Octaves of |m| at the end of the spectrum that the line is fitted to. Of 12 test functions two
-        octaves give the same exponents to 0.15 with intervals twice as wide; with four, a Gaussian of
-        width 0.1 seems to decay like |m|^-12 and not |m|^-5.
+        Number of octaves of |m| at the end of the spectrum that the line is fitted to. For 12 test
+        functions, two octaves give the same exponents to 0.15 with intervals twice as wide. With
+        four, a Gaussian of width 0.1 appears to decay like |m|^-12 instead of |m|^-5.
     least_shells
-        Shells of half an octave that a fit takes at least: a line through fewer leaves no scatter.
-        It matters only where rounding noise hides the other shells.
+        Least number of shells of half an octave in a fit; fewer leave no scatter. It matters only
+        if rounding noise hides the other shells.
     bend
-        Change of the exponent over these octaves above which the fit is reported as not settled. Of 12
-        test functions those with jumps and kinks change by at most 0.9, a Gaussian of width 0.1, whose
-        kink at the border is still hidden, by 8.6.
+        Change of the exponent over these octaves above which the fit is reported as not settled.
+        For 12 test functions, those with jumps and kinks change by at most 0.9. A Gaussian of width
+        0.1, whose kink at the border is still hidden, changes by 8.6.
     widths, width
-        Half widths by number of dims, and in other dims, where the caller gives none. Ripples of 1-D
-        spectra have few frequencies to a shell, so that 1-D takes more; both take less than a second.
+        Default half widths by number of dims, and in other dims. Ripples of 1-D spectra have few
+        frequencies per shell, so 1-D uses more; both take less than a second.
     noise
-        Values of |f_m|², relative to the largest, that rounding errors of double precision make:
-        coefficients are right to 1e-13. Insensitive between 1e-28 and 1e-24.
+        Rounding noise of |f_m|² relative to the largest; coefficients are accurate to 1e-13.
+        Insensitive between 1e-28 and 1e-24.
     """
 
     octaves: int = 3
@@ -91,35 +92,38 @@ class DecaySettings:
 @final
 @dataclass(frozen=True, kw_only=True)
 class JumpSettings:
-    """How jumps are looked for along lines.
+    """Settings for the search for jumps along lines.
 
-    Where a field is insensitive, the rates of 10 integrands in 1 to 4 dims were the same: with jumps
+    "Insensitive" means that the rates of 10 integrands in 1 to 4 dims were the same: with jumps
     along and across the axes, kinks, a pole, and a narrow Gaussian.
 
     Attributes
     ----------
     dims
-        Most dims in which lines look for jumps: in more, boxes are not cut at them either.
+        Largest number of dims of the search; in more dims boxes are not cut at jumps either.
     lines, places
-        Lines along each axis, and places on each: 16,384 evaluations per axis find a jump along a curve
-        that one line in ten crosses with a probability of 0.97. Insensitive between half and twice as many
-        of both.
+        Number of lines along each axis, and of points on each line. 16,384 evaluations per axis
+        find a jump along a curve that one line in ten crosses with probability 0.97. Insensitive to
+        half and twice both.
     largest
-        Steps of each line, the largest, that are cut down. A line crosses few jumps, and one of them
-        on one line is enough. Insensitive between 2 and 8.
+        Number of the largest steps of each line that are bisected. A line crosses few jumps, and
+        one of them on one line is enough. Insensitive between 2 and 8.
     halvings
-        Bisections of such a step: 512 places and 30 halvings leave 2e-12, where a slope of 1e7
-        changes g by less than `least`. With 15 a Gaussian of width 0.02 seems to jump.
+        Number of bisections of such a step. 512 points and 30 halvings leave 2e-12, over which a
+        slope of 1e7 changes g by less than `least`. With 15, a Gaussian of width 0.02 appears to
+        jump.
     beside
-        Distance from a break at which g is evaluated on both sides. Breaks that are found are right to
-        2^-46, and a slope of 500 root mean squares changes g by no more than `least` across it.
+        Distance from a break at which g is evaluated on both sides. Detected breaks are accurate to
+        2^-46, and a slope of 500 root mean squares changes g by at most `least` across it.
         Insensitive between 1e-9 and 1e-5.
     least
-        Smallest step that is a jump, relative to the root mean square of g. A jump of 1e-4 adds 1e-8 of
-        the variance of random points, which no count that can be drawn shows. Insensitive between 1e-6 and 1e-2.
+        Smallest step that is a jump, relative to the root mean square of g. A jump of 1e-4 adds
+        1e-8 of the variance of random points, which no feasible count resolves. Insensitive between
+        1e-6 and 1e-2.
     border
-        Distance from the border of a stratum, in strata, within which a jump does not cut it: rounding
-        of n times a place, up to n = 2^30. Insensitive between 1e-8 and 1e-4.
+        Distance from the border of a stratum, in strata, within which a jump does not cut the
+        stratum. It covers rounding of n times a position up to n = 2^30. Insensitive between 1e-8
+        and 1e-4.
     """
 
     dims: int = 5
@@ -135,40 +139,40 @@ class JumpSettings:
 @final
 @dataclass(frozen=True, kw_only=True)
 class LimitSettings:
-    """When the slopes of a predicted curve show its limit, and where it bends.
+    """Settings for the limit of the slopes of a predicted curve, and for its bend.
 
-    Where a field is insensitive, limits and bends of 64 predicted curves were the same: 8 samplers and 8
+    "Insensitive" means that limits and bends of 64 predicted curves were the same: 8 samplers and 8
     integrands in 1 to 3 dims, at n = 16 to 1024.
 
     Attributes
     ----------
     late
-        Octaves at the end of a curve whose slope stands for the limit. Insensitive between 2 and 4; with
-        8 the limits of 4 curves of scrambled nets, which bend late, are not found.
+        Number of octaves at the end of a curve whose slope estimates the limit. Insensitive between
+        2 and 4. With 8 the limits of 4 curves of scrambled nets, which bend late, are not found.
     near
-        Distance of that slope from an exponent of theory up to which the exponent is the limit, at most
-        0.4/d: exponents are 1/d apart. Insensitive between 0.1 and 0.4.
+        Distance of that slope from a theoretical exponent below which the exponent is the limit, at
+        most 0.4/d because exponents are 1/d apart. Insensitive between 0.1 and 0.4.
     agree
-        Largest difference of the local slopes within these octaves. Insensitive between 0.2 and 0.4; with
-        0.1 one limit of 64 is not found.
+        Largest difference of the local slopes within these octaves. Insensitive between 0.2 and
+        0.4. With 0.1, one limit of 64 is not found.
     leaves
-        Distance of the last slope from an exponent above which slopes that move away from it show that
-        it is no limit. Insensitive between 0.025 and 0.1.
+        Distance of the last slope from an exponent above which slopes that move away from the
+        exponent exclude it as limit. Insensitive between 0.025 and 0.1.
     still
-        Largest change of three slopes that have reached a limit that theory does not list, such as
-        −1 − (1 − 2a)/d next to a pole t^-a. Insensitive between 0.005 and 0.02.
+        Largest change of three slopes that have reached a limit that is not in the list of theory,
+        such as −1 − (1 − 2a)/d next to a pole t^-a. Insensitive between 0.005 and 0.02.
     change
-        Difference between the first slope and the limit above which there is a bend. Insensitive between
-        0.15 and 0.3.
+        Difference between the first slope and the limit above which there is a bend. Insensitive
+        between 0.15 and 0.3.
     most_change
-        Largest change of the exponent at a bend that is tried: exponents lie between −1 and −5.
+        Largest candidate change of the exponent at a bend; exponents lie between −1 and −5.
         Insensitive between 4 and 8.
     tried
-        Places and changes of a bend that are tried, each: places are 0.1 octaves apart over 10 octaves,
-        and bends of curves are known no better.
+        Number of candidate positions of a bend, and of candidate changes. Positions are 0.1 octaves
+        apart over 10 octaves, the accuracy with which bends are known.
     better
-        Scatter about a curve that bends, relative to that about a line, below which it shows a bend.
-        Insensitive between 0.125 and 0.25; with 0.5 one curve more bends.
+        Scatter about a curve that bends, relative to that about a line, below which there is a
+        bend. Insensitive between 0.125 and 0.25. With 0.5, one curve more bends.
     """
 
     late: int = 4
@@ -192,28 +196,31 @@ def predicted_rate(b: float, decay: float | str, dims: int) -> float:
     ----------
     b
         Low-frequency exponent of the power: 0 for random and Poisson disk sets, 2 for jittered
-        ones, more for those that are optimized to be smooth; infinite for step noise.
+        sets, more for sets optimized for smooth functions, infinite for step noise.
     decay
-        γ: |f_m|², averaged over directions, falls like |m|^-γ; more than `dims` for a finite variance:
-        `integrand_decay` measures it, `fitted_decay` with its interval, which moves the rate by as
-        much over `dims` where γ − d < b. Or ``"jump"``, ``"kink"``, ``"smooth"`` for what the integrand has on the torus: `DECAYS`.
+        γ, for |f_m|² proportional to |m|^-γ when averaged over directions. It must exceed `dims`
+        for a finite variance. `integrand_decay` measures it; `fitted_decay` also gives its
+        interval, which changes the rate by the interval over `dims` if γ − d < b. Alternatively
+        ``"jump"``, ``"kink"`` or ``"smooth"``, the worst discontinuity of the integrand on the
+        torus: `DECAYS`.
     dims
         Number of dims d.
 
     Returns
     -------
     float
-        −1 − min(b, γ − d)/d. Where b = γ − d there is a factor log n besides.
+        −1 − min(b, γ − d)/d. For b = γ − d there is an additional factor log n.
 
     Raises
     ------
     ParameterError
-        A value is out of range: b ≤ −d, γ ≤ d.
+        If a value is out of range: b ≤ −d or γ ≤ d.
 
     Notes
     -----
-    For homogeneous sets, whose spectrum is all there is: shifted at random. Jittered sets that are not
-    shifted have no jump at the border of a smooth function: ``"smooth"`` then.
+    The formula holds for homogeneous (randomly shifted) sets, whose spectrum determines the
+    variance. For jittered sets without shift, the border is no jump of a smooth function, so use
+    ``"smooth"``.
 
     Examples
     --------
@@ -233,14 +240,15 @@ def predicted_rate(b: float, decay: float | str, dims: int) -> float:
 @final
 @dataclass(frozen=True)
 class Slowest:
-    """What theory knows of the rate at large n.
+    """Theoretical bound of the rate at large n.
 
     Attributes
     ----------
     exponent
-        The limit is at least this; −∞ where nothing is known.
+        The limit is at least this; −∞ if nothing is known.
     sure
-        Whether it is the limit wherever the curve falls at least as fast: else the slopes must agree.
+        Whether it is the limit as soon as the curve falls at least this fast; otherwise the slopes
+        must agree.
     """
 
     exponent: float = -math.inf
@@ -248,12 +256,13 @@ class Slowest:
 
 
 def slowest_of_jumps(g: Integrand, laws: Sequence[Law], settings: JumpSettings = _JUMPS) -> Slowest:
-    """The rate that jumps of g leave to stratified sets, lattices and nets, of laws at several n.
+    """Return the rate that jumps of g impose on stratified sets, lattices and nets.
 
-    Of n^(1 − 1/d) strata that a jump cuts each is as large as the others: −1 − 1/d. Across an axis it cuts
-    one of n strata of sets whose projections are stratified: −2; none where it is at a border of
-    strata at all counts. On the torus g may jump at the border of the cube. Lattices see a straight
-    line as well as an axis, and disks at −1 − 1/d in the mean over n alone.
+    `laws` are those at several n. A jump along a curve cuts n^(1 − 1/d) strata with equal
+    contributions, which gives −1 − 1/d. A jump across an axis cuts one of n strata of sets whose
+    projections are stratified, which gives −2; no stratum if the jump is at a border at all counts.
+    On the torus, g may jump at the border of the cube. Lattices resolve a straight line as well as
+    an axis, and reach −1 − 1/d at disks only in the mean over n.
     """
     d, law = g.dims, laws[-1]
     curves = -1.0 - 1.0 / d
@@ -281,7 +290,7 @@ def slowest_of_jumps(g: Integrand, laws: Sequence[Law], settings: JumpSettings =
 
 
 def _cells_of_axes(law: Law) -> tuple[int, ...]:
-    """Number of strata along each axis, 0 where there are none; empty where nothing is known."""
+    """Return the number of strata along each axis, 0 without strata; empty if unknown."""
     match leaf_of(law):
         case Strata(sides=sides):
             return sides
@@ -300,11 +309,12 @@ def _cells_of_axes(law: Law) -> tuple[int, ...]:
     return ()
 
 
-@np.errstate(over="ignore", invalid="ignore")  # next to poles
+@np.errstate(over="ignore", invalid="ignore")  # Next to poles
 def _jumps(g: Integrand, settings: JumpSettings) -> tuple[list[tuple[int, float]], bool]:
-    """Jumps of g across an axis, at its breaks and the border, as (axis, place), and whether it has others.
+    """Return jumps of g across an axis as (axis, position), and whether g has other jumps.
 
-    Largest steps along lines are cut down; what stays is a jump, what grows a pole.
+    The former are at breaks and the border. The largest steps along lines are bisected: a step that
+    remains is a jump, and one that grows is a pole.
     """
     x, beside, least = probe(g.dims)[:: PROBE // settings.lines], settings.beside, settings.least
     size = math.sqrt(float(np.nanmean(np.abs(g(x)) ** 2)))
@@ -312,7 +322,7 @@ def _jumps(g: Integrand, settings: JumpSettings) -> tuple[list[tuple[int, float]
     for axis in range(g.dims):
 
         def at(t: Array, axis: int = axis) -> Array:
-            """Values (lines, places, channels) at places (lines or 1, places)."""
+            """Return values (lines, positions, channels) at positions (lines or 1, positions)."""
             points = np.repeat(x[:, None], t.shape[1], axis=1)
             points[..., axis] = t
             return values_at(g, points)
@@ -346,29 +356,31 @@ def rates_of(
     slowest: Slowest,
     settings: LimitSettings = _LIMIT,
 ) -> tuple[float, float, float, str]:
-    """Exponents of a predicted curve, and where it bends; each NaN where it is not known.
+    """Return exponents of a predicted curve, and the position of its bend; NaN if not known.
 
     Parameters
     ----------
     n, variance
-        Ascending counts and variances, (N,); those that are not finite and positive are left out.
+        Ascending counts and variances, (N,); variances that are not finite and positive are left
+        out.
     asked
-        Number of counts, from the first, that the rate is fitted to; the others show the limit alone.
+        Number of leading counts that the rate is fitted to; the others are used for the limit only.
     dims
         Number of dims d.
     slowest
-        What theory knows.
+        Theoretical bound.
     settings
-        When slopes show a limit, and a bend.
+        Conditions for a limit and for a bend.
 
     Returns
     -------
     tuple
-        Rate: the slope of a line through the counts that were asked for. Limit: what theory is sure of,
-        if the slope over the last four octaves is no slower. Else, if this hardly changes within them:
-        in up to 3 dims the exponent of theory that is near it, −1 − k/d (k = 0: white power, 1: a jump,
-        2: strata, 3: a kink), −2 or −3, the last with log n to the d − 1. Bend: n where the power of n of
-        the limit meets that of smaller n, if they differ by more than 0.3. And why there is no limit.
+        Rate: the slope of a line through the requested counts. Limit: the certain limit of theory,
+        if the slope over the last four octaves is no slower. Otherwise, if the slope hardly changes
+        within them, a nearby exponent of theory in up to 3 dims: −1 − k/d (k = 0: white power, 1: a
+        jump, 2: strata, 3: a kink), −2 or −3, the last with (log n)^(d − 1). Bend: n at which the
+        power law of smaller n meets that of the limit, if they differ by more than 0.3. Last, why
+        there is no limit.
     """
     there = np.isfinite(variance) & (variance > 0.0)
     x, y, fitted = np.log(n[there]), np.log(variance[there]), int(there[:asked].sum())
@@ -380,12 +392,12 @@ def rates_of(
     if len(x) < 2:
         return rate, limit, bend, ""
 
-    # The slope over the last octaves, and those between their counts
+    # The slope over the last octaves, and the slopes between their counts
     late = min(len(x), max(3, int((x >= x[-1] - settings.late * math.log(2.0) - 1e-9).sum())))
     end = line_fit(x[-late:], y[-late:], np.ones(late)).slope
     steps = np.diff(y) / np.diff(x)
     near_enough, log = min(settings.near, 0.4 / dims), (dims - 1) / x[-late:].mean()
-    corners = slowest.exponent == -2.0 and dims in (2, 3)  # of jumps across several axes
+    corners = slowest.exponent == -2.0 and dims in (2, 3)  # Jumps across several axes
     if end <= slowest.exponent + near_enough + corners * log and slowest.sure:
         limit = slowest.exponent
     elif len(x) > 2 and np.ptp(steps[1 - late :]) <= settings.agree:
@@ -406,10 +418,13 @@ def rates_of(
     why = ""
     if math.isnan(limit):
         last = ", ".join(f"{step:.2f}".replace("-", "−") for step in steps[-3:])
-        why = f"limit_rate is not known: the last local rates are {last}"
+        why = (
+            "the rate is still changing, so limit_rate is not given; the last local rates are "
+            f"{last}"
+        )
 
-    # Fit two powers of n, the second that of the limit: their sum where the curve flattens, the sum
-    # of their inverses where it gets steeper
+    # Fit two powers of n, the second with the exponent of the limit: their sum if the curve
+    # flattens, the sum of their inverses if it gets steeper
     if len(x) > 3 and abs(steps[0] - limit) > settings.change:
         at = np.linspace(x[0], x[-1], settings.tried)[:, None, None]
         change = np.linspace(-settings.most_change, settings.most_change, settings.tried)[:, None]
@@ -430,12 +445,12 @@ class DecayFit:
     Attributes
     ----------
     decay, interval
-        γ and its 95 % interval; both infinite where the coefficients are rounding noise. The interval
-        knows of the scatter about a power law, not of laws that set in beyond the half width.
+        γ and its 95 % interval; both infinite if the coefficients are rounding noise. The interval
+        accounts for the scatter about a power law, not for another law beyond the half width.
     bend
         Change of the local exponent from the first shell of the fit to the last, by a parabola.
     half_width
-        K: shells up to |m| = K were fitted.
+        K: shells up to |m| = K are fitted.
     """
 
     decay: float
@@ -445,7 +460,7 @@ class DecayFit:
 
     @property
     def settled(self) -> bool:
-        """Whether the exponent is about the same over all shells."""
+        """Whether the exponent is nearly constant over the shells."""
         return math.isinf(self.decay) or abs(self.bend) <= _DECAY.bend
 
 
@@ -462,23 +477,23 @@ def integrand_decay(
     integrand
         f, or its spec string.
     half_width
-        K: the slope is fitted over the last three octaves up to |m| = K; at least 8. By default 512
-        in 1-D, where a jump is then found to ±0.06 wherever it lies, and 64 in more dims, where
-        jumps along the axes can be off by more: see the interval of `fitted_decay`.
+        K: the slope is fitted over the last three octaves up to |m| = K, at least 8. The default is
+        512 in 1-D, which finds a jump anywhere to ±0.06, and 64 in more dims. Jumps along the axes
+        can have larger errors there; see the interval of `fitted_decay`.
     max_evaluations
-        Most evaluations of a user's function: BudgetError where it takes more.
+        Most evaluations of a user's function; more raise BudgetError.
 
     Returns
     -------
     float
-        γ, infinite where the coefficients there are rounding noise. Of several channels the least.
-        `fitted_decay` has its interval.
+        γ, infinite if the coefficients there are rounding noise. The least of several channels.
+        `fitted_decay` also returns its interval.
 
     Warns
     -----
     PreasymptoticWarning
-        The exponent changes by more than 1 over these octaves: K is too small to see how the
-        spectrum ends, as for smooth functions before rounding noise.
+        If the exponent changes by more than 1 over these octaves. K is then too small to show the
+        end of the spectrum, such as for smooth functions before rounding noise.
 
     Examples
     --------
@@ -490,8 +505,8 @@ def integrand_decay(
     if not found.settled:
         warn(
             f"The decay {found.decay:.3g} changes by {found.bend:.2g} over the octaves up to "
-            f"|m| = {found.half_width}: it is no limit yet; give a larger half_width, or 'smooth' or "
-            "'jump' for predicted_rate.",
+            f"|m| = {found.half_width}: it has not reached a limit; give a larger half_width, or "
+            "'smooth' or 'jump' for predicted_rate.",
             PreasymptoticWarning,
         )
     return found.decay
@@ -503,17 +518,17 @@ def fitted_decay(
     half_width: int | None = None,
     max_evaluations: int | None = None,
 ) -> DecayFit:
-    """Measure γ like `integrand_decay`, with its interval and how much it still changes.
+    """Measure γ as in `integrand_decay`, with its interval and its change over the fit.
 
     Parameters
     ----------
     integrand, half_width, max_evaluations
-        As in `integrand_decay`.
+        Same as in `integrand_decay`.
 
     Returns
     -------
     DecayFit
-        Of several channels that of the least γ.
+        The fit of the channel with the least γ.
 
     Examples
     --------
@@ -537,7 +552,7 @@ def fitted_decay(
 def _decay_fit(
     power: Array, length: Array, width: int, settings: DecaySettings = _DECAY
 ) -> DecayFit:
-    """Least squares of log mean power against log mean |m| over shells (K/√2, K], (K/2, K/√2], …"""
+    """Fit log mean power against log mean |m| over shells (K/√2, K], (K/2, K/√2], …"""
     from scipy.special import stdtrit
 
     edges = width * 0.5 ** (0.5 * np.arange(2 * settings.octaves, -1, -1))
@@ -557,7 +572,7 @@ def _decay_fit(
 
 
 def _exponent(name: str, value: object, *, above: float) -> float:
-    """A real number above a limit, possibly infinite."""
+    """Check that a value is a real number above a limit, possibly infinite."""
     number = isinstance(value, int | float | np.integer | np.floating)
     if not number or isinstance(value, bool) or not float(value) > above:  # type: ignore[arg-type]
         raise ParameterError(f"{name} is {value!r}; give a number greater than {above:g}.")

@@ -1,17 +1,18 @@
-"""Integrands that are a sum or a product of functions of one axis, and these functions as curves.
+"""Integrands that are sums or products of functions of one axis, with these functions as curves.
 
-g = c + Σ_i h_i(x_i) and g = c + Π_i h_i(x_i) leave only one-dimensional integrals to find, which are exact
-where g has jumps, and poles that no rule in several dims resolves.
+For g = c + Σ_i h_i(x_i) and g = c + Π_i h_i(x_i) only one-dimensional integrals remain. They are
+accurate for jumps of g, and for poles that no rule in several dims resolves.
 
-A curve h is found along a line, by Legendre polynomials on pieces that are halved until the polynomials
-settle: down to 2^-50 next to a jump or pole, and to 2^-64 next to 0. Doubles do not resolve what is nearer.
-There a pole t^-a has most of its square if a is near ½, so that a power law stands for it:
+A curve h is computed along a line by Legendre polynomials. Their pieces are halved until the
+polynomials settle: down to 2^-50 next to a jump or pole, and to 2^-64 next to 0. Double precision
+does not resolve smaller distances. A pole t^-a has most of its square there if a is close to ½, so
+a power law is used:
 
     ∫_0^ε h = ε h(ε) / (1 − a),    ∫_0^ε h² = ε h(ε)² / (1 − 2a).
 
-All points of the probe (`mcspectra.integrands._quadrature.probe`) test whether g is what the curves make
-of it: a slab across an axis of width 2^-17 or more is found, and another region of volume v, in which g
-differs, with probability 1 − exp(−2^17 v).
+All points of the probe (`mcspectra.integrands._quadrature.probe`) test whether g equals the sum or
+product of the curves. A slab across an axis of width 2^-17 or more is found. Another region of
+volume v, in which g differs, is found with probability 1 − exp(−2^17 v).
 """
 
 from __future__ import annotations
@@ -31,16 +32,16 @@ from mcspectra.estimators.quadrature import DIVERGES, looked_at, values_at
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import gauss_rule, probe
 
-__all__ = ["Curve", "CurveSettings", "Separable", "separated"]
+__all__ = ["PiecewiseCurve", "PiecewiseSettings", "Separable", "separated"]
 
 
 @final
 @dataclass(frozen=True)
-class CurveSettings:
-    """How a function of one axis becomes a curve, and how sums and products are recognized.
+class PiecewiseSettings:
+    """Settings for curves of functions of one axis, and for the test of sums and products.
 
-    "Insensitive" means: half and twice the value change no variance by more than 1e-10 in the twelve cases
-    of `mcspectra.prediction.exact.ExactSettings`.
+    "Insensitive" means that half and twice the value change no variance by more than 1e-10 in the
+    twelve cases of `mcspectra.prediction.exact.ExactSettings`.
     """
 
     # Legendre coefficients of each piece, and pieces of an axis at first. Insensitive.
@@ -88,18 +89,18 @@ class CurveSettings:
     common: float = 0.1
 
 
-_SETTINGS = CurveSettings()
+_SETTINGS = PiecewiseSettings()
 
 
 @final
 @dataclass(frozen=True)
-class Curve:
-    """A function of [0,1], less its mean, by polynomials on pieces, and by power laws next to poles.
+class PiecewiseCurve:
+    """A centered function on [0,1]: polynomials on pieces, and power laws next to poles.
 
     Attributes
     ----------
     mean
-        Its mean, which is not in the coefficients.
+        Mean of the function, which is not in the coefficients.
     low, high
         Ends of the pieces, (P,).
     start, width
@@ -107,13 +108,13 @@ class Curve:
     coefficients
         Legendre coefficients, (P, 16).
     tails
-        Of each power law: its ends, and the integrals of h and h² there, (T, 4).
+        For each power law its ends, and the integrals of h and h² there, (T, 4).
     places
-        Jumps, kinks and poles inside, (K,).
+        Positions of jumps, kinks and poles inside, (K,).
     doubt
         Error of ∫h².
     exponent
-        Largest exponent of a pole; 0 without one.
+        Largest exponent of a pole, or 0.
     """
 
     mean: float
@@ -128,7 +129,7 @@ class Curve:
     exponent: float
 
     def __call__(self, x: Array) -> Array:
-        """h at points; at places of power laws as the piece next to them is."""
+        """Return h at points; power laws are replaced by the polynomial of the adjacent piece."""
         x = np.asarray(x, float)
         return self.mean + self._values(np.clip(self._piece(x), 0, None), x)
 
@@ -136,7 +137,7 @@ class Curve:
         return np.searchsorted(self.low, x, side="right") - 1
 
     def _values(self, piece: Array, x: Array) -> Array:
-        """The polynomials of these pieces, without the mean (Clenshaw)."""
+        """Return the polynomials of these pieces, without the mean (Clenshaw)."""
         y = np.clip(2.0 * (x - self.start[piece]) / self.width[piece] - 1.0, -1.0, 1.0)
         c = self.coefficients
         one, two = np.zeros(y.shape), np.zeros(y.shape)
@@ -152,9 +153,10 @@ class Curve:
     def cells(
         self, count: int, offset: float = 0.0, order: int = _SETTINGS.order
     ) -> tuple[Array, Array]:
-        """Means over cells (j + offset)/count, without `mean`, and mean squares about these: (count,) each.
+        """Return means over cells, without `mean`, and mean squares about these: (count,) each.
 
-        The offset is on the torus, in units of the axis: from 0 to 1/count.
+        The cells begin at (j + offset)/count on the torus, with the offset in units of the axis,
+        from 0 to 1/count.
         """
         borders = np.sort((np.arange(count) / count + offset) % 1.0)
         begin = np.sort(np.concatenate([self.low, borders[borders > 0.0]]))
@@ -184,10 +186,10 @@ class Curve:
     @staticmethod
     def along(
         function: Callable[[Array], Array], ends: Sequence[float] = (), rounding: float = 0.0
-    ) -> Curve | None:
-        """The curve of a function of x (N,), cut at `ends`; None where it does not settle.
+    ) -> PiecewiseCurve | None:
+        """Compute the curve of a function of x (N,), cut at `ends`; None if it does not settle.
 
-        Last coefficients of a piece that are no more than `rounding` count as settled.
+        Last coefficients of a piece of at most `rounding` count as settled.
         """
         node, _ = gauss_rule(_SETTINGS.order)
         y = 2.0 * node - 1.0
@@ -217,7 +219,7 @@ class Curve:
             with np.errstate(over="ignore"):
                 small = width * largest * last <= _SETTINGS.negligible * energy
                 small &= last <= _SETTINGS.small * math.sqrt(energy)
-            # Doubles are as far apart as 2^-53 of the place, by which nodes are off
+            # Doubles are spaced by 2^-53 of the position, which is the error of nodes
             noise = _SETTINGS.settled + _SETTINGS.rounded * high / width
             settled = (last <= noise * largest + rounding) | small
             settled &= finite.all(axis=1)
@@ -237,7 +239,8 @@ class Curve:
         low, high, coefficients = low[order], high[order], coefficients[order]
         start, width = low.copy(), high - low
 
-        # Places where there may be poles: ends, and where pieces do not settle, several of which may be one
+        # Poles may lie at the ends and where pieces do not settle; several pieces may belong to one
+        # pole
         rough += [(e, e, 0.0) for e in (0.0, *(e for e in ends if 0.0 < e < 1.0), 1.0)]
         clusters: list[list[tuple[float, float, float]]] = []
         for piece in sorted(rough):
@@ -247,7 +250,7 @@ class Curve:
                 clusters.append([piece])
         places = []
         for cluster in clusters:
-            a, b, _ = max(cluster, key=lambda piece: piece[2])  # the largest values
+            a, b, _ = max(cluster, key=lambda piece: piece[2])  # The largest values
             places.append(
                 0.0 if cluster[0][0] == 0.0 else 1.0 if cluster[-1][1] == 1.0 else 0.5 * (a + b)
             )
@@ -259,7 +262,7 @@ class Curve:
                 logs = _SETTINGS.near_0 if place == 0.0 else _SETTINGS.inside
                 at = place + way * 0.5 ** np.array(logs, float)
                 distance = np.abs(at - place)
-                # Of A t^-a + B the differences at distances in equal ratios have one ratio
+                # For A t^-a + B, differences at distances in equal ratios have a constant ratio
                 with np.errstate(all="ignore"):
                     value = np.asarray(function(at), float)
                     steps = np.diff(value)
@@ -280,13 +283,14 @@ class Curve:
                 doubt += square * off / (1.0 - 2.0 * a)
                 begin, stop = (place, place + size) if way > 0.0 else (place - size, place)
                 tails.append((begin, stop, first, second))
-                # The pieces end where the power law begins, and next to the place on the other side
+                # The pieces end where the power law begins, and close to the position on the other
+                # side
                 wide = (begin, min(stop + (way < 0.0) * _SETTINGS.gap, 1.0))
                 wide = (max(0.0, begin - (way > 0.0) * _SETTINGS.gap), stop) if way > 0.0 else wide
                 cut_low = (low >= wide[0]) & (low < wide[1])
                 cut_high = (high > wide[0]) & (high <= wide[1])
                 low, high = np.where(cut_low, wide[1], low), np.where(cut_high, wide[0], high)
-        # Kinks, where pieces are narrow: in the narrowest of neighbors
+        # Kinks lie in narrow pieces, in the narrowest of neighbors
         narrow = np.flatnonzero(width < _SETTINGS.kink)
         for some in np.split(narrow, np.flatnonzero(np.diff(start[narrow]) > _SETTINGS.kink) + 1):
             if some.size:
@@ -296,7 +300,7 @@ class Curve:
         inside = np.array([p for p in places if 0.0 < p < 1.0])
         keep = high > low
         tail = np.array(tails, float).reshape(-1, 4)
-        raw = Curve(
+        raw = PiecewiseCurve(
             0.0, low[keep], high[keep], start[keep], width[keep], coefficients[keep], tail,
             inside, doubt, exponent,
         )  # fmt: skip
@@ -321,12 +325,12 @@ class Separable:
     curves
         The functions of the axes.
     product
-        Whether they are multiplied, not added.
+        Whether the functions are multiplied, not added.
     constant
         c, which is 0 for sums.
     """
 
-    curves: tuple[Curve, ...]
+    curves: tuple[PiecewiseCurve, ...]
     product: bool
     constant: float = 0.0
 
@@ -356,7 +360,7 @@ class Separable:
             c.doubt / max(m**2 + s, 1e-300)
             for c, m, s in zip(self.curves, means, squares, strict=True)
         ]
-        value = 0.0  # of the axes so far, by adding one after the other: nothing cancels
+        value = 0.0  # Added axis by axis, so that nothing cancels
         for done in range(len(means)):
             rest = math.prod((means[:done] ** 2).tolist())
             value += (
@@ -367,7 +371,7 @@ class Separable:
         return float(value), whole * float(sum(off))
 
     def __call__(self, x: Array) -> Array:
-        """Its values at points (…, d)."""
+        """Return values at points (…, d)."""
         parts = [curve(x[..., i]) for i, curve in enumerate(self.curves)]
         return np.asarray(
             self.constant + (np.prod(parts, axis=0) if self.product else np.sum(parts, axis=0))
@@ -375,12 +379,12 @@ class Separable:
 
 
 def separated(g: Integrand) -> tuple[Separable, ...] | None:
-    """g as sums or products of functions of one axis, one for each channel; None if it is not one."""
+    """Return g as sums or products of functions of one axis, by channel, or None."""
     cache = g._cache
     if cache.separable is None:
         found = None
         if not g.costly:
-            with contextlib.suppress(ParameterError):  # a line that meets a pole
+            with contextlib.suppress(ParameterError):  # A line may hit a pole
                 found = [_separated(g, c) for c in range(max(1, g.channels))]
         whole = found is not None and all(each is not None for each in found)
         cache.separable = tuple(found) if whole and found is not None else ()
@@ -396,7 +400,7 @@ def _separated(g: Integrand, channel: int) -> Separable | None:
             return values_at(g, x)[..., channel]
 
     def each(x: Array) -> Array:
-        """Values, NaN at points where g has none."""
+        """Return values, NaN at points where g is not defined."""
         try:
             return value(x)
         except ParameterError:
@@ -408,7 +412,7 @@ def _separated(g: Integrand, channel: int) -> Separable | None:
     def line(
         z: Array, axis: int, constant: float, origin: float, product: bool
     ) -> Callable[[Array], Array]:
-        """The function of an axis on the line through z; that of the first one has g(z)."""
+        """Return the function of an axis along the line through z; the first contains g(z)."""
 
         def at(x: Array) -> Array:
             points = np.repeat(z[None], len(x), axis=0)
@@ -420,7 +424,7 @@ def _separated(g: Integrand, channel: int) -> Separable | None:
 
         return at
 
-    # Test sums and products at a few points, before there are any curves
+    # Test sums and products at a few points before computing curves
     some = probe(d)[: _SETTINGS.candidates]
     values = value(some)
     if not np.isfinite(values).all():
@@ -454,10 +458,10 @@ def _separated(g: Integrand, channel: int) -> Separable | None:
         if not (np.abs(of_tested - constant - made) <= _SETTINGS.same * size).all():
             continue
 
-        # Curves, that of the first axis with the size of all
+        # Compute the curves; the first axis carries the scale of g
         curves = []
         for axis in range(d):
-            curve = Curve.along(line(z, axis, constant, origin, product), cut.breaks[axis])
+            curve = PiecewiseCurve.along(line(z, axis, constant, origin, product), cut.breaks[axis])
             if curve is None:
                 break
             curves.append(curve)

@@ -1,4 +1,4 @@
-"""Variances predicted in many dims: single axes, sums of products, and one law for all pairs of points.
+"""Predictions in many dims: single axes, sums of products, and one law for all pairs of points.
 
 Method
 ------
@@ -7,23 +7,24 @@ randomized independently along the axes is a mean over pairs (a, b) of points,
 
     Var = (1/n²) Σ_{a,b} Σ_v C_v(a, b),    C_v = Cov(g_v(a), g_v(b)) over the randomization.
 
-It depends on each axis only on one thing: for nested scrambling how many digits of a_i and b_i agree, for
-a digital shift the difference of their digits, for a shift that on the torus. Subsets v of one axis
-are exact. For the others g is fitted by a sum of products Σ_r Π_i h_ri(x_i), for which
+For each axis it depends on a single quantity: for nested scrambling the number of common digits of
+a_i and b_i, for a digital shift the difference of their digits, for a shift their difference on the
+torus. Subsets v of one axis are exact. For the other subsets g is fitted by a sum of products Σ_r
+Π_i h_ri(x_i), for which
 
     Σ_v C_v = Σ_{r,s} Π_i (μ_ri μ_si + k_i^rs(a_i, b_i)) − I²
 
-holds all subsets at once: μ are the means of the h, k the covariances that the randomization leaves
-between them. What the fit misses is taken as white, /n; the interval allows for none and for twice as
-much of it, and for a correlation of a half with the fit.
+contains all subsets at once. μ are the means of the h, and k the covariances that remain between
+them under the randomization. The part of g outside the fit is treated as white noise, /n. The
+interval allows for zero and twice this part, and for a correlation of one half with the fit.
 
-All is found from g at points of our own: profiles g(·, z) along each axis for many z, whose leading
-singular vectors are the basis of h_ri; least squares over scrambled nets, one axis after the other;
-the residual on another net; ∫g² with Student's t. g_i is that of the fit and the mean of what profiles
-have beside it.
+All quantities come from g at points of this module: profiles g(·, z) along each axis for many z,
+whose leading singular vectors are the basis of h_ri; least squares over scrambled nets, one axis
+after another; the residual on another net; ∫g² with Student's t. g_i is the fit's g_i plus the mean
+deviation of the profiles from the fit.
 
-Strata of a grid need no model: with x and x' in the same stratum, Var = E (g(x) − g(x'))² / 2n.
-Latin hypercubes have one law for all pairs: different ones of n strata on each axis [Stein1987]_.
+Strata of a grid need no model: with x and x' in the same stratum, Var = E (g(x) − g(x'))² / 2n. In
+Latin hypercubes all pairs have one law: different ones of n strata on each axis [Stein1987]_.
 """
 
 from __future__ import annotations
@@ -62,8 +63,8 @@ from mcspectra.spectra.bases import hadamard
 __all__ = [
     "SUBSET_SETTINGS",
     "TORUS",
+    "AnovaModel",
     "Curves",
-    "Parts",
     "SubsetSettings",
     "all_parts",
     "net",
@@ -77,90 +78,99 @@ _LEAST_DIMS = 2
 _OWN = Stream.from_rng(0x5B5E75)
 """Random numbers of points that no sampler shares."""
 TORUS = 1 << 15
-"""Differences on the torus that are told apart, of sets that are no lattices."""
+"""Number of distinct differences on the torus, for sets that are not lattices."""
 _GRADED = 0.25 ** np.arange(6.0, 0.0, -1.0)
-"""Places toward 0 and 1, in first steps, at which profiles are known as well: warps have poles there."""
+"""Additional nodes of profiles next to 0 and 1, in first steps, because warps have poles there."""
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class SubsetSettings:
-    """How g is fitted by sums of products, and how its curves are held.
+    """Settings for the fit of g by sums of products, and for its curves.
 
-    Changes are those of six cells at n = 64 and 256: smooth functions, a ball in 4-D, a slab, a jump along a
-    line and a kink, with latin-hypercube, sobol | owen, sobol | digital-shift and rank1-lattice | shift. The
-    half interval of the ball is 63 %, those of the others are 0.2 to 1.3 %. Where only the ball changes, it
-    does so by less than 8 %; where a field is insensitive, no cell changes by more than 1e-6.
+    Stated changes refer to six cases at n = 64 and 256: smooth functions, a ball in 4-D, a slab, a
+    jump along a line and a kink, with latin-hypercube, sobol | owen, sobol | digital-shift and
+    rank1-lattice | shift. The half interval of the ball is 63 %, the others are 0.2 to 1.3 %. "The
+    ball only" means a change of less than 8 % for the ball and none for the others. "Insensitive"
+    means changes of less than 1e-6.
 
     Attributes
     ----------
     few_dims
-        Dims up to which a quadrature knows ∫g² better than nets, and few products suffice.
+        Largest number of dims in which quadrature computes ∫g² better than nets, and few products
+        suffice.
     replicates, replicate
-        Scrambled nets for ∫g², and their points. Half and twice change smooth cells by less than 0.005 %.
+        Number of scrambled nets for ∫g², and of their points. Half and twice change smooth cases by
+        less than 0.005 %.
     strata
-        Pairs within strata of each replicate: 131,072 in all give a half interval of 0.8 % where differences
-        are normal.
+        Number of pairs within strata of each replicate. A total of 131,072 gives a half interval of
+        0.8 % for normal differences.
     profile_work
-        Evaluations of profiles along all axes together. Half and twice change the ball only.
+        Total evaluations of profiles along all axes. Half and twice change the ball only.
     nodes
-        Nodes of a profile along an axis. Half as many change the kink by 0.1 %; twice change the ball only.
+        Number of nodes of a profile along an axis. Half changes the kink by 0.1 %; twice changes
+        the ball only.
     groups
-        Groups of profiles, independent of each other: their spread is the error. Half and twice change the
-        ball only.
+        Number of independent groups of profiles, whose spread is the error. Half and twice change
+        the ball only.
     fitted
-        Replicates for the fit; one more tests it. Half and twice change the ball only.
+        Number of replicates for the fit; one more tests it. Half and twice change the ball only.
     basis, negligible
-        Functions of an axis at most, and energy that is left out. Half and twice change the ball only.
+        Largest number of functions of an axis, and energy that is neglected. Half and twice change
+        the ball only.
     rank, few_rank
-        Products at most, and in few dims, where jumps across axes come here, which more would not follow
-        either. Three products give the ball an interval of 86 %, twelve 53 %; the others do not change.
+        Largest number of products, also in few dims, where only functions with jumps across axes
+        need this method; more products would not resolve these. Three products give the ball an
+        interval of 86 %, twelve 53 %; the others do not change.
     sweeps, settled
-        Sweeps of a fit at most, and the ratio of two residuals above which it has settled. Half and twice
-        as many sweeps change nothing; ratios of 0.95 and 0.995 change the ball only.
+        Largest number of sweeps of a fit, and ratio of successive residuals above which it has
+        settled. Half and twice as many sweeps change nothing; ratios of 0.95 and 0.995 change the
+        ball only.
     block
-        Points of a block of the least squares, so small that libraries do not start threads for it.
+        Number of points of a block of the least squares, small enough that libraries do not start
+        threads.
     ridge
-        Ridge of the least squares, relative to the mean of the diagonal. Half and twice change variances
-        by less than 5e-7.
+        Ridge of the least squares, relative to the mean of the diagonal. Half and twice change
+        variances by less than 5e-7.
     good
-        Residual energy, relative to the variance, that is good enough. Insensitive to half and twice.
+        Sufficiently small residual energy, relative to the variance. Insensitive to half and twice.
     stands_out
-        Factor by which the change of a profile between two nodes exceeds those next to it at a jump, and by
-        which that of its slope does at a kink. Half and twice change the ball only.
+        Factor by which the change of a profile between two nodes must exceed its neighbors at a
+        jump, and the change of its slope at a kink. Half and twice change the ball only.
     halvings
         Bisections of a jump: steps of 1/128 become 2^-47. Insensitive between 20 and 80.
     shared
-        Part of the mean square of steps that the step of the mean profile has where profiles share a jump.
-        Insensitive between 0.05 and 0.2.
+        Fraction of the mean square of steps that the step of the mean profile has at a jump shared
+        by profiles. Insensitive between 0.05 and 0.2.
     bent
-        Part of the largest slope by which slopes change at a kink. Half and twice change variances by less
-        than 0.005 %.
+        Change of the slope at a kink, as a fraction of the largest slope. Half and twice change
+        variances by less than 0.005 %.
     cells
-        Cells along an axis for the energy of the fit: means of its smooth pieces are exact in them.
-        Insensitive between 2^11 and 2^13.
+        Number of cells along an axis for the energy of the fit, in which means of smooth pieces are
+        exact. Insensitive between 2^11 and 2^13.
     fine, finest
-        Cells along an axis for single axes, where g is smooth and where it jumps: the variance within
-        cells is what Latin hypercubes and lattices leave. Half and twice change variances by less than
-        0.01 %.
+        Number of cells along an axis for single axes, where g is smooth and where it jumps. Latin
+        hypercubes and lattices leave the variance within cells. Half and twice change variances by
+        less than 0.01 %.
     start
-        Spread of the coefficients that a new product begins with, beside a constant of 1.
+        Spread of the initial coefficients of a new product, whose constant is 1.
     adds_up
-        Factor to the part that the fit misses, in the interval of sets that one offset moves: on lattices
-        kinks add up. Random points have a factor of 1.
+        Factor for the part outside the fit, in the interval of sets that one offset moves: on
+        lattices the contributions of kinks add up. Random points have a factor of 1.
     resolved
         Relative error of curves between their nodes, smooth and with jumps.
     most_work
-        Pairs of points times axes times products squared at most: 1.7e10.
+        Largest product of the numbers of pairs, axes and squared products: 1.7e10.
     draws
-        Sets that are drawn where they are random before their shift or scramble. The spread of their
-        variances is part of the interval.
+        Number of sets that are drawn if they are random before their shift or scramble. The spread
+        of their variances is part of the interval.
     digits
-        Cells of an axis that digits tell apart, or as many as there are points, if that is more.
+        Least number of cells of an axis that digits distinguish; the number of points if that is
+        larger.
     offsets
-        Offsets within a stratum, at the middles of equal parts, over which a uniform offset is averaged.
-        With latin-hypercube | shift at n = 64 a sum of two jumps changes by 0.2 % from 8 to 32
-        offsets, and by 2 % from 4 to 8.
+        Number of offsets within a stratum, at the centers of equal parts, over which a uniform
+        offset is averaged. With latin-hypercube | shift at n = 64, a sum of two jumps changes by
+        0.2 % from 8 to 32 offsets, and by 2 % from 4 to 8.
     """
 
     few_dims: int = 3
@@ -205,22 +215,23 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
     Parameters
     ----------
     law
-        Independent points, strata, Latin hypercubes; any set that is the same after all translations;
+        Independent points, strata, Latin hypercubes; sets that are the same after any translation;
         nested and linear scrambles, and digital shifts in base 2.
     known
-        The integrand, two dims or more; about 2^20 evaluations, once for all counts and samplers.
+        The integrand, in two dims or more. It takes about 2^20 evaluations, once for all counts and
+        samplers.
     stream
-        Of draws of sets that are random before their shift or scramble.
+        Stream for sets that are random before their shift or scramble.
 
     Returns
     -------
     Predicted
-        `share` is that of single axes and of the products, `tail` what they miss.
+        `share` is the part of single axes and products, `tail` the part outside the fit.
 
     Raises
     ------
     NoClosedForm
-        One dim, or a law whose pairs of points have no law that is known here.
+        If there is one dim, or the law of pairs of points is not known.
     """
     g = known.g
     if g.dims < _LEAST_DIMS:
@@ -256,14 +267,14 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
         by_set = np.array(sums).mean(axis=1) / n  # (sets, 1 + groups + 1)
         sets, mean = by_set[:, 0] + by_set[:, -1], by_set.mean(axis=0)
         ones, more = mean[:-1], mean[-1]
-        # What the fit misses: white to 100 %, and correlated with the fit by a half either way; where one
+        # The part outside the fit is white to 100 %, with a correlation of ±½ with the fit. If one
         # offset moves all points, it may add up
         tail = p.residual / n
         together = pairs.kind != "digits" and len(codes) == 1
         half = (SUBSET_SETTINGS.adds_up if together else 1.0) * tail + math.sqrt(
             max(ones[0] + more, 0.0) * tail
         )
-        # All that counts of Latin hypercubes but single axes: as points saw it, or of the whole energy
+        # Interactions of Latin hypercubes: from the points, or from the whole energy
         single = first[:, -1].sum(axis=0)
         of_whole = (
             p.variance - float(single[0]),
@@ -271,13 +282,14 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
         )
         joint, joint_half = min(p.joint, of_whole, key=lambda each: each[1])
         if pairs.latin and joint_half < p.residual:
-            # Its weight is 1 within strata and n/(n − 1) between them
+            # Their weight is 1 within strata and n/(n − 1) between them
             joint = max(joint, 0.0) / n
             either = 0.5 * joint / max(n - 1.0, 1.0)
             tail, half = joint + either - more, joint_half / n + either
         value = ones[0] + more + tail
         drawn = half_interval(sets) if len(sets) > 1 else 0.0
-        seen = p.half / p.variance if p.variance > 0.0 else 0.0  # of peaks, that few points meet
+        # Error of peaks that few points hit
+        seen = p.half / p.variance if p.variance > 0.0 else 0.0
         rough = any(len(axis.knots) > 2 for axis in p.axes)
         rough |= pairs.leaves_cells and 32 * n > SUBSET_SETTINGS.finest
         between = SUBSET_SETTINGS.resolved[rough] * value
@@ -291,13 +303,13 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
 @final
 @dataclass(frozen=True)
 class Curves:
-    """How an axis is cut: ends of its smooth pieces, and nodes between them."""
+    """Partition of an axis: ends of its smooth pieces, and nodes between them."""
 
     knots: Array
     nodes: Array
 
     def at(self, values: Array, x: Array) -> Array:
-        """Values (…, nodes) interpolated piece by piece at x: (…, len(x))."""
+        """Interpolate values (…, nodes) piece by piece at x: (…, len(x))."""
         out = np.empty((*values.shape[:-1], len(x)))
         for low, high, line in self._pieces(values):
             there = (x >= low) & (x <= high)
@@ -305,7 +317,7 @@ class Curves:
         return out
 
     def cells(self, values: Array, count: int, offset: float = 0.0) -> Array:
-        """Means over equal cells of the torus, the first of which begins at `offset` < 1."""
+        """Return means over equal cells of the torus, the first of which begins at `offset` < 1."""
         ends = offset + np.arange(count + 1) / count
         turns, ends = np.divmod(ends, 1.0)
         total = np.zeros((*values.shape[:-1], count + 1))
@@ -315,7 +327,7 @@ class Curves:
         return np.diff(total) * count
 
     def _pieces(self, values: Array) -> Iterator[tuple[float, float, Any]]:
-        """Ends of each smooth piece, and its curve: a constant where it has one node or none."""
+        """Yield ends and curve of each smooth piece, constant for fewer than two nodes."""
         from scipy.interpolate import PchipInterpolator
 
         for low, high in itertools.pairwise(self.knots):
@@ -329,41 +341,42 @@ class Curves:
 
 @final
 @dataclass(frozen=True)
-class Parts:
-    """What is known of one channel of g; arrays of the axes at their nodes."""
+class AnovaModel:
+    """Fitted parts of one channel of g; arrays are at the nodes of the axes."""
 
     variance: float
-    half: float  # of its 95 % interval
+    half: float  # Half of its 95 % interval
     axes: list[Curves]
-    main: list[Array]  # g_i, of all groups and of each: (1 + groups, nodes)
+    main: list[Array]  # g_i of all groups and of each group: (1 + groups, nodes)
     factors: list[Array]  # h_ri: (products, nodes)
-    residual: float  # energy that the products miss
-    joint: tuple[float, float]  # energy of several axes, and half of its 95 % interval
+    residual: float  # Energy outside the products
+    # Energy of several axes, and half of its 95 % interval
+    joint: tuple[float, float]
 
 
 @final
 @dataclass(frozen=True)
 class _Pairs:
-    """What the covariance of the values at two points depends on, along each axis.
+    """Quantity of each axis that the covariance of the values at two points depends on.
 
-    digits: in how many first digits in `bases` the coordinates agree, `levels` at most. xor and torus:
-    the difference of two multiples of 1/bases, digit by digit or on the torus. `offsets` displace the
-    cells of each axis; covariances are means over several of them.
+    For digits, it is the number of common leading digits in `bases`, at most `levels`. For xor and
+    torus, it is the difference of two multiples of 1/bases, digit by digit or on the torus.
+    `offsets` displace the cells of each axis; covariances are averaged over several offsets.
     """
 
     kind: str
     bases: tuple[int, ...]
     levels: tuple[int, ...]
-    latin: bool = False  # all points differ in the first digit
+    latin: bool = False  # Whether all points differ in the first digit
     offsets: tuple[tuple[float, ...], ...] = ()
 
     @property
     def leaves_cells(self) -> bool:
-        """Whether what varies within the n-ths of an axis is all that is left of sums over axes."""
+        """Whether sums over axes keep only the variation within the n-ths of an axis."""
         return self.latin or self.kind != "digits"
 
-    def tables(self, parts: Parts) -> tuple[Array, Array, Array, Array]:
-        """What `pair_sums` takes: covariances of g_i and of products, their means and weights."""
+    def tables(self, parts: AnovaModel) -> tuple[Array, Array, Array, Array]:
+        """Return arguments of `pair_sums`: covariances of g_i and products, means and weights."""
         singles, pairs, averages = list[Array](), list[Array](), list[Array]()
         for base, levels, curves, main, factors, offsets in zip(
             self.bases,
@@ -381,7 +394,7 @@ class _Pairs:
             )
             k = 1 if base == TORUS else k
             own = len(main)
-            # Covariances of g_i (1 + groups, differences), and of pairs of h_ri
+            # Covariances of g_i, (1 + groups, differences), and of pairs of h_ri
             left, right = np.triu_indices(len(factors))
             left, right = (np.concatenate([np.arange(own), own + side]) for side in (left, right))
             of_offsets = []
@@ -414,7 +427,7 @@ class _Pairs:
         width = max(first.shape[-1] for first in singles)
 
         def stacked(tables: list[Array]) -> Array:
-            # Where fewer digits are known, more that agree are no difference
+            # If an axis has fewer digits, further common digits make no difference
             wide = [np.pad(t, ((0, 0), (0, width - t.shape[-1])), "edge") for t in tables]
             return np.ascontiguousarray(np.stack(wide).transpose(0, 2, 1))
 
@@ -435,15 +448,17 @@ def pair_sums(
     means: Array,
     weights: Array,
 ) -> Array:
-    """Sums over all points b of covariances with the points a listed as rows: (rows, variants + 1).
+    """Sum covariances over all points b with the points a of each row: (rows, variants + 1).
 
-    codes (n, d, digits), rows (rows,), first (d, differences, variants): Σ_i first_i; last, of rest
-    (d, differences, q), means (d, q), weights (q,): Σ_q weight Σ_{|v| ≥ 2} Π_{i∈v} rest_i Π_{i∉v} mean_i.
-    mode 0: digits that agree; 1: bits that differ; 2: the torus of `cells`.
+    codes (n, d, digits), rows (rows,), first (d, differences, variants) give Σ_i first_i. The last
+    entry, from rest (d, differences, q), means (d, q) and weights (q,), is Σ_q weight Σ_{|v| ≥ 2}
+    Π_{i∈v} rest_i Π_{i∉v} mean_i. mode 0 counts common digits; 1 uses bits that differ; 2 the torus
+    of `cells`.
     """
     variants, q = first.shape[2], rest.shape[2]
     out = np.zeros((rows.size, variants + 1))
-    none, one, more = np.empty(q), np.empty(q), np.empty(q)  # products over no, one, more axes of v
+    # Products over no axis, one axis and more axes of v
+    none, one, more = np.empty(q), np.empty(q), np.empty(q)
     for r in range(rows.size):
         a = codes[rows[r]]
         for k in range(codes.shape[0]):
@@ -475,7 +490,7 @@ def pair_sums(
 
 
 def _of_strata(sides: tuple[int, ...], at: tuple[float, ...] | None, g: Integrand) -> Predicted:
-    """Half the mean square of differences within strata, by scrambled nets of pairs.
+    """Estimate half the mean square of differences within strata, by scrambled nets of pairs.
 
     `at` is the corner of a stratum on the torus, None for one uniform translation of all strata.
     """
@@ -490,15 +505,15 @@ def _of_strata(sides: tuple[int, ...], at: tuple[float, ...] | None, g: Integran
     return Predicted(spread.mean(axis=0), half_interval(spread), "pairs in strata")
 
 
-def all_parts(known: Known) -> list[Parts]:
-    """Energies, and profiles along all axes through the same points, of each channel."""
+def all_parts(known: Known) -> list[AnovaModel]:
+    """Fit each channel to energies, and to profiles along all axes through the same points."""
     g, d = known.g, known.g.dims
     x = net(d, SUBSET_SETTINGS.replicate, SUBSET_SETTINGS.replicates, 0)
     values = values_at(g, x)
     mean = values.mean(axis=(0, 1))
     squares = ((values - mean) ** 2).mean(axis=1)
     energy, half = squares.mean(axis=0), half_interval(squares)
-    if d <= SUBSET_SETTINGS.few_dims:  # a quadrature knows more of poles
+    if d <= SUBSET_SETTINGS.few_dims:  # A quadrature resolves poles better
         square, error = known.square
         error = np.hypot(error, 2.0 * np.abs(mean) * half_interval(values.mean(axis=1)))
         better = error < half
@@ -510,14 +525,14 @@ def all_parts(known: Known) -> list[Parts]:
     through = net(d, count, SUBSET_SETTINGS.groups, 2)
 
     def profiles(axis: int, at: Array, through: Array = through) -> Array:
-        """(groups, profiles, nodes, channels)"""
+        """Return values of profiles: (groups, profiles, nodes, channels)."""
         points = np.repeat(through[:, :, None], len(at), axis=2)
         points[..., axis] = at
         return values_at(g, points)
 
     axes, found = [], []
     for axis in range(d):
-        # Equal steps within each piece, and finer ones toward 0 and 1, where warps end
+        # Equal steps within each piece, and smaller ones toward 0 and 1, the ends of warps
         ends = np.unique([0.0, 1.0, *(b for b in g.breaks[axis] if 0.0 < b < 1.0)])
         middles = [
             low + (np.arange(k) + 0.5) * ((high - low) / k)
@@ -527,9 +542,10 @@ def all_parts(known: Known) -> list[Parts]:
         at = np.concatenate(middles)
         at = np.concatenate([at[0] * _GRADED, at, 1.0 - (1.0 - at[-1]) * _GRADED[::-1]])
         along = profiles(axis, at)
-        even = np.append(np.abs(np.diff(at, 2)) < 1e-9, False)  # the next step is as long
-        # Bisect jumps of the mean that nothing declares: changes that stand out between two nodes, and that
-        # more than a few profiles share, as each has jumps of its own where jumps are not across the axis
+        even = np.append(np.abs(np.diff(at, 2)) < 1e-9, False)  # Whether the next step is equal
+        # Bisect undeclared jumps of the mean: changes that stand out between two nodes and that
+        # many profiles share.
+        # At jumps that are not across the axis, each profile has its own
         steps = np.diff(along, axis=2)
         common = steps.mean(axis=(0, 1))
         change = np.abs(common).max(axis=-1)
@@ -554,11 +570,12 @@ def all_parts(known: Known) -> list[Parts]:
                 nearer = abs(value - left)[channel] < abs(value - right)[channel]
                 low, high = (middle, high) if nearer else (low, middle)
             jumps.append(0.5 * (low + high))
-        # Kinks: changes of the slope that stand out; where the lines from both sides meet
+        # Kinks are changes of the slope that stand out, at the intersection of the lines from both
+        # sides
         mean = along.mean(axis=(0, 1))
         slopes = np.diff(mean, axis=0)
         bend = np.abs(np.diff(slopes, axis=0)).max(axis=-1)
-        both = bend[1:-2] + bend[2:-1]  # of the four nodes about each interval
+        both = bend[1:-2] + bend[2:-1]  # Of the four nodes around each interval
         sharp = both > SUBSET_SETTINGS.stands_out * np.maximum(bend[:-3], bend[3:])
         for k in np.flatnonzero(
             sharp & (both > SUBSET_SETTINGS.bent * np.abs(slopes).max())
@@ -599,10 +616,10 @@ def _fitted(
     through: Array,
     every: Array,
     all_values: Array,
-) -> Parts:
-    """Fit a sum of products to values (replicates, n) at points, by least squares along one axis in turn."""
+) -> AnovaModel:
+    """Fit a sum of products to values (replicates, n) at points, along one axis at a time."""
     x, values = every[: SUBSET_SETTINGS.fitted + 1], all_values[: SUBSET_SETTINGS.fitted + 1]
-    # Functions of each axis: 1 and the leading singular vectors of its profiles
+    # Functions of each axis are 1 and the leading singular vectors of its profiles
     bases = []
     for given in profiles:
         flat = given.reshape(-1, given.shape[-1])
@@ -619,13 +636,14 @@ def _fitted(
     cells = [
         axis.cells(basis, SUBSET_SETTINGS.cells) for axis, basis in zip(axes, bases, strict=True)
     ]
-    # In blocks, whose products are too small for threads of BLAS: the most of the time goes by waiting for them
+    # Blocks whose products are so small that BLAS starts no threads, as waiting would dominate the
+    # time
     blocks = [basis[:, :-1].reshape(len(basis), -1, SUBSET_SETTINGS.block) for basis in known]
     train = [np.ascontiguousarray(basis.swapaxes(0, 1)) for basis in blocks]
     scale = float(np.abs(values).max()) or 1.0
     target = values[:-1].reshape(-1, SUBSET_SETTINGS.block) / scale
 
-    # One product more after the other, with and without sums of functions of one axis
+    # Add one product at a time, with and without sums of functions of one axis
     rng = np.random.default_rng(_OWN.child(4).key)
     best, residual = [np.zeros((1, len(basis))) for basis in bases], variance
     fits = {False: best, True: best}
@@ -647,7 +665,8 @@ def _fitted(
             [t[1:] for t in tested], axis=0
         ).sum(0)
         missed = scale**2 * float(((values[-1] / scale - sums) ** 2).mean())
-        # Energy of the fit where no point tested it is missed, too; g shows what chance makes of it
+        # Energy of the fit at points without a test is also missed; the variance of g there shows
+        # the sampling error
         curves = [w @ c for w, c in zip(weights, cells, strict=True)]  # (1 + products, cells)
         averages = np.stack([c.mean(axis=1) for c in curves])
         squares = np.stack([c @ c.T / c.shape[1] for c in curves])
@@ -663,7 +682,7 @@ def _fitted(
         if missed < residual:
             best, residual = weights, missed
 
-    # Single axes: of the fit, and what profiles have beside it
+    # Single axes of the fit, plus the deviation of the profiles from it
     curves = [w @ b for w, b in zip(best, bases, strict=True)]
     sums, factors = [scale * f[0] for f in curves], [f[1:] for f in curves]
     factors[0] = scale * factors[0]
@@ -680,13 +699,13 @@ def _fitted(
     main = []
     for i, given in enumerate(profiles):
         others = np.prod(np.delete(at, i, axis=0), axis=0).reshape(-1, *given.shape[:2])
-        # Sums along other axes only move a profile, and all are taken without their means
+        # Sums along other axes only move a profile, so all profiles are centered
         beside = given - np.einsum("rgj,rk->gjk", others, factors[i])
         beside = (beside - beside.mean(axis=-1, keepdims=True)).mean(axis=1) - sums[i]
         own = np.prod(np.delete(means, i, axis=0), axis=0) @ factors[i] + sums[i]
         main.append(own + np.concatenate([beside.mean(axis=0)[None], beside]))
 
-    # Several axes: what single ones leave, less what their own errors add to it
+    # Energy of several axes: the energy beyond single axes, minus the contribution of errors
     at_all = zip(axes, main, np.moveaxis(every, -1, 0), strict=True)
     alone = np.sum([a.at(m[0], t.ravel()).reshape(t.shape) for a, m, t in at_all], axis=0)
     left = ((all_values - alone - (all_values - alone).mean()) ** 2).mean(axis=1)
@@ -696,21 +715,22 @@ def _fitted(
     ]
     errors = float(np.mean(spread, axis=1).sum()) / SUBSET_SETTINGS.groups
     joint = float(left.mean()) - errors, float(half_interval(left)) + errors
-    return Parts(variance, half, axes, main, factors, residual, joint)
+    return AnovaModel(variance, half, axes, main, factors, residual, joint)
 
 
 def _least_squares(
     bases: list[Array], target: Array, weights: list[Array], *, additive: bool
 ) -> list[Array]:
-    """Σ_i f_i(x_i), if `additive`, and Σ_r Π_i h_ri(x_i) nearest to `target` (blocks, size), one axis in turn.
+    """Fit Σ_i f_i(x_i), if `additive`, plus Σ_r Π_i h_ri(x_i) to `target`, one axis at a time.
 
-    bases of each axis (blocks, functions, size); weights (1 + products, functions), those of f_i first.
+    target is (blocks, size), bases of each axis (blocks, functions, size), and weights (1 +
+    products, functions), the f_i first.
     """
     weights = [w.copy() for w in weights]
     curves = [w @ b for w, b in zip(weights, bases, strict=True)]  # (blocks, 1 + products, size)
     last = math.inf
     for _ in range(SUBSET_SETTINGS.sweeps):
-        # Products over the axes after each, and as the sweep goes on over those before it
+        # Products over the axes after each axis and, during the sweep, over the axes before it
         after = [np.ones_like(curves[0][:, 1:])]
         for c in curves[:0:-1]:
             after.append(after[-1] * c[:, 1:])
@@ -743,12 +763,12 @@ def _least_squares(
 
 
 def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
-    """How pairs of points lie; codes of the points (sets, n, d, digits), and rows that show all pairs.
+    """Return the law of pairs, codes (sets, n, d, digits), and rows that show all pairs.
 
     Raises
     ------
     NoClosedForm
-        No law of pairs is known for the points.
+        If the law of pairs is not known for the points.
     """
     n, d = law.n, law.dims
     every, one = np.arange(n), np.arange(1)
@@ -786,7 +806,7 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
     levels = tuple(math.ceil(math.log(max(n, SUBSET_SETTINGS.digits), b) - 1e-9) for b in bases)
     codes = np.zeros((*x.shape, max(levels)), np.int64)
     for axis, (b, most) in enumerate(zip(bases, levels, strict=True)):
-        # Coordinates rounded down to below a digit count as that digit
+        # Coordinates rounded down to just below a digit count as that digit
         whole = np.floor(x[..., axis] * b**most + (0.0 if b & (b - 1) == 0 else 1e-9))
         for level in range(most):
             codes[..., axis, level] = whole // b ** (most - 1 - level) % b
@@ -795,7 +815,7 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
 
 
 def offsets_within(side: float, by: Array, *, uniform: bool) -> tuple[tuple[float, ...], ...]:
-    """Offsets of the strata of a side along each axis: one, or several to average over if uniform."""
+    """Return offsets of strata along each axis: one, or several to average over if uniform."""
     if not uniform:
         return tuple((float(b) % side,) for b in by)
     places = (np.arange(SUBSET_SETTINGS.offsets) + 0.5) / SUBSET_SETTINGS.offsets * side
@@ -803,5 +823,5 @@ def offsets_within(side: float, by: Array, *, uniform: bool) -> tuple[tuple[floa
 
 
 def net(dims: int, n: int, replicates: int, label: int) -> Array:
-    """Scrambled nets of our own, (replicates, n, dims)."""
+    """Return scrambled nets of this module, (replicates, n, dims)."""
     return as_sampler("sobol | owen", dims).draw_stream(n, _OWN.child(label), 0, replicates)

@@ -1,19 +1,20 @@
 """Variances of sets that are statistically the same after any translation of the torus.
 
-C_ml of such sets is diagonal, so that with P(m) = ⟨|S_m|²⟩
+C_ml of such sets is diagonal. With P(m) = ⟨|S_m|²⟩,
 
     Var = Σ_{m≠0} |g_m|² P(m) = Σ_{m in C} |g_m|² P(m) + (∫g² − I² − Σ_{m in C} |g_m|²) / n + …,
 
-C the frequencies that are counted: a box, strips along the axes, where functions that are not periodic
-have their energy, and integer diagonals, where jumps along these have theirs. Beyond, P tends to
-1/n. By how much the border of the box departs from that, weighted by |g_m|², is the error of the tail.
+where C are the counted frequencies. They form a box; strips along the axes, which hold the energy
+of functions that are not periodic; and integer diagonals, which hold the energy of jumps along
+them. Beyond C, P tends to 1/n. The error of the tail is the difference of P from 1/n at the border
+of the box, weighted by |g_m|².
 
-P is known in closed form; or from one transform of a set that is shifted at random as a whole; or
-it is the mean over sets that are drawn. Of lattices P is 1 on the dual lattice and 0 elsewhere: its
-frequencies alone are counted, n times as many as of a box, and what is beyond goes on as the last
-shells do; or, where coefficients are not known exactly, the mean over the lattice is a function of the
-offset within one of its cells, whose variance a quadrature finds. Of homogeneous sets, whose law has the symmetries of the
-cube, |g_m|² is averaged over these, which is the same as to average P.
+P has a closed form, or comes from one transform of a set that is shifted at random as a whole, or
+is the mean over drawn sets. For lattices, P is 1 on the dual lattice and 0 elsewhere. Only its
+frequencies are counted, n times as many as in a box, and the rest is extrapolated from the last
+shells. If coefficients are not known exactly, the mean over the lattice is a function of the offset
+within one of its cells, and quadrature gives its variance. Homogeneous sets have the symmetries of
+the cube, so |g_m|² is averaged over these, which is equivalent to averaging P.
 """
 
 from __future__ import annotations
@@ -56,15 +57,15 @@ __all__ = [
 @final
 @dataclass(frozen=True)
 class Reach:
-    """How far coefficients are counted in some number of dims.
+    """Range of counted coefficients in some number of dims.
 
     Attributes
     ----------
     box
         Half width of the box about 0.
     strips
-        Ends of strips along the axes, and their half widths up to there: sets that are drawn count the
-        first ones alone.
+        Ends of strips along the axes, and their half widths up to the end. Drawn sets use the first
+        strips only.
     diagonal
         End of integer diagonals.
     """
@@ -77,33 +78,36 @@ class Reach:
 @final
 @dataclass(frozen=True, kw_only=True)
 class TorusSettings:
-    """Which coefficients are counted.
+    """Settings for the counted coefficients.
 
-    Changes are those of seven cells in 2-D and 3-D at n = 64 and 256: a jump along a line, smooth functions
-    and a disk with jittered, latin-hypercube, halton and rank1-lattice under shift, and poisson-disk.
+    Stated changes refer to seven cases in 2-D and 3-D at n = 64 and 256: a jump along a line,
+    smooth functions and a disk with jittered, latin-hypercube, halton and rank1-lattice under
+    shift, and poisson-disk.
 
     Attributes
     ----------
     exact, table
-        Reach by number of dims, where coefficients are known exactly and where they are those of a table
-        of g. Exact ones cost a few operations each; a table has `nodes` along each wave of the box.
+        Ranges by number of dims, for exact coefficients and for coefficients from a table of g.
+        Exact ones cost a few operations each; a table has `nodes` per wavelength of the box.
     nodes
-        Nodes of the finer table for a wave of the highest frequency. Half as many change variances by
-        0.4 % where g jumps and multiply the error by 4 to 30; twice as many change them by 0.1 %.
+        Number of nodes of the finer table per wavelength of the highest frequency. Half changes
+        variances by 0.4 % if g jumps and multiplies the error by 4 to 30; twice changes them by 0.1
+        %.
     least_nodes
-        Nodes along each axis at least, by number of dims. Half and twice change variances by less than
-        0.2 %.
+        Least number of nodes along each axis, by number of dims. Half and twice change variances by
+        less than 0.2 %.
     block
-        Frequencies whose power has a closed form that are in memory together. The result does not depend
-        on it.
+        Number of frequencies in memory whose power has a closed form. It has no effect on the
+        result.
     precision
         Relative error of transforms, far below that of the sums.
     shells
-        Shells of the box, each √2 wide, whose power shows how white the tail is: those above an eighth of
-        the half width. Half and twice change no variance, and errors by factors of 0.5 to 3.
+        Number of shells of the box, each √2 wide, whose power tests whether the tail is white. They
+        begin at an eighth of the half width. Half and twice change no variance, and errors by
+        factors of 0.5 to 3.
     vague
-        Error of ∫g² in many dims, relative to the variance, above which other methods know more: ∫g² is
-        then a mean over 2^20 points, and sums of products find its error by themselves.
+        Error of ∫g² in many dims, relative to the variance, above which other methods are better.
+        ∫g² is then a mean over 2^20 points, and sums of products find its error themselves.
     """
 
     exact: Mapping[int, Reach] = field(
@@ -131,35 +135,37 @@ class TorusSettings:
 @final
 @dataclass(frozen=True, kw_only=True)
 class DrawnSettings:
-    """How many sets are drawn where power has no closed form, and how its law is fitted.
+    """Settings for drawn sets, if power has no closed form, and for the fit of their power law.
 
-    Changes are those of a smooth function in 2-D with poisson-disk at n = 64, whose half interval is 3.1 %.
+    Stated changes refer to a smooth function in 2-D with poisson-disk at n = 64, whose half
+    interval is 3.1 %.
 
     Attributes
     ----------
-    least_sets, most_sets, points
-        Sets that give all frequencies, sets at most, and points of all sets, which limit the work at large
-        n. Half and twice as many change the variance by less than 0.8 %.
+        Number of sets that give all frequencies, largest number of sets, and total number of
+        points, which limits the work at large n. Half and twice as many change the variance by less
+        than 0.8 %.
     slow, slow_points
-        Largest `max_count` of samplers that take long, since they optimize their points, and points of all
-        their sets. They draw half as many first sets, which are kept for other integrands.
+        Largest `max_count` of slow samplers, which optimize their points, and total number of their
+        points. They draw half as many first sets, which are cached for other integrands.
     precision
-        Half interval, relative to the variance, up to which more sets are drawn. Half as much is not
-        reached by `most_sets`; twice as much changes the variance by 1.9 %.
+        Half interval, relative to the variance, above which more sets are drawn. Half is not
+        reached with `most_sets`; twice changes the variance by 1.9 %.
     low
-        Half width of the frequencies that all sets are transformed at: they hold the energy of smooth
-        functions. Half and twice change the variance by less than 0.5 %.
+        Half width of the frequencies at which all sets are transformed. They hold the energy of
+        smooth functions. Half and twice change the variance by less than 0.5 %.
     length, least_lengths
-        |m| n^(-1/d) up to which power follows a smooth law of the length, and different lengths that such a
-        fit takes at least: the first peak of stochastic sets lies at 1. Both are insensitive: half and
-        twice change the variance by less than 0.1 %.
+        Largest |m| n^(-1/d) at which power follows a smooth law of the length, and least number of
+        different lengths in such a fit. The first peak of stochastic sets lies at 1. Half and twice
+        of either change the variance by less than 0.1 %.
     agrees
-        Standard errors within which the law and the measured power must agree. Insensitive between 1 and 4.
+        Difference in standard errors within which the law and the measured power must agree.
+        Insensitive between 1 and 4.
     steps
-        Newton steps of the fit, which have converged. Insensitive between 6 and 24.
+        Number of Newton steps of the fit, which then has converged. Insensitive between 6 and 24.
     least_box, box
-        Half width of the box of a homogeneous set at least, and in units of n^(1/d). Half and twice change
-        the variance by less than 0.3 %; half a box triples the error.
+        Half width of the box of a homogeneous set: least value, and in units of n^(1/d). Half and
+        twice change the variance by less than 0.3 %; half a box triples the error.
     """
 
     least_sets: int = 16
@@ -180,23 +186,26 @@ class DrawnSettings:
 @final
 @dataclass(frozen=True, kw_only=True)
 class DualSettings:
-    """Which frequencies of a dual lattice are counted.
+    """Settings for the counted frequencies of a dual lattice.
 
-    Changes are those of a disk with rank1-lattice | shift at n = 64, whose half interval is 0.11 %.
+    Stated changes refer to a disk with rank1-lattice | shift at n = 64, whose half interval is 0.11
+    %.
 
     Attributes
     ----------
     frequencies
-        Frequencies of the dual lattice in a box. Half and twice change the variance by less than 0.04 %.
+        Number of frequencies of the dual lattice in a box. Half and twice change the variance by
+        less than 0.04 %.
     periods, strip
-        Ends of strips in units of n, and frequencies of the dual lattice there. Half and twice change the
-        variance by less than 0.03 %.
+        Ends of strips in units of n, and number of frequencies of the dual lattice in them. Half
+        and twice change the variance by less than 0.03 %.
     jump
-        Largest energy of an octave relative to that before it: a half where g jumps along curves, less
-        elsewhere. Less would cut the tail of jumps; one would give jumps no end.
+        Largest ratio of the energy of an octave to that of the octave before: one half if g jumps
+        along curves, less elsewhere. A lower limit would cut the tail of jumps; a limit of one
+        would make it infinite.
     whole
-        Differences of lattice points from multiples of 1/n, times n, that are rounding: coordinates are
-        right to 2^-53. Insensitive between 5e-7 and 2e-6.
+        Rounding of n times differences of lattice points, which are multiples of 1/n; coordinates
+        are accurate to 2^-53. Insensitive between 5e-7 and 2e-6.
     """
 
     frequencies: int = 2**19
@@ -209,24 +218,24 @@ class DualSettings:
 @final
 @dataclass(frozen=True, kw_only=True)
 class MovesSettings:
-    """How many offsets move a set.
+    """Settings for the offsets that move a set.
 
-    Changes are those of a jump along a line with rank1-lattice | shift, a ball in 4-D with
+    Stated changes refer to a jump along a line with rank1-lattice | shift, a ball in 4-D with
     kronecker | shift, and a smooth function with sobol | digital-shift.
 
     Attributes
     ----------
     offsets, least_offsets, evaluations
-        Offsets, evaluations of g that limit their number at large n, and offsets below which the method
-        refuses, with intervals of 35 %. Half and twice as many offsets change variances by less than
-        1.2 %, within intervals of 1 to 3 %.
+        Number of offsets, evaluations of g that limit it at large n, and number of offsets below
+        which the method raises because intervals exceed 35 %. Half and twice as many offsets change
+        variances by less than 1.2 %, within intervals of 1 to 3 %.
     block
-        Evaluations at a time. The result does not depend on it.
+        Evaluations per call. It has no effect on the result.
     spreads
-        Successive parts of the offsets, whose variances give the standard error, with Student's t. With 8
+        Number of successive parts of the offsets whose variances give the standard error. With 8
         and 32 parts half intervals are between those of 16 and 1.6 times as much.
     steps
-        Rounds of reduction that make vectors of a lattice short. Insensitive between 6 and 24.
+        Number of rounds of lattice reduction. Insensitive between 6 and 24.
     """
 
     offsets: int = 2**13
@@ -244,34 +253,34 @@ _DIAGONALS = {
     2: ((1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1)),
     3: ((1, 1, 0), (1, -1, 0), (1, 0, 1), (1, 0, -1), (0, 1, 1), (0, 1, -1)),
 }
-"""Directions in which jumps along diagonals have their energy."""
+"""Directions with the energy of jumps along diagonals."""
 _NORMAL = 1.96
-"""Standard errors of half a 95 % interval."""
+"""Half of a 95 % interval in standard errors."""
 _ROUNDING = 4e-15
-"""Rounding error of ∫g², relative: some units in the last place of double precision."""
+"""Relative rounding error of ∫g²: some units in the last place of double precision."""
 _RELATIVE = 1e-9
 """Relative error of sums whose terms do not cancel."""
 _OFFSET_STREAM = 0x0FF5E7
 """Label of the random numbers of the offsets."""
 _BITS = 2.0**53
-"""Coordinates are whole multiples of its inverse."""
+"""Inverse of the spacing of coordinates."""
 
 
 @final
 @dataclass(frozen=True)
 class Region:
-    """Frequencies m = Σ_i k_i vectors_i, k on a grid, with what they weigh.
+    """Frequencies m = Σ_i k_i vectors_i, with k on a grid, and their weights.
 
     Attributes
     ----------
     vectors, low, high
-        int64 (q, d), and the range of k along each of its q axes, both ends included.
+        Vectors, int64 (q, d), and the range of k along each of the q axes, both ends included.
     energy
         |g_m|², doubled where −m is not in the region: (channels or 1, *grid).
     table
-        The same by a coarser table; None where coefficients are exact.
+        The same from a coarser table; None if coefficients are exact.
     near
-        Whether sets that are drawn count it.
+        Whether drawn sets use it.
     """
 
     vectors: Array
@@ -288,15 +297,15 @@ class Region:
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Numbers of k along the axes."""
+        """Number of values of k along each axis."""
         return tuple(h - l + 1 for l, h in zip(self.low, self.high, strict=True))
 
     def frequencies(self) -> Array:
-        """Every m: int64 (F, d) in C order."""
+        """Return every m: int64 (F, d) in C order."""
         return _listed(self.vectors, self.low, self.high)
 
     def power_of(self, points: Array) -> Array:
-        """|S_m|² of one set (n, d), on the grid."""
+        """Return |S_m|² of one set (n, d), on the grid."""
         import finufft
 
         y = np.remainder(points @ self.vectors.T.astype(float), 1.0)
@@ -310,14 +319,14 @@ class Region:
         return np.asarray(np.abs(found) ** 2)
 
     def power(self, law: Law) -> Array:
-        """The closed form of P, on the grid."""
+        """Return the closed form of P on the grid."""
         m = self.frequencies().astype(float)
         blocks = [m[start : start + _TORUS.block] for start in range(0, len(m), _TORUS.block)]
         blocks = [moments_of(law, law.name, some).power(some) for some in blocks]
         return np.concatenate(blocks).reshape(self.shape)
 
     def symmetrized(self) -> Region:
-        """A box averaged over the symmetries of the cube."""
+        """Return a box averaged over the symmetries of the cube."""
 
         def mean(half: Array) -> Array:
             axes = range(1, half.ndim)
@@ -335,9 +344,9 @@ class Region:
 
 
 def _energies(g: Integrand) -> tuple[Region, ...]:
-    """|g_m|² over all regions that are counted, the box first; those of m = 0 are 0.
+    """Return |g_m|² over all counted regions, the box first; it is 0 at m = 0.
 
-    Coefficients where they are known exactly, else from two tables of g.
+    Coefficients are exact if known, else from two tables of g.
     """
     exact, d = g.fourier_source == "exact", g.dims
     reach = (_TORUS.exact if exact else _TORUS.table)[d]
@@ -348,7 +357,7 @@ def _energies(g: Integrand) -> tuple[Region, ...]:
             f = g.fourier(_listed(vectors, low, high)).reshape(*shape, -1)
             found = [np.ascontiguousarray(np.moveaxis(np.abs(f) ** 2, -1, 0))]
         else:
-            # From a table of g and from a coarser one, of a region along permuted axes
+            # Use a fine and a coarse table of g, for a region along permuted axes
             order = vectors.argmax(axis=1)
             m = [np.arange(low[i], high[i] + 1, dtype=float) for i in np.argsort(order)]
             found = []
@@ -360,7 +369,7 @@ def _energies(g: Integrand) -> tuple[Region, ...]:
         for energy in found:
             if low[0] > 0:
                 energy *= 2.0
-            else:  # the box has both m and −m where k_0 = 0
+            else:  # For k_0 = 0 the box has both m and −m
                 energy[:, 1:] *= 2.0
                 middle = math.prod(-2 * l + 1 for l in low[1:]) // 2
                 energy[:, 0].reshape(len(energy), -1)[:, middle] = 0.0
@@ -383,12 +392,12 @@ def _energies(g: Integrand) -> tuple[Region, ...]:
 
 
 def of_torus(law: Law, known: Known, stream: Stream) -> Predicted:
-    """Predict the variance with a set that is the same after any translation, in 1 to 3 dims.
+    """Predict the variance of a set that is the same after any translation, in 1 to 3 dims.
 
     Raises
     ------
     NoClosedForm
-        The set is another, or has more dims, or ∫g² diverges.
+        If the set has another law or more dims, or ∫g² diverges.
     """
     n, dims = law.n, law.dims
     inner = law.inner if isinstance(law, Shifted) else law
@@ -430,12 +439,12 @@ def of_torus(law: Law, known: Known, stream: Stream) -> Predicted:
             powers, sampling, count = _drawn(inner, regions, stream, isotropic=inner is law)
             how = f"{count} sets"
 
-    # Add the tail, and what it may be off by
+    # Add the tail and its error
     counted = sum(r.energy.reshape(len(spread), -1).sum(axis=1) for r in regions)
     variance = _total(regions, powers)
     rest = np.where(np.abs(spread - counted) > _ROUNDING * square, spread - counted, 0.0)
     tail, excess = np.maximum(rest, 0.0) / n, np.maximum(-rest, 0.0) / n
-    # Root mean square over the outer shells of the box of n P(m), weighted by |g_m|², minus 1
+    # Root mean square of n P(m) − 1, weighted by |g_m|², over the outer shells of the box
     box, power = regions[0], n * powers[0].reshape(-1) - 1.0
     axes = [np.abs(np.arange(l, h + 1)) for l, h in zip(box.low, box.high, strict=True)]
     edges = box.high[0] * 0.5 ** (0.5 * np.arange(_TORUS.shells, -1, -1))
@@ -459,7 +468,7 @@ def of_torus(law: Law, known: Known, stream: Stream) -> Predicted:
 
 
 def lattice_basis(points: Array) -> Array | None:
-    """n times a basis of the lattice of n points, an upper triangle of int64; None for other sets."""
+    """Return n times a basis of a lattice, an upper triangle of int64; None for other sets."""
     n, dims = points.shape
     exact = np.remainder(points - points[0], 1.0) * n
     if np.abs(exact - np.rint(exact)).max() > _DUALS.whole:
@@ -477,16 +486,16 @@ def lattice_basis(points: Array) -> Array | None:
 
 
 def _dual(basis: Array, n: int) -> Array:
-    """A basis of the dual lattice, a lower triangle of int64."""
+    """Return a basis of the dual lattice, a lower triangle of int64."""
     return np.asarray(np.rint(n * np.linalg.inv(basis).T), np.int64)
 
 
 def _of_dual(points: Array, known: Known) -> Predicted:
-    """Sum |g_m|² over the dual lattice of a lattice; beyond, octaves go on as the last ones do."""
+    """Sum |g_m|² over the dual lattice of a lattice; extrapolate the last octaves beyond."""
     g, (n, dims) = known.g, points.shape
 
     def listed(axis: int, low: list[int], high: list[int]) -> Array:
-        """Vectors of the dual lattice between bounds, those of `axis` first: int64 (F, d)."""
+        """Return vectors of the dual lattice between bounds, `axis` first: int64 (F, d)."""
         basis = lattice_basis(np.roll(points, -axis, axis=1))
         assert basis is not None
         dual, m = _dual(basis, n), np.zeros((1, dims), np.int64)
@@ -498,14 +507,14 @@ def _of_dual(points: Array, known: Known) -> Predicted:
         return np.roll(m, axis, axis=1)
 
     def summed(m: Array, size: Array, end: int, beyond: Array) -> tuple[Array, Array]:
-        """Σ |g_m|², and how much is left where `beyond`, from the last two octaves of sizes to `end`."""
+        """Return Σ |g_m|², and the rest in `beyond` from the last two octaves of sizes to `end`."""
         energy = np.abs(g.fourier(m).reshape(len(m), -1)) ** 2
         last = energy[beyond & (2 * size > end)].sum(axis=0)
         before = energy[beyond & (2 * size <= end) & (4 * size > end)].sum(axis=0)
         ratio = np.minimum(last / np.maximum(before, 1e-300), _DUALS.jump)
         return energy.sum(axis=0), last * ratio / (1.0 - ratio)
 
-    # A box, and strips along the axes, whose octaves go on by themselves
+    # A box, and strips along the axes, whose octaves are extrapolated separately
     width = int(0.5 * (_DUALS.frequencies * n) ** (1.0 / dims))
     end = _DUALS.periods * n
     narrow = min(width, int(0.5 * (_DUALS.strip * n / end) ** (1.0 / max(1, dims - 1))))
@@ -526,30 +535,32 @@ def _of_dual(points: Array, known: Known) -> Predicted:
 
 
 def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
-    """The variance of the mean of g over a fixed set that is shifted or scrambled, in any dims.
+    """Predict the mean of g over a fixed set that is shifted or scrambled, in any dims.
 
-    The means at offsets of our own, a Kronecker sequence of a random vector, have this variance to a share
-    that does not depend on n; of a lattice those in one of its cells are all there are. Digital
-    shifts and permutations of other bases are drawn at random. So are linear scrambles, which stand for nested
-    ones, too, since pairs of points have the same law. The interval is by Student's t of successive parts. Pairs,
-    E g(u) g(u + x_k) over independent u, need more: the square of the mean is their mean over all pairs of points.
+    The means at random offsets have this variance, with a relative error that does not depend on n.
+    The offsets are a Kronecker sequence of a random vector, for a lattice within one of its cells.
+    Digital shifts and permutations in other bases are drawn at random, and so are linear scrambles.
+    Linear scrambles also replace nested ones, because pairs of points have the same law. The
+    interval comes from Student's t of successive parts. Pairs, E g(u) g(u + x_k) over independent
+    u, would need more evaluations, because the square of the mean averages over all pairs of
+    points.
 
     Raises
     ------
     NoClosedForm
-        The last step is no shift and no scramble of a fixed set; or n is so large that too few offsets are
-        left.
+        If the last step is neither a shift nor a scramble of a fixed set, or n is so large that too
+        few offsets remain.
     """
     g, n = known.g, law.n
     count = min(_MOVES.offsets, _MOVES.evaluations // n)
     if not moves_at_once(law):
-        raise NoClosedForm(f"{law.name} does not move {n} points at once, or too many of them.")
+        raise NoClosedForm(f"{law.name} does not move {n} points at once, or has too many.")
     assert isinstance(law, Shifted | Scrambled)
     own = stream.child(_OFFSET_STREAM)
     shifted, points = isinstance(law, Shifted), law.inner.draw(Stream.from_rng(0), 0, 1)[0]
     words, cell, how = (points * _BITS).astype(np.uint64), np.eye(g.dims), "offsets of the set"
     if shifted and (basis := lattice_basis(points)) is not None:
-        # Short vectors of the lattice, in which the mean is the smoothest
+        # Use short vectors of the lattice, along which the mean is smoothest
         cell, how = basis.astype(float), "offsets of a lattice"
         for _ in range(_MOVES.steps):
             for i, j in itertools.permutations(range(g.dims), 2):
@@ -561,8 +572,9 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
     if scramble is not None:
         how = f"{scramble.name} scrambles of the set"
 
-    # Means of g over the moved sets. Multiples of a random vector are independent in pairs, so that they
-    # do as well as random offsets at least; those of a fixed vector might be the points of the set itself
+    # Average g over the moved sets. Multiples of a random vector are pairwise independent, so they
+    # are at least as good as random offsets. Multiples of a fixed vector might be the points of the
+    # set itself
     start, step = own.uniforms(0, 1, 2 * g.dims).reshape(2, g.dims)
     offsets = (start + np.arange(count)[:, None] * step) % 1.0
     means, first = [], 0
@@ -582,7 +594,7 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
 
 
 def _scramble(law: Scrambled) -> Randomization:
-    """The cheapest scramble that has the law's distribution of pairs of points."""
+    """Return the cheapest scramble with the same distribution of pairs of points."""
     if law.kind == "digital-shift":
         return DigitalShift(base=law.bases)
     if law.kind == "permutation":
@@ -592,7 +604,7 @@ def _scramble(law: Scrambled) -> Randomization:
 
 
 def moves_at_once(law: Law) -> bool:
-    """Whether one random offset, or one scramble, moves a fixed set of not too many points."""
+    """Return whether one random offset or scramble moves a fixed set of not too many points."""
     if not isinstance(law, Shifted | Scrambled):
         return False
     if isinstance(law, Scrambled) and not law.shifts:
@@ -601,10 +613,10 @@ def moves_at_once(law: Law) -> bool:
 
 
 def moves_resolve(law: Law, known: Known) -> bool:
-    """Whether `of_moves` resolves a set of 1 to 3 dims better than other methods do.
+    """Return whether `of_moves` resolves a set of 1 to 3 dims better than other methods.
 
-    These are shifted lattices, where the coefficients of g are not exact, and nets in base 2 with a
-    digital shift, whose weights depend on g.
+    That holds for shifted lattices if the coefficients of g are not exact, and for nets in base 2
+    with a digital shift, whose weights depend on g.
     """
     if law.dims > 3 or not moves_at_once(law):
         return False
@@ -616,18 +628,19 @@ def moves_resolve(law: Law, known: Known) -> bool:
 
 
 def cost_of_moves(law: Law, known: Known) -> float:  # noqa: ARG001
-    """Evaluations of g by `of_moves`."""
+    """Return evaluations of g by `of_moves`."""
     return float(min(_MOVES.offsets * law.n, _MOVES.evaluations))
 
 
 def _drawn(
     inner: Law, regions: tuple[Region, ...], stream: Stream, *, isotropic: bool
 ) -> tuple[list[Array], Array, int]:
-    """Mean power over sets, half the 95 % interval of Σ |g_m|² P(m), and the number of sets.
+    """Return mean power over sets, half the 95 % interval of Σ |g_m|² P(m), and the number of sets.
 
-    The first sets give all frequencies, more the low ones alone, which few coefficients of smooth
-    functions hold: until the error is small beside the variance, or for some number of points. Where
-    power depends on the length of m alone, and fits the measured one, a smooth law takes its place.
+    The first sets give all frequencies. Further sets give only the low ones, which hold the energy
+    of smooth functions. Sets are added until the error is small compared with the variance, or the
+    points reach their limit. If power depends on the length of m alone, a smooth law that fits the
+    measured power replaces it.
     """
     from scipy.special import stdtrit
 
@@ -645,7 +658,8 @@ def _drawn(
     lawful = isotropic and len(np.unique(np.rint(length[inside] ** 2 * n))) >= _DRAWN.least_lengths
     core = replace(low, energy=np.where(inside, low.energy, 0.0) if lawful else 0.0 * low.energy)
     sums, low_sum, count = [np.zeros(r.shape) for r in regions], np.zeros(low.shape), 0
-    values: tuple[list[Array], ...] = ([], [], [])  # of the core, the other low ones, all others
+    # Values of the core, of the other low frequencies, and of all other frequencies
+    values: tuple[list[Array], ...] = ([], [], [])
     while True:
         for x in (
             _sets(inner.source, n, stream, count, min(first, most))
@@ -682,16 +696,17 @@ def _drawn(
 
 @lru_cache(maxsize=32)
 def _sets(sampler: Source, n: int, stream: Stream, first: int, count: int) -> Array:
-    """Sets that are expensive to make, kept for other integrands."""
+    """Draw sets of slow samplers, cached for other integrands."""
     return sampler.draw_stream(n, stream, first, count)
 
 
 def _power_law(
     mean: Array, length: Array, inside: Array, energy: Array, count: int
 ) -> tuple[Array, Array]:
-    """log P = a + b log |m| + c |m|² of low frequencies, and the standard error of Σ |g_m|² P(m).
+    """Fit log P = a + b log |m| + c |m|² at low m; return P and the error of Σ |g_m|² P(m).
 
-    |S_m|² of one set are exponentially distributed, independent but for ±m: maximum likelihood.
+    |S_m|² of one set are exponentially distributed and independent except for ±m. The fit is by
+    maximum likelihood.
     """
     x = np.stack([np.ones(inside.sum()), np.log(length[inside]), length[inside] ** 2], axis=1)
     measured = mean[inside]
@@ -713,7 +728,7 @@ def _power_law(
 
 
 def _cropped(box: Region, width: int) -> tuple[Region, tuple[slice, ...]]:
-    """The part of a box of at most this half width, and where it is on the grid."""
+    """Return the part of a box within this half width, and its position on the grid."""
     k = min(width, box.high[0])
     low, high = tuple(max(l, -k) for l in box.low), tuple(min(h, k) for h in box.high)
     starts = zip(low, high, box.low, strict=True)
@@ -723,7 +738,7 @@ def _cropped(box: Region, width: int) -> tuple[Region, tuple[slice, ...]]:
 
 
 def _total(regions: tuple[Region, ...], powers: list[Array]) -> Array:
-    """Σ |g_m|² P(m) over all regions, (channels or 1,)."""
+    """Return Σ |g_m|² P(m) over all regions, (channels or 1,)."""
     parts = [
         r.energy.reshape(len(r.energy), -1) @ p.reshape(-1)
         for r, p in zip(regions, powers, strict=True)
@@ -732,6 +747,6 @@ def _total(regions: tuple[Region, ...], powers: list[Array]) -> Array:
 
 
 def _listed(vectors: Array, low: Sequence[int], high: Sequence[int]) -> Array:
-    """All m of a region: int64 (F, d)."""
+    """Return all m of a region: int64 (F, d)."""
     axes = [np.arange(l, h + 1) for l, h in zip(low, high, strict=True)]
     return np.asarray(mesh(*axes).reshape(-1, len(axes)) @ vectors)

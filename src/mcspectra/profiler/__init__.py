@@ -1,4 +1,4 @@
-"""One call that measures, explains and advises."""
+"""A single call that measures the noise, explains it and gives advice."""
 
 import lazy_loader
 

@@ -77,7 +77,7 @@ class ProfileSettings:
     """Settings of a profile."""
 
     # Least budget in evaluations. Twenty nets of four points take 80, which must fit into 40 % of
-    # the budget if the given sampler is measured too.
+    # the budget if the given sampler is also measured.
     least_budget: int = 256
     # Columns of the text of a cause: one line of a usual terminal or page.
     width: int = 100
@@ -85,49 +85,50 @@ class ProfileSettings:
     # as many gave the same advice in 12 profiles of 8192 evaluations (2 seeds of six functions);
     # the RMSE after one fitted change differed by a factor of 2.4.
     fitted_points: int = 64
-    # Largest ratio of effective to all draws of a chain at which dependence is named a cause. The
-    # upper end of its interval is compared, and standard errors at this ratio are 20 % larger.
+    # Largest ratio of effective to all draws of a chain at which dependence is reported as a cause.
+    # The upper end of its interval is compared, and standard errors at this ratio are 20 % larger.
     dependent: float = 0.7
     # Least points of each net at which a change is measured. With 8, two of 12 profiles did not
     # measure the preintegration of a jump along an axis.
     least_checked: int = 4
-    # Most counts at which a sampler is measured, in octaves: B/2, B/4, …, B/32 of its evaluations.
-    # Three or eight counts gave the same results in these 12 profiles.
+    # Largest number of counts at which a sampler is measured, in octaves: B/2, B/4, …, B/32 of its
+    # evaluations. Three or eight counts gave the same results in these 12 profiles.
     counts: int = 5
     # Least number of sets for a variance; with three the jackknife has two degrees of freedom.
     least_sets: int = 3
     # Standard error of a rate by theory, which holds for large counts only. With 0.04 or 0.16 the
     # RMSE of 12 profiles changed by 14 % at most, and by 1 % in the median.
     theory_error: float = 0.08
-    # Standard error of a slope over few octaves at a jump along an axis, as ends of strata fall
-    # anywhere next to the jump and the curve is a saw. With 0.25 or 1 the RMSE of 12 profiles
-    # changed by 6 % at most.
+    # Standard error of a slope over few octaves at a jump along an axis. Ends of strata fall
+    # anywhere next to the jump, and the curve is a
+    # sawtooth. With 0.25 or 1 the RMSE of 12 profiles changed by 6 % at most.
     teeth_error: float = 0.5
-    # Last counts of a saw whose mean is its level, and the standard deviation of the logarithm of the
-    # variance about it: that of p(1 − p) for a share p of the stratum of the jump that is uniform,
-    # √(4 − π²/3) = 0.84.
+    # Number of last counts of a sawtooth whose mean is its level, and standard deviation of the log
+    # variance about it: that of p(1 − p) for a uniform share p of the stratum of the jump, √(4 −
+    # π²/3) = 0.84.
     teeth: int = 4
     teeth_scatter: float = 0.84
-    # Standard error of the belief that a change of the estimator keeps the rate. With 0.2 or 0.8
-    # the RMSE of 12 profiles changed by 8 % at most.
+    # Standard error of the prior that a change of the estimator keeps the rate. With 0.2 or 0.8 the
+    # RMSE of 12 profiles changed by 8 % at most.
     alike_error: float = 0.4
     # Number of standard errors between the mean of a change without variance and the mean of the
     # nets at which the change is dropped. A normal mean is beyond 4 with probability 6e-5.
     off_sigmas: float = 4.0
-    # Number of points of a net below which no rate of a change is taken to be steeper than
-    # `steepest_rate`. Few points are not yet in the range of a steep rate, and the gain at the
-    # budget would be exaggerated. The advice of 12 profiles did not change for 8 or 32 points, nor
-    # for rates of −1.5 or −3; the RMSE after one change differed by a factor of up to 1.9.
+    # Number of points of a net below which the rate of a change is limited to `steepest_rate`. Few
+    # points have not reached the range of a steep rate, and the gain at the budget would be
+    # exaggerated. The advice of 12 profiles did not change for 8 or 32 points, nor for rates of
+    # −1.5 or −3; the RMSE after one change differed by a factor of up to 1.9.
     few_points: int = 16
     steepest_rate: float = -2.0
-    # Sets of a lattice at each count: fewer, since what is left of the budget is small and rates of
-    # lattices change with n.
+    # Number of sets of a lattice at each count: fewer, because the remaining budget is small and
+    # rates of lattices change with n.
     lattice_sets: int = 10
-    # Standard deviation of the logarithm of the variance of lattices about its line, as each count
-    # has another vector: 1.3 for smooth functions in 4 to 6 dims, and 0.6 in 2 and 3 dims.
+    # Standard deviation of the log variance of lattices about its line, because each count has
+    # another vector: 1.3 for smooth functions in 4 to 6
+    # dims, and 0.6 in 2 and 3 dims.
     lattice_scatter: float = 1.3
-    # Most dims in which pairs in strata are measured, not folded lattices, whose rate is −4: pairs
-    # have −5 in 1-D and −3 in 2-D.
+    # Largest number of dims in which pairs in strata are measured instead of folded lattices, whose
+    # rate is −4: pairs have −5 in 1-D and −3 in 2-D.
     paired_dims: int = 1
     # Points of a density's sampler that are tested to lie in the unit cube.
     tested_points: int = 64
@@ -176,7 +177,7 @@ class Profiling(Analysis, frozen=True, kw_only=True):
         Meta(
             ge=_SETTINGS.least_budget,
             le=2**30,
-            description="Most evaluations of the integrand in all.",
+            description="Most evaluations of the integrand in total.",
             extra={"metavar": "B"},
         ),
     ] = 4096
@@ -189,15 +190,13 @@ class Profiling(Analysis, frozen=True, kw_only=True):
         try:
             estimator.check_independent()
         except NoClosedForm as error:
-            raise ParameterError(
-                f"profile needs techniques with sets of their own: {error}"
-            ) from None
+            raise ParameterError(f"profile needs techniques with their own sets: {error}") from None
         shares_of(estimator, subject.sampler, self.budget)
         memory = memory_of(self.budget, estimator.dims, sum(estimator.counts))
         return Need(cost=float(self.budget), memory=memory)
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[xr.Dataset]:
-        """Run in one block, since later steps depend on earlier results."""
+        """Run in one block, because later steps depend on earlier results."""
         return whole(lambda: _profiled(subject, self.budget, stream).dataset, self.budget)
 
 
@@ -210,7 +209,7 @@ class Profile:
     ----------
     integral, interval
         The mean of all nets, NaN if g has no integral, and its 95 % interval. The interval is
-        infinite if the variance is infinite or rests on a few evaluations.
+        infinite if the variance is infinite or depends on a few evaluations.
     calls, budget
         Number of evaluations of f, and the number that was allowed.
     variance, rate, rate_ci
@@ -298,7 +297,7 @@ class Profile:
         return rows
 
     def _rmse(self, curve: Curve) -> float:
-        """Return the RMSE at the budget; NaN without a rate beyond the counts, or if nothing varied."""
+        """Return the RMSE at the budget; NaN without a rate beyond the counts, or variation."""
         if math.isinf(self.variance):
             return math.inf
         if math.isnan(curve.rate) and max(curve.counts, default=math.inf) < self.points:
@@ -319,7 +318,8 @@ class Profile:
         )
         return (
             f"<p><b>{escape_html(str(self.answer))}</b></p><ul>{causes}</ul>"
-            f"<table><tr><th>sampler</th><th>RMSE at {self.budget}</th><th>rate</th></tr>{rows}</table>"
+            "<table><tr><th>sampler</th><th>RMSE at "
+            f"{self.budget}</th><th>rate</th></tr>{rows}</table>"
         )
 
     @property
@@ -402,17 +402,17 @@ def profile(
         Number of dims of a function or a spec. The default is the number of dims of the sampler, if
         the sampler is not a spec.
     budget
-        Most evaluations of f in all, at least 256. With 262,144 evaluations, which take less than a
-        second if f is fast, errors of rates are about 0.05 instead of 0.1.
+        Most evaluations of f in total, at least 256. With 262,144 evaluations, which take less than
+        a second if f is fast, errors of rates are about 0.05 instead of 0.1.
     rng
         Seed (SPEC 7).
     vectorized, workers, cache
         Options for slow functions; see `mcspectra.integrands.Calls`. An interrupted profile
         continues from the cache.
     on_error
-        For functions: ``"raise"`` where f fails or is not finite, or ``"skip"``: such points are
-        counted, take the mean of all others, and make the interval wider, as in
-        `mcspectra.integrate`. Without it only probes closest to the border may fail.
+        For functions: ``"raise"`` if f fails or is not finite. ``"skip"`` counts such points,
+        replaces them by the mean of all others, and widens the interval, as in
+        `mcspectra.integrate`. With ``"raise"`` only probes closest to the border may fail.
 
     Returns
     -------
@@ -422,7 +422,7 @@ def profile(
     Raises
     ------
     ParameterError
-        f is not a function, or the budget is too small for it.
+        If f is not a function, or the budget is too small for it.
 
     Examples
     --------
@@ -452,17 +452,18 @@ def profile(
         given = FunctionIntegrand(function=_Filled.of(calls), dims=calls.dims)
     with calls if isinstance(calls, Calls) else contextlib.nullcontext():
         estimator = as_estimator(given, dims)
-        if density:  # the density is not checked here, since its faults are causes
+        if density:  # The density is not checked here, because its faults are causes
             pdf, sample = density
             own = FunctionDensity(dims=estimator.dims, pdf_function=pdf, sample_function=sample)
             u = as_sampler("random", own.primary_dims).draw(_SETTINGS.tested_points)[0]
             x = np.zeros(1)
-            with contextlib.suppress(Exception):  # an exception is reported as a cause later
+            with contextlib.suppress(Exception):  # An exception is reported as a cause later
                 x = np.asarray(sample(u), float)
             if np.isfinite(x).all() and not in_unit_cube(x):
                 raise DomainError(
-                    f"sample(u) leaves the unit cube, from {x.min():.4g} to {x.max():.4g}; map f and pdf into it, "
-                    "or give the function f(sample(u)) / pdf(sample(u)) of u alone."
+                    f"sample(u) leaves the unit cube, from {x.min():.4g} to {x.max():.4g}; map f "
+                    "and pdf into it, or give the function f(sample(u)) / pdf(sample(u)) of u "
+                    "alone."
                 )
             estimator = Estimator(given, dims=dims)
             estimator.density = own
@@ -473,13 +474,13 @@ def profile(
             found = _with_skipped(found, calls, given.function)
         found = replace(found, function=f)
     if isinstance(calls, Calls):
-        calls.budget = sys.maxsize  # the recommended estimator can be used without a limit
+        calls.budget = sys.maxsize  # The recommended estimator can be used without a limit
     return found
 
 
 @final
 class _Filled:
-    """Calls of a function with the mean of all earlier values in place of NaN, where it failed."""
+    """Calls of a function that replace NaN, where it failed, by the mean of earlier values."""
 
     def __init__(self, calls: Calls) -> None:
         self.calls, self.__name__ = calls, calls.name
@@ -487,7 +488,7 @@ class _Filled:
 
     @staticmethod
     def of(calls: Calls) -> Any:
-        """The calls themselves if they raise errors."""
+        """Return the calls themselves if they raise errors."""
         return _Filled(calls) if calls.skips else calls
 
     def __call__(self, x: Array) -> Array:
@@ -503,7 +504,7 @@ class _Filled:
 
 
 def _with_skipped(found: Profile, calls: Calls, filled: _Filled) -> Profile:
-    """A profile whose interval allows any usual value where f failed."""
+    """Return a profile whose interval allows any usual value where f failed."""
     share = calls.skipped / (calls.skipped + filled.count)
     low, high = found.interval
     if not filled.count:
@@ -520,13 +521,13 @@ def _of_draws(draws: Any) -> Profile:
         found = chain_error(draws)
     except McspectraError as error:
         raise ParameterError(
-            f"{draws!r:.80} cannot be profiled; give a function, an integrand, an estimator, a spec, or "
-            f"draws as measure.chain_error takes them: {error}"
+            f"{draws!r:.80} cannot be profiled; give a function, an integrand, an estimator, a "
+            f"spec, or draws as measure.chain_error takes them: {error}"
         ) from None
     if found["mean"].ndim:
         raise ParameterError("The draws are of several quantities; profile one at a time.")
     names = found["cause"].item().split(", ")
-    said = found["evidence"].item() or "the draws say nothing against their error"
+    said = found["evidence"].item() or "the draws show no problem with their error"
     said = [each.removeprefix(f"{k}: ") for k, each in zip(names, said.split("; "), strict=True)]
     name, (sentence, *others) = names[0], [f"{each[0].upper()}{each[1:]}." for each in said]
     count, effective = found.attrs["chains"] * found.attrs["draws"], float(found["ess"])
@@ -585,7 +586,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     curves, not_tried = dict(evidence.curves), list[str]()
     if evidence.failed:
         not_tried.append(
-            f"probes closest to the border, where hardly a sample falls: {evidence.failed}"
+            f"probes closest to the border, where hardly any sample falls: {evidence.failed}"
         )
     evidence = replace(evidence, curves=curves)
     if is_apart(estimator, given):
@@ -610,8 +611,8 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
 
     causes = causes_of(evidence)
     offers = _offers(evidence, causes, budget, stream.child(98))
-    # Measure a sampler that may gain more than nets do, with half of the evaluations that are left,
-    # or with those that the removal of a jump does not need
+    # Measure a sampler that may gain more than nets do. It gets half of the remaining evaluations,
+    # or all that the removal of a jump does not need
     rival, left = _rival(evidence, causes), budget - calls
     rival = rival if rival != given.spec else ""
     jumps, nets = _shape(causes) in _JUMPS, CAUSE_SETTINGS.nets
@@ -622,7 +623,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         left //= 2
     enough = _is_smooth(causes) or left >= 2 * _SETTINGS.lattice_sets * _SETTINGS.least_checked
     if rival and not enough:
-        not_tried.append(f"{rival}: {left} evaluations are left for it")
+        not_tried.append(f"{rival}: only {left} evaluations remain for it")
     elif rival:
         with contextlib.suppress(McspectraError):  # there are too many dims or too few evaluations
             source, lattice = as_sampler(rival, estimator.dims), rival != _PAIRS
@@ -630,7 +631,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
             calls += cost
             if lattice and curve.counts[-1:].sum() < _SETTINGS.few_points:
                 curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
-            # Small sets of a g that jumps may be equal although larger ones are not
+            # If g jumps, small sets may have equal estimates although larger sets do not
             curves |= {} if jumps and math.isfinite(curve.vanishes) else {rival: curve}
     curves |= {
         name: _by_theory(name, curve, causes, estimator.dims, points)
@@ -642,10 +643,10 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         curves.pop(given.spec, None)  # its curve has no error
     reference = "random" if fixed or given.spec not in curves else given.spec
     usable = {name: c for name, c in curves.items() if name == reference or name != given.spec}
-    found, changed = list[_Found](), list[str]()
-    if all(c.name != "infinite-variance" or c.kinds for c in causes):  # the integral exists
+    found, changed = list[_FoundSampler](), list[str]()
+    if all(c.name != "infinite-variance" or c.kinds for c in causes):  # The integral exists
         # The sampler of least variance, and a change of the estimator that answers a cause
-        if len(usable[reference].counts) > 0:  # else there is no variance to lower
+        if len(usable[reference].counts) > 0:  # Otherwise there is no variance to lower
             found = _samplers(Setup(estimator, given), usable, reference, points)
         base = min(usable.values(), key=lambda each: _bound(each, points))
         made, changed, cost = _improved(
@@ -655,7 +656,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         sure = [each for each in made if each.sure]
         found = sure + found + [each for each in made if not each.sure]
     curve = curves.get(given.spec, curves[NETS])
-    # The interval is known if the values do not rest on a few of them, or if lines have fitted a
+    # The interval is known if the values do not depend on a few of them, or if lines have fitted a
     # pole
     names = {cause.name for cause in causes}
     infinite = "infinite-variance" in names
@@ -675,24 +676,28 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         if exact is None:
             cause = Cause(
                 "few-realizations",
-                f"g is {value:.6g} at all {count} points: either it is constant, or what varies, in less "
-                f"than about {3 / count:.1g} of the volume, was not met.",
+                f"The integrand is {value:.6g} at all {count} points: either it is constant, or it "
+                f"differs only in a region smaller than about {3 / count:.1g} of the volume, which "
+                "no point hit.",
                 {"points": float(count)},
             )
         elif np.isclose(mean, value, rtol=1e-12, atol=0.0):
-            cause = Cause("none", f"g is {value:.6g} everywhere: there is no noise.")
+            cause = Cause("none", f"The integrand is {value:.6g} everywhere: there is no noise.")
         else:
             cause = Cause(
                 "heavy-tail",
-                f"g is {value:.6g} at all {count} points, and its integral is {mean:.6g}: what makes the "
-                "difference was not met. Give a density that finds it, or far more points.",
+                f"The integrand is {value:.6g} at all {count} points, but its integral is "
+                f"{mean:.6g}: no point hit the region that causes the difference. Give a density "
+                "that concentrates there, or far more points.",
                 {"integral": mean},
             )
         causes, found, known = [cause], [], known and cause.name == "none"
-    if infinite:  # no sampler makes it finite
+    if infinite:  # No sampler makes it finite
         found = [each for each in found if each.candidate.setup.estimator is not estimator]
     results = _results(
-        Setup(estimator, as_sampler(reference, estimator.dims) if reference != given.spec else given),
+        Setup(
+            estimator, as_sampler(reference, estimator.dims) if reference != given.spec else given
+        ),
         usable[reference], points, found, len(usable) - 1 + len(changed),
         infinite=infinite, known=known,
     )  # fmt: skip
@@ -702,11 +707,11 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     if causes[0].name == "wrong-pdf":
         instead = "Fix the density first."
     elif infinite and not changes:
-        instead = "Nothing that was tried helps."
+        instead = "No tested change helps."
     elif not changes and reference != given.spec:
-        instead = f"Nothing that was tried is better than {reference}."
+        instead = f"No tested sampler or change is better than {reference}."
     if not changes and causes[0].evidence.get("resolved_by", math.inf) <= points:
-        why += " One set of as many points as resolve the waves was not tried."
+        why += " A single set with enough points to resolve the oscillation was not tested."
     names_tried = [name for name in usable if name != reference] + changed
     answer = Answer.of(
         budget, results, causes=tuple(causes), tried=tuple(names_tried), not_tried=tuple(not_tried),
@@ -743,7 +748,7 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     names = {cause.name: cause for cause in causes}
     if "infinite-variance" in names:
         return replace(curve, rate=math.nan, rate_se=math.nan)
-    # Bound the rate by theory if g grows without bound, since few sets reach the pole
+    # Bound the rate by theory if g grows without bound, because few sets reach the pole
     for cause in causes:
         if cause.name in {"border-growth", "heavy-tail"} and "exponent" in cause.evidence:
             return replace(curve, rate=max(curve.rate, -2.0 * (1.0 - cause.evidence["exponent"])))
@@ -755,7 +760,7 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     first = _shape(causes)
     if name in {_LATTICE, _FOLDED} and math.isfinite(curve.rate):
         # The variance n^−4 (log n)^(2d − 2) of smooth functions, with two thirds of the logarithms.
-        # A few points in many dims may seem to fall faster: they are not trusted beyond this rate
+        # A few points in many dims may appear to fall faster; they are not trusted beyond this rate
         third = (dims - 1) / (3.0 * math.log(max(curve.counts[-1], 2.0)))
         limit = min(-4.0 + 4.0 * third, -1.0)
         curve = replace(curve, rate=max(curve.rate, limit))
@@ -770,28 +775,28 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     third = 0.0 if strata else (dims - 1) / (3.0 * math.log(curve.counts[-1]))
     rate = -1.0 - _EXPONENTS[first] / (dims if strata else 1) + 2.0 * third
     if first == "axis-parallel-jump":
-        # The variance is a saw about a line, whose level the last teeth give
+        # The variance is a sawtooth about a line, whose level the last teeth give
         error = math.hypot(curve.rate_se, _SETTINGS.teeth_error)
         teeth = np.log(curve.variance) - curve.rate * np.log(curve.counts / curve.counts[-1])
         level = float(np.mean(teeth[-_SETTINGS.teeth :]) - teeth[-1])
         curve = replace(curve, rate_se=error, level=level, scatter=_SETTINGS.teeth_scatter)
     known = curve.towards(rate, math.hypot(_SETTINGS.theory_error, third))
     if known is curve and first == "interior-jump" and curve.rate < rate:
-        # Few points do not resolve the jump, which bends the curve to its limit somewhere beyond
+        # Few points do not resolve the jump, which bends the curve to its limit beyond the counts
         return replace(curve, bend=0.5 * (rate - curve.rate))
     return known
 
 
 def _is_smooth(causes: Sequence[Cause]) -> bool:
-    """Whether g is smooth inside the cube as far as the causes show."""
+    """Return whether the causes show no discontinuity or kink of g inside the cube."""
     return _shape(causes) in {"none", "border-jump"}
 
 
 def _rival(evidence: Evidence, causes: Sequence[Cause]) -> str:
-    """The sampler that may gain more from g than nets do; empty without one.
+    """Return the sampler that may gain more from g than nets do; empty if there is no such sampler.
 
-    Lattices have the rates of Fourier series, if opposite faces of the cube meet or points are folded
-    [Hickernell2002]_. They also gain from kinks, cusps and waves. Pairs about the centers of strata
+    Lattices have the rates of Fourier series, if opposite faces of the cube meet or points are
+    folded [Hickernell2002]_. They also gain from kinks, cusps and waves. Pairs about the centers of strata
     have the rate −1 − 4/d of cubic stratification of second order for smooth g.
     """
     smooth = _is_smooth(causes)
@@ -818,7 +823,7 @@ def _measured(
     each, least = estimator.cost, _SETTINGS.least_sets
     sets = drawn = int(min(most_sets, sampler.most_realizations))
     if sets < least:
-        raise CountError(f"{sampler.spec} has {sets} sets; give {least} or more.")
+        raise CountError(f"{sampler.spec} has {sets} sets; give at least {least}.")
     setup, counts = Setup(estimator, sampler), list[int]()
     while sets > least and affordable_count(setup, evaluations // (2 * sets)) is None:
         sets -= 1
@@ -859,7 +864,7 @@ def _replicates(points: Sequence[Array], estimates: Array) -> Replicates:
 
 @final
 @dataclass(frozen=True)
-class _Found:
+class _FoundSampler:
     """A candidate with the count of points at the budget, and its variance there.
 
     `variance` has the error of its logarithm.
@@ -871,21 +876,21 @@ class _Found:
     rate: float
     rate_ci: tuple[float, float]
     steepens: bool = False  # the rate at larger counts may be steeper by any factor
-    sure: bool = False  # surely better where both were measured
+    sure: bool = False  # Significantly better where both were measured
 
 
 def _bound(curve: Curve, points: int) -> float:
-    """The variance at `points` points plus a standard error of its logarithm."""
+    """Return the variance at `points` points, one standard error of its logarithm larger."""
     value, error = curve.at(points)
     return value * math.exp(error)
 
 
 def _samplers(
     given: Setup, curves: Mapping[str, Curve], reference: str, points: int
-) -> list[_Found]:
-    """The samplers that may have less variance than the reference, the best first.
+) -> list[_FoundSampler]:
+    """Return the samplers that may have less variance than the reference, the best first.
 
-    A rival whose rate at larger counts may be steeper by any factor is always one of them.
+    A rival is always among them if its rate at larger counts may be steeper by any factor.
     """
     each = given.cost
     bounds = {name: _bound(curve, points) for name, curve in curves.items()}
@@ -902,9 +907,9 @@ def _samplers(
         candidate = Candidate("sampler", name, change, replace(given, sampler=source))
         curve = curves[name]
         variance, beyond = curve.at(count), count > curve.counts[-1:].sum()
-        # The rates of smooth functions are those of larger sets, and of analytic ones no power of n
+        # Smooth functions have their rates at larger sets; analytic functions have no power of n
         steepens = name in rivals and bool(beyond)
-        found.append(_Found(candidate, count, variance, curve.rate, curve.rate_ci, steepens))
+        found.append(_FoundSampler(candidate, count, variance, curve.rate, curve.rate_ci, steepens))
     return found
 
 
@@ -912,28 +917,28 @@ def _results(
     given: Setup,
     curve: Curve,
     points: int,
-    found: Sequence[_Found],
+    found: Sequence[_FoundSampler],
     comparisons: int,
     *,
     infinite: bool,
     known: bool,
 ) -> list[CandidateResult]:
-    """The given set-up, then candidates, whose intervals of gains hold together at 95 %.
+    """Return the given set-up, then candidates, with simultaneous 95 % intervals of gains.
 
-    The size of a gain is left out (NaN) if variances are not known; only its sign was measured.
+    The size of a gain is NaN if variances are not known; only its sign was measured.
     """
     count = affordable_count(given, points * given.cost) or points
     at_budget, z = curve.at(count), simultaneous_z(comparisons)
     cost, slope = given.cost, curve.rate if math.isfinite(curve.rate) else -1.0
 
     def needed(gain: float) -> float:
-        """Evaluations with which the given set-up has the variance after the change."""
+        """Return evaluations with which the given set-up has the variance after the change."""
         if not (slope < 0.0 and math.isfinite(gain)):
             return math.inf
         return float(cost * points * gain ** (-1.0 / slope))
 
     def with_ends(variance: tuple[float, float]) -> tuple[float, tuple[float, float]]:
-        """The RMSE and its 95 % interval."""
+        """Return the RMSE and its 95 % interval."""
         rmse, away = math.sqrt(variance[0]), math.exp(0.5 * CONFIDENCE_Z * variance[1])
         return rmse, (rmse / away, rmse * away)
 
@@ -997,7 +1002,7 @@ def _results(
 def _offers(
     evidence: Evidence, causes: Sequence[Cause], budget: int, stream: Stream
 ) -> list[Candidate]:
-    """Changes of the estimator that answer its causes, fitted to the evaluations at nets."""
+    """Return changes of the estimator that answer its causes, fitted to evaluations at nets."""
     estimator = evidence.estimator
     kinds: list[Any] = list(
         dict.fromkeys(k for cause in causes for k in cause.kinds if k in CHANGES)
@@ -1036,15 +1041,15 @@ def _improved(
     budget: int,
     left: int,
     stream: Stream,
-) -> tuple[list[_Found], list[str], int]:
+) -> tuple[list[_FoundSampler], list[str], int]:
     """Measure changes of the estimator; also return tried names and calls.
 
-    A change is measured with nets of as many points as the rest of the budget allows. The first one
-    that is surely better ends the search: it is better than `base`, the curve of the best sampler, at the
-    same evaluations; its own curve gives the variance at the budget.
+    A change is measured with nets of as many points as the rest of the budget allows. The first
+    significantly better change ends the search. It is compared with `base`, the curve of the best
+    sampler, at equal evaluations; its own curve gives the variance at the budget.
     """
     estimator, jumps = evidence.estimator, _shape(causes) in _JUMPS
-    found, tried, calls, least = list[_Found](), list[str](), 0, _SETTINGS.least_checked
+    found, tried, calls, least = list[_FoundSampler](), list[str](), 0, _SETTINGS.least_checked
     for offer in offers:
         each, wanted = offer.setup.cost, CAUSE_SETTINGS.nets
         if jumps and not tried:  # half the nets if all of them would leave too few evaluations
@@ -1064,14 +1069,14 @@ def _improved(
         if not np.ptp(made.estimates) > 0.0 and off > _SETTINGS.off_sigmas * float(seen_sets.std()):
             continue
         curve = made.curves()[NETS].towards(base.rate, _SETTINGS.alike_error)
-        # What is left without a jump may be smooth, with a rate that a few points do not show
+        # Without its jump g may be smooth, with a steep rate that a few points do not show
         smooths = jumps and offer.kind == "preintegrated" and n < at_budget
         if n < _SETTINGS.few_points:
             smooths |= curve.rate < _SETTINGS.steepest_rate
             curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
-        # Extrapolate by the geometric mean of its rate and its gain, half their difference as the
-        # error
+        # Extrapolate by the geometric mean of its rate and its gain, with half their difference as
+        # the error
         points_at_budget = budget // estimator.evaluations_per_point
         (value, error), at_best = curve.at(at_budget), base.at(points_at_budget)[0]
         kept = ours / other * at_best if other > 0.0 else 0.0
@@ -1082,7 +1087,7 @@ def _improved(
         own = replace(offer, change=f"{offer.change}, and sample with {NETS}")
         measured = (after, error)
         found.append(
-            _Found(own, at_budget, measured, curve.rate, curve.rate_ci, smooths, sure=better)
+            _FoundSampler(own, at_budget, measured, curve.rate, curve.rate_ci, smooths, sure=better)
         )
         if better:
             break

@@ -36,7 +36,7 @@ from mcspectra.core.streams import Stream
 from mcspectra.estimators import Estimator
 from mcspectra.explain.diagnosis import Diagnosis
 from mcspectra.improve.answers import Candidate, simultaneous_z
-from mcspectra.improve.assess import Errors, Measured, compare, estimates_of
+from mcspectra.improve.assess import Errors, MeasuredCandidate, compare, estimates_of
 from mcspectra.improve.remedy import ranked
 from mcspectra.integrands import Integrand
 from mcspectra.measure.anova import Anova, anova_variances
@@ -344,7 +344,7 @@ def path_remedies(
         pilot; ``error_ratio`` includes it.
     """
     ns, budget = list(counts)[-_COUNTS:], int(counts[-1])
-    tried: list[Measured] = []
+    tried: list[MeasuredCandidate] = []
     not_tried: list[str] = []
 
     def attempt(
@@ -376,7 +376,7 @@ def path_remedies(
         errors = Errors.of(np.multiply(cost, ns).tolist(), estimates, mean)
         setup = Setup(Estimator(g), points)
         candidate = Candidate(kind, name, change, setup, pilot=pilot, effort=cost, note=note)
-        tried.append(Measured.of(candidate, errors))
+        tried.append(MeasuredCandidate.of(candidate, errors))
 
     attempt("given", "as given", "change nothing")
 

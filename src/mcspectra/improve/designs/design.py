@@ -175,14 +175,14 @@ def design(
     Raises
     ------
     CountError
-        The kind has no sets of n points.
+        If the kind has no sets of n points.
     ParameterError
-        The kind is unknown; an option of densities is given with a sampler or the reverse; the
-        objective is empty, constant or cannot be read; dims are out of range.
+        If the kind is unknown; an option of densities is given with a sampler or the reverse; the
+        objective is empty, constant or cannot be read; or dims are out of range.
     DomainError
-        Values of an integrand are not finite.
+        If values of an integrand are not finite.
     FileFormatError
-        The sampler cannot be written.
+        If the sampler cannot be written.
 
     Notes
     -----
@@ -268,8 +268,8 @@ def design(
         return made if chosen is None else _saved(made, chosen)
     except OSError as error:
         raise FileFormatError(
-            f"The sampler cannot be written to {error.filename}: {error.strerror}; give a folder that "
-            "exists and can be written, as path= or MCSPECTRA_CACHE."
+            f"The sampler cannot be written to {error.filename}: {error.strerror}; give a folder "
+            "that exists and can be written, as path= or MCSPECTRA_CACHE."
         ) from None
 
 
@@ -329,7 +329,7 @@ def certificate(
     Raises
     ------
     ParameterError
-        There is no rival, all variances of the best rival vanish, or an argument of `design` is
+        If there is no rival, all variances of the best rival vanish, or an argument of `design` is
         wrong.
     """
     groups = _SETTINGS.groups
@@ -433,6 +433,6 @@ def _better_rival(goal: Objective, made: Sampler, n: int, stream: Stream) -> tup
         return made, ""
     rival = rivals[best - 1]
     return rival, (
-        f"The best design has {ratio:.3g} times (95 %: {low:.3g} to {high:.3g}) the mean variance of "
-        f"{rival.spec}, which is returned instead; other kinds of designs may have less."
+        f"The best design has {ratio:.3g} times (95 %: {low:.3g} to {high:.3g}) the mean variance "
+        f"of {rival.spec}, which is returned instead; other kinds of designs may have less."
     )

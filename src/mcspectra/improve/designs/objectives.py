@@ -99,9 +99,10 @@ def as_objective(given: object, dims: int | None = None) -> Objective:
     Raises
     ------
     ParameterError
-        The objective cannot be read, is empty, has constant members only, or dims are not 1 to 8.
+        If the objective cannot be read, is empty or has constant members only, or dims are not 1 to
+        8.
     DomainError
-        Values are not finite.
+        If values are not finite.
     """
     if dims is not None:
         dims = as_integer("dims", dims, least=1, most=_SETTINGS.most_dims)
@@ -156,8 +157,9 @@ def _read(given: Any, dims: int | None) -> Objective:
                 raise
             except (AttributeError, TypeError, ValueError) as error:  # perhaps a function of points
                 raise ParameterError(
-                    f"{name} raised {type(error).__name__} of a generator: {error}; give a function of "
-                    "a generator that makes an integrand, or for one function Integrand.from_function."
+                    f"{name} raised {type(error).__name__} of a generator: {error}; give a "
+                    "function of a generator that makes an integrand, or for one function "
+                    "Integrand.from_function."
                 ) from error
             return as_integrand(found, dims)
 
@@ -255,8 +257,8 @@ def _of_waves(given: Mapping[str, Any], dims: int | None) -> Objective:
     kinds = [kind for kind in ("spectrum", "covariance") if kind in given]
     if len(kinds) != 1 or set(given) - {*kinds, "half_width"}:
         raise ParameterError(
-            f"The objective has the keys {', '.join(map(repr, given)) or 'none'}; give 'spectrum' or "
-            "'covariance', and 'half_width' where it is a function."
+            f"The objective has the keys {', '.join(map(repr, given)) or 'none'}; give 'spectrum' "
+            "or 'covariance', and 'half_width' where it is a function."
         )
     (kind,) = kinds
     source = given[kind]
@@ -322,6 +324,6 @@ def _of_waves(given: Mapping[str, Any], dims: int | None) -> Objective:
 def _check_numbers(kind: str, values: Array, shape: tuple[int, ...]) -> None:
     if values.shape != shape or values.dtype.kind not in "fiuc" or not np.isfinite(values).all():
         raise ParameterError(
-            f"The {kind} gives {values.dtype} of shape {values.shape}, or values that are not finite; "
-            f"give finite numbers of shape {shape}."
+            f"The {kind} gives {values.dtype} of shape {values.shape}, or values that are not "
+            f"finite; give finite numbers of shape {shape}."
         )

@@ -294,8 +294,8 @@ def _power_of_two(n: int, kind: str, most: int) -> int:
     if n != 1 << m or not 2 <= n <= most:
         above = min(max(2, 1 << m + 1), most)
         raise CountError(
-            f"A design of kind {kind!r} cannot have {n} points; give a power of two from 2 to {most}, "
-            f"e.g. {above}.",
+            f"A design of kind {kind!r} cannot have {n} points; give a power of two from 2 to "
+            f"{most}, e.g. {above}.",
             (above,),
         )
     return m
