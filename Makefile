@@ -22,7 +22,7 @@ help:
 	@echo "make test-python  install the wheel for each of Python $(PYTHONS), then run the tour and some tests"
 	@echo "make test-lowest  run the tests with the lowest versions that pyproject.toml allows"
 	@echo "make weekly the last three: for CI, once a week"
-	@echo "make check  lint, types, import contract"
+	@echo "make check  lint, types, import contract, prose"
 	@echo "make bench  benchmarks: ratios against a reference in the same run"
 	@echo "make docs   check the documentation's examples, then build it: build/docs/index.html"
 	@echo "make clean  remove everything that was built, the environment too"
@@ -123,6 +123,7 @@ check: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m tests.prose
 
 bench: setup
 	@$(PIP_INSTALL) -e '.[bench]'
