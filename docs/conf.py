@@ -26,6 +26,7 @@ extensions = [
     "bibliography",
     "docstrings",
     "mathml",
+    "terms",
     "verbs",
 ]
 exclude_patterns = ["_extensions", "_build", "**/.ipynb_checkpoints"]

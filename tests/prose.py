@@ -52,7 +52,8 @@ PATTERNS = {
     "is none": re.compile(r"\b(?:is|are|has|have|of) none\b(?! of)|\bnone is\b"),
     # "those of the others", "of those that"
     "pointers": re.compile(
-        rf"\b(?:those|that|these) of (?:the )?(?:{_POINTER})\b|\bof (?:those|these) (?:that|which)\b"
+        rf"\b(?:those|that|these) of (?:the )?(?:{_POINTER})\b"
+        r"|\bof (?:those|these) (?:that|which)\b"
     ),
     # "Predicted is the variance", "Of this the second is left"
     "inverted": re.compile(
@@ -71,7 +72,8 @@ PATTERNS = {
     ),
     # "nets that see what g does", "nothing is known of it"
     "talking code": re.compile(
-        r"\b(?:knows?|tells?|sees?|says?|asks? for) (?:of|what|how|which|nothing|it|them|about|no)\b"
+        r"\b(?:knows?|tells?|sees?|says?|asks? for) "
+        r"(?:of|what|how|which|nothing|it|them|about|no)\b"
     ),
 }
 
@@ -145,9 +147,9 @@ def _of_python(text: str) -> Iterator[tuple[int, str]]:
         yield begin, " ".join(parts)
     for node in ast.walk(ast.parse(text)):
         value = getattr(node, "value", None)
-        if isinstance(node, ast.Expr) and isinstance(value, ast.Constant):
-            if isinstance(value.value, str):
-                yield from _of_docstring(value.lineno, value.value)
+        value = value.value if isinstance(value, ast.Constant) else None
+        if isinstance(node, ast.Expr) and isinstance(value, str):
+            yield from _of_docstring(node.lineno, value)
 
 
 def _of_docstring(line: int, text: str) -> Iterator[tuple[int, str]]:

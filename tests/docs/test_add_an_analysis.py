@@ -1,4 +1,4 @@
-"""The page on adding an analysis: its one file is found in Python, study files, verbs and reports."""
+"""The page on adding an analysis: its file works in Python, studies, verbs and reports."""
 
 import importlib
 import json

@@ -1,4 +1,4 @@
-"""The pages on findings: linked, illustrated, quoting what was printed, and the statements themselves."""
+"""The pages on findings: links, pictures, quoted numbers, and the statements themselves."""
 
 import re
 from functools import cache

@@ -78,7 +78,7 @@ def test_without_leave_nothing_runs(folder):
 
 
 def test_the_program_is_the_function_of_the_page(folder):
-    """Both make bricks: a row's points lie one in each of its cells, every second row half a cell on."""
+    """Both make bricks: one point in each cell of a row, every second row moved by half a cell."""
     source = mcs.Sampler.from_command(f"{folder / 'mine'} {{n}} {{seed}}", dims=2)
     x = source.draw(64, realizations=20, rng=1)
     cells = np.floor(((8 * x[..., 0] - 0.5 * np.floor(8 * x[..., 1])) % 8.0) + 1e-9)

@@ -1,4 +1,4 @@
-"""The page of samplers in the documentation names each, with its present summary, dims and counts."""
+"""The page of samplers shows every sampler with its current summary, dims and counts."""
 
 import json
 import re
