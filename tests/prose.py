@@ -49,7 +49,7 @@ PATTERNS = {
     # "from which on it matters", "from 64 on"
     "from … on": re.compile(r"\bfrom (?:which|where|there|[\d^.]+(?: \w+)?) on\b|\bup to where\b"),
     # "the correction is none"
-    "is none": re.compile(r"\b(?:is|are|has|have|of) none\b(?! of)|\bnone is\b"),
+    "is none": re.compile(r"\b(?:is|are|has|have|of) none\b(?! of)"),
     # "those of the others", "of those that"
     "pointers": re.compile(
         rf"\b(?:those|that|these) of (?:the )?(?:{_POINTER})\b"
