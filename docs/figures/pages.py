@@ -197,9 +197,8 @@ def _boxes(axes: Axes, boxes: dict[str, tuple[float, float, float, float]], colo
 
 
 def _arrow(
-    axes: Axes, start: tuple[float, float], end: tuple[float, float], both: bool = False
+    axes: Axes, start: tuple[float, float], end: tuple[float, float], style: str = "->"
 ) -> None:
-    style = "<->" if both else "->"
     axes.annotate("", end, start, arrowprops={"arrowstyle": style, "color": "0.3"})
 
 
@@ -251,8 +250,8 @@ def reproduce() -> Figure:
         command = [sys.executable, "-m", "mcspectra", "reproduce", "--quick", "--out", folder]
         subprocess.run([*command, *names], check=True)
         pictures = [plt.imread(next(Path(folder, "figures").glob(f"{n}*.png"))) for n in names]
-    heights = [len(each) / each.shape[1] for each in pictures]
-    figure, axes = plt.subplots(3, 1, figsize=(10, 10 * sum(heights)), height_ratios=heights)
+    widths = [each.shape[1] / len(each) for each in pictures]
+    figure, axes = plt.subplots(1, 3, figsize=(14, 14 / sum(widths)), width_ratios=widths)
     for place, picture in zip(axes, pictures, strict=True):
         place.imshow(picture)
         place.axis("off")

@@ -1,6 +1,6 @@
 """Make the page of samplers: an overview by family with thumbnails, then a card for each sampler.
 
-Run it from the root of the repository. ``python docs/samplers/make.py`` measures all samplers, which
+Run it from the root of the repository. ``python docs/samplers/make.py`` measures all samplers and
 takes minutes. ``python docs/samplers/make.py --overview`` only makes the overview from the pictures
 of the existing cards.
 """
@@ -17,57 +17,87 @@ from mcspectra.report.sampler_cards import QUICK, write_cards
 FOLDER = Path(__file__).parent
 END = "<!-- end of the overview -->\n\n"
 
-# Title, description, and members separated by semicolons; a test checks that each sampler is listed
-FAMILIES = (
-    (
-        "Random and stratified",
-        "Independent points, or points in the cells of a grid. With one random point in each square"
-        " cell, the variance of smooth integrands in d dims falls as n^(−1−2/d).",
-        "random; jittered; multi-jittered; correlated-multi-jittered; antithetic-jittered;"
-        " uniform-jitter; box-jitter; gaussian-jitter; regular; hexagonal",
-    ),
-    (
-        "Latin hypercubes and orthogonal arrays",
-        "Stratified along each axis or each pair of axes, in any number of dims.",
-        "latin-hypercube; latin-hypercube(strength=2); n-rooks; orthogonal-array",
-    ),
-    (
-        "Digital nets and sequences",
-        "Balanced in elementary intervals. With Owen scrambling the variance of smooth integrands"
-        " falls as about n^−3.",
-        "sobol; sobol | owen; sobol | owen(method='hash'); sobol | lms; niederreiter; faure;"
-        " larcher-pillichshammer; halton; halton | owen; halton | permute; hammersley;"
-        " van-der-corput",
-    ),
-    (
-        "Progressive sets",
-        "Every prefix of the set is well stratified.",
-        "pmj; pmj02; pmj02-blue-noise",
-    ),
-    (
-        "Lattices",
-        "A regular pattern on the torus, for periodic or folded integrands.",
-        "rank1-lattice; rank1-lattice | shift | mirror(mode='fold'); korobov; fibonacci; kronecker",
-    ),
-    (
-        "Poisson disks and candidates",
-        "Random points that keep a distance from each other.",
-        "dart-throwing; poisson-disk; poisson-disk(boundary='bounded'); best-candidate",
-    ),
-    (
-        "Optimized blue noise",
-        "Points that are moved until they are evenly spread.",
-        "lloyd; farthest-point; bnot; gaussian-blue-noise; projective-blue-noise;"
-        " sliced-optimal-transport; ldbn; void-and-cluster",
-    ),
-    (
-        "Prescribed spectra and hyperuniform sets",
-        "Points with a given power spectrum or pair correlation, or with little power at low"
-        " frequencies.",
-        "step-blue-noise; target-spectrum; target-pcf; stealthy-hyperuniform; perturbed-lattice;"
-        " determinantal",
-    ),
-)
+# Title, description and members of each family; a test checks that each sampler is listed once
+FAMILIES = """\
+Random and stratified
+  Independent points, or points in the cells of a grid. With one random point in each square
+  cell, the variance of smooth integrands in d dims falls as n^(−1−2/d).
+  * random
+  * jittered
+  * multi-jittered
+  * correlated-multi-jittered
+  * antithetic-jittered
+  * uniform-jitter
+  * box-jitter
+  * gaussian-jitter
+  * regular
+  * hexagonal
+
+Latin hypercubes and orthogonal arrays
+  Stratified along each axis or each pair of axes, in any number of dims.
+  * latin-hypercube
+  * latin-hypercube(strength=2)
+  * n-rooks
+  * orthogonal-array
+
+Digital nets and sequences
+  Balanced in elementary intervals. With Owen scrambling the variance of smooth integrands falls
+  as about n^−3.
+  * sobol
+  * sobol | owen
+  * sobol | owen(method='hash')
+  * sobol | lms
+  * niederreiter
+  * faure
+  * larcher-pillichshammer
+  * halton
+  * halton | owen
+  * halton | permute
+  * hammersley
+  * van-der-corput
+
+Progressive sets
+  Every prefix of the set is well stratified.
+  * pmj
+  * pmj02
+  * pmj02-blue-noise
+
+Lattices
+  A regular pattern on the torus, for periodic or folded integrands.
+  * rank1-lattice
+  * rank1-lattice | shift | mirror(mode='fold')
+  * korobov
+  * fibonacci
+  * kronecker
+
+Poisson disks and candidates
+  Random points that keep a distance from each other.
+  * dart-throwing
+  * poisson-disk
+  * poisson-disk(boundary='bounded')
+  * best-candidate
+
+Optimized blue noise
+  Points that are moved until they are evenly spread.
+  * lloyd
+  * farthest-point
+  * bnot
+  * gaussian-blue-noise
+  * projective-blue-noise
+  * sliced-optimal-transport
+  * ldbn
+  * void-and-cluster
+
+Prescribed spectra and hyperuniform sets
+  Points with a given power spectrum or pair correlation, or with little power at low
+  frequencies.
+  * step-blue-noise
+  * target-spectrum
+  * target-pcf
+  * stealthy-hyperuniform
+  * perturbed-lattice
+  * determinantal
+"""
 
 
 def overview(page: str) -> str:
@@ -75,12 +105,14 @@ def overview(page: str) -> str:
     pictures = _pictures(page)
     lines = [
         "This page shows all samplers: first an overview by family, then one card for each sampler",
-        "with its points, spectrum, rates, quality and speed. A click on a thumbnail leads to its card.",
+        "with its points, spectrum, rates, quality and speed. Click a thumbnail to see its card.",
         "",
     ]
-    for title, text, members in FAMILIES:
+    for family in FAMILIES.strip().split("\n\n"):
+        title, *rest = family.splitlines()
+        text = " ".join(line.strip() for line in rest if not line.startswith("  * "))
         lines += [f"**{title}.** {text}", ""]
-        for name in members.split("; "):
+        for name in (line[4:] for line in rest if line.startswith("  * ")):
             thumbnail = f"thumbnails/{pictures[name]}"
             lines.append(f"[![Points and spectrum of {name}]({thumbnail})](#{anchor(name)})")
         lines.append("")
