@@ -63,7 +63,7 @@ PATTERNS = {
     # "as that of `render`"
     "as that of": re.compile(r"\b(?:[Aa]s|[Ll]ike|[Tt]han) (?:that|those|of) (?:of|`|X)"),
     # "by so many points"
-    "so many": re.compile(r"\bso (?:many|much|few|far|often)\b(?! (?:that|as|for)\b)"),
+    "so many": re.compile(r"\bso (?:many|much|few|often)\b(?! (?:as|for)\b)(?!.*\bthat\b)"),
     # words that have another meaning to most readers
     "false friend": re.compile(
         r"\b(?:beside|dear|dearer|mended|surely|anew|thereof|wherefrom|in place of|held against)\b"

@@ -31,7 +31,7 @@ def test_the_overview_shows_every_sampler_once():
 
 
 @pytest.mark.parametrize("name", [name for name in SECTIONS if re.fullmatch("[a-z0-9-]+", name)])
-def test_sections_say_what_samplers_say(name):
+def test_sections_match_the_facts_of_samplers(name):
     facts = sampler_facts(name)
     section = SECTIONS[name]
     assert facts.summary in section
