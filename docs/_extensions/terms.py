@@ -58,8 +58,8 @@ def _with_links(text: str, left: dict[str, str]) -> list[nodes.Node]:
     """Split a text at the terms that are left to link, and remove these from ``left``."""
     parts: list[nodes.Node] = []
     while left:
-        names = sorted(map(re.escape, left), key=len, reverse=True)
-        match = re.search(rf"(?<![\w-])({'|'.join(names)})s?(?![\w-])", text, re.IGNORECASE)
+        names = sorted(map(_pattern, left.values()), key=len, reverse=True)
+        match = re.search(rf"(?<![\w-])({'|'.join(names)})s?(?![\w-])", text)
         if match is None:
             break
         link = addnodes.pending_xref(
@@ -74,6 +74,11 @@ def _with_links(text: str, left: dict[str, str]) -> list[nodes.Node]:
         parts += [nodes.Text(text[: match.start()]), link]
         text = text[match.end() :]
     return [*parts, nodes.Text(text)]
+
+
+def _pattern(term: str) -> str:
+    """Return the pattern of a term in any case; abbreviations match in capitals only."""
+    return re.escape(term) if term.isupper() else f"(?i:{re.escape(term)})"
 
 
 def _link(app: Sphinx, document: nodes.document) -> None:
