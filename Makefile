@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.ready
 BROWSER := $(VENV)/.browser
 
-# uv where it is installed, else pip.
+# Use uv if it is installed, else pip.
 UV := $(shell command -v uv 2>/dev/null)
 PIP_INSTALL := $(if $(UV),$(UV) pip install --compile-bytecode --python $(BIN)/python,$(BIN)/python -m pip install) --quiet
 
@@ -22,14 +22,14 @@ help:
 	@echo "make test-python  install the wheel for each of Python $(PYTHONS), then run the tour and some tests"
 	@echo "make test-lowest  run the tests with the lowest versions that pyproject.toml allows"
 	@echo "make weekly the last three: for CI, once a week"
-	@echo "make check  lint, types, import contract"
+	@echo "make check  lint, types, import contract, prose"
 	@echo "make bench  benchmarks: ratios against a reference in the same run"
 	@echo "make docs   check the documentation's examples, then build it: build/docs/index.html"
 	@echo "make clean  remove everything that was built, the environment too"
 
 setup: $(STAMP)
 
-# Bytecode is compiled so that the first start is fast too. QMCPy is built from its source.
+# Compile the bytecode, so that the first start is fast as well. QMCPy is built from its source.
 $(STAMP): pyproject.toml
 ifdef UV
 	@$(UV) venv --quiet --allow-existing --python $(PYTHON) $(VENV)
@@ -40,11 +40,11 @@ else
 endif
 	@$(PIP_INSTALL) -e '.[all,docs,dev]'
 	@$(PIP_INSTALL) -e '.[qmcpy]' >$(VENV)/qmcpy.log 2>&1 || \
-		echo "QMCPy cannot be built, for want of a C compiler or Python's headers; its tests will be skipped."
+		echo "QMCPy cannot be built without a C compiler and Python's headers; its tests will be skipped."
 	@$(BIN)/python -m compileall -q src
 	@touch $@
 
-# Debian packs ensurepip, without which venv cannot bring pip, apart from python3.
+# Debian ships ensurepip, which venv needs to install pip, in a separate package.
 define GET_ENSUREPIP
 if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null 2>&1; then \
 	echo "$(PYTHON) lacks ensurepip; installing the package $(notdir $(PYTHON))-venv."; \
@@ -55,7 +55,7 @@ else \
 fi
 endef
 
-# The tests of pages want a browser; they are skipped where there is none and none can be had.
+# The tests of pages need a browser. They are skipped if no browser can be found or installed.
 $(BROWSER): $(STAMP)
 	@if $(BIN)/python -m tests.browser; then touch $@; fi
 
@@ -70,7 +70,7 @@ test-room: setup
 	@test -n "$(ROOM)" -a -d "tests/$(ROOM)" || { echo "ROOM is '$(ROOM)'; give a folder of tests, such as make test-room ROOM=samplers." >&2; false; }
 	$(BIN)/python -m pytest -n auto tests/$(ROOM) $(PYTEST_ARGS)
 
-# Minutes: hundreds of kills, and what is marked slow anyway.
+# Tests that take minutes: hundreds of kills, and the tests that are marked slow.
 test-slow: $(BROWSER)
 	$(BIN)/python -m pytest -n auto -m "slow or endurance" $(PYTEST_ARGS)
 
@@ -79,7 +79,7 @@ wheel: setup
 	@rm -rf build/dist
 	@$(BIN)/python -m hatchling build -t wheel -d build/dist 2>/dev/null
 
-# The wheel with its required packages alone, in a new environment, away from the sources
+# Test the wheel with only its required packages, in a new environment, away from the sources.
 test-bare: wheel
 	@rm -rf build/bare
 ifdef UV
@@ -91,7 +91,7 @@ else
 endif
 	cd build/bare && bin/python ../../tests/bare.py
 
-# The wheel without extras in a new environment of each Python: the tour from anywhere, then some tests.
+# Install the wheel without extras for each Python, run the tour from another folder, then some tests.
 test-python: $(PYTHONS:%=test-python-%)
 
 test-python-%: wheel
@@ -105,7 +105,7 @@ test-python-%: wheel
 
 QUICK := tests/test_start.py tests/core tests/estimators tests/integrands tests/quality
 
-# The lowest versions that pyproject.toml allows, on the oldest Python; their own deprecations are not ours.
+# Test the lowest versions that pyproject.toml allows, on the oldest Python; ignore their deprecations.
 test-lowest: setup
 	@$(PIP_INSTALL) uv
 	@rm -rf build/lowest
@@ -115,7 +115,7 @@ test-lowest: setup
 	NUMBA_CACHE_DIR=$(CURDIR)/build/lowest/numba build/lowest/bin/python -m pytest -n auto \
 		-m "not browser and not endurance" -W default::DeprecationWarning
 
-# MCSPECTRA_REQUIRE_ALL=1 turns what would skip into failures.
+# MCSPECTRA_REQUIRE_ALL=1 turns skipped tests into failures.
 weekly: test-slow test-python test-lowest
 
 check: setup
@@ -123,6 +123,7 @@ check: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m tests.prose
 
 bench: setup
 	@$(PIP_INSTALL) -e '.[bench]'

@@ -1,5 +1,8 @@
-"""Sphinx configuration: every page is one file of text, notebooks are run at each build, nothing is
-loaded from outside (mathematics is MathML, fonts are the system's or beside the pages)."""
+"""Sphinx configuration.
+
+Every page is one text file. Notebooks run at each build. The pages load nothing from other sites:
+mathematics is MathML, and its font lies next to the pages.
+"""
 
 import os
 import sys
@@ -13,7 +16,7 @@ from mcspectra.version import __version__
 
 project = "mcspectra"
 author = "The mcspectra authors"
-copyright = author  # Sphinx reads this name
+copyright = author  # Sphinx requires this name
 release = version = __version__
 
 extensions = [
@@ -23,6 +26,7 @@ extensions = [
     "bibliography",
     "docstrings",
     "mathml",
+    "terms",
     "verbs",
 ]
 exclude_patterns = ["_extensions", "_build", "**/.ipynb_checkpoints"]
@@ -37,11 +41,11 @@ nb_execution_in_temp = True
 nb_execution_timeout = 120
 nb_execution_raise_on_error = True
 nb_execution_show_tb = True
-nb_ipywidgets_js = {}  # the default comes from a content network
+nb_ipywidgets_js = {}  # the default loads a script from a content network
 nb_merge_streams = True
-nb_output_stderr = "remove"  # bars of progress
+nb_output_stderr = "remove"  # progress bars
 
-autodoc_typehints = "none"  # the signature has them; descriptions are the docstrings'
+autodoc_typehints = "none"  # signatures show the types already
 autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 napoleon_google_docstring = False
@@ -64,7 +68,7 @@ html_css_files = ["mcspectra.css"]
 
 
 def setup(_app: Sphinx) -> None:
-    """Cells of notebooks inherit it: the commands of this environment, their output as plain text."""
+    """Set the environment of notebook cells: commands of this environment, plain-text output."""
     commands = str(Path(sys.executable).parent)
     os.environ["PATH"] = os.pathsep.join([commands, os.environ.get("PATH", "")])
     os.environ.update(COLUMNS="90", NO_COLOR="1", TERM="dumb")

@@ -1,4 +1,4 @@
-"""The directive ``bibliography``, a page of all works, and the role ``cite``.
+"""The directive ``bibliography`` for a page of all works, and the role ``cite``.
 
 Docstrings cite a work as [Key]_, Markdown pages as {cite}`Key`.
 """
@@ -33,7 +33,7 @@ def _citation(key: str, fields: dict[str, str]) -> nodes.citation:
 
 class _Bibliography(Directive):
     def run(self) -> list[nodes.Node]:
-        """Return a citation for each work, by key."""
+        """Return a citation for each work, sorted by key."""
         self.state.document.settings.env.note_dependency(str(FILE))
         return [self._registered(key, fields) for key, fields in sorted(works().items())]
 
@@ -49,12 +49,12 @@ class _Bibliography(Directive):
 def _cite(
     _name: str, _rawtext: str, key: str, *_: Any
 ) -> tuple[list[nodes.Node], list[nodes.system_message]]:
-    """What [Key]_ makes in reStructuredText."""
+    """Return the citation that [Key]_ makes in reStructuredText."""
     return [nodes.citation_reference(f"[{key}]_", key, refname=key)], []
 
 
 def _note_used(_app: Sphinx, environment: Any) -> None:
-    """Works that nothing cites are listed all the same: no warning about them."""
+    """Mark every work as cited, so that Sphinx does not warn about works that no page cites."""
     domain = environment.get_domain("citation")
     for key in domain.citations:
         domain.citation_refs.setdefault(key, set()).add("references")

@@ -1,4 +1,4 @@
-"""What docstrings mean as text and reStructuredText would read as markup is escaped."""
+"""Escape characters that are text in docstrings and markup in reStructuredText."""
 
 import re
 from typing import Any
@@ -7,7 +7,7 @@ from sphinx.application import Sphinx
 
 __all__ = ["escaped", "setup"]
 
-# Left as they are: ``literals``, `references`, *emphasis*, **strong** and [Key]_.
+# Markup that stays: ``literals``, `references`, *emphasis*, **strong** and [Key]_
 _MARKUP = re.compile(
     r"(``.+?``"
     r"|`[^`\s][^`]*?`_{0,2}"
@@ -21,7 +21,7 @@ _WORK = re.compile(r"^(\s*)\.\. (\[\w+\])(?= )")
 
 
 def escaped(line: str) -> str:
-    """One line of a docstring, with bars, stars and trailing underscores that are mathematics kept."""
+    """Escape bars, stars and trailing underscores that are mathematics in a docstring's line."""
     prefix = _PREFIX.match(line)
     start = prefix.end() if prefix else 0
     parts = _MARKUP.split(line[start:])
@@ -36,7 +36,7 @@ def _process(*event: Any) -> None:
 
 
 def _with_works_cited(lines: list[str]) -> list[str]:
-    """Works that a docstring describes itself become list items that cite the page of references."""
+    """Turn the works that a docstring lists into items that cite the page of references."""
     result, indent = [], None
     for line in lines:
         work = _WORK.match(line)
@@ -52,7 +52,7 @@ def _with_works_cited(lines: list[str]) -> list[str]:
 
 
 def _with_text_escaped(lines: list[str]) -> list[str]:
-    """Escape all lines but directives, examples and literal blocks."""
+    """Escape all lines except directives, examples and literal blocks."""
     result, literal = [], None  # literal: indentation of the line that ended in '::'
     for line in lines:
         indent = len(line) - len(line.lstrip())

@@ -1,6 +1,6 @@
-"""Mathematics as MathML, which browsers draw themselves, in a font that the pages bring along.
+"""Convert mathematics to MathML, which browsers draw in a font that lies next to the pages.
 
-Without a font that has mathematical tables, brackets and roots would not grow.
+Brackets and roots grow only if the font has mathematical tables.
 """
 
 import shutil
@@ -23,14 +23,15 @@ _NAMESPACE = "http://www.w3.org/1998/Math/MathML"
 
 
 def mathml(latex: str, display: str = "inline") -> str:
-    """Convert a formula; bars over it are borders, as wide as what is below in any font.
+    """Convert a formula to MathML.
 
-    Bars of absolute values are given no space, since it is not known which of them open.
+    An overline becomes a border, which is as wide as the formula below it in any font. Bars of
+    absolute values get no space around them, because an opening bar looks like a closing one.
 
     Raises
     ------
     ValueError
-        A command is not known: it would be shown as it is written.
+        If the converter has no MathML for a LaTeX command.
     """
     ET.register_namespace("", _NAMESPACE)
     root = ET.fromstring(convert(latex, display=display))

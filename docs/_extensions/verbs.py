@@ -1,4 +1,4 @@
-"""The directive ``verbs``: the help of every verb of the command line, from its own parser."""
+"""The directive ``verbs``: the help text of every verb of the command line."""
 
 import contextlib
 import io
@@ -15,7 +15,7 @@ __all__ = ["VERBS", "help_of", "setup"]
 
 
 def help_of(*arguments: str) -> str:
-    """What ``mcspectra …`` with --help prints, 90 columns wide and without colors."""
+    """Return the output of ``mcspectra … --help``, 90 columns wide and without colors."""
     printed = io.StringIO()
     plain = {"COLUMNS": "90", "NO_COLOR": "1", "TERM": "dumb"}
     with patch.dict(os.environ, plain), contextlib.redirect_stdout(printed):

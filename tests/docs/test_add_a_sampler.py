@@ -1,4 +1,4 @@
-"""The page on adding a sampler: its code is what it says, from the class to the command line."""
+"""The page on adding a sampler: its code runs, from the class to the command line."""
 
 import importlib
 import os
@@ -32,12 +32,12 @@ def test_the_sampler_takes_twenty_lines():
     assert len(lines) <= 20
 
 
-def test_it_keeps_the_contract(antithetic):
+def test_the_sampler_satisfies_the_contract(antithetic):
     for dims in (1, 2, 5):
         check_sampler(antithetic(dims=dims))
 
 
-def test_what_the_page_does_with_it(antithetic):
+def test_the_calls_on_the_page_run(antithetic):
     *calls, refused = CODE[1].strip().splitlines()
     for call in calls:
         eval(call, {"mcs": mcs, "Antithetic": antithetic})
@@ -48,10 +48,10 @@ def test_what_the_page_does_with_it(antithetic):
     x = antithetic().draw(16, rng=1)[0]
     np.testing.assert_allclose(x[:8] + x[8:], 1.0)
     curve = mcs.convergence(mcs.Estimator("linear(gradient=[1, 1])"), antithetic(), [4])
-    assert float(curve["variance"][0]) < 1e-30  # a plane: the pairs cancel
+    assert float(curve["variance"][0]) < 1e-30  # the pairs cancel for a plane
 
 
-def test_the_command_line_knows_it_by_its_entry_point(tmp_path):
+def test_the_command_line_finds_the_sampler_by_its_entry_point(tmp_path):
     (tmp_path / "antithetic.py").write_text(CODE[0], encoding="utf-8")
     info = tmp_path / "antithetic-1.dist-info"
     info.mkdir()
@@ -64,7 +64,7 @@ def test_the_command_line_knows_it_by_its_entry_point(tmp_path):
     assert '"sampler": "antithetic | shift"' in done.stdout
 
 
-def test_its_law_predicts_it():
+def test_the_law_predicts_the_variance():
     names = {}
     exec(CODE[0] + CODE[2], names)  # noqa: S102
     slabs = names["Slabs"]()

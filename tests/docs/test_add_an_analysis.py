@@ -1,4 +1,4 @@
-"""The page on adding an analysis: its one file is found in Python, study files, verbs and reports."""
+"""The page on adding an analysis: its file works in Python, studies, verbs and reports."""
 
 import importlib
 import json
@@ -31,7 +31,7 @@ dims = 2
 
 @pytest.fixture(scope="module")
 def package(tmp_path_factory):
-    """A folder with the page's file and its entry point, as an installed package would have it."""
+    """Return a folder with the page's file and its entry point, like an installed package."""
     text = PAGE.read_text(encoding="utf-8")
     code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
     folder = tmp_path_factory.mktemp("own")
@@ -54,7 +54,7 @@ def quantiles(package):
 
 @pytest.fixture
 def mcspectra(quantiles, capsys):
-    """Run the command beside the package; return its exit code, output and errors."""
+    """Return a function that runs a command and returns its exit code, output and errors."""
 
     def call(*arguments):
         return main(list(arguments)), *capsys.readouterr()
@@ -66,7 +66,7 @@ def test_the_page_is_short():
     assert len(PAGE.read_text(encoding="utf-8").splitlines()) <= 80
 
 
-def test_it_keeps_the_contract(quantiles):
+def test_the_analysis_satisfies_the_contract(quantiles):
     check_analysis(quantiles(n=16), "gaussian", "jittered")
 
 
@@ -79,7 +79,7 @@ def test_python_computes_it_with_the_same_bits_for_any_threads(quantiles):
     np.testing.assert_allclose(one["quantile"], np.quantile(estimates, one["level"]))
 
 
-def test_bad_options_are_one_sentence(quantiles):
+def test_bad_options_give_one_sentence(quantiles):
     subject = as_subject("gaussian", "jittered")
     with pytest.raises(mcs.McspectraError, match="n is 0; give a whole number of at least 1"):
         compute(quantiles(n=0), subject)
@@ -97,7 +97,7 @@ def test_an_undeclared_variable_is_a_broken_contract(quantiles):
         check_analysis(Undeclared(n=16), "gaussian", "jittered")
 
 
-def test_the_command_line_lists_runs_and_explains_it(mcspectra):
+def test_the_command_line_lists_runs_and_explains_the_analysis(mcspectra):
     about = {
         each["name"]: each["summary"]
         for each in json.loads(mcspectra("list", "analyses", "--json")[1])
@@ -115,7 +115,7 @@ def test_the_command_line_lists_runs_and_explains_it(mcspectra):
     assert (code, err.count("\n")) == (2, 1)
 
 
-def test_a_study_runs_it_and_the_report_shows_it(mcspectra, tmp_path, monkeypatch):
+def test_a_study_runs_the_analysis_and_its_report_shows_it(mcspectra, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("study.toml").write_text(STUDY)
     schema = json.loads(mcspectra("init", "--schema")[1])

@@ -1,4 +1,4 @@
-"""The pages on adding a density and an integrand: their code does what they say."""
+"""The pages on adding a density and an integrand: their code runs as described."""
 
 import importlib
 import re
@@ -22,7 +22,7 @@ PAGES = {
 
 @pytest.fixture(params=PAGES)
 def page(request, tmp_path_factory):
-    """Text, blocks of code, and the class that the page makes, imported from its own file."""
+    """Return the text, the blocks of code, and the page's class, imported from a file."""
     module, name, family = PAGES[request.param]
     text = (DOCS / f"{request.param}.md").read_text(encoding="utf-8")
     code = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
@@ -50,7 +50,7 @@ def test_functions_are_enough(page):
         (check_integrand if name == "f" else check_density)(made)
 
 
-def test_the_checks_say_what_the_page_says(page):
+def test_the_checks_pass_or_fail_as_on_the_page(page):
     *sound, broken = page.code[2].strip().splitlines()
     for line in sound:
         exec(line, page.names)  # noqa: S102
@@ -64,7 +64,7 @@ def test_uses_in_the_text_work(page):
     assert eval(use, page.names) is not None
 
 
-def test_the_command_line_lists_it_by_its_entry_point(page, capsys):
+def test_the_command_line_lists_the_class_by_its_entry_point(page, capsys):
     info = page.folder / "own-1.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: own\nVersion: 1\n")

@@ -24,7 +24,7 @@ SETTINGS = {
 
 
 def kinds_of_code():
-    """Kinds of remedies by cause, from the calls ``Cause(name, sentence, evidence, kinds)``."""
+    """Return the kinds of remedies by cause, from calls of ``Cause``."""
     found = {}
     tree = ast.parse(Path(causes.__file__).read_text(encoding="utf-8"))
     for node in ast.walk(tree):
@@ -51,13 +51,13 @@ def test_each_cause_has_a_section_with_all_parts():
 
 
 @pytest.mark.parametrize("name", get_args(Name))
-def test_thresholds_are_those_of_the_settings(name):
+def test_thresholds_match_the_settings(name):
     for kind, field, value in re.findall(r"`(\w+)\.(\w+) = ([\d.e-]+)`", SECTIONS[name]):
         assert field in {each.name for each in fields(SETTINGS[kind])}, field
         assert getattr(SETTINGS[kind], field) == float(value), field
 
 
-def test_remedies_are_those_of_the_detectors():
+def test_remedies_match_the_detectors():
     for name, kinds in kinds_of_code().items():
         remedy = re.search(r"^[*] Remedy: ([^*]*)", SECTIONS[name], re.MULTILINE)[1]
         named = set(re.findall(r"`([\w-]+)`", remedy))

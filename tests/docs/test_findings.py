@@ -1,4 +1,4 @@
-"""The pages on findings: linked, illustrated, quoting what was printed, and the statements themselves."""
+"""The pages on findings: links, pictures, quoted numbers, and the statements themselves."""
 
 import re
 from functools import cache
@@ -13,7 +13,7 @@ FOLDER = Path(__file__).parents[2] / "docs" / "findings"
 PAGES = sorted(page.name for page in FOLDER.glob("*.md") if page.name != "index.md")
 FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^)#]+)\)")
-# Decimals, signed and long numbers: what is measured. Small counts, dims and exponents are not.
+# Decimals, signed and long numbers are measured. Small counts, dims and exponents are not.
 NUMBER = re.compile(r"(?<![\w.])(?:-\d+(?:\.\d+)?|\d+\.\d+|\d{4,})(?:e[-+]\d+)?(?![\w.]*\d)")
 
 
@@ -22,13 +22,13 @@ def _text(name):
 
 
 def _unsupported(page, printed):
-    """Numbers in the prose of a page that neither its code nor the benchmark printed."""
+    """Return numbers in the prose of a page that neither its code nor the benchmark printed."""
     shown = set(NUMBER.findall("\n".join(FENCE.findall(page)) + printed))
     prose = LINK.sub("", FENCE.sub("", page))
     return [number for number in NUMBER.findall(prose) if number not in shown]
 
 
-def test_the_index_links_to_every_page_and_to_nothing_else():
+def test_the_index_links_to_all_pages_and_only_these():
     linked = {target for target in LINK.findall(_text("index.md")) if target.endswith(".md")}
     assert linked == set(PAGES)
     assert len(PAGES) == 8
@@ -92,7 +92,7 @@ def _rate(estimator, sampler, low, high):
 
 
 def _light_edge(heuristic):
-    """A smooth light on [0.3, 0.5], sampled itself and uniformly: only the latter jumps."""
+    """Return a smooth light on [0.3, 0.5] with two techniques; only the uniform one jumps."""
     light = mcs.density("piecewise-constant(values=[0, 0, 0, 1, 1, 0, 0, 0, 0, 0])", dims=1)
     f = mcs.Integrand.from_function(
         lambda x: np.where(light.pdf(x) > 0, 1 + x[..., 0], 0.0), dims=1, integral=0.28
@@ -102,8 +102,8 @@ def _light_edge(heuristic):
 
 @pytest.mark.parametrize("beta", [1, 2, 4])
 def test_the_power_heuristic_only_delays_the_slow_technique(beta):
-    """Exactly: jumps of (1 + x) p_u^(β-1)/(p_u^β + p_l^β) at both edges leave, with p_l = 5,
-    Σ ({an}(1 − {an})/n²) jump², up to what the smooth rest adds, O(n⁻³)."""
+    """The jumps (1 + x) p_u^(β-1)/(p_u^β + p_l^β), p_l = 5, at both edges give the variance
+    Σ ({an}(1 − {an})/n²) jump², plus O(n⁻³) from the smooth part."""
     heuristic, n = f"power(beta={beta})", 16384
     cuts = np.array([0.3, 0.5]) * n % 1
     jumps = np.array([1.3, 1.5]) / (1 + 5.0**beta)
@@ -115,15 +115,15 @@ def test_the_power_heuristic_only_delays_the_slow_technique(beta):
 
 
 def test_larger_powers_are_lower_and_slow_down_later():
-    """Where the rate passes −2.5: at once for balance, after hundreds of points for β = 4."""
+    """The rate exceeds −2.5 immediately for balance, and after hundreds of points for β = 4."""
     early = [_edge_rate(f"power(beta={b})", 4, 16) for b in (1, 4)]
     late = [_edge_rate(f"power(beta={b})", 1024, 4096) for b in (1, 4)]
     assert early[0] > -2.5 > early[1]
     assert min(late) > -2.5
 
 
-def test_a_mixture_by_a_coordinate_costs_the_rate_and_a_split_keeps_it():
-    """f = x², p = 2x with a tenth of uniform points, jittered; whole n · share: on a border."""
+def test_a_mixture_by_a_coordinate_slows_the_rate_and_a_split_keeps_it():
+    """f = x², p = 2x, a tenth of uniform points; an integer n · share is a border of strata."""
     f = mcs.integrand("polynomial(coefficients=[0, 0, 1])", dims=1)
     safe = mcs.density("defensive(density='linear(slope=2)', share=0.1)", dims=1)
     mixed, split = mcs.Estimator(f, safe), mcs.estimators.split_mixture(f, safe)

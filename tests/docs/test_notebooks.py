@@ -1,4 +1,4 @@
-"""The page on notebooks: every block runs, and IPython shows what it says."""
+"""The page on notebooks: every block runs, and IPython shows pictures."""
 
 import re
 from pathlib import Path

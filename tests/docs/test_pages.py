@@ -1,4 +1,4 @@
-"""The pages as a whole: links, citations, all names and verbs, code that is the README's."""
+"""All pages: links, citations, public names, verbs, and the code of the README."""
 
 import importlib
 import inspect
@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from docutils import nodes
+from sphinx import addnodes
 
 import mcspectra as mcs
 from mcspectra.cli.main import VERBS, main
@@ -31,7 +33,7 @@ def _extensions():
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(DOCS / "_extensions")
         yield
-        for name in ("bibliography", "docstrings", "mathml", "verbs"):
+        for name in ("bibliography", "docstrings", "mathml", "terms", "verbs"):
             sys.modules.pop(name, None)
 
 
@@ -40,13 +42,13 @@ def _text(page):
 
 
 def _anchors(page):
-    """Anchors of headings, as GitHub and MyST make them."""
+    """Return the anchors of headings, as GitHub and MyST make them."""
     titles = re.findall(r"^#+ (.+)$", _FENCE.sub("", _text(page)), re.MULTILINE)
     plain = (re.sub(r"[^\w\- ]", "", title.lower()) for title in titles)
     return {title.strip().replace(" ", "-") for title in plain}
 
 
-def test_modules_and_names_that_the_guide_of_the_source_tells_of_exist():
+def test_modules_and_names_in_contributing_exist():
     sources = {p.name: p for room in ("src", "tests") for p in (ROOT / room).rglob("*.py")}
     told = re.findall(
         r"`(?:[\w/]+/)?(\w+\.py)(?:: (\w+))?`", (ROOT / "CONTRIBUTING.md").read_text("utf-8")
@@ -73,13 +75,13 @@ def test_relative_links_resolve(page):
             )
 
 
-def test_an_anchor_that_is_missing_is_seen():
+def test_a_missing_anchor_is_detected():
     assert "the-three-terms" in _anchors("theory.md")
     assert "the-four-terms" not in _anchors("theory.md")
 
 
 @pytest.mark.parametrize("page", ["README.md", "CONTRIBUTING.md", "SECURITY.md", "CHANGELOG.md"])
-def test_links_of_the_pages_at_the_root_resolve(page):
+def test_links_of_pages_at_the_root_resolve(page):
     for target in _LINK.findall((ROOT / page).read_text(encoding="utf-8")):
         assert "://" in target or (ROOT / target.partition("#")[0]).exists(), target
 
@@ -89,7 +91,7 @@ def test_the_api_has_every_public_name_once():
     assert sorted(_DOCUMENTED.findall(_text("api/mcspectra.md"))) == sorted(names)
 
 
-def test_classes_and_functions_are_documented_as_what_they_are():
+def test_classes_and_functions_have_the_right_directive():
     for kind, name in re.findall(
         r"^\.\. auto(\w+):: (\w+)$", _text("api/mcspectra.md"), re.MULTILINE
     ):
@@ -117,14 +119,14 @@ def test_the_reference_has_the_help_of_every_verb():
 
 
 @pytest.mark.parametrize("verb", sorted(VERBS))
-def test_the_help_of_a_verb_can_be_had(verb):
+def test_every_verb_has_a_help_text(verb):
     text = importlib.import_module("verbs").help_of(verb)
     assert text.startswith(f"usage: mcspectra {verb}")
     assert all(option in text for option in ("--json", "--seed", "--quiet"))
     assert max(map(len, text.splitlines())) <= 200
 
 
-def test_help_that_fails_is_an_error():
+def test_a_failing_help_is_an_error():
     with pytest.raises(RuntimeError, match="ended with 2"):
         importlib.import_module("verbs").help_of("no-such-verb")
 
@@ -146,13 +148,13 @@ def test_every_formula_of_the_theory_can_be_drawn():
         assert mathml(display or inline).startswith("<math xmlns=")
 
 
-def test_a_command_that_has_no_mathml_is_an_error():
+def test_a_command_without_mathml_is_an_error():
     mathml = importlib.import_module("mathml").mathml
     with pytest.raises(ValueError, match="nosuch"):
         mathml(r"\nosuch{x}")
 
 
-def test_bars_are_as_wide_as_what_they_are_over():
+def test_bars_are_as_wide_as_the_formula_below():
     formula = importlib.import_module("mathml").mathml(r"\overline{S_m}")
     assert formula.count('<mrow class="overline"><mrow><msub>') == 1
     assert "mover" not in formula
@@ -170,11 +172,11 @@ def test_bars_are_as_wide_as_what_they_are_over():
         (":param half_width: |m| up to K", r":param half_width: \|m\| up to K"),
     ],
 )
-def test_mathematics_of_docstrings_is_no_markup(line, read):
+def test_mathematics_in_docstrings_is_escaped(line, read):
     assert importlib.import_module("docstrings").escaped(line) == read
 
 
-def test_there_is_a_notebook_for_the_start_and_for_each_user():
+def test_quick_start_and_how_to_pages_are_notebooks():
     pages = {"quick-start.md", *(f"how-to/{path.name}" for path in (DOCS / "how-to").glob("*.md"))}
     assert set(NOTEBOOKS) == pages
     assert len(pages) == 6
@@ -197,7 +199,7 @@ def test_the_code_of_the_readme_is_in_the_quick_start():
 
 
 def _outputs_of_the_readme():
-    """Commands of the README and what it says that they print."""
+    """Return the commands of the README with their printed output."""
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for block in re.findall(r"```console\n(.*?)```", readme, re.DOTALL):
         command, _, printed = block.partition("\n")
@@ -208,7 +210,7 @@ def _outputs_of_the_readme():
 @pytest.mark.parametrize(
     ("arguments", "printed"), list(_outputs_of_the_readme()), ids=lambda a: a[0]
 )
-def test_commands_of_the_readme_print_what_it_says(arguments, printed, capsys, monkeypatch):
+def test_commands_of_the_readme_print_the_quoted_output(arguments, printed, capsys, monkeypatch):
     monkeypatch.chdir(ROOT)
     assert main(arguments) == 0
     assert capsys.readouterr().out.strip("\n") == printed
@@ -219,7 +221,7 @@ def test_the_readme_has_three_commands_with_outputs():
     assert verbs == ["profile", "frames", "bench"]
 
 
-def test_the_quick_start_says_what_its_first_terms_captured():
+def test_the_quick_start_quotes_the_captured_shares():
     page = _text("quick-start.md")
     words = re.sub(r"\s+", " ", page)
     (fourier,) = re.findall(r"still ([\d.]+) times the measured variance", words)
@@ -241,8 +243,49 @@ def test_the_quick_start_says_what_its_first_terms_captured():
 
 
 def test_the_variance_of_the_quick_start_is_predicted(capsys):
-    """In the Fourier basis the sum had not converged: 2.88 times the measured variance, unexplained."""
+    """The Fourier basis is not used here: its sum gives 2.88 times the measured variance."""
     (command,) = re.findall(r"^mcspectra (variance .*)$", _text("quick-start.md"), re.MULTILINE)
     assert main([*shlex.split(command), "--json"]) == 0
     captured = json.loads(capsys.readouterr().out)["captured"]
     assert 0.95 < float(np.squeeze(captured)) < 1.05
+
+
+@pytest.fixture
+def terms():
+    return importlib.import_module("terms")
+
+
+def test_the_glossary_has_its_terms_once(terms):
+    names = terms.glossary_terms(_text("conventions.md"))
+    assert len(names) == len(set(names)) > 40
+    assert {"primary space", "half width", "Owen scrambling", "effective sample size"} <= {*names}
+
+
+def test_the_first_mention_of_a_term_is_linked(terms):
+    page = nodes.section()
+    page += nodes.title("", "Lattices")
+    paragraph = nodes.paragraph("", "A power spectrum of lattices. Samples miss ")
+    paragraph += nodes.literal("", "torus")
+    paragraph += nodes.Text(" and another lattice in a sublattice")
+    page += paragraph
+    terms.link_terms(page, ["lattice", "power spectrum", "torus", "MIS"])
+    links = [(x["reftarget"], x.astext()) for x in page.findall(addnodes.pending_xref)]
+    assert links == [("power spectrum", "power spectrum"), ("lattice", "lattices")]
+    assert paragraph.astext().startswith("A power spectrum of lattices. Samples miss torus")
+
+
+# Pages of text only: lists of names, included files, and short guides
+_WITHOUT_FIGURES = {"commands.md", "references.md", "security.md", "changelog.md"}
+_WITHOUT_FIGURES |= {"contributing.md", "add-an-analysis.md"}
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if not p.startswith(("api/", "decisions/"))])
+def test_pages_have_a_figure(page):
+    figure = "![" in _text(page) or "plt.show()" in _text(page)
+    assert figure == (page not in _WITHOUT_FIGURES)
+
+
+@pytest.mark.parametrize("name", sorted(p.name for p in (DOCS / "figures").glob("*.png")))
+def test_every_figure_is_on_a_page(name):
+    pages = [_text(page) for page in PAGES] + [(ROOT / "README.md").read_text("utf-8")]
+    assert any(f"figures/{name})" in text for text in pages)

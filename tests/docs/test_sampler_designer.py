@@ -1,4 +1,4 @@
-"""The how-to page for sampler designers: its three commands, from a program to a PDF."""
+"""The how-to page for sampler designers: its three commands lead from a program to a PDF."""
 
 import os
 import re
@@ -19,7 +19,7 @@ TEXT = PAGE.read_text(encoding="utf-8")
 PROGRAM = re.search(r"```cpp\n(.*?)```", TEXT, re.DOTALL).group(1)
 COMMANDS = re.search(r"```bash\n(.*?)```", TEXT, re.DOTALL).group(1).splitlines()
 
-# The same program for machines without a compiler
+# The same program in Python, for machines without a compiler
 IN_PYTHON = f"""#!{sys.executable}
 import random, sys
 side = round(float(sys.argv[1]) ** 0.5)
@@ -37,7 +37,7 @@ def test_there_are_three_commands():
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """The program, compiled by the first command where there is a compiler."""
+    """Return a folder with the program, compiled by the first command if there is a compiler."""
     root = tmp_path_factory.mktemp("designer")
     (root / "mine.cpp").write_text(PROGRAM, encoding="utf-8")
     compiler = next(filter(None, map(shutil.which, ("c++", "g++", "clang++"))), None)
@@ -61,7 +61,8 @@ def test_a_new_user_gets_a_comparison_in_three_commands(folder):
     looked = run(folder, COMMANDS[1])
     assert (looked.returncode, looked.stderr) == (0, "")
     assert (folder / "mine.png").read_bytes().startswith(b"\x89PNG")
-    done = run(folder, COMMANDS[2], "-n", "16,64", "-m", "40", "--quiet", "--json")  # fewer
+    fewer = ("-n", "16,64", "-m", "40")
+    done = run(folder, COMMANDS[2], *fewer, "--quiet", "--json")
     assert done.returncode == 0, done.stderr
     pdf = (folder / "report.pdf").read_bytes()
     assert pdf.startswith(b"%PDF")
@@ -69,7 +70,7 @@ def test_a_new_user_gets_a_comparison_in_three_commands(folder):
     assert len(re.findall(rb"/Type /Page\b", pdf)) >= 7
 
 
-def test_without_leave_nothing_runs(folder):
+def test_without_permission_nothing_runs(folder):
     line = re.sub(r" --allow-code \S+", "", COMMANDS[2])
     refused = run(folder, line)
     assert refused.returncode == 2
@@ -77,8 +78,8 @@ def test_without_leave_nothing_runs(folder):
     assert refused.stderr.count("\n") == 1
 
 
-def test_the_program_is_the_function_of_the_page(folder):
-    """Both make bricks: a row's points lie one in each of its cells, every second row half a cell on."""
+def test_the_program_equals_the_function_on_the_page(folder):
+    """Both make bricks: one point in each cell of a row, every second row moved by half a cell."""
     source = mcs.Sampler.from_command(f"{folder / 'mine'} {{n}} {{seed}}", dims=2)
     x = source.draw(64, realizations=20, rng=1)
     cells = np.floor(((8 * x[..., 0] - 0.5 * np.floor(8 * x[..., 1])) % 8.0) + 1e-9)

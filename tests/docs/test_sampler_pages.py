@@ -1,4 +1,4 @@
-"""The page of samplers in the documentation names each, with its present summary, dims and counts."""
+"""The page of samplers shows every sampler with its current summary, dims and counts."""
 
 import json
 import re
@@ -23,8 +23,15 @@ def test_every_sampler_has_a_section_and_a_picture():
     assert [card["name"] for card in numbers] == list(SECTIONS)
 
 
+def test_the_overview_shows_every_sampler_once():
+    overview = PAGE.partition("<!-- end of the overview -->")[0]
+    named = re.findall(r"!\[Points and spectrum of (.+?)\]\((thumbnails/.+?\.png)\)\]", overview)
+    assert sorted(name for name, _ in named) == all_samplers()
+    assert all((FOLDER / picture).is_file() for _, picture in named)
+
+
 @pytest.mark.parametrize("name", [name for name in SECTIONS if re.fullmatch("[a-z0-9-]+", name)])
-def test_sections_say_what_samplers_say(name):
+def test_sections_match_the_facts_of_samplers(name):
     facts = sampler_facts(name)
     section = SECTIONS[name]
     assert facts.summary in section

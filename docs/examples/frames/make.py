@@ -1,8 +1,8 @@
-"""Render the frames of this folder: Mitsuba's Cornell box, each frame with a seed of its own.
+"""Render the frames of this folder: Mitsuba's Cornell box, one seed for each frame.
 
-Run it from the root of the repository: ``python docs/examples/frames/make.py`` (extra ``render``). The
-files are .npy of half precision, 64 × 64 pixels, so that they are small and need no extra to be
-read. Other versions of Mitsuba or other processors render other noise.
+Run it from the root of the repository: ``python docs/examples/frames/make.py``. It needs the extra
+``render``. The files are .npy arrays in half precision with 64 × 64 pixels: they are small, and
+reading them needs no extra. Other versions of Mitsuba and other processors give other noise.
 """
 
 from pathlib import Path
