@@ -223,8 +223,7 @@ def test_the_verb(capsys, tmp_path):
     assert (data["calls"], data["replicates"] * data["n"]) == (1920, 1920)
     assert main(["integrate", "disk", "--budget", "2000", "--cache", file]) == 0
     assert (
-        "\n1 evaluation for 15 replicates of 128 points of sobol | owen"
-        in capsys.readouterr().out
+        "\n1 evaluation for 15 replicates of 128 points of sobol | owen" in capsys.readouterr().out
     )
     assert main(["integrate", "disk", "--budget", "2000", "--combine", "median"]) == 0
     assert "points of sobol | lms" in capsys.readouterr().out

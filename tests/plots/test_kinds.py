@@ -617,5 +617,5 @@ def test_a_result_with_its_cross_matrix_is_drawn_as_the_matrix(make):
         "gaussian", "jittered", 16, half_width=1, realizations=20, cross_matrix=True
     )
     assert kinds_of(plane)[0] == "terms"
-    with pytest.raises(ParameterError, match="2 frequency dims; the plot 'cross-matrix' shows 1"):
+    with pytest.raises(ParameterError, match="2 frequency dims, but the plot 'cross-matrix'"):
         describe("cross-matrix", {"x": plane})

@@ -234,8 +234,9 @@ def describe(kind: str, data: Data, styles: Styles | None = None) -> Plot:
         if not chosen.fits(each):
             other = "'radial'" if "power" in chosen.variables else "'contributions'"
             raise ParameterError(
-                f"The result for {shown(name)} has {len(frequency_dims(each))} frequency dims; the plot "
-                f"{shown(kind)} shows {chosen.dims}: use {other} for any number of dims."
+                f"The result for {shown(name)} has {len(frequency_dims(each))} frequency dims, "
+                f"but the plot {shown(kind)} shows {chosen.dims}; use {other} for any number of "
+                "dims."
             )
     plot = chosen.describe(group, styles or sampler_styles(list(group)))
     plot = replace(plot, kind=kind)

@@ -796,8 +796,8 @@ def _rival(evidence: Evidence, causes: Sequence[Cause]) -> str:
     """Return the sampler that may gain more from g than nets do; empty if there is no such sampler.
 
     Lattices have the rates of Fourier series, if opposite faces of the cube meet or points are
-    folded [Hickernell2002]_. They also gain from kinks, cusps and waves. Pairs about the centers of strata
-    have the rate −1 − 4/d of cubic stratification of second order for smooth g.
+    folded [Hickernell2002]_. They also gain from kinks, cusps and waves. For smooth g, pairs about
+    the centers of strata have the rate −1 − 4/d of cubic stratification of second order.
     """
     smooth = _is_smooth(causes)
     grows = any(cause.name in {"border-growth", "heavy-tail"} for cause in causes)

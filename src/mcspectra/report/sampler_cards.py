@@ -378,8 +378,9 @@ def _settings(effort: CardEffort) -> str:
     """Describe how the cards were measured."""
     low, high = effort.counts[0], effort.counts[-1]
     return (
-        f"Each card shows a set of n ≈ {effort.n} points in 2-D, or in the only number of dims that "
-        f"the sampler supports. Spectra are means over {effort.spectra} realizations; n · power is 1 for random points. "
+        f"Each card shows a set of n ≈ {effort.n} points in 2-D, or in the only number of dims "
+        f"that the sampler supports. Spectra are means over {effort.spectra} realizations; "
+        "n · power is 1 for random points. "
         f"Rates are exponents of the variance in n with 95 % intervals, for n = {low} … {high} and "
         f"{effort.rates} realizations. Deterministic sets are randomized first, by owen (nets) or "
         "shift. Optimized samplers have 8 sets per n; further realizations are shifted copies "
