@@ -249,7 +249,7 @@ def test_a_bottleneck_that_does_not_show_yet(tree, part, words):
     text = bottleneck_sentence(changed)
     n = int(changed["techniques"]["n"][-1])
     if words:
-        assert text.endswith(f"becomes that of the sum at larger n; at n = {n} {words}.")
+        assert text.endswith(f"determines the rate of the sum at larger n; at n = {n} {words}.")
     else:
         assert text.endswith("determines the rate of the sum.")
 
