@@ -6,6 +6,7 @@ import signal
 import sys
 from collections import Counter
 from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 
@@ -22,6 +23,7 @@ from mcspectra.core import trust
 from mcspectra.samplers import external
 from tests.browser import chromium
 
+HERE = Path(__file__).parent
 NO_BROWSER = (
     "there is no browser that Playwright can drive; install Chromium, or name one in CHROMIUM, and run: "
     "make test PYTEST_ARGS='-m browser'"
@@ -95,8 +97,18 @@ def pytest_collection():
         gc.enable()
 
 
+def _waits(item):
+    """Whether it is one of those that wait for processes and clusters, or use all of the package at once."""
+    folder = item.path.parent
+    return folder == HERE or folder == HERE / "studies"
+
+
 def pytest_collection_modifyitems(items):
-    """Tests that take minutes have time for them."""
+    """Tests that wait come first: one worker waits while the others compute, and none is alone at the end.
+
+    Tests that take minutes have time for them.
+    """
+    items.sort(key=lambda item: not _waits(item))
     for item in items:
         if item.get_closest_marker("endurance"):
             item.add_marker(pytest.mark.timeout(3000))
