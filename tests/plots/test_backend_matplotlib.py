@@ -273,6 +273,7 @@ def test_bytes_are_the_same_and_say_nothing_about_the_time():
     with np.testing.assert_no_warnings():
         png, pdf = encode(draw(one))
     assert (png, pdf) == encode(draw(one))
+    assert (png, b"") == encode(draw(one), print_too=False)
     assert png.startswith(b"\x89PNG")
     assert pdf.startswith(b"%PDF")
     assert b"CreationDate" not in pdf

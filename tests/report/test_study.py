@@ -44,7 +44,7 @@ def page(folder):
 def blank(monkeypatch):
     """Figures have their files, and nothing in them."""
     monkeypatch.setattr(backend_matplotlib, "draw", lambda plot: None)
-    monkeypatch.setattr(backend_matplotlib, "encode", lambda figure: (bytes(24), b""))
+    monkeypatch.setattr(backend_matplotlib, "encode", lambda figure, **_: (bytes(24), b""))
     monkeypatch.setattr(backend_bokeh, "packed", lambda model: "")
 
 

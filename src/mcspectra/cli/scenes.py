@@ -241,7 +241,7 @@ def _compare(
         else:
             with writing(file):
                 plot = strategy_images(images, exposure=options.exposure)
-                file.write_bytes(encode(draw(plot))[0])
+                file.write_bytes(encode(draw(plot), print_too=False)[0])
 
     # Say how far each is off
     data, table = {}, []

@@ -149,8 +149,8 @@ def panel_axes(figure: Figure) -> list[Axes]:
     return [axes for axes in figure.axes if axes.get_label() != "<colorbar>"]
 
 
-def encode(figure: Figure) -> tuple[bytes, bytes]:
-    """Return the PNG and the PDF of a figure, without time stamps.
+def encode(figure: Figure, *, print_too: bool = True) -> tuple[bytes, bytes]:
+    """Return the PNG and the PDF of a figure, without time stamps; the PDF is empty unless `print_too`.
 
     The layout is computed once for both. The PNG has a palette of 256 colors unless the figure
     holds maps or pictures, where rounded colors would be seen.
@@ -171,13 +171,14 @@ def encode(figure: Figure) -> tuple[bytes, bytes]:
         canvas = FigureCanvasAgg(figure)
         canvas.draw()  # type: ignore[no-untyped-call]
         pixels = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])  # type: ignore[no-untyped-call]
-        # Straight to the backend: savefig would draw the figure once more, for its layout
-        figure.set_dpi(_PDF_DPI)
         pdf = io.BytesIO()
-        metadata = {"CreationDate": None, "Creator": "mcspectra"}
-        FigureCanvasPdf(figure).print_pdf(pdf, metadata=metadata)  # type: ignore[no-untyped-call]
-        figure.set_dpi(_DPI)
-        figure.set_canvas(canvas)
+        if print_too:
+            # Straight to the backend: savefig would draw the figure once more, for its layout
+            figure.set_dpi(_PDF_DPI)
+            metadata = {"CreationDate": None, "Creator": "mcspectra"}
+            FigureCanvasPdf(figure).print_pdf(pdf, metadata=metadata)  # type: ignore[no-untyped-call]
+            figure.set_dpi(_DPI)
+            figure.set_canvas(canvas)
     image, png = Picture.fromarray(pixels), io.BytesIO()
     if not any(axes.images for axes in figure.axes):
         octree, no_dither = Picture.Quantize.FASTOCTREE, Picture.Dither.NONE

@@ -438,9 +438,9 @@ def _drawn(figure: Figure, folder: Path | None, root: Path) -> Mapping[str, Any]
     """A figure as the template takes it: PNG in base 64 with its size, and the packed live plot."""
     from mcspectra.plots import backend_matplotlib
 
-    plot, file = figure.plot, ""
-    png, pdf = backend_matplotlib.encode(backend_matplotlib.draw(plot))
-    if folder is not None and figure.name:
+    plot, file, filed = figure.plot, "", folder is not None and bool(figure.name)
+    png, pdf = backend_matplotlib.encode(backend_matplotlib.draw(plot), print_too=filed)
+    if folder is not None and filed:
         for end, content in ((".png", png), (".pdf", pdf)):
             place = folder / f"{figure.name}{end}"
             place.unlink(missing_ok=True)
