@@ -44,23 +44,33 @@ class Counting:
         return self.f(x)
 
 
+def least_covered(seeds):
+    """How many of the 95 % intervals of so many seeds cover at least: 3 σ less than expected."""
+    return 0.95 * seeds - 3 * math.sqrt(seeds * 0.05 * 0.95)
+
+
+SEEDS = [200, pytest.param(400, marks=pytest.mark.slow)]
+"""Intervals of 85 % fail nine times out of ten with 200, and always with 400."""
+
+
+@pytest.mark.parametrize("seeds", SEEDS)
 @pytest.mark.parametrize("budget", [256, 2000])
 @pytest.mark.parametrize("f", KNOWN, ids=lambda f: f.__name__)
-def test_intervals_cover(f, budget):
-    """Of 400 intervals of Student's t 380 cover with σ = 4.4, and from 367 on is 3 σ.
+def test_intervals_cover(f, budget, seeds):
+    """Of 400 intervals of Student's t 380 cover with σ = 4.4, of 200 190 with σ = 3.1.
 
     The hull with Hall's covers more where few replicates are skewed by chance; it must not be had by
     width: its median half is at most half as much again as Student's t times the error there is.
     """
     covered, replicates, halves, values = 0, [], [], []
-    for seed in range(400):
+    for seed in range(seeds):
         found = mcs.integrate(f, dims=2, budget=budget, rng=seed)
         low, high = found["interval"].values
         covered += low <= KNOWN[f] <= high
         halves.append((high - low) / 2)
         values.append(float(found["value"]))
         replicates.append(int(found["replicates"]))
-    assert covered >= 367
+    assert covered >= least_covered(seeds)
     assert min(replicates) >= 8
     error = np.sqrt(np.mean((np.array(values) - KNOWN[f]) ** 2))
     assert np.median(halves) < 1.5 * student.ppf(0.975, min(replicates) - 1) * error
@@ -99,16 +109,17 @@ def test_the_median_of_linear_scrambles_has_a_rate_beyond_all_powers():
         assert np.mean(excess) < -4.0 * np.std(excess)
 
 
+@pytest.mark.parametrize("seeds", SEEDS)
 @pytest.mark.parametrize("f", KNOWN, ids=lambda f: f.__name__)
-def test_intervals_of_medians_cover(f):
-    """95 % at least, less 3 σ of 400: where no replicate stands out they are the hull with that of the mean."""
+def test_intervals_of_medians_cover(f, seeds):
+    """95 % at least, less 3 σ: where no replicate stands out they are the hull with that of the mean."""
     covered = 0
-    for seed in range(400):
+    for seed in range(seeds):
         found = mcs.integrate(f, dims=2, budget=1500, combine="median", rng=seed)
         low, high = found["interval"].values
         covered += low <= KNOWN[f] <= high
         assert low <= found["value"] <= high
-    assert covered >= 400 * 0.95 - 3 * math.sqrt(400 * 0.05 * 0.95)
+    assert covered >= least_covered(seeds)
 
 
 def test_the_median_is_for_linear_scrambles_and_says_where_it_helps():
@@ -349,11 +360,17 @@ def test_the_answer_of_a_profile_is_carried_out_and_its_evaluations_are_used():
     assert abs(float(result["value"]) - 1.0) < 1e-14
 
 
+@pytest.mark.parametrize(
+    ("seeds", "narrower"), [(100, 90), pytest.param(200, 190, marks=pytest.mark.slow)]
+)
 @pytest.mark.parametrize("f", KNOWN, ids=lambda f: f.__name__)
-def test_intervals_with_a_profile_cover(f):
-    """Of 200 intervals 190 cover with σ = 3.1, and 181 is 3 σ below it."""
+def test_intervals_with_a_profile_cover(f, seeds, narrower):
+    """Of 200 intervals 190 cover with σ = 3.1, of 100 95 with σ = 2.2; so many are narrower than before.
+
+    Of 100, where 96 % are expected, that is 3 σ less.
+    """
     covered, better = 0, 0
-    for seed in range(200):
+    for seed in range(seeds):
         found = mcs.profile(f, dims=2, budget=512, rng=seed)
         result = mcs.integrate(f, budget=1024, profile=found, rng=1000 + seed)
         assert int(result["calls"]) <= 1024
@@ -361,8 +378,8 @@ def test_intervals_with_a_profile_cover(f):
         covered += low <= KNOWN[f] <= high
         before = np.ptp(found.interval)
         better += high - low <= before or not math.isfinite(before)
-    assert covered >= 181
-    assert better >= 190
+    assert covered >= least_covered(seeds)
+    assert better >= narrower
 
 
 def test_preintegrated_evaluations_count_as_calls():

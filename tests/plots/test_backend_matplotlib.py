@@ -273,6 +273,7 @@ def test_encoded_bytes_are_reproducible_without_time_stamps():
     with np.testing.assert_no_warnings():
         png, pdf = encode(draw(one))
     assert (png, pdf) == encode(draw(one))
+    assert (png, b"") == encode(draw(one), with_pdf=False)
     assert png.startswith(b"\x89PNG")
     assert pdf.startswith(b"%PDF")
     assert b"CreationDate" not in pdf

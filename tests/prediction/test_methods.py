@@ -1,5 +1,6 @@
 """All methods agree: deterministic ones exactly, sampled ones within their errors."""
 
+import functools
 import itertools
 import math
 
@@ -187,13 +188,16 @@ def test_several_samplers_and_counts_by_all_methods():
     assert found.equals(threads)
 
 
+@functools.cache
+def _of_three(method):
+    samplers = ["jittered", "jittered | shift", "sobol | digital-shift"]
+    return predict("gaussian", samplers, [16], method=method, half_width=4, realizations=50, rng=5)
+
+
 @pytest.mark.parametrize("method", NAMES)
 def test_one_method_is_its_row_of_all(method):
     """Equal up to rounding: `measured` alone draws no spectra, so its blocks may differ."""
-    arguments = ("gaussian", ["jittered", "jittered | shift", "sobol | digital-shift"], [16])
-    options = {"half_width": 4, "realizations": 50, "rng": 5}
-    table = predict(*arguments, method="all", **options)
-    found = predict(*arguments, method=method, **options)
+    table, found = _of_three("all"), _of_three(method)
     assert "method" not in found.dims
     row = table.sel({"method": method})
     there = ~np.isnan(row["predicted_variance"].values)

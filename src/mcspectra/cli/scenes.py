@@ -245,7 +245,7 @@ def _compare(
         else:
             with writing(file):
                 plot = strategy_images(images, exposure=options.exposure)
-                file.write_bytes(encode(draw(plot))[0])
+                file.write_bytes(encode(draw(plot), with_pdf=False)[0])
 
     # Report the error of each image
     data, table = {}, []

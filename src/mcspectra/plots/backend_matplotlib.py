@@ -155,8 +155,10 @@ def panel_axes(figure: Figure) -> list[Axes]:
     return [axes for axes in figure.axes if axes.get_label() != "<colorbar>"]
 
 
-def encode(figure: Figure) -> tuple[bytes, bytes]:
+def encode(figure: Figure, *, with_pdf: bool = True) -> tuple[bytes, bytes]:
     """Return the PNG and the PDF of a figure, without time stamps.
+
+    The PDF is empty unless `with_pdf`.
 
     The layout is computed once for both. The PNG has a palette of 256 colors unless the figure has
     maps or images, in which rounded colors would be visible.
@@ -177,13 +179,14 @@ def encode(figure: Figure) -> tuple[bytes, bytes]:
         canvas = FigureCanvasAgg(figure)
         canvas.draw()  # type: ignore[no-untyped-call]
         pixels = np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[..., :3])  # type: ignore[no-untyped-call]
-        # Call the backend directly: savefig would draw the figure once more for the layout
-        figure.set_dpi(_PDF_DPI)
         pdf = io.BytesIO()
-        metadata = {"CreationDate": None, "Creator": "mcspectra"}
-        FigureCanvasPdf(figure).print_pdf(pdf, metadata=metadata)  # type: ignore[no-untyped-call]
-        figure.set_dpi(_DPI)
-        figure.set_canvas(canvas)
+        if with_pdf:
+            # Call the backend directly: savefig would draw the figure once more for the layout
+            figure.set_dpi(_PDF_DPI)
+            metadata = {"CreationDate": None, "Creator": "mcspectra"}
+            FigureCanvasPdf(figure).print_pdf(pdf, metadata=metadata)  # type: ignore[no-untyped-call]
+            figure.set_dpi(_DPI)
+            figure.set_canvas(canvas)
     image, png = Picture.fromarray(pixels), io.BytesIO()
     if not any(axes.images for axes in figure.axes):
         octree, no_dither = Picture.Quantize.FASTOCTREE, Picture.Dither.NONE

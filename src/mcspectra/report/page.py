@@ -453,9 +453,9 @@ def _drawn(figure: Figure, folder: Path | None, root: Path) -> Mapping[str, Any]
     """Return a figure for the template: base64 PNG with its size, and the compressed live plot."""
     from mcspectra.plots import backend_matplotlib
 
-    plot, file = figure.plot, ""
-    png, pdf = backend_matplotlib.encode(backend_matplotlib.draw(plot))
-    if folder is not None and figure.name:
+    plot, file, filed = figure.plot, "", folder is not None and bool(figure.name)
+    png, pdf = backend_matplotlib.encode(backend_matplotlib.draw(plot), with_pdf=filed)
+    if folder is not None and filed:
         for end, content in ((".png", png), (".pdf", pdf)):
             place = folder / f"{figure.name}{end}"
             place.unlink(missing_ok=True)

@@ -226,7 +226,7 @@ def write_cards(
     with writing(root, StoreError):
         for card, name in zip(cards, names, strict=True):
             plot, summary = _card_plot(card), card.facts.summary if card.facts else ""
-            png, _ = backend_matplotlib.encode(backend_matplotlib.draw(plot))
+            png, _ = backend_matplotlib.encode(backend_matplotlib.draw(plot), with_pdf=False)
             (root / f"{name}.png").write_bytes(png)
             lines += [f"## `{card.name}`", "", summary, "", f"![{plot.words}]({name}.png)", ""]
             facts = "\n".join(f"* {name}: {value}" for name, value in _card_facts(card))
