@@ -287,4 +287,4 @@ def test_cubic_stratification_is_found_by_remedies_and_charged_for_its_centers()
         realizations=100,
         kinds=["cubic"],
     )
-    assert "In 7 dims cubes are too many" in seven.attrs["not_tried"]
+    assert "In 7 dims there are too many cubes" in seven.attrs["not_tried"]

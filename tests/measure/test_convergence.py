@@ -234,7 +234,7 @@ def test_where_the_kurtosis_diverges_nothing_bounds_the_variance(pole):
         )
         assert np.isinf(d["variance_ci"][..., 1]).all()
         assert "these variances have no finite upper bound" in d.attrs["note"]
-    assert "∫g⁴ diverges, g grows as t^-0." in d.attrs["note"]
+    assert "∫g⁴ diverges because g grows as t^-0." in d.attrs["note"]
 
 
 @pytest.mark.parametrize(

@@ -152,7 +152,8 @@ def channel_estimators(
     >>> f = mcs.Integrand.from_function(
     ...     lambda x: np.concatenate([1 + x, 2 - x], axis=-1), dims=1, integral=[1.5, 1.5]
     ... )
-
+    >>> channels = ["linear(slope=0.5)", "linear(slope=-0.5)"]
+    >>> ways = mcs.estimators.channel_estimators(f, channels, "uniform")
     >>> list(ways)
     ['one', 'own', 'shared', 'mis']
     """

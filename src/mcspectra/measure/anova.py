@@ -116,7 +116,7 @@ class Anova(Counted, frozen=True, kw_only=True):
             raise ParameterError(
                 f"{self.realizations} realizations of {values // self.realizations} subsets take "
                 f"{8 * values / 2**30:.3g} GiB; request at most "
-                f"{_SETTINGS.most_values * self.realizations // values} realizations, or for ",
+                f"{_SETTINGS.most_values * self.realizations // values} realizations, or give ",
                 Parameter("order", 1),
                 ".",
             )
