@@ -295,7 +295,7 @@ class TestGroupedAxes:
         "text", ["exp(x0+x1/2+x2/3+x3+x4/2)", "where(x0+x1-x3+0.5*x4<0.6,1,0)", "max(x2+x3-1,0)*x1"]
     )
     def test_predictions_of_functions_that_mix_both_groups(self, text):
-        """With a shift from pairs of points, else from other counts: intervals cover."""
+        """Intervals from pairs of points (with a shift) or from other counts cover the variance."""
         f = mcs.integrand(f"formula(expression='{text}')", dims=5)
         samplers = [self.sampler, self.sampler.then(mcs.samplers.Shift())]
         found = mcs.predict(f, samplers, [64]).isel(n=0)
@@ -303,7 +303,7 @@ class TestGroupedAxes:
             curve = mcs.convergence(f, sampler, [64], realizations=4000, rng=4)
             measured, spec = float(curve["variance"][0]), sampler.spec
             low, high = found["predicted_variance_ci"].values[i]
-            # 4.5 errors of 2.2 %
+            # 4.5 standard errors of 2.2 %
             assert low - 0.1 * measured < measured < high + 0.1 * measured, spec
         if "where" not in text:  # jumps across many axes take other counts
             assert str(found["method"].values[1]) != "extrapolated"
