@@ -2,8 +2,8 @@
 
 Sixty estimators: functions, importance densities, multiple importance sampling, pixels and paths.
 Each function searches the best set-up at 4,096 evaluations. Brute force then measures the RMSE of
-the given and of the recommended set-ups with 200 new estimates each. A function agrees under these
-conditions:
+the given and of the recommended set-ups with 1,000 new estimates each, or 200 estimates of pixels
+and paths. A function agrees under these conditions:
 
 * `profile`: its interval of the RMSE overlaps that of brute force, for the set-up that it
   recommends;
@@ -37,7 +37,7 @@ from mcspectra.estimators import AbstractEstimator, as_estimator
 from mcspectra.measure.setup import Setup, affordable_count
 
 BUDGET = 4096
-ESTIMATES = 200  # brute-force estimates of each set-up
+ESTIMATES, RENDERED = 1000, 200  # brute-force estimates of each set-up, and of pixels and paths
 REALIZATIONS = 100  # realizations of each candidate in remedies
 KINDS = ("sampler", "unshifted", "mirrored", "regression", "preintegrated", "fitted", "techniques")
 SIGMAS = 1.96
@@ -51,6 +51,7 @@ class Case:
     estimator: AbstractEstimator
     sampler: str
     kinds: tuple[str, ...] = KINDS
+    estimates: int = ESTIMATES
 
 
 @dataclass
@@ -147,24 +148,26 @@ def cases() -> Iterator[Case]:
     few = ("sampler", "mirrored", "preintegrated")
     for x, y in ((96, 205), (150, 200), (250, 180), (300, 230)):
         pixel = mcs.Estimator(mcs.integrand(f"pixel(scene='figure1', x={x}, y={y})"))
-        yield Case(f"pixel ({x}, {y})", pixel, "random", few)
+        yield Case(f"pixel ({x}, {y})", pixel, "random", few, RENDERED)
     for x, y in ((32, 36), (20, 30), (40, 40), (50, 20)):
         pixel = mcs.Estimator(
             mcs.integrand(f"pixel(scene='penumbra(width=64, height=48)', x={x}, y={y})")
         )
-        yield Case(f"penumbra ({x}, {y})", pixel, "sobol | owen", few)
+        yield Case(f"penumbra ({x}, {y})", pixel, "sobol | owen", few, RENDERED)
     for x, y in ((32, 36), (20, 30), (40, 40)):
         scene = "penumbra(width=64, height=48)"
         path = PathPixel(scene=scene, x=x, y=y, integrator="path(max_depth=3)")
-        yield Case(f"path ({x}, {y})", mcs.Estimator(path), "random", ("sampler",))
+        yield Case(f"path ({x}, {y})", mcs.Estimator(path), "random", ("sampler",), RENDERED)
     for x, y in ((96, 205), (300, 300), (500, 400)):
         path = PathPixel(scene="veach", x=x, y=y, integrator="path(max_depth=4)")
-        yield Case(f"path of plates ({x}, {y})", mcs.Estimator(path), "random", ("sampler",))
+        yield Case(
+            f"path of plates ({x}, {y})", mcs.Estimator(path), "random", ("sampler",), RENDERED
+        )
 
 
-def _brute(setup: Setup, n: int, seed: int) -> tuple[float, float, float]:
+def _brute(setup: Setup, n: int, estimates: int, seed: int) -> tuple[float, float, float]:
     """RMSE and the ends of its 95 % interval."""
-    found = mcs.convergence(setup.estimator, setup.sampler, [n], realizations=ESTIMATES, rng=seed)
+    found = mcs.convergence(setup.estimator, setup.sampler, [n], realizations=estimates, rng=seed)
     low, high = np.atleast_2d(found["variance_ci"].values.squeeze())[0]
     return tuple(
         math.sqrt(max(float(v), 0.0)) for v in (found["variance"].values.ravel()[0], low, high)
@@ -189,8 +192,8 @@ def judge(case: Case, seed: int = 0) -> Found:
     if profile.calls > BUDGET:
         found.spent.append(f"profile {profile.calls}")
     n = affordable_count(given, BUDGET) or 1
-    before = _brute(given, n, seed + 1)
-    after = _brute(best, answer.best.n, seed + 1)
+    before = _brute(given, n, case.estimates, seed + 1)
+    after = _brute(best, answer.best.n, case.estimates, seed + 1)
     found.words.append(
         f"profile: {answer.best.name}, RMSE {answer.rmse:.2g}, measured {after[0]:.2g}"
     )

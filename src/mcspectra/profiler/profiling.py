@@ -800,7 +800,7 @@ def _rival(evidence: Evidence, causes: Sequence[Cause]) -> str:
     the centers of strata have the rate −1 − 4/d of cubic stratification of second order.
     """
     smooth = _is_smooth(causes)
-    grows = any(cause.name in {"border-growth", "heavy-tail"} for cause in causes)
+    grows = any(cause.name == "border-growth" for cause in causes)
     if grows or not (smooth or _shape(causes) in _GAINED):
         return ""
     if evidence.is_periodic:
