@@ -13,6 +13,7 @@ from mcspectra.plots.text import (
     rate,
     shorten,
     slug,
+    typeset,
     with_error,
 )
 
@@ -109,6 +110,12 @@ def test_number_beside__rounding_error_is_about_zero():
 def test_interval():
     assert interval(1e-6, 2.5e-6) == "1.00×10⁻⁶ … 2.50×10⁻⁶"
     assert interval(None, 1.0) == interval(math.nan, 1.0) == "–"
+
+
+def test_typeset__numbers_of_sentences_but_not_of_specs():
+    text = "RMSE 6.6e-05 (-1e-05 to 2.5e+12) with gaussian(width=1e-06), power(1.0,2e-07)"
+    expected = "RMSE 6.6×10⁻⁵ (−1×10⁻⁵ to 2.5×10¹²) with gaussian(width=1e-06), power(1.0,2e-07)"
+    assert typeset(text) == expected
 
 
 def test_power_of_ten():

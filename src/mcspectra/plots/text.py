@@ -21,6 +21,7 @@ __all__ = [
     "rate",
     "shorten",
     "slug",
+    "typeset",
     "with_error",
 ]
 
@@ -47,6 +48,7 @@ _LATEX = {
     "Σ": r"\Sigma", "⟨": r"\langle", "⟩": r"\rangle",
 }  # fmt: skip
 _MATHS = re.compile(f"(×10)?([⁻⁰¹²³⁴-⁹]+)|([₀-₉ₗₘ]+)|([{''.join(_LATEX)}])")
+_PLAIN_POWER = re.compile(r"(?<![\w=,.])(-?)(\d(?:\.\d+)?)e([-+]\d{2,3})\b")
 _FIXED_FROM, _FIXED_BELOW = -3, 5  # range of powers of ten that are written without exponent
 
 
@@ -112,6 +114,17 @@ def latex_maths(text: str) -> str:
 def power_of_ten(exponent: int) -> str:
     """Format a power of ten: ``10⁻⁶`` for −6."""
     return f"10{str(exponent).translate(_SUPERSCRIPTS)}"
+
+
+def typeset(text: str) -> str:
+    """Write the numbers of a sentence as `number` does: ``6.6e-05`` becomes ``6.6×10⁻⁵``.
+
+    Numbers within a spec, such as ``width=1e-06``, stay as they are.
+    """
+    return _PLAIN_POWER.sub(
+        lambda found: f"{'−' if found[1] else ''}{found[2]}×{power_of_ten(int(found[3]))}",
+        text,
+    )
 
 
 def interval(low: float | None, high: float | None, digits: int = 3) -> str:

@@ -11,7 +11,7 @@ import xarray as xr
 
 from mcspectra.measure.anova import EFFECTIVE_SHARE
 from mcspectra.plots.kinds import describe
-from mcspectra.plots.text import interval, number, percent, rate
+from mcspectra.plots.text import interval, number, percent, rate, typeset
 from mcspectra.report import page as html
 from mcspectra.report.pixel_page import remedies_blocks, remedies_summary
 from mcspectra.report.sentences import Size, answer, compared
@@ -119,7 +119,7 @@ def path_answer(tree: xr.DataTree) -> str:
     why = said.get("by decision", said.get("by bounce", ""))
     if "remedies" not in tree.children:
         measured = {str(s): curves.sel(sampler=s) for s in curves["sampler"].values}
-        return str(answer(measured, why=why) or "Only one sampler was measured.")
+        return typeset(str(answer(measured, why=why) or "Only one sampler was measured."))
     _, other = _advised(tree)
     found = tree["remedies"].to_dataset()
     sizes = {}

@@ -14,7 +14,7 @@ from mcspectra.core.fits import UNRESOLVED, is_resolved
 from mcspectra.plots.kinds import describe
 from mcspectra.plots.maps import incident_maps
 from mcspectra.plots.style import sampler_styles
-from mcspectra.plots.text import MISSING, number, percent, rate
+from mcspectra.plots.text import MISSING, number, percent, rate, typeset
 from mcspectra.plots.variance import task_curves
 from mcspectra.report import page as html
 from mcspectra.report.sentences import answer, basis_name, explain
@@ -145,7 +145,8 @@ def pixel_answer(tree: xr.DataTree) -> str:
         for sampler in map(str, curves["sampler"].values):
             setups[f"{name} with {sampler}"] = points.sel(sampler=sampler)
     given = f"{STRATEGY_NAMES[_GIVEN]} with {tree.attrs['sampler']}"
-    return str(answer(setups, given, str(tree.attrs.get(f"diagnosis_{_GIVEN}", ""))))
+    why = str(tree.attrs.get(f"diagnosis_{_GIVEN}", ""))
+    return typeset(str(answer(setups, given, why)))
 
 
 def pixel_rows(tree: xr.DataTree) -> list[SummaryRow]:
@@ -223,7 +224,7 @@ def pixel_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
     if note:
         said.append(("not met", note))
     if "remedies" in tree.children:
-        said.append(("remedies", str(tree["remedies"].attrs["answer"])))
+        said.append(("remedies", typeset(str(tree["remedies"].attrs["answer"]))))
     return said
 
 

@@ -21,7 +21,15 @@ from mcspectra.core.fits import is_resolved
 from mcspectra.core.spec import short_spec
 from mcspectra.plots import backend_matplotlib
 from mcspectra.plots.kinds import describe, kinds_of
-from mcspectra.plots.text import LATEX_TEXT, MISSING, interval, latex_maths, number, shorten
+from mcspectra.plots.text import (
+    LATEX_TEXT,
+    MISSING,
+    interval,
+    latex_maths,
+    number,
+    shorten,
+    typeset,
+)
 from mcspectra.report import page as html
 
 __all__ = [
@@ -226,9 +234,10 @@ def write_result(result: xr.Dataset, out: str | Path, title: str = "Result") -> 
         If the page cannot be written.
     """
     attributes = {str(key): value for key, value in result.attrs.items()}
-    said = [str(attributes[name]) for name in _SAID if attributes.get(name)]
+    said = [typeset(str(attributes[name])) for name in _SAID if attributes.get(name)]
     causes = tuple(
-        (cause["name"], cause["sentence"]) for cause in json.loads(attributes.get("causes", "[]"))
+        (cause["name"], typeset(cause["sentence"]))
+        for cause in json.loads(attributes.get("causes", "[]"))
     )
 
     # Figures, and scalars with their intervals

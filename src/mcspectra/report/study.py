@@ -15,7 +15,7 @@ from mcspectra.core.checks import as_path
 from mcspectra.core.errors import StoreError
 from mcspectra.plots import kinds
 from mcspectra.plots.style import LineStyle, sampler_styles
-from mcspectra.plots.text import percent
+from mcspectra.plots.text import percent, typeset
 from mcspectra.report import page as html
 from mcspectra.report.page import Markup
 from mcspectra.report.sentences import answer, basis_name, explain, further_sentences
@@ -294,7 +294,7 @@ def _answers(estimates: Sequence[Estimates]) -> Iterator[html.Block]:
             for sampler, curve in each.analyses.get("convergence", {}).items()
         }
         text = said[0] if said else answer(curves)
-        rows += [(each.name, str(text))] if text else []
+        rows += [(each.name, typeset(str(text)))] if text else []
     if rows:
         shown, few = html.Sentences(rows=tuple(rows)), len(rows) <= _MOST_ANSWERS
         yield shown if few else html.Collapsible(summary="What to do", blocks=(shown,))
