@@ -306,6 +306,8 @@ def _fails(copy, tests):
     command = (sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", tests)
     environment = os.environ | {"PYTHONPATH": str(copy / "src")}
     done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, check=False)
+    if done.returncode not in (0, 1):
+        raise RuntimeError(f"{tests} could not run: {done.stdout.decode()[-2000:]}")
     return done.returncode == 1
 
 

@@ -177,10 +177,10 @@ def test_a_wide_interval_gives_a_wide_rank():
 @pytest.mark.parametrize(
     ("samplers", "options", "words"),
     [
-        ([], {}, "give a sampler or more"),
+        ([], {}, "Given: 0 samplers, .* give at least one sampler"),
         ("random", {}, "samplers is 'random'; give a list"),
-        (["random"], {"counts": (16,)}, "two counts or more"),
-        (["random"], {"dims": ()}, "one number of dims or more"),
+        (["random"], {"counts": (16,)}, ", 1 count and .* two counts"),
+        (["random"], {"dims": ()}, "0 choices of dims; .* one number of dims"),
         (["random"], {"dims": 65}, "dims is 65"),
         (["random"], {"counts": (0, 16)}, "counts is 0"),
         (["random"], {"realizations": 1}, "realizations is 1"),
