@@ -144,7 +144,7 @@ def test_every_public_function_is_here():
 
 @pytest.mark.parametrize("kind", ESTIMATORS)
 @pytest.mark.parametrize("name", MEASURED)
-def test_measurements_call_what_they_promise(name, kind):
+def test_measurements_make_the_promised_number_of_calls(name, kind):
     call, promised = MEASURED[name]
     f, estimator, dims, techniques = made(kind)
     found = call(estimator)
@@ -168,7 +168,7 @@ def test_results_report_their_calls(name):
 @pytest.mark.parametrize("name", NAMED)
 def test_no_call_is_made_above_the_limit(name, most):
     f = Function(2)
-    if name == "plan" and most >= 256:  # It measures within its limit
+    if name == "plan" and most >= 256:  # The search stays within its limit
         found = NAMED[name](f.integrand, most)
         assert f.calls == found.attrs["evaluations"] <= most
         return
