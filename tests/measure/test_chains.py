@@ -161,7 +161,7 @@ def test_chains_that_stay_in_a_mode_are_named():
     name, text, result = cause(levels)
     assert name == "stuck-chain"
     assert "two levels" in text
-    assert "never met" in result.attrs["note"]
+    assert "never reached" in result.attrs["note"]
     several = ar1(0.5, (4, 1000)) + np.array([[0.0], [0.0], [8.0], [0.0]])
     name, text, result = cause(several)
     assert name == "stuck-chain"

@@ -242,7 +242,7 @@ def test_a_divergent_kurtosis_leaves_no_upper_bound(pole):
         )
         assert np.isinf(d["variance_ci"][..., 1]).all()
         assert "these variances have no finite upper bound" in d.attrs["note"]
-    assert "∫g⁴ diverges, g grows as t^-0." in d.attrs["note"]
+    assert "∫g⁴ diverges because g grows as t^-0." in d.attrs["note"]
 
 
 @pytest.mark.parametrize(
