@@ -213,7 +213,7 @@ def test_an_unknown_integral_is_noted_and_omits_the_bias():
     assert np.array_equal(found["mse"], found["variance"])
     assert found.attrs["integral_source"] == "unknown"
     assert (
-        "the integral is unknown, so that no bias is measured; give integral="
+        "the integral is unknown, so no bias is measured; give integral="
         in found.attrs["note"]
     )
     known = mcs.Integrand.from_function(f, dims=2, integral=(np.e - np.exp(0.3)) * (np.e - 1))

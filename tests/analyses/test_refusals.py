@@ -73,7 +73,7 @@ ROWS = [
     (lambda: _best(n=0), "n is 0"),
     (lambda: _best(edges=[[0.1], [0.2]]), "dims"),
     (lambda: _best(method="guess"), "method"),
-    (lambda: mcs.aligned(mcs.Estimator(STEP, "linear(slope=1)"), [0.3], 8), "density of its own"),
+    (lambda: mcs.aligned(mcs.Estimator(STEP, "linear(slope=1)"), [0.3], 8), "has its own density"),
     (lambda: mcs.aligned("disk", [[0.3], [0.3]], 8), "a power"),
     (lambda: AlignedStrata(edges=0.3), "a list of places"),
     (lambda: AlignedStrata(edges=[0.0]), "greater than 0"),

@@ -296,4 +296,4 @@ def test_remedies_recommend_cubic_stratification_and_count_its_centers():
         realizations=100,
         kinds=["cubic"],
     )
-    assert "In 7 dims cubes are too many" in seven.attrs["not_tried"]
+    assert "In 7 dims there are too many cubes" in seven.attrs["not_tried"]
