@@ -387,7 +387,7 @@ COMMAND = _rows(
     ("points points(path='no-such*.dat') -n 4", "No file matches 'no-such*.dat'"),
     ("points sobol(base=3) -n 4", "base 3 needs a table"),
     ("points sobol(directions='no-such.dat') -n 4", "no-such.dat"),
-    ("bench random -n 16", "two counts or more"),
+    ("bench random -n 16", "two counts and one number of dims"),
     ("bench random random", "The sampler random is listed twice"),
     ("bench random -d 65", "dims is 65"),
     ("bench random -o r.docx", "it must end in .html, .pdf, .csv, .tex or .pgf"),

@@ -212,10 +212,7 @@ def test_an_unknown_integral_is_noted_and_omits_the_bias():
     assert np.isnan(found["bias"]).all()
     assert np.array_equal(found["mse"], found["variance"])
     assert found.attrs["integral_source"] == "unknown"
-    assert (
-        "the integral is unknown, so no bias is measured; give integral="
-        in found.attrs["note"]
-    )
+    assert "the integral is unknown, so no bias is measured; give integral=" in found.attrs["note"]
     known = mcs.Integrand.from_function(f, dims=2, integral=(np.e - np.exp(0.3)) * (np.e - 1))
     again = mcs.convergence(known, JITTERED, [N, 64], realizations=R)
     assert np.array_equal(found["variance"], again["variance"])

@@ -335,7 +335,7 @@ def test_exact_variances_of_the_study():
         ({"mirrorings": ["random", "random"]}, "each once"),
         ({"mirrorings": "random"}, "give a list"),
         ({"mirrorings": ["fold"]}, "original, integrand, random, uniform"),
-        ({"sampler": "jittered | shift"}, "homogenized already"),
+        ({"sampler": "jittered | shift"}, "already homogenized"),
         ({"counts": [9]}, "cannot make"),
         ({"counts": []}, "one or more"),
         ({"realizations": 1}, "realizations is 1"),

@@ -267,9 +267,12 @@ def test_intervals_cover_if_f_is_unbounded_at_the_border(name, sampler):
 @pytest.mark.parametrize(
     ("f", "said"),
     [
-        (lambda x: np.maximum(x[..., 0], 1e-300) ** -0.6, "variance is infinite if that goes on"),
-        (lambda x: stdtrit(3, x[..., 0]) ** 2, "variance is infinite if that goes on"),
-        (lambda x: 1.0 / np.maximum(x[..., 0], 1e-300), "no integral if that goes on"),
+        (
+            lambda x: np.maximum(x[..., 0], 1e-300) ** -0.6,
+            "if that continues, the variance is infinite",
+        ),
+        (lambda x: stdtrit(3, x[..., 0]) ** 2, "if that continues, the variance is infinite"),
+        (lambda x: 1.0 / np.maximum(x[..., 0], 1e-300), "if that continues, f has no integral"),
     ],
 )
 def test_infinite_variances_and_integrals_are_reported_as_in_a_profile(f, said):
@@ -383,7 +386,7 @@ def test_a_profile_of_another_function_is_refused():
     found = mcs.profile(smooth, dims=2, budget=512)
     with pytest.raises(ParameterError, match="same function"):
         mcs.integrate(kink, budget=512, profile=found)
-    with pytest.raises(ParameterError, match="what profile"):
+    with pytest.raises(ParameterError, match="the result of profile"):
         mcs.integrate(smooth, budget=512, profile=1.0)
     with pytest.raises(ParameterError, match="one of both"):
         mcs.integrate(smooth, budget=512, profile=found, sampler="random")

@@ -326,7 +326,7 @@ def test_three_dims_have_no_pictures_of_g(tmp_path, monkeypatch):
     )
     assert "pictures" not in found.children
     assert "remedies" not in found.children
-    assert "of all lines through the cube meet" in dict(pixel_sentences(found))["light"]
+    assert "of all lines through the cube cross" in dict(pixel_sentences(found))["light"]
     page = write_pixel(found, tmp_path).read_text(encoding="utf-8")
     assert 'id="integrands"' not in page
     assert pixel_summary(found)["jumps"] == []
