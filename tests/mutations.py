@@ -18,6 +18,7 @@ ROOT = Path(__file__).parents[1]
 BEYOND = {
     "if np.ma.is_masked(value):": "tests/test_bad_input.py",
     '"bias_se": np.hypot(mean_se, known),': "tests/estimators",
+    "level=np.where(enough, level, np.nan),": "tests/rendering/test_map_parts.py",
 }
 MUTATIONS = [
     ("core", "x ^= x >> _S29", "x ^= x >> _S32"),
