@@ -1,9 +1,9 @@
 """Seeded defects: `python -m tests.mutations [PACKAGE …]` reports whether the tests find each one.
 
-A defect is a text that occurs once in a package of the source, and its replacement, in a copy of
-the repository. Defects that the package's own tests miss are tried with other tests that may find
-them. Prints a line for each defect; exit code 1 if any was not found. A defect takes about a
-minute.
+An entry of `MUTATIONS` is a package, a fragment that occurs exactly once in its source, and the
+defect that replaces the fragment in a copy of the repository. The tests of the package run first;
+then the tests that `BEYOND` lists for the fragment. The program prints a line for each defect; its
+exit code is 1 if the tests missed a defect. A defect takes about a minute.
 """
 
 import os
@@ -14,9 +14,11 @@ import tempfile
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
-BEYOND = {  # tests of other packages that find defects which the package's own tests miss
+# Tests of other packages that find a defect which the package's own tests miss
+BEYOND = {
     "if np.ma.is_masked(value):": "tests/test_bad_input.py",
     '"bias_se": np.hypot(mean_se, known),': "tests/estimators",
+    "level=np.where(enough, level, np.nan),": "tests/rendering/test_map_parts.py",
 }
 MUTATIONS = [
     ("core", "x ^= x >> _S29", "x ^= x >> _S32"),
@@ -158,43 +160,43 @@ MUTATIONS = [
         "total[h] += 0.5 * ((a + b) + 1j * (a - b))",
     ),
     (
-        "variance",
+        "measure",
         "dc, power, total = sums.T / max(self.count - 1, 1)",
         "dc, power, total = sums.T / max(self.count, 1)",
     ),
     (
-        "variance",
+        "measure",
         "return np.asarray((f.conj() * self.cov).real / max(self.count - 1, 1))",
         "return np.asarray((f * self.cov).real / max(self.count - 1, 1))",
     ),
-    ("variance", '"bias_se": np.hypot(mean_se, known),', '"bias_se": mean_se,'),
+    ("measure", '"bias_se": np.hypot(mean_se, known),', '"bias_se": mean_se,'),
     (
-        "variance",
+        "core",
         "curvature = (straight * residual).sum() ** 2 / (straight**2).sum()",
         "curvature = 0.0",
     ),
     (
-        "variance",
-        "sector = np.rint(angle / np.pi * _WEDGES).astype(np.int64) % _WEDGES  # on the axes",
-        "sector = np.floor(angle / np.pi * _WEDGES).astype(np.int64) % _WEDGES",
+        "measure",
+        "np.rint(angle / np.pi * wedges).astype(np.int64) % wedges",
+        "np.floor(angle / np.pi * wedges).astype(np.int64) % wedges",
     ),
     (
-        "variance",
+        "measure",
         "others[t] = np.take_along_axis(y, keys.argsort(axis=1)[:, :, None], axis=1)",
         "others[t] = y",
     ),
     (
-        "variance",
+        "measure",
         'band_m2=np.einsum("rca,rcb->cab", deviation, deviation),',
         'band_m2=np.einsum("rca,rcb->cab", bands, bands),',
     ),
     (
-        "variance",
+        "measure",
         "a * b / (a + b), b / (a + b)\n        delta = other.mean - self.mean\n        shift",
         "a * a / (a + b), b / (a + b)\n        delta = other.mean - self.mean\n        shift",
     ),
     (
-        "variance",
+        "core",
         "used = (variance > floor) & np.isfinite(relative_se) & (relative_se > 0)",
         "used = np.isfinite(relative_se) & (relative_se > 0)",
     ),
@@ -229,7 +231,7 @@ MUTATIONS = [
         "used = (relative_se > 0) & (relative_se <= largest_se)",
     ),
     ("rendering", "se = total**-0.5 if independent else together", "se = total**-0.5"),
-    ("rendering", "level=np.where(enough, level, np.nan),", "level=level,"),
+    ("core", "level=np.where(enough, level, np.nan),", "level=level,"),
     (
         "plots",
         'mantissa, exponent = f"{abs(value):.{digits - 1}e}".split("e")',
@@ -278,26 +280,26 @@ MUTATIONS = [
 ]
 
 
-def main(*rooms):
-    """Try the defects of some packages, by default of all."""
+def main(*packages):
+    """Try the defects of the given packages, by default of all packages."""
     survivors = 0
-    for room, found, instead in MUTATIONS:
-        if rooms and room not in rooms:
+    for package, found, instead in MUTATIONS:
+        if packages and package not in packages:
             continue
         with tempfile.TemporaryDirectory() as folder:
             copy = Path(folder, "copy")
             ignored = shutil.ignore_patterns(".git", ".venv", "out", "build")
             shutil.copytree(ROOT, copy, symlinks=True, ignore=ignored)
-            sources = (copy / "src/mcspectra" / room).rglob("*.py")
+            sources = (copy / "src/mcspectra" / package).rglob("*.py")
             (path,) = (p for p in sources if found in p.read_text(encoding="utf-8"))
             text = path.read_text(encoding="utf-8")
             assert text.count(found) == 1, f"{found!r} occurs several times in {path}"
             path.write_text(text.replace(found, instead), encoding="utf-8")
             killed = next(
-                (t for t in (f"tests/{room}", BEYOND.get(found)) if t and _fails(copy, t)), None
+                (t for t in (f"tests/{package}", BEYOND.get(found)) if t and _fails(copy, t)), None
             )
         survivors += killed is None
-        print(f"{room:12s} {killed or 'NOT FOUND':26s} {found.strip()[:90]}", flush=True)
+        print(f"{package:12s} {killed or 'NOT FOUND':26s} {found.strip()[:90]}", flush=True)
     return int(survivors > 0)
 
 
@@ -305,6 +307,8 @@ def _fails(copy, tests):
     command = (sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", tests)
     environment = os.environ | {"PYTHONPATH": str(copy / "src")}
     done = subprocess.run(command, cwd=copy, env=environment, capture_output=True, check=False)
+    if done.returncode not in (0, 1):
+        raise RuntimeError(f"{tests} could not run: {done.stdout.decode()[-2000:]}")
     return done.returncode == 1
 
 

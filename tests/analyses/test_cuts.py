@@ -52,7 +52,7 @@ def _techniques(counts, space):
     return Techniques(counts=counts, half_width=2, realizations=45, space=space)
 
 
-# Analysis, estimator, sampler, numbers of a block: so small that some reduction has five blocks
+# Analysis, estimator, sampler, and a block size so small that some reduction has five blocks
 CASES = {
     "curve": (_curve(), PLAIN, "jittered", 2**11),
     "curve-channels": (_curve(), COLORS, "random", 2**11),
@@ -122,7 +122,7 @@ def _stages(analysis, subject, seed=3):
 
 
 def test_a_search_measures_the_first_realizations():
-    """Compare with the variance of all estimates at once, of the count's own stream."""
+    """The variance equals that of all estimates at once, drawn from the stream of the count."""
     curve = mcs.convergence(PLAIN, "random", [16], realizations=5000, rng=5, relative_error=0.1)
     used = int(curve["realizations_used"][0])
     assert 100 < used < 5000
@@ -192,7 +192,7 @@ def _total():
     return compute_chunk(found, (0, found.blocks))[0]
 
 
-def test_errors_are_those_of_all_blocks_kept():
+def test_errors_equal_those_of_all_blocks():
     """Compare with the blocks one by one, by definition."""
     _, blocks = _line()
     total = _total().batches
@@ -212,7 +212,7 @@ def test_errors_are_those_of_all_blocks_kept():
     np.testing.assert_allclose(total.matrix.error(), spread(off, share), rtol=1e-9, atol=1e-12)
 
 
-def test_a_block_of_one_says_nothing():
+def test_a_block_of_one_realization_gives_no_error():
     _, blocks = _line()
     first, last = blocks[0], blocks[-1]
     assert last.sums.count == 1
@@ -309,12 +309,12 @@ NAN = float("nan")
         (Remedies(budget=64, kinds=()), JITTERED),
     ],
 )
-def test_what_cannot_be_is_refused_before_anything_runs(analysis, subject):
+def test_invalid_options_are_refused_before_anything_runs(analysis, subject):
     with pytest.raises(McspectraError):
         needed(checked(analysis), subject)
 
 
 @pytest.mark.parametrize("given", [([], "random"), (PLAIN, []), (PLAIN, ["random", 3])])
-def test_lists_hold_what_they_should(given):
+def test_lists_have_the_right_items(given):
     with pytest.raises(ParameterError):
         mcs.convergence(*given, [4, 16])

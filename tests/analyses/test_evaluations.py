@@ -35,11 +35,13 @@ ESTIMATORS = {
     "mirrored": (lambda f: mcs.Mirrored(f, "integrand"), 2, 1),
 }
 
-# Measurements, and the number of calls that a technique promises
+# Measurements, and the number of calls that they promise for each number of techniques
 MEASURED = {
     "convergence": (lambda e: mcs.convergence(e, JITTERED, [N, 64], realizations=R), R * (N + 64)),
     "realizations_needed": (
-        lambda e: mcs.measure.realizations_needed(e, JITTERED, N, relative_error=1e-3, max_realizations=R),
+        lambda e: mcs.measure.realizations_needed(
+            e, JITTERED, N, relative_error=1e-3, max_realizations=R
+        ),
         R * N,
     ),
     "mirror_study": (
@@ -49,7 +51,9 @@ MEASURED = {
         2 * R * (N + 64),
     ),
     "strata_shift_scan": (
-        lambda e: mcs.improve.strata_shift_scan(e, JITTERED, [N, 64], offsets=[0, 0.5], realizations=R),
+        lambda e: mcs.improve.strata_shift_scan(
+            e, JITTERED, [N, 64], offsets=[0, 0.5], realizations=R
+        ),
         {1: 2 * R * (N + 64), 2: 4 * R * (N + 64)},
     ),
     "anova_variances": (
@@ -140,7 +144,7 @@ def test_every_public_function_is_here():
 
 @pytest.mark.parametrize("kind", ESTIMATORS)
 @pytest.mark.parametrize("name", MEASURED)
-def test_measurements_call_what_they_promise(name, kind):
+def test_measurements_make_the_promised_number_of_calls(name, kind):
     call, promised = MEASURED[name]
     f, estimator, dims, techniques = made(kind)
     found = call(estimator)
@@ -152,7 +156,7 @@ def test_measurements_call_what_they_promise(name, kind):
 
 
 @pytest.mark.parametrize("name", NAMED)
-def test_what_is_named_says_what_it_called(name):
+def test_results_report_their_calls(name):
     f = Function(1, jump=0.0)
     found = NAMED[name](f.integrand)
     assert f.calls > 0
@@ -162,9 +166,9 @@ def test_what_is_named_says_what_it_called(name):
 
 @pytest.mark.parametrize("most", [100, 3_000])
 @pytest.mark.parametrize("name", NAMED)
-def test_no_call_is_made_beyond_the_most(name, most):
+def test_no_call_is_made_above_the_limit(name, most):
     f = Function(2)
-    if name == "plan" and most >= 256:  # It measures within its limit
+    if name == "plan" and most >= 256:  # The search stays within its limit
         found = NAMED[name](f.integrand, most)
         assert f.calls == found.attrs["evaluations"] <= most
         return
@@ -175,7 +179,7 @@ def test_no_call_is_made_beyond_the_most(name, most):
     assert f.calls <= most
 
 
-def test_what_is_known_before_is_refused_before():
+def test_too_small_limits_are_refused_before_any_call():
     f = Function(2)
     for call in (
         lambda: mcs.remedies(f.integrand, JITTERED, 64, realizations=100, max_evaluations=6400),
@@ -202,7 +206,7 @@ def test_registered_analyses_of_an_integrand_can_be_limited():
         assert issubclass(ANALYSES.load(name), Counted), name
 
 
-def test_an_unknown_integral_is_said_and_leaves_the_bias_out():
+def test_an_unknown_integral_is_noted_and_omits_the_bias():
     f = Function(2)
     found = mcs.convergence(f.integrand, JITTERED, [N, 64], realizations=R)
     assert np.isnan(found["bias"]).all()
@@ -258,14 +262,14 @@ def test_searches_are_charged():
     assert f.calls % (R * N) == 0
 
 
-def test_showing_calls_nothing():
+def test_showing_a_result_makes_no_calls():
     for kind in ESTIMATORS:
         f, estimator, *_ = made(kind)
         repr(estimator), component_html(estimator), component_html(f.integrand)
         assert f.calls == 0
 
 
-def test_tallies_stand_within_each_other():
+def test_tallies_can_be_nested():
     with counting("outer", 10) as outer:
         with counting("inner", 5) as inner:
             spend(4)
@@ -275,11 +279,11 @@ def test_tallies_stand_within_each_other():
         with pytest.raises(BudgetError, match="outer takes at least 11"):
             spend(1)
     assert (inner.made, outer.made) == (4, 10)
-    with pytest.raises(BudgetError):  # Even if it was caught in between
+    with pytest.raises(BudgetError):  # This also holds if the error was caught in between
         inner.check()
 
 
-def test_integrands_of_other_packages_are_not_called_silently_either():
+def test_calls_of_integrands_of_other_packages_are_counted():
     class Theirs(mcs.Integrand):
         name, dims, spec = "theirs", 2, "theirs"
         points = 0

@@ -1,4 +1,4 @@
-"""Plain functions with dims: results and counts equal those of an integrand made from them."""
+"""Plain functions with dims give the same results and counts as integrands."""
 
 import inspect
 
@@ -13,7 +13,7 @@ PROBE = 28  # Number of points on which `from_function` tests a function
 
 
 class Counting:
-    """exp(x0) + x1 on points (..., 2); it counts its points."""
+    """The function exp(x0) + x1, which counts its points."""
 
     def __init__(self):
         self.calls = 0
@@ -23,7 +23,8 @@ class Counting:
         return np.exp(x[..., 0]) + x[..., 1]
 
 
-# Functions that take an estimator, with few evaluations; two threads may compute the same fact of f
+# Functions that take an estimator, with few evaluations. Two threads may both compute the same
+# property of f
 CALLS = {
     "convergence": lambda f, **given: mcs.convergence(
         f, ["random", "jittered"], [4, 16], realizations=20, **given
@@ -74,7 +75,7 @@ def _numbers(found):
 
 
 @pytest.mark.parametrize("name", CALLS)
-def test_a_function_is_as_good_as_an_integrand_of_it(name):
+def test_a_function_gives_the_results_of_an_integrand(name):
     f, g = Counting(), Counting()
     found = CALLS[name](f, dims=2)
     integrand = mcs.Integrand.from_function(g, dims=2)
@@ -150,6 +151,6 @@ def test_lists_may_hold_functions():
         (3, 2, "3 is not an estimator; give .* a function with dims="),
     ],
 )
-def test_what_is_no_function_of_points_is_refused(given, dims, message):
+def test_invalid_functions_are_refused(given, dims, message):
     with pytest.raises(ParameterError, match=message):
         mcs.convergence(given, "random", [4, 16], dims=dims)

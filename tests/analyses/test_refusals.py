@@ -156,12 +156,12 @@ def test_what_cannot_be_is_refused(call, words):
 
 @pytest.mark.filterwarnings("ignore::mcspectra.core.errors.NotPowerOfTwoWarning")
 @pytest.mark.parametrize(("call", "words"), UNKNOWN)
-def test_what_is_not_known_is_refused(call, words):
+def test_unknown_names_are_refused(call, words):
     with pytest.raises(mcs.NoClosedForm, match=words):
         call()
 
 
-def test_counts_and_densities_have_errors_of_their_own():
+def test_counts_and_densities_have_their_own_error_types():
     with pytest.raises(CountError, match="16 and 25"):
         mcs.convergence("gaussian", "jittered", [16, 20])
     with pytest.raises(DensityError, match="would miss"):

@@ -292,7 +292,10 @@ def test_a_tab_that_closes_leaves_no_traceback(page, address, terminal):
 
 @pytest.mark.parametrize(
     ("theme", "preferred", "dark"),
-    [("auto", "dark", True), ("auto", "light", False), ("light", "dark", False), ("dark", "light", True)],
+    [
+        ("auto", "dark", True), ("auto", "light", False),
+        ("light", "dark", False), ("dark", "light", True),
+    ],
 )  # fmt: skip
 def test_the_theme_is_the_browsers_unless_it_is_chosen(page, address, theme, preferred, dark):
     page.emulate_media(color_scheme=preferred)

@@ -200,7 +200,7 @@ def test_too_many_pages_give_a_sentence(port, monkeypatch):
     assert get(port, "/static/js/bokeh.min.js")[0] == 200
 
 
-def test_pages_that_are_asked_for_at_once_count(empty_port, monkeypatch):
+def test_simultaneous_requests_count_as_pages(empty_port, monkeypatch):
     """Fifty simultaneous requests used to be accepted before the first page was open."""
     monkeypatch.setattr(server, "MOST_SESSIONS", 3)
     with ThreadPoolExecutor(12) as pool:

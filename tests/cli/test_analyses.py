@@ -300,7 +300,7 @@ def test_several_predictions_equal_single_predictions(run_json):
     assert data["method"] == expected["method"].values.tolist()
 
 
-def test_all_methods_are_rows_and_those_without_a_value_say_why(run, run_json):
+def test_all_methods_are_rows_and_missing_values_have_a_reason(run, run_json):
     given = ("predict", "gaussian", "--sampler", "sobol | owen", "--counts", "16,64")
     options = ("--method", "all", "-m", 50, "--half-width", 4)
     code, out, _ = run(*given, *options)

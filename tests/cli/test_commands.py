@@ -25,7 +25,7 @@ def test_list(run, run_json, kind):
     assert all(row["name"] in out for row in rows)
 
 
-def test_points_are_those_of_the_library(run, run_json, tmp_path):
+def test_points_equal_those_of_the_library(run, run_json, tmp_path):
     expected = mcs.sampler("jittered | shift", dims=3).draw(27, realizations=2, rng=5)
     arguments = ("points", "jittered | shift", "-n", 27, "-d", 3, "-m", 2, "--seed", 5)
     assert np.array_equal(run_json(*arguments)["points"], expected)
@@ -135,7 +135,7 @@ def test_a_terminal_without_unicode_loses_characters_not_results():
     assert "gaussian" in done.stdout
 
 
-def test_closed_standard_input_is_a_sentence():
+def test_closed_standard_input_gives_a_sentence():
     command = f"{sys.executable} -m mcspectra points - -n 4 <&-"
     done = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
     assert done.returncode == 2
@@ -289,7 +289,7 @@ def test_one_option_has_one_name_in_all_verbs(run, monkeypatch):
         assert all(flag in out for flag in ("--json", "--seed", "--quiet")), verb
 
 
-def test_options_of_all_verbs_stand_before_or_after_the_verb(run):
+def test_options_of_all_verbs_may_come_before_or_after_the_verb(run):
     after = run("points", "random", "-n", 4, "--json", "--seed", 3, "--quiet")
     assert after[0] == 0
     assert run("--json", "--seed", 3, "--quiet", "points", "random", "-n", 4) == after
@@ -307,7 +307,7 @@ def test_an_unknown_option_before_the_verb_gives_a_sentence(run):
         assert err == f"mcspectra: There is {lack}; see 'mcspectra --help'.\n"
 
 
-def test_errors_name_what_was_typed(run, tmp_path):
+def test_errors_quote_the_typed_options(run, tmp_path):
     """Options appear as flags, and positional arguments as in the help."""
     for given, start in (
         (("design", "density", "gaussian", "-n", 16, "--family", "vegas"), "--family is 'vegas'; "),

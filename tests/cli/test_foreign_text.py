@@ -10,8 +10,14 @@ from tests.report.parsed import Parsed
 
 from mcspectra.cli.main import VERBS, main
 
-EVIL = "a\x1b]52;c;aGk=\x07b\x1b[2J\x9b1A\x08\x7f\u202ec\u2066d\u200be\ufefff\u2028g\u034f\U000e0041\r\tA\nFORGED"
-SEEN = "a\\x1b]52;c;aGk=\\x07b\\x1b[2J\\x9b1A\\x08\\x7f\\u202ec\\u2066d\\u200be\\ufefff\\u2028g\\u034f\\U000e0041"
+EVIL = (
+    "a\x1b]52;c;aGk=\x07b\x1b[2J\x9b1A\x08\x7f\u202ec\u2066d\u200be\ufefff\u2028g\u034f"
+    "\U000e0041\r\tA\nFORGED"
+)
+SEEN = (
+    "a\\x1b]52;c;aGk=\\x07b\\x1b[2J\\x9b1A\\x08\\x7f\\u202ec\\u2066d\\u200be\\ufefff\\u2028g\\u034f"
+    "\\U000e0041"
+)
 SHORT = "\x1b]0;x\x07\u202e\nFORGED"
 
 

@@ -205,9 +205,10 @@ def test_the_answer_has_the_least_variance_at_most_pixels():
     )
     said = map_summary(result)["answer"]
     assert said.startswith(
-        "Use BSDF sampling with jittered: for equal total samples it has the least variance at 50 % "
-        "of the pixels, light sampling at 25 %, MIS at 25 %. Median RMSE at n = 16 of each technique, at "
-        "pixels where no strategy misses light: light sampling 2.00, BSDF sampling 2.00, MIS 1.41."
+        "Use BSDF sampling with jittered: for equal total samples it has the least variance at 50 "
+        "% of the pixels, light sampling at 25 %, MIS at 25 %. Median RMSE at n = 16 of each "
+        "technique, at pixels where no strategy misses light: light sampling 2.00, BSDF sampling "
+        "2.00, MIS 1.41."
     )
 
 
@@ -253,9 +254,9 @@ def test_several_samplers_are_compared_and_resume(capsys, tmp_path):
     import OpenEXR
 
     folder = tmp_path / "out"
-    asked = ("penumbra(width=12, height=8)", "--integrator", "path(max_depth=2)", "--counts", "4,16",
-             "-m", 16, "--chains", 16, "--sampler", "random", "--sampler", "sobol | owen",
-             "--out", folder)  # fmt: skip
+    asked = ("penumbra(width=12, height=8)", "--integrator", "path(max_depth=2)",
+             "--counts", "4,16", "-m", 16, "--chains", 16,
+             "--sampler", "random", "--sampler", "sobol | owen", "--out", folder)  # fmt: skip
     code, out, err = run(capsys, *asked)
     assert code == 0, err
     assert "whole paths, sobol | owen" in out

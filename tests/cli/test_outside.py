@@ -1,4 +1,4 @@
-"""Verbs derived from analyses of other packages (options, help, text, JSON), and our own verbs."""
+"""Verbs of analyses in other packages: options, help, text and JSON."""
 
 import argparse
 import json
@@ -222,7 +222,7 @@ def test_an_option_with_a_name_of_its_verb_is_refused(run, tmp_path, option, abo
     assert err.count("\n") == 1
 
 
-def test_what_verbs_declare_is_taken():
+def test_declarations_of_verbs_are_used():
     for name in ("convergence", "spectrum", "pcf", "remedies"):
         analysis, parser = ANALYSES.load(name), argparse.ArgumentParser()
         for declare in analysis_verb([name]).options:

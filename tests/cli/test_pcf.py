@@ -10,7 +10,7 @@ import pytest
 import mcspectra as mcs
 
 
-def test_json_is_what_the_function_returns(run):
+def test_json_equals_the_result_of_the_function(run):
     options = ("-n", 16, "--bins", 7, "-m", 5, "--seed", 3, "--boundary", "border")
     code, out, err = run("pcf", "jittered", *options, "-d", 1, "--max-distance", 0.2, "--json")
     assert code == 0, err

@@ -66,8 +66,8 @@ def test_constant_draws_are_a_sentence(run, files):
     code, out, _ = run("profile", files / "constant.npy")
     assert code == 0
     assert out == (
-        "4 × 100 draws\nstuck-chain: the draws are constant: all are 0.1, and their mean has no error to "
-        "estimate.\n"
+        "4 × 100 draws\nstuck-chain: the draws are constant: all are 0.1, and their mean has no "
+        "error to estimate.\n"
     )
     np.save(files / "stuck.npy", np.arange(4.0)[:, None] + np.zeros(100))
     assert (

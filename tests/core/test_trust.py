@@ -2,7 +2,7 @@
 
 import pytest
 
-from mcspectra.app.state import Setup
+from mcspectra.app.state import ExplorerSetup
 from mcspectra.core.errors import ConfigError, McspectraError
 from mcspectra.core.spec import parse
 from mcspectra.core.trust import Trust, allow, process_trust
@@ -18,7 +18,7 @@ def test_the_same_trust_holds_for_specs_studies_and_the_explorer(tmp_path):
     study = decode_study(STUDY)
     calls = (
         lambda: sampler(COMMAND),
-        lambda: Setup(sampler=COMMAND),
+        lambda: ExplorerSetup(sampler=COMMAND),
         lambda: make_plan(study, tmp_path, process_trust()),
     )
     for call in calls:

@@ -123,7 +123,7 @@ def test_larger_powers_are_lower_and_slow_down_later():
 
 
 def test_a_mixture_by_a_coordinate_slows_the_rate_and_a_split_keeps_it():
-    """f = x², p = 2x, a tenth of uniform points; an integer n · share is a border of strata."""
+    """For f = x², p = 2x and a tenth of uniform points; an integer n · share is a border."""
     f = mcs.integrand("polynomial(coefficients=[0, 0, 1])", dims=1)
     safe = mcs.density("defensive(density='linear(slope=2)', share=0.1)", dims=1)
     mixed, split = mcs.Estimator(f, safe), mcs.estimators.split_mixture(f, safe)

@@ -1,4 +1,4 @@
-"""Settings of detectors reach the algorithms that read them."""
+"""The algorithms of the detectors use the given settings."""
 
 from dataclasses import replace
 
@@ -24,7 +24,7 @@ def evidence(function, dims, settings=CAUSE_SETTINGS):
 @pytest.mark.parametrize("steps", [16, 32])
 @pytest.mark.parametrize("halvings", [8, 12])
 @pytest.mark.parametrize("dims", [1, 3])
-def test_a_line_takes_the_evaluations_of_its_settings(dims, halvings, steps):
+def test_settings_determine_the_evaluations_of_a_line(dims, halvings, steps):
     settings, made = replace(LINE_SETTINGS, steps=steps, halvings=halvings), 0
 
     def g(x):
@@ -35,7 +35,7 @@ def test_a_line_takes_the_evaluations_of_its_settings(dims, halvings, steps):
     lines = lines_of(g, dims, 2000, np.random.default_rng(0), settings)
     along = int((lines.axis >= 0).sum())
     zoomed = settings.steps + 2 * settings.halvings
-    # Displaced places: of lines along axes once, of chords along groups of axes
+    # Displaced probes: one pair per line along an axis, and one pair per group of axes for chords
     aside = (2 * along + 2 * (len(lines.axis) - along) * settings.groups) * (dims > 1)
     assert made == len(lines.axis) * zoomed + 2 * along * len(settings.ends) + aside
     assert along * settings.line + (len(lines.axis) - along) * settings.chord <= 2000
@@ -51,7 +51,7 @@ def test_thresholds_change_the_cause_without_new_evaluations():
     assert causes_of(replace(seen, lines=lines, settings=many))[0].name == "few-realizations"
 
 
-def test_settings_of_parts_reach_the_parts():
+def test_nested_settings_reach_lines_and_curves():
     lines = replace(LINE_SETTINGS, jump=-1.0, pole=-2.0, kink=-0.5, cusp=-1.0)
     settings = replace(CAUSE_SETTINGS, lines=lines, curves=replace(CAUSE_SETTINGS.curves, slabs=64))
     seen = evidence(lambda x: (x[..., 0] > 0.377) + x[..., 1], 2, settings)
@@ -60,7 +60,7 @@ def test_settings_of_parts_reach_the_parts():
     assert seen.curves["latin-hypercube"].counts[0] == 64
 
 
-def test_shares_of_the_budget_give_the_size_of_nets():
+def test_the_number_of_nets_determines_their_size():
     given = subject(lambda x: x[..., 0], 1)
     few = replace(CAUSE_SETTINGS, nets=10)
     _, n, nets = shares_of(given.estimator, given.sampler, 8192)

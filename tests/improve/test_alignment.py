@@ -1,4 +1,4 @@
-"""Alignment: variance against the offset of strata in closed form, and the optimizer verified."""
+"""Alignment: the variance as a function of the offset of strata, and the best offset."""
 
 import numpy as np
 import pytest
@@ -9,34 +9,35 @@ from mcspectra.densities import AlignedStrata
 
 JITTERED = {d: mcs.sampler("jittered", dims=d) for d in (1, 2, 3)}
 STEP = mcs.integrand("step(at=0.3)", dims=1)
-WITHIN = 4.5  # standard errors
+# Number of standard errors that are allowed
+WITHIN = 4.5
 
 
-def test_the_scan_of_a_step_in_closed_form():
-    """One stratum of n is cut by the step, another by the seam, each with s(1 − s)/n²."""
+def test_the_scan_of_a_step_equals_the_closed_form():
+    """The step and the seam each cut one stratum, which adds s(1 − s)/n²."""
     d = mcs.improve.strata_shift_scan(STEP, JITTERED[1], [8, 16], offsets=10)
     assert d.attrs["method"] == "exact"
     for n in (8, 16):
         for o in d["offset0"].values:
             cut = [(0.3 * n - o) % 1.0, -o % 1.0]
-            # The seam, where the stratum is both at 1 and at 0, is an edge of the periodic step
+            # The periodic step also has an edge at the seam, where 1 meets 0
             expected = sum(s * (1 - s) for s in cut) / n**2
             got = float(d["variance"].sel(offset0=o, n=n))
             assert got == pytest.approx(expected, abs=1e-15)
 
 
-def test_the_scan_in_two_dims_and_its_rates():
-    """x_0 < 0.3, √n strata an axis: n^-1.5 Σ s(1 − s) over both edges, whatever the second offset."""
+def test_the_scan_in_two_dims_equals_the_closed_form_and_has_its_rates():
+    """For the step in x_0, the variance is n^-1.5 Σ s(1 − s) over both edges, for any offset1."""
     step = mcs.integrand("step(at=0.3)", dims=2)
     d = mcs.improve.strata_shift_scan(step, JITTERED[2], [100, 400, 1600], offsets=4)
     assert d["variance"].dims == ("offset0", "offset1", "n")
     assert d["rate_ci"].dims == ("offset0", "offset1", "bound")
     for o in d["offset0"].values:
-        expected = 2 * o * (1 - o) * d["n"].values ** -1.5  # 0.3 √n is whole
+        expected = 2 * o * (1 - o) * d["n"].values ** -1.5  # 0.3 √n is an integer
         row = d["variance"].sel(offset0=o)
         for column in row.values:
             np.testing.assert_allclose(column, expected, rtol=1e-9, atol=1e-17)
-    assert np.isnan(d["rate"].sel(offset0=0)).all()  # no variance, no rate
+    assert np.isnan(d["rate"].sel(offset0=0)).all()  # without variance, no rate exists
     np.testing.assert_allclose(d["rate"].sel(offset0=[0.25, 0.5, 0.75]), -1.5, atol=1e-9)
 
 
@@ -46,7 +47,7 @@ def test_a_measured_scan_agrees_with_the_exact_one_and_shares_random_numbers():
         STEP, JITTERED[1], 8, offsets=[0.1, 0.4, 0.75], method="measured", realizations=3000, rng=7
     )
     assert measured.attrs["method"] == "measured"
-    # Bernoulli sums: kurtosis at most that of one with p = 0.1, 8.1; Var(s²)/σ⁴ ≤ 7.1/R
+    # The kurtosis of a sum of Bernoulli values is at most 8.1 (p = 0.1), so Var(s²)/σ⁴ ≤ 7.1/R
     spread = WITHIN * np.sqrt(7.1 / 3000) * exact["variance"] + 1e-15
     assert (abs(measured["variance"] - exact["variance"]) < spread).all()
     direct = mcs.convergence(
@@ -55,7 +56,7 @@ def test_a_measured_scan_agrees_with_the_exact_one_and_shares_random_numbers():
     np.testing.assert_array_equal(measured["variance"][-1], direct["variance"])
 
 
-def test_auto_measures_where_nothing_exact_is_known():
+def test_auto_measures_if_no_closed_form_exists():
     d = mcs.improve.strata_shift_scan(
         STEP, mcs.sampler("gaussian-jitter", dims=1), 8, offsets=2, realizations=20
     )
@@ -66,7 +67,7 @@ def test_auto_measures_where_nothing_exact_is_known():
         )
 
 
-def test_channels_and_three_dims():
+def test_scans_have_dims_of_offsets_and_channels():
     both = mcs.Integrand.from_function(
         lambda x: np.stack([x[..., 0] < 0.3, x[..., 1] < 0.7], axis=-1).astype(float),
         dims=3,
@@ -80,7 +81,7 @@ def test_channels_and_three_dims():
 
 
 def test_aligned_strata_of_a_step_have_no_variance():
-    """In 1-D and, for a rectangle, in 2-D; n need not be a multiple of anything."""
+    """This holds for any n, for a step in 1-D and a rectangle in 2-D."""
     for n in (7, 16):
         assert mcs.exact_variance(mcs.aligned(STEP, [0.3], n), "jittered", n) < 1e-30
     corner = mcs.Integrand.from_function(
@@ -92,8 +93,8 @@ def test_aligned_strata_of_a_step_have_no_variance():
     assert float(d["mean"][0]) == pytest.approx(0.189, abs=1e-14)
 
 
-def test_aligned_strata_cost_smooth_integrands_next_to_nothing():
-    """Σ_j w_j² Var_j of f = x with strata of lengths L/k: Σ_pieces L³ … = Σ L⁴/(12 k³)."""
+def test_aligned_strata_hardly_change_the_variance_of_smooth_integrands():
+    """For f = x and pieces of length L with k strata each, the variance is Σ L⁴/(12 k³)."""
     x = mcs.integrand("linear", dims=1)
     pieces, counts = np.array([0.3, 0.7]), np.array([5, 11])
     exact = mcs.exact_variance(mcs.aligned(x, [0.3], 16), "jittered", 16)
@@ -101,7 +102,7 @@ def test_aligned_strata_cost_smooth_integrands_next_to_nothing():
     assert exact < 1.02 / (12 * 16**3)
 
 
-def test_strata_are_shared_in_proportion_and_every_piece_has_one():
+def test_each_piece_gets_strata_in_proportion_to_its_length():
     density = AlignedStrata(edges=[0.3, 0.301, 0.8], strata=10)
     np.testing.assert_allclose(density.breaks[0], [0.3, 0.4, 0.8])
     assert AlignedStrata(edges=[], strata=3).breaks == ((),)
@@ -120,8 +121,8 @@ def test_points_never_cross_an_edge_by_rounding():
         np.testing.assert_array_equal(density.sample(borders[:, None])[:, 0], edges)
 
 
-def test_the_best_offset_of_a_step_is_found_between_those_of_the_scan():
-    """Edges at 1.9 and 5.9 strata, none at the seam: no variance at offset 0.9, 2 · 0.09/n² at 0."""
+def test_the_best_offset_is_found_between_scanned_offsets():
+    """Edges at 1.9 and 5.9 strata: the variance is 2 · 0.09/n² at offset 0, and 0 at offset 0.9."""
     wave = mcs.Integrand.from_function(
         lambda x: ((x[..., 0] >= 0.2375) & (x[..., 0] < 0.7375)).astype(float),
         dims=1,
@@ -136,14 +137,14 @@ def test_the_best_offset_of_a_step_is_found_between_those_of_the_scan():
     assert int(best["improvement"]) == 1
     assert float(best["variance_ratio_ci"][1]) < 0.2
     first = found.sel(candidate="unshifted")
-    # 0.9 and 0.1 each: kurtosis 5.6 of the sum, Var(s²)/σ⁴ = 4.6/R
+    # The sum of two Bernoulli values with p = 0.9 has the kurtosis 5.6, so Var(s²)/σ⁴ = 4.6/R
     assert float(first["measured_variance"]) == pytest.approx(
         2 * 0.09 / 64, rel=WITHIN * np.sqrt(4.6 / 600)
     )
 
 
-def test_aligned_strata_beat_every_offset_where_edges_do_not_line_up():
-    """Edges at 2.4 strata and at the seam, which strata that move are cut by."""
+def test_aligned_strata_are_better_than_every_offset_of_incompatible_edges():
+    """The edges are at 2.4 strata and at the seam, so any offset cuts a stratum."""
     found = mcs.improve.best_alignment(STEP, JITTERED[1], 8, edges=[0.3], realizations=300)
     assert list(found["candidate"].values) == ["unshifted", "offset", "aligned"]
     assert found.attrs["method"] == "exact"
@@ -152,8 +153,8 @@ def test_aligned_strata_beat_every_offset_where_edges_do_not_line_up():
     assert found.attrs["improved"] == "yes"
 
 
-def test_smooth_integrands_are_left_undecided_or_better_alone():
-    """The seam cuts what was whole: any offset is worse, the best is none, the verdict undecided."""
+def test_smooth_integrands_keep_offset_zero():
+    """The seam cuts a shifted stratum, so offset 0 is the best and the verdict is undecided."""
     x = mcs.integrand("linear", dims=1)
     found = mcs.improve.best_alignment(x, JITTERED[1], 16, offsets=4, realizations=300, rng=4)
     assert float(found["strata_offset"].sel(candidate="offset")[0]) == 0.0
@@ -168,12 +169,12 @@ def test_a_constant_gives_no_verdict():
     assert found.attrs["improved"] == "undecided"
 
 
-def test_two_dims_by_prediction():
+def test_the_predicted_variances_in_two_dims_are_exact():
     corner = mcs.integrand("step(at=0.45, axis=1)", dims=2)
     found = mcs.improve.best_alignment(
         corner, JITTERED[2], 64, edges=[[], [0.45]], offsets=2, realizations=200
     )
     predicted = found["predicted_variance"].values
-    assert predicted[0] == pytest.approx(0.24 * 64**-1.5, rel=1e-9)  # 0.45 · 8 = 3.6
+    assert predicted[0] == pytest.approx(0.24 * 64**-1.5, rel=1e-9)  # the edge is at 3.6 strata
     assert predicted[2] < 1e-25
     assert found["strata_offset"].dims == ("candidate", "axis")

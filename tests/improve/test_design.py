@@ -1,4 +1,4 @@
-"""Designs: objectives, searches against brute force and measurement, certificates, doors."""
+"""Designs: objectives, searches, certificates, and the public functions."""
 
 import dataclasses
 import itertools
@@ -29,7 +29,7 @@ GAUSSIANS = "gaussian(center=uniform(0, 1), width=uniform(0.15, 0.4))"
 KINDS = tuple(searches.KINDS)
 
 
-# Searches of a second
+# Settings with which a search takes about a second
 SMALL = SearchSettings(
     cells=2**12,
     members=256,
@@ -44,7 +44,7 @@ UNFOLDED = ["sobol | owen", "pmj02", "korobov | shift", "rank1-lattice | shift"]
 
 @pytest.fixture(autouse=True)
 def own_cache(tmp_path, monkeypatch):
-    """A cache of its own."""
+    """Give each test its own cache."""
     monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path / "cache"))
 
 
@@ -54,7 +54,7 @@ def design(*arguments, settings=SMALL, **options):
 
 
 def spectrum(m):
-    """Decays along a diagonal faster than across it."""
+    """Return a power spectrum that decays more slowly along a diagonal than across it."""
     along, across = (m[..., 0] + m[..., 1]) / 3.0, m[..., 0] - m[..., 1]
     return np.where((m == 0).all(-1), 0.0, 1.0 / (1.0 + along**2 + across**2) ** 2)
 
@@ -64,39 +64,40 @@ def dual_sum(vector, n, half):
     return spectrum(m)[m @ np.array(vector) % n == 0].sum()
 
 
-def test_a_lattice_in_2d_has_the_least_dual_sum_of_all():
+def test_the_lattice_in_2d_has_the_smallest_dual_sum():
     n, half = 31, 6
     sampler = design("lattice", {"spectrum": spectrum, "half_width": half}, n)
     vector = sampler.base.vector
     sums = [dual_sum((1, z), n, half) for z in range(1, n)]
     assert np.ptp(sums) > 0.01
     assert dual_sum(vector, n, half) == pytest.approx(min(sums), rel=1e-9)
-    assert "fold" not in sampler.spec  # which doubles frequencies that are none of the class
+    assert "fold" not in sampler.spec  # folding would double frequencies outside the class
 
 
 @pytest.mark.parametrize(
     ("kind", "n"), [("lattice", 31), ("digital-net", 16), ("owen", 16), ("strata", 16)]
 )
-def test_searches_predict_the_variance_that_is_measured(kind, n, tmp_path):
+def test_predicted_variances_of_searches_equal_measured_variances(kind, n, tmp_path):
     objective = as_objective(GAUSSIANS, 2)
     stream = Stream.from_rng(3)
     found = min(searches.KINDS[kind](objective, n, stream, SMALL), key=lambda each: each.variance)
     sampler = found.make(tmp_path / "sets.npz")
 
-    # The mean over 32 batches of 64 realizations, over the members that the search looked at
+    # Average over 32 batches of 64 realizations, and over the members that the search used
     values = objective.functions(256, stream.generator(4 if kind == "digital-net" else 0))
     batches = [
         searches.mean_variances(values, sampler, n, 64, seed).sum() for seed in range(100, 132)
     ]
     sigma = np.std(batches, ddof=1) / np.sqrt(32)
-    # Nets are measured themselves with 64 sets; offsets in a cell come on top for strata
+    # The search itself measures nets with 64 sets; for strata, offsets inside cells add variance
     slack = {"digital-net": 5 * np.std(batches, ddof=1), "strata": 0.25 * found.variance}
-    # A table of side 128 knows the frequency (12, 1) and, 1 % of it, (−116, 1) as one: twice 1 % in power
+    # A table of side 128 aliases (−116, 1) to (12, 1). Its amplitude is 1 %, so the power
+    # changes by about 2 %
     aliased = 0.03 * found.variance
     assert abs(np.mean(batches) - found.variance) < 5 * sigma + slack.get(kind, aliased)
 
 
-def test_the_gradient_of_sets_on_the_torus_is_that_of_their_energy():
+def test_the_gradient_of_the_energy_equals_finite_differences():
     m = np.array([[1, 0], [2, -1], [0, 3]])
     power = np.array([1.0, 0.5, 0.25])
     function = searches._energy(m, power, 2)
@@ -126,7 +127,7 @@ def test_flipped_trees_keep_elementary_intervals():
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_designs_beat_the_best_rival_that_is_not_folded(kind):
+def test_designs_halve_the_variance_of_unfolded_rivals(kind):
     sampler = design(kind, GAUSSIANS, 64, rng=5)
     assert sampler.unbiased
     found = mcs.certificate(sampler, GAUSSIANS, 64, rivals=UNFOLDED, members=400, rng=11)
@@ -137,8 +138,11 @@ def test_designs_beat_the_best_rival_that_is_not_folded(kind):
 
 
 @pytest.mark.slow
-def test_lattices_in_three_dims_are_judged_by_more_than_the_frequencies_that_are_counted():
-    """Of narrow bells that are turned; by 40 frequencies along an axis alone: 1.5 of sobol | owen, without fold."""
+def test_lattices_in_3d_are_better_than_sobol_for_rotated_bells():
+    """The class has narrow, rotated bells.
+
+    A search that used 40 frequencies per axis alone gave 1.5 times the variance of sobol | owen.
+    """
 
     def bell(generator):
         turn = np.linalg.qr(generator.standard_normal((3, 3)))[0]
@@ -153,15 +157,18 @@ def test_lattices_in_three_dims_are_judged_by_more_than_the_frequencies_that_are
     assert found["design_ratio_ci"].values[1] < 0.9
 
 
-def test_a_certificate_of_a_rival_says_one():
+def test_the_certificate_of_a_rival_has_the_ratio_one():
     found = mcs.certificate("sobol | owen", GAUSSIANS, 16, rivals=["sobol | owen"], dims=2, rng=2)
     low, high = found["design_ratio_ci"].values
     assert low < 1.0 < high
     assert high - low < 0.3
 
 
-def test_the_best_of_several_equal_rivals_is_not_better_than_they_are():
-    """The least of six means of 20 groups is a sixth too small; σ of the mean of ratios is 0.03."""
+def test_several_equal_rivals_have_the_ratio_one():
+    """The ratio is not biased, although the smallest of six means is a sixth too small.
+
+    The standard deviation of the mean ratio is 0.03.
+    """
     ratios = [
         mcs.certificate(
             "sobol | owen",
@@ -178,20 +185,20 @@ def test_the_best_of_several_equal_rivals_is_not_better_than_they_are():
     assert np.mean(ratios) == pytest.approx(1.0, abs=0.1)
 
 
-def test_members_are_those_of_the_spec():
+def test_members_have_the_parameters_of_the_spec():
     objective = as_objective("gaussian(center=[0.5, 0.5], width=uniform(0.2, 0.2001))", 2)
     values = objective.draw(8, np.random.default_rng(0))(np.array([[0.5, 0.7]]))
     np.testing.assert_allclose(values * 8**0.5, np.exp(-0.5), rtol=2e-3)
 
 
-def test_a_list_is_its_own_class_and_a_mixture_has_equal_shares():
+def test_a_list_of_integrands_is_a_class_with_equal_shares():
     f, g = mcs.integrand("gaussian", dims=2), mcs.integrand("disk", dims=2)
     x = np.random.default_rng(0).random((50, 2))
     values = as_objective([f, g], 2).whole(x)
     np.testing.assert_allclose((values**2).sum(0), 0.5 * (f(x) ** 2 + g(x) ** 2))
     mixed = as_objective(["gaussians", g], 2)
     assert mixed.whole is None
-    assert len(mixed.draw(10, np.random.default_rng(0))(x)) == 6  # 5 Gaussians and the disk
+    assert len(mixed.draw(10, np.random.default_rng(0))(x)) == 6  # five Gaussians and the disk
 
 
 @pytest.mark.parametrize("level", [-1.0, 1.0, -1e-18])
@@ -200,7 +207,7 @@ def test_flips_that_change_nothing_end_a_search(level):
     assert found == pytest.approx(level)
 
 
-def test_a_covariance_is_that_of_its_functions():
+def test_a_covariance_gives_functions_with_that_covariance():
     half, rng = 1, np.random.default_rng(2)
     members = rng.standard_normal((6, 3, 3))
     grid = np.arange(-half, half + 1)
@@ -211,13 +218,13 @@ def test_a_covariance_is_that_of_its_functions():
     )  # fmt: skip
     matrix = coefficients.T @ coefficients.conj()
     x = rng.random((20, 2))
-    real = coefficients @ np.exp(2j * np.pi * (m @ x.T))  # symmetric coefficients: cosines
+    real = coefficients @ np.exp(2j * np.pi * (m @ x.T))  # symmetric coefficients give cosines
     whole = as_objective({"covariance": matrix}, 2).whole(x)
     np.testing.assert_allclose(whole.T @ whole, (real.T @ real.conj()).real, atol=1e-9)
     assert np.abs(real.imag).max() < 1e-9
 
 
-def test_the_same_seed_gives_the_same_sampler_from_the_cache_or_not(tmp_path, monkeypatch):
+def test_the_same_seed_gives_the_same_sampler_with_and_without_cache(tmp_path, monkeypatch):
     first = design("strata", "disks", 9, rng=4).draw(9, realizations=5, rng=1)
     again = design("strata", "disks", 9, rng=4, path=tmp_path / "mine.json")
     np.testing.assert_array_equal(again.draw(9, realizations=5, rng=1), first)
@@ -229,8 +236,8 @@ def test_the_same_seed_gives_the_same_sampler_from_the_cache_or_not(tmp_path, mo
     np.testing.assert_array_equal(fresh.draw(9, realizations=5, rng=1), first)
 
 
-def test_small_spots_are_classes_of_their_own(tmp_path, monkeypatch):
-    """64 probes met neither of these, and the design of one was taken for the other's."""
+def test_classes_of_small_spots_have_different_cache_keys(tmp_path, monkeypatch):
+    """Cache keys differ although 64 probe points miss both spots."""
     monkeypatch.setenv("MCSPECTRA_CACHE", str(tmp_path))
 
     def spot(x, y, half):
@@ -266,16 +273,18 @@ def test_an_interrupt_keeps_the_best_and_is_not_cached(monkeypatch):
         yield
 
     monkeypatch.setattr(doors, "KINDS", {"lattice": at_once})
-    assert design("lattice", "gaussians", 13).spec == "korobov | shift"  # what it found: nothing
+    assert design("lattice", "gaussians", 13).spec == "korobov | shift"  # the search found nothing
     real = dict(searches.KINDS)
     monkeypatch.setattr(doors, "KINDS", {"lattice": interrupted})
-    assert design("lattice", "gaussians", 13).spec.endswith("| shift")  # the first frame only
+    assert design("lattice", "gaussians", 13).spec.endswith(
+        "| shift"
+    )  # the search stopped after its first result
     monkeypatch.setattr(doors, "KINDS", real)
     assert "fold" in design("lattice", "gaussians", 13).spec
 
 
-def test_points_begin_with_cosets_of_a_net_where_these_are_better():
-    """Exchanges that begin with a net's cosets end below those that begin with random sets."""
+def test_starting_with_cosets_of_a_net_is_better():
+    """Searches that start with cosets of a net end with less variance than random starts."""
     ratios = []
     for cosets in (True, False):
         settings = dataclasses.replace(SMALL, trials=2**16, cosets=cosets)
@@ -290,7 +299,7 @@ def _random_points(*_):
 
 
 def test_a_design_that_loses_to_a_rival_is_replaced_by_it(tmp_path, monkeypatch):
-    """Also from the cache, and in the file of the user."""
+    """The rival is also in the cache and in the user's file."""
     monkeypatch.setattr(doors, "KINDS", {"lattice": _random_points})
     for options in ({}, {}, {"path": tmp_path / "mine.json"}):
         with pytest.warns(NoGainWarning, match="times .* the mean variance of .*instead"):
@@ -308,7 +317,7 @@ def test_folded_lattices_and_blue_noise_are_rivals():
     assert found["design_ratio_ci"].values[0] > 2.0
 
 
-def test_shared_cells_are_uniform_and_refused_else(tmp_path):
+def test_shared_cells_are_uniform_and_invalid_cells_are_refused(tmp_path):
     path = tmp_path / "cells.npz"
     cells = np.indices((4, 2)).reshape(2, -1).T.reshape(2, 4, 2) + 1
     write_cells(path, cells * np.array([1, -1]))
@@ -351,12 +360,12 @@ def test_shared_cells_are_uniform_and_refused_else(tmp_path):
         ("lattice", "gaussian(dims=9)", 16, None, ParameterError, "dims is 9"),
     ],
 )
-def test_doors_refuse_with_a_sentence(kind, objective, n, dims, error, words):
+def test_bad_input_is_refused_with_a_sentence(kind, objective, n, dims, error, words):
     with pytest.raises(error, match=words):
         design(kind, objective, n, dims=dims)
 
 
-def test_settings_are_of_searches_of_samplers_and_part_of_what_the_cache_knows():
+def test_settings_are_for_samplers_only_and_part_of_the_cache_key():
     with pytest.raises(ParameterError, match="settings is for samplers"):
         design("density", "gaussian", 16)
     with pytest.raises(ParameterError, match="settings is 3; give a SearchSettings"):
@@ -386,7 +395,7 @@ F3 = mcs.Integrand.from_function(lambda x: x.prod(axis=-1), dims=3)
         (GAUSSIANS, 2),
     ],
 )
-def test_a_class_that_has_dims_says_them(objective, dims):
+def test_dims_are_derived_from_the_class(objective, dims):
     assert as_objective(objective).dims == dims
 
 
@@ -428,7 +437,7 @@ def test_the_verb_prints_and_writes_spec_and_certificate(tmp_path, capsys):
 
 
 def test_the_verb_saves_the_rival_that_its_certificate_prefers(tmp_path, monkeypatch, capsys):
-    """The comparison of `design` and the certificate are two measurements; the last one decides."""
+    """`design` and the certificate measure separately; the certificate decides."""
     from mcspectra.cli import designs as verb
     from mcspectra.cli.main import main
 

@@ -1,4 +1,4 @@
-"""Estimators changed by what a pilot shows: unbiased, as good as expected, and found by remedies."""
+"""Estimators that are changed after a pilot: unbiased, as good as expected, and recommended."""
 
 import itertools
 import math
@@ -31,7 +31,7 @@ def normal(x):
     return ndtri(np.clip(x, 1e-300, 1.0 - 2.0**-53))
 
 
-# Of exp(−100 s²) with the density 2 (1 − s) of s = |x − y|
+# ∫ exp(−100 s²) 2 (1 − s) ds, where 2 (1 − s) is the density of s = |x − y|
 RIDGE = math.sqrt(math.pi) / 10.0 * math.erf(10.0) - (1.0 - math.exp(-100.0)) / 100.0
 PROBLEMS = {
     "peak": (3, lambda x: np.exp(-((x - 0.4) ** 2).sum(-1) / 8e-4), (8e-4 * math.pi) ** 1.5),
@@ -56,17 +56,17 @@ def estimator(name):
 
 
 def plain(e):
-    """An estimator with random points."""
+    """Return a set-up of an estimator with random points."""
     return Setup(e, mcs.sampler("random", dims=e.dims))
 
 
-# A quarter of the steps of fits, whose expected gain is from evaluations that they were not fitted to
+# A quarter of the usual steps of a fit; the expected gain comes from evaluations outside the fit
 SHORT = ChangeSettings(splines=LearnSettings(steps=30))
 
 
 @cache
 def changes(name, kind, count=2048):
-    """Evaluations of a problem, and the changes of a kind that they suggest."""
+    """Return evaluations of a problem and the changes of one kind that follow from them."""
     e = estimator(name)
     seen = evaluated(e, count, Stream.from_rng(1), adapt=kind == "fitted", settings=SHORT)
     return seen, list(improvements(plain(e), seen, [kind], settings=SHORT))
@@ -74,7 +74,7 @@ def changes(name, kind, count=2048):
 
 @pytest.mark.parametrize("name", PROBLEMS)
 def test_all_changes_keep_the_integral(name):
-    """Means of 2^14 random points are within 4 standard errors of it."""
+    """Means of 2^14 random points are within 4 standard errors of the integral."""
     dims, _, integral = PROBLEMS[name]
     u = np.random.default_rng(2).random((2**14, dims))
     found = [change for kind in CHANGES for change in changes(name, kind)[1]]
@@ -89,8 +89,10 @@ def test_all_changes_keep_the_integral(name):
 @pytest.mark.parametrize("kind", ["fitted", "regression"])
 @pytest.mark.parametrize("name", ["peak", "smooth", "product", "half-plane", "ridge"])
 def test_changes_are_as_good_as_expected(name, kind):
-    """No worse than expected within 4 standard errors of both variances; what halves were fitted to
-    tells less than all."""
+    """The gain is at least the expected gain within 4 standard errors of both variances.
+
+    The expected gain is lower, because it comes from fits to halves of the evaluations.
+    """
     e = estimator(name)
     seen, found = changes(name, kind)
     u = np.random.default_rng(3).random((2**16, e.dims))
@@ -104,13 +106,13 @@ def test_changes_are_as_good_as_expected(name, kind):
         assert values.var() / before < most, change.name
 
 
-def test_a_ridge_across_both_axes_takes_a_flow():
-    """Its marginals are almost flat, so that no product follows it; weights that depend on the other axis do."""
+def test_splines_fit_a_diagonal_ridge():
+    """The marginals are almost flat, so a product does not fit, but coupled splines do."""
     found = {c.name: c.ratio for c in changes("ridge", "fitted")[1]}
     assert found["fitted splines"] < 0.05
 
 
-def test_regression_takes_polynomials_away():
+def test_regression_removes_polynomials():
     dims = 3
     e = mcs.Estimator(mcs.Integrand.from_function(lambda x: x[..., 0] * x[..., 2], dims=dims))
     (change,) = improvements(plain(e), evaluated(e, 512, Stream.from_rng(0)), ["regression"])
@@ -119,24 +121,25 @@ def test_regression_takes_polynomials_away():
     assert change.ratio < 1e-12
 
 
-def test_fitted_normal_density_moves_to_where_a_lognormal_integrand_is():
-    """|g| φ is φ moved by a: what is left is from the error of the mean, d Var/k e^{|a|²} at most."""
+def test_a_fitted_normal_density_has_the_shift_of_a_lognormal_integrand():
+    """|g| φ is a shifted φ, so the fitted shift differs from it by a statistical error only."""
     found = {c.name: c for c in changes("lognormal", "fitted")[1]}
     made = found["fitted normal density"].setup.estimator.integrand.density
     spread = math.sqrt(math.exp(1.0) / 2048)
     assert np.abs(made.shift - 0.5).max() < SIGMAS * spread
 
 
-def test_the_direction_that_matters_comes_first():
-    """The regression on 16 terms has the error of its residuals: the angle to (1, …, 1) is as small."""
+def test_the_active_direction_comes_first():
+    """The first direction differs from (1, …, 1) by the statistical error of the regression."""
     _, (change,) = changes("digital option", "order", 4096)
     first = change.setup.estimator.integrand.density.matrix[:, 0]
-    residual = 0.25 / 4096 * 16  # squared, of all linear coefficients; their own is φ(¼)² = 0.15
+    # Squared error of all linear coefficients, whose squares sum to φ(¼)² = 0.15
+    residual = 0.25 / 4096 * 16
     assert 1.0 - (first.sum() / 4.0) ** 2 < SIGMAS * residual / 0.15
 
 
-def test_preintegration_leaves_the_bracket_of_the_jump_only():
-    """Of a step along an axis: a bracket of width 2^−7, sampled once, with at most a quarter its square."""
+def test_preintegration_leaves_only_the_bracket_of_the_jump():
+    """The remaining bracket has the width 2^−7, so its variance is at most 2^−14/4."""
     found = {c.name: c for c in changes("step", "preintegrated")[1]}
     made = found["preintegrated along axis 1"].setup.estimator
     u = np.random.default_rng(0).random((4096, 3))
@@ -144,8 +147,8 @@ def test_preintegration_leaves_the_bracket_of_the_jump_only():
     assert made.evaluations_per_point == 14
 
 
-def test_evaluations_at_points_of_any_density_have_its_weights():
-    """E[g²/p] − I² from points of p: within 4 standard errors of that of uniform points."""
+def test_evaluations_are_weighted_by_their_density():
+    """The variance from points of density p agrees with the variance from uniform points."""
     e = estimator("smooth")
     uniform = evaluated(e, 2**14, Stream.from_rng(4))
     adapted = evaluated(e, 2**14, Stream.from_rng(5), adapt=True, settings=SHORT)
@@ -153,7 +156,7 @@ def test_evaluations_at_points_of_any_density_have_its_weights():
     assert adapted.variance() == pytest.approx(uniform.variance(), rel=SIGMAS * 3.0 / 2**7)
 
 
-def test_the_pilot_is_charged_and_makes_no_more_calls():
+def test_changes_cost_the_evaluations_of_the_pilot_only():
     calls = 0
 
     def function(x):
@@ -172,19 +175,19 @@ def test_the_pilot_is_charged_and_makes_no_more_calls():
 
 
 @pytest.mark.parametrize(("name", "kind"), [("peak", "fitted"), ("smooth", "regression")])
-def test_remedies_recommend_what_changes_the_estimator(name, kind):
+def test_remedies_recommend_changes_of_the_estimator(name, kind):
     found = mcs.remedies(
         estimator(name), "random", 4096, realizations=100, rng=1, kinds=["mirrored", kind]
     )
     best = found.isel(remedy=0)
     assert (best["kind"], best["verdict"]) == (kind, "better")
     assert best["error_ratio_ci"].values[1] < 0.02
-    # What is spent before the first point is no part of the rate, which is that of random points
+    # The rate does not include the pilot, so it is the rate of random points
     name = str(best["remedy"].values).removesuffix(", with sobol | owen")
     assert found["rate_verdict"].sel(remedy=name) == "undecided"
 
 
-def test_what_cannot_be_changed_is_said():
+def test_impossible_changes_give_a_reason():
     mis = mcs.MultipleImportance("gaussian", ["uniform", "linear"], dims=2)
     with pytest.raises(ParameterError, match="one technique"):
         evaluated(mis, 100, Stream.from_rng(0))
@@ -202,10 +205,13 @@ def test_what_cannot_be_changed_is_said():
 @pytest.mark.parametrize(
     ("order", "dims"), [*itertools.product([1, 2, 3, 4, 5], [1, 2]), (2, 3), (3, 3)]
 )
-def test_cubic_stratification_has_its_order(order, dims):
-    """Theory: a variance ∝ n^(−1 − 2r/d). A bump has no derivatives at the border, and corrections of an even
-    power of the side inside: the slope of the last counts is as far from theory as its errors say and
-    as it is from the slope before."""
+def test_cubic_stratification_has_the_rate_of_its_order(order, dims):
+    """The variance is proportional to n^(−1 − 2r/d) for order r.
+
+    The last slope may differ from theory by its error plus its difference from the slope before.
+    The integrand is a bump without derivatives at the border, so only even powers of the side are
+    corrections.
+    """
     counts = [s**dims for s in {1: (32, 64, 128), 2: (12, 18, 27), 3: (8, 10, 12)}[dims]]
     f = mcs.Integrand.from_function(
         lambda x: np.exp(-40.0 * ((x - 0.5) ** 2)).prod(-1),
@@ -231,7 +237,10 @@ def test_cubic_stratification_has_its_order(order, dims):
 
 @pytest.mark.parametrize("order", [2, 3, 4, 5])
 def test_cubic_stratification_is_exact_for_its_polynomials(order):
-    """Of degree order − 1 along each axis (order 2: in all), at the border too, with channels, in any order of points."""
+    """The polynomials have the degree order − 1 along each axis, or in total for order 2.
+
+    The result is exact at the border, for several channels, and for points in any order.
+    """
     f = mcs.Integrand.from_function(
         lambda x: np.stack([(x ** (order - 1)).prod(-1), 1.0 + x[..., 0]], -1), dims=2
     )
@@ -239,7 +248,7 @@ def test_cubic_stratification_is_exact_for_its_polynomials(order):
     u = np.random.default_rng(0).random((3, 500, 2))
     assert cubic(u).shape == (3, 500, 2)
     cell = np.floor(u * (order + 2))
-    # Within a cell nothing varies: its mean is that of the polynomial, by its antiderivative
+    # Values in a cell are constant: the mean of the polynomial, from its antiderivative
     ends = np.arange(order + 3) / (order + 2)
     means = np.diff(ends**order) / order * (order + 2)
     expected = np.outer(means, means)[tuple(cell.astype(int).reshape(-1, 2).T)]
@@ -251,7 +260,7 @@ def test_cubic_stratification_is_exact_for_its_polynomials(order):
 
 
 def test_cubic_stratification_of_even_order_has_one_cell_more_above_than_below():
-    """Of x⁴ y and order 4: y times the cubic through the centers of a cell, of one below it and of two above."""
+    """At order 4, the cubic passes through the centers of the cell, one below and two above."""
     f = mcs.Integrand.from_function(lambda x: x[..., 0] ** 4 * x[..., 1], dims=2)
     cell, u = np.array([3, 2]), np.array([[0.53, 0.36], [0.61, 0.48]])
     centers = (np.arange(2, 6) + 0.5) / 6
@@ -263,7 +272,7 @@ def test_cubic_stratification_of_even_order_has_one_cell_more_above_than_below()
     assert np.asarray(found) == pytest.approx(expected, abs=1e-13)
 
 
-def test_cubic_stratification_is_found_by_remedies_and_charged_for_its_centers():
+def test_remedies_recommend_cubic_stratification_and_count_its_centers():
     made = 0
 
     def smooth(x):

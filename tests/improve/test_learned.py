@@ -1,4 +1,4 @@
-"""Learned densities: fitted to what is of the family exactly, chosen for the sampler, kept in files."""
+"""Learned densities: exact fits, chosen for the sampler, and stored in files."""
 
 import json
 import math
@@ -17,12 +17,12 @@ from mcspectra.improve.learned import LEARNED, _Seen, fit_splines
 OWEN = "sobol | owen"
 KINDS = list(LEARNED)
 REALIZATIONS = 200
-# F of two estimated variances of REALIZATIONS each: quantile of log F at 4 sigma, Var(log s²) = 2/(R − 1)
+# Ratio of two estimated variances of REALIZATIONS values at 4 sigma, with Var(log s²) = 2/(R − 1)
 NOISE = math.exp(4.0 * math.sqrt(2.0 * 2.0 / (REALIZATIONS - 1)))
 
 
 def peaks(x):
-    """Two bells on the diagonal, which no product follows."""
+    """Return two bells on the diagonal, which a product of marginals does not fit."""
     return sum(np.exp(-((x - c) ** 2).sum(-1) / 0.02) for c in (1 / 3, 2 / 3))
 
 
@@ -38,9 +38,11 @@ def variance(density, n, realizations=REALIZATIONS):
     return ratio.mean(axis=1).var(ddof=1)
 
 
-def test_what_is_of_the_family_is_met_whatever_the_points():
-    """Of a density of the same cells the entropy is 0 there: no noise of 2000 points is left, which of a
-    mean of log p would be Σ (M − 1)/2N = 1e-2 of the entropy."""
+def test_a_density_of_the_family_is_recovered_from_any_points():
+    """The relative entropy is 0 at a density with the same cells, whatever the 2000 points are.
+
+    A fit that maximized a mean of log p would have a noise of Σ (M − 1)/2N = 1e-2.
+    """
     rng = np.random.default_rng(0)
     x = rng.random((2000, 2))
     knots = np.tile(np.linspace(0.0, 1.0, 2), (2, 1))
@@ -48,12 +50,12 @@ def test_what_is_of_the_family_is_met_whatever_the_points():
     true = SplineDensity(knots=knots, defensive=0.1, shares=np.ones(1), tables=table)
     values = 7.0 * true.pdf(x)[:, None]
     found = fit_splines(x, values, np.ones(len(x)), (1, 1, 0.0), 0.1, rng)
-    # L-BFGS ends where steps gain 2e-9 of the entropy, quadratic in what p is off
+    # L-BFGS stops at steps of 2e-9 of the entropy, which is quadratic in the error of p
     assert np.abs(found.pdf(x) / true.pdf(x) - 1.0).max() < 1e-3
     np.testing.assert_allclose(found.tables, table, atol=1e-3)
 
 
-def test_slopes_of_the_entropy_are_its_differences():
+def test_the_gradient_of_the_entropy_equals_finite_differences():
     rng = np.random.default_rng(0)
     rho, weight = rng.dirichlet(np.ones(6), 2).reshape(2, 2, 3)
     seen = _Seen(basis=[], rho=rho, weight=weight, uniform=None, defensive=0.1, smooth=0.0)
@@ -77,7 +79,7 @@ def test_the_variance_under_the_sampler_is_smaller(kind):
     p = mcs.improve.learned_density(f, kind, OWEN, 256, dims=2, evaluations=6000)
     assert 5000 < calls <= 6000
     assert variance(p, 256) * NOISE < variance(None, 256)
-    # Bounded weights, and unbiased: the integral is within 4 standard errors
+    # Weights are bounded, and the mean is within 4 standard errors of the integral
     x = np.random.default_rng(0).random((4096, 2))
     assert p.pdf(x).min() >= 0.05
     u = mcs.sampler(OWEN, dims=2).draw(256, realizations=REALIZATIONS, rng=6)
@@ -96,14 +98,17 @@ def test_the_variance_under_the_sampler_is_smaller(kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_warps_keep_the_rate_of_nets(kind):
-    """T is continuous: from n to 16 n the variance falls faster than by 16^1.5, which is what a jump
-    across a curve would leave. Smooth ones leave 16^3: far beyond the noise of 50 nets, a factor of 3."""
+    """From n to 16 n, the variance falls by more than 16^1.5, because the warp is continuous.
+
+    A jump along a curve would give 16^1.5, and a smooth integrand 16^3. The noise of 50 nets is a
+    factor of 3.
+    """
     p = mcs.improve.learned_density(peaks, kind, OWEN, 1024, dims=2)
     noise = math.exp(4.0 * math.sqrt(2.0 * 2.0 / 49))
     assert variance(p, 2**14, 50) * noise < variance(p, 2**10, 50) * 16.0**-1.5
 
 
-def test_the_same_seed_gives_the_same_density_and_its_spec_makes_it_again(tmp_path):
+def test_the_same_seed_gives_the_same_density_and_its_spec_restores_it(tmp_path):
     def made(seed, **more):
         return mcs.improve.learned_density(
             peaks, "mixture", OWEN, 64, dims=2, evaluations=1024, rng=seed, **more
@@ -124,7 +129,7 @@ def test_the_same_seed_gives_the_same_density_and_its_spec_makes_it_again(tmp_pa
 
 
 def test_the_size_and_the_sign_of_f_do_not_matter():
-    """Powers of two, which round nothing: the same bits."""
+    """Factors that are powers of two give the same bits, because they cause no rounding."""
 
     def spec(factor, kind="mixture"):
         return mcs.improve.learned_density(
@@ -137,7 +142,7 @@ def test_the_size_and_the_sign_of_f_do_not_matter():
 
 
 def test_threads_and_blocks_do_not_matter():
-    """Neither those of BLAS to the fit, nor how points are shared out to what uses it."""
+    """The number of BLAS threads and the blocks of points do not change any bit."""
     specs = [
         mcs.improve.learned_density(
             "gaussian(width=0.1, center=0.3)", kind, OWEN, 256, dims=3, evaluations=8192
@@ -146,7 +151,8 @@ def test_threads_and_blocks_do_not_matter():
     ]
     code = (
         "import mcspectra as mcs\n"
-        f"for kind in {KINDS}: print(mcs.improve.learned_density('gaussian(width=0.1, center=0.3)', "
+        f"for kind in {KINDS}: "
+        "print(mcs.improve.learned_density('gaussian(width=0.1, center=0.3)', "
         f"kind, {OWEN!r}, 256, dims=3, evaluations=8192).spec)"
     )
     threads = "1" if os.environ["OPENBLAS_NUM_THREADS"] != "1" else "2"
@@ -161,8 +167,8 @@ def test_threads_and_blocks_do_not_matter():
             np.testing.assert_array_equal(a, np.concatenate(b))
 
 
-def test_where_nothing_is_gained_it_is_uniform(tmp_path):
-    """A constant has no variance."""
+def test_without_a_gain_the_density_is_uniform(tmp_path):
+    """A constant has no variance, so no density can gain."""
     path = tmp_path / "uniform.json"
     with pytest.warns(NoGainWarning, match="constant is uniform: no candidate has less than 0.5"):
         p = mcs.improve.learned_density("constant", "mixture", OWEN, 64, dims=2, evaluations=2048)
@@ -194,7 +200,7 @@ def _ridge(x):
     ],
 )
 def test_a_density_that_raises_the_variance_is_not_returned(f, dims, kind, sampler, seeds):
-    """Few evaluations miss a peak or fit noise: without the check the ratios are 1.4 to 4.2."""
+    """Few evaluations miss a peak or fit noise; unchecked ratios were 1.4 to 4.2."""
     u = mcs.sampler(sampler, dims=dims).draw(64, realizations=REALIZATIONS, rng=77)
     for seed in seeds:
         p = mcs.improve.learned_density(f, kind, sampler, 64, dims=dims, evaluations=2048, rng=seed)
@@ -203,8 +209,8 @@ def test_a_density_that_raises_the_variance_is_not_returned(f, dims, kind, sampl
         assert p.spec == "uniform" or ratio < 1.0
 
 
-def test_exact_variances_are_those_measured():
-    """Of 2-D, where knots lie along curves of primary space."""
+def test_exact_variances_equal_measured_variances():
+    """In 2-D, the knots lie along curves of primary space."""
     f = mcs.Integrand.from_function(peaks, dims=2)
     estimator = mcs.Estimator(
         f, mcs.improve.learned_density(f, "mixture", OWEN, 64, evaluations=4096)
@@ -212,7 +218,7 @@ def test_exact_variances_are_those_measured():
     for sampler in ("jittered", OWEN):
         exact = mcs.exact_variance(estimator, sampler, 16, tolerance=0.01)
         found = mcs.convergence(estimator, sampler, [16], realizations=4 * REALIZATIONS)
-        # Var(s²) = 2 σ⁴/(R − 1) of means of 16 values, at 4 sigma
+        # Means of 16 values are nearly normal, so Var(s²) = 2 σ⁴/(R − 1); allow 4 sigma
         assert float(found["variance"][0]) == pytest.approx(
             exact, rel=4.0 * math.sqrt(2.0 / (4 * REALIZATIONS - 1))
         )
@@ -260,7 +266,7 @@ def test_other_files_are_refused(tmp_path, text):
         mcs.density(f"learned(path={str(tmp_path / 'none.json')!r})")
 
 
-def test_tables_that_do_not_fit_are_refused(tmp_path):
+def test_invalid_tables_are_refused(tmp_path):
     path = tmp_path / "density.json"
     with pytest.warns(NoGainWarning):
         mcs.improve.learned_density(
@@ -282,7 +288,7 @@ def test_tables_that_do_not_fit_are_refused(tmp_path):
             Learned(path=path)
 
 
-def test_the_verb_measures_what_is_gained(tmp_path, capsys):
+def test_the_verb_writes_a_density_and_refuses_options_of_samplers(tmp_path, capsys):
     from mcspectra.cli.main import main
 
     path = tmp_path / "density.json"
@@ -306,7 +312,7 @@ def test_the_verb_measures_what_is_gained(tmp_path, capsys):
         assert said in capsys.readouterr().err
 
 
-def test_a_density_is_a_design():
+def test_design_of_a_density_equals_learned_density():
     options = {"dims": 2, "rng": 3}
     made = mcs.design(
         "density", "gaussian(width=0.1)", 64, budget=4096, family="spline-flow", **options

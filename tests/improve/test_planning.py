@@ -1,4 +1,4 @@
-"""Plans: the least count that reaches an error, by predictions, by measurements, and beyond them."""
+"""Plans: the smallest count that reaches an error, predicted, measured, or extrapolated."""
 
 import itertools
 import math
@@ -14,10 +14,10 @@ from mcspectra.improve.planning import _Nets
 from mcspectra.plots.kinds import describe
 
 
-def test_random_points_need_the_variance_over_the_squared_error():
+def test_random_points_need_variance_over_squared_error():
     """f = x has variance 1/12."""
     f = mcs.integrand("linear", dims=1)
-    for target in (0.02, 1e-3):  # within the curve and far beyond it
+    for target in (0.02, 1e-3):  # inside the curve, and far above its last count
         found = mcs.plan(f, "random", target_error=target)
         exact = 1 / (12 * target**2)
         assert exact * (1 - 1e-9) <= float(found["planned_n"]) <= 1.05 * exact + 1
@@ -26,24 +26,26 @@ def test_random_points_need_the_variance_over_the_squared_error():
     assert mcs.plan(f, "random", target_error=0.02).attrs["method"] == "exact"
 
 
-def test_strata_reach_it_at_the_first_count_that_they_can_do():
+def test_jittered_points_reach_the_error_at_the_smallest_count():
     """The variance of f = x is 1/(12 n³)."""
     f = mcs.integrand("linear", dims=1)
     assert float(mcs.plan(f, "jittered", target_error=0.5)["planned_n"]) == 1
     found = mcs.plan(f, "jittered", target_error=1e-4)
     assert float(found["planned_n"]) == math.ceil((1 / (12 * 1e-8)) ** (1 / 3))
-    half = mcs.plan(f, "jittered", target_error=2e-4, relative=True)  # of 1/2
+    half = mcs.plan(
+        f, "jittered", target_error=2e-4, relative=True
+    )  # relative to the integral, 1/2
     assert float(half["planned_n"]) == float(found["planned_n"])
 
 
-def test_planned_counts_do_what_was_planned():
+def test_planned_counts_reach_the_error():
     f = mcs.integrand("disk(center=(0.4,0.55),radius=0.3)", dims=2)
     samplers = ["sobol | owen", "jittered | shift", "random"]
     plan = mcs.plan(f, samplers, target_error=8e-3)
     for sampler, n in zip(samplers, plan["planned_n"].values, strict=True):
         measured = mcs.convergence(f, sampler, [int(n)], realizations=1000, rng=3)
         low, _ = np.sqrt(measured["variance_ci"].values[0])
-        assert low <= 8e-3 * 1.05  # the accuracy of predictions of disks
+        assert low <= 8e-3 * 1.05  # predictions for disks have this accuracy
     found = plan["planned_n"].sel(sampler="sobol | owen")
     assert int(found).bit_count() == 1
     assert f" {int(found):,} with sobol | owen" in plan.attrs["answer"]
@@ -57,14 +59,14 @@ def test_the_curve_ends_well_below_the_error():
     assert known[-1] <= 0.25e-6 < known[-2] * 4
 
 
-def test_what_never_varies_has_no_plan():
+def test_deterministic_samplers_have_no_plan():
     found = mcs.plan("gaussian", ["sobol", "random"], target_error=1e-2)
     assert np.isnan(found["planned_n"].sel(sampler="sobol"))
     assert "sobol: a deterministic sampler has no variance" in found.attrs["note"]
 
 
-def test_plans_go_down_to_the_least_count_that_there_is():
-    """One point of any unbiased sampler has σ²; an orthogonal array has 4 at least."""
+def test_plans_can_be_the_smallest_possible_count():
+    """One point of an unbiased sampler has the variance σ²; orthogonal arrays need four points."""
     f = mcs.integrand("disk", dims=2)
     samplers = ["random", "jittered | shift", "sobol | owen", "pmj02"]
     plan = mcs.plan(f, samplers, target_error=0.5)
@@ -74,8 +76,8 @@ def test_plans_go_down_to_the_least_count_that_there_is():
     assert float(mcs.plan(f, "orthogonal-array", target_error=0.5)["planned_n"]) == 4
 
 
-def test_what_vanishes_reaches_every_error():
-    """A constant does at one point; a wave where a grid resolves it."""
+def test_zero_variance_reaches_every_error():
+    """A constant needs one point; a wave needs a grid that resolves it."""
     assert float(mcs.plan("constant", "random", target_error=1e-9)["planned_n"]) == 1
     wave = mcs.integrand("cosine(frequency=1)", dims=1)
     found = mcs.plan(wave, "regular | shift", target_error=0.1)
@@ -90,8 +92,8 @@ def test_what_vanishes_reaches_every_error():
         ("disk(center=0.47)", 2, "jittered", 2e-3, 1681),
     ],
 )
-def test_no_count_nearby_is_less(f, dims, sampler, target, most):
-    """Curves go up and down; digits in base 2 alone are kept to powers of two."""
+def test_no_smaller_count_nearby_reaches_the_error(f, dims, sampler, target, most):
+    """The variance is not monotone in n; only base-2 samplers are limited to powers of two."""
     f = mcs.integrand(f, dims=dims)
     assert float(mcs.predict(f, sampler, [most])["predicted_variance"][0]) <= target**2
     found = mcs.plan(f, sampler, target_error=target)
@@ -100,7 +102,7 @@ def test_no_count_nearby_is_less(f, dims, sampler, target, most):
 
 
 def test_plans_have_intervals():
-    """As wide as those of the predictions; of exact ones there is nothing to say."""
+    """The intervals follow from the predictions; the answer shows none for exact predictions."""
     f = mcs.integrand("christensen-disk", dims=2)
     found = mcs.plan(f, ["sobol | owen", "random"], target_error=1e-2)
     low, high = found["planned_n_ci"].values.T
@@ -115,18 +117,18 @@ def test_plans_have_intervals():
 
 
 @pytest.mark.parametrize("target", [0.0, -1.0, math.nan, math.inf, "small", None])
-def test_targets_that_are_none(target):
+def test_invalid_targets_are_refused(target):
     with pytest.raises(ParameterError, match="target_error"):
         mcs.plan("gaussian", "random", target_error=target)
 
 
-def test_no_error_is_a_share_of_nothing():
+def test_relative_errors_need_a_nonzero_integral():
     f = mcs.integrand("cosine(frequency=1)", dims=1)
     with pytest.raises(ParameterError, match="without relative"):
         mcs.plan(f, "random", target_error=0.1, relative=True)
 
 
-# Functions of users: measured, with few evaluations
+# Functions of users, for which plans use measurements with few evaluations
 FUNCTIONS = {
     "smooth": (lambda x: np.exp(x.sum(axis=-1)), 2),
     "kink": (lambda x: np.abs(x.sum(axis=-1) - 0.8), 2),
@@ -155,7 +157,7 @@ class Counting:
 @pytest.mark.parametrize("sampler", ["random", "sobol | owen"])
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_plans_agree_with_profiles(name, sampler):
-    """The n for the error that a profile claims, within the intervals of both."""
+    """The n for the error in a profile agrees with the profile's n within both intervals."""
     f, dims = FUNCTIONS[name]
     found = mcs.profile(f, dims=dims, sampler=sampler, budget=4096, rng=1)
     curve = found.samplers[sampler]
@@ -181,7 +183,7 @@ SOME_PAIRS = [pair for place, pair in enumerate(ALL_PAIRS) if place % 3 == 0] + 
         for pair in ALL_PAIRS
     ],
 )
-def test_a_smaller_error_never_takes_fewer_points(name, sampler):
+def test_measured_plans_are_monotone_in_the_error(name, sampler):
     f, dims = FUNCTIONS[name]
     before = 0.0
     for target in np.geomspace(0.3, 1e-3, 12):
@@ -202,7 +204,7 @@ def test_a_smaller_error_never_takes_fewer_points(name, sampler):
         ("gaussian", 2, "sobol | owen"),
     ],
 )
-def test_predicted_plans_are_monotone_as_well(f, dims, sampler):
+def test_predicted_plans_are_monotone_in_the_error(f, dims, sampler):
     f = mcs.integrand(f, dims=dims)
     targets = np.geomspace(0.05, 4e-3, 9)
     counts = [float(mcs.plan(f, sampler, target_error=t)["planned_n"]) for t in targets]
@@ -215,11 +217,11 @@ def test_predicted_plans_are_monotone_as_well(f, dims, sampler):
         ("random", 2e-3),
         ("sobol | owen", 2e-3),
         ("jittered", 2e-3),
-        ("latin-hypercube", 8e-3),  # whose exact variances take seconds at larger counts
+        ("latin-hypercube", 8e-3),  # Exact variances at larger counts take seconds
         pytest.param("latin-hypercube", 2e-3, marks=pytest.mark.slow),
     ],
 )
-def test_measured_plans_are_those_of_predictions(sampler, target):
+def test_measured_plans_agree_with_predicted_plans(sampler, target):
     known = mcs.integrand("gaussian", dims=2)
     expected = float(mcs.plan(known, sampler, target_error=target)["planned_n"])
     low, high = mcs.plan(known.__call__, sampler, dims=2, target_error=target)[
@@ -229,8 +231,8 @@ def test_measured_plans_are_those_of_predictions(sampler, target):
     assert expected <= 1.05 * high
 
 
-def test_few_points_take_few_evaluations():
-    """A target that a few points reach takes one stage, whatever the limit."""
+def test_easy_targets_need_few_evaluations():
+    """If few points reach the target, the plan needs one stage, for any limit."""
     f = Counting(FUNCTIONS["disk"][0], 2)
     found = mcs.plan(f, "sobol | owen", dims=2, target_error=0.1, max_evaluations=2**20)
     assert found.attrs["evaluations"] == 4096
@@ -239,11 +241,11 @@ def test_few_points_take_few_evaluations():
 
 
 @pytest.mark.parametrize("most", [1000, 5000, 30_000])
-def test_no_more_evaluations_than_are_allowed(most):
+def test_evaluations_stay_within_the_limit(most):
     f = Counting(FUNCTIONS["disk"][0], 2)
     samplers = ["sobol | owen", "random", "jittered | shift"]
     found = mcs.plan(f, samplers, dims=2, target_error=1e-4, max_evaluations=most)
-    assert f.calls - 28 == found.attrs["evaluations"] <= most  # 28 find out how to call it
+    assert f.calls - 28 == found.attrs["evaluations"] <= most  # 28 calls test how f must be called
     assert np.isfinite(found["planned_n"]).all()
 
 
@@ -255,8 +257,8 @@ def test_too_small_a_limit_is_refused_before_the_first_call():
     assert f.calls == 28
 
 
-def test_evaluations_of_earlier_stages_are_the_same_points():
-    """The first points of the first nets do not change, so that none is evaluated again."""
+def test_later_stages_reuse_earlier_evaluations():
+    """Later stages extend the same nets, so no point is evaluated twice."""
     f = Counting(FUNCTIONS["disk"][0], 2)
     estimator = mcs.Estimator(mcs.Integrand.from_function(f, dims=2))
     nets = _Nets(estimator, 2**16, Stream.from_rng(3))
@@ -267,7 +269,7 @@ def test_evaluations_of_earlier_stages_are_the_same_points():
     assert stages[-1].evaluations == sets * n == 2**16
 
 
-def test_open_intervals_say_why():
+def test_open_intervals_have_a_reason():
     pole = mcs.plan(FUNCTIONS["pole"][0], "random", dims=1, target_error=1e-2)
     assert math.isinf(pole["planned_n_ci"].values[1])
     assert "f grows about as t^−0.3" in pole.attrs["note"]
@@ -277,8 +279,8 @@ def test_open_intervals_say_why():
     assert "either it is constant" in same.attrs["note"]
 
 
-def test_a_share_of_a_measured_integral():
-    """The mean is that of the nets; no quadrature evaluates the function."""
+def test_relative_targets_use_the_measured_integral():
+    """The mean comes from the nets; quadrature does not evaluate the function."""
     f = Counting(FUNCTIONS["smooth"][0], 2)
     found = mcs.plan(f, "random", dims=2, target_error=0.01, relative=True)
     assert float(found["target_variance"]) ** 0.5 == pytest.approx(
@@ -292,7 +294,7 @@ def test_a_share_of_a_measured_integral():
 
 
 def test_channels_and_techniques_are_measured_together():
-    """Every channel reaches the error; each point of two techniques is two evaluations."""
+    """Every channel reaches the error, and a point of two techniques is two evaluations."""
     channels = mcs.Integrand.from_function(
         lambda x: np.stack([x[..., 0], 3 * x[..., 0]], axis=-1), dims=1
     )

@@ -1,4 +1,4 @@
-"""Remedies: the known ones are found at equal cost, the others are not recommended, and why."""
+"""Remedies: helpful changes are recommended at equal cost, others are listed with a reason."""
 
 import json
 
@@ -28,13 +28,13 @@ def _found(estimator, sampler, *kinds, **options):
 
 @pytest.fixture(scope="module")
 def shifted():
-    """A smooth integrand that does not wrap around, with a shifted sampler: boundary jumps cost."""
+    """Remedies for a smooth integrand with boundary jumps and a shifted sampler."""
     kinds = ["unshifted", "mirrored", "aligned", "sampler"]
     return mcs.remedies(SMOOTH, "jittered | shift", 1024, realizations=400, rng=1, kinds=kinds)
 
 
-def test_leaving_the_shift_out_and_mirroring_restore_the_rate(shifted):
-    """−1.5 shifted, −2 without the shift (DESIGN) and mirrored: intervals of the differences hold."""
+def test_removing_the_shift_and_mirroring_restore_the_rate(shifted):
+    """The rate is −1.5 with the shift and −2 after either change; the intervals hold −0.5."""
     for name in ("unshifted", "mirrored: integrand"):
         row = shifted.sel(remedy=name)
         assert row["verdict"] == row["rate_verdict"] == "better"
@@ -44,10 +44,10 @@ def test_leaving_the_shift_out_and_mirroring_restore_the_rate(shifted):
     assert "opposite faces" in shifted.attrs["diagnosis"]
 
 
-def test_errors_are_in_order_and_the_best_is_recommended(shifted):
+def test_remedies_are_sorted_by_error_and_the_best_is_recommended(shifted):
     errors = shifted["error"].values
     assert (np.diff(errors) >= 0).all()
-    # intervals of the errors and of the rates hold together
+    # The intervals of all errors and rates hold simultaneously
     assert shifted.attrs["simultaneous_z"] == simultaneous_z(2 * (len(errors) - 1))
     assert (shifted.sel(remedy=["random", "mirrored: random"])["verdict"] == "worse").all()
     best = shifted.isel(remedy=0)
@@ -58,7 +58,7 @@ def test_errors_are_in_order_and_the_best_is_recommended(shifted):
     assert shifted["rank_by_rate"].values[np.nanargmin(rates)] == 1
 
 
-def test_costs_never_exceed_the_budget_and_steps_are_comparable(shifted):
+def test_costs_never_exceed_the_budget_at_any_step(shifted):
     cost = shifted["cost"].values
     assert np.nanmax(cost) <= 1024
     budgets = 1024 / 4.0 ** np.arange(4, -1, -1)
@@ -68,7 +68,7 @@ def test_costs_never_exceed_the_budget_and_steps_are_comparable(shifted):
 
 
 def test_ratios_agree_with_exact_variances():
-    """x in 1-D, jittered 1/(12n³), jittered and shifted 1/(6n²) − 1/(12n³) (ORACLES)."""
+    """For x in 1-D, jittered has 1/(12n³), and with a shift 1/(6n²) − 1/(12n³)."""
     n = 64
     f = mcs.Estimator("linear", dims=1)
     found = mcs.remedies(f, "jittered | shift", n, realizations=2000, kinds=["unshifted"])
@@ -78,7 +78,7 @@ def test_ratios_agree_with_exact_variances():
     assert high / low < 1.5
 
 
-def test_interior_edges_are_not_mended_by_mirroring_but_by_smoothing():
+def test_smoothing_helps_at_interior_edges_and_mirroring_does_not():
     found = mcs.remedies(
         "disk(center=0.47)",
         "jittered | shift",
@@ -96,7 +96,7 @@ def test_interior_edges_are_not_mended_by_mirroring_but_by_smoothing():
     assert "bias" in str(found["reason"].values[0])
 
 
-def test_a_known_edge_is_aligned_with_and_leaves_nothing():
+def test_alignment_with_a_known_edge_removes_the_variance():
     found = mcs.remedies(
         mcs.Estimator("step(at=0.3)", dims=1), "jittered", 256, realizations=100, kinds=["aligned"]
     )
@@ -105,36 +105,36 @@ def test_a_known_edge_is_aligned_with_and_leaves_nothing():
     assert "RMSE 0 at 256 evaluations instead of 0.0017. " in found.attrs["answer"]
 
 
-def test_strata_are_aligned_if_the_law_of_the_sampler_has_them():
-    """Owen scrambling keeps one uniform point in each stratum; a scrambled net has no strata."""
+def test_only_samplers_with_strata_are_aligned():
+    """Owen scrambling keeps one point in each jittered stratum; a scrambled net has no strata."""
     (jittered, _) = _found("step(at=0.3)", "jittered | owen", "aligned")
     assert jittered.name == "aligned with edges"
     (net,) = _found("step(at=0.3)", "sobol | owen", "aligned")
     assert "sobol | owen has no strata" in net
 
 
-def test_the_slow_technique_is_named_and_left_out():
+def test_removing_the_slow_technique_is_recommended():
     mis = mcs.MultipleImportance(
         mcs.integrand("polynomial(coefficients=[0.5, 0, 1])", dims=1),
         ["uniform", "piecewise-constant(values=[1, 2, 3])"],
     )
     found = mcs.remedies(mis, "jittered", 512, realizations=300, kinds=["techniques", "heuristic"])
     only = found.sel(remedy="only uniform")
-    # smooth f sampled uniformly: −3; the table's jumps: −2
+    # The rate is −3 for smooth f with uniform points, and −2 with the jumps of the table
     assert only["verdict"] == only["rate_verdict"] == "better"
     assert "cross a discontinuity of the integrand, " in found.attrs["diagnosis"]
     assert found.sel(remedy="heuristic: maximum")["verdict"] == "worse"
 
 
-def test_unbounded_weights_are_named():
+def test_unbounded_weights_are_reported():
     e = mcs.Estimator("polynomial(coefficients=[0, 0, 1])", "linear(slope=2)", dims=1)
     found = mcs.remedies(e, "random", 64, realizations=200, kinds=["warp"])
     assert "1/p is unbounded" in found.attrs["diagnosis"]
     assert any("defensive" in str(name) for name in found["remedy"].values)
 
 
-def test_nothing_is_recommended_where_nothing_is_better():
-    """f is what it is sampled by, but for a constant: every change is worse or undecided."""
+def test_without_a_better_change_the_sampler_is_kept():
+    """f is nearly proportional to its density, so every change is worse or undecided."""
     f = mcs.integrand("linear(gradient=[1], offset=0.5)", dims=1)
     found = mcs.remedies(
         mcs.Estimator(f, "linear(slope=0.9)"), "sobol | owen", 256, realizations=200, kinds=["warp"]
@@ -146,19 +146,19 @@ def test_nothing_is_recommended_where_nothing_is_better():
     assert json.loads(found.attrs["best"])["name"] == "as given"
 
 
-def test_colours_by_their_own_densities():
+def test_separate_densities_for_color_channels_are_recommended():
     e = mcs.Estimator("environment", "environment")
     found = mcs.remedies(e, "jittered", 256, realizations=200, kinds=["channels"])
     assert found.sel(remedy="channels: own")["verdict"] == "better"
 
 
-def test_what_cannot_be_tried_is_listed_with_its_reason(shifted):
+def test_changes_that_cannot_be_tested_are_listed_with_a_reason(shifted):
     found = mcs.remedies(SMOOTH, "jittered", 64, realizations=100, kinds=["unshifted", "channels"])
     assert [str(r) for r in found["remedy"].values] == ["as given"]
     assert "no shift to leave out" in found.attrs["not_tried"]
 
 
-def test_no_set_up_is_tried_twice_and_none_is_the_given_one():
+def test_each_set_up_is_tried_once_and_differs_from_the_given_one():
     found = _found(SMOOTH, "jittered | shift", "unshifted", "sampler")
     names = [c.setup.sampler.spec for c in found if isinstance(c, Candidate)]
     assert len(names) == len(set(names))
@@ -177,7 +177,7 @@ def test_a_sampler_that_is_biased_without_its_shift_keeps_it():
         (SMOOTH, "jittered", 1000, 31**2),
         (SMOOTH, "sobol | owen", 1000, 512),
         (SMOOTH, "random", 1000, 1000),
-        # a count that steps of a part in 256 pass over
+        # steps of 1/256 of the count would miss this count
         (SMOOTH, "sobol | owen", 14336, 8192),
         (mcs.Mirrored(SMOOTH, "uniform", dims=2), "jittered", 1000, 4 * 15**2),
         (mcs.MultipleImportance(SMOOTH, ["uniform", "linear"], counts=(1, 3)), "random", 1000, 250),
@@ -196,8 +196,8 @@ def test_the_largest_count_within_a_budget(estimator, sampler, budget, expected)
     assert affordable_count(_setup(estimator, sampler), budget) == expected
 
 
-def test_causes_are_not_denied_where_they_were_not_looked_for():
-    """Techniques that share their points have no sets of their own, and few evaluations no nets."""
+def test_undetermined_causes_are_not_reported_as_absent():
+    """Causes cannot be determined for shared points or from few evaluations."""
     f = mcs.integrand("gaussian", dims=3)
     shared = mcs.MultipleImportance(f, ["uniform", "truncated-normal(sigma=0.3)"], sets="shared")
     for estimator, most in ((shared, None), (mcs.estimators.as_estimator(f), 100)):
@@ -221,8 +221,8 @@ def test_an_estimate_without_variance_needs_no_remedy():
 
 
 @pytest.mark.parametrize("sampler", ["sobol", "halton", "regular"])
-def test_a_bias_is_an_error(sampler):
-    """Points that are not randomized have no variance, but an error: that of their one estimate."""
+def test_the_error_of_deterministic_points_is_their_bias(sampler):
+    """Points without randomization have no variance; their error is the squared bias."""
     f = mcs.integrand(SMOOTH)
     found = mcs.remedies(f, sampler, 256, realizations=100, kinds=["sampler"])
     n = 256
@@ -232,18 +232,18 @@ def test_a_bias_is_an_error(sampler):
     assert found.sel(remedy="sobol | owen")["verdict"] == "better"
 
 
-def test_rare_events_that_nobody_met_are_no_absence_of_variance():
+def test_missed_rare_events_do_not_give_a_verdict():
     p = 1e-5
     f = mcs.Integrand.from_function(
         lambda x: 1.0 * (np.abs(x[..., 0] - 0.37) < p / 2), dims=1, integral=p
     )
     wrong = 0
     for seed in range(10):
-        # both changes have the very variance of the set-up as given
+        # both changes have exactly the variance of the given set-up
         found = mcs.remedies(f, "random", 256, realizations=400, rng=seed, kinds=["mirrored"])
         same = found.sel(remedy=["mirrored: integrand", "mirrored: random"])
         wrong += bool((same["verdict"] != "undecided").any())
-    # 5 % of 10 is 0.5, binomial σ 0.7
+    # 5 % of 10 runs are 0.5, with a binomial σ of 0.7
     assert wrong <= 0.5 + 3.5 * 0.7
     never = mcs.Integrand.from_function(
         lambda x: 1.0 * (np.abs(x[..., 0] - 0.37) < 1e-12), dims=1, integral=2e-12
@@ -253,8 +253,8 @@ def test_rare_events_that_nobody_met_are_no_absence_of_variance():
     assert np.isnan(found["error"]).all()
 
 
-def test_costs_are_evaluations_of_the_function():
-    """Pilots and means over boxes count: the function itself is asked how often it was called."""
+def test_costs_equal_the_calls_of_the_function():
+    """The costs of pilots and of means over boxes equal the counted calls."""
     calls = 0
 
     def counted(x):
@@ -282,7 +282,7 @@ def test_costs_are_evaluations_of_the_function():
     assert "pilot alone takes 4096" in found.attrs["not_tried"]
 
 
-def test_what_is_smoothed_to_another_integral_has_no_rate():
+def test_biased_smoothing_has_no_rate():
     found = mcs.remedies(
         "christensen-disk", "sobol | owen", 256, realizations=100, kinds=["smoothed"]
     )
@@ -291,7 +291,7 @@ def test_what_is_smoothed_to_another_integral_has_no_rate():
     assert found.sel(remedy=name)["rate_verdict"] == "undecided"
 
 
-def test_means_over_boxes_are_not_said_to_be_biased():
+def test_means_over_boxes_of_periodic_integrands_are_unbiased():
     f = mcs.integrand("image(values=[[0, 1], [1, 0]])")
     one_width = CandidateSettings(widths=(0.1,))
     found = _found(f, "jittered | shift", "smoothed", settings=one_width)
@@ -309,8 +309,8 @@ def test_mirrored_estimators_keep_their_other_remedies():
     )
 
 
-def test_tables_beside_other_techniques_are_compensated():
-    """f = p q of a table p with a technique of q: where q samples often p may be 0 [Karlik2019]."""
+def test_tables_with_other_techniques_are_compensated():
+    """For f = p q with a table p, p may be set to 0 where q samples often [Karlik2019]."""
     table = mcs.density("piecewise-constant(values=[[1, 1, 9, 1], [1, 1, 1, 1], [1, 9, 1, 1]])")
     other = mcs.density("product(parts=['linear', 'uniform'])")
     f = mcs.Integrand.from_function(lambda x: table.pdf(x) * other.pdf(x), dims=2)
@@ -325,7 +325,7 @@ def test_tables_beside_other_techniques_are_compensated():
     assert reason.startswith("compensated: ")
 
 
-def test_a_kind_that_fails_costs_itself_only(monkeypatch):
+def test_a_failing_kind_does_not_affect_other_kinds(monkeypatch):
     def broken(given, budget):
         raise ParameterError("no scan of that.")
         yield
@@ -335,12 +335,12 @@ def test_a_kind_that_fails_costs_itself_only(monkeypatch):
     assert [getattr(c, "kind", c) for c in found] == ["aligned: no scan of that.", "unshifted"]
 
 
-def test_where_nothing_can_be_tried_the_reasons_are_said():
+def test_the_answer_gives_reasons_if_no_change_can_be_tested():
     found = mcs.remedies(SMOOTH, "jittered", 256, realizations=100, kinds=["warp", "channels"])
     assert found.attrs["answer"].startswith("No change could be tested. warp: ")
 
 
-def test_a_budget_too_small_for_two_counts_gets_a_sentence():
+def test_a_budget_too_small_for_two_counts_is_refused():
     with pytest.raises((ParameterError, CountError), match="no two counts"):
         mcs.remedies(
             SMOOTH, mcs.Sampler.from_points(np.full((100, 8, 2), 0.5)), 16, realizations=100
@@ -350,9 +350,9 @@ def test_a_budget_too_small_for_two_counts_gets_a_sentence():
 @pytest.mark.parametrize(
     ("integrand", "share", "words"),
     [
-        # x + y: all of it is odd about the center, though its sides differ as well
+        # x + y is odd about the center, although its values on opposite sides differ as well
         ("linear(gradient=[1, 1])", 1.0, "g is odd about the center (100 % of the variance of g)"),
-        # A disk about the center is its own reflection
+        # A disk at the center is symmetric
         ("disk(center=0.5)", 0.0, None),
     ],
 )
@@ -367,7 +367,7 @@ def test_mirroring_names_central_symmetry_as_its_cause(integrand, share, words):
 
 
 def test_a_variance_is_not_called_an_error(shifted):
-    """The answer has the RMSE, its square root, and the numbers are in `best`."""
+    """The answer gives the RMSE, which is the square root of the variance."""
     (error, (low, high)), given = (shifted[name].values[0] for name in ("error", "error_ci")), (
         shifted.sel(remedy="as given")["error"]
     )  # fmt: skip
@@ -381,8 +381,8 @@ def test_a_variance_is_not_called_an_error(shifted):
     assert not any("error" in str(reason) for reason in shifted["reason"].values)
 
 
-def test_images_that_are_too_many_are_not_tried_and_say_why():
-    """2^32 mirror images of a point: the other changes are measured all the same."""
+def test_too_many_mirror_images_are_not_tried():
+    """A point has 2^32 mirror images; the other changes are still measured."""
     g = mcs.Integrand.from_function(lambda u: u.prod(axis=-1), dims=32, integral=2.0**-32)
     found = mcs.remedies(g, "sobol | owen", 64, realizations=100, kinds=["mirrored", "sampler"])
     assert "mirrored: uniform: " in found.attrs["not_tried"]
@@ -390,8 +390,8 @@ def test_images_that_are_too_many_are_not_tried_and_say_why():
     assert {"random", "mirrored: random"} <= set(found["remedy"].values)
 
 
-def test_a_lattice_that_is_exact_has_no_error_though_the_integral_is_not_known():
-    """All its estimates are equal, as if what is rare was not met; their value is the mean of all others."""
+def test_an_exact_lattice_has_no_error_although_the_integral_is_unknown():
+    """Its equal estimates are accepted as exact because they agree with the other samplers."""
 
     def wave(x):
         return np.prod(1.0 + 0.5 * np.cos(2.0 * np.pi * x), axis=-1)
@@ -403,7 +403,7 @@ def test_a_lattice_that_is_exact_has_no_error_though_the_integral_is_not_known()
     assert json.loads(found.attrs["best"])["sampler"] == "rank1-lattice | shift"
 
 
-def test_what_is_rare_is_not_taken_for_exact():
+def test_estimates_that_miss_rare_events_are_not_called_exact():
     def rare(x):
         return (x[..., 0] < 1e-3) * 1.0
 
@@ -420,8 +420,8 @@ def test_what_is_rare_is_not_taken_for_exact():
     assert "missed a rare region" in found.attrs["answer"]
 
 
-def test_changes_of_the_estimator_are_tried_with_nets_too():
-    """Means along an axis leave a smooth function, from which nets gain more than strata."""
+def test_changes_of_the_estimator_are_also_tried_with_nets():
+    """Means along an axis are smooth, and nets gain more than strata for smooth functions."""
 
     def half_space(x):
         return (x @ np.array([0.6, 0.8]) < 0.7) * 1.0

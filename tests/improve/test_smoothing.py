@@ -1,4 +1,4 @@
-"""Bias against variance of smoothed edges: the ramp's variance, rates, the best width for a budget."""
+"""Bias and variance of smoothed edges, and the best width for a budget."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ DISK = mcs.integrand("disk(center=[0.463, 0.517], radius=0.27)", dims=2)
 WITHIN = 4.0
 
 
-def test_the_measured_variance_of_a_ramp():
+def test_the_measured_variance_of_a_ramp_equals_the_closed_form():
     d = mcs.improve.smoothing_scan(
         "step(at=0.437)", mcs.sampler("jittered", dims=1), 512, [0.125], rng=2
     )
@@ -26,7 +26,7 @@ def scan():
     )
 
 
-def test_the_rate_goes_from_that_of_an_edge_to_that_of_smooth_integrands(scan):
+def test_rates_change_from_an_edge_to_a_smooth_integrand_with_the_width(scan):
     rates, ci = scan["rate"].values, scan["rate_ci"].values
     half = (ci[:, 1] - ci[:, 0]) / 2
     for i, rate in ((0, -1.5), (3, -2.0)):
@@ -34,8 +34,8 @@ def test_the_rate_goes_from_that_of_an_edge_to_that_of_smooth_integrands(scan):
     assert (np.diff(rates) < 0.05).all()
 
 
-def test_bias_and_errors_add_up(scan):
-    """Inside the domain the bias is πδ²/12, exactly."""
+def test_the_mse_is_variance_plus_squared_bias(scan):
+    """For a disk inside the domain, the bias is exactly πδ²/12."""
     width = scan["width"].values
     np.testing.assert_allclose(scan["smoothing_bias"], np.pi * width**2 / 12, atol=1e-12)
     np.testing.assert_allclose(
@@ -47,25 +47,25 @@ def test_bias_and_errors_add_up(scan):
     assert (scan["bias_squared_ci"][:, 0] <= scan["bias_squared"]).all()
 
 
-def test_the_measured_bias_is_that_of_the_integrals():
+def test_the_measured_bias_equals_the_difference_of_the_integrals():
     g = mcs.smoothed(DISK, 0.3)
     d = mcs.convergence(mcs.Estimator(g), "jittered", [256], realizations=2000, rng=1)
     biased = float(d["mean"][0]) - DISK.integral
     assert abs(biased - np.pi * 0.3**2 / 12) < WITHIN * float(d["mean_se"][0])
 
 
-def test_the_best_width_is_the_least_error_and_shrinks_with_n(scan):
+def test_the_best_width_has_the_smallest_error_and_shrinks_with_n(scan):
     best = scan["best_width"].values
     np.testing.assert_array_equal(best, scan["width"].values[scan["mse"].argmin("width")])
     assert best[-1] <= best[0]
     assert (scan["best_width_range"][:, 0] <= best).all()
     assert (best <= scan["best_width_range"][:, 1]).all()
-    # V(δ) ~ c n^-2/δ and bias² = (πδ²/12)²: at n = 64 wider than 0.02, at 1024 narrower than 0.3
+    # V(δ) ~ c n^-2/δ and bias² = (πδ²/12)²: the best width exceeds 0.02 and shrinks with n
     assert best[0] > 0.02
     assert best[-1] < 0.3
 
 
-def test_channels_and_densities():
+def test_scans_with_channels_and_a_density_have_the_right_dims():
     rgb = mcs.Integrand.from_function(
         lambda x: np.stack([x[..., 0] < 0.4, x[..., 1] < 0.7], axis=-1).astype(float),
         dims=2,

@@ -1,4 +1,4 @@
-"""ANOVA parts of variances: known ones of integrands, and exact ones of samplers."""
+"""ANOVA parts of variances against closed forms for integrands and for samplers."""
 
 from itertools import combinations
 
@@ -8,11 +8,12 @@ from tests import oracles
 
 import mcspectra as mcs
 
-SIGMAS = 5.0  # the largest of up to 210 parts: Šidák at 1e-4 is 4.9 σ
+# Limit of the largest of up to 210 pulls: the Šidák limit at level 1e-4 is 4.9 σ
+SIGMAS = 5.0
 
 
 def _product(a):
-    """Π (1 + a_i (x_i − ½)), σ²_u = Π_{i∈u} a_i²/12."""
+    """Return f = Π (1 + a_i (x_i − ½)) and a_i²/12, with σ²_u = Π_{i∈u} a_i²/12."""
     a = np.asarray(a, float)
     return mcs.Integrand.from_function(
         lambda x: np.prod(1 + a * (x - 0.5), axis=-1), dims=len(a), integral=1.0
@@ -20,7 +21,10 @@ def _product(a):
 
 
 def _sobol_g(a):
-    """Sobol' g: Π (|4x_i − 2| + a_i)/(1 + a_i), σ²_u = Π_{i∈u} 1/(3 (1 + a_i)²)."""
+    """Return Sobol's g and the factors 1/(3 (1 + a_i)²) of σ²_u.
+
+    g = Π (|4x_i − 2| + a_i)/(1 + a_i), and σ²_u = Π_{i∈u} 1/(3 (1 + a_i)²).
+    """
     a = np.asarray(a, float)
     return oracles.sobol_g(a)[0], 1 / (3 * (1 + a) ** 2)
 
@@ -53,7 +57,7 @@ def test_variances_of_integrands(function, a, realizations):
     assert found.sizes["subset"] == dims + dims * (dims - 1) // 2
     expected = np.array([np.prod(part[_axes(u)]) for u in found["subset_label"].values])
     _check(found, expected)
-    # all u with i: part_i times every product of the others
+    # The total variance of axis i sums over all u that contain i
     _check(found, part / (1 + part) * (1 + variance), name="total_variance")
     _check(found, variance - expected.sum(), name="higher_order_variance")
     low, high = found["variance_ci"].values
@@ -65,7 +69,7 @@ def test_variances_of_integrands(function, a, realizations):
 
 @pytest.mark.parametrize("function", [_product, _sobol_g])
 def test_effective_dimensions(function):
-    """Both from the known σ²_u: the truncated shares are far enough from 99 % here."""
+    """Both effective dimensions follow from the known σ²_u: no truncation share is near 99 %."""
     a = [1.5, 1.0, 0.05, 0.01, 0.01] if function is _product else [0.0, 1.0, 30.0, 99.0, 99.0]
     f, part = function(a)
     found = mcs.anova_variances(mcs.Estimator(f), realizations=20_000, rng=1)
@@ -93,22 +97,22 @@ def test_additive_functions_have_dimension_one():
     assert np.array_equal(one["anova_variance"], found["anova_variance"][:6])
 
 
-def test_beyond_the_order_is_not_known():
+def test_effective_dimensions_above_the_order_are_nan():
     f, _ = _product([6.0] * 5)
     found = mcs.anova_variances(mcs.Estimator(f), realizations=2000, rng=1)
     assert np.isnan(float(found["effective_dimension_superposition"]))
     assert float(found["higher_order_variance"]) > 0
 
 
-def test_random_sets_share_by_n():
+def test_parts_of_random_points_are_those_of_f_divided_by_n():
     f, part = _product([1.0, 0.5, 0.5])
     found = mcs.anova_variances(mcs.Estimator(f), "random", 16, realizations=4000, rng=2)
     expected = [np.prod(part[_axes(u)]) / 16 for u in found["subset_label"].values]
     _check(found, np.array(expected))
 
 
-def test_latin_hypercubes_take_single_axes_away():
-    """Exact: axes are jittered, σ²/n³; pairs lie in different strata, of means −s/(n − 1)."""
+def test_latin_hypercubes_reduce_the_parts_of_single_axes():
+    """The parts are exact: a single axis has σ²_i/n³, as for jittered points in 1-D."""
     n, a = 8, np.array([1.0, 0.8, 0.6])
     f, part = _product(a)
     found = mcs.anova_variances(mcs.Estimator(f), "latin-hypercube", n, realizations=10_000, rng=2)
@@ -121,8 +125,11 @@ def test_latin_hypercubes_take_single_axes_away():
     _check(found, np.array(expected))
 
 
-def test_jittered_sets_by_axis():
-    """Exact: of each stratum's moments. Points of equal number share a stratum: order must not matter."""
+def test_parts_of_jittered_points_are_exact():
+    """The parts follow exactly from the moments of the strata.
+
+    Points with equal numbers share a stratum, so the order of the points must not matter.
+    """
     side, a = 4, np.array([1.0, 0.6])
     f, part = _product(a)
     n, between = side**2, part * (1 - side**-2)
@@ -132,8 +139,11 @@ def test_jittered_sets_by_axis():
     assert np.abs(found["anova_share"] - expected / np.sum(expected)).max() < 0.05
 
 
-def test_two_axes_make_up_the_whole():
-    """In 2-D the parts of order 2 are all: their sum is the variance, but for Cov(I, I') ~ 0."""
+def test_parts_of_two_axes_sum_to_the_variance():
+    """In 2-D, the parts up to order 2 sum to the variance.
+
+    The sum differs from the sample variance by the sample value of Cov(I, I'), which is nearly 0.
+    """
     f = mcs.Estimator("gaussian(center=[0.3, 0.6], width=0.2)", dims=2)
     found = mcs.anova_variances(f, "jittered", 16, realizations=200, rng=2)
     total = float(found["anova_variance"].sum())
@@ -142,15 +152,15 @@ def test_two_axes_make_up_the_whole():
     assert abs(float(found["higher_order_variance"])) < 1e-12 * total
 
 
-def test_agrees_with_the_bands_of_the_spectrum():
-    """The same parts from frequencies: rows of the ANOVA band covariance, each its own error."""
+def test_parts_equal_the_anova_bands_of_the_spectrum():
+    """Rows of the ANOVA band covariance, measured from frequencies, equal the ANOVA variances."""
     f = mcs.Estimator("gaussian(center=[0.3, 0.6], width=0.2)", dims=2)
     found = mcs.anova_variances(f, "latin-hypercube", 16, realizations=10_000, rng=2)
     terms = mcs.variance_terms(
         f, "latin-hypercube", 16, realizations=10_000, rng=5, half_width=16, bands="anova"
     )
     rows = terms["band_covariance"].values.sum(axis=1)[1:]
-    # the spectrum's error is about as large: √2
+    # The error of the spectrum is about as large, so the difference has √2 times this error
     pull = (found["anova_variance"].values - rows) / found["anova_variance_se"].values
     assert np.abs(pull).max() < SIGMAS * np.sqrt(2)
 
@@ -177,14 +187,14 @@ def test_techniques_and_channels():
     assert float(one["total_variance"][0]) == pytest.approx(float(one["anova_variance"][0]))
 
 
-def test_no_variance_has_no_shares():
+def test_shares_of_a_constant_are_nan():
     found = mcs.anova_variances(mcs.Estimator("constant", dims=3), realizations=10)
     assert np.isnan(found["anova_share"]).all()
     assert np.isnan(float(found["effective_dimension_truncation"]))
 
 
 def test_intervals_of_shares_and_dimensions_cover_them():
-    """100 runs of 300 pairs: shares and the mean dimension within their intervals 95 times of 100."""
+    """In 100 runs of 300 pairs, 95 % of the intervals of shares and dimensions hold the truth."""
     f, part = _product([1.0, 0.5, 0.2])
     variance = np.prod(1 + part) - 1
     truth = {
@@ -201,7 +211,7 @@ def test_intervals_of_shares_and_dimensions_cover_them():
             low, high = found[f"{name}_ci"].values.reshape(-1, 2)[: np.size(value)].T
             inside[name].append((low <= value) & (value <= high))
     for name, hits in inside.items():
-        # numbers of one run are correlated: 4 binomial sigma of 100
+        # Intervals of one run are correlated, so allow 4 binomial σ of 100 independent intervals
         assert np.mean(hits) > 0.95 - 4 * np.sqrt(0.05 * 0.95 / 100), name
 
 
@@ -217,7 +227,7 @@ def test_effective_dimensions_beyond_the_order_have_no_upper_end():
     "oracle", [oracles.ishigami(), oracles.sobol_g([0.0, 1.0, 4.5, 9.0])], ids=["ishigami", "g"]
 )
 def test_intervals_of_sobol_indices_cover_them(oracle):
-    """200 runs of 500 pairs: each index within its 95 % interval in 90 to 99 % of them."""
+    """In 200 runs of 500 pairs, 90 to 99 % of the 95 % intervals of each index hold the truth."""
     f, *indices = oracle
     known = np.stack(indices)
     hits = np.zeros_like(known)
@@ -229,8 +239,8 @@ def test_intervals_of_sobol_indices_cover_them(oracle):
     assert (hits <= 0.99 * 200).all(), hits
 
 
-def test_sobol_indices_of_test_functions_are_their_variances():
-    """Closed forms against ∫f² by quadrature, and against the sums of products over subsets."""
+def test_closed_forms_of_sobol_indices_agree_with_quadrature():
+    """The closed forms agree with quadrature of f² and with sums of σ²_u over the subsets u."""
     ishigami, first, total = oracles.ishigami(a=5.0, b=0.2)
     square = mcs.Integrand.from_function(lambda x: (ishigami(x) - 2.5) ** 2, dims=3).integral
     alone = mcs.Integrand.from_function(
@@ -247,8 +257,8 @@ def test_sobol_indices_of_test_functions_are_their_variances():
     assert total == pytest.approx(held, rel=1e-13)
 
 
-def test_few_realisations_have_no_intervals_rather_than_points():
-    """Two products of deviations are equal: intervals of no width were printed."""
+def test_fewer_than_four_realizations_give_no_intervals():
+    """With two realizations, both products of deviations are equal: intervals had no width."""
     f = mcs.Estimator("gaussian", dims=2)
     intervals = ("anova_share", "total_share", "mean_dimension", "effective_dimension_truncation")
     for realizations in (2, 3, 4):
@@ -261,7 +271,7 @@ def test_few_realisations_have_no_intervals_rather_than_points():
         assert known or f"{realizations} realizations give no error" in found.attrs["note"]
 
 
-def test_groups_of_axes_are_split_as_axes_are():
+def test_parts_of_groups_follow_the_same_formulas_as_parts_of_axes():
     f, part = _product([1.0, 0.8, 0.5, 0.3, 0.1])
     groups = [1, 0, 1, 2, 0]
     found = mcs.anova_variances(mcs.Estimator(f), groups=groups, realizations=20_000, rng=3)

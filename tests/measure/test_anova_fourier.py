@@ -1,4 +1,4 @@
-"""ANOVA parts from sampled frequencies: closed forms, pick-freeze, many dims."""
+"""ANOVA parts from sampled frequencies against closed forms and pick-freeze, in up to 20 dims."""
 
 import itertools
 
@@ -7,7 +7,9 @@ import pytest
 
 import mcspectra as mcs
 
-SIGMAS = 8.0  # of 16 batches: t with 15 degrees beyond 8 has 1e-6
+# Limit of a pull from 16 batches: Student's t with 15 degrees of freedom exceeds 8 with
+# probability 1e-6
+SIGMAS = 8.0
 
 
 def _pull(found, expected, expected_se=0.0):
@@ -16,7 +18,7 @@ def _pull(found, expected, expected_se=0.0):
 
 
 def _by_axis(f, dims):
-    """(∫g², ∫g)² of the factor g of a separable gaussian: by its 1-D integrand."""
+    """Return ∫g² and (∫g)² of the 1-D factor g of a separable gaussian, and the dims."""
     one = mcs.integrand(f, dims=1)
     x = (np.arange(200_000) + 0.5)[:, None] / 200_000
     values = one(x)
@@ -25,7 +27,7 @@ def _by_axis(f, dims):
 
 @pytest.mark.parametrize("dims", [1, 3, 20])
 def test_random_points_give_the_parts_of_the_integrand(dims):
-    """σ²_u/n = Π_{u} (∫g² − (∫g)²) Π_{not u} (∫g)² / n of a product of g."""
+    """A product of factors g has σ²_u/n = Π_{i∈u} (∫g² − (∫g)²) Π_{i∉u} (∫g)² / n."""
     square, mean, _ = _by_axis("gaussian(width=0.6)", dims)
     found = mcs.measure.anova_spectrum(
         mcs.integrand("gaussian(width=0.6)", dims=dims), "random", 10, frequencies=512, rng=3
@@ -37,8 +39,8 @@ def test_random_points_give_the_parts_of_the_integrand(dims):
     assert (found["anova_variance_se"].values < 0.4 * expected).all()
 
 
-def test_all_subsets_make_the_exact_variance():
-    """Three dims, all subsets of up to three axes: the sum is that of stratum quadrature."""
+def test_all_parts_sum_to_the_exact_variance():
+    """In 3-D, the parts of all subsets sum to the variance by quadrature over the strata."""
     f = mcs.Estimator("gaussian(width=0.5)", dims=3)
     found = mcs.measure.anova_spectrum(f, "jittered | shift", 27, order=3, frequencies=8192, rng=1)
     total = float(found["anova_variance"].sum())
@@ -50,8 +52,8 @@ def test_all_subsets_make_the_exact_variance():
 
 
 @pytest.mark.parametrize("spec", ["latin-hypercube | shift", "sobol | owen | shift"])
-def test_pick_freeze_finds_the_same_parts_of_a_sampler(spec):
-    """Two estimates of c_u without anything in common: frequencies, and exchanged coordinates."""
+def test_parts_agree_with_pick_freeze(spec):
+    """Sampled frequencies and pick-freeze are independent methods for the same parts."""
     f = mcs.integrand("gaussian(width=0.5, center=[0.3, 0.5, 0.6])", dims=3)
     sampler = mcs.sampler(spec, dims=3)
     found = mcs.measure.anova_spectrum(f, sampler, 8, frequencies=2048, realizations=256, rng=5)
@@ -63,7 +65,7 @@ def test_pick_freeze_finds_the_same_parts_of_a_sampler(spec):
     assert found.attrs["power"] == "closed form"
 
 
-def test_one_frequency_is_in_its_own_subset():
+def test_a_single_frequency_contributes_to_its_subset_only():
     f = mcs.integrand("cosine(frequency=[2, 0, 1])", dims=3)
     found = mcs.measure.anova_spectrum(f, "random", 4, frequencies=4096, rng=2)
     label = dict(zip(found["subset_label"].values, found["anova_variance"].values, strict=True))
@@ -71,7 +73,7 @@ def test_one_frequency_is_in_its_own_subset():
     assert _pull(found, np.where(found["subset_label"] == "x0x2", 1 / 8, 0.0)).max() < SIGMAS
 
 
-def test_subsets_are_all_of_up_to_the_order():
+def test_all_subsets_up_to_the_order_are_listed():
     found = mcs.measure.anova_spectrum(
         mcs.integrand("gaussian", dims=4), "random", 4, order=3, frequencies=32
     )

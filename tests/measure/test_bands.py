@@ -1,4 +1,4 @@
-"""Bands: partitions by name, and the parts of the variance that they name."""
+"""Bands: each named partition assigns basis functions to the right labels."""
 
 import numpy as np
 import pytest
@@ -14,13 +14,13 @@ def named(bands, basis):
 
 @pytest.mark.parametrize("name", PARTITIONS)
 @pytest.mark.parametrize("basis", BASES)
-def test_every_function_has_a_band_with_a_name(name, basis):
+def test_every_basis_function_belongs_to_a_labeled_band(name, basis):
     made = make_basis(basis, 2, 8)
     bands = make_bands(name, made)
     assert bands.of.shape == (made.stored,)
     assert set(bands.of) <= set(range(len(bands.labels)))
     assert bands.of[made.dc] == 0
-    assert np.count_nonzero(bands.of == 0) == 1  # the constant is alone
+    assert np.count_nonzero(bands.of == 0) == 1  # the band of the constant holds nothing else
 
 
 def test_radial_bands_are_shells_one_frequency_wide():
@@ -47,12 +47,14 @@ def test_wedges_hold_directions_within_their_angle():
 
 
 @pytest.mark.parametrize("name", ["walsh", "haar"])
-def test_wedges_of_steps_are_by_their_levels_not_by_their_places(name):
-    """Wavelets of one level lie all over the square: they oscillate in one direction."""
+def test_wedges_of_step_functions_depend_on_levels_only(name):
+    """All wavelets of a level oscillate in one direction, wherever they lie in the square."""
     basis = make_basis(name, 2, 8)
     label, index = named(make_bands("wedge", basis), basis)
     for band, m in zip(label, index, strict=True):
-        levels = [2.0 ** (int(i).bit_length() - 1) if i else 0.0 for i in m]  # φ of 2^j + t
+        levels = [
+            2.0 ** (int(i).bit_length() - 1) if i else 0.0 for i in m
+        ]  # index 2^j + t has level j
         if band == "constant":
             assert not any(levels)
         else:
@@ -73,8 +75,8 @@ def test_anova_bands_are_the_axes_that_vary(dims):
 @pytest.mark.parametrize("partition", PARTITIONS)
 @pytest.mark.parametrize("name", BASES)
 @pytest.mark.parametrize("half_width", [0, 1, 4])
-def test_every_label_is_of_a_band_that_is_summed(partition, name, half_width):
-    """Without negative indices, or on small grids, the last wedges hold nothing."""
+def test_every_label_belongs_to_a_band_that_is_not_empty(partition, name, half_width):
+    """Without negative indices, or on small grids, the last wedges are empty and have no label."""
     if half_width == 0 and name in ("walsh", "haar"):
         half_width = 2
     found = make_bands(partition, make_basis(name, 2, half_width))

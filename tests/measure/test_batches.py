@@ -1,4 +1,4 @@
-"""Standard errors of the terms: as large as the spread over independent runs says."""
+"""Standard errors of the terms equal the standard deviation over independent runs."""
 
 import numpy as np
 import pytest
@@ -21,16 +21,16 @@ def runs():
 
 
 @pytest.mark.parametrize("term", ["dc_term", "power_term", "cross_term"])
-def test_errors_of_terms_are_their_spread(runs, term):
+def test_errors_of_terms_equal_their_spread(runs, term):
     values = np.array([float(d[term]) for d in runs])
     claimed = np.sqrt(np.mean([float(d[f"{term}_se"]) ** 2 for d in runs]))
-    # the spread of 60 values is known to 1/√(2·59) = 9 %, the mean of squared errors far better;
-    # batch means of 8 realizations claim up to √(8/7) too much
+    # A standard deviation of 60 values has a relative error of 1/√(2·59) = 9 %; the mean of squared
+    # errors is far more precise. Batches of 8 realizations overestimate by up to √(8/7)
     assert 1 - 4 * 0.092 < claimed / np.std(values, ddof=1) < np.sqrt(8 / 7) * (1 + 4 * 0.092)
 
 
 def test_the_interval_of_captured_covers_the_truth(runs):
-    """The truth from 100 times as many realizations; 60 intervals of 95 % miss it at most 11 times."""
+    """At most 11 of 60 intervals of 95 % miss the value from 100 times as many realizations."""
     estimator = mcs.Estimator("gaussian(center=0.3, width=0.3)", "linear(slope=0.8)", dims=1)
     truth = float(
         mcs.variance_terms(estimator, "jittered", 8, half_width=16, realizations=16_000, rng=999)[
@@ -39,17 +39,18 @@ def test_the_interval_of_captured_covers_the_truth(runs):
     )
     low, high = np.array([d["captured_ci"].values for d in runs]).T
     missed = np.count_nonzero((truth < low) | (truth > high))
-    assert missed <= 11  # binomial(60, 0.05): more with probability 1e-5
+    assert missed <= 11  # binomial(60, 0.05) exceeds 11 with probability 1e-5
     claimed = np.median(np.log(high / low)) / 2 / stats.t.ppf(0.975, 19)
     spread = np.std(np.log([float(d["captured"]) for d in runs]), ddof=1)
-    # wider where few batches hold most of the error, and on its side, but not twice
+    # Intervals are wider if few batches hold most of the error, but less than twice as wide
     assert 1 - 4 * 0.092 < claimed / spread < 2
 
 
-def test_ratios_of_heavy_weights_are_covered():
-    """Of 500 simulations with weights of infinite fourth moment; ± t errors covered 75 %.
+def test_intervals_of_ratios_cover_under_heavy_weights():
+    """Intervals of ratios cover 90 % although the weights have an infinite fourth moment.
 
-    f = exp(−x), p = 1.5 √x, and f cut at |m| = 2: variances of means of 8 by quadrature in x = y⁴.
+    Plain Student intervals covered 75 % of 500 simulations. Here f = exp(−x), p = 1.5 √x, and the
+    Fourier sum is truncated at |m| = 2. Quadrature in y, with x = y⁴, gives the true variances.
     """
     m = np.arange(-2, 3)
     coefficients = (1 - np.exp(-1)) / (1 + 2j * np.pi * m)
@@ -73,13 +74,16 @@ def test_ratios_of_heavy_weights_are_covered():
 
 
 def _merged(blocks, weights):
-    """Spread of four blocks: the last two merged first."""
+    """Return the spread of four blocks, merged as (a, b) and (c, d)."""
     a, b, c, d = map(RunningSpread.of, blocks, weights)
     return merged(merged(a, b), merged(c, d))
 
 
-def test_spread_of_blocks_is_that_of_all_kept():
-    """Against the blocks side by side: weights w, errors about the mean with weights w²."""
+def test_spread_of_merged_blocks_equals_that_of_all_blocks():
+    """The spread of merged blocks equals the spread computed from all blocks at once.
+
+    The blocks have weights w, and their deviations are from the mean with weights w².
+    """
     generator = np.random.default_rng(1)
     weights = np.array([3.0, 3.0, 3.0, 1.0])
     values = 50.0 + generator.standard_normal((4, 2, 3)) + 1j * generator.standard_normal((4, 2, 3))
@@ -103,7 +107,7 @@ def _matrix_runs():
     ]  # fmt: skip
 
 
-def test_errors_of_maps_bands_and_matrices_are_their_spread():
+def test_errors_of_maps_bands_and_matrices_equal_their_spread():
     runs = _matrix_runs()
     names = ("contribution", "band_covariance", "coefficient_covariance", "cross_matrix")
     for name in names:
@@ -113,21 +117,22 @@ def test_errors_of_maps_bands_and_matrices_are_their_spread():
         some = spread_found > 1e-6 * spread_found.max()  # S_0 = 1 has no variance
         assert some.mean() > 0.5
         ratio = np.sqrt(claimed[some] / spread_found[some])
-        # each spread is known to 9 %; dozens of numbers: 5 σ, and √(8/7) too much at most
+        # Each spread has an error of 9 %, and there are dozens of them, so allow 5 σ. Batches
+        # overestimate by at most √(8/7)
         assert ratio.min() > 1 / (1 + 5 * 0.092), name
         assert ratio.max() < np.sqrt(8 / 7) / (1 - 5 * 0.092), name
         assert 1 - 2 * 0.092 < np.median(ratio) < np.sqrt(8 / 7) * (1 + 2 * 0.092), name
 
 
 def test_two_batches_have_one_degree_of_freedom():
-    """R = 4: two batches, a quantile of Student's t of 12.7, where a normal one would be 1.96."""
+    """Four realizations make two batches: the quantile of Student's t is 12.7 instead of 1.96."""
     d = mcs.variance_terms("linear", mcs.sampler("random", 1), 4, half_width=4, realizations=4)
     assert d.attrs["batches"] == 2
     low, high = d["power_term_ci"].values
     assert (high - low) / 2 == pytest.approx(12.7062 * float(d["power_term_se"]), rel=1e-5)
 
 
-def test_few_realizations():
+def test_three_realizations_give_no_errors_and_four_do():
     estimator = mcs.Estimator("gaussian", dims=1)
     two = mcs.variance_terms(estimator, "jittered", 8, half_width=4, realizations=3)
     assert np.isnan(float(two["cross_term_se"]))
@@ -138,7 +143,7 @@ def test_few_realizations():
     assert float(four["power_term_se"]) > 0
 
 
-def test_channels_have_errors_of_their_own():
+def test_each_channel_has_its_own_error():
     f = mcs.Integrand.from_function(lambda x: np.concatenate([x, 2 * x], axis=-1), dims=1)
     d = mcs.variance_terms(f, "random", 8, half_width=4, realizations=40, rng=1)
     assert d["power_term_se"].dims == ("channel",)

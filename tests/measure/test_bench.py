@@ -1,4 +1,4 @@
-"""The bench: its parts are those of the analyses, its ranks hold together, and it says what it did."""
+"""The bench: its numbers equal those of the analyses, and its ranks hold simultaneously."""
 
 import zlib
 
@@ -18,7 +18,7 @@ def result():
     return mcs.sampler_bench(["random", "jittered", "sobol"], **SMALL)
 
 
-def test_variances_are_those_of_convergence(result):
+def test_variances_equal_those_of_convergence(result):
     seed = np.random.SeedSequence([0, zlib.crc32(b"jittered")])
     for k in (0, 6, 7):
         estimator = mcs.Estimator(str(result["integrand_spec"].values[k]), dims=2)
@@ -28,19 +28,19 @@ def test_variances_are_those_of_convergence(result):
             np.testing.assert_allclose(one[name].values, alone[name].values, rtol=1e-12)
 
 
-def test_points_are_judged_as_by_quality_figures(result):
+def test_figures_equal_those_of_quality_figures(result):
     seed = np.random.SeedSequence([0, zlib.crc32(b"jittered")])
     figures = mcs.quality_figures("jittered", 64, figures=["diaphony"], realizations=8, rng=seed)
     one = float(result["diaphony"].sel(sampler="jittered", n=64))
     assert one == pytest.approx(float(figures["diaphony"].mean()), rel=1e-12)
-    # 64 strata leave out what is below n; random points have all of it
+    # Jittered points have little power at low frequencies; random points have full power there
     low = result["radial_power"].isel(radius=0) * 64
     assert float(low.sel(sampler="jittered")) < 0.2
     assert float(low.sel(sampler="random")) > 0.6
     assert (result["points_per_second"] > 0).all()
 
 
-def test_a_sampler_has_the_same_results_in_any_company(result):
+def test_results_do_not_depend_on_the_other_samplers(result):
     alone = mcs.sampler_bench(["jittered"], **SMALL)
     for name in ("variance", "rate_ci", "radial_power", "pair_correlation", "star_discrepancy"):
         np.testing.assert_array_equal(
@@ -48,14 +48,16 @@ def test_a_sampler_has_the_same_results_in_any_company(result):
         )
 
 
-def test_sets_that_do_not_vary_are_randomised_and_it_is_said(result):
+def test_fixed_sets_are_randomized_and_a_note_says_so(result):
     assert (
         "sobol has too few different sets: its variances are measured with sobol | owen"
         in result.attrs["note"]
     )
     sobol = result.sel(sampler="sobol")
     assert (sobol["variance"] > 0).all()
-    assert float(sobol["t_value"].sel(n=64)) == 0.0  # the plain set is what is judged
+    assert (
+        float(sobol["t_value"].sel(n=64)) == 0.0
+    )  # the figure is that of the set without randomization
     one, many = np.random.default_rng(1).random((2, 40, 16, 2))
     few, some = (mcs.Sampler.from_points(each) for each in (one[:3], many))
     assert free_of(few, [16])[0].steps == (Shift(),)
@@ -66,7 +68,7 @@ def test_sets_that_do_not_vary_are_randomised_and_it_is_said(result):
 
 
 def test_nets_in_files_are_scrambled_and_lattices_are_shifted(tmp_path):
-    """A digital net of a file was judged by a shift: 40 times the variance at n = 1024."""
+    """A shifted digital net has 40 times the variance of a scrambled one at n = 1024."""
     counts = (64, 1024)
     for name, spec in (("net", "sobol"), ("lattice", "rank1-lattice"), ("blue", "poisson-disk")):
         for n in counts:
@@ -80,10 +82,10 @@ def test_nets_in_files_are_scrambled_and_lattices_are_shifted(tmp_path):
     f = mcs.integrand("genz-gaussian(a=3.515)", dims=2)
     for k, spec in enumerate(("sobol | owen", "rank1-lattice | shift")):
         plain = mcs.convergence(f, spec, [1024], realizations=400, rng=2)["variance"]
-        assert 0.5 < float(smooth[k]) / float(plain[0]) < 2.0  # se of 100: 15 to 20 %
+        assert 0.5 < float(smooth[k]) / float(plain[0]) < 2.0  # standard error of 15 to 20 %
 
 
-def test_a_function_without_randomness_is_randomised_too():
+def test_a_function_without_randomness_is_randomized():
     def same(n, rng):
         return np.random.default_rng(1).random((n, 1))
 
@@ -93,7 +95,7 @@ def test_a_function_without_randomness_is_randomised_too():
     assert "are measured with" in found.attrs["note"]
 
 
-def test_given_sets_count_as_many_as_there_are(tmp_path):
+def test_only_the_given_sets_are_used(tmp_path):
     for n in (16, 64):
         for k in range(20):
             points = Jittered().draw(n, rng=k)[0]
@@ -101,10 +103,10 @@ def test_given_sets_count_as_many_as_there_are(tmp_path):
     spec = f"points(path={str(tmp_path / 'n{n}_*')!r}, name='mine')"
     found = mcs.sampler_bench([spec, "random"], counts=(10, 70, 1000), realizations=40)
     assert found["label"].values.tolist() == ["mine", "random"]
-    # Each count once, and of 40 realizations the 20 that there are: more would be refused
+    # Each count appears once, with the 20 given sets instead of 40 realizations
     np.testing.assert_array_equal(found["points_made"][0, 0], [16, 64, np.nan])
     np.testing.assert_array_equal(np.isnan(found["variance"][0]).all("integrand"), [0, 0, 1])
-    assert np.isnan(found["points_per_second"][0]).all()  # they are read, not made
+    assert np.isnan(found["points_per_second"][0]).all()  # the points are read from files
     assert "note" not in found.attrs
     assert np.isnan(making_seconds(mcs.sampler(spec).then(Shift()), 16, 0))
 
@@ -130,16 +132,16 @@ def test_standard_integrands_exist_and_vary(dims):
     for task in tasks:
         values = mcs.integrand(task.spec, dims)(x)
         assert np.isfinite(values).all()
-        # None is a constant, nor a spike that samples of this size miss
+        # No integrand is a constant or a spike that 4000 samples miss
         assert np.mean(values != values[0]) > 0.01, task
         assert np.var(values) > 0, task
         assert np.max(np.abs(values - values.mean())) < 100 * np.std(values), task
 
 
-def test_ranks_hold_together():
-    """All true ranks lie in their intervals in 95 % of the benches at least."""
+def test_intervals_of_ranks_hold_simultaneously():
+    """In at least 95 % of the benches, all true ranks lie in their intervals."""
     rng = np.random.default_rng(5)
-    # Of five samplers two are alike, and others differ by 1 to 8 standard errors, on four tasks
+    # Two of five samplers are equal; the others differ by 1 to 8 standard errors, on four tasks
     logs = np.array([0.0, 0.0, 0.2, 0.5, 2.3])[:, None]
     true_low = 1 + (logs[:, 0] < logs).sum(axis=1)
     true_high = 5 - (logs[:, 0] > logs).sum(axis=1)
@@ -152,7 +154,7 @@ def test_ranks_hold_together():
         held += bool(good.all())
         sure += bool((found[4] == 5).all())
     assert held >= trials * (0.95 - 3 * np.sqrt(0.95 * 0.05 / trials))
-    assert sure > 0.9 * trials  # and what differs by six standard errors is told
+    assert sure > 0.9 * trials  # a difference of six standard errors is found
 
 
 def test_a_wide_interval_gives_a_wide_rank():
@@ -160,12 +162,12 @@ def test_a_wide_interval_gives_a_wide_rank():
         rank, ends = ranks(np.array(variance)[:, None], np.array(ci)[:, None], np.array(n)[:, None])
         return rank[:, 0].tolist(), ends[:, 0].tolist()
 
-    # Only the ends that face each other matter
+    # Only the facing ends of two intervals matter
     assert found([1.0, 2.0], [[0.9, 1.1], [1.8, np.inf]]) == ([1, 2], [[1, 1], [2, 2]])
     assert found([2.0, 0.5], [[1.8, 2.2], [0.4, np.inf]]) == ([2, 1], [[1, 2], [1, 2]])
-    # What does not vary is the best for sure
+    # A sampler without variance is the best for certain
     assert found([0.0, 0.5], [[0.0, 0.0], [0.4, 0.6]]) == ([1, 2], [[1, 1], [2, 2]])
-    # Half the variance at twice the points is no better
+    # Half the variance at twice the number of points is not better
     assert found([1.0, 0.5], [[0.9, 1.1], [0.45, 0.55]], (64.0, 128.0))[1] == [[1, 2], [1, 2]]
     rank, ends = found([1.0, np.nan], [[0.9, 1.1], [np.nan, np.nan]])
     assert (rank[0], ends[0]) == (1, [1, 1])
@@ -175,10 +177,10 @@ def test_a_wide_interval_gives_a_wide_rank():
 @pytest.mark.parametrize(
     ("samplers", "options", "words"),
     [
-        ([], {}, "give at least one sampler"),
+        ([], {}, "Given: 0 samplers, .* give at least one sampler"),
         ("random", {}, "samplers is 'random'; give a list"),
-        (["random"], {"counts": (16,)}, "two counts and"),
-        (["random"], {"dims": ()}, "one number of dims"),
+        (["random"], {"counts": (16,)}, ", 1 count and .* two counts"),
+        (["random"], {"dims": ()}, "0 choices of dims; .* one number of dims"),
         (["random"], {"dims": 65}, "dims is 65"),
         (["random"], {"counts": (0, 16)}, "counts is 0"),
         (["random"], {"realizations": 1}, "realizations is 1"),
@@ -194,7 +196,7 @@ def test_refusals(samplers, options, words):
     assert isinstance(caught.value, ParameterError)
 
 
-def test_files_of_one_name_are_told_apart_by_their_folders(tmp_path):
+def test_labels_of_files_with_equal_names_include_their_folders(tmp_path):
     specs = []
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
@@ -206,8 +208,8 @@ def test_files_of_one_name_are_told_apart_by_their_folders(tmp_path):
     assert found["label"].values.tolist() == specs
 
 
-def test_dims_with_a_single_count_are_left_out_where_others_have_several():
-    """Strata in 6-D make one point or 64: a lone point said nothing and filled the pictures."""
+def test_a_single_count_is_left_out_where_other_samplers_have_several():
+    """A sampler with a single possible count is left out; in 6-D, jittered has n = 1 or 64."""
     found = mcs.sampler_bench(["jittered", "random"], counts=[16, 25], dims=[2, 6], realizations=4)
     assert "jittered does not allow 6-D" in found.attrs["note"]
     high = found.isel(integrand=found["integrand_dims"].values == 6).sel(sampler="jittered")

@@ -1,4 +1,4 @@
-"""Chains as samplers in time: the exact error of AR(1), what shorter sums cannot see, causes by name."""
+"""Errors of Markov chains: the exact error of AR(1), a rival estimator, and the named causes."""
 
 from types import SimpleNamespace
 
@@ -12,12 +12,12 @@ from mcspectra.core.errors import DomainError, ParameterError
 from mcspectra.core.results import VARIABLES, check_variables
 
 SEEDS = 300
-# Lowest share of SEEDS intervals of 95 % that hold: five standard errors of that share below
+# Smallest allowed share of SEEDS intervals of 95 % that cover: five standard errors below 0.95
 LEAST = 0.95 - 5 * np.sqrt(0.95 * 0.05 / SEEDS)
 
 
 def ar1(rho, shape, seed=1):
-    """Stationary chains x_t = ρ x_{t−1} + e_t."""
+    """Return stationary chains x_t = ρ x_{t−1} + e_t."""
     rng = np.random.default_rng(seed)
     noise = rng.standard_normal(shape)
     noise[..., 0] /= np.sqrt(1 - rho * rho)
@@ -25,13 +25,13 @@ def ar1(rho, shape, seed=1):
 
 
 def exact_variance(rho, n):
-    """Variance of the mean of n draws of AR(1) with innovations of variance 1."""
+    """Return the variance of the mean of n draws of AR(1) with innovations of variance 1."""
     factor = (1 + rho) / (1 - rho) - 2 * rho * (1 - rho**n) / (n * (1 - rho) ** 2)
     return factor / n / (1 - rho * rho)
 
 
 def quantities(x):
-    """One result for each (chain, draw) of x (seed, chain, draw)."""
+    """Return the errors for x (seed, chain, draw), with one quantity for each seed."""
     return mcs.measure.chain_error(np.moveaxis(x, 0, -1))
 
 
@@ -43,21 +43,21 @@ def cause(draws, **options):
 @pytest.mark.slow
 @pytest.mark.parametrize(("rho", "chains"), [(-0.9, 1), (0.0, 1), (0.5, 4), (0.99, 1)])
 def test_intervals_cover_the_mean_and_the_exact_error(rho, chains):
-    times = 40 // chains  # autocorrelation times in a chain
+    times = 40 // chains  # length of a chain in autocorrelation times
     n = max(200, int(times * (1 + rho) / (1 - rho)))
     result = quantities(ar1(rho, (SEEDS, chains, n)))
     low, high = result["mean_ci"].values.T
     assert ((low <= 0) & (high >= 0)).mean() >= LEAST
     exact = np.sqrt(exact_variance(rho, n) / chains)
     low, high = result["mcse_ci"].values.T
-    # Its degrees of freedom are asymptotic: within another 5 % of the seeds at 10 times
+    # The degrees of freedom are asymptotic; short chains may miss in another 5 % of the seeds
     assert ((low <= exact) & (exact <= high)).mean() >= LEAST - 0.05
     named = [text for text in result["cause"].values if text not in ("none", "few-realizations")]
     assert len(named) <= 0.02 * SEEDS
 
 
 def initial_monotone_sequence(x):
-    """Variance of the mean by [Geyer1992]_, of one chain."""
+    """Return the variance of the mean of one chain by [Geyer1992]_."""
     n = x.size
     centred = x - x.mean()
     covariance = np.fft.irfft(np.abs(np.fft.rfft(centred, 2 * n)) ** 2)[:n] / n
@@ -71,10 +71,10 @@ def initial_monotone_sequence(x):
     [((-0.9,), 400, 2.0), ((2 * 0.95 * np.cos(0.5), -(0.95**2)), 400, 2.0), ((0.9,), 1900, 0.9)],
     ids=["antithetic", "oscillating", "positive"],
 )
-def test_it_is_nearer_than_the_initial_sequence(phi, n, worse):
+def test_errors_are_closer_than_those_of_the_initial_monotone_sequence(phi, n, worse):
     rng = np.random.default_rng(5)
     x = lfilter([1.0], [1.0, *(-p for p in phi)], rng.standard_normal((200, n + 500)))[:, 500:]
-    # ∫ S F_n / n on a grid that resolves both
+    # Exact variance from the autocovariance, computed on a grid that resolves the spectrum
     grid = 1 << 16
     nu = np.fft.rfftfreq(grid)
     waves = np.exp(-2j * np.pi * nu[:, None] * np.arange(1, len(phi) + 1))
@@ -87,35 +87,37 @@ def test_it_is_nearer_than_the_initial_sequence(phi, n, worse):
     assert error < 0.5
 
 
-def test_antithetic_chains_are_worth_more_than_their_draws():
+def test_antithetic_chains_have_more_effective_draws_than_draws():
     theta, n = 0.9, 2000
     noise = np.random.default_rng(3).standard_normal((20, 1, n + 1))
     result = quantities(noise[..., 1:] - theta * noise[..., :-1])
     exact = ((1 - theta) ** 2 * n + 2 * theta) / n**2
     ratio = result["mcse"].values ** 2 / exact
-    assert 0.5 < np.exp(np.log(ratio).mean()) < 2.0  # AR of finite order: 1.5 at most
+    assert (
+        0.5 < np.exp(np.log(ratio).mean()) < 2.0
+    )  # an AR model of finite order is off by at most 1.5
     assert (result["ess"].values > 50 * n).all()
     assert (result["cause"].values == "none").all()
-    # High frequencies, of which the kernel lets little through, are where these chains vary
+    # These chains vary at high frequencies, where the Fejér kernel is small
     white = mcs.measure.chain_error(noise[:, 0, 1:])
     assert float(result["error_share"][0, -1]) > 10 * float(white["error_share"][-1])
 
 
-def test_shares_are_those_of_the_fejer_kernel():
+def test_error_shares_of_white_noise_follow_the_fejer_kernel():
     n = 1000
     result = mcs.measure.chain_error(np.random.default_rng(1).standard_normal((8, n)))
-    assert np.ptp(result["fitted_spectrum"].values) < 1e-9  # white noise was chosen
+    assert np.ptp(result["fitted_spectrum"].values) < 1e-9  # the chosen model is white noise
     low, high = result["band_low"].values, result["band_high"].values
     fine = (np.arange(2**20) + 0.5) / 2**21
     kernel = (np.sin(np.pi * n * fine) / np.sin(np.pi * fine)) ** 2 / n / 2**20
     expected = [kernel[(fine >= a) & (fine < b)].sum() for a, b in zip(low, high, strict=True)]
-    # Bands begin at a frequency of the grid: half a cell of 1/(2n) at either end
+    # Bands begin at a frequency of the grid, so either end is off by half a cell of 1/(2n)
     np.testing.assert_allclose(result["error_share"], expected, atol=0.02)
     np.testing.assert_allclose(result["draw_share"], 2 * (high - low))
     assert float(result["error_share"].sum()) == pytest.approx(1.0)
 
 
-def test_measured_bands_are_about_the_spectrum():
+def test_fitted_and_measured_bands_agree_with_the_spectrum():
     rho, n = 0.9, 4096
     result = mcs.measure.chain_error(ar1(rho, (16, n)))
     nu = (np.arange(1, n // 2) / n)[:, None]
@@ -124,14 +126,14 @@ def test_measured_bands_are_about_the_spectrum():
     expected = (spectrum * inside).sum(axis=0)[1:] / inside.sum(axis=0)[1:]
     np.testing.assert_allclose(result["fitted_spectrum"][1:], expected, rtol=0.1)
     low, high = result["chain_spectrum_ci"].values[1:].T
-    # The band's spectrum is not flat: half of its interval more to either side
+    # The spectrum is not flat in a band, so widen its interval by half on either side
     assert (
         (low / (high / low) ** 0.25 < expected) & (expected < high * (high / low) ** 0.25)
     ).all()
     assert float(result["spectrum_at_zero"]) == pytest.approx(100, rel=0.25)
 
 
-def test_variables_are_as_registered():
+def test_variables_are_registered():
     for shape in ((2, 100), (2, 100, 3)):
         draws = np.random.default_rng(1).standard_normal(shape)
         check_variables(mcs.measure.chain_error(draws), list(VARIABLES), "chains")
@@ -165,7 +167,7 @@ def test_chains_that_stay_in_a_mode_are_named():
     assert name == "stuck-chain"
     assert "different parts" in text
     assert float(result["ess"]) < 5
-    assert float(result["mcse"]) == pytest.approx(2.0, rel=0.1)  # of three at 0 and one at 8
+    assert float(result["mcse"]) == pytest.approx(2.0, rel=0.1)  # three chains at 0 and one at 8
 
 
 def test_chains_that_repeat_a_value_are_named():
@@ -186,7 +188,7 @@ def test_chains_that_repeat_a_value_are_named():
         assert np.isnan(float(result["mcse"]))
         assert np.isinf(result["mean_ci"]).all()
     rare = (np.random.default_rng(2).random((4, 1000)) < 0.01).astype(float)
-    assert cause(rare)[0] == "none"  # an event that is rare does not vary for long
+    assert cause(rare)[0] == "none"  # a rare event keeps one value for long
 
 
 @pytest.mark.parametrize(
@@ -218,7 +220,7 @@ def test_chains_that_move_together_are_named():
     assert cause(partly)[0] == "correlated-replicates"
 
 
-def test_an_antithetic_pair_is_worth_more():
+def test_an_antithetic_pair_of_chains_has_a_small_error():
     rng = np.random.default_rng(4)
     x = rng.standard_normal(1000)
     pair = np.stack([x, -x]) + 0.1 * rng.standard_normal((2, 1000))
@@ -232,7 +234,7 @@ def test_an_antithetic_pair_is_worth_more():
     [np.arange(1000.0), np.sin(np.arange(1000.0)), np.tile([1.0, -1.0], 500), np.eye(1, 50)[0]],
     ids=["ramp", "sine", "alternating", "spike"],
 )
-def test_chains_that_are_no_chance_do_not_break_it(draws):
+def test_deterministic_draws_give_a_finite_error(draws):
     result = mcs.measure.chain_error(draws)
     assert float(result["mcse"]) > 0
     assert np.isfinite(result["error_share"]).all()
@@ -244,13 +246,13 @@ def test_few_draws_are_named():
     assert np.mean(["few-realizations" in each or "stuck" in each for each in found]) > 0.8
 
 
-def test_weights():
+def test_weighted_draws_have_the_right_mean_and_error():
     rng = np.random.default_rng(6)
     x, w = rng.standard_normal((200, 1, 1000)), np.exp(0.5 * rng.standard_normal((200, 1, 1000)))
     found = [mcs.measure.chain_error(a, weights=b) for a, b in zip(x, w, strict=True)]
     mean = np.array([float(each["mean"]) for each in found])
     np.testing.assert_allclose(mean, (w * x).sum(axis=(1, 2)) / w.sum(axis=(1, 2)))
-    # The mean of w² over that of w, squared, is e^{1/4}: so many times the variance of equal weights
+    # ⟨w²⟩/⟨w⟩² = e^{1/4}: the variance exceeds that of equal weights by this factor
     exact = np.sqrt(np.exp(0.25) / 1000)
     mcse = np.array([float(each["mcse"]) for each in found])
     assert mcse.mean() == pytest.approx(exact, rel=0.05)
@@ -262,7 +264,7 @@ def test_weights():
     )
 
 
-def test_structures_of_arviz():
+def test_structures_of_arviz_are_read():
     x = ar1(0.5, (2, 100, 3)).transpose(0, 2, 1)  # (chain, 3, draw)
     theta = xr.DataArray(x, dims=("chain", "school", "draw"))
     posterior = xr.Dataset({"mu": theta.isel(school=0), "theta": theta})
@@ -288,29 +290,32 @@ def test_structures_of_arviz():
         (np.r_[np.nan, np.arange(20.0)], {}, DomainError, "hold 1 NaN"),
         ("abc", {}, DomainError, "real numbers"),
         (xr.Dataset(), {}, ParameterError, "no variables"),
-        (xr.Dataset({"a": ("x", np.arange(20.0))}), {}, ParameterError, "draws of 'a' have the dims x"),
+        (
+            xr.Dataset({"a": ("x", np.arange(20.0))}), {},
+            ParameterError, "draws of 'a' have the dims x",
+        ),
         (np.arange(20.0), {"weights": -np.ones(20)}, DomainError, "weights are negative"),
         (np.arange(20.0), {"weights": np.ones(19)}, ParameterError, r"shape \(1, 20\)"),
         (np.ones((2, 20)), {"weights": np.ones(20)}, ParameterError, r"shape \(2, 20\)"),
         (np.ones((2, 20)), {"weights": np.eye(2)[:, :1] * np.ones(20)}, DomainError, "all zero"),
     ],
 )  # fmt: skip
-def test_bad_input_has_a_sentence(draws, options, error, words):
+def test_bad_input_is_refused_with_a_sentence(draws, options, error, words):
     with pytest.raises(error, match=words):
         mcs.measure.chain_error(draws, **options)
 
 
 def transient(lifetime, seeds, rho=0.0):
-    """Chains (seed, chain, draw) that begin 5 above their mean, 0."""
+    """Return chains (seed, chain, draw) that begin 5 above their mean, which is 0."""
     return ar1(rho, (seeds, 4, 1000)) + 5.0 * np.exp(-np.arange(1000) / lifetime)
 
 
 @pytest.mark.parametrize(("lifetime", "rho"), [(20, 0.0), (100, 0.0), (60, 0.5)])
-def test_a_start_far_from_the_mean_is_named_and_left_out(lifetime, rho):
+def test_a_start_far_from_the_mean_is_reported_and_excluded(lifetime, rho):
     seeds = 40
     found = quantities(transient(lifetime, seeds, rho))
     names = [str(name) for name in found["cause"].values]
-    assert set(names) <= {"burn-in", "stuck-chain"}  # stuck where half of the draws move
+    assert set(names) <= {"burn-in", "stuck-chain"}  # stuck if the start affects half of the draws
     named = np.array(names) == "burn-in"
     assert named.mean() >= 0.7
     assert (found["burn_in"].values[named] >= lifetime).all()
@@ -328,7 +333,7 @@ def test_stationary_chains_have_no_burn_in(rho):
     assert not found["burn_in"].values.any()
 
 
-def test_the_remedy_of_a_burn_in_is_carried_out():
+def test_results_exclude_the_burn_in():
     x = transient(50, 1)[0]
     name, evidence, found = cause(x)
     dropped = int(found["burn_in"])

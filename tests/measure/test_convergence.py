@@ -1,4 +1,4 @@
-"""Rates: fitted slopes contain the theory; labels; what is refused."""
+"""Rates: intervals of fitted slopes contain the theory, and infinite variances are reported."""
 
 import numpy as np
 import pytest
@@ -22,10 +22,12 @@ def _relative_se(curve):
 
 
 def _pull(curve, expected):
-    """Measured rate against the fit, of the same weights, to the expected variances: in σ."""
+    """Return measured minus expected rate in σ; both fits have the same weights."""
     ns, se, floor = curve["n"].values, _relative_se(curve), np.zeros(curve.sizes["n"])
     target = fit_rate(ns, np.asarray(expected, float), se, floor).rate
-    low, high = fit_rate(ns, 1.0 / ns, se, floor).interval  # a straight line: not widened
+    low, high = fit_rate(
+        ns, 1.0 / ns, se, floor
+    ).interval  # the interval of an exact line is not widened
     return (float(curve["rate"]) - target) / ((high - low) / 2 / 1.959963984540054)
 
 
@@ -34,7 +36,7 @@ def _sides(n):
 
 
 def _exact_shifted_disk(estimator, sampler, n):
-    """Mean over the shift: strata anywhere. Those across the seam do not meet the disk."""
+    """Average over shifted strata. The disk does not reach strata across the seam."""
     del sampler
     side = 1 / _sides(n)
     grid = (np.arange(400) + 0.5) / 400 * (1 - side)
@@ -55,13 +57,13 @@ def _exact_shifted_disk(estimator, sampler, n):
     ],
 )
 def test_rates_agree_with_the_exact_variances_at_the_same_counts(integrand, sampler, exact):
-    """The bend at small n is in the exact variances too: no slack is needed for it."""
+    """The exact variances have the same bend at small n, so no tolerance is needed for it."""
     estimator = mcs.Estimator(integrand, dims=2)
     curve = mcs.convergence(estimator, sampler, COUNTS, rng=2)
     expected = [exact(estimator, sampler, n) for n in COUNTS]
     assert abs(_pull(curve, expected)) < 4
     wrong = np.asarray(expected) * np.array(COUNTS) ** 0.1
-    assert abs(_pull(curve, wrong)) > 4  # a rate off by 0.1 would be noticed
+    assert abs(_pull(curve, wrong)) > 4  # the test detects a rate that is wrong by 0.1
 
 
 @pytest.mark.parametrize(
@@ -71,8 +73,8 @@ def test_rates_agree_with_the_exact_variances_at_the_same_counts(integrand, samp
         (GAUSSIAN, "jittered | shift", -1.5, 0.5),
     ],
 )
-def test_exact_slopes_tend_to_the_oracle_table(integrand, sampler, rate, order):
-    """ORACLES.md; what is missing shrinks like n^-order, lower-order terms over the leading one."""
+def test_exact_slopes_tend_to_their_limits(integrand, sampler, rate, order):
+    """The difference between slope and limit shrinks like n^-order."""
     f = mcs.Estimator(integrand, dims=2)
     slopes = np.diff(np.log([mcs.exact_variance(f, sampler, n) for n in COUNTS])) / np.log(4)
     missing = np.abs(slopes - rate)
@@ -80,7 +82,7 @@ def test_exact_slopes_tend_to_the_oracle_table(integrand, sampler, rate, order):
 
 
 def test_scrambled_sobol_rate():
-    """Gaussian, measured −2.95 for n 16…4096 (ORACLES), to two places and with an error like ours."""
+    """The reference −2.95 for n = 16…4096 has two decimals and an error similar to this test's."""
     curve = mcs.convergence(
         mcs.Estimator(GAUSSIAN), "sobol | owen", [16, 64, 256, 1024, 4096], rng=2
     )
@@ -106,12 +108,12 @@ def test_bias_of_unbiased_and_biased_sets():
     d = mcs.convergence(f, "jittered", [4, 16], realizations=2000, rng=1)
     assert (np.abs(d["bias"]) < 4 * d["mean_se"]).all()
     one = mcs.convergence(f, "regular", [4, 16], realizations=4)
-    # midpoint rule on x²: error −1/(12 n²)
+    # The midpoint rule on x² has the error −1/(12 n²)
     assert np.allclose(one["bias"], [-1 / (12 * 16), -1 / (12 * 256)])
     assert np.allclose(one["mse"], one["bias"] ** 2)
 
 
-def test_no_variance_has_no_rate():
+def test_zero_variance_or_a_single_count_has_no_rate():
     d = mcs.convergence(
         mcs.Estimator("constant(value=0.1)", dims=2),
         "jittered",
@@ -126,20 +128,20 @@ def test_no_variance_has_no_rate():
     assert np.isnan(float(single["rate"]))
 
 
-def test_stops_when_precise_enough():
+def test_realizations_stop_at_the_requested_precision():
     f = mcs.Estimator("linear", dims=2)
     goal = {"realizations": 100_000, "relative_error": 0.1}
     one = mcs.convergence(f, ["random", "jittered"], [4, 16, 64], rng=3, workers=1, **goal)
     assert one.identical(mcs.convergence(f, ["random", "jittered"], [4, 16, 64], rng=3, **goal))
     used = one["realizations_used"].values
     assert used.shape == (2, 3)
-    # (κ − 1)/0.1² = 200 of normal estimates, κ from 2.4 to 3 here, and the stage that confirms
+    # Normal estimates need (κ − 1)/0.1² = 200. Here κ is 2.4 to 3, and a last stage confirms
     assert ((used >= 125) & (used <= 2 * 200 * 1.25)).all(), used
     first = mcs.convergence(f, "random", [4], realizations=int(used[0, 0]), rng=3)
     assert float(first["variance"][0]) == pytest.approx(float(one["variance"][0, 0]), rel=1e-12)
 
 
-def test_says_where_the_precision_was_not_reached():
+def test_counts_that_miss_the_precision_are_reported():
     f = mcs.Estimator("linear", dims=2)
     d = mcs.convergence(f, ["random"], [4, 16], realizations=300, relative_error=0.1, rng=3)
     assert d["reached"].dims == ("sampler", "n")
@@ -149,7 +151,7 @@ def test_says_where_the_precision_was_not_reached():
     assert "reached" not in mcs.convergence(f, "random", [4, 16], realizations=5)
 
 
-def test_window_is_reported():
+def test_the_fit_window_is_reported():
     f = mcs.Estimator(GAUSSIAN)
     whole = mcs.convergence(f, "jittered | shift", [4, 16, 64, 256], realizations=50)
     assert (int(whole["fit_first_n"]), whole.attrs["fit_last"]) == (4, 4)
@@ -163,12 +165,12 @@ def _function(f, **known):
 
 
 def _spike(x):
-    """1 with a spike of width 2e-5 and height 1e4, which few samples meet: its integral is 1.2."""
+    """Return 1 plus a spike of width 2e-5 and height 1e4; the integral is 1.2."""
     return np.where(np.abs(x[..., 0] - 0.3) < 1e-5, 1e4, 1.0)
 
 
 def _hot_pixel():
-    """Noise of variance 0.1 with one pixel of 65536 that adds 10 to it: met once in 16 runs."""
+    """Return noise of variance 0.1 with one pixel of variance 1, which 1 of 16 runs hits."""
     values = 1 + np.random.default_rng(1).uniform(-0.5, 0.5, (256, 256)) * np.sqrt(1.2)
     values[100, 37] = np.sqrt(65536)
     return mcs.Estimator(integrands.Image(values=values))
@@ -177,31 +179,37 @@ def _hot_pixel():
 @pytest.mark.parametrize(
     ("estimator", "sampler", "n", "words"),
     [
-        # A hit in 3e5 samples; and one in 8800, of which 1000 estimates have 16 000: 1.8 hits
+        # The first disk is hit once in 3e5 samples; the second once in 8800: 16,000 samples hit
+        # it 1.8 times
         ("disk(center=0.4, radius=0.001)", "random", 4, "all estimates are equal"),
         ("disk(center=0.4, radius=0.006)", "random | shift", 16, "a single estimate causes"),
         (
-            _function(lambda x: _spike(x) + np.sin(7 * x[..., 0]), integral=1.2 + (1 - np.cos(7)) / 7),
+            _function(
+                lambda x: _spike(x) + np.sin(7 * x[..., 0]), integral=1.2 + (1 - np.cos(7)) / 7
+            ),
             "jittered", 4, "standard errors from the integral at n = 4",
         ),
         (_hot_pixel(), "random", 4, "times the measured one at n = 4"),
-        ("formula(expression='x ** -0.6', dims=1)", "jittered", 16, "∫g² diverges: infinite variance"),
+        (
+            "formula(expression='x ** -0.6', dims=1)",
+            "jittered", 16, "∫g² diverges: infinite variance",
+        ),
         ("formula(expression='x ** -0.7', dims=1)", "random", 16, "∫g² diverges"),
     ],
 )  # fmt: skip
-def test_what_was_not_met_has_no_upper_bound(estimator, sampler, n, words):
+def test_a_variance_from_unresolved_rare_values_has_no_upper_bound(estimator, sampler, n, words):
     d = mcs.convergence(estimator, ["uniform-jitter", sampler], [n, 4 * n, 16 * n], rng=1)
     found = d.sel(sampler=sampler, n=n)
     assert words in d.attrs["note"]
     assert "these variances have no finite upper bound" in d.attrs["note"]
     assert found["variance_ci"][1] == np.inf
     assert found["variance_ci"][0] <= found["variance"]
-    # A rate that rests on it has no interval
+    # A rate fitted to such a variance has no interval
     assert not np.isfinite(found["rate_ci"]).any()
 
 
-def test_what_can_be_seen_keeps_its_bounds():
-    """Small samples have large squares by chance, constants no variance, biased sets a bias."""
+def test_harmless_estimates_keep_finite_bounds():
+    """Few realizations or zero variance alone do not remove the bounds."""
     for estimator in ("constant", GAUSSIAN, "linear"):
         for sampler in ("random", "jittered", "sobol | owen"):
             for realizations in (3, 5, 20, 100):
@@ -213,8 +221,8 @@ def test_what_can_be_seen_keeps_its_bounds():
 
 
 @pytest.mark.parametrize("sampler", ["random", "jittered"])
-def test_heavy_tails_are_named_at_every_smaller_count(sampler):
-    """Lognormal values of σ = 2, κ = 9e6: no finite upper end, nor at fewer points."""
+def test_heavy_tails_are_reported_at_small_counts(sampler):
+    """Lognormal values with σ = 2 have κ = 9e6, so no upper end is finite at small n."""
     estimator = _function(lambda x: np.exp(2 * ndtri(x[..., 0])), integral=np.exp(2.0))
     for seed in range(4):
         d = mcs.convergence(estimator, sampler, [1, 4], realizations=1000, rng=seed)
@@ -225,8 +233,8 @@ def test_heavy_tails_are_named_at_every_smaller_count(sampler):
 
 
 @pytest.mark.parametrize("pole", ["x ** -0.45", "x ** -0.4", "abs(x - 0.3) ** -0.3"])
-def test_where_the_kurtosis_diverges_nothing_bounds_the_variance(pole):
-    """200 estimates of x^-0.45: 30 of 33 finite upper bounds excluded the variance."""
+def test_a_divergent_kurtosis_leaves_no_upper_bound(pole):
+    """Finite bounds would be wrong: for x^-0.45, 30 of 33 excluded the variance."""
     f = mcs.integrand(f"formula(expression='{pole}', dims=1)")
     for seed in range(2):
         d = mcs.convergence(
@@ -240,8 +248,12 @@ def test_where_the_kurtosis_diverges_nothing_bounds_the_variance(pole):
 @pytest.mark.parametrize(
     ("sampler", "bounded"), [("random", (0.15, 0.45)), ("jittered", (0.15, 0.3))]
 )
-def test_poles_of_a_users_function_are_seen_at_its_points(sampler, bounded):
-    """x^-0.45: 37 and 80 % of single estimates tell at n = 64; its 12,800 values more. Of 50 runs, 3 σ."""
+def test_poles_of_a_users_function_are_detected_from_its_values(sampler, bounded):
+    """For f = x^-0.45, the values at all points detect the pole more often than estimates alone.
+
+    Estimates alone detect it in 37 % (random) and 80 % (jittered) of the runs at n = 64. The
+    limits are 3 σ above the expected shares of 50 runs.
+    """
     f = mcs.Integrand.from_function(lambda x: x[..., 0] ** -0.45, dims=1)
     found = [mcs.convergence(f, sampler, [16, 64], realizations=200, rng=k) for k in range(50)]
     high = np.array([np.isfinite(d["variance_ci"][:, 1]) for d in found]).mean(axis=0)
@@ -251,7 +263,7 @@ def test_poles_of_a_users_function_are_seen_at_its_points(sampler, bounded):
 
 
 @pytest.mark.parametrize("law", ["lognormal", "exponential", "pole", "smooth"])
-def test_users_functions_without_heavy_tails_are_bounded(law):
+def test_users_functions_without_heavy_tails_have_finite_bounds(law):
     f = {
         "lognormal": lambda x: np.exp(0.5 * ndtri(x[..., 0])),
         "exponential": lambda x: -np.log1p(-x[..., 0]),
@@ -260,11 +272,11 @@ def test_users_functions_without_heavy_tails_are_bounded(law):
     }[law]
     f = mcs.Integrand.from_function(f, dims=1)
     found = [mcs.convergence(f, "random", [64], realizations=200, rng=k) for k in range(50)]
-    # 2 % of 50 runs: more than 4 of them once in 300
+    # With a false alarm rate of 2 %, more than 4 of 50 runs have one once in 300 tests
     assert sum(not np.isfinite(d["variance_ci"][0, 1]) for d in found) <= 4
 
 
-def test_a_pole_with_a_kurtosis_is_not_named():
+def test_a_pole_with_finite_kurtosis_is_not_reported():
     d = mcs.convergence(
         "formula(expression='x ** -0.2', dims=1)", "random", [64, 256], realizations=500
     )
@@ -272,8 +284,8 @@ def test_a_pole_with_a_kurtosis_is_not_named():
     assert np.isfinite(d["variance_ci"]).all()
 
 
-def test_a_share_is_that_of_normal_estimates_at_few_realisations():
-    """Of 1000 samples of 12 normal values, one in a thousand has a larger square: 1 ± 3."""
+def test_the_limit_of_the_largest_share_is_that_of_normal_estimates():
+    """One in a thousand samples of 12 normal values has a larger share of its largest square."""
     from mcspectra.measure.blindness import _large_share
 
     values = np.random.default_rng(3).normal(size=(12, 20_000))
@@ -284,8 +296,8 @@ def test_a_share_is_that_of_normal_estimates_at_few_realisations():
 
 
 @pytest.mark.parametrize("sampler", ["sobol", "halton", "regular"])
-def test_sets_that_are_always_the_same_have_no_variance(sampler):
-    """Today the rounding noise of their means, 1e-34, with a rate."""
+def test_fixed_sets_have_no_variance(sampler):
+    """Rounding noise of the means, about 1e-34, is not reported as a variance."""
     d = mcs.convergence(
         "formula(expression='exp(x)', dims=1)", [sampler], [16, 64], realizations=999
     )

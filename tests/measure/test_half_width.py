@@ -1,4 +1,4 @@
-"""Half widths that nobody chose, and what lies beyond them."""
+"""Default half widths, and the estimated variance at higher frequencies."""
 
 import math
 
@@ -15,7 +15,7 @@ import mcspectra as mcs
         ("disk", 1, 256, 512),  # twice the 256 strata
         ("disk", 2, 64, 64),
         ("disk", 2, 4096, 128),
-        ("cosine(frequency=3)", 2, 64, 4),  # it has no others
+        ("cosine(frequency=3)", 2, 64, 4),  # the integrand has no other frequencies
         ("polynomial", 3, 64, 16),
         ("polynomial", 4, 64, 8),  # 64 would be 2.8e8 frequencies
         ("polynomial", 8, 64, 1),
@@ -27,7 +27,7 @@ def test_half_widths_follow_dims_counts_and_integrand(integrand, dims, n, width)
     assert found["half_width"].values[-1] == width
 
 
-def test_energy_share_and_tail_are_those_of_the_disk():
+def test_energy_share_and_tail_of_the_disk_are_exact():
     f = mcs.integrand("disk(radius=0.3)", dims=2)
     found = mcs.variance_terms(f, "random", 16, half_width=5, realizations=2)
     held, whole = (np.abs(f.fourier_grid(5)) ** 2).sum(), math.pi * 0.3**2
@@ -36,7 +36,7 @@ def test_energy_share_and_tail_are_those_of_the_disk():
 
 
 @pytest.mark.parametrize("space", ["domain", "primary"])
-def test_with_its_tail_a_short_spectrum_predicts_random_points(space):
+def test_a_short_spectrum_plus_its_tail_predicts_random_points(space):
     f = mcs.integrand("disk(radius=0.3)", dims=2)
     p = mcs.density("linear(slope=1)", dims=2)
     estimator = mcs.MultipleImportance(f, [p, "uniform"])
@@ -44,7 +44,7 @@ def test_with_its_tail_a_short_spectrum_predicts_random_points(space):
         estimator, "random", 16, half_width=6, realizations=4000, space=space
     )
     both = float(found["predicted_variance"] + found["tail_term"])
-    # The three terms of a truncated sum scatter like the measured variance
+    # The three terms of a truncated sum have the same error as the measured variance
     low, high = found["measured_variance_ci"].values
     assert low < both < high
-    assert float(found["tail_term"]) > 2 * (high - low) / 4  # which would be missed
+    assert float(found["tail_term"]) > 2 * (high - low) / 4  # without the tail, the test would fail

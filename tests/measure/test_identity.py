@@ -1,4 +1,4 @@
-"""dc + power + cross is the sample variance of the truncated estimate, exactly; and its matrix form."""
+"""dc + power + cross equals the sample variance of the truncated estimate, also as a matrix."""
 
 from functools import cache
 
@@ -15,7 +15,7 @@ GAUSSIAN = mcs.Estimator("gaussian", dims=2)
 
 
 def _one_sided(dims):
-    """Points crowded toward 0 whose density is not the one they are divided by: biased, skew."""
+    """Return a biased, skew sampler: its points crowd toward 0, but it claims to be uniform."""
 
     def draw(n, generator):
         return generator.random((n, dims)) ** 2
@@ -29,14 +29,14 @@ def _sampler(name, dims):
 
 @cache
 def _skew(dims):
-    """Neither even nor odd about any point, not periodic."""
+    """Return an integrand that is not periodic and has no symmetry about any point."""
     return mcs.Integrand.from_function(
         lambda x: np.exp(x[..., 0]) * (1 + 0.3 * x.sum(axis=-1) ** 2), dims=dims
     )
 
 
 def _estimates(estimator, sampler, n, space, half_width, seed):
-    """Σ_m conj(f_m) S_m for every realization, by the direct sum over the whole grid."""
+    """Return Σ_m conj(f_m) S_m for every realization, summed directly over the whole grid."""
     grid = FrequencyGrid(estimator.dims, half_width)
     m = np.concatenate([grid.indices(), -grid.indices()[-2::-1]])
     points = estimator.draw(sampler, n, Stream.from_rng(seed), 0, REALIZATIONS)
@@ -56,13 +56,13 @@ CASES = [
     for name in ("random", "jittered", "jittered | shift", "one-sided")
     for density in (None, "linear(slope=1.2)")
     for space in ("domain", "primary")
-    if density or space == "domain"  # without a density they are one
+    if density or space == "domain"  # without a density, both spaces are the same
 ]
 
 
 @cache
 def _estimator(dims, density):
-    """One for all samplers, so that its coefficients are computed once."""
+    """Return one estimator for all samplers, so that its coefficients are computed once."""
     return mcs.Estimator(_skew(dims), density)
 
 
@@ -143,13 +143,13 @@ def test_matrix_is_the_brute_force_covariance(space, dims, half_width):
 
 
 def test_the_slides_literal_pairing_predicts_the_reflected_integrand():
-    """⟨S_m* S_l⟩ with f_m* f_l is the variance of f(1−x): for one-sided points, another number.
+    """⟨S_m* S_l⟩ with f_m* f_l gives the variance of f(1−x), which differs for one-sided points.
 
     If `variance_terms` used the slides' pairing, its prediction would follow the reflected
     estimator, and the first assertion would fail.
     """
     sampler = _one_sided(1)
-    # Periodic and smooth: its coefficients fall faster than any power, K = 40 holds all of it.
+    # f is periodic and smooth, so |m| ≤ 40 holds its whole energy up to rounding
     f = mcs.Integrand.from_function(
         lambda x: np.exp(3 * np.cos(2 * np.pi * (x[..., 0] - 0.15))), dims=1
     )
@@ -162,7 +162,9 @@ def test_the_slides_literal_pairing_predicts_the_reflected_integrand():
     measured = float(d["measured_variance"])
     x = sampler.draw(8, realizations=400, rng=3)
     reflected = float(np.var(mirror(x).mean(axis=1), ddof=1))
-    assert abs(reflected / measured - 1) > 0.3  # the two differ, so the test can tell
+    assert (
+        abs(reflected / measured - 1) > 0.3
+    )  # the variances differ, so the test separates the pairings
     assert float(d["predicted_variance"]) == pytest.approx(measured, rel=1e-8)
     c = d["coefficient_covariance"].values
     fm = f.fourier(d["m"].values[:, None])
@@ -172,7 +174,10 @@ def test_the_slides_literal_pairing_predicts_the_reflected_integrand():
 
 
 def test_decomposition_of_x_in_1d_matches_the_oracle():
-    """f = x, jittered: dc 0; power 1/(6n²) − 1/(12n³); cross 1/(6n³) − 1/(6n²); sum 1/(12n³)."""
+    """For f = x and jittered points, all terms have closed forms.
+
+    dc = 0, power = 1/(6n²) − 1/(12n³), cross = 1/(6n³) − 1/(6n²), and the sum is 1/(12n³).
+    """
     n, realizations = 4, 6000
     d = mcs.variance_terms(
         mcs.Estimator("linear", dims=1), "jittered", n, half_width=400, realizations=realizations
@@ -181,7 +186,7 @@ def test_decomposition_of_x_in_1d_matches_the_oracle():
     cross = 1 / (6 * n**3) - 1 / (6 * n**2)
     # The tail beyond K of Σ|f_m|²C_mm is about (1/n) Σ_{|m|>K} 1/(4π²m²) = 1/(2π² n K).
     tail = 1 / (2 * np.pi**2 * n * 400)
-    # Sums of thousands of frequencies over 6000 realizations: 2 % is > 4 σ (χ² of each term).
+    # The sums have hundreds of frequencies and 6000 realizations: 2 % exceeds 4 σ of each term.
     assert float(d["dc_term"]) == pytest.approx(0, abs=1e-20)
     assert float(d["power_term"]) == pytest.approx(power, rel=0.02, abs=tail)
     assert float(d["cross_term"]) == pytest.approx(cross, rel=0.02, abs=tail)
@@ -190,17 +195,17 @@ def test_decomposition_of_x_in_1d_matches_the_oracle():
 
 
 def test_shift_has_no_cross_term():
-    """A Cranley-Patterson shift makes C_ml diagonal: cross is 0 within its sampling error."""
+    """A Cranley-Patterson shift makes C_ml diagonal, so the cross term is 0 within its error."""
     d = mcs.variance_terms(
         mcs.Estimator(_skew(1)), "jittered | shift", 16, half_width=12, realizations=6000, rng=1
     )
-    # Var of the sample cross term ≈ predicted² · 2/R (independent coefficients): 5 σ
+    # For independent coefficients, the cross term has the variance predicted² · 2/R
     sigma = float(d["predicted_variance"]) * np.sqrt(2 / 6000)
     assert abs(float(d["cross_term"])) < 5 * sigma
 
 
-def test_infinite_weight_variance_is_said_and_no_number_printed():
-    """f = x², p = 2x: Var = 1/(72n) although Var(S_0) is infinite."""
+def test_infinite_variance_of_weights_is_reported_without_numbers():
+    """For f = x² and p = 2x, the variance is 1/(72n) although Var(S_0) is infinite."""
     estimator = mcs.Estimator(
         mcs.Integrand.from_function(lambda x: x[..., 0] ** 2, dims=1, integral=1 / 3),
         "linear(slope=2)",
@@ -222,7 +227,7 @@ def test_infinite_weight_variance_is_said_and_no_number_printed():
     assert float(primary["captured"]) == pytest.approx(1, abs=0.02)
 
 
-def test_channels_and_techniques_get_dims_of_their_own():
+def test_channels_and_techniques_are_dims_of_the_result():
     f = mcs.Integrand.from_function(
         lambda x: np.stack([x[..., 0], x[..., 0] ** 2, 1 + 0 * x[..., 0]], axis=-1), dims=1
     )
@@ -245,9 +250,9 @@ def test_technique_sums_are_analysed_in_primary_space():
     assert found.attrs["space"] == "primary"
 
 
-def test_own_bands_partition_the_variance():
+def test_given_bands_partition_the_variance():
     labels = np.zeros((9, 9), int)
-    labels[:, 4] = 1  # frequencies with m1 = 0: the part of f that varies along x0 alone
+    labels[:, 4] = 1  # frequencies with m1 = 0 form the part of f that varies along x0 only
     labels[4, :] = 2
     d = mcs.variance_terms(GAUSSIAN, "jittered", 16, half_width=4, realizations=64, bands=labels)
     assert d["band_covariance"].shape == (3, 3)
@@ -277,8 +282,8 @@ def test_variables_carry_units_and_meaning():
         ),
     ],
 )
-def test_measurements_of_0_say_why_in_words(f, sampler, words, upper):
-    """And a rare disk that was never hit has no upper bound."""
+def test_a_measured_variance_of_zero_has_a_reason(f, sampler, words, upper):
+    """The variance has no upper bound if no point hit the disk."""
     d = mcs.variance_terms(mcs.Estimator(f, dims=2), sampler, 16, half_width=4, realizations=50)
     assert words in d.attrs["note"]
     assert float(d["measured_variance"]) == 0.0

@@ -1,4 +1,4 @@
-"""Integrals for a budget of calls: never more of them, intervals that cover, the split."""
+"""Integrals within a budget of calls: calls are counted, and intervals cover."""
 
 import json
 import math
@@ -45,22 +45,22 @@ class Counting:
 
 
 def least_covered(seeds):
-    """How many of the 95 % intervals of so many seeds cover at least: 3 σ less than expected."""
+    """Return the least number of 95 % intervals that cover: 3 σ below the expected number."""
     return 0.95 * seeds - 3 * math.sqrt(seeds * 0.05 * 0.95)
 
 
 SEEDS = [200, pytest.param(400, marks=pytest.mark.slow)]
-"""Intervals of 85 % fail nine times out of ten with 200, and always with 400."""
+"""Intervals of 85 % fail nine times out of ten with 200 seeds, and always with 400."""
 
 
 @pytest.mark.parametrize("seeds", SEEDS)
 @pytest.mark.parametrize("budget", [256, 2000])
 @pytest.mark.parametrize("f", KNOWN, ids=lambda f: f.__name__)
 def test_intervals_cover(f, budget, seeds):
-    """Of 400 intervals of Student's t 380 cover with σ = 4.4, of 200 190 with σ = 3.1.
+    """At least the expected number of intervals less 3 σ cover the integral.
 
-    The hull with Hall's covers more where few replicates are skewed by chance; it must not be had by
-    width: its median half is at most half as much again as Student's t times the error there is.
+    The intervals are the hull of Student's and Hall's intervals, which helps for skewed replicates.
+    Their median half width is at most 1.5 times that of Student's interval for the actual error.
     """
     covered, replicates, halves, values = 0, [], [], []
     for seed in range(seeds):
@@ -85,13 +85,16 @@ def test_no_call_beyond_the_budget(sampler, budget):
     found = mcs.integrate(f, dims=2, budget=budget, sampler=sampler)
     made = int(found["replicates"]) * int(found["n"])
     assert f.calls == made == int(found["calls"]) <= budget
-    assert made > 0.6 * budget or sampler == "jittered"  # counts of strata are squares
+    assert made > 0.6 * budget or sampler == "jittered"  # jittered counts are squares
     assert int(found["replicates"]) >= 8
 
 
-def test_the_median_of_linear_scrambles_has_a_rate_beyond_all_powers():
-    """Of exp(x): the error falls faster than that of the mean, n^−3/2, from n = 16 to 256, and faster again
-    from there to 4,096, by four standard errors of the bootstrap over 200 seeds."""
+def test_the_median_of_linear_scrambles_converges_ever_faster():
+    """The error for exp(x) falls faster than n^−3/2, the rate of the mean, and ever faster.
+
+    The rate from n = 16 to 256 is steeper than −3/2, and from 256 to 4096 it is steeper still, each
+    by four standard errors of a bootstrap over 200 seeds.
+    """
     options, seeds = {"dims": 1, "combine": "median"}, 200
     draws, logs = np.random.default_rng(0).integers(seeds, size=(400, seeds)), []
     for n in (16, 256, 4096):
@@ -112,7 +115,10 @@ def test_the_median_of_linear_scrambles_has_a_rate_beyond_all_powers():
 @pytest.mark.parametrize("seeds", SEEDS)
 @pytest.mark.parametrize("f", KNOWN, ids=lambda f: f.__name__)
 def test_intervals_of_medians_cover(f, seeds):
-    """95 % at least, less 3 σ: where no replicate stands out they are the hull with that of the mean."""
+    """At least 95 % of the intervals cover, less 3 σ.
+
+    If no replicate is an outlier, the interval is the hull with the interval of the mean.
+    """
     covered = 0
     for seed in range(seeds):
         found = mcs.integrate(f, dims=2, budget=1500, combine="median", rng=seed)
@@ -122,7 +128,7 @@ def test_intervals_of_medians_cover(f, seeds):
     assert covered >= least_covered(seeds)
 
 
-def test_the_median_is_for_linear_scrambles_and_says_where_it_helps():
+def test_the_median_requires_linear_scrambles_and_notes_say_where_it_helps():
     for sampler in ("sobol | owen", "jittered", "random", "sobol | digital-shift"):
         with pytest.raises(ParameterError, match="not a linear scramble"):
             mcs.integrate(smooth, dims=2, budget=1000, combine="median", sampler=sampler)
@@ -144,8 +150,8 @@ def test_the_median_is_for_linear_scrambles_and_says_where_it_helps():
     assert int(median["calls"]) == int(median["n"] * median["replicates"]) <= 4000
 
 
-def test_points_are_reused():
-    """The mean of independent sets of n points, those of the pilot among them."""
+def test_points_of_the_pilot_are_reused():
+    """The value is the mean over independent sets of n points, which include the pilot's sets."""
     found = mcs.integrate(smooth, dims=2, budget=5000, rng=3)
     n, replicates = int(found["n"]), int(found["replicates"])
     x = mcs.sampler("sobol | owen", dims=2).draw(n, realizations=replicates, rng=3)
@@ -153,8 +159,8 @@ def test_points_are_reused():
     assert n & (n - 1) == 0
 
 
-def test_a_smooth_function_has_few_replicates_and_a_rough_one_many():
-    """The half width ∝ t n^(−θ/2) R^(−1/2) is least at R = 15 where θ = 3, at R = 125 where θ = 1."""
+def test_smooth_functions_get_few_replicates_and_rough_functions_many():
+    """The half width ∝ t n^(−θ/2) R^(−1/2) is smallest at R = 15 for θ = 3 and 125 for θ = 1."""
     by_rate = {}
     for name, f in (("smooth", smooth), ("rough", lambda x: np.cos(1e5 * x[..., 0]))):
         found = [mcs.integrate(f, dims=2, budget=2000, rng=seed) for seed in range(30)]
@@ -165,7 +171,7 @@ def test_a_smooth_function_has_few_replicates_and_a_rough_one_many():
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_functions_of_a_point_and_processes_give_the_same(workers):
+def test_functions_of_single_points_and_processes_give_the_same_value(workers):
     one = mcs.integrate(smooth, dims=2, budget=500)
     other = mcs.integrate(
         lambda p: float(smooth(p)), dims=2, budget=500, vectorized=False, workers=workers
@@ -174,7 +180,7 @@ def test_functions_of_a_point_and_processes_give_the_same(workers):
     assert int(other["calls"]) == int(one["calls"])
 
 
-def test_an_interrupted_run_goes_on_to_the_same_bits(tmp_path):
+def test_a_resumed_run_has_the_same_bits(tmp_path):
     whole = mcs.integrate(smooth, dims=2, budget=2000)
     with pytest.raises(KeyboardInterrupt):
         mcs.integrate(Counting(smooth, stops_after=1000), dims=2, budget=2000, cache=tmp_path / "f")
@@ -185,10 +191,10 @@ def test_an_interrupted_run_goes_on_to_the_same_bits(tmp_path):
     assert int(whole["calls"]) - 1000 < f.calls == int(again["calls"]) <= int(whole["calls"]) - 850
     f.calls = 0
     mcs.integrate(f, dims=2, budget=2000, cache=tmp_path / "f")
-    assert f.calls == 1  # whether f is still the same
+    assert f.calls == 1  # one call checks that f is the same function
 
 
-def test_estimators_integrands_and_specs():
+def test_estimators_integrands_and_specs_are_accepted():
     value = mcs.integrand("gaussian(center=0.3, width=0.3)", dims=2).integral
     for f in (
         "gaussian(center=0.3, width=0.3)",
@@ -199,7 +205,7 @@ def test_estimators_integrands_and_specs():
         assert abs(float(found["value"]) - value) < 3 * float(np.diff(found["interval"])[0])
 
 
-def test_what_is_alike_has_no_interval():
+def test_equal_values_give_no_finite_interval():
     found = mcs.integrate(lambda x: np.ones(len(x)), dims=2, budget=100)
     assert float(found["value"]) == 1.0
     assert np.array_equal(found["interval"], [-np.inf, np.inf])
@@ -221,7 +227,7 @@ def test_what_is_alike_has_no_interval():
         (mcs.Integrand.from_function(lambda x: x, dims=2), {}, "2 channels"),
     ],
 )
-def test_what_cannot_be_is_refused(f, options, sentence):
+def test_bad_input_is_refused(f, options, sentence):
     with pytest.raises((ParameterError, DomainError), match=sentence):
         mcs.integrate(f, **{"dims": 2, "budget": 100} | options)
 
@@ -250,8 +256,8 @@ GROWTHS = {
 
 @pytest.mark.parametrize("sampler", ["jittered", "sobol | owen"])
 @pytest.mark.parametrize("name", GROWTHS)
-def test_intervals_cover_where_f_grows_at_the_border(name, sampler):
-    """Student's t holds 90 to 93 % of these, and misses on one side only."""
+def test_intervals_cover_if_f_is_unbounded_at_the_border(name, sampler):
+    """Student's interval would cover 90 to 93 % here, and miss on one side only."""
     f, integral = GROWTHS[name]
     seeds, below, above = 200, 0, 0
     for seed in range(seeds):
@@ -264,7 +270,7 @@ def test_intervals_cover_where_f_grows_at_the_border(name, sampler):
         )
         low, high = found["interval"].values
         below, above = below + (integral < low), above + (integral > high)
-    # 5 % in all and 4 % on either side, with three standard errors of 200 seeds
+    # Allow 5 % misses in total and 4 % on each side, plus three standard errors of 200 seeds
     assert below + above <= seeds * (0.05 + 3 * np.sqrt(0.05 * 0.95 / seeds))
     assert max(below, above) <= seeds * (0.04 + 3 * np.sqrt(0.04 * 0.96 / seeds))
 
@@ -280,7 +286,7 @@ def test_intervals_cover_where_f_grows_at_the_border(name, sampler):
         (lambda x: 1.0 / np.maximum(x[..., 0], 1e-300), "if that continues, f has no integral"),
     ],
 )
-def test_what_has_no_variance_or_integral_is_said_as_in_a_profile(f, said):
+def test_infinite_variances_and_integrals_are_reported_as_in_a_profile(f, said):
     with pytest.warns(InfiniteVarianceWarning, match=said):
         found = mcs.integrate(f, dims=1, budget=2000)
     assert said in found.attrs["note"]
@@ -292,12 +298,12 @@ def test_what_has_no_variance_or_integral_is_said_as_in_a_profile(f, said):
     assert np.isnan(profiled.integral) == ("integral" in said)
 
 
-def test_growth_of_several_dims_and_of_bounded_functions():
+def test_growth_at_the_border_is_found_for_unbounded_functions_only():
     x = mcs.sampler("sobol | owen", dims=3).draw(1024, realizations=8, rng=3).reshape(-1, 3)
     rest = 1.0 + x[:, 1] + x[:, 2] ** 2
     (found,) = border_growth(x, rest * np.maximum(x[:, 0], 1e-300) ** -0.6)
     assert (found.axis, found.high, found.sign) == (0, False, 1)
-    # The logarithm of the other factor varies by 0.4, and that of 64 distances by 1: an error of 0.1
+    # The logarithm of the other factor varies by 0.4, that of 64 distances by 1: the error is 0.1
     assert found.exponent == pytest.approx(0.6, abs=0.3)
     assert found.low < 0.6
     (found,) = border_growth(x, -rest / np.maximum(1.0 - x[:, 1], 1e-300))
@@ -306,8 +312,8 @@ def test_growth_of_several_dims_and_of_bounded_functions():
     assert not any(border_growth(x, 1.0 * values) for values in bounded)
 
 
-def test_few_values_that_hold_the_variance_leave_no_interval():
-    """Three narrow peaks in 8 dims: intervals of the replicates cover 41 %."""
+def test_variance_from_a_few_values_leaves_no_finite_interval():
+    """For three narrow peaks in 8-D, intervals from the replicates would cover 41 %."""
     for seed in range(3):
         found = mcs.integrate(oracles.gaussian_peaks(8), budget=25_000, rng=seed)
         assert np.isinf(found["interval"].values).all()
@@ -316,7 +322,7 @@ def test_few_values_that_hold_the_variance_leave_no_interval():
 
 @pytest.mark.parametrize("vectorized", [True, False])
 def test_evaluations_that_fail_are_skipped_and_bound_the_result(vectorized):
-    """f has no values for x_0 < 0.02: it may be anything between its least and largest value."""
+    """f fails for x_0 < 0.02; the interval allows any value in the range of f there."""
 
     def f(x):
         if np.any(x[..., 0] < 0.02):
@@ -343,8 +349,8 @@ def periodic(x):
     return np.prod(1.0 + 0.5 * np.cos(2.0 * np.pi * x), axis=-1)
 
 
-def test_the_answer_of_a_profile_is_carried_out_and_its_evaluations_are_used():
-    """A lattice is exact here, and nets are off by 3e-4."""
+def test_the_answer_of_a_profile_and_its_evaluations_are_used():
+    """The profile recommends a lattice, which is exact here; nets have an error of 3e-4."""
     found = mcs.profile(periodic, dims=4, budget=4096)
     calls = found.calls
     counting = Counting(periodic, 4)
@@ -356,7 +362,7 @@ def test_the_answer_of_a_profile_is_carried_out_and_its_evaluations_are_used():
     assert low <= 1.0 <= high < 1.0 + 1e-13
     assert "equal to rounding" in result.attrs["note"]
     assert int(result["calls"]) <= 4096
-    # The interval of a profile misses the integral in one of 20 cases, here from 1.001 on
+    # The interval of a profile misses the integral in one of 20 cases; this seed is one of them
     found = mcs.profile(periodic, dims=4, budget=4096, rng=17)
     assert found.interval[0] > 1.0
     result = mcs.integrate(periodic, budget=4096, profile=found)
@@ -368,9 +374,9 @@ def test_the_answer_of_a_profile_is_carried_out_and_its_evaluations_are_used():
 )
 @pytest.mark.parametrize("f", KNOWN, ids=lambda f: f.__name__)
 def test_intervals_with_a_profile_cover(f, seeds, narrower):
-    """Of 200 intervals 190 cover with σ = 3.1, of 100 95 with σ = 2.2; so many are narrower than before.
+    """At least the expected number of intervals less 3 σ cover, and most are narrower than before.
 
-    Of 100, where 96 % are expected, that is 3 σ less.
+    About 96 % are narrower than the interval of the profile; 90 of 100 is 3 σ less.
     """
     covered, better = 0, 0
     for seed in range(seeds):
@@ -393,7 +399,7 @@ def test_preintegrated_evaluations_count_as_calls():
     assert int(result["calls"]) == counting.calls - before <= 2000
 
 
-def test_a_profile_belongs_to_its_function():
+def test_a_profile_of_another_function_is_refused():
     found = mcs.profile(smooth, dims=2, budget=512)
     with pytest.raises(ParameterError, match="same function"):
         mcs.integrate(kink, budget=512, profile=found)
@@ -407,8 +413,8 @@ def test_a_profile_belongs_to_its_function():
 
 
 @pytest.mark.parametrize("f", KNOWN, ids=lambda f: f.__name__)
-def test_calls_end_at_a_tolerance(f):
-    """Of 100 intervals 95 cover with σ = 2.2, and 89 is 3 σ below it."""
+def test_calls_stop_at_the_tolerance_and_intervals_cover(f):
+    """At least 89 of 100 intervals cover: 95 − 3 σ, with σ = 2.2."""
     tolerance, covered = (2e-4 if f is kink else 4e-3), 0
     for seed in range(100):
         counting = Counting(f)
@@ -420,7 +426,7 @@ def test_calls_end_at_a_tolerance(f):
     assert covered >= 89
 
 
-def test_a_budget_that_ends_before_the_tolerance_is_said():
+def test_a_budget_that_ends_before_the_tolerance_is_reported():
     found = mcs.integrate(jump, dims=2, budget=3000, tolerance=1e-9)
     assert int(found["calls"]) <= 3000
     assert "the budget of 3000 calls ended" in found.attrs["note"]

@@ -1,4 +1,4 @@
-"""Estimators that share their points: drawn once, the same bits as each by itself."""
+"""Estimators that share points: each has the same bits as if it were measured alone."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ ESTIMATORS = [
 ]
 
 
-def test_moments_of_shared_points_are_those_of_each():
+def test_moments_on_shared_points_equal_separate_moments():
     source, stream = mcs.sampler("jittered", dims=2), Stream.from_rng(4)
     run = MomentsCell(tuple(ESTIMATORS), source, 64, stream).run(0, 3, 700)
     joint = compute_chunk(run, (0, run.blocks))
@@ -25,7 +25,7 @@ def test_moments_of_shared_points_are_those_of_each():
         values = estimator.estimate([source.draw_stream(64, stream, 3, 700)])
         for name in ("count", "mean", "m2", "m3", "m4"):
             assert getattr(moments, name) == getattr(alone, name), name
-        # The least and the largest, exactly, whatever the blocks: the largest square in the variance
+        # The smallest and largest estimates are exact for any blocks, and so is the largest square
         assert tuple(moments.extremes[[0, -1], 0]) == (values.min(), values.max())
         square = ((values - values.mean()) ** 2).max() / ((values - values.mean()) ** 2).sum()
         assert moments.largest_share[0] == pytest.approx(square, rel=1e-11)
@@ -44,7 +44,7 @@ def test_the_size_of_a_cache_changes_no_bit(monkeypatch):
     assert np.array_equal(before["mean"], after["mean"])
 
 
-def test_convergence_of_several_is_that_of_each():
+def test_convergence_of_a_list_equals_separate_results():
     mis = mcs.MultipleImportance(
         mcs.integrand("gaussian", dims=2), ["uniform", "linear(slope=1)"], counts=(1, 1)
     )
@@ -60,8 +60,8 @@ def test_convergence_of_several_is_that_of_each():
 
 
 @pytest.mark.parametrize("dims", [1, 2, 3, 7])
-def test_values_of_gaussian_and_disk(dims):
-    """Against the formula, also of one point, of points in other memory order, and of none."""
+def test_values_of_gaussian_and_disk_equal_the_formula(dims):
+    """Values equal the formula, also for one point, no points, and other memory orders."""
     x = np.random.default_rng(1).random((5, 4, dims))
     gaussian = mcs.integrand("gaussian(center=0.4, width=0.2)", dims=dims)
     disk = mcs.integrand("disk(center=0.4, radius=0.5)", dims=dims)

@@ -32,7 +32,7 @@ def test_modes_are_the_eigenvectors_of_the_cross_matrix(estimator, sampler, chan
     found = mcs.covariance_modes(estimator, sampler, 16, modes=3, passes=40, **both)
     terms = mcs.variance_terms(estimator, sampler, 16, cross_matrix=True, **both)
     matrix = terms["cross_matrix"].values
-    # the matrix pairs ⟨y_m conj(y_l)⟩
+    # the entries are ⟨y_m conj(y_l)⟩
     assert np.allclose(matrix, matrix.conj().T, atol=1e-12 * np.abs(matrix).max())
     values, _ = np.linalg.eigh(matrix)
     scale = values[-1]
@@ -50,8 +50,8 @@ def test_modes_are_the_eigenvectors_of_the_cross_matrix(estimator, sampler, chan
     assert np.allclose(found["mode_contribution"], expected, atol=1e-9 * scale)
 
 
-def test_errors_of_eigenvalues_are_their_spread():
-    """A leading mode far above the others, over 40 runs; its batch means hold 10 realizations each."""
+def test_errors_of_eigenvalues_equal_their_spread():
+    """The errors of a dominant mode equal its standard deviation over 40 runs."""
     runs = [
         mcs.covariance_modes(
             F1, "random", 8, half_width=4, modes=1, realizations=200, rng=seed, basis="cosine"
@@ -60,15 +60,17 @@ def test_errors_of_eigenvalues_are_their_spread():
     ]
     values = np.array([float(d["eigenvalue"][0]) for d in runs])
     claimed = np.sqrt(np.mean([float(d["eigenvalue_se"][0]) ** 2 for d in runs]))
-    # the spread of 40 is known to 11 %; batches of 10 claim up to √(10/9) too much
+    # A standard deviation of 40 values has an error of 11 %; batches of 10 realizations
+    # overestimate by up to √(10/9)
     assert 1 - 4 * 0.113 < claimed / values.std(ddof=1) < np.sqrt(10 / 9) * (1 + 4 * 0.113)
 
 
 @pytest.mark.parametrize("realizations", [20, 400])
-def test_sampling_alone_makes_a_flat_spectrum_steep(realizations):
-    """Random points: n Cov(S_m, S_l) is the identity; the largest of 80 is at Marchenko-Pastur's edge.
+def test_sampling_noise_steepens_a_flat_spectrum(realizations):
+    """Sampling noise alone gives a largest eigenvalue at the Marchenko-Pastur edge.
 
-    The edge fluctuates by D^-2/3 of itself, here 5 %, and lies a little above the largest.
+    For random points, n Cov(S_m, S_l) is the identity, with D = 80 coefficients. The relative
+    fluctuation of the edge is D^-2/3, here 5 %, and the edge lies slightly above the largest.
     """
     found = mcs.covariance_modes(
         F2, "random", 256, half_width=4, modes=1, weighted=False, passes=30, rng=5,
@@ -82,8 +84,8 @@ def test_sampling_alone_makes_a_flat_spectrum_steep(realizations):
     assert "note" not in many.attrs
 
 
-def test_no_more_modes_than_coefficients():
-    """The imaginary part of m = 0 is no coordinate."""
+def test_modes_are_at_most_as_many_as_coefficients():
+    """The imaginary part of S_0 is not a coordinate."""
     assert (
         mcs.covariance_modes(F1, "random", 8, half_width=2, modes=5, **ARGUMENTS).sizes["mode"] == 5
     )
@@ -91,7 +93,7 @@ def test_no_more_modes_than_coefficients():
         mcs.covariance_modes(F1, "random", 8, half_width=2, modes=6, **ARGUMENTS)
 
 
-def test_all_modes_make_up_the_variance():
+def test_all_modes_sum_to_the_variance():
     found = mcs.covariance_modes(F1, "jittered", 8, half_width=3, modes=7, **ARGUMENTS)
     terms = mcs.variance_terms(F1, "jittered", 8, half_width=3, **ARGUMENTS)
     total = float(found["mode_contribution"].sum())
@@ -100,7 +102,7 @@ def test_all_modes_make_up_the_variance():
     assert float(found["eigenvalue"].sum()) == pytest.approx(trace, rel=1e-9)
 
 
-def test_unweighted_is_the_covariance_of_the_points():
+def test_unweighted_modes_belong_to_the_covariance_of_coefficients():
     found = mcs.covariance_modes(
         F2, "jittered", 16, half_width=2, modes=25, weighted=False, **ARGUMENTS
     )
@@ -111,8 +113,8 @@ def test_unweighted_is_the_covariance_of_the_points():
     assert total == pytest.approx(float(terms["predicted_variance"]), rel=1e-9)
 
 
-def test_one_random_shift_has_two_modes_for_each_frequency_of_the_dual():
-    """A shifted grid of 4 points: S_±4, S_±8 of modulus 1 and random phase, nothing else."""
+def test_a_shifted_grid_has_two_modes_for_each_dual_frequency():
+    """For 4 shifted grid points, only S_±4 and S_±8 vary: modulus 1 and random phase."""
     found = mcs.covariance_modes(
         F1, "regular | shift", 4, half_width=11, modes=6, weighted=False, realizations=400, rng=1
     )
@@ -122,7 +124,7 @@ def test_one_random_shift_has_two_modes_for_each_frequency_of_the_dual():
     assert float(found["band_trace"]) == pytest.approx(4.0, rel=0.05)
 
 
-def test_restricted_to_bands():
+def test_modes_of_bands_are_those_of_the_submatrix():
     terms = mcs.variance_terms(
         F2, "jittered", 16, half_width=4, cross_matrix=True, bands="radial", **ARGUMENTS
     )
@@ -137,15 +139,17 @@ def test_restricted_to_bands():
     assert (np.abs(found["mode_vector"].values.reshape(4, -1)[:, ~inside]) == 0).all()
 
 
-def test_two_passes_are_bounded_by_their_residuals():
+def test_residuals_bound_the_error_of_two_passes():
     exact = mcs.covariance_modes(F2, "jittered", 64, half_width=8, passes=12, **ARGUMENTS)
     quick = mcs.covariance_modes(F2, "jittered", 64, half_width=8, passes=2, **ARGUMENTS)
     value, bound = float(quick["eigenvalue"][0]), float(quick["eigenvalue_residual"][0])
     assert np.abs(exact["eigenvalue"].values - value).min() < bound * 1.001
-    assert value <= float(exact["eigenvalue"][0]) * (1 + 1e-9)  # Rayleigh quotients are below
+    assert value <= float(exact["eigenvalue"][0]) * (
+        1 + 1e-9
+    )  # Rayleigh quotients are lower bounds
 
 
-def test_channels():
+def test_modes_of_a_channel_equal_those_of_its_integrand():
     pair = mcs.Integrand.from_function(lambda x: np.stack([x[..., 0], x[..., 0] ** 2], -1), dims=1)
     both = {"half_width": 5, "modes": 2, **ARGUMENTS}
     found = mcs.covariance_modes(mcs.Estimator(pair), "jittered", 8, channel=1, **both)
@@ -154,7 +158,7 @@ def test_channels():
     assert np.allclose(found["eigenvalue"], expected["eigenvalue"], rtol=1e-9)
 
 
-def test_product_in_parts_is_that_of_the_whole():
+def test_merged_products_equal_the_product_of_all_rows():
     rng = np.random.default_rng(0)
     z = 100.0 + rng.standard_normal((50, 6)) * np.arange(1, 7)
     matrix = np.cov(z.T)
@@ -167,4 +171,4 @@ def test_product_in_parts_is_that_of_the_whole():
     assert np.allclose(values, np.linalg.eigvalsh(matrix)[::-1], rtol=1e-10)
     assert (residuals < 1e-10 * values[0]).all()
     assert whole.squares.sum() / 49 == pytest.approx(np.trace(matrix))
-    assert np.isnan(errors).all()  # of no batch
+    assert np.isnan(errors).all()  # there are no batches

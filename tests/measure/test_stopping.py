@@ -1,4 +1,4 @@
-"""Sequential stopping: what is promised is reached, skewed values take longer, nothing is invented."""
+"""Sequential stopping reaches the requested error, and skewed values take longer."""
 
 import numpy as np
 import pytest
@@ -12,8 +12,8 @@ def _step(share):
     return mcs.Estimator(f"step(at={share})", dims=1)
 
 
-def test_reaches_the_wanted_error():
-    """Kurtosis of one uniform value is 9/5: about 0.8/ε² realizations."""
+def test_the_requested_error_is_reached():
+    """A uniform value has the kurtosis 9/5, so about 0.8/ε² realizations are needed."""
     d = mcs.measure.realizations_needed(LINEAR, "random", 1, relative_error=0.02, rng=1)
     assert float(d["reached"]) == 1
     assert float(d["variance_relative_se"]) <= 0.02
@@ -22,43 +22,43 @@ def test_reaches_the_wanted_error():
     assert abs(float(d["variance"]) * 12 - 1) < 4 * 0.02
 
 
-def test_error_is_the_spread_over_seeds():
-    """60 runs: the spread of the variances about the truth is the error they state, by χ²."""
+def test_stated_errors_equal_the_spread_over_seeds():
+    """In 60 runs, deviations from the exact variance agree with the stated errors."""
     runs = [
         mcs.measure.realizations_needed(LINEAR, "jittered", 4, relative_error=0.1, rng=seed)
         for seed in range(60)
     ]
     exact = mcs.exact_variance(LINEAR, "jittered", 4)
     pulls = [(float(d["variance"]) / exact - 1) / float(d["variance_relative_se"]) for d in runs]
-    # Σ pull² of 60 values: χ² with 60 degrees, 4 σ
+    # Σ pull² has a χ² distribution with 60 degrees of freedom; allow 4 σ
     assert abs(np.mean(np.square(pulls)) - 1) < 4 * np.sqrt(2 / 60)
 
 
 @pytest.mark.parametrize("share", [0.1, 0.01])
-def test_skewed_values_take_as_many_more(share):
-    """One value of 1[x < p] has the kurtosis (1 − 3pq)/pq: R ≥ (κ − 1)/ε² within its own error."""
+def test_skewed_values_need_more_realizations(share):
+    """A value of 1[x < p] has the kurtosis κ = (1 − 3pq)/pq, and R is about (κ − 1)/ε²."""
     d = mcs.measure.realizations_needed(_step(share), "random", 1, relative_error=0.1, rng=1)
     q = share * (1 - share)
     expected = ((1 - 3 * q) / q - 1) / 0.1**2
-    # κ is known to about ε (rare values are Poisson), the stop is confirmed a quarter later
+    # The error of κ is about ε, because rare values are Poisson; a stop is confirmed 25 % later
     assert 0.7 * expected < int(d["realizations_used"]) < 1.25**2 * 1.3 * expected
     assert float(d["reached"]) == 1
     assert abs(float(d["variance"]) / q - 1) < 4 * 0.1
 
 
 def test_skewed_values_do_not_stop_early():
-    """The sample that has seen no rare value yet, or too few, must not be believed."""
+    """A sample without rare values, or with too few, must not end the run."""
     used, low = [], []
     for seed in range(60):
         d = mcs.measure.realizations_needed(_step(0.02), "random", 1, relative_error=0.2, rng=seed)
         used.append(int(d["realizations_used"]))
         low.append(float(d["variance_ci"][1]) < 0.02 * 0.98)
-    # 2.5 % of intervals may lie below the truth; 5 σ of 60 draws above that
+    # 2.5 % of the intervals may lie below the truth; allow 5 σ of 60 runs
     assert np.mean(low) < 0.025 + 5 * np.sqrt(0.025 * 0.975 / 60)
     assert min(used) > 100
 
 
-def test_no_spread_is_no_evidence():
+def test_equal_values_do_not_reach_the_precision():
     d = mcs.measure.realizations_needed(_step(1e-9), "random", 1, rng=1)
     assert float(d["reached"]) == 0
     assert np.isnan(float(d["variance_relative_se"]))
@@ -68,14 +68,14 @@ def test_no_spread_is_no_evidence():
     assert int(short["realizations_used"]) == 500
 
 
-def test_maximum_is_kept():
+def test_the_maximum_is_not_exceeded():
     d = mcs.measure.realizations_needed(
         LINEAR, "random", 1, relative_error=0.01, max_realizations=150
     )
     assert (int(d["realizations_used"]), float(d["reached"])) == (150, 0)
 
 
-def test_every_channel_counts():
+def test_every_channel_reaches_the_precision():
     two = mcs.Estimator(
         mcs.Integrand.from_function(
             lambda x: np.stack([x[..., 0], 1.0 * (x[..., 0] < 0.01)], axis=-1), dims=1
@@ -84,11 +84,11 @@ def test_every_channel_counts():
     d = mcs.measure.realizations_needed(two, "random", 1, relative_error=0.1, rng=1)
     assert d["variance_ci"].dims == ("channel", "bound")
     assert (d["variance_relative_se"] <= 0.1).all()
-    assert int(d["realizations_used"]) > 5000  # as the rare one needs
+    assert int(d["realizations_used"]) > 5000  # the rare channel needs this number
 
 
-def test_no_precision_rests_on_an_infinite_upper_end():
-    """u^-0.8 has no variance: 2000 values have one of no meaning."""
+def test_unresolved_tails_do_not_reach_the_precision():
+    """u^-0.8 has an infinite variance, so the variance of 2000 values is meaningless."""
     f = mcs.Integrand.from_function(lambda x: x[..., 0] ** -0.8, dims=1)
     d = mcs.measure.realizations_needed(
         mcs.Estimator(f), "random", 1, relative_error=0.2, max_realizations=2000, rng=1

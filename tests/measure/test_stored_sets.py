@@ -1,7 +1,7 @@
-"""Errors follow the number of stored sets, however often translations use them again.
+"""Errors depend on the number of stored sets, not on the number of shifted copies.
 
-Twenty samplers have eight jittered sets each, all different. Over these samplers a statistic spreads by its
-true standard error, which each of them has to state from its own eight sets.
+Twenty samplers have eight jittered sets each, all different. The standard deviation of a statistic
+over the samplers is its true standard error. Each sampler has to estimate it from its eight sets.
 """
 
 import numpy as np
@@ -12,13 +12,13 @@ from mcspectra.estimators.moments import Moments
 from mcspectra.samplers import Shift
 
 SETS, SAMPLERS, N = 8, 20, 64
-# The standard deviation of 20 values is known to 1/√38 = 16 %: four errors either way, and twice
-# as much room for errors on the safe side
+# A standard deviation of 20 values has an error of 1/√38 = 16 %. Stated errors may be four of these
+# below or above it, and up to twice as large in addition, because overestimates are safe
 LOW, HIGH = 1.0 - 4 * 0.16, 2.0 * (1.0 + 4 * 0.16)
 
 
 def statistics(sampler, realizations, seed):
-    """Values with the standard errors that are stated of them."""
+    """Return values with their stated standard errors."""
     options = {"realizations": realizations, "rng": seed}
     f = mcs.integrand("disk(center=0.47, radius=0.3)", dims=2)
     spectrum = mcs.power_spectrum(sampler, N, half_width=6, **options)
@@ -40,7 +40,10 @@ def statistics(sampler, realizations, seed):
         "ring": (spectrum["radial_power"][2], spectrum["radial_power_se"][2]),
         "exponent": (fit["low_frequency_exponent"], (high - low) / 4),
         "pairs": (pairs["pair_correlation"], pairs["pair_correlation_se"]),
-        "variance": (np.log(curve["variance"][0]), np.log(most / least) / (2 * 2.36)),  # t of 7
+        "variance": (
+            np.log(curve["variance"][0]),
+            np.log(most / least) / (2 * 2.36),
+        ),  # Student's t, 7 degrees
         "power term": (terms["power_term"], terms["power_term_se"]),
         "cross term": (terms["cross_term"], terms["cross_term_se"]),
         "listed": (one["power"][0], one["power_se"][0]),
@@ -49,8 +52,8 @@ def statistics(sampler, realizations, seed):
 
 
 @pytest.mark.parametrize("realizations", [40, 160])
-def test_stated_errors_are_the_spread_over_disjoint_sets(realizations):
-    """They fell as if all realizations were independent."""
+def test_stated_errors_equal_the_spread_over_disjoint_sets(realizations):
+    """Stated errors do not shrink as if all realizations were independent."""
     points = mcs.sampler("jittered", dims=2).draw(N, realizations=SETS * SAMPLERS, rng=9)
     found = [
         statistics(mcs.Sampler.from_points(own).then(Shift()), realizations, seed)
@@ -62,7 +65,7 @@ def test_stated_errors_are_the_spread_over_disjoint_sets(realizations):
         assert LOW < stated / np.std(values, ddof=1) < HIGH, name
 
 
-def test_one_set_tells_no_error_of_its_sampler():
+def test_a_single_stored_set_gives_no_error():
     sampler = mcs.sampler("gaussian-blue-noise(sets=1, iterations=20) | shift", dims=2)
     curve = mcs.convergence("gaussian", sampler, [16], realizations=100)
     assert curve["variance_ci"].values.ravel().tolist() == [0.0, np.inf]
@@ -70,14 +73,14 @@ def test_one_set_tells_no_error_of_its_sampler():
     assert np.isnan(terms["power_term_se"])
 
 
-def test_groups_merge_as_they_are_made():
+def test_merged_groups_equal_the_groups_of_all_values():
     values = np.random.default_rng(1).random((100, 3))
     whole = Moments.of(values, sets=7)
     parts = [Moments.of(values[a:b], first=a, sets=7) for a, b in ((0, 3), (3, 50), (50, 100))]
     joined = parts[0].merge(parts[1]).merge(parts[2])
     for name in ("count", "mean", "m2"):
         np.testing.assert_allclose(getattr(joined.stored, name), getattr(whole.stored, name))
-    # Leaving out one group after the other, by hand
+    # The jackknife over groups, computed directly
     label = np.arange(100) % 7
     left = np.array([values[label != k].var(axis=0, ddof=1) for k in range(7)])
     jackknife = np.sqrt(6 / 7 * ((left - left.mean(axis=0)) ** 2).sum(axis=0))
@@ -85,8 +88,8 @@ def test_groups_merge_as_they_are_made():
     np.testing.assert_allclose(relative * values.var(axis=0, ddof=1), jackknife)
 
 
-def test_given_sets_that_are_drawn_again_count_once():
-    """A hundred realizations of five sets without randomization: the error of five means."""
+def test_given_sets_that_are_drawn_again_do_not_reduce_the_error():
+    """A hundred realizations of five sets have the error of five means."""
     points = np.random.default_rng(2).random((5, 16, 2))
     sampler = mcs.samplers.GivenPoints(points=points, cycle=True)
     curve = mcs.convergence("gaussian", sampler, [16], realizations=100)

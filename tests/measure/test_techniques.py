@@ -1,4 +1,4 @@
-"""Terms of techniques: sums that are exact, oracles of independent ones, and the bottleneck."""
+"""Terms of techniques: exact sums, closed forms for independent techniques, the bottleneck."""
 
 import math
 from dataclasses import dataclass
@@ -14,7 +14,8 @@ from mcspectra.measure.techniques import UNDECIDED
 TERMS = ("dc_term", "power_term", "cross_term")
 CUBIC = mcs.integrand("polynomial(coefficients=[1, -3, 0, 3])", dims=1)
 PAIR = ["uniform", "linear(slope=1.5)"]
-A = 0.3  # 4^k A has fractions .2 and .8 only: the step's variance is 0.16/(4n²) at every 4^k
+# 4^k A has the fractional parts .2 and .8 only: the step has the variance 0.16/(4n²) at n = 4^k
+A = 0.3
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class _HalfStep(mcs.Integrand):
 
 
 def _toy():
-    """½x + ½·1[x<a], each half its own technique."""
+    """Return ½x + ½·1[x<a], where each term is a technique."""
     return mcs.estimators.TechniqueSum(
         [mcs.integrand("linear(gradient=[0.5])", dims=1), _HalfStep()]
     )
@@ -63,8 +64,8 @@ VIEWS = [
 
 
 @pytest.mark.parametrize(("estimator", "space"), VIEWS)
-def test_sums_are_exact(estimator, space):
-    """Pairs sum to the terms and variances of `variance_terms` with the same realizations."""
+def test_pairs_sum_to_the_terms_of_the_estimator(estimator, space):
+    """Sums over pairs of techniques equal the terms and variances of `variance_terms`."""
     options = {"half_width": 5, "realizations": 50, "rng": 3, "space": space, "engine": "direct"}
     d = mcs.technique_terms(estimator, "jittered", 4, **options)
     whole = mcs.variance_terms(estimator, "jittered", 4, **options)
@@ -89,8 +90,8 @@ def test_sums_are_exact(estimator, space):
 
 
 @pytest.mark.parametrize("basis", ["fourier", "cosine", "walsh"])
-def test_terms_are_the_brute_force_covariances(basis):
-    """S of both techniques for every realization, and the sums over m and l written out."""
+def test_terms_equal_brute_force_covariances(basis):
+    """The expected terms come from S of both techniques and explicit sums over m and l."""
     e = mcs.MultipleImportance(CUBIC, PAIR, counts=(1, 2), dims=1)
     d = mcs.technique_terms(e, "jittered", 4, half_width=4, realizations=30, basis=basis, rng=1)
     from mcspectra.core.streams import Stream
@@ -130,13 +131,13 @@ def test_independent_techniques_have_their_own_exact_variances():
     low, high = d["technique_variance_ci"].values.T
     se = (high - low) / 3.92
     assert (np.abs(d["technique_variance"] - exact) < 4.5 * se).all()
-    # Var of a sample covariance of independent values is σ₁²σ₂²/R
+    # The sample covariance of independent values has the variance σ₁²σ₂²/R
     off = float(d["technique_covariance"][0, 1])
     assert abs(off) < 4.5 * np.sqrt(exact[0] * exact[1] / realizations)
 
 
-def test_shared_sets_show_between_techniques():
-    """x and −x with the same points: Cov = −Var, and the whole is 0."""
+def test_shared_sets_give_covariances_between_techniques():
+    """For x and −x with the same points, Cov = −Var, and the sum has no variance."""
     g = ["linear", "linear(gradient=[-1])"]
     d = mcs.technique_terms(
         mcs.estimators.TechniqueSum(g, sets="shared", dims=1),
@@ -153,8 +154,8 @@ def test_shared_sets_show_between_techniques():
     assert p[0, 1] == pytest.approx(-p[0, 0], rel=1e-9)
 
 
-def test_mis_follows_the_slowest_strategy():
-    """Exact formula at every n, fitted intervals that hold −3, −2 and −2, and the culprit named."""
+def test_mis_has_the_rate_of_the_slowest_technique():
+    """Variances and rates match the exact formulas, and the bottleneck is the step."""
     ns = [16, 64, 256]
     d = mcs.technique_terms(_toy(), "jittered", ns, half_width=4, realizations=1500, rng=2)
     for n, variance, (low, high) in zip(
@@ -176,8 +177,8 @@ def test_mis_follows_the_slowest_strategy():
     assert float(d["technique_rate_ci"][1, 0]) > float(d["technique_rate_ci"][0, 1])
 
 
-def test_mis_of_a_smooth_and_a_discontinuous_warp():
-    """Balanced uniform and two-cell table: both weighted integrands jump, the rates are equal."""
+def test_equal_rates_leave_the_bottleneck_undecided():
+    """With a table, both weighted integrands jump and have equal rates: no bottleneck."""
     table = "piecewise-constant(values=[1, 3, 2])"
     e = mcs.MultipleImportance("linear", ["uniform", table], dims=1)
     d = mcs.technique_terms(e, "jittered", [16, 64, 256], half_width=4, realizations=300, rng=1)
@@ -185,7 +186,7 @@ def test_mis_of_a_smooth_and_a_discontinuous_warp():
     assert int(d["bottleneck"]) == UNDECIDED
 
 
-def test_techniques_without_variance_take_no_part():
+def test_techniques_without_variance_are_not_the_bottleneck():
     parts = mcs.estimators.TechniqueSum(["constant(value=3)", "linear"], dims=1)
     d = mcs.technique_terms(parts, "jittered", [8, 32, 128], half_width=2, realizations=100)
     assert d.attrs["bottleneck"] == "technique 1"
@@ -194,10 +195,10 @@ def test_techniques_without_variance_take_no_part():
     quiet = mcs.technique_terms(still, "random", [8, 32], half_width=2, realizations=20)
     assert quiet.attrs["bottleneck"] == "undecided"
     one = mcs.technique_terms(parts, "jittered", [8], half_width=2, realizations=20)
-    assert one.attrs["bottleneck"] == "undecided"  # one count has no rate
+    assert one.attrs["bottleneck"] == "undecided"  # a single count has no rate
 
 
-def test_counts_and_channels_make_dims():
+def test_counts_and_channels_are_dims_of_the_result():
     f = mcs.Integrand.from_function(lambda x: np.concatenate([x, np.exp(x)], axis=-1), dims=1)
     e = mcs.MultipleImportance(f, PAIR)
     d = mcs.technique_terms(e, "jittered", [4, 16], half_width=4, realizations=3)
@@ -211,8 +212,8 @@ def test_counts_and_channels_make_dims():
     np.testing.assert_allclose(d["rate"], same["rate"], rtol=1e-8)
 
 
-def test_errors_and_the_interval_of_captured_are_those_of_the_terms():
-    """The same blocks of one technique give the same spread, and the same factors."""
+def test_errors_and_captured_intervals_equal_those_of_variance_terms():
+    """A single technique has the same errors and the same interval as `variance_terms`."""
     options = {"half_width": 4, "realizations": 80, "rng": 3}
     e = mcs.Estimator(CUBIC, PAIR[0], dims=1)
     d = mcs.technique_terms(e, "jittered", 4, **options)
@@ -222,7 +223,7 @@ def test_errors_and_the_interval_of_captured_are_those_of_the_terms():
     np.testing.assert_allclose(d["technique_power_term_se"], whole["power_term_se"], rtol=1e-6)
 
 
-def test_infinite_weights_are_said():
+def test_infinite_variance_of_weights_gives_a_warning():
     f = mcs.integrand("polynomial(coefficients=[0, 0, 1])", dims=1)
     e = mcs.MultipleImportance(f, ["linear(slope=2)"])
     with pytest.warns(InfiniteWeightVarianceWarning, match="space='primary'"):
@@ -231,8 +232,8 @@ def test_infinite_weights_are_said():
     assert np.isfinite(d["technique_covariance"]).all()
 
 
-def test_deterministic_sets_have_no_variance_and_say_so():
-    """Terms of rounding size, 1e-30, were printed as if they were variances."""
+def test_deterministic_sets_have_zero_variance_and_a_note():
+    """Terms at rounding level, about 1e-30, are reported as zero."""
     found = mcs.technique_terms("disk", "sobol", [16, 64], realizations=8, half_width=4)
     for name in ("dc_term", "power_term", "cross_term", "predicted_variance", "measured_variance"):
         assert not found[name].values.any(), name

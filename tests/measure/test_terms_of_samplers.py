@@ -1,4 +1,4 @@
-"""Terms of several samplers at once: each has the numbers that it has alone."""
+"""Terms of several samplers at once equal the terms of each sampler alone."""
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -41,7 +41,7 @@ def _same(several, alone, sampler):
         ),
     ],
 )
-def test_every_sampler_has_what_it_has_alone(estimator, more):
+def test_results_of_each_sampler_equal_its_results_alone(estimator, more):
     found = mcs.variance_terms(estimator, SAMPLERS, 16, **OPTIONS, **more)
     assert found["predicted_variance"].dims[0] == "sampler"
     assert found["sampler"].values.tolist() == SAMPLERS
@@ -55,25 +55,26 @@ def test_every_sampler_has_what_it_has_alone(estimator, more):
     assert one["sampler"].values.tolist() == SAMPLERS[:1]
 
 
-def test_evaluations_are_those_of_all_samplers():
+def test_evaluations_are_the_sum_over_samplers():
     f = mcs.Integrand.from_function(lambda x: np.exp(x[..., 0]), dims=1)
     alone = mcs.variance_terms(f, "random", 16, **OPTIONS).attrs["evaluations"]
     both = mcs.variance_terms(f, SAMPLERS[:2], 16, **OPTIONS).attrs["evaluations"]
-    # Coefficients are known by then; both count the energy of f once, and 50 · 16 points a sampler
+    # The coefficients are cached by now. Both calls count the energy of f once, and 50 · 16 points
+    # per sampler
     assert 2 * 50 * 16 <= both < 2 * alone
     most = 2 * 50 * 16 - 1
     with pytest.raises(McspectraError, match="takes at least 1600 evaluations"):
         mcs.variance_terms(f, SAMPLERS[:2], 16, **OPTIONS, max_evaluations=most)
 
 
-def test_a_set_that_is_fixed_stands_beside_a_random_one():
+def test_a_fixed_set_can_be_listed_with_a_random_sampler():
     found = mcs.variance_terms("gaussian", ["random", "sobol"], 16, **OPTIONS)
     assert float(found["measured_variance"].sel(sampler="sobol")) == 0.0
     assert float(found["measured_variance"].sel(sampler="random")) > 0.0
     assert found.attrs["note"] == "sobol has no variance: add owen or shift, or compare |bias|"
 
 
-def test_infinite_weights_are_told_once():
+def test_infinite_weights_give_one_warning():
     estimator = mcs.Estimator("linear", "linear(slope=2)", dims=1)
     with pytest.warns(InfiniteWeightVarianceWarning) as warned:
         found = mcs.variance_terms(estimator, SAMPLERS[:2], 16, **OPTIONS)
@@ -83,7 +84,7 @@ def test_infinite_weights_are_told_once():
     assert found.attrs["note"].count("∫1/p diverges") == 1
 
 
-def test_what_cannot_be_listed_is_refused():
+def test_invalid_lists_are_refused():
     for samplers, message in (
         (["random", "random"], "random is listed twice"),
         ([], "A list is empty"),

@@ -277,8 +277,9 @@ def _silent(dims):
     return f
 
 
-SAMPLERS = ["random", "jittered | shift", "latin-hypercube", "sobol | owen", "sobol | digital-shift",
-            "rank1-lattice | shift", "jittered | mirror", "poisson-disk"]  # fmt: skip
+SAMPLERS = ["random", "jittered | shift", "latin-hypercube", "sobol | owen",
+            "sobol | digital-shift", "rank1-lattice | shift", "jittered | mirror",
+            "poisson-disk"]  # fmt: skip
 
 
 @pytest.mark.parametrize("dims", [2, 4])

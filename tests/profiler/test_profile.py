@@ -1,4 +1,4 @@
-"""`mcspectra.profile`: its curves are unbiased, its causes right, its calls within the budget."""
+"""`mcspectra.profile`: unbiased curves, correct causes, and calls within the budget."""
 
 import json
 import math
@@ -60,7 +60,7 @@ FUNCTIONS = {
     ),
     "narrow lognormal": (1, lambda x: np.exp(0.1 * ndtri(inner(x[..., 0]))), {"border-growth"}),
     "wider lognormal": (1, lambda x: np.exp(0.3 * ndtri(inner(x[..., 0]))), {"border-growth"}),
-    # Bounded functions that are steep at the border are not rough there
+    # Bounded functions that are steep at the border are not reported as rough
     "square root": (1, lambda x: np.sqrt(x[..., 0]), {"none"}),
     "wave of normals": (2, lambda x: np.cos(ndtri(inner(x)).sum(axis=-1)), {"none"}),
     "weights of a wide normal": (
@@ -124,7 +124,7 @@ def test_a_cusp_is_neither_a_jump_nor_a_kink_and_its_order_is_measured(name):
 
 
 def test_a_cause_does_not_contradict_the_measured_rate_next_to_it():
-    """A jump of 1 % of the spread: n^−1.5 in the limit, and n^−2.5 at the counts of a small budget."""
+    """A jump of 1 % of σ has the limit n^−1.5, but n^−2.5 at the counts of a small budget."""
 
     def small(x):
         return x.sum(axis=-1) + 0.004 * (x.sum(axis=-1) > 0.9)
@@ -144,7 +144,7 @@ def test_a_cause_does_not_contradict_the_measured_rate_next_to_it():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_barrier_across_many_axes_is_not_parallel_to_one(seed):
-    """Its first date alone has a barrier normal to an axis; its kink tells nothing of the barrier."""
+    """Only the barrier of the first date is normal to an axis, a small part of the whole jump."""
 
     def down_and_out(u):
         prices = oracles.log_prices(u)
@@ -157,8 +157,8 @@ def test_a_barrier_across_many_axes_is_not_parallel_to_one(seed):
     assert "axis-parallel-jump" not in names
 
 
-def test_a_jump_that_the_zoom_meets_late_is_not_a_pole():
-    """Second differences were 0 before the zoom met the jump of a put: no growth without bound."""
+def test_a_jump_that_the_zoom_reaches_late_is_not_a_pole():
+    """A zoom that reaches the jump of a put late has second differences of 0 before."""
 
     def put(u):
         prices = oracles.log_prices(u)
@@ -169,8 +169,8 @@ def test_a_jump_that_the_zoom_meets_late_is_not_a_pole():
     assert "infinite-variance" not in names
 
 
-def test_many_lines_through_a_round_edge_do_not_make_it_straight():
-    """Of places 1/700 apart most are alike to 0.002."""
+def test_many_lines_through_a_round_edge_do_not_make_it_axis_parallel():
+    """Of many jump positions on a round edge, most neighbors differ by less than 0.002."""
     found = mcs.profile(
         lambda x: (((x - 0.5) ** 2).sum(axis=-1) < 0.16) * 1.0, dims=2, budget=2**18
     )
@@ -180,25 +180,25 @@ def test_many_lines_through_a_round_edge_do_not_make_it_straight():
 @pytest.mark.parametrize(
     ("function", "dims", "rate"),
     [
-        (lambda x: x[..., 0] < 0.377, 1, -2.0),  # local slopes are −1 to −5
+        (lambda x: x[..., 0] < 0.377, 1, -2.0),  # the local slopes vary from −1 to −5
         (lambda x: x @ (0.6, 0.8) < 0.7, 2, -1.5),
         (lambda x: inner(x[..., 0]) ** -0.3, 1, -1.4),
         (lambda x: x.prod(axis=-1), 2, -3.0 + 1.0 / math.log(512)),
     ],
 )
-def test_rates_of_large_budgets_are_those_of_theory(function, dims, rate):
+def test_rates_of_large_budgets_agree_with_theory(function, dims, rate):
     found = mcs.profile(lambda x: function(x) * 1.0, dims=dims, budget=2**18)
     assert found.samplers["sobol | owen"].rate == pytest.approx(rate, abs=0.1)
 
 
-def test_nothing_is_not_said_to_be_wrong_where_hardly_anything_was_looked_at():
+def test_few_lines_do_not_give_the_cause_none():
     found = mcs.profile(lambda x: x[..., 0] ** 2, dims=1, budget=256)
     assert [cause.name for cause in found.causes] == ["few-realizations"]
     assert found.causes[0].evidence["lines"] < 4
 
 
-def test_a_jump_that_equal_steps_of_a_line_miss_is_found_at_its_end():
-    """1/x beyond 0.01, 0 before: the steps of a line begin at about twice that."""
+def test_a_jump_near_the_end_of_a_line_is_found():
+    """f is 1/x above 0.01 and 0 below; the first step of a line is at about 0.02."""
     for seed, budget in enumerate((1024, 16384, 1024)):
         found = mcs.profile(
             lambda x: np.where(x[..., 0] > 0.01, 1.0 / inner(x[..., 0]), 0.0),
@@ -207,7 +207,7 @@ def test_a_jump_that_equal_steps_of_a_line_miss_is_found_at_its_end():
             rng=seed,
         )
         assert found.causes[0].name == "axis-parallel-jump", (seed, budget, found.text)
-    # What is steep there and smooth has no jump
+    # Smooth functions that are steep at the border have no jump
     for f in (np.sqrt, lambda x: np.exp(-50.0 * x), lambda x: 1.0 / (0.02 + x), lambda x: x**0.1):
         found = mcs.profile(lambda x, f=f: f(x[..., 0]), dims=1)
         assert not any("jump" in cause.name for cause in found.causes), found.text
@@ -228,8 +228,8 @@ def test_a_jump_that_equal_steps_of_a_line_miss_is_found_at_its_end():
         ([[1.0, 0.0]], 0.3, 1, True),
     ],
 )
-def test_poles_are_climbed_to_and_measured(matrix, order, rank, border):
-    """|A(x − c)|^−a, with c in a corner or inside: the rank of A is the codimension, but in a corner."""
+def test_exponents_and_codimensions_of_poles_are_measured(matrix, order, rank, border):
+    """For f = |A(x − c)|^−a, the codimension of the pole is the rank of A for inner points c."""
     matrix = np.asarray(matrix)
     place = np.zeros(matrix.shape[1]) if border else 0.3 + 0.1 * np.arange(matrix.shape[1])
 
@@ -256,7 +256,7 @@ def test_poles_are_climbed_to_and_measured(matrix, order, rank, border):
         ("sobol", 20),
     ],
 )
-def test_calls_are_counted_and_never_above_the_budget(budget, sampler, dims):
+def test_calls_are_counted_and_stay_within_the_budget(budget, sampler, dims):
     made = 0
 
     def function(x):
@@ -266,7 +266,7 @@ def test_calls_are_counted_and_never_above_the_budget(budget, sampler, dims):
 
     try:
         found = mcs.profile(function, sampler=sampler, dims=dims, budget=budget)
-    except mcs.McspectraError:  # too little for twenty nets of four points
+    except mcs.McspectraError:  # the budget is too small for twenty nets of four points
         assert made == 0
         assert budget == 256
         return
@@ -276,7 +276,7 @@ def test_calls_are_counted_and_never_above_the_budget(budget, sampler, dims):
 @pytest.mark.parametrize(
     ("dims", "name"), [(1, "sobol | owen"), (2, "sobol | owen"), (2, "jittered")]
 )
-def test_one_array_of_nets_tells_variances_of_all_samplers(dims, name):
+def test_one_array_of_nets_gives_the_variances_of_all_samplers(dims, name):
     f = mcs.integrand("gaussian(width=0.3, center=0.4)", dims=dims)
     source, nets, repeats = mcs.sampler("sobol | owen", dims=dims), 16, 60
     points = source.draw(64, realizations=nets * repeats, rng=5)
@@ -296,7 +296,7 @@ def test_one_array_of_nets_tells_variances_of_all_samplers(dims, name):
             low, high = reference["variance_ci"].sel(n=n).values
             truth = float(reference["variance"].sel(n=n))
             assert abs(ours - truth) < 4 * math.hypot(se, (high - low) / 3.92)
-    # The jackknife says what the scatter is
+    # Jackknife errors equal the scatter
     scatter = np.log(found).std(axis=0, ddof=1)[1:]
     said = np.mean([c.relative_se for c in curves], axis=0)[1:]
     assert (np.abs(np.log(said / scatter)) < 0.5).all()
@@ -311,8 +311,8 @@ def test_intervals_of_the_integral_cover():
     assert 95 - 3 * math.sqrt(100 * 0.05 * 0.95) <= hits
 
 
-def test_intervals_of_skewed_estimates_cover_too():
-    """Student's t holds the mean of a lognormal variable in 88 % of 2,000 cases of twenty nets of 16 points."""
+def test_intervals_of_skewed_estimates_cover():
+    """Intervals for a lognormal variable cover in 93 % of 2,000 cases; Student's t gives 88 %."""
     repeats, nets = 2000, 20
     x = mcs.sampler("sobol | owen", dims=1).draw(16, realizations=repeats * nets, rng=3)
     values = np.exp(ndtri(inner(x[..., 0]))).reshape(repeats, nets, 16)
@@ -324,7 +324,7 @@ def test_intervals_of_skewed_estimates_cover_too():
     assert hits > 0.93 - 3 * math.sqrt(0.07 * 0.93 / repeats)
 
 
-def test_what_is_infinite_or_rests_on_few_values_has_no_finite_interval():
+def test_infinite_variances_and_few_large_values_leave_no_finite_interval():
     for name in ("pole", "steep edge", "peak"):
         dims, function, _ = FUNCTIONS[name]
         found = mcs.profile(function, dims=dims, budget=2048)
@@ -335,7 +335,7 @@ def test_what_is_infinite_or_rests_on_few_values_has_no_finite_interval():
     )
 
 
-def test_the_given_sampler_is_measured_and_its_wrapping_seen():
+def test_the_given_sampler_is_measured_and_its_wrap_around_is_a_cause():
     found = mcs.profile("linear", sampler="jittered | shift", dims=1, budget=8192)
     assert found.causes[0].name == "border-jump"
     assert found.rate == pytest.approx(-2.0, abs=0.4)
@@ -360,7 +360,7 @@ def test_the_answer_as_text_and_as_data():
 
 
 @pytest.mark.parametrize("name", ["disk", "lognormal", "sum over 8 dims"])
-def test_the_change_that_is_advised_keeps_the_integral_and_lowers_the_variance(name):
+def test_the_recommended_change_keeps_the_integral_and_lowers_the_variance(name):
     dims, function, _ = FUNCTIONS[name]
     plain = mcs.Estimator(mcs.Integrand.from_function(function, dims=dims, integral=0.0))
     better = mcs.profile(function, dims=dims, budget=8192, rng=3).answer.best
@@ -375,48 +375,48 @@ def test_the_change_that_is_advised_keeps_the_integral_and_lowers_the_variance(n
 
 
 @pytest.mark.parametrize(("exponent", "helps"), [(0.6, True), (0.7, False)])
-def test_an_infinite_variance_is_left_to_densities_that_make_it_finite(exponent, helps):
+def test_only_densities_that_make_the_variance_finite_are_recommended(exponent, helps):
     found = mcs.profile(lambda x: inner(x[..., 0]) ** -exponent, dims=1)
     assert found.answer.changes == helps
     if found.answer.changes:
         spread = np.linalg.norm(found.answer.best.estimator.integrand.density.matrix, 2)
-        assert 2 * exponent - (1 - spread**-2) < 1  # ∫g²/q, q ∝ u^(1/s² − 1) to logarithms
+        assert 2 * exponent - (1 - spread**-2) < 1  # ∫g²/q is finite for q ∝ u^(1/s² − 1)
     else:
         assert str(found.answer).startswith("No tested change helps")
 
 
 @pytest.mark.parametrize("budget", [4096, 16384])
-def test_what_is_advised_is_better_than_all_samplers_shown_beside_it(budget):
+def test_the_recommendation_is_better_than_all_samplers_in_the_table(budget):
     found = mcs.profile(FUNCTIONS["logarithm"][1], dims=1, budget=budget, rng=1)
     assert found.answer.best.name.startswith("fitted")
     assert found.answer.best.rmse < float(found.dataset["rmse"].min())
 
 
-def test_a_change_that_misses_where_f_is_is_not_better():
-    """Few means along lines meet a box of 0.0016: they do not vary, and are 0."""
+def test_a_change_that_misses_the_support_of_f_is_not_better():
+    """Most means along lines miss a box of volume 0.0016, so all of them may be 0."""
     found = mcs.profile(lambda x: ((x > 0.4) & (x < 0.6)).all(axis=-1) * 1.0, dims=4, budget=2**16)
     assert "preintegrated along the active direction" in found.tried
     assert not found.answer.changes or math.isnan(found.answer.best.gain)
 
 
 def bend(x):
-    """A smooth function that polynomials of degree 8 do not follow."""
+    """Return a smooth function that polynomials of degree 8 do not fit."""
     return np.tanh(6.0 * (x[..., 0] - 0.4))
 
 
-def test_pairs_in_strata_are_tried_where_g_is_smooth_and_their_error_is_as_said():
+def test_pairs_in_strata_are_recommended_for_smooth_g_with_a_correct_rmse():
     f = mcs.Integrand.from_function(bend, dims=1, integral=0.3)
     for seed in range(2):
         best = mcs.profile(f, budget=4096, rng=seed).answer.best
         assert best.name == "antithetic-jittered"
         measured = mcs.convergence(f, best.sampler, [4096], realizations=100, rng=seed)
-        # Its rate gets steeper over seven octaves, so that the lower end is 0
+        # The rate becomes steeper over seven octaves, so the lower end is 0
         low, high = best.rmse_ci
         assert low <= math.sqrt(float(measured["variance"][0])) <= high < 1e-5, seed
     assert mcs.profile(smooth, dims=5).answer.best.name in {"regression", "sobol | owen"}
 
 
-def test_the_count_that_is_advised_can_be_drawn():
+def test_the_recommended_count_can_be_drawn():
     found = mcs.profile(bend, dims=1, budget=5001)
     best = found.answer.best
     n = int(re.search(r"with n = ([\d,]+)", best.change)[1].replace(",", ""))
@@ -425,7 +425,7 @@ def test_the_count_that_is_advised_can_be_drawn():
     assert found.dataset["rmse"].sel(sampler=best.sampler.spec) < found.answer.given.rmse
 
 
-def test_bad_input():
+def test_bad_input_is_refused():
     with pytest.raises(ParameterError, match="dims is missing"):
         mcs.profile(lambda x: x[..., 0])
     with pytest.raises(ParameterError, match="cannot be profiled"):
@@ -434,13 +434,13 @@ def test_bad_input():
         mcs.profile("linear", budget=10)
 
 
-def test_lines_find_where_and_how_rough_a_function_is():
+def test_lines_find_the_place_and_the_exponent_of_a_pole():
     found = lines_of(lambda x: np.abs(x[:, 0] - 0.3) ** -0.3, 1, 4000, np.random.default_rng(0))
     assert np.median(found.exponent) == pytest.approx(-0.3, abs=0.1)
     assert np.median(found.place) == pytest.approx(0.3, abs=1e-3)
 
 
-def test_what_was_interrupted_is_not_called_again(tmp_path):
+def test_cached_values_are_not_computed_again(tmp_path):
     made = 0
 
     def slow(x):
@@ -454,7 +454,7 @@ def test_what_was_interrupted_is_not_called_again(tmp_path):
         ).to_dict()
 
     first = profiled()
-    # Of eight values that are asked for again the cache has seven; one is held against the function
+    # Eight values are requested twice. The cache returns seven; one call checks the function
     assert made == first["calls"] - 7
     assert profiled() == first
     assert made == first["calls"] - 7 + 1
@@ -480,12 +480,12 @@ def test_draws_of_chains_and_estimates_are_profiled():
     assert [cause.name for cause in mcs.profile(wild).causes] == ["stuck-chain", "heavy-tail"]
 
 
-def test_what_never_changes_is_no_reference():
+def test_a_deterministic_set_is_compared_with_random():
     found = mcs.profile(FUNCTIONS["disk"][1], sampler="sobol", dims=2, budget=8192)
     assert found.answer.given.name == "random"
     assert found.answer.given.rmse > found.answer.best.rmse > 0.0
     assert "sobol" not in found.samplers
-    # It leaves what is known of the jump, and of its rate, as it is
+    # The deterministic set does not change the other causes
     usual = mcs.profile(FUNCTIONS["disk"][1], sampler="random", dims=2, budget=8192)
     assert [c.name for c in found.causes] == ["deterministic-set", *(c.name for c in usual.causes)]
     assert found.answer.best.gain_ci == usual.answer.best.gain_ci
@@ -497,7 +497,7 @@ def test_what_never_changes_is_no_reference():
     assert mcs.profile(lambda x: np.ones(len(x)), dims=2).answer.changes is False
 
 
-def test_errors_are_at_the_points_that_the_budget_pays_for():
+def test_errors_are_those_of_the_points_within_the_budget():
     two = mcs.MultipleImportance("gaussian(width=0.2)", ["linear(slope=1)", "uniform"])
     found = mcs.profile(two, budget=4096)
     assert found.points == 2048
@@ -524,7 +524,7 @@ def test_a_pdf_that_is_not_normalised_or_not_of_its_sampler_is_a_cause():
     found = mcs.profile((smooth, ramp, sample), dims=1)
     assert found.causes[0].name == "none"
     assert found.interval[0] < math.e - 1.0 < found.interval[1]
-    # 1/pdf is smooth: its mean over a net of 4096 points is known to 1e-4
+    # 1/pdf is smooth, so its mean over a net of 4096 points has an error of 1e-4
     wrong = mcs.profile((smooth, lambda x: 1.5 * ramp(x), sample), dims=1)
     assert wrong.causes[0].name == "wrong-pdf"
     assert wrong.causes[0].evidence["of_one"] == pytest.approx(2 / 3, abs=1e-4)
@@ -532,11 +532,11 @@ def test_a_pdf_that_is_not_normalised_or_not_of_its_sampler_is_a_cause():
     assert str(wrong.answer).startswith("Fix the density first.")
     other = leading((smooth, lambda x: np.ones(x.shape[:-1]), sample), dims=1)
     assert other.name == "wrong-pdf"
-    assert other.evidence["of_one"] == 1.0  # what a constant does not show
+    assert other.evidence["of_one"] == 1.0  # a constant pdf does not reveal the error
 
 
 @pytest.mark.parametrize(("rest", "name"), [(0.0, "none"), (1.0, "wrong-pdf")])
-def test_a_pdf_that_is_0_where_f_is_not_is_a_cause_and_f_is_hardly_called_there(rest, name):
+def test_a_pdf_that_is_0_where_f_is_not_is_a_cause(rest, name):
     made = []
 
     def f(x):
@@ -549,8 +549,8 @@ def test_a_pdf_that_is_0_where_f_is_not_is_a_cause_and_f_is_hardly_called_there(
     assert sum(made) == found.calls <= 2048
 
 
-def test_a_jump_of_a_mixture_whose_parts_are_steep_beside_it_is_along_its_axis():
-    """The first coordinate chooses the part: g jumps where it does, from tail to tail."""
+def test_a_jump_between_parts_of_a_mixture_is_axis_parallel():
+    """The first coordinate selects the part, so g jumps where the part changes."""
     places, widths = np.array([0.3, 0.7]), np.array([0.1, 0.2])
 
     def bells(x):
@@ -563,8 +563,8 @@ def test_a_jump_of_a_mixture_whose_parts_are_steep_beside_it_is_along_its_axis()
     assert leading(estimator, budget=2**15).name == "axis-parallel-jump"
 
 
-def test_small_sets_say_nothing_of_larger_ones_that_resolve_the_waves():
-    """RMSE was 0.0057 to 0.0091 along the rate of small sets, and is 5e-4."""
+def test_small_sets_do_not_predict_larger_sets_that_resolve_the_waves():
+    """The rate of small sets would predict an RMSE of 0.0057 to 0.0091; it is 5e-4."""
     f = lambda x: np.sin(600 * np.pi * x[..., 0]) + 1
     found = mcs.profile(f, dims=2, budget=8192, rng=1)
     assert found.causes[0].name == "high-frequency"
@@ -588,7 +588,7 @@ def test_values_that_float32_cannot_hold_are_a_cause(sampler):
         assert leading(waves(size, dtype), dims=2, sampler=sampler).name == "none"
 
 
-def test_sets_that_are_few_alike_or_share_an_error_are_a_cause():
+def test_few_equal_or_correlated_sets_are_a_cause():
     rng = np.random.default_rng(0)
     sets, common = rng.random((40, 64, 2)), rng.random((4096, 2))
     walk = np.linspace(0.1, 1.0, 40)[:, None, None] * rng.random((1, 64, 2))
@@ -604,7 +604,8 @@ def test_sets_that_are_few_alike_or_share_an_error_are_a_cause():
         assert evidence.items() <= found.evidence.items()
     following = leading(smooth, sampler=mcs.Sampler.from_points(walk), dims=2, budget=2**14)
     assert following.evidence["correlation"] > 0.75
-    # Sets of more points than the budget pays for cost nothing to look at; what they share is no variance
+    # Sets with more points than the budget can be compared without evaluations. Their common part
+    # is not variance
     large = rng.random((20, 2048, 2))
     shaken = (large[:1] + 1e-3 * rng.standard_normal(large.shape)) % 1.0
     for name, points in {"none": large, "correlated-replicates": shaken}.items():
@@ -623,7 +624,7 @@ def test_sets_that_are_few_alike_or_share_an_error_are_a_cause():
 
 
 @pytest.mark.parametrize("size", [1e-3, 1.0])
-def test_a_function_that_is_random_itself_is_a_cause_and_has_no_shape(size):
+def test_a_noisy_function_is_the_only_cause(size):
     own = np.random.default_rng(1)
 
     def noisy(x):
@@ -632,13 +633,16 @@ def test_a_function_that_is_random_itself_is_a_cause_and_has_no_shape(size):
     cause, *others = mcs.profile(noisy, dims=2, budget=1024).causes
     assert cause.name == "noisy-function"
     assert not others
-    # Of χ² of 8 degrees; g without noise has the variance 1/6
+    # The share has a χ² error of 8 degrees of freedom; g without noise has the variance 1/6
     share = size**2 / (size**2 + 1 / 6)
     assert 0.02 * share < cause.evidence["share"] < 5 * share
 
 
-def test_few_values_that_make_the_variance_are_a_cause_without_a_largest_one():
-    """A bump of width w on 2 axes: a kurtosis of 1/(π w), nine tenths in a part 1.15 π w, no pole."""
+def test_a_small_region_with_most_of_the_variance_is_a_cause():
+    """A 2-D bump exp(−r²/w) has the kurtosis 1/(π w), and no value stands out.
+
+    Nine tenths of the variance come from 1.15 π w of the volume.
+    """
     found = mcs.profile(lambda x: np.exp(-((x - 0.4) ** 2).sum(-1) / 0.005), dims=2)
     (tail,) = (cause for cause in found.causes if cause.name == "heavy-tail")
     assert tail.evidence["kurtosis"] == pytest.approx(1 / (np.pi * 0.005), rel=0.2)
@@ -655,16 +659,16 @@ def test_rounded_estimates_are_a_cause():
 
 
 @pytest.mark.parametrize("dims", [2, 8])
-def test_sets_that_do_not_vary_at_all_have_no_error(dims):
-    """A step at ½ along an axis: from two points on every scrambled net is exact."""
+def test_exact_sets_have_no_error(dims):
+    """Scrambled nets of at least two points are exact for a step at ½ along an axis."""
     found = mcs.profile("step", dims=dims)
     assert found.answer.best.name == "sobol | owen"
     assert found.answer.best.rmse == 0.0
     assert found.answer.given.rmse == pytest.approx(0.5 / 64, rel=0.1)
 
 
-def test_what_has_no_error_has_no_rate():
-    """Of two points on the variance of nets is known, of four and more it is 0."""
+def test_exact_sets_have_no_rate():
+    """The variance of nets is 0 at four points and more, so no rate can be fitted."""
     found = mcs.profile(lambda x: np.sign(x - 0.5).prod(axis=-1), dims=2)
     assert found.answer.best.rmse == 0.0
     assert np.isnan(found.dataset["rate"].sel(sampler="sobol | owen"))
@@ -673,14 +677,14 @@ def test_what_has_no_error_has_no_rate():
 
 
 @pytest.mark.parametrize("spec", ["half-space", "disk"])
-def test_what_no_point_met_is_not_called_smooth(spec):
+def test_a_region_that_no_point_hit_is_not_called_smooth(spec):
     found = mcs.profile(spec, dims=8)
     assert found.interval == (-math.inf, math.inf)
     assert found.causes[0].name == "heavy-tail"
     assert "no point hit" in str(found.answer)
 
 
-def test_the_same_everywhere_is_constant_or_was_not_met():
+def test_equal_values_mean_a_constant_or_a_missed_region():
     found = mcs.profile(lambda x: 3.0 + 0.0 * x[..., 0], dims=2)
     assert found.interval == (-math.inf, math.inf)
     assert "either it is constant" in found.causes[0].sentence
@@ -694,7 +698,7 @@ def test_the_same_everywhere_is_constant_or_was_not_met():
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e8, 1e10])
-def test_an_offset_changes_nothing(offset):
+def test_an_offset_does_not_change_the_answer(offset):
     def bump(x):
         return offset + np.exp(-0.5 * ((x - 0.4) ** 2).sum(-1) / 0.15**2)
 
@@ -708,14 +712,14 @@ def test_an_offset_changes_nothing(offset):
     assert high > low
 
 
-def test_points_that_are_given_are_left_for_better_ones():
+def test_better_points_are_recommended_instead_of_given_points():
     sets = np.random.default_rng(0).random((50, 64, 2))
     found = mcs.profile(lambda x: np.exp(x.sum(-1)), dims=2, sampler=sets)
     assert found.answer.best.name == "regression"
     assert found.answer.best.gain_ci[0] > 1.0
 
 
-def test_no_gain_is_told_of_what_is_not_resolved():
+def test_unresolved_variances_give_no_gain():
 
     found = mcs.profile(lambda x: 1.0 * (ndtri(x).sum(-1) > 3 * 8**0.5), dims=8)
     assert found.interval == (-math.inf, math.inf)
@@ -724,12 +728,12 @@ def test_no_gain_is_told_of_what_is_not_resolved():
 
 
 @pytest.mark.parametrize("size", [1e-160, 1e200])
-def test_values_whose_squares_are_lost_are_refused(size):
+def test_values_whose_squares_overflow_or_underflow_are_refused(size):
     with pytest.raises(ParameterError, match="divide f by that size"):
         mcs.profile(lambda x: size * np.exp(x.sum(-1)), dims=2)
 
 
-def test_samples_of_another_space_are_refused():
+def test_samples_outside_the_unit_cube_are_refused():
 
     given = (lambda x: x[..., 0] ** 2, lambda x: np.exp(-(x[..., 0] ** 2) / 2), ndtri)
     with pytest.raises(McspectraError, match="leaves the unit cube"):
@@ -750,7 +754,7 @@ def borehole(u):
     return 2 * np.pi * upper * (head - level) / below
 
 
-def test_probes_where_no_sample_falls_may_fail():
+def test_failing_probes_outside_the_samples_do_not_end_the_profile():
     found = mcs.profile(borehole, dims=8, budget=16384)
     assert found.causes[0].name == "none"
     (said,) = found.not_tried
@@ -761,7 +765,7 @@ def test_probes_where_no_sample_falls_may_fail():
 
 @pytest.mark.parametrize("fails", ["NaN", "exception"])
 def test_evaluations_that_fail_are_skipped_counted_and_located(fails):
-    """f has no values for x_0 < 0.02: the interval allows the least and the largest of others."""
+    """f fails for x_0 < 0.02; the interval allows any value in the range of f there."""
 
     def f(x):
         if fails == "exception" and (x[..., 0] < 0.02).any():
@@ -772,7 +776,7 @@ def test_evaluations_that_fail_are_skipped_counted_and_located(fails):
         mcs.profile(f, dims=2)
     found = mcs.profile(f, dims=2, on_error="skip")
     low, high = found.interval
-    # E f is 1.5 without x_0 < 0.02, where it may be anything from 1 to 2
+    # The mean of f is 1.5 for x_0 ≥ 0.02; below, f may have any value from 1 to 2
     assert low < 0.98 * 1.5 + 0.02 * 1.0 + 0.003
     assert high > 0.98 * 1.5 + 0.02 * 2.0 - 0.003
     assert high - low < 0.05
@@ -780,8 +784,8 @@ def test_evaluations_that_fail_are_skipped_counted_and_located(fails):
 
 
 @pytest.mark.slow
-def test_intervals_of_the_rmse_cover_that_of_options():
-    """Estimates of the RMSE of options are 0.2 to 1.1 of the truth, since rates flatten out."""
+def test_intervals_of_the_rmse_cover_for_options():
+    """Estimated RMSEs of options are 0.2 to 1.1 times the truth, because rates become flatter."""
     covered, shown = 0, 0
     cases = (oracles.asian_option(16), oracles.keister(5), FUNCTIONS["disk"][1])
     for function, dims in zip(cases, (16, 5, 2), strict=True):
@@ -799,7 +803,7 @@ def test_intervals_of_the_rmse_cover_that_of_options():
     assert covered >= shown * (0.95 - 3 * math.sqrt(0.05 * 0.95 / shown))
 
 
-def test_the_rmse_and_what_it_would_take_have_intervals():
+def test_rmse_gain_and_needed_evaluations_have_intervals():
     found = mcs.profile("christensen-disk", budget=8192)
     best, plain = found.answer.best, found.to_dict()["answer"]["best"]
     for name in ("rmse", "gain", "needed"):
@@ -819,8 +823,8 @@ def _periodic(x):
     return np.prod(1.0 + 0.5 * np.cos(2.0 * np.pi * x), axis=-1)
 
 
-def test_a_lattice_is_advised_for_a_periodic_function():
-    """Lattices were not tried: they are exact to rounding, where nets have an RMSE of 3e-4."""
+def test_a_lattice_is_recommended_for_a_periodic_function():
+    """Lattices are exact to rounding here, and nets have an RMSE of 3e-4."""
     found = mcs.profile(_periodic, dims=4)
     best = found.answer.best
     assert best.sampler.spec == "rank1-lattice | shift"
@@ -830,8 +834,8 @@ def test_a_lattice_is_advised_for_a_periodic_function():
 
 
 @pytest.mark.parametrize(("dims", "width"), [(2, 16.0), (3, 9.0)])
-def test_a_folded_lattice_is_advised_for_a_smooth_function(dims, width):
-    """Its error is less than a tenth of that of nets."""
+def test_a_folded_lattice_is_recommended_for_a_smooth_function(dims, width):
+    """The error of the lattice is less than a tenth of the error of nets."""
 
     def peak(x):
         return (1.0 / (1.0 + width * (x - 0.4) ** 2)).prod(axis=-1)
@@ -847,8 +851,8 @@ def test_a_folded_lattice_is_advised_for_a_smooth_function(dims, width):
     assert low <= errors[best.sampler.spec] <= high
 
 
-def test_a_change_that_is_not_sure_is_named():
-    """A lattice has 20 times less error than nets here, which few evaluations cannot tell."""
+def test_an_uncertain_improvement_is_reported_as_runner_up():
+    """A lattice has 1/20 of the error of nets here, but few evaluations cannot prove it."""
     found = mcs.profile(
         lambda x: np.exp(-50.0 * ((x - 0.3) ** 2).sum(axis=-1)), dims=2, sampler="sobol | owen"
     )
@@ -877,10 +881,10 @@ def test_advice_for_draws_has_no_sampler():
     ],
     ids=["kink", "cusp", "waves"],
 )
-def test_a_folded_lattice_is_measured_where_it_may_gain_more_than_nets(f, sampler):
+def test_a_folded_lattice_is_measured_if_it_may_be_better_than_nets(f, sampler):
     found = mcs.profile(f, dims=2, sampler=sampler, budget=4096)
     lattice = next(r for r in found.answer.results if "fold" in r.name)
-    # Few points say nothing of how steep the curve is at more points, so that the end is open
+    # Few points do not determine how steep the curve is at more points, so the lower end is 0
     assert lattice.rmse_ci[0] == 0.0
     truth = mcs.convergence(as_estimator(f, 2), lattice.setup.sampler, [4096], realizations=40)
     assert math.sqrt(float(truth["variance"][0])) < lattice.rmse_ci[1]
@@ -898,8 +902,8 @@ def test_a_jump_along_an_axis_is_removed_by_means_along_it():
     assert means.rmse_ci[0] <= math.sqrt(float(truth["variance"][0])) <= means.rmse_ci[1]
 
 
-def test_small_lattices_that_agree_about_a_jump_are_not_called_exact():
-    # The line passes through the center, and the few points of a small folded set lie evenly about it
+def test_small_lattices_with_equal_estimates_are_not_called_exact():
+    # The edge passes through the center, and a small folded set is symmetric about the center
     found = mcs.profile(
         lambda x: (x @ np.array([0.6, 0.8]) < 0.7) * 1.0, dims=2, sampler="sobol | owen"
     )

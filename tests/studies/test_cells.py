@@ -81,7 +81,7 @@ def _expected():
     }
 
 
-def test_cells_are_what_the_functions_return(finished):
+def test_cells_equal_the_results_of_the_functions(finished):
     tree = open_results(finished)
     for path, expected in _expected().items():
         stored = tree[path].to_dataset()
@@ -148,7 +148,7 @@ def test_the_report_contains_the_study(finished):
 
 
 @pytest.mark.render
-def test_maps_are_what_variance_map_returns(tmp_path):
+def test_maps_equal_the_results_of_variance_map(tmp_path):
     from mcspectra.rendering import variance_map
 
     text = """

@@ -137,7 +137,8 @@ def test_too_many_points_are_refused_with_an_estimate_before_allocation(tmp_path
     try:
         with pytest.raises(
             ConfigError,
-            match=r"of memory, and this machine has|are 2e\+18 pairs|at most|<= |from 1 to 16777216",
+            match=r"of memory, and this machine has|are 2e\+18 pairs|at most|<= "
+            r"|from 1 to 16777216",
         ):
             _plan(tmp_path, STUDY.replace(old, new), force=True)
         assert tracemalloc.get_traced_memory()[1] < 50e6

@@ -92,9 +92,7 @@ def test_a_changed_file_is_refused_by_name_and_nothing_is_touched(folder):
     assert (status.state, status.recorded) == ("finished", 0)
 
 
-def test_retry_computes_again_what_depends_on_a_changed_file_and_nothing_else(
-    folder, stored_values
-):
+def test_retry_computes_only_cells_that_depend_on_a_changed_file(folder, stored_values):
     _stopped(folder, 5)
     kept = {path for path in study_status(folder / "out").done if path[0] != "b"}
     assert kept

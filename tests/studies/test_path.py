@@ -183,7 +183,8 @@ def test_the_improved_light_selection_pays_from_the_stated_count(lamps):
     # The pilot's paths count as additional samples; at the break-even count the ratio is 1
     random = as_sampler("random", f.dims)
     found = path_remedies(
-        f, random, (64, 256), Stream.from_rng(7), realizations=400, samplers=(), ends=(), lights=lights
+        f, random, (64, 256), Stream.from_rng(7),
+        realizations=400, samplers=(), ends=(), lights=lights,
     )  # fmt: skip
     one = found.sel(remedy="lights by second moment")
     pilot = int(lights.attrs["pilot"])

@@ -95,7 +95,7 @@ def test_the_cause_belongs_to_the_named_sampler(monkeypatch):
     assert "shift carries" not in said
 
 
-def test_curves_are_those_of_convergence(tree):
+def test_curves_equal_those_of_convergence(tree):
     direct = mcs.convergence(list(estimators().values()), list(SAMPLERS), COUNTS, **OPTIONS)
     found = tree["convergence"].to_dataset()
     assert found["strategy"].values.tolist() == list(PIXEL_STRATEGIES)
@@ -103,7 +103,7 @@ def test_curves_are_those_of_convergence(tree):
     same(found, direct)
 
 
-def test_predictions_are_those_of_predict_and_stand_in_rows_and_sentences(tree, small_effort):
+def test_predictions_equal_those_of_predict_and_appear_on_the_page(tree, small_effort):
     asked = {answer.attrs["given"]: call for *call, answer in small_effort}
     said = {answer.attrs["given"]: answer for *_, answer in small_effort}
     for name in PIXEL_STRATEGIES:
@@ -129,7 +129,7 @@ def test_predictions_are_those_of_predict_and_stand_in_rows_and_sentences(tree, 
 
 
 @pytest.mark.parametrize(("strategy", "view"), [("light", "auto"), ("balance", "fourier")])
-def test_terms_are_those_of_variance_terms(tree, strategy, view):
+def test_terms_equal_those_of_variance_terms(tree, strategy, view):
     direct = mcs.variance_terms(
         estimators()[strategy],
         SAMPLERS[1],
@@ -299,7 +299,7 @@ def test_an_unresolved_steepest_rate_is_not_a_finding(tree):
     assert "±" not in said
 
 
-def test_the_page_stands_alone(tree, tmp_path):
+def test_the_page_needs_no_other_files(tree, tmp_path):
     page = write_pixel(tree, tmp_path).read_text(encoding="utf-8")
     assert not re.search(r"https?:|<script src|<link|src=\"(?!data:)|url\(", page)
     said = pixel_answer(tree)
@@ -309,7 +309,8 @@ def test_the_page_stands_alone(tree, tmp_path):
         assert f"<b>{name[0].upper()}{name[1:]}</b>" in page
     for strategy in STRATEGY_NAMES.values():
         for sampler in SAMPLERS:
-            row = rf'<th scope="row">{re.escape(strategy)}</th>\s*<th scope="row">{re.escape(sampler)}'
+            heads = (f'<th scope="row">{re.escape(name)}' for name in (strategy, sampler))
+            row = r"</th>\s*".join(heads)
             assert re.search(row, page), (strategy, sampler)
     for name in ("rates", "terms", "captured", "integrands", "incident", "remedies"):
         png = (tmp_path / "figures" / f"{name}.png").read_bytes()

@@ -192,7 +192,7 @@ def test_xarray_and_zarr_alone_read_the_store(folder, consolidated):
     assert root[f"{PATHS[1]}/found"].shape == (2,)
 
 
-def test_consolidated_metadata_are_those_that_zarr_writes(copy):
+def test_consolidated_metadata_equal_those_of_zarr(copy):
     document = copy / "results.zarr" / "zarr.json"
     ours = json.loads(document.read_text())["consolidated_metadata"]["metadata"]
     with warnings.catch_warnings(action="ignore"):
@@ -204,7 +204,7 @@ def test_consolidated_metadata_are_those_that_zarr_writes(copy):
             assert ours[path].get(key) == expected.get(key)
 
 
-def test_files_are_those_that_xarray_and_zarr_write(tmp_path):
+def test_files_equal_those_of_xarray_and_zarr(tmp_path):
     kinds = ("?", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f2", "f4", "f8", "c8", "c16")
     cell = numbers().assign({f"of_{kind}": ("b", np.zeros(3, kind)) for kind in kinds})
     results._write_store({}, [("a/b/terms", cell)], tmp_path / "x.zarr")
@@ -612,7 +612,7 @@ def test_a_store_goes_to_a_folder_and_back(folder, tmp_path):
 
 
 def test_a_store_is_the_same_bytes_each_time(folder, tmp_path):
-    """Also in processes with other hash seeds."""
+    """The bytes are also the same in processes with other hash seeds."""
     write = (
         "import sys, pytest; from tests.studies.made import admit; "
         f"admit(pytest.MonkeyPatch(), *{DECLARED!r}); "

@@ -164,8 +164,8 @@ def test_processes_give_the_same_bits(finished, tmp_path, stored_values):
     assert stored_values(tmp_path) == finished
 
 
-@pytest.mark.endurance  # a run of kills at moments that the machine's load decides
-def test_workers_that_are_killed_one_after_another_fail_nothing(finished, tmp_path, stored_values):
+@pytest.mark.endurance  # the load of the machine determines the moments of the kills
+def test_killing_workers_one_after_another_fails_no_task(finished, tmp_path, stored_values):
     """After each cell, kill one worker with its running and waiting tasks."""
     killed = set()
 
@@ -236,7 +236,7 @@ def test_interrupted_and_resumed_in_other_chunks_gives_the_same_bits(
 
 
 def test_failures_stay_in_their_cells(misbehaving, tmp_path, stored_values):
-    """And stay failed on resume, without being computed, until they are retried."""
+    """Failed cells are not computed on resume until they are retried."""
     text, trust = _functions("good", "raises", "nan", "hangs")
     study = decode_study(text)
     with pytest.raises(CellFailed, match="2 of 4 cells failed.*--retry") as caught:
@@ -261,10 +261,10 @@ def test_failures_stay_in_their_cells(misbehaving, tmp_path, stored_values):
 
 
 @pytest.mark.parametrize("limit", [None, 120.0])
-def test_integrands_that_interrupt_cancel_or_leave_do_not_hold_up_the_run(
+def test_integrands_that_interrupt_cancel_or_exit_do_not_stop_the_run(
     misbehaving, tmp_path, capfd, limit
 ):
-    """For threads and processes: an interrupt that does not come from the user is a failure."""
+    """An interrupt that does not come from the user is a failure, in threads and processes."""
     text, trust = _functions("interrupts", "cancels", "leaves", "good")
     with pytest.raises(CellFailed) as caught:
         run_study(decode_study(text), tmp_path / "out", trust=trust, workers=2, time_limit=limit)

@@ -184,7 +184,7 @@ def test_states_recorded_during_a_run_restore_all_of_it(blocks):
         assert left == set(range(blocks)) - done
 
 
-def test_chunks_that_are_not_nodes_of_the_tree_are_left_out():
+def test_chunks_that_are_not_nodes_of_the_tree_are_ignored():
     asked = []
     part = PartialRun(reduction("r", 10))
     part.restore([(0, 0), (1, 2), (0, 3), (8, 3), (-2, 2), (4, 5), (8, 2)], asked.append)
@@ -359,7 +359,7 @@ def test_a_damaged_result_of_a_whole_cell_fails_it():
 
 
 def test_fully_recorded_cells_are_restored_one_at_a_time():
-    """A resumed run may find thousands; a cell with tasks and a failing cell come in between."""
+    """A resumed run may find thousands of them, mixed with cells that have tasks or fail."""
     words = Words(blocks=(4,))
     state = pack(compute_chunk(words.reductions()[0], (0, 4)))
     records = Recorded({(name, "r0", (0, 4)): state for name in "abd"})

@@ -119,7 +119,7 @@ def test_schema_and_reader_refuse_the_same(old, new):
         decode_study(STUDY.replace(old, new))
 
 
-def test_placeholders_may_stand_for_numbers():
+def test_placeholders_may_replace_numbers():
     text = STUDY.replace("dims = 1", 'dims = "{d}"\nsmoothed = "{s}"')
     text += "grid = { d = [1], s = [0.1, 0.2] }\n"
     assert _complaints(text) == []

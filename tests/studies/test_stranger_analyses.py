@@ -37,7 +37,8 @@ class Centre(Analysis, frozen=True, kw_only=True):
 
     def reduction(self, subject, stream):
         def block(index):
-            return subject.sampler.draw_stream(self.n, stream, index, 1)[..., self.axis].mean(axis=1)
+            points = subject.sampler.draw_stream(self.n, stream, index, 1)
+            return points[..., self.axis].mean(axis=1)
 
         def result(state):
             return dataset({"mean": ((), state.mean())}, n=self.n)

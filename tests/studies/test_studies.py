@@ -70,7 +70,7 @@ def test_resume_computes_only_missing_cells(finished, tmp_path, stored_values):
     paths = [cell.path for cell in plan.cells]
     note = StudyNote.of(plan.config, plan.inputs)
     Ledger.resume(tmp_path / "copy", note, paths, outdated=["mis/random/terms"]).close()
-    (tmp_path / "copy/.results.zarr.partial").mkdir()  # Left by a killed run
+    (tmp_path / "copy/.results.zarr.partial").mkdir()  # A killed run leaves this file
     seen = []
     run_study(
         decode_study(STUDY),
@@ -84,7 +84,7 @@ def test_resume_computes_only_missing_cells(finished, tmp_path, stored_values):
 
 
 def test_resume_repairs_damaged_cells_and_the_store(finished, tmp_path, stored_values):
-    """Garbage in the ledger; a missing chunk, which zarr would read as fill values."""
+    """The ledger has garbage, and a chunk is missing, which zarr would read as fill values."""
     import shutil
 
     shutil.copytree(finished, tmp_path / "copy")

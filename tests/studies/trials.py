@@ -181,8 +181,8 @@ def command(study, out, *more):
 def straight_run(study, out):
     """Return the digest of an undisturbed run.
 
-    The run loads all modules and kernels, which takes four times as long as the run itself. Forks
-    of this process need not load them again.
+    The run loads all modules and kernels, which takes four times as long as the run itself. Later
+    forks of this process share them.
     """
     with contextlib.redirect_stdout(None):
         assert command(study, out) == 0
