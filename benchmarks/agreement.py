@@ -1,21 +1,21 @@
 """Do `profile`, `remedies`, `plan`, `predict` and brute force give the same answer?
 
 Sixty estimators: functions, importance densities, multiple importance sampling, pixels and paths.
-Each function searches the best set-up at 4,096 evaluations. Brute force then measures the RMSE of
-the given and of the recommended set-ups with 200 new estimates each. A function agrees under these
-conditions:
+Each function searches the best set-up at 4,096 evaluations. Brute force then measures
+the RMSE of the given and of the recommended set-ups with 200 new estimates each.
+A function agrees under these conditions:
 
-* `profile`: its interval of the RMSE overlaps that of brute force, for the set-up that it
-  recommends;
-* `remedies`: its set-up is that of the profile; or both measured this set-up (a preintegration
-  along some direction, a regression), with overlapping intervals; or the RMSE of both recommended
-  set-ups are the same within their intervals;
-* `plan`: for the RMSE of brute force, its interval of n overlaps that of brute force, which is
-  4,096 evaluations converted by the slope of the variance;
+* `profile`: its interval of the RMSE overlaps that of brute force,
+  for the set-up that it recommends;
+* `remedies`: its set-up is that of the profile; or both measured this set-up (a
+  preintegration along some direction, a regression), with overlapping intervals;
+  or the RMSE of both recommended set-ups are the same within their intervals;
+* `plan`: for the RMSE of brute force, its interval of n overlaps that of brute force,
+  which is 4,096 evaluations converted by the slope of the variance;
 * `predict`: its interval of the variance overlaps that of brute force at these evaluations.
 
-An open interval always overlaps. In addition, no recommended set-up may be worse than the given
-one, and no function may exceed the allowed number of evaluations.
+An open interval always overlaps. In addition, no recommended set-up may be worse
+than the given one, and no function may exceed the allowed number of evaluations.
 """
 
 from __future__ import annotations

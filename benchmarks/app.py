@@ -1,9 +1,9 @@
 """Latency of the explorer in Chromium: time from a slider's move to the updated figures.
 
-The page is the default one: 256 jittered points, 129² frequencies. A key moves the slider of the
-strata shift. The page records when bokeh receives new data for the first figure, and for the last
-figure of the round with fewest realizations. Processor time of the server counts from the key to
-the last figure of all rounds, as a mean over the moves.
+The page is the default one: 256 jittered points, 129² frequencies.
+A key moves the slider of the strata shift. The page records when bokeh receives new data
+for the first figure, and for the last figure of the round with fewest realizations. Processor time
+of the server counts from the key to the last figure of all rounds, as a mean over the moves.
 """
 
 from __future__ import annotations

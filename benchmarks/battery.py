@@ -1,17 +1,17 @@
 """Profiles of estimators with known problems: is the cause found, and is the advice good?
 
-Each case has a function or estimator with its sampler, its integral, and the causes that may come
-first. A profile has a budget of 8,192 evaluations. A case checks these points:
+Each case has a function or estimator with its sampler, its integral, and the causes
+that may come first. A profile has a budget of 8,192 evaluations. A case checks these points:
 
 * The interval of the profile contains the integral.
 * Its first cause is an expected one.
-* The change that it recommends lowers the variance. Both set-ups are measured again for this, at
-  the same counts.
-* Its rate with scrambled nets agrees with that of 10,000 realizations at the last counts of its
-  curve, to 0.1 or within its interval. The budget is 8,192 or 262,144 evaluations.
+* The change that it recommends lowers the variance.
+  Both set-ups are measured again for this, at the same counts.
+* Its rate with scrambled nets agrees with that of 10,000 realizations at the last counts
+  of its curve, to 0.1 or within its interval. The budget is 8,192 or 262,144 evaluations.
 
-No rate is reported for an infinite variance. For jumps along axes, local rates vary between −1 and
-−3 for the same f; there, realizations at 16 to 4,096 points give the rate.
+No rate is reported for an infinite variance. For jumps along axes, local rates vary between −1
+and −3 for the same f; there, realizations at 16 to 4,096 points give the rate.
 """
 
 from __future__ import annotations

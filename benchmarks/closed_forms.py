@@ -1,9 +1,9 @@
 """Closed-form Fourier power and covariance of scrambled nets compared with many realizations.
 
-For each net with each randomization in 1 to 4 dims, powers and covariances at random integer
-frequencies are compared with their means over 100,000 realizations. z is the difference in standard
-errors; real and imaginary part of a covariance count separately. The root mean square of z is 1 if
-both agree.
+For each net with each randomization in 1 to 4 dims, powers and covariances
+at random integer frequencies are compared with their means over 100,000 realizations.
+z is the difference in standard errors; real and imaginary part of a covariance count separately.
+The root mean square of z is 1 if both agree.
 """
 
 from __future__ import annotations

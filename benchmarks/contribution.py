@@ -1,8 +1,8 @@
 """`variance_terms` with 64 given bands, compared with drawing and transforming the same points.
 
 The reference also draws the points, so that the whole analysis is compared with its indispensable
-parts. Seconds are the best of the rounds. The ratio is the median of the ratios of each round; the
-ratio of best times is also printed, because the machine may have been busy.
+parts. Seconds are the best of the rounds. The ratio is the median of the ratios of each round;
+the ratio of best times is also printed, because the machine may have been busy.
 """
 
 from __future__ import annotations

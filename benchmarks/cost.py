@@ -4,12 +4,12 @@ Model of the NUFFT [Barnett2019]_ for the seconds per realization; R realization
 
     t = a + b n log(1/ε) + c M log M.
 
-A point is spread to log^d(1/ε) cells, of which vector instructions process a row together. In two
-dims, the time per point therefore grows like log(1/ε). Times are the smallest processor times of
-two sweeps.
+A point is spread to log^d(1/ε) cells, of which vector instructions process a row together.
+In two dims, the time per point therefore grows like log(1/ε).
+Times are the smallest processor times of two sweeps.
 
-``python -m benchmarks cost --plot`` also draws measured times and the model to
-docs/figures/cost.png.
+``python -m benchmarks cost --plot`` also draws measured times
+and the model to docs/figures/cost.png.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """SciPy's L-BFGS-B, QR and eigensolver compared with ours: quality, and stability of the bits.
 
 For descents of optimized samplers, ``python -m benchmarks descent`` prints the smallest value after
-the same number of evaluations as ours. It then repeats the libraries' computations with other
-numbers of threads, and with the kernels of OpenBLAS for other processors.
+the same number of evaluations as ours. It then repeats the libraries' computations
+with other numbers of threads, and with the kernels of OpenBLAS for other processors.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
 """Designs for classes of integrands compared with the best usual sampler, on held-out members.
 
-For each class, dims and n, suitable kinds of designs are searched. The one with the least variance
-over 400 members is measured over 2,000 others in 20 groups, each with its own 32 realizations.
-Rivals are sobol | owen, pmj02, and shifted Korobov, rank-1 and Fibonacci lattices. If
-``MCSPECTRA_NETS`` names a folder with their direction numbers, OneTwo and quad-optimized nets (base
-3) with owen are also rivals.
+For each class, dims and n, suitable kinds of designs are searched.
+The one with the least variance over 400 members is measured over 2,000 others in 20 groups,
+each with its own 32 realizations. Rivals are sobol | owen, pmj02, and shifted Korobov,
+rank-1 and Fibonacci lattices. If ``MCSPECTRA_NETS`` names a folder with their direction numbers,
+OneTwo and quad-optimized nets (base 3) with owen are also rivals.
 
-The last lines compare with folded lattices, on Gaussians of random orientation. There, a few narrow
-members carry half of the mean variance, so that 20,000 members with 128 realizations per group are
-measured.
+The last lines compare with folded lattices, on Gaussians of random orientation.
+There, a few narrow members carry half of the mean variance,
+so that 20,000 members with 128 realizations per group are measured.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Numbers and figures of ``docs/findings``: ``python -m benchmarks findings --plot`` creates both.
 
 Each function prints the numbers of one page, with 95 % intervals, and returns its figures by name.
-With ``--plot`` the lines are also written to ``docs/findings/numbers.txt``, from which the pages
-may quote.
+With ``--plot`` the lines are also written to ``docs/findings/numbers.txt``,
+from which the pages may quote.
 """
 
 from __future__ import annotations

@@ -2,10 +2,10 @@
 
 The raw calls evaluate each of four strategies (light, BSDF and their parts of MIS) separately.
 Their kernels have one lane per sample, sum over the samples of a pixel, and read existing tables.
-The results are copied to NumPy, without statistics. The map evaluates a technique once for its
-plain and its weighted estimate, in a loop over samples. "kernels alone" means these loops without
-the map's statistics. ``--full`` maps 256 × 170 pixels without predictions and compares with the raw
-calls alone, which takes minutes. By default a smaller map is used.
+The results are copied to NumPy, without statistics. The map evaluates a technique once
+for its plain and its weighted estimate, in a loop over samples. "kernels alone" means these loops
+without the map's statistics. ``--full`` maps 256 × 170 pixels without predictions and compares
+with the raw calls alone, which takes minutes. By default a smaller map is used.
 """
 
 from __future__ import annotations

@@ -1,12 +1,13 @@
 """Whole paths of five scenes compared with Mitsuba's renders, and the time of a map over raw paths.
 
 A film has 8 × 6 pixels with a box filter. `mitsuba.render` and `variance_map` with random points
-each give means and variances of 400 estimates of 64 paths. Welch's test compares the values and
-their squared deviations (by the logarithm of the variances, which is closer to normal). It also
-compares the variance of all bounces together with 64 times the variance of the renders. The limit
-of |t| holds for all tests of the table together (Šidák). Then a map of 64 × 64 pixels with paths of
-depth 5 is timed against raw renders of the same number of paths. ``--coverage`` prints instead how
-often the 95 % intervals of shares contain the truth, at six pixels of Cornell's box.
+each give means and variances of 400 estimates of 64 paths. Welch's test compares the values
+and their squared deviations (by the logarithm of the variances, which is closer to normal).
+It also compares the variance of all bounces together with 64 times the variance of the renders.
+The limit of |t| holds for all tests of the table together (Šidák). Then a map of 64 × 64 pixels
+with paths of depth 5 is timed against raw renders of the same number of paths.
+``--coverage`` prints instead how often the 95 % intervals of shares contain the truth,
+at six pixels of Cornell's box.
 """
 
 from __future__ import annotations

@@ -2,19 +2,19 @@
 
 Ten integrands, each with 30 seeds and all methods in one run:
 
-* ``profile``: `mcspectra.profile` with a quarter of the evaluations, then `integrate(profile=…)`
-  with the rest;
-* ``after``: the same, but all evaluations follow a profile of equal cost (8,192 in total), for a
-  function that is integrated repeatedly;
+* ``profile``: `mcspectra.profile` with a quarter of the evaluations,
+  then `integrate(profile=…)` with the rest;
+* ``after``: the same, but all evaluations follow a profile of equal cost (8,192 in total),
+  for a function that is integrated repeatedly;
 * ``integrate``: `mcspectra.integrate` alone;
 * ``scipy``: 16 scrambled Sobol' sets of SciPy and Student's t;
 * ``net``, ``lattice``: QMCPy's CubQMCNetG and CubBayesLatticeG with all evaluations in one set;
 * ``vegas``: four iterations of one eighth to adapt, four to integrate.
 
-A line gives the RMS error of each method and, in brackets, the number of intervals that contain the
-integral. A peer counts if at least 27 do. The last line gives the number of integrands for which
-the errors of ``profile`` and ``after`` are at most 1.2 times the error of the best peer that
-counts.
+A line gives the RMS error of each method and, in brackets,
+the number of intervals that contain the integral. A peer counts if at least 27 do.
+The last line gives the number of integrands for which the errors of ``profile`` and ``after``
+are at most 1.2 times the error of the best peer that counts.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Throughput of a pixel as an integrand compared with the same Mitsuba kernels without our checks.
 
-The raw calls pass the same NumPy points as float32 to the same light or BSDF sampling of Mitsuba in
-one kernel, and return its float32 values to NumPy. Both sides use the same million samples, in
-turn.
+The raw calls pass the same NumPy points as float32 to the same light
+or BSDF sampling of Mitsuba in one kernel, and return its float32 values to NumPy.
+Both sides use the same million samples, in turn.
 """
 
 from __future__ import annotations

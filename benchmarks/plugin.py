@@ -1,8 +1,8 @@
 """Throughput of stock integrators with our samplers compared with Mitsuba's own one.
 
-Both sides of each line alternate in the same run. ``sobol | owen`` is computed in the kernel. Other
-samplers draw new tables of points for every image; one set that is moved in each pixel is the
-cheapest.
+Both sides of each line alternate in the same run. ``sobol | owen`` is computed in the kernel.
+Other samplers draw new tables of points for every image;
+one set that is moved in each pixel is the cheapest.
 """
 
 from __future__ import annotations

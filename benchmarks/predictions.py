@@ -1,15 +1,15 @@
 """Predicted variances compared with precise measured ones: accuracy and coverage of intervals.
 
-Each row is a sampler in a group of problems; each of its cells is a problem at a count. A cell is
-right if predicted/measured is within 5 %, or within two standard errors of the measurement. Its
-interval covers if the difference lies within both intervals together. Predictions evaluate no
-sample of f at the sampler's points; measurements have at least 1,000 realizations. ``--group=2-D``
-selects one group, ``--group=new`` all groups whose names begin with "new".
+Each row is a sampler in a group of problems; each of its cells is a problem at a count. A cell
+is right if predicted/measured is within 5 %, or within two standard errors of the measurement.
+Its interval covers if the difference lies within both intervals together. Predictions evaluate
+no sample of f at the sampler's points; measurements have at least 1,000 realizations.
+``--group=2-D`` selects one group, ``--group=new`` all groups whose names begin with "new".
 
-New groups have every fast sampler with an offset (shift, strata-shift, digital-shift), problems in
-4 to 8 dims, and unbounded ones. References are measured with 20,000 realizations. If the moments of
-estimates are unbounded, references come from closed-form integrals, summed over strata and pairs of
-points (`Unbounded`).
+New groups have every fast sampler with an offset (shift, strata-shift, digital-shift),
+problems in 4 to 8 dims, and unbounded ones. References are measured with 20,000 realizations.
+If the moments of estimates are unbounded, references come from closed-form integrals,
+summed over strata and pairs of points (`Unbounded`).
 """
 
 from __future__ import annotations
@@ -64,8 +64,8 @@ class Group:
 class Tail:
     """An unbounded function h of one variable, with the integrals of h and h² from 0 to u.
 
-    `even` means h(1 − u) = h(u), so that values near 1 can be computed from the precise distance to
-    1.
+    `even` means h(1 − u) = h(u), so that values near 1 can be computed
+    from the precise distance to 1.
     """
 
     h: Callable[[Array], Array]

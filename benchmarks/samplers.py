@@ -1,7 +1,7 @@
 """Samplers compared in the same run with NumPy's random numbers, and SciPy's and QMCPy's sets.
 
-By default 2-D, 2^16 points, one thread. Prints points per second, and the reference's time over
-ours.
+By default 2-D, 2^16 points, one thread.
+Prints points per second, and the reference's time over ours.
 """
 
 from __future__ import annotations

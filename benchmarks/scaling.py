@@ -1,8 +1,8 @@
 """Scaling of studies: overhead of tasks, cells and workers, efficiency, memory, a million cells.
 
-Parts by name: ``python -m benchmarks.scaling tasks workers``. Without names, it runs all except
-``million``, which takes minutes and 2 GB of disk. Wall times depend on other load of the machine,
-but processor times hardly do; both are printed.
+Parts by name: ``python -m benchmarks.scaling tasks workers``.
+Without names, it runs all except ``million``, which takes minutes and 2 GB of disk.
+Wall times depend on other load of the machine, but processor times hardly do; both are printed.
 """
 
 from __future__ import annotations

@@ -1,18 +1,18 @@
 """Settings of algorithms: number of right cases at half, once and twice each value.
 
-Without a flag it tests `CauseSettings` and its parts. The cases are those of the benchmark
-``battery``, whose first cause is known, and those of the tests of `profile`, with two seeds and
-8,192 evaluations each. Poles |A(x − c)|^−a of known order and rank are cases of `PoleSettings`.
-``--NAME`` measures one setting.
+Without a flag it tests `CauseSettings` and its parts.
+The cases are those of the benchmark ``battery``, whose first cause is known,
+and those of the tests of `profile`, with two seeds and 8,192 evaluations each. Poles |A(x − c)|^−a
+of known order and rank are cases of `PoleSettings`. ``--NAME`` measures one setting.
 
-``--rates`` tests `CurveSettings` with five functions whose rate with scrambled nets is known: root
-mean square error of rates, fraction of intervals that contain the rate, and mean half width.
+``--rates`` tests `CurveSettings` with five functions whose rate with scrambled nets is known:
+root mean square error of rates, fraction of intervals that contain the rate, and mean half width.
 
-``--chains`` tests `ChainSettings` with chains of 500 to 2,000 draws that have one known fault or
-none.
+``--chains`` tests `ChainSettings` with chains of 500 to 2,000 draws
+that have one known fault or none.
 
-``--stages`` tests `StageSettings` with 150 searches for a variance to 10 %: mean number of
-realizations, root mean square of the true relative error, and mean number of stages.
+``--stages`` tests `StageSettings` with 150 searches for a variance to 10 %:
+mean number of realizations, root mean square of the true relative error, and mean number of stages.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Studies: overhead of a cell, and speedup by two workers.
 
-Overhead compares cells of about half a second, run through tasks and ledger, with a bare loop over
-the same cells. Efficiency is the time with one worker over that with w, divided by w. Tasks that
-sleep show the cost of scheduling. Real tasks also share Python's lock (threads) and a memory bus.
-Two processes that each loop over half of the cells, without a study, show the most that two
-processors of the machine can give. If times vary, the shortest of several rounds is used, in which
-all methods take turns.
+Overhead compares cells of about half a second, run through tasks and ledger,
+with a bare loop over the same cells. Efficiency is the time with one worker over that with w,
+divided by w. Tasks that sleep show the cost of scheduling.
+Real tasks also share Python's lock (threads) and a memory bus. Two processes that each loop over
+half of the cells, without a study, show the most that two processors of the machine can give.
+If times vary, the shortest of several rounds is used, in which all methods take turns.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Causes of noise in an estimator, each with a detector, numbers as evidence and a sentence.
 
-`Evidence.of` evaluates the integrand. Detectors evaluate nothing: they take the evidence and return
-a `Cause` or None. `CAUSES` lists the detectors with the most harmful cause first, and `causes_of`
-keeps that order.
+`Evidence.of` evaluates the integrand. Detectors evaluate nothing:
+they take the evidence and return a `Cause` or None.
+`CAUSES` lists the detectors with the most harmful cause first, and `causes_of` keeps that order.
 """
 
 from __future__ import annotations
@@ -81,137 +81,132 @@ Name: TypeAlias = Literal[
 class CauseSettings:
     """How a budget of evaluations is divided, and the thresholds above which causes are reported.
 
-    "Insensitive between a and b" means that the first cause is right with a and with b in all of
-    the 152 cases of ``python -m benchmarks settings``, as with the value itself.
+    "Insensitive between a and b" means that the first cause is right with a and with b
+    in all of the 152 cases of ``python -m benchmarks settings``, as with the value itself.
     """
 
     # Least number of scrambled nets. The standard error of a variance of 20 normal estimates is a
     # third of it. With 40 nets, of half the size, one of 152 causes is wrong; 10 nets are enough.
     nets: int = 20
-    # Evaluations of the integrand above which the number of nets grows as their square root. Nets
-    # then have 512 points or more, so that a curve has ten counts, and more nets improve the rate
-    # more than more counts do.
+    # Evaluations of the integrand above which the number of nets grows as their square root.
+    # Nets then have 512 points or more, so that a curve has ten counts,
+    # and more nets improve the rate more than more counts do.
     more_from: int = 16384
     # Fraction of the budget that is spent on lines and poles. Insensitive between 0.1 and 0.4.
     lines_share: float = 0.2
     # Fraction of the budget that is left to check a change of the estimator. Insensitive between
     # 0.075 and 0.15; with 0.3, which leaves less for nets, one of 152 causes is wrong.
     check_share: float = 0.15
-    # Fraction of the budget that is spent on the given sampler if nets cannot estimate its
-    # variance. It leaves 40 % to nets. Insensitive between 0.125 and 0.5.
+    # Fraction of the budget that is spent on the given sampler if nets cannot estimate
+    # its variance. It leaves 40 % to nets. Insensitive between 0.125 and 0.5.
     given_share: float = 0.25
-    # Largest fraction of the evaluations for lines that the search for a pole may take. Insensitive
-    # between 0.4 and 0.8; without any lines four of 152 causes are wrong.
+    # Largest fraction of the evaluations for lines that the search for a pole may take.
+    # Insensitive between 0.4 and 0.8; without any lines four of 152 causes are wrong.
     pole_share: float = 0.8
     # Fraction of the evaluations for lines that estimate the mean dimension. Insensitive between
     # 0.125 and 0.25; with 0.5, which leaves less for lines, four causes are wrong.
     dimension_share: float = 0.25
-    # Number of points whose values are evaluated twice to detect noise. A function that is random
-    # at half of its points is detected
-    # with probability 1 − 2^−8 = 0.996.
+    # Number of points whose values are evaluated twice to detect noise.
+    # A function that is random at half of its points is detected with probability 1 − 2^−8 = 0.996.
     again: int = 8
-    # Difference of two values at a point that counts as rounding, as a fraction of the largest
-    # value. Sums of 1e6 terms in float64, or
-    # of a few terms in float32, whose order changes, differ by less.
+    # Difference of two values at a point that counts as rounding,
+    # as a fraction of the largest value. Sums of 1e6 terms in float64,
+    # or of a few terms in float32, whose order changes, differ by less.
     same_value: float = 1e-6
-    # Largest square of a deviation, in units of the variance, above which a pole is searched for in
-    # many dims. Insensitive between 150 and 600.
+    # Largest square of a deviation, in units of the variance,
+    # above which a pole is searched for in many dims. Insensitive between 150 and 600.
     climbed: float = 300.0
-    # Smallest and largest value of g whose squares, summed over any number of points, are within
-    # the range of float64 from 1e-308 to 1e308.
+    # Smallest and largest value of g whose squares, summed over any number of points,
+    # are within the range of float64 from 1e-308 to 1e308.
     smallest: float = 1e-120
     largest: float = 1e120
-    # Least number of dims in which the mean dimension is estimated. In 1 to 3 dims points fill the
-    # cube well enough for interactions of all axes. Insensitive between 4 and 8; with 2 one of 152
-    # causes is wrong.
+    # Least number of dims in which the mean dimension is estimated.
+    # In 1 to 3 dims points fill the cube well enough for interactions of all axes.
+    # Insensitive between 4 and 8; with 2 one of 152 causes is wrong.
     many_dims: int = 4
-    # Number of points for which the law of the sampler is read. The kind of a law is equal for all
-    # n (tested with 32 and 128).
+    # Number of points for which the law of the sampler is read.
+    # The kind of a law is equal for all n (tested with 32 and 128).
     law_at: int = 64
-    # Error of a measured exponent of growth: the variance counts as infinite above 0.48. The limit
-    # is ½, and exponents of poles are right to 0.02 in all of 18 cases. Insensitive between 0.01
-    # and 0.04.
+    # Error of a measured exponent of growth: the variance counts as infinite above 0.48.
+    # The limit is ½, and exponents of poles are right to 0.02 in all of 18 cases.
+    # Insensitive between 0.01 and 0.04.
     exponent_error: float = 0.02
-    # Error of the order of a pole inside that only the bends of lines show. Insensitive between
-    # 0.04 and 0.16.
+    # Error of the order of a pole inside that only the bends of lines show.
+    # Insensitive between 0.04 and 0.16.
     bend_error: float = 0.08
-    # Tail index above which the integral does not exist. The limit is 1; a pole of order 1 is
-    # measured as 0.95 or more. It changes only
-    # the sentence and the remedies.
+    # Tail index above which the integral does not exist. The limit is 1;
+    # a pole of order 1 is measured as 0.95 or more. It changes only the sentence and the remedies.
     no_integral: float = 0.95
     # Exponent of growth at the border above which it is a main cause; slower growth is listed after
     # all others. With 0.04 two of 152 causes are wrong; insensitive between 0.08 and 0.16.
     grows: float = 0.08
-    # Kurtosis of the values of g above which a tail is heavy if few values hold most of the
-    # variance: 3 is normal, 9 is exponential, 114 is lognormal with σ = 1. Insensitive between 15
-    # and 60.
+    # Kurtosis of the values of g above which a tail is heavy if few values hold
+    # most of the variance: 3 is normal, 9 is exponential, 114 is lognormal with σ = 1.
+    # Insensitive between 15 and 60.
     heavy_kurtosis: float = 30.0
-    # Fraction of the sum of squares in one value above which a tail is heavy. Insensitive between
-    # 0.1 and 0.4; the same share as in `measure/blindness.py`.
+    # Fraction of the sum of squares in one value above which a tail is heavy.
+    # Insensitive between 0.1 and 0.4; the same share as in `measure/blindness.py`.
     large_share: float = 0.2
-    # Fractions of the values that hold nine tenths of the variance: a tail is heavy below the
-    # first, and is the main cause below the second. Insensitive between 0.025 and 0.1, and between
-    # 0.005 and 0.01; with 0.02 two of 152 causes are wrong.
+    # Fractions of the values that hold nine tenths of the variance:
+    # a tail is heavy below the first, and is the main cause below the second. Insensitive between
+    # 0.025 and 0.1, and between 0.005 and 0.01; with 0.02 two of 152 causes are wrong.
     few_values: float = 0.05
     very_few_values: float = 0.01
-    # Number of different values, as a fraction of all evaluations, below which g is a step
-    # function. Insensitive between 0.025 and 0.1.
+    # Number of different values, as a fraction of all evaluations,
+    # below which g is a step function. Insensitive between 0.025 and 0.1.
     few_different: float = 0.05
-    # Least number of lines for the conclusion that there is no problem: with 4 lines a feature on
-    # half of all lines is missed with
-    # probability 1/16. Insensitive between 2 and 8.
+    # Least number of lines for the conclusion that there is no problem: with 4 lines a feature
+    # on half of all lines is missed with probability 1/16. Insensitive between 2 and 8.
     least_lines: int = 4
-    # Fraction of the lines with a jump on which the jump stays in place on a parallel line: above
-    # it, jumps are parallel to axes. Insensitive between 0.35 and 0.7; above 1 no jump is parallel
-    # to an axis.
+    # Fraction of the lines with a jump on which the jump stays in place on a parallel line:
+    # above it, jumps are parallel to axes. Insensitive between 0.35 and 0.7;
+    # above 1 no jump is parallel to an axis.
     straight: float = 0.7
-    # Number of lines through jumps, as a fraction of those through cusps, above which g jumps. One
-    # line in 100 through a cusp of order ½ appears to be a jump by chance.
+    # Number of lines through jumps, as a fraction of those through cusps, above which g jumps.
+    # One line in 100 through a cusp of order ½ appears to be a jump by chance.
     jumps_of_cusps: float = 0.05
     # Fraction of the places along a line that are extremes above which g oscillates. Noise has ⅔.
-    # Insensitive between 0.165 and 0.33;
-    # with 0.66, the value of noise, four causes are wrong.
+    # Insensitive between 0.165 and 0.33; with 0.66, the value of noise, four causes are wrong.
     turns: float = 0.33
-    # Least number of waves along a line for an oscillation. The 16 steps of a line resolve fewer
-    # waves. Insensitive between 3 and 12.
+    # Least number of waves along a line for an oscillation.
+    # The 16 steps of a line resolve fewer waves. Insensitive between 3 and 12.
     waves: float = 6.0
     # Gain of nets over random points above which nets resolve g. Insensitive between 2 and 8.
     resolved: float = 4.0
-    # Number of points that resolve a smooth function, before a factor of 2 for each axis with
-    # waves. Insensitive between 8 and 32.
+    # Number of points that resolve a smooth function,
+    # before a factor of 2 for each axis with waves. Insensitive between 8 and 32.
     coarse_cube: float = 16.0
-    # Mean dimension above which g varies with many axes at once: 1 is additive, 2 has pairs of
-    # axes. Insensitive between 0.9 and 3.6.
+    # Mean dimension above which g varies with many axes at once:
+    # 1 is additive, 2 has pairs of axes. Insensitive between 0.9 and 3.6.
     low_dimension: float = 1.8
-    # Gain of nets over random points above which the number of dims is not a problem. Insensitive
-    # between 4 and 16.
+    # Gain of nets over random points above which the number of dims is not a problem.
+    # Insensitive between 4 and 16.
     little_gain: float = 8.0
-    # Mean squared difference between opposite faces, as a fraction of the variance of g, above
-    # which a shift around the torus costs precision. Insensitive between 5e-4 and 2e-3.
+    # Mean squared difference between opposite faces, as a fraction of the variance of g,
+    # above which a shift around the torus costs precision. Insensitive between 5e-4 and 2e-3.
     opposite: float = 1e-3
-    # Number of points that measure the integral of a wrong density. A net of this size gives the
-    # four digits of the sentence if 1/p is
-    # smooth; no decision depends on it.
+    # Number of points that measure the integral of a wrong density. A net of this size gives
+    # the four digits of the sentence if 1/p is smooth; no decision depends on it.
     pdf_points: int = 4096
-    # Least number of sets whose spread gives a variance: 8 sets give it to a factor of 0.44 to 4.1,
-    # with 95 %.
+    # Least number of sets whose spread gives a variance:
+    # 8 sets give it to a factor of 0.44 to 4.1, with 95 %.
     few_sets: int = 8
-    # Standard errors of the correlation between consecutive sets, or of the mean over sets, that
-    # cannot be chance. For 4.5 the probability of a false alarm is 3e-6. For 6, by Student's t with
-    # 19 degrees of freedom, it is 1e-5.
+    # Standard errors of the correlation between consecutive sets, or of the mean over sets,
+    # that cannot be chance. For 4.5 the probability of a false alarm is 3e-6.
+    # For 6, by Student's t with 19 degrees of freedom, it is 1e-5.
     serial: float = 4.5
     away: float = 6.0
-    # Standard deviation of means over sets below which they count as equal. Their rounding is about
-    # 1e-16, and the mean of x along an axis of a scrambled net differs by 0.29 n^−1.5, which is
-    # above 1e-9 for up to 400,000 points.
+    # Standard deviation of means over sets below which they count as equal.
+    # Their rounding is about 1e-16, and the mean of x along an axis of a scrambled net differs
+    # by 0.29 n^−1.5, which is above 1e-9 for up to 400,000 points.
     rounding: float = 1e-9
-    # Relevant distance between floating-point numbers, as a fraction of the spread of g: steps of 1
-    # % of the spread change its variance by 1e-5. It is also the least variance along a line, as a
-    # fraction of the largest one. Insensitive between 0.005 and 0.02.
+    # Relevant distance between floating-point numbers, as a fraction of the spread of g:
+    # steps of 1 % of the spread change its variance by 1e-5. It is also the least variance along
+    # a line, as a fraction of the largest one. Insensitive between 0.005 and 0.02.
     coarse: float = 1e-2
-    # Part of the variance above which a technique is the cause, and above which it is the cause if
-    # its rate is also slower. Insensitive between 0.4 and 1.6 for the first, and between 0.25 and 1
-    # for the second.
+    # Part of the variance above which a technique is the cause,
+    # and above which it is the cause if its rate is also slower.
+    # Insensitive between 0.4 and 1.6 for the first, and between 0.25 and 1 for the second.
     dominant: float = 0.8
     largest_part: float = 0.5
     # Standard errors by which the rate of a technique must be slower: 95 % of a normal law.
@@ -270,8 +265,8 @@ class Replicates:
     estimates
         Estimates of the first sets, (R,), possibly none.
     waves
-        Means over each set of x − ½, cos 2πx and sin 2πx along every axis, (R, 3d). Their means
-        over uniform points are 0.
+        Means over each set of x − ½, cos 2πx and sin 2πx along every axis, (R, 3d).
+        Their means over uniform points are 0.
     different
         Number of distinct sets.
     """
@@ -364,8 +359,8 @@ class Evidence:
             if len(places) and (met := scalar(estimator, estimator.integrand(places)) != 0.0).any():
                 missed = point_in_words(places[met][0])
 
-        # Find the mean dimension and a pole of a single technique, then evaluate lines of each
-        # technique
+        # Find the mean dimension and a pole of a single technique,
+        # then evaluate lines of each technique
         lines: list[Lines] = []
         mean, pole, noise, failed = math.nan, None, 0.0, ""
         allowed = (
@@ -474,8 +469,8 @@ def shares_of(
     each = estimator.cost
     share = 1.0 - settings.lines_share - settings.check_share
     share -= settings.given_share if is_apart(estimator, sampler) else 0.0
-    # The error of a rate falls only with the number of nets; the error of the integral also falls
-    # with their size
+    # The error of a rate falls only with the number of nets;
+    # the error of the integral also falls with their size
     nets = int(settings.nets * max(1.0, math.sqrt(budget / (each * settings.more_from))))
     n = int(share * budget) // (nets * each)
     if n < 4:
@@ -888,8 +883,8 @@ def _limited(seen: Evidence, limit: float) -> str:
 def _cusps_and_kinks(seen: Evidence) -> tuple[Array, Array]:
     """Return lines through cusps, and lines through kinks; the more frequent kind is reported.
 
-    On a single line the exponent of a cusp or a kink has an error of about 0.1, and a jump next to
-    a steep part resembles either.
+    On a single line the exponent of a cusp or a kink has an error of about 0.1,
+    and a jump next to a steep part resembles either.
     """
     each = [(lines.cusps(), lines.kinks()) for lines in seen.lines]
     return tuple(map(np.concatenate, zip(*each, strict=True)))  # type: ignore[return-value]
@@ -900,8 +895,8 @@ def _cusp(seen: Evidence) -> Cause | None:
     if not cusps.sum() > kinks.sum():
         return None
     order, d = float(np.median(seen.each("exponent")[cusps])), seen.sets.dims
-    # A cell of side h next to the cusp has the variance h^(2a), and n^(1 − 1/d) cells are next to
-    # it
+    # A cell of side h next to the cusp has the variance h^(2a),
+    # and n^(1 − 1/d) cells are next to it
     limit = -1.0 - min(1.0 + 2.0 * order, 2.0) / d
     return Cause(
         "cusp",
@@ -960,8 +955,8 @@ def causes_of(seen: Evidence) -> list[Cause]:
     # A heavy tail follows from growth without bound, which is reported
     if names & {"infinite-variance", "border-growth"}:
         found = [c for c in found if c.name != "heavy-tail"]
-    # A tail follows from many dims, or from a plane beyond which g is 0, unless very few values
-    # matter
+    # A tail follows from many dims, or from a plane beyond which g is 0,
+    # unless very few values matter
     heavy = next((c for c in found if c.name == "heavy-tail"), None)
     if (
         heavy is not None

@@ -1,7 +1,7 @@
 """Causes of the noise of an estimator with its sampler, and reasons why a change helps.
 
-The causes are those of a profile. There are two further reasons: unbounded weights 1/p, and a part
-of the primary-space integrand g that is odd about the center of the cube.
+The causes are those of a profile. There are two further reasons: unbounded weights 1/p,
+and a part of the primary-space integrand g that is odd about the center of the cube.
 """
 
 from __future__ import annotations
@@ -25,18 +25,18 @@ __all__ = ["Diagnosis", "diagnose", "jumps_inside"]
 class DiagnosisSettings:
     """Evaluations of a diagnosis, and the parts of the variance that count as a reason."""
 
-    # Number of evaluations of g for the causes: the smallest budget with which `python -m
-    # benchmarks battery` detects them.
+    # Number of evaluations of g for the causes:
+    # the smallest budget with which `python -m benchmarks battery` detects them.
     evaluations: int = 8192
-    # Fraction of the variance of g above which its odd part is the reason for a gain, and above
-    # which it is one of several reasons: the other part of the variance is then below 10 %, or at
-    # least a tenth is explained.
+    # Fraction of the variance of g above which its odd part is the reason for a gain,
+    # and above which it is one of several reasons:
+    # the other part of the variance is then below 10 %, or at least a tenth is explained.
     mostly: float = 0.9
     partly: float = 0.1
     # Most dims in which the odd part is measured: all 2^d reflections of each point are evaluated.
     odd_dims: int = 4
-    # Points of that measurement. The odd part of the variance is then known to about 1 %, enough
-    # for both limits.
+    # Points of that measurement. The odd part of the variance is then known to about 1 %,
+    # enough for both limits.
     odd_points: int = 2**12
 
 
@@ -51,8 +51,8 @@ class Diagnosis:
     unseen: str = ""  # why causes could not be found
     unbounded: bool = False  # whether ∫1/p diverges
     slow: str = ""  # name of the technique with most of the variance, if there is one
-    # Fraction of the variance of g that its mean over all reflections lacks; None if it is not
-    # known
+    # Fraction of the variance of g that its mean over all reflections lacks;
+    # None if it is not known
     odd: float | None = None
 
     @property
@@ -75,8 +75,8 @@ class Diagnosis:
         Parameters
         ----------
         kind, name, biased
-            Those of the `mcspectra.improve.answers.Candidate`.
-            For other warps: whether ∫1/p diverges, and whether g jumps inside, None if not tested.
+            Those of the `mcspectra.improve.answers.Candidate`. For other warps:
+            whether ∫1/p diverges, and whether g jumps inside, None if not tested.
         """
         # The cause that this kind of change removes
         inside = _jumps(self.causes)
@@ -143,9 +143,9 @@ def diagnose(
     """Find the causes of noise, within `most` evaluations of a user's function."""
     with counting("The diagnosis", most):
         causes, unseen = _looked_for(estimator, sampler, stream, most)
-        # Fraction of the variance of g that cancels in its mean over all 2^d reflections about the
-        # center, from means over fixed points; None in many dims, or if g is constant or cannot be
-        # evaluated
+        # Fraction of the variance of g that cancels in its mean over
+        # all 2^d reflections about the center, from means over fixed points;
+        # None in many dims, or if g is constant or cannot be evaluated
         odd, whole, even = None, 0.0, 0.0
         with suppress(McspectraError):
             few = estimator.dims <= _SETTINGS.odd_dims

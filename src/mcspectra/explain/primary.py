@@ -34,28 +34,27 @@ KINDS = ("interior", "boundary")
 class PictureSettings:
     """How jumps between opposite faces, and densities that reach zero, are recognized."""
 
-    # Distances from a face at which g is evaluated. The square root of float64's spacing, 2^−26,
-    # balances the rounding of u against the change
-    # of a smooth g. 2^−40 is 2^14 times closer and still exact next to 1.
+    # Distances from a face at which g is evaluated. The square root of float64's spacing,
+    # 2^−26, balances the rounding of u against the change of a smooth g.
+    # 2^−40 is 2^14 times closer and still exact next to 1.
     near: float = 2.0**-26
     nearer: float = 2.0**-40
-    # Fraction of a difference of opposite faces that must remain at the smaller distance for a
-    # jump. All of a jump remains; without one, 2^−14
-    # of the difference of a smooth g remains and 2^−7 of that of a square root.
+    # Fraction of a difference of opposite faces that must remain
+    # at the smaller distance for a jump. All of a jump remains;
+    # without one, 2^−14 of the difference of a smooth g remains and 2^−7 of that of a square root.
     stays: float = 0.5
     # Factor of growth from the larger to the smaller distance above which g has a pole at a face.
-    # The power t^−a grows by more for a > 1/14, and
-    # bounded functions do not near their bound.
+    # The power t^−a grows by more for a > 1/14, and bounded functions do not near their bound.
     grows: float = 2.0
-    # Difference of opposite faces that counts as rounding, as a fraction of the range of g. The
-    # near distance changes a smooth g by about 1e-8 of its range.
+    # Difference of opposite faces that counts as rounding, as a fraction of the range of g.
+    # The near distance changes a smooth g by about 1e-8 of its range.
     negligible: float = 1e-7
-    # Number of points along each axis of the grid on which a density is searched for zeros. 64
-    # steps include all dyadic places down to 1/64,
+    # Number of points along each axis of the grid on which a density is searched for zeros.
+    # 64 steps include all dyadic places down to 1/64,
     # where densities in pieces and textures have their zeros.
     probes: int = 65
-    # Value of p, as a fraction of its largest value on the grid, that counts as zero: 1/p is then
-    # 1e9 times its least.
+    # Value of p, as a fraction of its largest value on the grid, that counts as zero:
+    # 1/p is then 1e9 times its least.
     zero: float = 1e-9
 
 
@@ -87,13 +86,13 @@ def primary_picture(
     xarray.Dataset
         ``primary_value`` (u0, u1[, channel]) is g at the centers of cells. ``primary_jump`` (axis,
         u0, u1) is the size of the jump to the next cell along each axis, 0 where g is continuous.
-        ``face_jump`` (axis[, along]) is the size of the jump from u_axis = 0 to u_axis = 1, at
-        centers along the other axis. It affects samplers that wrap around, and is infinite at
-        poles. ``primary_jump_length`` and ``primary_jump_height`` (kind) are the length of the
-        curves of jumps (their number in 1-D) and their mean height, for the kinds ``interior`` and
-        ``boundary``. The height is infinite if g is unbounded there; ``primary_pole`` (kind) is
-        then 1. ``reciprocal_unbounded`` is 1 if 1/p is unbounded because p reaches 0 on a grid.
-        Jumps of several channels are Euclidean lengths.
+        ``face_jump`` (axis[, along]) is the size of the jump from u_axis = 0 to u_axis = 1,
+        at centers along the other axis. It affects samplers that wrap around,
+        and is infinite at poles. ``primary_jump_length`` and ``primary_jump_height`` (kind)
+        are the length of the curves of jumps (their number in 1-D) and their mean height,
+        for the kinds ``interior`` and ``boundary``. The height is infinite if g is unbounded there;
+        ``primary_pole`` (kind) is then 1. ``reciprocal_unbounded`` is 1 if 1/p
+        is unbounded because p reaches 0 on a grid. Jumps of several channels are Euclidean lengths.
 
     Raises
     ------

@@ -1,11 +1,11 @@
 """Roughness of a black-box function: jumps, cusps and kinks along lines, and poles.
 
-A line is evaluated in equal steps, and close to its ends. The steps are halved about the largest
-second difference, with two evaluations for each halving. Where the function is smooth, the second
-difference shrinks with the square of the step. At a kink it shrinks with the step, and at a cusp
-|t|^a with the step to the power a. It stays constant at a jump and grows at a pole. Toward the ends
-of lines along the axes the steps shrink faster: the slope of log |g| is the exponent of the growth
-of g at the border.
+A line is evaluated in equal steps, and close to its ends.
+The steps are halved about the largest second difference, with two evaluations for each halving.
+Where the function is smooth, the second difference shrinks with the square of the step.
+At a kink it shrinks with the step, and at a cusp |t|^a with the step to the power a.
+It stays constant at a jump and grows at a pole. Toward the ends of lines along the axes
+the steps shrink faster: the slope of log |g| is the exponent of the growth of g at the border.
 
 A search climbs to poles. It begins at the largest or the smallest known value, moves in random
 directions that climb, and halves the step if no direction climbs. The ellipsoid of directions
@@ -52,38 +52,36 @@ class LineSettings:
     Numbers of cases are those of ``python -m benchmarks settings``, as in `CauseSettings`.
     """
 
-    # Number of equal steps of a line before it is zoomed. Insensitive between 8 and 16; with 32,
-    # which leave half the lines, two of 152
-    # causes are wrong.
+    # Number of equal steps of a line before it is zoomed. Insensitive between 8 and 16;
+    # with 32, which leave half the lines, two of 152 causes are wrong.
     steps: int = 16
-    # Halvings of the steps about the roughest place. 2^−12 of a step is 1.5e-5 of the line: far
-    # above rounding, and far below the distance between features that 16 steps can find. With 6
-    # halvings 29 of 152 causes are wrong; insensitive between 12 and 24.
+    # Halvings of the steps about the roughest place. 2^−12 of a step is 1.5e-5 of the line:
+    # far above rounding, and far below the distance between features that 16 steps can find.
+    # With 6 halvings 29 of 152 causes are wrong; insensitive between 12 and 24.
     halvings: int = 12
-    # Number of last halvings whose second differences give the exponent. Insensitive between 3 and
-    # 6; with 12 two of 152 causes are wrong.
+    # Number of last halvings whose second differences give the exponent.
+    # Insensitive between 3 and 6; with 12 two of 152 causes are wrong.
     late: int = 6
     # Exponent below which the roughest place is a pole. A jump has 0 and a pole r^−a has −a.
     # Insensitive between −0.3 and −0.075.
     pole: float = -0.15
-    # Exponent below which the roughest place may be a jump. A jump has 0, up to 0.3 next to a steep
-    # part, and a kink has 1. Insensitive between 0.2 and 0.8.
+    # Exponent below which the roughest place may be a jump. A jump has 0,
+    # up to 0.3 next to a steep part, and a kink has 1. Insensitive between 0.2 and 0.8.
     jump: float = 0.4
-    # Number of bisections of the last step of such a line, and the fraction of its height that a
-    # jump keeps. A cusp of order 0.15 keeps
-    # 2^(−8 · 0.15) = 0.44 on average. 8 bisections end at 6e-8 of the line, so a smooth step of a
-    # width above 1e-7 counts as a jump.
+    # Number of bisections of the last step of such a line, and the fraction of its height
+    # that a jump keeps. A cusp of order 0.15 keeps 2^(−8 · 0.15) = 0.44 on average.
+    # 8 bisections end at 6e-8 of the line, so a smooth step of a width above 1e-7 counts as a jump.
     bisections: int = 8
     kept: float = 0.75
-    # Exponent below which a roughest place that is neither a jump nor a pole is a cusp. A cusp
-    # |t|^a has a, to about 0.1 on one line, and no line through a kink had less than 0.86.
+    # Exponent below which a roughest place that is neither a jump nor a pole is a cusp.
+    # A cusp |t|^a has a, to about 0.1 on one line, and no line through a kink had less than 0.86.
     cusp: float = 0.8
     # Exponent below which the roughest place is a kink. A kink has 1 and a smooth function has 2.
     # With 0.8 14 of 152 causes are wrong, and with 3.2, which makes smooth functions kinks, 36.
     kink: float = 1.6
-    # Smallest height of a jump, as a fraction of the spread of g. A jump of 1e-4 of the spread has
-    # 1e-8 of the variance, which no count in reach of a profile shows. Insensitive between 5e-5 and
-    # 2e-4.
+    # Smallest height of a jump, as a fraction of the spread of g.
+    # A jump of 1e-4 of the spread has 1e-8 of the variance,
+    # which no count in reach of a profile shows. Insensitive between 5e-5 and 2e-4.
     least_jump: float = 1e-4
     # Second difference that counts as rounding, as a fraction of the spread of g. After 12 halvings
     # a smooth g has about 1e-9 of its spread left. Insensitive between 5e-10 and 2e-9.
@@ -93,22 +91,20 @@ class LineSettings:
     # Insensitive between 16 and 64.
     grains: float = 32.0
     # Fraction of the gain before that the last gain must exceed for growth to continue. A bounded
-    # function gains 2^−10 of it, ln t gains 1,
-    # and t^−a gains 2^(10a). Insensitive between 0.33 and 0.65; with 1.3 growth as a logarithm is
-    # missed, and six of 152 causes are wrong.
+    # function gains 2^−10 of it, ln t gains 1, and t^−a gains 2^(10a). Insensitive between 0.33
+    # and 0.65; with 1.3 growth as a logarithm is missed, and six of 152 causes are wrong.
     goes_on: float = 0.65
-    # Largest distance of the parallel line that tests whether a discontinuity is normal to the
-    # axis. It moves an edge with a slope of 1 by 0.0025 or more, a hundred times the resolution of
-    # the zoom. Insensitive between 0.0025 and 0.01.
+    # Largest distance of the parallel line that tests whether a discontinuity
+    # is normal to the axis. It moves an edge with a slope of 1 by 0.0025 or more,
+    # a hundred times the resolution of the zoom. Insensitive between 0.0025 and 0.01.
     aside: float = 0.005
-    # Number of groups of axes along which the roughest place of a chord is displaced in turn: an
-    # edge normal to an axis moves with one of
-    # them. An edge across two axes appears to be one with probability 1/3, and with more axes less
-    # often.
+    # Number of groups of axes along which the roughest place of a chord is displaced in turn:
+    # an edge normal to an axis moves with one of them.
+    # An edge across two axes appears to be one with probability 1/3, and with more axes less often.
     groups: int = 3
-    # Distances from both ends of a line along an axis at which g is evaluated. The last ones are
-    # 2^10 apart, so even t^−0.08 grows by 1.7
-    # between them, and 2^−40 is still exact next to 1. Insensitive between half and double.
+    # Distances from both ends of a line along an axis at which g is evaluated.
+    # The last ones are 2^10 apart, so even t^−0.08 grows by 1.7 between them,
+    # and 2^−40 is still exact next to 1. Insensitive between half and double.
     ends: tuple[float, ...] = (2.0**-4, 2.0**-12, 2.0**-20, 2.0**-30, 2.0**-40)
     # Distance from an end at which g must not fail; samples of a few thousand points come as close.
     inside: float = 2.0**-12
@@ -137,55 +133,53 @@ class PoleSettings:
     """
 
     # Most halvings of the step of a climb. The largest radius below is then 1/16 of the first step,
-    # the distance between neighboring points. With 8 halvings 30 of 152 causes and 10 of 18 poles
-    # are wrong; insensitive between 16 and 32.
+    # the distance between neighboring points.
+    # With 8 halvings 30 of 152 causes and 10 of 18 poles are wrong; insensitive between 16 and 32.
     halvings: int = 16
     # Largest number of moves with one step before it is halved. Insensitive between 3 and 12.
     moves: int = 6
     # Number of halvings in a group: the climb is judged by the medians of its last three groups.
-    # With 2, one of 18 poles is wrong;
-    # insensitive between 3 and 6.
+    # With 2, one of 18 poles is wrong; insensitive between 3 and 6.
     group: int = 3
-    # The climb ends as bounded if the last gain is less than this part of the gain before. Near a
-    # smooth top the gains of three halvings fall to 4^−3, and toward ln r they stay equal.
+    # The climb ends as bounded if the last gain is less than this part of the gain before.
+    # Near a smooth top the gains of three halvings fall to 4^−3, and toward ln r they stay equal.
     # Insensitive between 0.15 and 0.6.
     bounded: float = 0.3
     # Number of rays from the top, whose median exponent is used. Insensitive between 3 and 12.
     rays: int = 6
-    # Weight of the last move in the ellipsoid of directions, from 0 to 1. Insensitive
-    # between 0.2 and 0.4; with 0.8 one of 18 poles is wrong.
+    # Weight of the last move in the ellipsoid of directions, from 0 to 1.
+    # Insensitive between 0.2 and 0.4; with 0.8 one of 18 poles is wrong.
     learning_rate: float = 0.4
-    # Radii along the rays, in units of the last step, each 4 times the one before. The smallest is
-    # 16, so that an error of the top by one step changes the distance by 6 % at most. Insensitive
-    # between half and double.
+    # Radii along the rays, in units of the last step, each 4 times the one before. The smallest
+    # is 16, so that an error of the top by one step changes the distance by 6 % at most.
+    # Insensitive between half and double.
     radii: tuple[float, ...] = (2.0**4, 2.0**6, 2.0**8, 2.0**10, 2.0**12)
-    # Number of these radii that are evaluated toward each face alone: three give one exponent for
-    # any additive constant. With 2, four of
-    # 152 causes are wrong; insensitive between 3 and 6.
+    # Number of these radii that are evaluated toward each face alone: three give one exponent
+    # for any additive constant. With 2, four of 152 causes are wrong; insensitive between 3 and 6.
     near: int = 3
-    # Fraction of the rays that may rise outward; if more do, the top is not a pole. Insensitive
-    # between 0.125 and 0.5.
+    # Fraction of the rays that may rise outward; if more do, the top is not a pole.
+    # Insensitive between 0.125 and 0.5.
     rising: float = 0.25
-    # Distance from all faces but one at which growth toward that face alone is measured, in units
-    # of the last step. It is half of the first
-    # step, and 2^7 times the largest of the first three radii. Insensitive between 2^14 and 2^16.
+    # Distance from all faces but one at which growth toward that face alone is measured,
+    # in units of the last step. It is half of the first step,
+    # and 2^7 times the largest of the first three radii. Insensitive between 2^14 and 2^16.
     away: float = 2.0**15
-    # Exponent above which a function grows toward one face alone. Insensitive between 0.025 and
-    # 0.1.
+    # Exponent above which a function grows toward one face alone.
+    # Insensitive between 0.025 and 0.1.
     alone: float = 0.05
-    # Eigenvalues of the quadratic form above this part of the largest one count for the
-    # codimension. Insensitive between 0.002 and 0.008.
+    # Eigenvalues of the quadratic form above this part of the largest one count
+    # for the codimension. Insensitive between 0.002 and 0.008.
     rank: float = 0.004
-    # Factor by which the height must grow for a move. Insensitive down to 0.5; with 2, few moves
-    # are made, and 15 of 18 poles are missed.
+    # Factor by which the height must grow for a move. Insensitive down to 0.5;
+    # with 2, few moves are made, and 15 of 18 poles are missed.
     better: float = 1.005
     # Number of the largest heights that are compared before a climb. Insensitive between 8 and 32.
     compared: int = 16
-    # A climb starts if the largest height exceeds the last of these by more than this part of
-    # itself. Insensitive between 0.05 and 0.2.
+    # A climb starts if the largest height exceeds the last of these by more than this part
+    # of itself. Insensitive between 0.05 and 0.2.
     stands_out: float = 0.1
-    # Exponent below which growth counts as logarithmic; exponents below the negative of it mean no
-    # pole. Measured exponents are right to 0.02 (`test_poles_are_climbed_to_and_measured`).
+    # Exponent below which growth counts as logarithmic; exponents below the negative of it mean
+    # no pole. Measured exponents are right to 0.02 (`test_poles_are_climbed_to_and_measured`).
     # Insensitive between 0.01 and 0.04.
     least_exponent: float = 0.02
 
@@ -217,8 +211,8 @@ class Lines:
     height
         Change of g at the roughest place: (K,).
     straight
-        Whether the change of g stays in place when the line is displaced along other axes, as at a
-        discontinuity normal to one axis: (K,).
+        Whether the change of g stays in place when the line is displaced along other axes,
+        as at a discontinuity normal to one axis: (K,).
     growth
         Exponents a of g ~ t^−a at both ends of lines along axes, 0 where g does not grow: (K, 2);
         NaN for chords.
@@ -233,8 +227,8 @@ class Lines:
     settings
         The exponents that distinguish a pole, a jump and a kink.
     failed
-        Why g has no values close to some ends, with a position; else empty. These ends have no
-        growth.
+        Why g has no values close to some ends, with a position; else empty.
+        These ends have no growth.
     """
 
     axis: Array
@@ -359,8 +353,8 @@ def lines_of(
     turns = (np.diff(np.sign(np.diff(y, axis=1)), axis=1) != 0).mean(axis=1)
     rows = np.arange(len(axis))
 
-    # The ends of lines along the axes. Growth counts if it continues to the end and exceeds all
-    # values inside
+    # The ends of lines along the axes.
+    # Growth counts if it continues to the end and exceeds all values inside
     usual, straight = np.abs(y).max(), axis >= 0
     growth, ends = np.full((len(axis), 2), np.nan), np.full(len(axis), np.nan)
     gaps = np.array(settings.ends)
@@ -390,9 +384,9 @@ def lines_of(
     growth[straight] = np.where(grows, slope, 0.0).T
     ends[straight] = outer[1, :, 1] - outer[0, :, 1]
 
-    # Halve the steps about the largest second difference; places near an end count where g does not
-    # grow. Every other line uses the largest fourth difference, in which a kink stands out even if
-    # g is steep elsewhere
+    # Halve the steps about the largest second difference;
+    # places near an end count where g does not grow. Every other line uses
+    # the largest fourth difference, in which a kink stands out even if g is steep elsewhere
     wide = np.full((2, len(axis)), np.nan)
     wide[:, straight] = np.where(grows, np.nan, outer[..., 1])
     t = np.column_stack([np.full(len(axis), gaps[1]), t, np.full(len(axis), 1.0 - gaps[1])])
@@ -415,14 +409,14 @@ def lines_of(
     scale = max(float(np.sqrt(spread.mean())), 1e-300)
     floor = max(settings.negligible * scale, settings.grains * grain(y[:, 1:-1]))
     rough = size[-1] > floor
-    # Second differences at rounding level, before the place is reached, are meaningless: take the
-    # first one above that level
+    # Second differences at rounding level, before the place is reached, are meaningless:
+    # take the first one above that level
     first = np.argmax(size > floor, axis=0)
     size = np.where(size > floor, size, np.maximum(size[first, rows], 1e-300))
     slope = -np.polyfit(np.arange(settings.late + 1), np.log2(size), 1)[0]
     exponent = np.where(rough, slope, 2.0)
-    # Steepness at an end is neither a jump nor a kink: bounded functions of normal quantiles have
-    # it
+    # Steepness at an end is neither a jump nor a kink:
+    # bounded functions of normal quantiles have it
     edge = np.abs(window[:, 1] - 0.5) > 0.5 - 4.0 * gaps[1]
     exponent[edge & (exponent >= settings.pole)] = 2.0
 
@@ -442,8 +436,7 @@ def lines_of(
     kept[may] = np.abs(np.diff(ends_y, axis=1)[:, 0]) / np.maximum(height[may], 1e-300)
 
     # Displace the last window inward: along all other axes for a line along an axis, and along
-    # groups of axes in turn for chords. A
-    # discontinuity that is not normal to an axis moves away
+    # groups of axes in turn for chords. A discontinuity that is not normal to an axis moves away
     stays = np.ones(len(axis), bool)
     if dims > 1:
         groups = min(settings.groups, dims)
@@ -493,8 +486,8 @@ def _bends(t: Array, y: Array) -> Array:
 def mean_dimension(g: Function, points: Array, values: Array, rng: np.random.Generator) -> float:
     """Return the mean dimension Σ_i T_i/Var g.
 
-    T_i is half the mean squared change when coordinate i is redrawn. g has the given values (k,) at
-    the points (k, d), and is evaluated at d more points for each of them.
+    T_i is half the mean squared change when coordinate i is redrawn. g has the given values (k,)
+    at the points (k, d), and is evaluated at d more points for each of them.
     """
     k, d = points.shape
     total = 0.0

@@ -1,15 +1,16 @@
 """Variances of several samplers at all counts, from one array of evaluations.
 
-R scrambled nets of N points are evaluated once. Each run of 2^k of their points that starts at a
-multiple of 2^k is a scrambled net. Means over runs therefore have the variance of nets of all
-sizes. The variance between evaluations of different nets in one cell is the variance of jittered
-points. In the same way, slabs of an axis give the variance of Latin hypercubes, and the whole cube
-gives that of random points. Products of values of one net are left out where they are correlated.
+R scrambled nets of N points are evaluated once.
+Each run of 2^k of their points that starts at a multiple of 2^k is a scrambled net.
+Means over runs therefore have the variance of nets of all sizes.
+The variance between evaluations of different nets in one cell is the variance of jittered points.
+In the same way, slabs of an axis give the variance of Latin hypercubes, and the whole cube gives
+that of random points. Products of values of one net are left out where they are correlated.
 
 Errors come from a jackknife over the nets, so the error of the rate includes the correlation
 between counts. The rate is constant over the last octaves. Before them it drifts by a random walk
-from octave to octave, and the likelihood of the curve weights several sizes of its step. Therefore
-all counts of a straight curve determine its rate, but only the last counts of a bent one.
+from octave to octave, and the likelihood of the curve weights several sizes of its step.
+Therefore all counts of a straight curve determine its rate, but only the last counts of a bent one.
 """
 
 from __future__ import annotations
@@ -49,34 +50,32 @@ NETS = "sobol | owen"
 class CurveSettings:
     """How curves of variance are estimated from nets, and how their rates are fitted.
 
-    "Insensitive" refers to ``python -m benchmarks settings``, as in `CauseSettings`. Numbers for
-    rates are those of ``python -m benchmarks settings --rates``: five functions with known rates,
-    50 times each.
+    "Insensitive" refers to ``python -m benchmarks settings``, as in `CauseSettings`.
+    Numbers for rates are those of ``python -m benchmarks settings --rates``:
+    five functions with known rates, 50 times each.
     """
 
-    # Number of slabs along an axis that represent the strata of a Latin hypercube. Insensitive
-    # between 16 and 64. The variance of an
-    # additive function with n > 32 points is estimated (n/32)² times too large, as a bound.
+    # Number of slabs along an axis that represent the strata of a Latin hypercube.
+    # Insensitive between 16 and 64. The variance of an additive function with n > 32 points
+    # is estimated (n/32)² times too large, as a bound.
     slabs: int = 32
-    # Largest number of dims in which the variance of jittered points is estimated; insensitive
-    # between 2 and 6. In 4 dims a net of 256
-    # points, the most that 8,192 evaluations allow, has 4 cells along an axis, so the curve would
-    # have three counts.
+    # Largest number of dims in which the variance of jittered points is estimated;
+    # insensitive between 2 and 6. In 4 dims a net of 256 points, the most that 8,192 evaluations
+    # allow, has 4 cells along an axis, so the curve would have three counts.
     jittered_dims: int = 3
-    # Number of last octaves over which the rate is constant. With 2 intervals of rates are 1.4
-    # times as wide and hold as often; with 6 they hold in 63 instead of 93 % of cases.
+    # Number of last octaves over which the rate is constant. With 2 intervals of rates
+    # are 1.4 times as wide and hold as often; with 6 they hold in 63 instead of 93 % of cases.
     octaves: int = 3
-    # Standard deviations of the drift of the rate in an octave, whose likelihoods are the weights
-    # of the fits: from a straight curve (1/20) to a rate that changes by its usual range, 1 to 3,
-    # in a few octaves. Half of them, double and 0.2 alone give intervals that hold in 94, 92 and 92
-    # % of cases.
+    # Standard deviations of the drift of the rate in an octave,
+    # whose likelihoods are the weights of the fits: from a straight curve (1/20)
+    # to a rate that changes by its usual range, 1 to 3, in a few octaves.
+    # Half of them, double and 0.2 alone give intervals that hold in 94, 92 and 92 % of cases.
     drifts: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
-    # Standard error of an unknown rate, which is taken as −1: rates from −2 to 0 are within two of
-    # them.
+    # Standard error of an unknown rate, which is taken as −1:
+    # rates from −2 to 0 are within two of them.
     unknown: float = 0.5
-    # Least standard error of a logarithm of the variance, because real curves are not straighter
-    # than 2 %. 0.01 and 0.04 give the same
-    # rates to 0.01.
+    # Least standard error of a logarithm of the variance,
+    # because real curves are not straighter than 2 %. 0.01 and 0.04 give the same rates to 0.01.
     floor: float = 0.02
     # Standard errors within which a measured and a theoretical rate agree: 95 % of a normal law.
     agrees: float = 2.0
@@ -96,13 +95,13 @@ class Curve:
     counts, variance, relative_se
         Arrays (N,); the standard error is that of log variance.
     rate, rate_se
-        Slope over the last octaves and its standard error; NaN if it cannot be fitted, for example
-        because the variance vanishes.
+        Slope over the last octaves and its standard error;
+        NaN if it cannot be fitted, for example because the variance vanishes.
     degrees
         Degrees of freedom of the errors.
     drift
-        Estimated standard deviation of the change of the slope in an octave; it continues beyond
-        the counts.
+        Estimated standard deviation of the change of the slope in an octave;
+        it continues beyond the counts.
     vanishes
         Smallest count at which the sets did not vary at all.
     level, scatter
@@ -341,9 +340,9 @@ def _fitted(
 ) -> Curve:
     """Return the curve of variances `found`, (N,), with a jackknife.
 
-    `left` are the variances without each realization, (R, N). The rate is fitted unless it is
-    given. With `exact`, a variance of zero is a result; otherwise variances are differences, and
-    zero means that a variance is below its error.
+    `left` are the variances without each realization, (R, N).
+    The rate is fitted unless it is given. With `exact`, a variance of zero is a result;
+    otherwise variances are differences, and zero means that a variance is below its error.
     """
     degrees = len(left) - 1
     floor = rounding_floor(np.array(size))

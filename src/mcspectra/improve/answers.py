@@ -1,9 +1,9 @@
 """The answer to "what should I use?": candidates, their results, and the advice that follows.
 
-A *candidate* is a changed estimator or sampler. Its *result* compares its error at a budget of
-evaluations with the given set-up. An *answer* contains the best candidate, or the given set-up if
-no interval excludes it. `mcspectra.profile`, `mcspectra.remedies`, and studies of pixels and paths
-print an `Answer`.
+A *candidate* is a changed estimator or sampler.
+Its *result* compares its error at a budget of evaluations with the given set-up.
+An *answer* contains the best candidate, or the given set-up if no interval excludes it.
+`mcspectra.profile`, `mcspectra.remedies`, and studies of pixels and paths print an `Answer`.
 """
 
 from __future__ import annotations
@@ -40,8 +40,8 @@ class AnswerSettings:
 
     # Largest number of evaluations that an answer contains: at 10^9 per second 10^15 take 11 days.
     many: float = 1e15
-    # Least gain in variance at which an undecided change is mentioned: a smaller gain is not worth
-    # a larger budget.
+    # Least gain in variance at which an undecided change is mentioned:
+    # a smaller gain is not worth a larger budget.
     may_gain: float = 2.0
 
 
@@ -67,8 +67,8 @@ class Candidate:
     biased
         Whether it estimates another integral; its error is then relative to the given integral.
     pilot
-        Evaluations beyond the budget that found the change. A pilot within the budget is part of
-        the set-up (`Setup.overhead`).
+        Evaluations beyond the budget that found the change.
+        A pilot within the budget is part of the set-up (`Setup.overhead`).
     effort
         Cost of an evaluation relative to the given set-up, for paths of different lengths.
     ratio
@@ -111,11 +111,11 @@ class CandidateResult:
     n
         Number of points of an estimate at the budget.
     rmse, rmse_ci
-        Root mean square error of an estimate, and its 95 % interval. The interval includes the
-        error of the rate beyond the measured counts. NaN if the size cannot be determined.
+        Root mean square error of an estimate, and its 95 % interval. The interval includes
+        the error of the rate beyond the measured counts. NaN if the size cannot be determined.
     gain, gain_ci
-        Ratio of the variances before and after the change, and its interval. The intervals of all
-        candidates are simultaneous, at 95 %.
+        Ratio of the variances before and after the change, and its interval.
+        The intervals of all candidates are simultaneous, at 95 %.
     rate, rate_ci
         Slope of log variance against log n.
     needed, needed_ci

@@ -1,9 +1,9 @@
 """Assessment of candidates: errors at several costs on common random numbers, and their results.
 
-Candidates are compared with the given set-up realization by realization, by influences
-(docs/theory.md, "Intervals of variances, and stopping"). If all estimates are equal, either the
-estimator has no variance, or no estimate has hit a rare event. If equal estimates differ from the
-integral, their error is unknown (NaN), not 0.
+Candidates are compared with the given set-up realization by realization,
+by influences (docs/theory.md, "Intervals of variances, and stopping"). If all estimates are equal,
+either the estimator has no variance, or no estimate has hit a rare event.
+If equal estimates differ from the integral, their error is unknown (NaN), not 0.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ __all__ = [
 class AssessSettings:
     """Settings of the comparison of candidates."""
 
-    # Weight, in realizations, of the prior that estimates are normal, so that Var(ψ) = 2. It is
-    # used in the fit of rates, not in
-    # comparisons. At 100 realizations it reduces the scatter of standard errors of normal estimates
-    # from 12 to 10 %; intervals cover 93 to 95 % for any prior from 0 to 40.
+    # Weight, in realizations, of the prior that estimates are normal, so that Var(ψ) = 2.
+    # It is used in the fit of rates, not in comparisons. At 100 realizations
+    # it reduces the scatter of standard errors of normal estimates from 12 to 10 %;
+    # intervals cover 93 to 95 % for any prior from 0 to 40.
     prior: int = 20
-    # Standard errors of the mean of the given set-up within which estimates that are all equal are
-    # taken to be exact: a normal mean is beyond 4 with probability 6e-5.
+    # Standard errors of the mean of the given set-up within which estimates that are all equal
+    # are taken to be exact: a normal mean is beyond 4 with probability 6e-5.
     sigmas: float = 4.0
 
 
@@ -140,8 +140,8 @@ class Errors:
     def rate(self) -> tuple[float, Array]:
         """Fit the slope of log v against log cost without overhead, and its influences (R,).
 
-        The fit is by weighted least squares as in `mcspectra.core.fits`; NaN for fewer than two
-        errors.
+        The fit is by weighted least squares as in `mcspectra.core.fits`;
+        NaN for fewer than two errors.
         """
         used = self.used
         if used.sum() < 2:
@@ -159,8 +159,8 @@ class Errors:
     def at(self, budget: float, *, carry: bool = True) -> tuple[float, Array]:
         """Return log v at a cost of `budget` and its influences (R,), extrapolated along the rate.
 
-        After a pilot the last error is not extrapolated, because nets often have half the points
-        that would fit into the budget.
+        After a pilot the last error is not extrapolated,
+        because nets often have half the points that would fit into the budget.
         """
         last = len(self.cost) - 1
         if not self.used[last]:
@@ -248,8 +248,8 @@ class MeasuredCandidate:
     errors
         Errors at several costs.
     infinite_weights, jumps
-        For changed warps: whether weights are infinite, and whether there are jumps inside, None if
-        that is not known.
+        For changed warps: whether weights are infinite, and whether there are jumps inside,
+        None if that is not known.
     """
 
     kind: str

@@ -1,8 +1,8 @@
 """Candidates: set-ups of an estimator and a sampler that differ from the given one in one respect.
 
-A *kind* of change is a function that takes the given set-up and yields candidates, each with an
-imperative that describes the change. A kind without candidates raises an error with the reason.
-`candidates_of` runs the kinds.
+A *kind* of change is a function that takes the given set-up and yields candidates,
+each with an imperative that describes the change.
+A kind without candidates raises an error with the reason. `candidates_of` runs the kinds.
 """
 
 from __future__ import annotations
@@ -75,25 +75,24 @@ class CandidateSettings:
         "rank1-lattice | shift | mirror(mode='fold')",
         "sobol | owen",
     )
-    # Most dims in which strata are aligned with edges. A search for an offset takes 96 variances in
-    # 2-D, 112 in 3-D and 320 in 4-D. In 3-D, 64 points have four strata along each axis.
+    # Most dims in which strata are aligned with edges. A search for an offset takes 96 variances
+    # in 2-D, 112 in 3-D and 320 in 4-D. In 3-D, 64 points have four strata along each axis.
     most_aligned_dims: int = 2
-    # Most dims in which cubic stratification is tried. Order 4 needs at least 4^d cells, 256 in
-    # 4-D, and its rate n^(−1 − 8/d) gains little over nets there.
+    # Most dims in which cubic stratification is tried. Order 4 needs at least 4^d cells,
+    # 256 in 4-D, and its rate n^(−1 − 8/d) gains little over nets there.
     most_cubic_dims: int = 3
-    # Largest number of dims in which edges are smoothed by means over boxes. In more dims a mean
-    # takes more evaluations; smoothing by
-    # the distance takes one evaluation in any dims.
+    # Largest number of dims in which edges are smoothed by means over boxes. In more dims
+    # a mean takes more evaluations; smoothing by the distance takes one evaluation in any dims.
     most_boxed_dims: int = 2
-    # Divisor of the budget that gives the evaluations of a pilot. An eighth allows estimates at the
-    # two largest budgets of `mcspectra.remedies`, B/4 and B, so a rate can be fitted.
+    # Divisor of the budget that gives the evaluations of a pilot. An eighth allows estimates
+    # at the two largest budgets of `mcspectra.remedies`, B/4 and B, so a rate can be fitted.
     pilot_divisor: int = 8
-    # Least number of points of a pilot. Each half of 32 determines 8 coefficients at 4 evaluations
-    # each, as required by `ChangeSettings.evaluations_per_term`.
+    # Least number of points of a pilot. Each half of 32 determines 8 coefficients
+    # at 4 evaluations each, as required by `ChangeSettings.evaluations_per_term`.
     least_pilot: int = 64
-    # Most points of a pilot. Regressions on 2048, 4096 and 8192 evaluations leave 1.08, 0.93 and
-    # 0.89 % of the variance of an Asian option in 16-D, and fitted densities differ by 3 %
-    # (`benchmarks improvements`).
+    # Most points of a pilot. Regressions on 2048, 4096 and 8192 evaluations leave 1.08,
+    # 0.93 and 0.89 % of the variance of an Asian option in 16-D,
+    # and fitted densities differ by 3 % (`benchmarks improvements`).
     most_pilot: int = 4096
     # Widths of smoothed edges that are scanned, in units of the domain: octaves from 2^-10 to 1/4.
     # A wider edge covers most of the domain; a narrower edge is a jump at the budgets in use.
@@ -144,8 +143,8 @@ Kind: TypeAlias = Literal[
 def candidates_of(given: Setup, kinds: Sequence[Kind], budget: Budget) -> _Candidates:
     """Yield the candidates of the given kinds in order, each once, and ``name: reason`` of others.
 
-    If a kind raises an error, the error is the reason. A change of the estimator inside a mirrored
-    estimator is mirrored again.
+    If a kind raises an error, the error is the reason.
+    A change of the estimator inside a mirrored estimator is mirrored again.
     """
     seen = {Candidate("given", "given", "", given).key}
     for kind in kinds:

@@ -1,17 +1,17 @@
 """Estimators changed after evaluations of g: densities, control variates, rotations, smoothing.
 
-All changes apply to the primary-space integrand g on the unit cube, so that they work for any
-estimator of one technique. They keep the integral for any evaluations of g:
+All changes apply to the primary-space integrand g on the unit cube, so that they work
+for any estimator of one technique. They keep the integral for any evaluations of g:
 
-* *fitted*: g(T(u))/q(T(u)), u uniform. The density q consists of splines
-  (`mcspectra.improve.learned`), or is a normal density of z = Φ⁻¹(u), moved and stretched to the
-  moments of |g|;
-* *order*: the same with an orthogonal matrix, whose q is 1. The directions of z along which g
-  varies most come first ([Liu2023]_), since the first coordinates of nets are the best;
+* *fitted*: g(T(u))/q(T(u)), u uniform.
+  The density q consists of splines (`mcspectra.improve.learned`),
+  or is a normal density of z = Φ⁻¹(u), moved and stretched to the moments of |g|;
+* *order*: the same with an orthogonal matrix, whose q is 1. The directions of z along
+  which g varies most come first ([Liu2023]_), since the first coordinates of nets are the best;
 * *regression*: g minus polynomials of mean 0 that are fitted to it;
-* *preintegrated*: means along the first direction, over both sides of the point where g jumps or
-  leaves 0, and over a bracket of this point. The bracket depends on the other coordinates only, so
-  that the sum of means over the parts, each of one or two points, has the expectation of g.
+* *preintegrated*: means along the first direction, over both sides of the point where g jumps
+  or leaves 0, and over a bracket of this point. The bracket depends on the other coordinates only,
+  so that the sum of means over the parts, each of one or two points, has the expectation of g.
 
 `Cubic` needs no pilot: it is g minus polynomials through its values at the centers of cells.
 
@@ -58,30 +58,31 @@ class ChangeSettings:
     # Rounds of a pilot whose points follow g. In problems of `benchmarks improvements`, two rounds
     # leave several times the variance of a narrow peak in 3-D, and eight rounds are no better.
     rounds: int = 4
-    # Candidates of `fit_splines` (cells of each axis, parts or 0 for a flow, smoothness), joint
-    # ones and products. The first of all candidates also places the points of the rounds. Without
-    # the flow the variance of a ridge across two axes is 17 times as large; without the finer
-    # product a narrow peak is followed less well. Without the mixture the results were the same.
+    # Candidates of `fit_splines` (cells of each axis, parts or 0 for a flow, smoothness),
+    # joint ones and products. The first of all candidates also places the points of the rounds.
+    # Without the flow the variance of a ridge across two axes is 17 times as large;
+    # without the finer product a narrow peak is followed less well.
+    # Without the mixture the results were the same.
     joint: tuple[tuple[int, int, float], ...] = ((16, 0, 1e-4), (12, 4, 1e-3))
     products: tuple[tuple[int, int, float], ...] = ((12, 1, 1e-3), (24, 1, 1e-4))
-    # Most dims in which joint densities are tried. A flow of d axes has about 36 d² weights at 16
-    # cells: 800 in 5-D, which is a fifth of the evaluations of the largest pilot.
+    # Most dims in which joint densities are tried. A flow of d axes has about 36 d² weights
+    # at 16 cells: 800 in 5-D, which is a fifth of the evaluations of the largest pilot.
     most_joint_dims: int = 5
-    # Share of the uniform density in a fitted density, which bounds g/q by 20 |g|. It is paid for
-    # where g is small: with 0.025, 0.05 and 0.1, 0.6, 1.1 and 2.2 % of the variance of a ridge
-    # remain.
+    # Share of the uniform density in a fitted density, which bounds g/q by 20 |g|.
+    # It is paid for where g is small: with 0.025, 0.05 and 0.1, 0.6,
+    # 1.1 and 2.2 % of the variance of a ridge remain.
     defensive: float = 0.05
     # Least variance of a fitted normal density along any direction. A density with less than the
     # variance 1 of z vanishes at the border of the cube, where g/q then grows without bound.
     least_spread: float = 1.0
     # Settings of the fits of splines
     splines: LearnSettings = field(default_factory=LearnSettings)
-    # Largest expected share of the variance, before cost, at which a change is offered. The share
-    # is estimated from the pilot, with a relative standard error of √(2/64) = 18 % for the smallest
-    # one, so that changes above 0.8 may be worse.
+    # Largest expected share of the variance, before cost, at which a change is offered.
+    # The share is estimated from the pilot, with a relative standard error of √(2/64) = 18 %
+    # for the smallest one, so that changes above 0.8 may be worse.
     most_left: float = 0.8
-    # Points that are evaluated at once: a table of 256 polynomials then takes 32 MB. Results do not
-    # depend on it.
+    # Points that are evaluated at once: a table of 256 polynomials then takes 32 MB.
+    # Results do not depend on it.
     block: int = 2**14
 
 
@@ -90,12 +91,12 @@ class ChangeSettings:
 class RegressionSettings:
     """Settings of regressions of g on polynomials."""
 
-    # Evaluations for each coefficient. A fit of p coefficients to k evaluations increases the
-    # variance that it leaves by the factor 1 + p/k, here at most 1.25. Results of four problems of
-    # `benchmarks improvements` are the same for 2 and 8.
+    # Evaluations for each coefficient. A fit of p coefficients to k evaluations increases
+    # the variance that it leaves by the factor 1 + p/k, here at most 1.25.
+    # Results of four problems of `benchmarks improvements` are the same for 2 and 8.
     evaluations_per_term: int = 4
-    # Ridge that is added to the normal equations, relative to the mean squares of the basis, which
-    # are 1. Results are the same to three digits from 1e-12 to 1e-4.
+    # Ridge that is added to the normal equations, relative to the mean squares of the basis,
+    # which are 1. Results are the same to three digits from 1e-12 to 1e-4.
     ridge: float = 1e-9
     # Most terms of a basis, which bounds the cost of each evaluation of the control variate.
     # Results are the same for 128 and 512.
@@ -116,8 +117,8 @@ class RegressionSettings:
     # that few evaluations reach: half of E z⁸ comes from |z| > 2.9, a region of probability 0.004.
     most_normal_degree: int = 3
     # Number of first directions of z that also have bases of their own, which may have more terms.
-    # With one direction a ridge is left with 1.6 times the variance; with four an Asian option in
-    # 16-D with 1.1 times.
+    # With one direction a ridge is left with 1.6 times the variance;
+    # with four an Asian option in 16-D with 1.1 times.
     turned: int = 2
 
 
@@ -200,8 +201,8 @@ class Evaluations:
     def variance(self, pdf: Array | None = None) -> float:
         """Return the variance of g/q at points of density q, by default the uniform density.
 
-        It is a mean of squares about a ratio of means, so that nothing cancels if g/q is almost
-        constant.
+        It is a mean of squares about a ratio of means,
+        so that nothing cancels if g/q is almost constant.
         """
         q = np.ones(len(self.pdf)) if pdf is None else pdf
         weight, values = q / self.pdf, self.values / q[:, None]
@@ -300,8 +301,8 @@ class _Basis:
     Attributes
     ----------
     normal
-        Whether polynomials are Hermite polynomials of z = Φ⁻¹(u); otherwise they are Legendre
-        polynomials of u, or of Φ of directions of z.
+        Whether polynomials are Hermite polynomials of z = Φ⁻¹(u);
+        otherwise they are Legendre polynomials of u, or of Φ of directions of z.
     axes, degrees
         Two coordinates and two degrees for each term, (terms, 2).
     turn
@@ -392,10 +393,10 @@ class _Controlled(_Changed):
 class Cubic(_Changed):
     """g minus a polynomial of degree r − 1 along each axis in each of side^d cells ([Chopin2024]_).
 
-    The polynomial goes through g at the centers of the r nearest cells along each axis, and its
-    mean over the cell is added again. If r is even, means over a point and its image about the
-    center of the cell contain even powers only, and r = 2 needs no centers. Jittered points in the
-    same cells have a variance ∝ n^(−1 − 2r/d) if g has r derivatives.
+    The polynomial goes through g at the centers of the r nearest cells along each axis,
+    and its mean over the cell is added again. If r is even, means over a point and its image
+    about the center of the cell contain even powers only, and r = 2 needs no centers.
+    Jittered points in the same cells have a variance ∝ n^(−1 − 2r/d) if g has r derivatives.
 
     Attributes
     ----------
@@ -442,8 +443,8 @@ class Cubic(_Changed):
         if self.centers is None:
             return np.asarray(values)
 
-        # Evaluate Lagrange polynomials through nodes 0 … r − 1 along each axis, (…, r), at the
-        # points, and their means over cells
+        # Evaluate Lagrange polynomials through nodes 0 … r − 1 along each axis, (…, r),
+        # at the points, and their means over cells
         nodes = np.arange(self.order)
         first = np.clip(cell - (self.order - 1) // 2, 0, self.side - self.order)
 
@@ -635,10 +636,10 @@ def _order(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:
 def _preintegrated(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:  # noqa: ARG001
     """Take means along the axis that leaves the least variance, and along the first direction.
 
-    The variance that remains is at least the part that a regression assigns to the other
-    coordinates alone, and at most everything but the main effect of this coordinate. The geometric
-    mean of the two is expected. Squares of coefficients are products of the coefficients of two
-    halves.
+    The variance that remains is at least the part that a regression assigns
+    to the other coordinates alone, and at most everything but the main effect of this coordinate.
+    The geometric mean of the two is expected.
+    Squares of coefficients are products of the coefficients of two halves.
     """
     d = g.dims
     if d == 1:
@@ -692,9 +693,9 @@ def improvements(
 ) -> Iterator[Candidate]:
     """Yield changed estimators of the same integral, without new evaluations of g.
 
-    Their expected ratios of variances are for random points. For *order* it is the ratio of the
-    variances without main effects, which nets do not remove. They are computed from evaluations
-    that were not used in the fit.
+    Their expected ratios of variances are for random points.
+    For *order* it is the ratio of the variances without main effects, which nets do not remove.
+    They are computed from evaluations that were not used in the fit.
 
     Parameters
     ----------

@@ -5,15 +5,15 @@ The fit minimizes
 
     log Σ_k ρ_k p(x_k) − Σ_k w_k log p(x_k) + smoothness,   ρ_k = 1/π(x_k),   w_k ∝ ρ_k |f(x_k)|.
 
-This is the relative entropy of |f| and p, with both integrals estimated from the *same* points. If
-|f| belongs to the family, the minimum is |f| itself for any number of points, whereas the mean of
-log p alone has the noise of the points. Smoothness is a penalty on second differences of the
-logarithms of the splines' weights, as in P-splines [Eilers1996]_. Numbers of cells and parts and
-the weight of the penalty define candidates. Candidates are compared by the variance of f/p with
-points of the sampler itself, on evaluations that were not used in the fit. ∫f²/p alone does not
-measure how rough f/p is, and roughness is the part of the variance that nets and strata do not
-remove. The best candidate is checked on fresh points: it must have less variance than uniform
-points, or the result is uniform.
+This is the relative entropy of |f| and p, with both integrals estimated from the *same* points.
+If |f| belongs to the family, the minimum is |f| itself for any number of points,
+whereas the mean of log p alone has the noise of the points. Smoothness is a penalty
+on second differences of the logarithms of the splines' weights, as in P-splines [Eilers1996]_.
+Numbers of cells and parts and the weight of the penalty define candidates. Candidates are compared
+by the variance of f/p with points of the sampler itself, on evaluations that were not used
+in the fit. ∫f²/p alone does not measure how rough f/p is, and roughness is the part
+of the variance that nets and strata do not remove. The best candidate is checked on fresh points:
+it must have less variance than uniform points, or the result is uniform.
 """
 
 from __future__ import annotations
@@ -57,11 +57,11 @@ __all__ = ["LEARNED", "LearnSettings", "fit_splines", "in_rounds", "learned_dens
 class LearnSettings:
     """Settings of fits of splines, and of the choice between fitted densities."""
 
-    # Candidates of the two kinds: cells of each axis; parts of a mixture, or 0 for a flow; weight
-    # of the smoothness penalty. The first candidate also places the points of the first rounds. The
-    # numbers range from smooth to fine; evaluations that no candidate was fitted to choose one.
-    # Without any one of them, the variance of a peak in 2-D and of two bells in 3-D changes by −30
-    # to +6 %.
+    # Candidates of the two kinds: cells of each axis; parts of a mixture, or 0 for a flow;
+    # weight of the smoothness penalty. The first candidate also places
+    # the points of the first rounds. The numbers range from smooth to fine;
+    # evaluations that no candidate was fitted to choose one. Without any one of them,
+    # the variance of a peak in 2-D and of two bells in 3-D changes by −30 to +6 %.
     mixture: tuple[tuple[int, int, float], ...] = (
         (12, 4, 1e-3),
         (8, 4, 1e-1),
@@ -76,49 +76,48 @@ class LearnSettings:
     )
     # Most dims of a learned density. In 24-D a flow takes 9 s to fit.
     most_dims: int = 24
-    # Least number of evaluations that can be asked for. Half of 256 is for the fit, a quarter is
-    # six
-    # sets of two points for each of five candidates, and a quarter checks the best of them.
+    # Least number of evaluations that can be asked for. Half of 256 is for the fit, a quarter
+    # is six sets of two points for each of five candidates, and a quarter checks the best of them.
     least_evaluations: int = 256
-    # Least number of evaluations by default: `most_fitted` for the fit, and as many for the choice
-    # and for the check together.
+    # Least number of evaluations by default:
+    # `most_fitted` for the fit, and as many for the choice and for the check together.
     usual_evaluations: int = 3 * 2**13
-    # Evaluations by default for each of the n points, in addition to `most_fitted`. With 8 n for
-    # the choice, each of five candidates can have six sets of n/4 points; with 8 n for the check,
-    # the result and uniform points can have 16 sets of n/4 points each.
+    # Evaluations by default for each of the n points, in addition to `most_fitted`.
+    # With 8 n for the choice, each of five candidates can have six sets of n/4 points;
+    # with 8 n for the check, the result and uniform points can have 16 sets of n/4 points each.
     evaluations_per_point: int = 16
-    # Divisor of n that gives the smallest count at which candidates may be compared. At n/16 the
-    # ratios of variances of nets are already near the ratios at n; at smaller counts nets do not
-    # resolve the splines.
+    # Divisor of n that gives the smallest count at which candidates may be compared.
+    # At n/16 the ratios of variances of nets are already near the ratios at n;
+    # at smaller counts nets do not resolve the splines.
     fewest_divisor: int = 16
-    # Most evaluations in a fit. With 2048 instead of 4096 evaluations in the fit, the variances of
-    # the same cases change by −21 to +12 %.
+    # Most evaluations in a fit. With 2048 instead of 4096 evaluations in the fit,
+    # the variances of the same cases change by −21 to +12 %.
     most_fitted: int = 2**13
-    # Points of a block of the sums of a fit. Products of blocks of 128 points are too small for the
-    # threads of BLAS, so that all machines compute the same bits.
+    # Points of a block of the sums of a fit. Products of blocks of 128 points are too small
+    # for the threads of BLAS, so that all machines compute the same bits.
     block: int = 128
-    # Bins of the marginal distributions of |f| that place the knots. Half or twice as many change
-    # the variances by 1 % at most.
+    # Bins of the marginal distributions of |f| that place the knots.
+    # Half or twice as many change the variances by 1 % at most.
     bins: int = 512
-    # Rounds of Lloyd's method, which groups points to start the parts of a mixture. Half or twice
-    # as many change the variances by 5 % at most.
+    # Rounds of Lloyd's method, which groups points to start the parts of a mixture.
+    # Half or twice as many change the variances by 5 % at most.
     lloyd_rounds: int = 8
     # Most steps of L-BFGS in a fit. Half or twice as many change the variances by 5 % at most.
     steps: int = 120
-    # Longest move of a logarithm of a weight in one step of L-BFGS: a factor e. With 0.5 or 2 the
-    # variances change by 1 %, and one falls by 18 %.
+    # Longest move of a logarithm of a weight in one step of L-BFGS: a factor e.
+    # With 0.5 or 2 the variances change by 1 %, and one falls by 18 %.
     longest: float = 1.0
-    # A step of L-BFGS that lowers the entropy by less is the last one. From 2e-10 to 2e-8 the
-    # variances are the same to three digits.
+    # A step of L-BFGS that lowers the entropy by less is the last one.
+    # From 2e-10 to 2e-8 the variances are the same to three digits.
     gain: float = 2e-9
     # Most dims in which a flow is fitted with all `steps`; in d more dims the steps fall as 4/d.
     # Longer fits in many dims cost more and the densities are no better.
     most_dims_of_all_steps: int = 4
-    # Least number of sets for the variance of each candidate. The logarithm of a ratio of two
-    # variances of 6 sets has a standard error of √(4/5) = 0.9.
+    # Least number of sets for the variance of each candidate.
+    # The logarithm of a ratio of two variances of 6 sets has a standard error of √(4/5) = 0.9.
     least_replicates: int = 6
-    # Least number of fresh sets that check the result, for each of the two variances. With 16 sets,
-    # a measured ratio below 1/2.4 is below 1 with 95 % confidence.
+    # Least number of fresh sets that check the result, for each of the two variances.
+    # With 16 sets, a measured ratio below 1/2.4 is below 1 with 95 % confidence.
     least_checks: int = 16
     # Least effective number (Σ|f|)²/Σf² of the uniform points of the fit and of the check. With 16,
     # a peak that has a third of ∫|f| is missed by all of them with probability e^(−16/3) = 0.5 %.
@@ -127,12 +126,12 @@ class LearnSettings:
     # Weight that is added to every spline at the start of a fit, so that logarithms are finite.
     # From 1e-8 to 1e-4 the variances are the same within 0.3 %.
     least_weight: float = 1e-6
-    # Largest ratio of variances to uniform points at which a density is kept. A smaller gain is
-    # within the errors of six sets, and uniform points cannot fail.
+    # Largest ratio of variances to uniform points at which a density is kept.
+    # A smaller gain is within the errors of six sets, and uniform points cannot fail.
     most_ratio: float = 0.5
-    # Evaluations for each weight of a flow. With fewer, weights follow the noise of the points; see
-    # `evaluations_per_term` of `mcspectra.improve.improved.RegressionSettings`. In 2-D and 3-D
-    # results are the same for 2 and 8.
+    # Evaluations for each weight of a flow. With fewer, weights follow the noise of the points;
+    # see `evaluations_per_term` of `mcspectra.improve.improved.RegressionSettings`.
+    # In 2-D and 3-D results are the same for 2 and 8.
     evaluations_per_gate: int = 4
 
 
@@ -309,8 +308,8 @@ class _Seen:
 
             return used, loss
 
-        # Follow the axes whose gates change the product most, in a number that the points can
-        # determine
+        # Follow the axes whose gates change the product most,
+        # in a number that the points can determine
         each = self.settings.evaluations_per_gate
         gates, most = np.zeros(shape), self.rho.size // (each * shape[1] * DEGREE)
         gates[:, :, 0] = start
@@ -371,16 +370,16 @@ def learned_density(
     f
         An integrand, also of several channels, its spec, or a function of points (k, d) to (k,).
     kind
-        ``"mixture"`` (a mixture of products of splines) or ``"spline-flow"`` (splines of each
-        coordinate whose weights depend on the coordinates before it).
+        ``"mixture"`` (a mixture of products of splines) or ``"spline-flow"`` (splines
+        of each coordinate whose weights depend on the coordinates before it).
     sampler, n
         The sampler and the number of points that will be used. The sampler is random.
     dims
         Number of dims, up to 24; needed if neither f nor the sampler has one.
     evaluations
-        Most evaluations of f, at least 256. Half of them, at most 8192, are for the fit. One half
-        of the rest is for the choice between candidates, the other half checks the result. The
-        default is 16 n + 8192, and at least 24576.
+        Most evaluations of f, at least 256. Half of them, at most 8192, are for the fit.
+        One half of the rest is for the choice between candidates, the other half checks the result.
+        The default is 16 n + 8192, and at least 24576.
     defensive
         Least value δ of the density, above 0 and below 1: |f|/p is at most |f|/δ.
     rng
@@ -391,16 +390,16 @@ def learned_density(
     Returns
     -------
     Density
-        A continuous density with an exact inverse and a continuous warp. Its `spec` reads it from
-        its file. It is ``uniform``, with a `NoGainWarning`, if no candidate halves the variance of
-        uniform points, or if the check does not confirm the gain.
+        A continuous density with an exact inverse and a continuous warp. Its `spec` reads
+        it from its file. It is ``uniform``, with a `NoGainWarning`, if no candidate halves
+        the variance of uniform points, or if the check does not confirm the gain.
 
     Raises
     ------
     ParameterError
-        If the kind is unknown, a value is out of range, or the sampler is not random; if f is NaN
-        or infinite at a point, or 0 at all points; or if evaluations are too few to compare
-        candidates near n.
+        If the kind is unknown, a value is out of range, or the sampler is not random;
+        if f is NaN or infinite at a point, or 0 at all points;
+        or if evaluations are too few to compare candidates near n.
     CountError
         If the sampler has no sets of n points.
     FileFormatError
@@ -528,9 +527,8 @@ def learned_density(
     )
 
     # Check the choice on fresh points: the variances of sets, and the mean squares of single
-    # points.
-    # A peak that the fit has missed may lie in none of the sets of p, but then raises ∫f²/p. If few
-    # of the uniform points meet what f has, other peaks may be missed by all points
+    # points. A peak that the fit has missed may lie in none of the sets of p, but then raises
+    # ∫f²/p. If few of the uniform points meet what f has, other peaks may be missed by all points
     if best is not uniform:
         from scipy.special import fdtri
 
@@ -595,9 +593,9 @@ def in_rounds(
 ) -> tuple[Array, Array, Array]:
     """Return points (N, d) that follow a function better and better, their values and densities.
 
-    Before each round but the first, `follow` fits the density of its points to all evaluations: an
-    object with `sample` and `pdf`, or None for uniform points. All points are one sample of the
-    mixture of all densities.
+    Before each round but the first, `follow` fits the density of its points to all evaluations:
+    an object with `sample` and `pdf`, or None for uniform points.
+    All points are one sample of the mixture of all densities.
     """
     points, values = np.empty((0, dims)), np.empty((0, 1))
     pdf = np.empty(0)

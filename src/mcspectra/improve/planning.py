@@ -1,12 +1,12 @@
 """Planning: the least number of points that reaches an error.
 
-The variance of known integrands is predicted at powers of two, and between two of them at counts
-from bisection. Functions of users are measured. Scrambled nets give the variance of several
-samplers at once (`mcspectra.explain.samples`); other samplers draw their own sets. A measurement
-has stages, each with twice the evaluations of the one before, and no evaluation is repeated. It
-ends at the first stage that determines n within a factor. A smaller error never takes fewer points:
-every search depends on the error through comparisons only, and no stage plans less than an earlier
-one excluded.
+The variance of known integrands is predicted at powers of two, and between two of them
+at counts from bisection. Functions of users are measured. Scrambled nets give the variance
+of several samplers at once (`mcspectra.explain.samples`); other samplers draw their own sets.
+A measurement has stages, each with twice the evaluations of the one before,
+and no evaluation is repeated. It ends at the first stage that determines n within a factor.
+A smaller error never takes fewer points: every search depends
+on the error through comparisons only, and no stage plans less than an earlier one excluded.
 """
 
 from __future__ import annotations
@@ -51,22 +51,20 @@ class PlanSettings:
     """How the least count is searched in predictions."""
 
     # Largest power of two at which variances are predicted. Beyond it the curve is extrapolated
-    # with its rate. It is also the largest count at which
-    # `predict` seeks the limit of rates.
+    # with its rate. It is also the largest count at which `predict` seeks the limit of rates.
     octaves: int = 16
-    # Factor by which the curve extends below the target variance, so that upper ends of intervals
-    # also reach it.
+    # Factor by which the curve extends below the target variance,
+    # so that upper ends of intervals also reach it.
     margin: float = 4.0
     # Largest planned number of points; more do not fit a 64-bit integer.
     most: int = 2**62
-    # Inverse of the relative step of the search for n between powers of two. Up to 256, n is the
-    # least count; beyond that it is too large by at most
-    # 0.4 %, for eight predictions.
+    # Inverse of the relative step of the search for n between powers of two. Up to 256,
+    # n is the least count; beyond that it is too large by at most 0.4 %, for eight predictions.
     steps: int = 256
     # Ratio of the ends of an interval of n above which the answer contains it.
     wide: float = 1.25
-    # Number of consecutive counts that are tested for estimators of several techniques, because the
-    # sampler must be able to draw all sets.
+    # Number of consecutive counts that are tested for estimators of several techniques,
+    # because the sampler must be able to draw all sets.
     tries: int = 256
 
 
@@ -81,9 +79,9 @@ class MeasuredPlanSettings:
     first: int = 2**12
     # Sets of the first stage: a variance of 32 sets has a standard error of a quarter of it.
     nets: int = 32
-    # The sets are doubled, instead of their points, in every stage whose number is a multiple of
-    # this. 2^18 evaluations then have 128 sets, whose variance has a standard error of 12 %. With 2
-    # the sets have half the points, and rates of jumps become uncertain.
+    # The sets are doubled, instead of their points, in every stage whose number is a multiple
+    # of this. 2^18 evaluations then have 128 sets, whose variance has a standard error of 12 %.
+    # With 2 the sets have half the points, and rates of jumps become uncertain.
     doubling: int = 3
     # Least number of points of a set of the first stage: four counts, which give a rate.
     least: int = 8
@@ -91,8 +89,8 @@ class MeasuredPlanSettings:
     least_sets: int = 3
     # Ratio of the ends of an interval of n at which a stage is enough.
     narrow: float = 1.5
-    # Number of sets with which a stage is enough for any n: it has the evaluations of 256 sets of n
-    # points, which give the variance to √(2/256) = 9 %.
+    # Number of sets with which a stage is enough for any n:
+    # it has the evaluations of 256 sets of n points, which give the variance to √(2/256) = 9 %.
     enough: int = 256
     # Number of points per octave at which a curve, linear in between, is compared with the error.
     parts: int = 16
@@ -378,9 +376,8 @@ def _least(
     before = [k for k in known if k < first]
 
     # Bisect the octaves between the last count that misses the target and the first that reaches
-    # it. Curves are not monotone. Two targets take the same
-    # path while both are met or both are missed; then the smaller one continues upward. Nets are
-    # balanced only at powers of their base
+    # it. Curves are not monotone. Two targets take the same path while both are met or both are
+    # missed; then the smaller one continues upward. Nets are balanced only at powers of their base
     if not before or _base(estimator.law(sampler, counts[first])):
         return best
     low, high = counts[before[-1]], counts[first]
@@ -411,8 +408,8 @@ def _ends(
 ) -> tuple[float, float]:
     """Return the least counts at which the ends of predicted variances reach the target.
 
-    Beyond the last count the ends are extrapolated by the last slopes. They are infinite if these
-    never reach the target.
+    Beyond the last count the ends are extrapolated by the last slopes.
+    They are infinite if these never reach the target.
     """
     order = [k for k in np.argsort(counts) if np.isfinite(found[k].variance[0]).all()]
     if not np.isfinite(n) or not order:
@@ -448,8 +445,8 @@ class _Stage:
     means
         Estimates of the largest sets, (R, channels).
     points, values
-        Points (N, d) of a single technique, None for several, and the values (N, channels) of the
-        technique with the largest variance.
+        Points (N, d) of a single technique, None for several, and the values (N,
+        channels) of the technique with the largest variance.
     largest
         Evaluations of the largest sets over those of a point: R times their count.
     evaluations
@@ -812,8 +809,8 @@ def plan(
     estimator, samplers
         An estimator, and one sampler or a list of them.
     dims
-        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
-        that is not a spec.
+        Number of dims of a function, and of a spec without ``dims``.
+        By default that of a sampler that is not a spec.
     target_error
         Target root mean square error, for each channel.
     relative
@@ -823,26 +820,26 @@ def plan(
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of a function or of a costly integrand, which all samplers share; by
-        default 2^18. A plan starts with 4,096 and doubles them until the interval of n is narrower
-        than a factor of 1.5.
+        Most evaluations of a function or of a costly integrand, which all samplers share;
+        by default 2^18. A plan starts with 4,096 and doubles them until the interval of n
+        is narrower than a factor of 1.5.
 
     Returns
     -------
     xarray.Dataset
-        ``planned_n``, the least count with an RMSE of at most the target; NaN if not known. For
-        nets (sobol, pmj02 and the like), which other counts leave unbalanced, it is a power of
-        their base. For other samplers of known integrands it is accurate to 0.4 %. With the same
-        seed a smaller target never has a smaller ``planned_n``. ``planned_n_ci(bound)`` is this
-        count for variances at the ends of their 95 % intervals. Its upper end is infinite if the
-        values do not bound the variance; the attribute ``note`` gives the reason. ``planned_error``
-        is the RMSE at ``planned_n``, and ``target_variance`` the square of the target. The curve
-        ``predicted_variance(n)`` with ``predicted_variance_ci(n, bound)`` is at allowed powers of
-        two, down to a quarter of the target variance or up to 2^16. Beyond the predicted or
-        measured counts n follows from the last slope, which ``how`` reports. The coordinates
-        ``method`` and ``how`` (attributes for a single sampler) are those of `predict`, or
-        ``"measured"`` with the number of evaluations. A list adds the dim sampler. The attribute
-        ``answer`` is a sentence.
+        ``planned_n``, the least count with an RMSE of at most the target; NaN if not known.
+        For nets (sobol, pmj02 and the like), which other counts leave unbalanced,
+        it is a power of their base. For other samplers of known integrands it is accurate to 0.4 %.
+        With the same seed a smaller target never has a smaller ``planned_n``.
+        ``planned_n_ci(bound)`` is this count for variances at the ends of their 95 % intervals.
+        Its upper end is infinite if the values do not bound the variance;
+        the attribute ``note`` gives the reason. ``planned_error`` is the RMSE at ``planned_n``,
+        and ``target_variance`` the square of the target. The curve ``predicted_variance(n)``
+        with ``predicted_variance_ci(n, bound)`` is at allowed powers of two, down to a quarter
+        of the target variance or up to 2^16. Beyond the predicted or measured counts n follows
+        from the last slope, which ``how`` reports. The coordinates ``method`` and ``how``
+        (attributes for a single sampler) are those of `predict`, or ``"measured"`` with the number
+        of evaluations. A list adds the dim sampler. The attribute ``answer`` is a sentence.
 
     Raises
     ------

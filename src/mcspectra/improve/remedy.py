@@ -1,9 +1,9 @@
 """Remedies: changes that lower an estimator's noise at a budget, measured, ranked and explained.
 
 Every candidate (`mcspectra.improve.candidates`) is run at the same budgets of integrand evaluations
-and with the same random numbers as the given set-up (`mcspectra.improve.assess`). Intervals of all
-comparisons are simultaneous: a remedy is recommended only if its interval excludes the given
-set-up.
+and with the same random numbers as the given set-up (`mcspectra.improve.assess`).
+Intervals of all comparisons are simultaneous:
+a remedy is recommended only if its interval excludes the given set-up.
 """
 
 from __future__ import annotations
@@ -44,24 +44,23 @@ __all__ = ["Remedies", "RemedySettings", "ranked", "remedies"]
 class RemedySettings:
     """Settings of the comparison of remedies."""
 
-    # Number of budgets at which each set-up is measured. Five budgets B/256, B/64, B/16, B/4 and B
-    # give a rate, and three degrees of freedom for the lack of fit.
+    # Number of budgets at which each set-up is measured. Five budgets B/256, B/64, B/16,
+    # B/4 and B give a rate, and three degrees of freedom for the lack of fit.
     steps: int = 5
-    # Ratio of successive budgets. A smaller ratio costs more: the total is 1/(1 − 1/ratio) times
-    # the largest budget (4/3 here). A larger ratio leaves
-    # only two or three budgets that are enough for two counts.
+    # Ratio of successive budgets. A smaller ratio costs more:
+    # the total is 1/(1 − 1/ratio) times the largest budget (4/3 here).
+    # A larger ratio leaves only two or three budgets that are enough for two counts.
     ratio: int = 4
-    # Expected number of changes of each kind, for the estimate of cost and memory before a run. All
-    # 15 kinds together make 17 to 24 changes of functions in 2-D, and ``sampler`` alone makes
-    # eight.
+    # Expected number of changes of each kind, for the estimate of cost and memory before a run.
+    # All 15 kinds together make 17 to 24 changes of functions in 2-D,
+    # and ``sampler`` alone makes eight.
     tries: int = 3
-    # Largest relative difference between equal estimates and an exact integral that counts as
-    # rounding. Means round to about 1e-15; the rest allows for values that cancel to 1e-6 of their
-    # size.
+    # Largest relative difference between equal estimates and an exact integral
+    # that counts as rounding. Means round to about 1e-15;
+    # the rest allows for values that cancel to 1e-6 of their size.
     exact_tolerance: float = 1e-9
     # The same for an integral by quadrature or by many points, whose error estimates can be too
-    # small. Equal estimates that miss a rare event differ
-    # from the integral by far more than this.
+    # small. Equal estimates that miss a rare event differ from the integral by far more than this.
     quadrature_tolerance: float = 1e-3
     # Number of standard errors of such an integral that are allowed if they exceed
     # `quadrature_tolerance`. A normal error is beyond 4 standard errors with probability 6e-5.
@@ -272,8 +271,8 @@ def remedies(
     budget
         Evaluations of the integrand in one estimate. An estimate with n points takes Σ counts · n.
     dims
-        Number of dims of a function, or of a spec without ``dims``. The default is the number of
-        dims of the sampler, if the sampler is not a spec.
+        Number of dims of a function, or of a spec without ``dims``.
+        The default is the number of dims of the sampler, if the sampler is not a spec.
     realizations
         Realizations of each set-up at each of five budgets, from 100 to 100 000.
     rng
@@ -283,23 +282,23 @@ def remedies(
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of the integrand. A limit below the evaluations of the given set-up and its
-        diagnosis raises before any evaluation. The kinds share the rest equally; a change that does
-        not fit into a share is not tried.
+        Most evaluations of the integrand. A limit below the evaluations of the given set-up
+        and its diagnosis raises before any evaluation. The kinds share the rest equally;
+        a change that does not fit into a share is not tried.
 
     Returns
     -------
     xarray.Dataset
         The labels of the dim ``remedy`` are names of changes in the order of their variances at the
-        budget, with ``"as given"`` among them. Variables on ``remedy``: ``error`` (the variance, or
-        the mean squared error of a biased change, summed over channels) with ``error_ci``;
+        budget, with ``"as given"`` among them. Variables on ``remedy``: ``error`` (the variance,
+        or the mean squared error of a biased change, summed over channels) with ``error_ci``;
         ``error_ratio`` to the given set-up with the simultaneous 95 % interval ``error_ratio_ci``;
         ``rate`` and ``rate_ci``; ``rate_difference`` with ``rate_difference_ci``, likewise;
-        ``rank_by_rate``. Coordinates: ``kind``, ``change`` (an imperative), ``verdict`` and
-        ``rate_verdict`` (better, worse, undecided, given) and ``reason``. Variables on (remedy,
-        step): ``cost`` and ``error_at_cost``. The attributes ``diagnosis`` and ``answer`` are
-        sentences, ``best`` has the numbers of the answer as JSON, and ``not_tried`` lists changes
-        that could not be tried, with reasons.
+        ``rank_by_rate``. Coordinates: ``kind``, ``change`` (an imperative),
+        ``verdict`` and ``rate_verdict`` (better, worse, undecided, given) and ``reason``.
+        Variables on (remedy, step): ``cost`` and ``error_at_cost``. The attributes ``diagnosis``
+        and ``answer`` are sentences, ``best`` has the numbers of the answer as JSON,
+        and ``not_tried`` lists changes that could not be tried, with reasons.
 
     Raises
     ------

@@ -1,12 +1,12 @@
 """ANOVA of a variance in many dims: contributions of axes, alone or together, to the noise.
 
 docs/theory.md, "Analysis by axes", derives both methods. `anova_variances` is pick-freeze
-[Sobol2001]_ with whole point sets. The part of the empty set of axes is 0, but its sample is
-subtracted from all others: it contains most of their errors, so shares near 1 are precise.
+[Sobol2001]_ with whole point sets. The part of the empty set of axes is 0, but its sample
+is subtracted from all others: it contains most of their errors, so shares near 1 are precise.
 
-`anova_spectrum` draws frequencies with a probability q(m) = Π_{i∈u} q_1(m_i), q_1(k) ∝ 1/k² up to
-K. The |f_m|² of a function with jumps or a boundary term falls like 1/m_i² along each axis, so the
-terms |f_m|² ⟨|S_m|²⟩ / q(m) are bounded.
+`anova_spectrum` draws frequencies with a probability q(m) = Π_{i∈u} q_1(m_i), q_1(k) ∝ 1/k² up
+to K. The |f_m|² of a function with jumps or a boundary term falls like 1/m_i² along each axis,
+so the terms |f_m|² ⟨|S_m|²⟩ / q(m) are bounded.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ EFFECTIVE_SHARE = 0.99
 class AnovaSettings:
     """Limits of memory, and the numbers of realizations and batches that give errors."""
 
-    # Largest number of axes, or groups of axes: the pairs of 64 axes are 2,016 subsets, each with
-    # an estimate for every realization.
+    # Largest number of axes, or groups of axes:
+    # the pairs of 64 axes are 2,016 subsets, each with an estimate for every realization.
     most_dims: int = 64
     # Largest number of stored estimates, over all subsets and realizations: 0.5 GiB in float64.
     most_values: int = 2**26
@@ -64,9 +64,9 @@ class AnovaSettings:
     # Least number of realizations that give a standard error. With two, both products of deviations
     # are equal and the error would be 0; `variance_terms` also needs four.
     least: int = 4
-    # Number of independent batches of frequencies, whose spread gives the standard error. Student's
-    # t with 15 degrees of freedom makes intervals 9 % wider than a normal law; twice the batches
-    # would gain 4 %, half would lose 11 %.
+    # Number of independent batches of frequencies, whose spread gives the standard error.
+    # Student's t with 15 degrees of freedom makes intervals 9 % wider than a normal law;
+    # twice the batches would gain 4 %, half would lose 11 %.
     batches: int = 16
 
 
@@ -421,8 +421,8 @@ def anova_variances(
         The estimator with its sampler and number of points, in up to 64 dims or groups. Random
         sampling with n = 1, the default, gives the ANOVA variances σ²_u of the integrand itself.
     dims
-        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
-        that is not a spec.
+        Number of dims of a function, and of a spec without ``dims``.
+        By default that of a sampler that is not a spec.
     order
         Largest number of axes of a subset, 1 or 2.
     realizations
@@ -435,26 +435,26 @@ def anova_variances(
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more raises, before it starts if
-        possible.
+        Most evaluations of the integrand. An analysis that takes more raises,
+        before it starts if possible.
 
     Returns
     -------
     xarray.Dataset
-        ``anova_variance(subset)`` c_u, with ``_se``, and ``anova_share(subset)``, its share of the
-        variance of the same pairs, so all shares sum to 1. The shares of single axes are the
-        first-order Sobol' indices. ``total_variance(axis)`` is the sum of c_u over all u with the
-        axis, with ``_se``, and ``total_share(axis)`` are the total Sobol' indices.
-        ``higher_order_variance`` is the part of subsets beyond `order`, with ``_se``, and
-        ``higher_order_share`` its share. ``truncation_share(axes)`` is the share of the first axes.
-        ``effective_dimension_truncation`` and ``effective_dimension_superposition`` (NaN beyond
-        `order`); ``mean_dimension``, the mean of |u| weighted by c_u; ``variance``.
+        ``anova_variance(subset)`` c_u, with ``_se``, and ``anova_share(subset)``,
+        its share of the variance of the same pairs, so all shares sum to 1. The shares of single
+        axes are the first-order Sobol' indices. ``total_variance(axis)`` is the sum of c_u over
+        all u with the axis, with ``_se``, and ``total_share(axis)`` are the total Sobol' indices.
+        ``higher_order_variance`` is the part of subsets beyond `order`, with ``_se``,
+        and ``higher_order_share`` its share. ``truncation_share(axes)`` is the share of the first
+        axes. ``effective_dimension_truncation`` and ``effective_dimension_superposition`` (NaN
+        beyond `order`); ``mean_dimension``, the mean of |u| weighted by c_u; ``variance``.
 
-        Shares and dimensions have 95 % intervals ``_ci``, not clipped to 0 and 1. Intervals of
-        ratios of means come from the delta method with Student's t. Intervals of effective
-        dimensions end where the ends of the shares cross 99 %, or at infinity if the lower end does
-        not. Errors and intervals of fewer than 4 realizations are NaN. Several channels add a dim
-        channel.
+        Shares and dimensions have 95 % intervals ``_ci``, not clipped to 0 and 1.
+        Intervals of ratios of means come from the delta method with Student's t.
+        Intervals of effective dimensions end where the ends of the shares cross 99 %,
+        or at infinity if the lower end does not. Errors and intervals of fewer than 4 realizations
+        are NaN. Several channels add a dim channel.
 
     Raises
     ------
@@ -494,13 +494,13 @@ def anova_spectrum(
     Parameters
     ----------
     estimator
-        An estimator of one integrand with exact Fourier coefficients and uniform points, in up to
-        64 dims.
+        An estimator of one integrand with exact Fourier coefficients and uniform points,
+        in up to 64 dims.
     sampler, n
         Points that are the same after any translation: random, or with shift.
     dims
-        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
-        that is not a spec.
+        Number of dims of a function, and of a spec without ``dims``.
+        By default that of a sampler that is not a spec.
     order
         Largest number of axes of a subset, 1 to 3.
     frequencies
@@ -515,15 +515,15 @@ def anova_spectrum(
     Returns
     -------
     xarray.Dataset
-        ``anova_variance`` c_u and ``anova_variance_se`` on dim subset, as in `anova_variances`. The
-        error is that of the mean of 16 independent batches of frequencies and sets. The attribute
-        ``power`` reports whether ⟨|S_m|²⟩ is exact.
+        ``anova_variance`` c_u and ``anova_variance_se`` on dim subset, as in `anova_variances`.
+        The error is that of the mean of 16 independent batches of frequencies and sets.
+        The attribute ``power`` reports whether ⟨|S_m|²⟩ is exact.
 
     Raises
     ------
     NoClosedForm
-        If the coefficients are not exact, the points have a density, or their frequencies are
-        correlated. `anova_variances` has no such requirements.
+        If the coefficients are not exact, the points have a density,
+        or their frequencies are correlated. `anova_variances` has no such requirements.
     ParameterError, CountError
         If a value is out of range, or the frequencies would not fit into memory.
 

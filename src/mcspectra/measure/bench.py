@@ -70,30 +70,27 @@ SHARED_SETS = 8
 class BenchSettings:
     """Numbers of sets, and sizes of spectra and pictures, of a bench."""
 
-    # Number of given sets per count that are measured without a randomization: their spread gives a
-    # variance to 35 %.
+    # Number of given sets per count that are measured without a randomization:
+    # their spread gives a variance to 35 %.
     enough_sets: int = 16
-    # Half widths of the spectra in 1, 2 and 3 dims, for 513, 16,641 and 68,921 frequencies. Larger
-    # maps would not be printed in full. Spectra in more dims are omitted.
+    # Half widths of the spectra in 1, 2 and 3 dims, for 513, 16,641 and 68,921 frequencies.
+    # Larger maps would not be printed in full. Spectra in more dims are omitted.
     half_widths: tuple[int, ...] = (256, 64, 20)
-    # Number of sets whose figures of quality are averaged. At 256 points in 2-D single figures of
-    # scrambled nets differ by
-    # 1 to 5 % and those of random points by 11 to 27 %, so means of 8 sets are accurate to 2 % and
-    # 10 %.
+    # Number of sets whose figures of quality are averaged.
+    # At 256 points in 2-D single figures of scrambled nets differ by 1 to 5 % and those
+    # of random points by 11 to 27 %, so means of 8 sets are accurate to 2 % and 10 %.
     quality_sets: int = 8
-    # Least number of sets for an interval of the pair correlation. Student's t with 7 degrees of
-    # freedom makes it a fifth
-    # wider than a normal law. With fewer sets the interval would hide the curve in a plot.
+    # Least number of sets for an interval of the pair correlation.
+    # Student's t with 7 degrees of freedom makes it a fifth wider than a normal law.
+    # With fewer sets the interval would hide the curve in a plot.
     few_sets: int = 8
-    # Largest number of sets over which the pair correlation is averaged: at 256 points in 2-D, 8,
-    # 16 and 32 sets give half
-    # widths of 0.05, 0.03 and 0.02.
+    # Largest number of sets over which the pair correlation is averaged:
+    # at 256 points in 2-D, 8, 16 and 32 sets give half widths of 0.05, 0.03 and 0.02.
     pair_sets: int = 16
     # Largest number of points of a drawn set, because more dots overlap.
     most_pictured: int = 1024
-    # Largest number of dims of the integrands. Genz's difficulty is divided among the dims, so in
-    # more dims his functions
-    # are nearly linear along each axis.
+    # Largest number of dims of the integrands. Genz's difficulty is divided among the dims,
+    # so in more dims his functions are nearly linear along each axis.
     most_dims: int = 64
 
 
@@ -139,16 +136,16 @@ def sampler_bench(
     Parameters
     ----------
     samplers
-        Samplers, spec strings or arrays of points, as in `as_sampler`. Spec strings are built for
-        all dims; other samplers are used in their own dims. Sets that are always the same are
-        randomized by owen (digital nets) or shift for the measurement of variances. The same holds
-        for fewer than 16 given sets of a count; points of files are recognized as nets in base 2, 3
-        or 5.
+        Samplers, spec strings or arrays of points, as in `as_sampler`.
+        Spec strings are built for all dims; other samplers are used in their own dims.
+        Sets that are always the same are randomized by owen (digital nets) or shift
+        for the measurement of variances. The same holds for fewer than 16 given sets of a count;
+        points of files are recognized as nets in base 2, 3 or 5.
     counts
         Numbers of points; each sampler uses the nearest counts that it allows.
     dims
-        One or several numbers of dims. The integrands are built for all of them. Spectra, pair
-        correlations, quality and speed use the first number, projections all.
+        One or several numbers of dims. The integrands are built for all of them.
+        Spectra, pair correlations, quality and speed use the first number, projections all.
     realizations
         Number of realizations for each variance; for given sets at most the number of sets.
     rng
@@ -157,17 +154,17 @@ def sampler_bench(
     Returns
     -------
     xarray.Dataset
-        On (sampler, integrand, n): ``mean``, ``variance``, ``variance_ci`` and ``points_made``, the
-        count. On (sampler, integrand): ``rate``, ``rate_ci``, ``rank`` by n · variance at the
-        largest n, and ``rank_ci``, simultaneous 95 % intervals of all ranks. On (sampler, n):
-        figures of quality, and ``points_per_second`` of one thread that generates them, NaN for
-        points that are read. On (sampler, m0, …) and (sampler, radius): ``power``,
-        ``radial_power``, ``anisotropy_db`` (1 to 3 dims). On (sampler, r): ``pair_correlation``,
-        ``pair_correlation_ci``. On (sampler, point, axis): ``points``, one set in the sampler's
-        largest number of dims. ``pictured_n`` is the count of spectra. Values are NaN if a sampler
-        does not allow the dims or the count. The coordinate ``randomization`` of a sampler names
-        the randomization that was added for the measurement of variances, and so does the attribute
-        ``note``.
+        On (sampler, integrand, n): ``mean``, ``variance``, ``variance_ci`` and ``points_made``,
+        the count. On (sampler, integrand): ``rate``, ``rate_ci``, ``rank`` by n · variance
+        at the largest n, and ``rank_ci``, simultaneous 95 % intervals of all ranks. On (sampler,
+        n): figures of quality, and ``points_per_second`` of one thread that generates them,
+        NaN for points that are read. On (sampler, m0, …) and (sampler, radius):
+        ``power``, ``radial_power``, ``anisotropy_db`` (1 to 3 dims). On (sampler, r):
+        ``pair_correlation``, ``pair_correlation_ci``. On (sampler, point, axis): ``points``,
+        one set in the sampler's largest number of dims. ``pictured_n`` is the count of spectra.
+        Values are NaN if a sampler does not allow the dims or the count.
+        The coordinate ``randomization`` of a sampler names the randomization that was added
+        for the measurement of variances, and so does the attribute ``note``.
 
     Raises
     ------
@@ -322,9 +319,9 @@ def ranks(variance: Array, variance_ci: Array, n: Array) -> tuple[Array, Array]:
     Returns
     -------
     tuple
-        Ranks (sampler, task), where 1 is the least variance; their ends (sampler, task, 2). The
-        lower end is one more than the number of significantly better samplers, by differences of
-        independent estimates of log variance and Bonferroni over all pairs on all tasks.
+        Ranks (sampler, task), where 1 is the least variance; their ends (sampler, task, 2).
+        The lower end is one more than the number of significantly better samplers, by differences
+        of independent estimates of log variance and Bonferroni over all pairs on all tasks.
     """
     known = (variance >= 0.0) & np.isfinite(variance)
     with np.errstate(divide="ignore", invalid="ignore"):

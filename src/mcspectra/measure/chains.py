@@ -4,12 +4,12 @@ A stationary chain has the spectral density S(ν), ν in cycles per draw. Its me
 
     Var = ∫ S(ν) |W(ν)|² dν = (1/n) ∫ S(ν) F_n(ν) dν,    F_n(ν) = sin²(πnν) / (n sin²(πν)),
 
-which is the power term with the Fejér kernel of the window W of equal weights. Stationarity makes
-dc and cross term vanish. S comes from an autoregression whose order is chosen by AIC, as in
-[Thompson2010]_. Its autocovariances are corrected for the subtracted mean: removing a mean of
-variance V lowers all of them by V. The scatter of the chains' means is a second, independent
-estimate. Both are pooled by degrees of freedom. If they disagree, the chains are in different parts
-of the distribution, and the error has no upper bound.
+which is the power term with the Fejér kernel of the window W of equal weights.
+Stationarity makes dc and cross term vanish. S comes from an autoregression whose order is chosen
+by AIC, as in [Thompson2010]_. Its autocovariances are corrected for the subtracted mean:
+removing a mean of variance V lowers all of them by V. The scatter of the chains' means is a second,
+independent estimate. Both are pooled by degrees of freedom. If they disagree,
+the chains are in different parts of the distribution, and the error has no upper bound.
 """
 
 from __future__ import annotations
@@ -38,68 +38,63 @@ class ChainSettings:
     Numbers of cases are those of ``python -m benchmarks settings --chains``.
     """
 
-    # Least number of draws of a chain. Fewer draws allow an autoregression of order 2 at most (a
-    # quarter of the draws).
+    # Least number of draws of a chain.
+    # Fewer draws allow an autoregression of order 2 at most (a quarter of the draws).
     least_draws: int = 10
-    # Standard errors of the power of the mean chain above which chains are correlated: the normal
-    # probability is 6e-7. Half has 2
-    # false alarms in 475; double misses all of 50 sets of chains with a common part of 0.3.
+    # Standard errors of the power of the mean chain above which chains are correlated:
+    # the normal probability is 6e-7. Half has 2 false alarms in 475;
+    # double misses all of 50 sets of chains with a common part of 0.3.
     score: float = 5.0
-    # Probability that a test reports a cause for chains without one. Two tests of drift and one of
-    # means are made for each quantity, so a model of 100 quantities has a false alarm in 2 % of
-    # runs. With 1e-2 there are 4 false alarms in 475; 1e-6 finds the same faults.
+    # Probability that a test reports a cause for chains without one. Two tests of drift
+    # and one of means are made for each quantity, so a model of 100 quantities has a false alarm
+    # in 2 % of runs. With 1e-2 there are 4 false alarms in 475; 1e-6 finds the same faults.
     alarm: float = 1e-4
-    # Length of a chain, in autocorrelation times, below which it still depends on its start. Half
-    # misses 43 of 50 chains with
-    # ρ = 0.99; double takes 21 of 25 short chains for stuck.
+    # Length of a chain, in autocorrelation times, below which it still depends on its start.
+    # Half misses 43 of 50 chains with ρ = 0.99; double takes 21 of 25 short chains for stuck.
     forgotten: float = 8.0
     # First parts of a chain, as fractions of its draws, whose means are compared with that of the
-    # last half. Shorter parts have too
-    # few draws for a normal law, and longer ones are half of it.
+    # last half. Shorter parts have too few draws for a normal law, and longer ones are half of it.
     starts: tuple[float, ...] = (0.05, 0.1, 0.2)
-    # Probability of a difference above which the remaining draws count as stationary, and factor by
-    # which more draws are left out, because the bias of the mean may still be a standard error
-    # there. Of 200 sets of 4 chains of 1,000 normal draws + 5 exp(−t/100), 153 are reported (47 are
-    # stuck, without an end), and 93 % of intervals hold. With 0.3 and 1.5 it is 76 % and 93 %, with
-    # 0.1 and 1.5 90 % and 89 %.
+    # Probability of a difference above which the remaining draws count as stationary,
+    # and factor by which more draws are left out, because the bias of the mean may still
+    # be a standard error there. Of 200 sets of 4 chains of 1,000 normal draws + 5 exp(−t/100),
+    # 153 are reported (47 are stuck, without an end), and 93 % of intervals hold.
+    # With 0.3 and 1.5 it is 76 % and 93 %, with 0.1 and 1.5 90 % and 89 %.
     settled: float = 0.2
     margin: float = 2.0
-    # Probability of a difference between the last two quarters of a chain below which it drifts
-    # until its end. With 0.001, 4 of 50
-    # linear drifts are reported as a burn-in.
+    # Probability of a difference between the last two quarters of a chain below
+    # which it drifts until its end. With 0.001, 4 of 50 linear drifts are reported as a burn-in.
     ends_alike: float = 0.05
     # Candidate numbers of draws, as parts of a chain, and the largest fraction that is left out:
-    # the last half is the reference for
-    # the start.
+    # the last half is the reference for the start.
     cuts: int = 40
     most_left_out: float = 0.5
-    # Fraction of consecutive equal draws above which a chain is stuck. Insensitive between 0.05 and
-    # 0.1; 0.2 misses a run of 110 draws in 1,000.
+    # Fraction of consecutive equal draws above which a chain is stuck.
+    # Insensitive between 0.05 and 0.1; 0.2 misses a run of 110 draws in 1,000.
     run: float = 0.1
-    # Number of different values above which repeated draws are a fault. A count or a flag repeats
-    # its values.
+    # Number of different values above which repeated draws are a fault.
+    # A count or a flag repeats its values.
     values: int = 20
-    # Part of the variance between the two sides of the mean above which draws lie on two levels. It
-    # is 0.64 for a normal law, 0.75 for a uniform one and 1 for two values. 0.7 takes 22 of 50
-    # random walks for levels; 0.95 misses levels that are 8 standard deviations apart.
+    # Part of the variance between the two sides of the mean above which draws lie on two levels.
+    # It is 0.64 for a normal law, 0.75 for a uniform one and 1 for two values. 0.7 takes 22
+    # of 50 random walks for levels; 0.95 misses levels that are 8 standard deviations apart.
     two_levels: float = 0.85
-    # Largest number of moves of each chain between the levels. With 20 moves the share of time on a
-    # level has an error of about 1/√20 = 22 %. Insensitive between 10 and 40.
+    # Largest number of moves of each chain between the levels. With 20 moves the share of time
+    # on a level has an error of about 1/√20 = 22 %. Insensitive between 10 and 40.
     switches: int = 20
-    # Tail index above which a tail is heavy. The variance is infinite for ½ and above, and an index
-    # from 2,000 draws has a standard error of about 0.1. 0.5 finds 49 of 50 chains with infinite
-    # variance, 0.6 finds 47 and 0.8 finds 25.
+    # Tail index above which a tail is heavy. The variance is infinite for ½ and above,
+    # and an index from 2,000 draws has a standard error of about 0.1.
+    # 0.5 finds 49 of 50 chains with infinite variance, 0.6 finds 47 and 0.8 finds 25.
     heavy: float = 0.6
-    # Least number of draws in a tail whose index is fitted: 20 draws give it to about 0.3. With 10
-    # there is a false alarm in 475; 20 and 40 have none and find the same tails.
+    # Least number of draws in a tail whose index is fitted: 20 draws give it to about 0.3.
+    # With 10 there is a false alarm in 475; 20 and 40 have none and find the same tails.
     least_tail: int = 20
-    # Smallest allowed size of the largest draw of a quantity; its inverse is the largest. Squares
-    # of both, summed over any number of
-    # draws, are within the range of float64.
+    # Smallest allowed size of the largest draw of a quantity; its inverse is the largest.
+    # Squares of both, summed over any number of draws, are within the range of float64.
     smallest: float = 1e-100
-    # Degrees of freedom of the error below which realizations are few: with 6 the error is accurate
-    # to 1/√12 = 29 %. With 3, one of 25 chains of 12 draws is missed; with 12 there are 12 false
-    # alarms in 475.
+    # Degrees of freedom of the error below which realizations are few:
+    # with 6 the error is accurate to 1/√12 = 29 %. With 3, one of 25 chains of 12 draws is missed;
+    # with 12 there are 12 false alarms in 475.
     few_degrees: float = 6.0
 
 
@@ -121,9 +116,9 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
     Parameters
     ----------
     draws
-        Real numbers: (n,) for one chain, (chain, draw), or (chain, draw, quantity). Also a
-        DataArray or Dataset with the dims chain and draw, or an object with such a Dataset as its
-        group posterior, for example ArviZ's InferenceData or DataTree.
+        Real numbers: (n,) for one chain, (chain, draw), or (chain, draw, quantity).
+        Also a DataArray or Dataset with the dims chain and draw, or an object with such a Dataset
+        as its group posterior, for example ArviZ's InferenceData or DataTree.
     weights
         Importance weights or multiplicities of the draws, (n,) or (chain, draw), not negative;
         equal by default. The error is that of the ratio estimate Σwx/Σw, linearized.
@@ -136,16 +131,16 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
         chains; ``spectrum_at_zero``, S(0). ``burn_in`` is the number of initial draws of each chain
         that all of these leave out, because they depend on the start. On the dim ``band``, octaves
         of frequency named by their periods, with ``band_low`` and ``band_high`` in cycles per draw:
-        ``error_share``, the share of the error; ``draw_share``, the share of the variance of the
-        draws; ``chain_spectrum``, the measured mean of S, with ``chain_spectrum_ci``; and
-        ``fitted_spectrum``. Coordinates are ``cause`` (comma-separated names, or none) and
-        ``evidence``, a sentence on each. Several quantities add a dim quantity. For stuck chains or
-        heavy tails nothing bounds the error, and the intervals are infinite.
+        ``error_share``, the share of the error; ``draw_share``, the share of the variance
+        of the draws; ``chain_spectrum``, the measured mean of S, with ``chain_spectrum_ci``;
+        and ``fitted_spectrum``. Coordinates are ``cause`` (comma-separated names,
+        or none) and ``evidence``, a sentence on each. Several quantities add a dim quantity.
+        For stuck chains or heavy tails nothing bounds the error, and the intervals are infinite.
 
     Raises
     ------
-        If there are fewer than 10 draws, other dims, values that are not finite, weights that are
-        negative or all zero in a chain, or draws whose squares exceed the range of floats.
+        If there are fewer than 10 draws, other dims, values that are not finite, weights
+        that are negative or all zero in a chain, or draws whose squares exceed the range of floats.
 
     Notes
     -----
@@ -321,9 +316,9 @@ def _fitted(z: Array) -> _ChainFit:
         error = both * spectrum * kernel / n
         variance = float(error.sum())
 
-    # The error of log S(0) by the delta method; the covariance of the coefficients contains Γ⁻¹.
-    # AIC uses two orders more than
-    # necessary, so the error includes one more coefficient even if it is 0
+    # The error of log S(0) by the delta method;
+    # the covariance of the coefficients contains Γ⁻¹. AIC uses two orders more than necessary,
+    # so the error includes one more coefficient even if it is 0
     order = len(chosen) + 1
     sums = solve_toeplitz(covariance[:order], np.ones(order)).sum() * innovation
     square = (2.0 + 4.0 * max(float(sums), 0.0) / float(chosen.sum()) ** 2) / (n * chains)
@@ -360,8 +355,8 @@ def quantity_error(x: Array, w: Array, settings: ChainSettings = CHAIN_SETTINGS)
 def _burn_in(z: Array, settings: ChainSettings) -> int:
     """Return the number of draws of each chain that depend on its start; n if over half do.
 
-    The mean of the first draws, over all chains, is compared with that of the last half, whose
-    spectrum at frequency 0 gives the error of both. Normal scores of the draws have no tails.
+    The mean of the first draws, over all chains, is compared with that of the last half,
+    whose spectrum at frequency 0 gives the error of both. Normal scores of the draws have no tails.
     """
     from scipy.special import ndtri
     from scipy.stats import f, rankdata

@@ -2,13 +2,13 @@
 
 The number of realizations is given, or grows until the variance is accurate enough (docs/theory.md,
 "Intervals of variances, and stopping"). It grows in stages that depend only on earlier estimates,
-so the result has the same bits for any number of workers. A stop counts only if the next stage, at
-least a quarter longer, confirms it: a skewed sample tends to stop first when its kurtosis is
-underestimated. Estimates without any spread do not prove that the variance is 0. After 10,000 of
-them the error is NaN, and the precision is not reached.
+so the result has the same bits for any number of workers. A stop counts only if the next stage,
+at least a quarter longer, confirms it: a skewed sample tends to stop first when its kurtosis
+is underestimated. Estimates without any spread do not prove that the variance is 0.
+After 10,000 of them the error is NaN, and the precision is not reached.
 
-If the estimates missed the source of the variance, its interval has no finite upper end, the rate
-has no interval, and the attribute ``note`` explains why (`mcspectra.measure.blindness`).
+If the estimates missed the source of the variance, its interval has no finite upper end,
+the rate has no interval, and the attribute ``note`` explains why (`mcspectra.measure.blindness`).
 """
 
 from __future__ import annotations
@@ -66,21 +66,21 @@ Precision = Annotated[float, Meta(ge=1e-4, le=1.0)]  # A smaller one takes billi
 class StageSettings:
     """Stages of a search for the number of realizations, and the size of blocks."""
 
-    # Realizations of the first stage: the kurtosis of 100 normal estimates has a standard error of
-    # √(24/100) = 0.5. Insensitive between 50 and 200.
+    # Realizations of the first stage: the kurtosis of 100 normal estimates has a standard error
+    # of √(24/100) = 0.5. Insensitive between 50 and 200.
     first: int = 100
-    # Least and largest factor by which a stage lengthens the sample. A quarter more confirms a
-    # stop. After a factor of 4 the
-    # kurtosis is twice as accurate, so the next length is better chosen. With 1.1, searches for 10
-    # % end at an error of 10.3 %; with 1.25 it is 9 %, and 1.5 takes 30 % more. The largest factor
-    # is insensitive between 2 and 8 (``python -m benchmarks settings --stages``).
+    # Least and largest factor by which a stage lengthens the sample.
+    # A quarter more confirms a stop. After a factor of 4 the kurtosis is twice as accurate,
+    # so the next length is better chosen. With 1.1, searches for 10 % end at an error of 10.3 %;
+    # with 1.25 it is 9 %, and 1.5 takes 30 % more. The largest factor is insensitive between 2
+    # and 8 (``python -m benchmarks settings --stages``).
     step: float = 1.25
     leap: float = 4.0
-    # Number of realizations without spread after which the search ends: an event of probability
-    # 3e-4 occurs with 95 %.
+    # Number of realizations without spread after which the search ends:
+    # an event of probability 3e-4 occurs with 95 %.
     blank: int = 10_000
-    # Divisor of the usual block length: a thousand realizations of a thousand points then have two
-    # blocks for two threads.
+    # Divisor of the usual block length:
+    # a thousand realizations of a thousand points then have two blocks for two threads.
     parts: int = 2
 
 
@@ -163,8 +163,8 @@ class Convergence(Counted, frozen=True, kw_only=True):
             for part, cell in enumerate(cells)
         ])  # fmt: skip
 
-        # Moments of every estimator, sampler and count; estimators that share realizations come
-        # last
+        # Moments of every estimator, sampler and count;
+        # estimators that share realizations come last
         estimators, samplers = subject.estimators, subject.samplers
         flat = [each for cell in found for each in cell]
         joint = len(cells[0].estimators) > 1
@@ -366,56 +366,57 @@ def convergence(
     Parameters
     ----------
     estimator, sampler
-        One or a list of each, without duplicates. Samplers may be spec strings. For plain sampling
-        an estimator may be an integrand, its spec string, or a vectorized function of points (…,
-        d).
+        One or a list of each, without duplicates. Samplers may be spec strings.
+        For plain sampling an estimator may be an integrand, its spec string,
+        or a vectorized function of points (…, d).
     dims
-        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
-        that is not a spec.
+        Number of dims of a function, and of a spec without ``dims``.
+        By default that of a sampler that is not a spec.
     counts
         Ascending numbers of points n that every sampler allows.
     realizations
-        Number of independent realizations for each n, at least 2; with `relative_error`, the
-        largest number.
+        Number of independent realizations for each n, at least 2;
+        with `relative_error`, the largest number.
     rng
-        Seed (SPEC 7). Each n has its own stream, shared by all estimators and samplers (common
-        random numbers).
+        Seed (SPEC 7). Each n has its own stream,
+        shared by all estimators and samplers (common random numbers).
     relative_error
         Relative standard error of the variance at which each count stops (`realizations_needed`).
         By default all realizations are used.
     fit_last
-        Number of last counts that are fitted; all by default. ``"auto"`` uses as many as lie on a
-        line; see `mcspectra.core.fits.fit_rate`.
+        Number of last counts that are fitted; all by default.
+        ``"auto"`` uses as many as lie on a line; see `mcspectra.core.fits.fit_rate`.
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more raises, before it starts if
-        possible.
+        Most evaluations of the integrand. An analysis that takes more raises,
+        before it starts if possible.
 
     Returns
     -------
     xarray.Dataset
-        ``variance(n)``, ``variance_ci(n, bound)``, ``mean(n)``, ``mean_se(n)``; ``bias(n)`` and
-        ``mse(n)`` relative to the estimator's integral (attribute ``integral_source``), and
-        ``bias_se(n)``, which includes the integral's error. For a user's function without a given
-        integral both are NaN, and ``mse`` is the variance. ``realizations_used(n)``; with
-        `relative_error` ``reached(n)`` (1: yes; 0: `realizations` came first, or there was no
-        spread). ``rate``, ``rate_ci(bound)``, ``fit_first_n`` (the smallest count of the fit) and
-        ``fit_chi2`` (its lack of fit per degree of freedom).
+        ``variance(n)``, ``variance_ci(n, bound)``, ``mean(n)``, ``mean_se(n)``;
+        ``bias(n)`` and ``mse(n)`` relative to the estimator's integral (attribute
+        ``integral_source``), and ``bias_se(n)``, which includes the integral's error.
+        For a user's function without a given integral both are NaN, and ``mse`` is the variance.
+        ``realizations_used(n)``; with `relative_error` ``reached(n)`` (1: yes; 0: `realizations`
+        came first, or there was no spread). ``rate``, ``rate_ci(bound)``, ``fit_first_n`` (the
+        smallest count of the fit) and ``fit_chi2`` (its lack of fit per degree of freedom).
 
         A deterministic set has the variance 0 and no rate, which the attribute ``note`` reports.
         The note also reports estimates that missed the source of their variance: all are equal;
-        their tails are not resolved; the mean is five standard errors from the integral; ∫g²
-        diverges or exceeds the value of random points; or most of ∫g² lies where no sample falls
-        (`mcspectra.estimators.tails`). Tails are not resolved in three cases: one square is a fifth
-        or more of the variance; the tail index k̂ is that of a hardly finite variance; or values of
-        a user's function of one technique follow a power law with much of their variance beyond all
-        of them. The upper end of ``variance_ci`` and both ends of ``rate_ci`` are then infinite.
+        their tails are not resolved; the mean is five standard errors from the integral;
+        ∫g² diverges or exceeds the value of random points;
+        or most of ∫g² lies where no sample falls (`mcspectra.estimators.tails`).
+        Tails are not resolved in three cases: one square is a fifth or more of the variance;
+        the tail index k̂ is that of a hardly finite variance; or values of a user's function
+        of one technique follow a power law with much of their variance beyond all of them.
+        The upper end of ``variance_ci`` and both ends of ``rate_ci`` are then infinite.
 
         If a sampler has fewer stored sets than realizations and reuses them under translations,
         errors are at least those of a jackknife over groups of sets. Lists add the dims estimator
-        and sampler, several channels the dim channel. Counts whose variance is rounding noise are
-        left out of the fit; the rate of fewer than two other counts is NaN.
+        and sampler, several channels the dim channel. Counts whose variance is rounding noise
+        are left out of the fit; the rate of fewer than two other counts is NaN.
 
     Raises
     ------
@@ -449,9 +450,8 @@ def realizations_needed(
     Parameters
     ----------
     estimator, sampler, n
-        The estimator, its sampler and the number of points.
-        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
-        that is not a spec. that is not a spec.
+        The estimator, its sampler and the number of points. Number of dims of a function, and of a
+        spec without ``dims``. By default that of a sampler that is not a spec. that is not a spec.
     relative_error
         Requested standard error of the variance, relative to it, of every channel.
     max_realizations
@@ -461,17 +461,17 @@ def realizations_needed(
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more raises, before it starts if
-        possible.
+        Most evaluations of the integrand. An analysis that takes more raises,
+        before it starts if possible.
 
     Returns
     -------
     xarray.Dataset
-        ``realizations_used``; ``reached`` (1: yes, confirmed by the last stage; 0: the maximum came
-        first, or the estimates had no spread); ``variance`` with ``variance_ci``;
-        ``variance_relative_se`` (NaN without spread; infinite if tails are not resolved, which the
-        attribute ``note`` reports); ``skewness`` and ``kurtosis`` of the estimates (0 and 3 for
-        normal ones); ``mean``, ``mean_se``. Several channels add a dim channel.
+        ``realizations_used``; ``reached`` (1: yes, confirmed by the last stage; 0:
+        the maximum came first, or the estimates had no spread); ``variance`` with ``variance_ci``;
+        ``variance_relative_se`` (NaN without spread; infinite if tails are not resolved,
+        which the attribute ``note`` reports); ``skewness`` and ``kurtosis`` of the estimates (0
+        and 3 for normal ones); ``mean``, ``mean_se``. Several channels add a dim channel.
 
     Raises
     ------

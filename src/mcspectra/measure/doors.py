@@ -28,8 +28,8 @@ def answer(analysis: type[Analysis], arguments: Mapping[str, Any]) -> xr.Dataset
     analysis
         The class of the analysis.
     arguments
-        ``estimator``, ``sampler`` or ``samplers``, ``dims``, ``rng``, ``workers`` for analyses with
-        threads, and every option.
+        ``estimator``, ``sampler`` or ``samplers``, ``dims``, ``rng``,
+        ``workers`` for analyses with threads, and every option.
     """
     sampler = arguments.get("sampler", arguments.get("samplers"))
     subject = as_subject(

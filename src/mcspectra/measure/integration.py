@@ -1,28 +1,29 @@
 """An integral with its interval for a budget of calls: replicates of randomized sets, Student's t.
 
-A budget of N calls is divided into R replicates of n points. If the variance of a replicate is ∝
-n^-θ, the interval has a half width ∝ t_{R−1} n^{−θ/2} R^{−1/2}. Few replicates of many points are
-best for large θ, for example for smooth functions and scrambled nets. More replicates are best for
-θ near 1, because they make t smaller at no cost. A quarter of the budget measures θ with eight
-replicates. Their points are the first ones of the later sets, prefixes of a randomized sequence.
+A budget of N calls is divided into R replicates of n points.
+If the variance of a replicate is ∝ n^-θ, the interval has a half width ∝ t_{R−1} n^{−θ/2} R^{−1/2}.
+Few replicates of many points are best for large θ, for example for smooth functions
+and scrambled nets. More replicates are best for θ near 1, because they make t smaller at no cost.
+A quarter of the budget measures θ with eight replicates.
+Their points are the first ones of the later sets, prefixes of a randomized sequence.
 
-The interval is the hull of Student's t interval and Hall's transform of it (`mean_interval`). For
-300 seeds at 256 calls it holds the integral of x^−½ in 88 % (74 % by Student's t alone) and that of
-e^(x + y) in 97 % (96 %).
+The interval is the hull of Student's t interval and Hall's transform of it (`mean_interval`).
+For 300 seeds at 256 calls it holds the integral of x^−½ in 88 % (74 % by Student's t alone)
+and that of e^(x + y) in 97 % (96 %).
 
-If f grows without bound toward a face of the cube, the errors of strata follow another law. Its
-quantiles replace those of Student's t if they are wider (`estimators/tails.py`).
+If f grows without bound toward a face of the cube, the errors of strata follow another law.
+Its quantiles replace those of Student's t if they are wider (`estimators/tails.py`).
 
 Both are asymptotic in R, and eight replicates are the minimum. Events with a probability below 1/R
-for each replicate may be missed, for example a step along an axis next to a line of the net. The
-interval is then too short [Owen2025]_. Intervals that hold for any bounded function would need n =
-Θ(N^{1/(θ+1)}) [Jain2026]_. Most of the budget would go to replicates, and the error of a smooth
-function would be ten times as large.
+for each replicate may be missed, for example a step along an axis next to a line of the net.
+The interval is then too short [Owen2025]_. Intervals that hold for any bounded function
+would need n = Θ(N^{1/(θ+1)}) [Jain2026]_. Most of the budget would go to replicates,
+and the error of a smooth function would be ten times as large.
 
-Most linear scrambles of a net have far smaller errors than the few that cause the variance. The
-*median* of replicates ignores these few, and its error falls faster than any power of n for smooth
-f ([Pan2024]_). Order statistics bound the median for any distribution, because half of the
-estimates are above it. Nested scrambles have no such sets, so their mean is better.
+Most linear scrambles of a net have far smaller errors than the few that cause the variance.
+The *median* of replicates ignores these few, and its error falls faster than any power of n
+for smooth f ([Pan2024]_). Order statistics bound the median for any distribution, because half
+of the estimates are above it. Nested scrambles have no such sets, so their mean is better.
 """
 
 from __future__ import annotations
@@ -77,38 +78,36 @@ __all__ = ["integrate"]
 class IntegrationSettings:
     """How a budget is divided into replicates, and when a median replaces the mean.
 
-    Numbers are from 40 runs with 512 and with 4,096 calls on each of five functions: smooth ones in
-    2 and 4 dims, x^−½, a quarter disk and a kink.
+    Numbers are from 40 runs with 512 and with 4,096 calls on each of five functions:
+    smooth ones in 2 and 4 dims, x^−½, a quarter disk and a kink.
     """
 
     # Least number of replicates. Intervals of 16 are 1.6 to 1.9 times as wide for smooth functions.
-    # Those of 4 are as wide as those of 8 on average, but miss events of probability 1/8 more
-    # often.
+    # Those of 4 are as wide as those of 8 on average,
+    # but miss events of probability 1/8 more often.
     least: int = 8
     # Least number of replicates of a median: odd, so that it is one of them. The 95 % interval then
     # ends at the second and the last but one, so one bad scramble on either side has no effect.
     # Intervals of 7 are as wide on average; those of 21 are 1.5 times as wide.
     least_of_median: int = 11
-    # Number of points at which the kind of scramble is read from the law of the sampler, which is
-    # equal for all n.
+    # Number of points at which the kind of scramble is read from the law of the sampler,
+    # which is equal for all n.
     law_at: int = 64
     # Ratio of the longest sets to the sets that measure the rate. Insensitive between 2 and 8:
     # widths differ by 1 % on average.
     pilot: int = 4
     # Number of prefixes of a replicate that the rate is fitted to, each half as long as the next.
-    # With 2 prefixes intervals are
-    # 6 % wider; insensitive between 4 and 6.
+    # With 2 prefixes intervals are 6 % wider; insensitive between 4 and 6.
     levels: int = 4
-    # Factor by which the interval of the mean must be wider before the median is taken to be
-    # better. With 1, intervals of the
-    # median hold the integral in 90 instead of 93 % of runs; with 4 they are 12 % wider.
+    # Factor by which the interval of the mean must be wider before the median is taken
+    # to be better. With 1, intervals of the median hold the integral in 90 instead of 93 % of runs;
+    # with 4 they are 12 % wider.
     stands_out: float = 2.0
-    # Number of calls before the width is first compared with a tolerance: 8 replicates of 128
-    # points, whose interval is right
-    # for usual functions.
+    # Number of calls before the width is first compared with a tolerance:
+    # 8 replicates of 128 points, whose interval is right for usual functions.
     first: int = 2**10
-    # Ratio of the calls to those that the rate requires, so that most tolerances take two rounds: a
-    # width of 8 replicates has a standard error of 25 %.
+    # Ratio of the calls to those that the rate requires, so that most tolerances take two rounds:
+    # a width of 8 replicates has a standard error of 25 %.
     margin: float = 1.3
     # Largest ratio of the calls of two rounds, because the first rates are uncertain.
     growth: float = 4.0
@@ -140,8 +139,8 @@ def integrate(
     Parameters
     ----------
     f
-        A vectorized function of points (…, d) with values (…), an integrand without channels or its
-        spec string, or an estimator of one technique, such as ``Estimator(f, density)``.
+        A vectorized function of points (…, d) with values (…), an integrand without channels
+        or its spec string, or an estimator of one technique, such as ``Estimator(f, density)``.
     budget
         Most calls of f, each for one point. f is not called beyond this number.
     sampler
@@ -149,36 +148,36 @@ def integrate(
     dims
         Number of dims, needed if neither f nor the sampler has one.
     combine
-        ``"mean"`` of the replicates, or ``"median"`` for linear scrambles such as ``lms``. The
-        median is far better for smooth f in one dim, and in two dims from about 2,000 calls on.
+        ``"mean"`` of the replicates, or ``"median"`` for linear scrambles such as ``lms``.
+        The median is far better for smooth f in one dim, and in two dims from about 2,000 calls on.
     vectorized, workers, cache
         Options for slow functions; see `mcspectra.integrands.Calls`. An interrupted call continues
         when it is repeated with the same cache, and gives the same bits.
     on_error
-        ``"raise"`` if f fails or is not finite. ``"skip"`` counts such points. The value uses the
-        mean of all other points for them. The interval covers their least to largest value for each
-        such point. The note reports their number and the first one.
+        ``"raise"`` if f fails or is not finite. ``"skip"`` counts such points. The value uses
+        the mean of all other points for them. The interval covers their least to largest value
+        for each such point. The note reports their number and the first one.
     tolerance
-        Half width of the interval at which the calls end, even if the budget allows more. The note
-        reports if the budget ends first.
+        Half width of the interval at which the calls end, even if the budget allows more.
+        The note reports if the budget ends first.
     profile
         The `mcspectra.Profile` of f. The estimator and the sampler are the ones that it advises.
-        Its evaluations, which are not part of this budget, are reused: the value is the mean of its
-        integral and the new one, weighted by their intervals.
+        Its evaluations, which are not part of this budget, are reused:
+        the value is the mean of its integral and the new one, weighted by their intervals.
     rng
         Seed (SPEC 7).
 
     Returns
     -------
     xarray.Dataset
-        ``value`` (NaN without an integral). ``interval(bound)``, 95 % over the replicates; for the
-        median it holds, with at least 95 %, the median of the distribution of replicates, which are
-        as often too large as too small. ``calls`` that were made,
-        ``skipped`` calls that failed, ``replicates``, ``n`` points of each, and ``rate`` of the
-        variance as measured for the division of the budget, NaN if not measured. The interval is
-        infinite if all replicates are equal, if f grows toward a face of the cube so fast that its
-        variance is infinite, or if a few values hold most of the variance. The attribute ``note``
-        gives the reason. Slower growth widens the interval on the side of the growth.
+        ``value`` (NaN without an integral). ``interval(bound)``, 95 % over the replicates;
+        for the median it holds, with at least 95 %, the median of the distribution of replicates,
+        which are as often too large as too small. ``calls`` that were made, ``skipped`` calls
+        that failed, ``replicates``, ``n`` points of each, and ``rate`` of the variance
+        as measured for the division of the budget, NaN if not measured. The interval is infinite
+        if all replicates are equal, if f grows toward a face of the cube so fast that its variance
+        is infinite, or if a few values hold most of the variance. The attribute ``note`` gives
+        the reason. Slower growth widens the interval on the side of the growth.
 
     Warns
     -----
@@ -189,8 +188,8 @@ def integrate(
     ------
     ParameterError
         If a value is out of range, the sampler is not random, f has channels or several techniques,
-        the budget is too small for eight replicates (eleven for a median), or a median is requested
-        without linear scrambles; also errors of `mcspectra.integrands.Calls`.
+        the budget is too small for eight replicates (eleven for a median), or a median
+        is requested without linear scrambles; also errors of `mcspectra.integrands.Calls`.
     ConfigError
         If the points and values of the budget exceed this machine's memory.
 
@@ -262,8 +261,8 @@ def integrate(
         sets = _sampled(calls, setup, stream, allowed, median=median)
         found = _estimated(sets, law, median=median, linear=linear)
         while allowed < calls.budget and not found.half_width <= least_width:
-            # The width falls as the root of the variance; an infinite interval takes twice the
-            # calls
+            # The width falls as the root of the variance;
+            # an infinite interval takes twice the calls
             wider = min(found.half_width / least_width, 2.0**_SETTINGS.growth)
             more = wider ** (2.0 / sets.rate if sets.rate > 0.0 else 2.0)
             more = min(max(_SETTINGS.margin * more, 2.0), _SETTINGS.growth)
@@ -411,9 +410,8 @@ def _estimated(sets: _Replicates, law: Law, *, median: bool, linear: bool) -> _E
     means, replicates = values.mean(axis=1), len(values)
     moments = Moments.of(means, tails=True)
     value, interval = float(moments.mean), mean_interval(means)
-    # With growth at the border, strata have skewed errors, and a variance may not exist. Other
-    # unresolved tails leave the interval
-    # unbounded
+    # With growth at the border, strata have skewed errors, and a variance may not exist.
+    # Other unresolved tails leave the interval unbounded
     growths = border_growth(sets.points.reshape(-1, sets.points.shape[-1]), values.ravel())
     endless = growth_note(growths)
     note = None if growths else tail_note(moments) or few_note(values.ravel())
@@ -480,9 +478,8 @@ def _with_profile(
     low, high = profile.interval
     twice = 2.0 * low - profile.integral, 2.0 * high - profile.integral
     if found.alike and twice[0] <= value <= twice[1] and high - low < math.inf:
-        # f varied in the profile, but is constant to rounding at the advised points. The value is
-        # within two half widths,
-        # about four standard errors, of the mean of the profile
+        # f varied in the profile, but is constant to rounding at the advised points. The value
+        # is within two half widths, about four standard errors, of the mean of the profile
         away = math.sqrt(float(rounding_floor(np.array(value))))
         return value, (value - away, value + away), "all replicates are equal to rounding"
     widths = interval[1] - interval[0], high - low

@@ -1,17 +1,18 @@
 """Leading modes of a covariance of spectra: patterns of coefficients that vary together.
 
-The eigenvectors of Cov(y_m, y_l), with y_m = conj(f_m) S_m or S_m itself, are patterns over the
-frequencies whose amplitudes are uncorrelated. The eigenvalues are the variances of these
-amplitudes. The matrix is never formed. Randomized subspace iteration [Halko2011]_ needs only its
-product with a few vectors: one pass over the realizations, which can be drawn again. The range of A
-Ω, with Ω random, holds the leading eigenvectors up to errors that shrink with every further
-product. The eigenpairs of A projected on that range (Rayleigh-Ritz) are the result, and ‖A v − λ v‖
-bounds the distance of λ to an eigenvalue of A. The coordinates are the real and imaginary parts of
-the stored coefficients, times √2 if −m is not stored.
+The eigenvectors of Cov(y_m, y_l), with y_m = conj(f_m) S_m or S_m itself,
+are patterns over the frequencies whose amplitudes are uncorrelated.
+The eigenvalues are the variances of these amplitudes. The matrix is never formed.
+Randomized subspace iteration [Halko2011]_ needs only its product with a few vectors:
+one pass over the realizations, which can be drawn again. The range of A Ω, with Ω random,
+holds the leading eigenvectors up to errors that shrink with every further product.
+The eigenpairs of A projected on that range (Rayleigh-Ritz) are the result,
+and ‖A v − λ v‖ bounds the distance of λ to an eigenvalue of A. The coordinates are the real
+and imaginary parts of the stored coefficients, times √2 if −m is not stored.
 
 A itself is a sample. Each batch of realizations gives a variance along v, and the spread over
-batches gives the error of λ as the variance along v. This error excludes the selection of v for a
-large λ: `noise_edge` is the largest eigenvalue that the selection gives for a flat spectrum.
+batches gives the error of λ as the variance along v. This error excludes the selection of v
+for a large λ: `noise_edge` is the largest eigenvalue that the selection gives for a flat spectrum.
 """
 
 from __future__ import annotations
@@ -56,16 +57,16 @@ __all__ = ["CovarianceProduct", "Modes", "covariance_modes"]
 class ModeSettings:
     """Numbers of vectors and realizations for modes."""
 
-    # Vectors in addition to the modes. [Halko2011]_ proves bounds for any number and recommends 5
-    # to 10.
+    # Vectors in addition to the modes.
+    # [Halko2011]_ proves bounds for any number and recommends 5 to 10.
     oversampling: int = 8
     # Largest number of elements of one set of vectors: 1 GiB in float64.
     most_numbers: int = 2**27
-    # Realizations per coefficient below which a note warns of sampling noise. With 10 of them the
-    # edge of the spectrum of noise is (1 + √(1/10))² = 1.73 times its mean [Marchenko1967]_.
+    # Realizations per coefficient below which a note warns of sampling noise. With 10 of them
+    # the edge of the spectrum of noise is (1 + √(1/10))² = 1.73 times its mean [Marchenko1967]_.
     many: float = 10.0
-    # Variance of a coordinate, as a fraction of the largest, that counts as rounding. Its standard
-    # deviation is then 1e-10 of the largest, about a million roundings.
+    # Variance of a coordinate, as a fraction of the largest, that counts as rounding.
+    # Its standard deviation is then 1e-10 of the largest, about a million roundings.
     rounding: float = 1e-20
 
 
@@ -217,8 +218,8 @@ class Modes(Counted, frozen=True, kw_only=True):
         values, vectors, residuals, errors = found.eigenpairs(vectors)
         diagonal = found.squares / (found.count - 1)
 
-        # Patterns over the frequencies; each vector's sign is such that the mode adds to the
-        # estimate
+        # Patterns over the frequencies;
+        # each vector's sign is such that the mode adds to the estimate
         modes, basis, techniques = self.modes, view.basis, len(view.transforms)
         values, vectors = values[:modes], vectors[:, :modes]
         amplitude = product(coordinates.direction[None], vectors)[0]
@@ -230,8 +231,8 @@ class Modes(Counted, frozen=True, kw_only=True):
         patterns = patterns.reshape(modes, techniques, *basis.shape)
         trace, size = float(diagonal.sum()), coordinates.size
         # Largest sample eigenvalue of a flat spectrum of the same trace, by Marchenko and Pastur.
-        # With D varying
-        # coordinates it is λ (1 + √(D/(R − 1)))² in the limit of large D and R [Marchenko1967]_
+        # With D varying coordinates it is λ (1 + √(D/(R − 1)))² in the limit of large D
+        # and R [Marchenko1967]_
         least = _SETTINGS.rounding * diagonal.max(initial=0.0)
         varying = int(np.count_nonzero(diagonal > least))
         level = trace / varying if varying else 0.0
@@ -308,30 +309,31 @@ def covariance_modes(
     modes
         Number of modes, at most the number of coefficients.
     weighted
-        If true, modes of conj(f_m) S_m, whose covariances sum to the variance. If false, modes of
-        S_m, the points alone.
+        If true, modes of conj(f_m) S_m, whose covariances sum to the variance.
+        If false, modes of S_m, the points alone.
     bands, band
-        Labels of the bands to include, from the partition `bands`
-        (`mcspectra.measure.bands.make_bands`); None for all.
+        Labels of the bands to include,
+        from the partition `bands` (`mcspectra.measure.bands.make_bands`); None for all.
     channel
         Number of the channel of the integrand.
     passes
         Number of passes over the realizations, at least 2. More passes separate close eigenvalues.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more raises, before it starts if
-        possible.
+        Most evaluations of the integrand. An analysis that takes more raises,
+        before it starts if possible.
 
     Returns
     -------
     xarray.Dataset
-        ``eigenvalue(mode)`` of the sample covariance, descending; ``eigenvalue_se(mode)``, the
-        error of the variance along the mode, by batch means. ``noise_edge`` is the largest
-        eigenvalue to expect if all were equal: sampling alone makes flat spectra steep, unless
-        there are many more realizations than coefficients. ``eigenvalue_residual(mode)`` bounds the
-        numerical distance to an eigenvalue of the sample covariance. ``eigenvalue_share(mode)`` is
-        the share of the trace, and ``mode_contribution(mode)`` the mode's own contribution to the
-        variance of the band-limited estimate. ``mode_vector(mode, m0, …)`` has norm 1 over all
-        frequencies. ``band_trace`` is the sum of all eigenvalues.
+        ``eigenvalue(mode)`` of the sample covariance, descending;
+        ``eigenvalue_se(mode)``, the error of the variance along the mode, by batch means.
+        ``noise_edge`` is the largest eigenvalue to expect if all were equal: sampling alone
+        makes flat spectra steep, unless there are many more realizations than coefficients.
+        ``eigenvalue_residual(mode)`` bounds the numerical distance to an eigenvalue
+        of the sample covariance. ``eigenvalue_share(mode)`` is the share of the trace,
+        and ``mode_contribution(mode)`` the mode's own contribution to the variance
+        of the band-limited estimate. ``mode_vector(mode, m0, …)`` has norm 1 over all frequencies.
+        ``band_trace`` is the sum of all eigenvalues.
 
     Raises
     ------
@@ -442,8 +444,8 @@ class CovarianceProduct:
     def eigenpairs(self, vectors: Array) -> tuple[Array, Array, Array, Array]:
         """Return eigenpairs of the unbiased covariance A in the range of vectors (D, k).
 
-        The results are descending eigenvalues; eigenvectors, (D, k); ‖A v − λ v‖; and standard
-        errors.
+        The results are descending eigenvalues; eigenvectors, (D, k); ‖A v − λ v‖;
+        and standard errors.
         """
         image = self.product / (self.count - 1)
         values, rotation = eigenpairs(product(vectors.T, image))

@@ -18,8 +18,8 @@ class CountSettings:
     """Limits of the search for a number of points."""
 
     # Number of candidate counts, and the inverse of the relative step for samplers with a count
-    # near every number.
-    # Counts of nets or strata are closer to each other than the step; 64 and 1,024 find the same.
+    # near every number. Counts of nets or strata are closer to each other than the step;
+    # 64 and 1,024 find the same.
     tries: int = 256
 
 
@@ -88,8 +88,8 @@ def affordable_count(setup: Setup, budget: int) -> int | None:
                 pass
             else:
                 return n
-        # If other counts are poor, use the next smaller power of the base; use large steps if
-        # counts are dense
+        # If other counts are poor, use the next smaller power of the base;
+        # use large steps if counts are dense
         base = max(source.digit_bases, default=2)
         power = base ** int(math.log(n, base) + 1e-9)
         if poor and power < n:

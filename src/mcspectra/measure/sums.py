@@ -1,11 +1,11 @@
 """Mergeable second moments of spectra and band-limited estimates, in constant memory.
 
 The power term, the contribution map and the band covariance follow from them (docs/theory.md,
-"Contributions and bands"). Errors come from batch means: every block of realizations gives an
-unbiased estimate. The spread over B blocks gives the error of their mean, with the quantile of
-Student's t for B − 1 degrees of freedom. The estimate from all realizations together is slightly
-more precise, so the errors are conservative. If realizations reuse a few stored sets, groups of
-these sets replace the blocks.
+"Contributions and bands"). Errors come from batch means:
+every block of realizations gives an unbiased estimate. The spread over B blocks gives the error
+of their mean, with the quantile of Student's t for B − 1 degrees of freedom. The estimate
+from all realizations together is slightly more precise, so the errors are conservative.
+If realizations reuse a few stored sets, groups of these sets replace the blocks.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ Variables: TypeAlias = dict[str, tuple[tuple[str, ...], Any]]
 class BatchSettings:
     """Numbers of blocks whose spread gives standard errors."""
 
-    # Least number of blocks, if there are twice as many realizations. Student's t with 19 degrees
-    # of freedom makes intervals 7 % wider than a normal law; 40 blocks would make them 3 % wider,
-    # and 10 blocks 15 %.
+    # Least number of blocks, if there are twice as many realizations.
+    # Student's t with 19 degrees of freedom makes intervals 7 % wider than a normal law;
+    # 40 blocks would make them 3 % wider, and 10 blocks 15 %.
     least: int = 20
 
 
@@ -144,8 +144,8 @@ class TermSums:
 class Partition:
     """The coefficients of the integrand, with their weights and labels."""
 
-    # Stored coefficients f_m of all techniques, one technique after the other: (C, H), real or
-    # complex
+    # Stored coefficients f_m of all techniques, one technique after the other:
+    # (C, H), real or complex
     coefficients: Array
     double: Array  # 2.0 for a coefficient that also stands for −m, else 1.0: (H,)
     dc: Array  # Whether a coefficient belongs to the constant function: bool (H,)
@@ -166,8 +166,8 @@ class SpectralSums:
     band_mean: Array  # (C, A)
     band_m2: Array  # (C, A, A)
     truncated: Moments  # moments of the estimate truncated at each half width: (C, K+1)
-    # (H, 2H): Σ_r (S−S̄)_m conj(S−S̄)_l and the same without conj, which give all four signs of (m,
-    # l)
+    # (H, 2H): Σ_r (S−S̄)_m conj(S−S̄)_l and the same without conj,
+    # which give all four signs of (m, l)
     matrix: Array | None
 
     @staticmethod
@@ -273,8 +273,7 @@ class Batches:
     weights: JOIN  # degrees of freedom of each block: (B,)
     values: JOIN  # dc, power and cross term and measured variance: (B, 4, C)
     # Spread of the contributions (C, H), of the covariances of bands (C, A, A) and, if requested,
-    # of the stored
-    # covariances (H, 2H)
+    # of the stored covariances (H, 2H)
     contribution: RunningSpread
     band_covariance: RunningSpread
     matrix: RunningSpread | None
@@ -326,10 +325,10 @@ def spread(deviation: Array, share: Array) -> Array:
 def ratio_factors(above: Array, below: Array, share: Array) -> Array:
     """Return ends of the 95 % interval of a ratio of means, over the ratio: (..., 2).
 
-    The means are of positive block values (B, ...). The interval is logarithmic, by the jackknife
-    with Student's t [Miller1974]_. If few blocks hold most of the error, the others missed the
-    tail. The interval is then 1 + √(excess kurtosis / B) times as wide, and the skewness widens it
-    on the side of that tail (``python -m benchmarks coverage``).
+    The means are of positive block values (B, ...). The interval is logarithmic,
+    by the jackknife with Student's t [Miller1974]_. If few blocks hold most of the error,
+    the others missed the tail. The interval is then 1 + √(excess kurtosis / B) times as wide,
+    and the skewness widens it on the side of that tail (``python -m benchmarks coverage``).
     """
     blocks = len(share)
     if blocks < 2:

@@ -3,9 +3,9 @@
 The variance is the sum over all pairs of techniques of Cov(E_t, E_s), where E_t is the part of an
 estimate from technique t. Off the diagonal it is 0 for independent sets, but not for techniques
 that share points (`mcspectra.estimators.sets`). Each covariance has a dc, a power and a cross term,
-with the spectrum S^t and the integrand f^t of technique t instead of S and f. For large n, the
-slowest rate of a technique becomes the rate of the sum. That technique is the *bottleneck* if the
-95 % interval of its rate lies above the intervals of all other techniques.
+with the spectrum S^t and the integrand f^t of technique t instead of S and f. For large n,
+the slowest rate of a technique becomes the rate of the sum. That technique is the *bottleneck*
+if the 95 % interval of its rate lies above the intervals of all other techniques.
 """
 
 from __future__ import annotations
@@ -59,8 +59,8 @@ _FINITE = ("technique_covariance", "technique_variance", "measured_variance", "m
 class TechniqueSettings:
     """Limit of memory for pairs of techniques."""
 
-    # Largest number of complex values of Σ_r S^t conj(S^s), over all pairs of techniques and
-    # frequencies: 512 MiB.
+    # Largest number of complex values of Σ_r S^t conj(S^s),
+    # over all pairs of techniques and frequencies: 512 MiB.
     most: int = 2**25
 
 
@@ -232,38 +232,39 @@ def technique_terms(
     estimator, sampler
         A `MultipleImportance`, a `TechniqueSum` or any other estimator, and its sampler.
     counts
-        Number of points n of each technique in units of its ``counts``. A list of ascending numbers
-        adds the dim n, rates and the bottleneck.
+        Number of points n of each technique in units of its ``counts``.
+        A list of ascending numbers adds the dim n, rates and the bottleneck.
     dims, half_width, basis, engine, eps, workers
         Same as in `variance_terms`.
     realizations
         Number of independent realizations for each n, at least 2.
     rng
-        Seed (SPEC 7). With a single n, realizations are those of `variance_terms`; with a list,
-        each n has the same stream as in `convergence`.
+        Seed (SPEC 7). With a single n, realizations are those of `variance_terms`;
+        with a list, each n has the same stream as in `convergence`.
     space
-        ``"domain"`` or ``"primary"`` as in `variance_terms`; by default the domain, if there is
-        one. In primary space the dc terms are 0, because the points of every technique have equal
-        weights.
+        ``"domain"`` or ``"primary"`` as in `variance_terms`;
+        by default the domain, if there is one. In primary space the dc terms are 0,
+        because the points of every technique have equal weights.
     fit_last
         Number of last counts that rates are fitted to, as in `convergence`.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more raises, before it starts if
-        possible.
+        Most evaluations of the integrand. An analysis that takes more raises,
+        before it starts if possible.
 
     Returns
     -------
     xarray.Dataset
-        On technique and technique_other: ``technique_covariance`` of the techniques' parts of the
-        estimate, which sums to ``measured_variance``; and ``technique_dc_term``,
+        On technique and technique_other: ``technique_covariance`` of the techniques' parts
+        of the estimate, which sums to ``measured_variance``; and ``technique_dc_term``,
         ``technique_power_term`` and ``technique_cross_term``, which sum to ``predicted_variance``.
-        All four have ``_se`` (batch means, from 4 realizations on). ``dc_term``, ``power_term`` and
-        ``cross_term`` are those of `variance_terms`: in the domain the sums over pairs. In primary
-        space each technique has its own frequencies, so dc and power are sums over the diagonal and
-        cross is the rest. On technique: ``technique_variance`` with ``_ci``, the diagonal.
-        ``captured`` with ``_ci``. With a list of n: ``technique_rate`` and ``rate`` with ``_ci``,
-        and ``bottleneck``, the technique with a significantly slower rate than all others
-        (intervals do not overlap), or −1 if undecided. The attribute ``bottleneck`` has its name.
+        All four have ``_se`` (batch means, from 4 realizations on).
+        ``dc_term``, ``power_term`` and ``cross_term`` are those of `variance_terms`:
+        in the domain the sums over pairs. In primary space each technique has its own frequencies,
+        so dc and power are sums over the diagonal and cross is the rest. On technique:
+        ``technique_variance`` with ``_ci``, the diagonal. ``captured`` with ``_ci``.
+        With a list of n: ``technique_rate`` and ``rate`` with ``_ci``, and ``bottleneck``,
+        the technique with a significantly slower rate than all others (intervals do not overlap),
+        or −1 if undecided. The attribute ``bottleneck`` has its name.
         Techniques without variance are excluded. Several channels add a dim channel.
 
     Raises

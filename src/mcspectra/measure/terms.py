@@ -1,8 +1,8 @@
 """The three terms: variance of an estimator predicted and explained from spectra.
 
-See docs/theory.md, "The three terms" and "Contributions and bands". No M × M matrix is stored. In
-primary space every technique has its own integrand and points, and the sums run over (technique,
-m).
+See docs/theory.md, "The three terms" and "Contributions and bands".
+No M × M matrix is stored. In primary space every technique has its own integrand and points,
+and the sums run over (technique, m).
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ __all__ = ["Terms", "variance_terms"]
 class TermSettings:
     """Limit of memory for the full cross matrix."""
 
-    # Largest number of frequencies of a full cross matrix: two complex matrices of that size take
-    # 0.5 GiB.
+    # Largest number of frequencies of a full cross matrix:
+    # two complex matrices of that size take 0.5 GiB.
     most_matrix: int = 4096
 
 
@@ -269,27 +269,27 @@ def variance_terms(
         The estimator with one sampler, or with a list of different samplers, which use the same
         random numbers. `n` is the number of points of each technique in units of its ``counts``.
     dims
-        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
-        that is not a spec.
+        Number of dims of a function, and of a spec without ``dims``.
+        By default that of a sampler that is not a spec.
     half_width
-        Frequencies m run over {−half_width … half_width}^d. The default is 64, or the power of two
-        near 2 n^(1/d) if that is larger. It is lower if f has no higher frequencies, or if there
-        would be more than 2^17.
+        Frequencies m run over {−half_width … half_width}^d.
+        The default is 64, or the power of two near 2 n^(1/d) if that is larger.
+        It is lower if f has no higher frequencies, or if there would be more than 2^17.
     realizations
         Number of independent realizations, at least 2.
     rng
         Seed (SPEC 7). Realization r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
     basis
         ``"fourier"``, ``"cosine"``, ``"walsh"`` or ``"haar"`` (`mcspectra.spectra.bases`).
-        ``"auto"`` is the one that fits the sampler's randomization; the attribute ``basis`` reports
-        it. A list of samplers needs a basis that fits all.
+        ``"auto"`` is the one that fits the sampler's randomization;
+        the attribute ``basis`` reports it. A list of samplers needs a basis that fits all.
     space
-        ``"domain"`` uses f with the warped, weighted points (the paper's view). ``"primary"`` uses
-        g(u) with the sampler's own points, which shows discontinuities of the warp. The default is
-        the domain, if there is one.
+        ``"domain"`` uses f with the warped, weighted points (the paper's view).
+        ``"primary"`` uses g(u) with the sampler's own points,
+        which shows discontinuities of the warp. The default is the domain, if there is one.
     bands
-        ``"radial"``, ``"dyadic"``, ``"anova"``, ``"wedge"``, or an integer label ≥ 0 for every
-        basis function; see `mcspectra.measure.bands.make_bands`.
+        ``"radial"``, ``"dyadic"``, ``"anova"``, ``"wedge"``,
+        or an integer label ≥ 0 for every basis function; see `mcspectra.measure.bands.make_bands`.
     cross_matrix
         Whether to return C_ml and conj(f_m) f_l C_ml in full, for at most 4096 frequencies.
     engine, eps
@@ -297,30 +297,31 @@ def variance_terms(
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more raises, before it starts if
-        possible.
+        Most evaluations of the integrand. An analysis that takes more raises,
+        before it starts if possible.
 
     Returns
     -------
     xarray.Dataset
-        ``dc_term``, ``power_term``, ``cross_term`` and ``predicted_variance``, their sum, with
-        ``_ci``; ``measured_variance`` with ``_ci``. ``captured`` with ``_ci`` is
-        predicted/measured, NaN if the measured variance is rounding noise. ``energy_share`` is the
-        part of ∫f² within the half width, and ``tail_term`` the variance of the rest for random
-        points. ``contribution`` and ``power_contribution`` are on m0, m1, …. Further variables are
-        ``band_covariance(band, band_other)``, ``truncated_variance(half_width)`` and
-        ``captured_by_half_width(half_width)``. A list adds a dim sampler, several channels a dim
-        channel, and several techniques in primary space a dim technique on maps. With
-        `cross_matrix` there are ``coefficient_covariance(m, l)`` and ``cross_matrix(m, l)``.
+        ``dc_term``, ``power_term``, ``cross_term`` and ``predicted_variance``, their sum,
+        with ``_ci``; ``measured_variance`` with ``_ci``. ``captured`` with ``_ci``
+        is predicted/measured, NaN if the measured variance is rounding noise.
+        ``energy_share`` is the part of ∫f² within the half width, and ``tail_term`` the variance
+        of the rest for random points. ``contribution`` and ``power_contribution`` are on m0, m1, ….
+        Further variables are ``band_covariance(band, band_other)``,
+        ``truncated_variance(half_width)`` and ``captured_by_half_width(half_width)``.
+        A list adds a dim sampler, several channels a dim channel,
+        and several techniques in primary space a dim technique on maps.
+        With `cross_matrix` there are ``coefficient_covariance(m, l)`` and ``cross_matrix(m, l)``.
 
-        The terms, ``contribution``, ``band_covariance`` and both matrices have standard errors
-        ``_se``, and the terms ``_ci``, by batch means from 4 realizations on. The attribute
-        ``batches`` is the number of batches, and 95 % intervals use Student's t with one degree of
-        freedom less. The interval of ``captured`` is logarithmic, and wider if few batches hold
-        most of the error. A set that is always the same has no variance, which the attribute
-        ``note`` reports. The note also names estimates that missed the source of their variance
-        (see `convergence`). The upper end of ``measured_variance_ci`` is then infinite, and the
-        lower end of ``captured_ci`` is 0.
+        The terms, ``contribution``, ``band_covariance`` and both matrices
+        have standard errors ``_se``, and the terms ``_ci``, by batch means from 4 realizations on.
+        The attribute ``batches`` is the number of batches, and 95 % intervals use Student's t
+        with one degree of freedom less. The interval of ``captured`` is logarithmic, and wider
+        if few batches hold most of the error. A set that is always the same has no variance,
+        which the attribute ``note`` reports. The note also names estimates that missed the source
+        of their variance (see `convergence`). The upper end of ``measured_variance_ci``
+        is then infinite, and the lower end of ``captured_ci`` is 0.
 
     Raises
     ------
@@ -330,8 +331,8 @@ def variance_terms(
     Warns
     -----
     InfiniteWeightVarianceWarning
-        If ∫1/p diverges. The terms of the domain view are then infinite and given as NaN or
-        infinity.
+        If ∫1/p diverges.
+        The terms of the domain view are then infinite and given as NaN or infinity.
 
     Notes
     -----
@@ -403,8 +404,8 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
 
     # Full C_ml and conj(f_m) f_l C_ml; errors of conjugates are equal and scale with |f_m f_l|
     if sums.matrix is not None and batches.matrix is not None:
-        # For each coefficient of each technique: its position among the stored ones, and whether it
-        # is conjugated
+        # For each coefficient of each technique:
+        # its position among the stored ones, and whether it is conjugated
         techniques, (place, conjugate) = len(view.transforms), basis.whole()
         index = (np.arange(techniques)[:, None] * basis.stored + place).ravel()
         flip = np.tile(conjugate, techniques)
@@ -441,9 +442,9 @@ def _predicted_ci(total: TermSums, batches: Batches) -> Array:
 def _signed(stored: Array, index: Array, flip: Array) -> Array:
     """Return ⟨S_a conj S_b⟩ for a, b plain or conjugated, from the stored blocks.
 
-    The stored blocks are those with and without conj. S_{−l} = conj S_l gives C_{m,−l} = Cov(S_m,
-    conj S_l), the pseudo-covariance. In primary space the coefficients of the techniques follow one
-    another.
+    The stored blocks are those with and without conj.
+    S_{−l} = conj S_l gives C_{m,−l} = Cov(S_m, conj S_l), the pseudo-covariance.
+    In primary space the coefficients of the techniques follow one another.
     """
     size = len(stored)
     plain, pseudo = stored[:, :size][np.ix_(index, index)], stored[:, size:][np.ix_(index, index)]

@@ -1,8 +1,8 @@
 """The two views of an estimator: pairs of integrand coefficients and spectra of points.
 
-The *domain* view pairs one integrand f with the warped, weighted points of all techniques. In
-*primary* space every technique has its own integrand g_t and the sampler's own points, and sums run
-over (technique, m).
+The *domain* view pairs one integrand f with the warped, weighted points of all techniques.
+In *primary* space every technique has its own integrand g_t and the sampler's own points,
+and sums run over (technique, m).
 """
 
 from __future__ import annotations
@@ -31,18 +31,17 @@ __all__ = ["Frequencies", "View"]
 class FrequencySettings:
     """The default half width, and the number of points for mean squares."""
 
-    # Least default half width: features of 1/128 of the cube, the pixels of a thumbnail, are
-    # resolved.
+    # Least default half width: features of 1/128 of the cube,
+    # the pixels of a thumbnail, are resolved.
     least_width: int = 64
-    # Largest number of frequencies of a default half width, 2^17. In 2-D a half width of 128 fits,
-    # and one spectrum takes 1 MiB in half storage.
+    # Largest number of frequencies of a default half width, 2^17.
+    # In 2-D a half width of 128 fits, and one spectrum takes 1 MiB in half storage.
     most_frequencies: int = 2**17
-    # Fraction of Σ|f_m|² outside half the width below which the width is halved: ten roundings of
-    # float64.
+    # Fraction of Σ|f_m|² outside half the width below which the width is halved:
+    # ten roundings of float64.
     rounding: float = 1e-15
-    # Number of points for mean squares of weights and functions. They give the energy share of a
-    # smooth f to 1e-4, and of
-    # a discontinuous one to 1 %.
+    # Number of points for mean squares of weights and functions.
+    # They give the energy share of a smooth f to 1e-4, and of a discontinuous one to 1 %.
     probes: int = 2**14
 
 
@@ -78,8 +77,8 @@ class Frequencies:
         dims = estimator.dims if chosen == "primary" else estimator.domain_dims
         width: int | None = asked.half_width
         if width is None:
-            # Twice the frequency n^(1/d), above which n strata are like random points, within the
-            # limits
+            # Twice the frequency n^(1/d), above which n strata are like random points,
+            # within the limits
             width = max(
                 _SETTINGS.least_width, 2 ** math.ceil(math.log2(2.0 * n ** (1.0 / dims)) - 1e-9)
             )
@@ -189,8 +188,8 @@ class View:
     def energy(self, n: int) -> tuple[Array, Array]:
         """Return the part of ∫f² in the basis functions, and the random variance of the rest.
 
-        Both are (channels or 1,), and NaN if ∫f² is not known. The power of random points is (1/n)
-        times the mean square of the weights.
+        Both are (channels or 1,), and NaN if ∫f² is not known.
+        The power of random points is (1/n) times the mean square of the weights.
         """
         estimator, basis = self.estimator, self.basis
         f = np.abs(self.integrand_coefficients) ** 2 * basis.double

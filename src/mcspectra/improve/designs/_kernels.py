@@ -65,8 +65,8 @@ def improve_code(table: Array, columns: Array, bits: int, span: Array) -> float:
 
 @kernel
 def flip_tree(table: Array, codes: Array, axes: int, bits: int) -> bool:
-    # Flip nodes of the trees of all axes where that lowers Σ_ij table[codes_i ^ codes_j]; codes
-    # (n,)
+    # Flip nodes of the trees of all axes where that lowers Σ_ij table[codes_i ^ codes_j];
+    # codes (n,)
     n, changed = len(codes), False
     inside = np.empty(n, np.bool_)
     for axis in range(axes):
@@ -109,10 +109,9 @@ def swap_cells(
     keys: Array,
     trials: int,
 ) -> int:
-    # Exchange pairs of cells between sets where Σ |sums|² falls. features float32 (N, r), owner
-    # (N,) the
-    # set of each cell, place (N,) its stratum, sums float32 (W, r); not free: strata keep one cell
-    # a set
+    # Exchange pairs of cells between sets where Σ |sums|² falls. features float32 (N, r),
+    # owner (N,) the set of each cell, place (N,) its stratum, sums float32 (W, r); not free:
+    # strata keep one cell a set
     cells, r = features.shape
     taken = 0
     for t in range(trials):
@@ -151,8 +150,8 @@ def swap_cells(
 
 @kernel
 def reflect(slopes: Array, sets: Array, signs: Array) -> None:
-    # Signs int64 (W, n) of ±1 that make |Σ_i sign_i slopes[sets_i]|² small for each set; slopes (N,
-    # r)
+    # Signs int64 (W, n) of ±1 that make |Σ_i sign_i slopes[sets_i]|² small for each set;
+    # slopes (N, r)
     n, r = sets.shape[1], slopes.shape[1]
     total = np.empty(r)
     for w in range(len(sets)):

@@ -56,12 +56,12 @@ class DesignSettings:
 
     # Points and members whose values identify a class in the cache, together with its text.
     # Functions have no text that identifies them, and their values may be 0 outside a small region:
-    # 64 points missed disks of radius 0.1, and 8192 points miss a region of volume 1e-3 with
-    # probability 3e-4.
+    # 64 points missed disks of radius 0.1, and 8192 points miss a region of volume 1e-3
+    # with probability 3e-4.
     cache_points: int = 2**13
     cache_members: int = 256
-    # Samplers that designs and certificates compare with by default: the usual samplers with the
-    # least variance. Folded lattices have less variance than others for smooth integrands.
+    # Samplers that designs and certificates compare with by default: the usual samplers
+    # with the least variance. Folded lattices have less variance than others for smooth integrands.
     rivals: tuple[str, ...] = (
         "sobol | owen",
         "pmj02",
@@ -73,9 +73,9 @@ class DesignSettings:
         "rank1-lattice | shift | mirror(mode='fold')",
         "fibonacci | shift | mirror(mode='fold')",
     )
-    # Members, realizations of each group of members, and most evaluations of each sampler, when a
-    # design is compared with its rivals before it is returned. The members of a group share their
-    # realizations, so that 20 groups of 32 have 620 degrees of freedom: an error of 6 %.
+    # Members, realizations of each group of members, and most evaluations of each sampler,
+    # when a design is compared with its rivals before it is returned. The members of a group share
+    # their realizations, so that 20 groups of 32 have 620 degrees of freedom: an error of 6 %.
     check_members: int = 2000
     check_realizations: int = 32
     check_evaluations: int = 2**24
@@ -136,29 +136,29 @@ def design(
     ----------
     kind
         ``"lattice"`` (generating vectors: all in 2-D, else axis by axis), ``"polynomial-lattice"``,
-        ``"digital-net"`` (generator matrices), ``"owen"`` (64 flipped trees of Sobol' points with
-        the same t), ``"strata"`` (their shape, and the combination of points of different strata)
-        or ``"points"`` (sets that divide a grid among them, or one set on the torus by its
-        gradient); or ``"density"``: see `learned_density`.
+        ``"digital-net"`` (generator matrices), ``"owen"`` (64 flipped trees of Sobol' points
+        with the same t), ``"strata"`` (their shape, and the combination of points
+        of different strata) or ``"points"`` (sets that divide a grid among them,
+        or one set on the torus by its gradient); or ``"density"``: see `learned_density`.
     objective
         The integrand of a density, or the class of a sampler. A class is a spec, whose parameters
         may be ``uniform(a, b)`` or ``normal(mean, sd)``, drawn for each axis if possible:
         ``"gaussian(center=uniform(0, 1), width=uniform(0.1, 0.4))"``; ``"gaussians"`` (this one),
         ``"disks"`` or ``"half-spaces"`` (a uniform direction through a uniform point); a function
-        ``generator -> integrand``; a list of all these, in equal shares, such as the pixels of a
-        scene; ``{"spectrum": P}`` with the powers P(m) = E|f_m|², an array (2h + 1, …) of m = −h …
-        h or, with ``"half_width": h``, a callable of m (k, d); ``{"covariance": C}``, C_ml = E[f_m
-        conj(f_l)] as a matrix of these m in C order, or a callable of m and l.
+        ``generator -> integrand``; a list of all these, in equal shares, such as the pixels
+        of a scene; ``{"spectrum": P}`` with the powers P(m) = E|f_m|², an array (2h + 1,
+        …) of m = −h … h or, with ``"half_width": h``, a callable of m (k, d); ``{"covariance":
+        C}``, C_ml = E[f_m conj(f_l)] as a matrix of these m in C order, or a callable of m and l.
     n
         Number of points. Nets and trees take powers of two.
     dims
-        Number of dims, up to 8. The default is the number of dims of the integrands, or 2 if they
-        fit any number.
+        Number of dims, up to 8. The default is the number of dims of the integrands,
+        or 2 if they fit any number.
     rng
         Seed. The same seed gives the same sampler.
     path
-        File for the sampler or the density, .json. Sets of points go into a .npz file of the same
-        name. The default is the cache folder.
+        File for the sampler or the density, .json.
+        Sets of points go into a .npz file of the same name. The default is the cache folder.
     family, sampler, budget, defensive
         Options of a density: `kind` (default ``"mixture"``), `sampler` (default ``"sobol |
         owen"``), `evaluations` and `defensive` of `learned_density`.
@@ -168,8 +168,8 @@ def design(
     Returns
     -------
     Sampler or Density
-        It is unbiased for every integrand. Its `spec` makes it again; kinds with sets name their
-        file. If a usual sampler has less variance over fresh members of the class, with 95 %
+        It is unbiased for every integrand. Its `spec` makes it again; kinds with sets name
+        their file. If a usual sampler has less variance over fresh members of the class, with 95 %
         confidence, it is returned with a `NoGainWarning`, unless `settings.return_rival` is false.
 
     Raises
@@ -177,8 +177,8 @@ def design(
     CountError
         If the kind has no sets of n points.
     ParameterError
-        If the kind is unknown; an option of densities is given with a sampler or the reverse; the
-        objective is empty, constant or cannot be read; or dims are out of range.
+        If the kind is unknown; an option of densities is given with a sampler or the reverse;
+        the objective is empty, constant or cannot be read; or dims are out of range.
     DomainError
         If values of an integrand are not finite.
     FileFormatError
@@ -307,9 +307,9 @@ def certificate(
     dims
         Number of dims. The default is the number of dims of the sampler.
     rivals
-        Samplers to compare with. The default is sobol | owen, pmj02, pmj02-blue-noise, and shifted
-        Korobov, rank-1 and Fibonacci lattices, folded and not, except those without a set of n
-        points in these dims.
+        Samplers to compare with. The default is sobol | owen, pmj02, pmj02-blue-noise,
+        and shifted Korobov, rank-1 and Fibonacci lattices, folded and not,
+        except those without a set of n points in these dims.
     members
         Number of members that are drawn, in 20 groups.
     realizations
@@ -321,16 +321,16 @@ def certificate(
     -------
     xarray.Dataset
         `mean_variance(sampler)` with `mean_variance_ci`, and `design_ratio` with `design_ratio_ci`:
-        the mean variance of the sampler over that of the best rival. The rival of each half of the
-        groups is the best in the other half. Intervals at 95 % use Student's t over groups, and the
-        jackknife for the ratio. The attribute `best_rival` names the rival with the least mean
-        variance: use it if the ratio is above 1.
+        the mean variance of the sampler over that of the best rival.
+        The rival of each half of the groups is the best in the other half. Intervals at 95 % use
+        Student's t over groups, and the jackknife for the ratio. The attribute `best_rival` names
+        the rival with the least mean variance: use it if the ratio is above 1.
 
     Raises
     ------
     ParameterError
-        If there is no rival, all variances of the best rival vanish, or an argument of `design` is
-        wrong.
+        If there is no rival, all variances of the best rival vanish,
+        or an argument of `design` is wrong.
     """
     groups = _SETTINGS.groups
     given = as_sampler(sampler, dims)

@@ -1,10 +1,10 @@
 """Objectives of a design: classes of integrands, drawn at random or known entirely.
 
-The expected variance over a class is tr(C_f C_S), C_f = E[f_m conj(f_l)]. It is the sum of the
-variances of functions g_t with Σ_t g_t(x) g_t(y) = E[f(x) f(y)]. For M members, these functions are
-the members times 1/√M. For a covariance of coefficients, they are its eigenvectors times the roots
-of its eigenvalues. For a spectrum, they are the waves √(2 P(m)) cos(2π m·x) and √(2 P(m)) sin(2π
-m·x).
+The expected variance over a class is tr(C_f C_S), C_f = E[f_m conj(f_l)].
+It is the sum of the variances of functions g_t with Σ_t g_t(x) g_t(y) = E[f(x) f(y)].
+For M members, these functions are the members times 1/√M.
+For a covariance of coefficients, they are its eigenvectors times the roots of its eigenvalues.
+For a spectrum, they are the waves √(2 P(m)) cos(2π m·x) and √(2 P(m)) sin(2π m·x).
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ class ObjectiveSettings:
     # Most waves of a spectrum, and most eigenvectors of a covariance; the largest ones are kept.
     # Each wave is two functions, so that searches handle twice as many functions.
     most_waves: int = 1024
-    # Members and points that are tested for a class in which all members are constant. A class is
-    # refused by mistake if its members vary in less than about 1/8192 of the volume only.
+    # Members and points that are tested for a class in which all members are constant. A class
+    # is refused by mistake if its members vary in less than about 1/8192 of the volume only.
     probe_members: int = 16
     probe_points: int = 2**13
-    # Default and largest half width h of a spectrum or a covariance that is a function. A spectrum
-    # has (2h + 1)^d values: 2.1e6 of h = 64 in 3-D.
+    # Default and largest half width h of a spectrum or a covariance that is a function.
+    # A spectrum has (2h + 1)^d values: 2.1e6 of h = 64 in 3-D.
     usual_half_width: int = 8
     most_half_width: int = 64
 
@@ -77,8 +77,8 @@ class Objective:
     text
         A name for messages.
     draw
-        Function of M and a generator that makes M random members, or the whole class if it is a
-        list.
+        Function of M and a generator that makes M random members,
+        or the whole class if it is a list.
     whole
         The functions of the whole class if it is known entirely, else None.
     """
@@ -99,8 +99,8 @@ def as_objective(given: object, dims: int | None = None) -> Objective:
     Raises
     ------
     ParameterError
-        If the objective cannot be read, is empty or has constant members only, or dims are not 1 to
-        8.
+        If the objective cannot be read, is empty or has constant members only,
+        or dims are not 1 to 8.
     DomainError
         If values are not finite.
     """

@@ -1,18 +1,18 @@
 """Searches, one for each kind of sampler; each yields better and better samplers.
 
-A set that is shifted at random has the variance Σ_{m≠0} P(m) |S_m|², with P(m) = E|f_m|² of the
-class. For a lattice, this is the sum of P over its dual lattice. Under a digital shift the same
-holds in the Walsh basis: the variance is (1/n²) Σ_ij κ(x_i xor x_j), with κ the Walsh series of P.
-For a digital net it is the mean of κ over the points alone. If sets are folded after the shift,
-both hold for g(x) = f(1 − |2x − 1|), which is continuous on the torus [Hickernell2002]_. Each
-search tries both and keeps the better one.
+A set that is shifted at random has the variance Σ_{m≠0} P(m) |S_m|²,
+with P(m) = E|f_m|² of the class. For a lattice, this is the sum of P over its dual lattice.
+Under a digital shift the same holds in the Walsh basis: the variance is (1/n²) Σ_ij κ(x_i xor x_j),
+with κ the Walsh series of P. For a digital net it is the mean of κ over the points alone.
+If sets are folded after the shift, both hold for g(x) = f(1 − |2x − 1|),
+which is continuous on the torus [Hickernell2002]_. Each search tries both and keeps the better one.
 
-Sets that divide the cells of a grid among them need no shift. Let φ_t be features with Σ_t φ_t(x)
-φ_t(y) = Cov(f(x), f(y)) at the centers of cells. The variance is then the mean over sets of Σ_t
-(mean φ_t)². Exchanges of cells between sets lower it. They start from random sets, or from the
-cosets of a designed digital net, if that start is better. The points of a set have the same offset
-within their cells up to reflections, which are chosen so that the sum of the signed slopes is
-small.
+Sets that divide the cells of a grid among them need no shift.
+Let φ_t be features with Σ_t φ_t(x) φ_t(y) = Cov(f(x), f(y)) at the centers of cells. The variance
+is then the mean over sets of Σ_t (mean φ_t)². Exchanges of cells between sets lower it.
+They start from random sets, or from the cosets of a designed digital net, if that start is better.
+The points of a set have the same offset within their cells up to reflections,
+which are chosen so that the sum of the signed slopes is small.
 """
 
 from __future__ import annotations
@@ -52,27 +52,27 @@ _FOLD = " | mirror(mode='fold')"
 class SearchSettings:
     """Settings of the searches.
 
-    Larger numbers take longer searches. Comments state the mean variance of designs at other
-    values, as a ratio to ``sobol | owen``, over 400 fresh members of ``gaussians`` at n of about 64
-    in 2-D.
+    Larger numbers take longer searches.
+    Comments state the mean variance of designs at other values, as a ratio to ``sobol | owen``,
+    over 400 fresh members of ``gaussians`` at n of about 64 in 2-D.
     """
 
     # Classes
 
-    # Most random members that represent a class. The ratio of strata is 0.037, 0.031 and 0.027 for
-    # 512, 1024 and 2048 members; the ratio of lattices does not change.
+    # Most random members that represent a class. The ratio of strata is 0.037,
+    # 0.031 and 0.027 for 512, 1024 and 2048 members; the ratio of lattices does not change.
     members: int = 1024
     # Most values of a table of all members at the points of a grid: 128 MB in single precision.
     table_values: int = 2**25
-    # Whether a usual sampler that has less variance is returned instead of the design. Without it,
-    # designs of one kind can be compared with designs of another kind.
+    # Whether a usual sampler that has less variance is returned instead of the design.
+    # Without it, designs of one kind can be compared with designs of another kind.
     return_rival: bool = True
     # Points at which members are evaluated at once: 64 MB in double precision for 1024 members.
     block: int = 2**13
     # Points and members with which the searches of nets, and of lattices in three dims or more,
-    # measure their samplers. The ratio of nets is 0.167 for half or twice as many points, and 0.164
-    # to 0.167 for half or twice as many members. In 3-D, 128 members choose another lattice, with
-    # 0.313 instead of 0.295.
+    # measure their samplers. The ratio of nets is 0.167 for half or twice as many points,
+    # and 0.164 to 0.167 for half or twice as many members.
+    # In 3-D, 128 members choose another lattice, with 0.313 instead of 0.295.
     judge_points: int = 2**16
     judge_members: int = 256
 
@@ -81,56 +81,56 @@ class SearchSettings:
     # Points of the table that estimates the spectrum of the class, twice as many above three dims.
     # The ratio of lattices is 0.020 to 0.021 for half or twice as many, and 0.27 to 0.30 in 3-D.
     frequencies: int = 2**16
-    # Starting vectors of the search of lattices in three dims or more: one that is built axis by
-    # axis, and random ones. In 3-D the ratio is 0.295 for 24 and 48, and 0.274 for 96 in twice the
-    # time.
+    # Starting vectors of the search of lattices in three dims or more:
+    # one that is built axis by axis, and random ones.
+    # In 3-D the ratio is 0.295 for 24 and 48, and 0.274 for 96 in twice the time.
     vectors: int = 48
-    # Number of the best of these vectors that are measured. In 3-D the ratio is the same for 6 and
-    # 24.
+    # Number of the best of these vectors that are measured.
+    # In 3-D the ratio is the same for 6 and 24.
     judged: int = 12
 
     # Nets and trees
 
-    # Most points of a net or of trees. Exchanges in trees compare all pairs of points, and their
-    # number grows as n².
+    # Most points of a net or of trees. Exchanges in trees compare all pairs of points,
+    # and their number grows as n².
     most_points: int = 2**12
     # Most bits of the codes of all axes together: the Walsh table has 2^18 values for each member.
     table_bits: int = 18
-    # Starting matrices of the search of nets: those of Sobol', and random ones of the same
-    # strength. The ratio is the same for 3 and 12.
+    # Starting matrices of the search of nets:
+    # those of Sobol', and random ones of the same strength. The ratio is the same for 3 and 12.
     net_starts: int = 6
-    # Trees of a design of kind ``owen``: number of independent sets, so that errors can be
-    # estimated from realizations. The ratio is 0.235 for 32 and 0.224 for 64 and 128.
+    # Trees of a design of kind ``owen``: number of independent sets, so that errors can
+    # be estimated from realizations. The ratio is 0.235 for 32 and 0.224 for 64 and 128.
     trees: int = 64
     # Trees that choose whether sets are folded. The ratio is the same for 4 and 16.
     first_trees: int = 8
 
     # Sets that share a grid
 
-    # Cells of the grid. The sets of n points are cells/n in number, at least 16. The ratio of
-    # strata is 0.033, 0.031 and 0.033 for half, all and twice as many.
+    # Cells of the grid. The sets of n points are cells/n in number, at least 16.
+    # The ratio of strata is 0.033, 0.031 and 0.033 for half, all and twice as many.
     cells: int = 2**16
-    # Features of the covariance, or n if n is larger, up to twice this number. The ratio of strata
-    # is 0.031 for half or twice as many.
+    # Features of the covariance, or n if n is larger, up to twice this number.
+    # The ratio of strata is 0.031 for half or twice as many.
     features: int = 160
-    # Exchanges of cells that are tried in a round. The ratio of strata is 0.035, 0.031 and 0.028
-    # for half, all and twice as many, in proportion to the time.
+    # Exchanges of cells that are tried in a round. The ratio of strata is 0.035,
+    # 0.031 and 0.028 for half, all and twice as many, in proportion to the time.
     trials: int = 2**20
     # Most rounds of exchanges. The ratio of strata is 0.037, 0.031 and 0.028 for 12, 24 and 48,
     # again in proportion to the time.
     rounds: int = 24
-    # Rounds after which the better of several starts is chosen. For ``points`` and ``half-spaces``
-    # the ratio is 0.735 for 2, 4 and 8.
+    # Rounds after which the better of several starts is chosen.
+    # For ``points`` and ``half-spaces`` the ratio is 0.735 for 2, 4 and 8.
     first_rounds: int = 4
-    # A round that lowers the variance by a smaller fraction is the last. The ratio of strata is the
-    # same for half or twice the value.
+    # A round that lowers the variance by a smaller fraction is the last.
+    # The ratio of strata is the same for half or twice the value.
     least_gain: float = 0.003
-    # Whether exchanges also start from the cosets of a digital net. In 4-D, 64 points end with less
-    # variance than from random sets: tests/improve/test_design.py.
+    # Whether exchanges also start from the cosets of a digital net.
+    # In 4-D, 64 points end with less variance than from random sets: tests/improve/test_design.py.
     cosets: bool = True
     # Shapes of strata that are compared, the most even ones, and realizations of each comparison.
-    # The least variance of 32 realizations has a relative error of √(2/31) = 25 %, and differs
-    # between shapes that matter by more.
+    # The least variance of 32 realizations has a relative error of √(2/31) = 25 %,
+    # and differs between shapes that matter by more.
     shapes: int = 12
     shape_realizations: int = 32
 
@@ -175,9 +175,9 @@ def _fourier_power(
     """Return frequencies m, one of ±m, and 2 E|f_m|², the strongest first: int64 (K, d), (K,).
 
     Up to 3 dims they are the frequencies of a grid. In more dims a grid has few frequencies along
-    an axis, but functions that are not periodic have most of their power along the axes. The
-    frequencies are then those of a hyperbolic cross and of a ball, estimated on a lattice. Of
-    frequencies that the lattice cannot distinguish, only the lowest is kept.
+    an axis, but functions that are not periodic have most of their power along the axes.
+    The frequencies are then those of a hyperbolic cross and of a ball, estimated on a lattice.
+    Of frequencies that the lattice cannot distinguish, only the lowest is kept.
     """
     if dims <= 3:
         side = int(size ** (1.0 / dims) + 1e-9)
