@@ -227,8 +227,8 @@ def best_alignment(
 
     Notes
     -----
-    Intervals of ratios are for independent measurements. They hold for all candidates together at
-    95 %.
+    Intervals of ratios are for independent measurements.
+    They hold for all candidates together at 95 %.
 
     Examples
     --------

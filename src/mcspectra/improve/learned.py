@@ -407,14 +407,13 @@ def learned_density(
 
     Notes
     -----
-    Candidates (`mcspectra.improve.learned.LEARNED`), from smooth to fine, are compared by the
-    variance of f/p with at least six realizations of the sampler. The count is n, or the largest
-    count that the evaluations allow: at least n/16, by default usually n/4. The best candidate is
-    checked on fresh points: at least 16 realizations must show with 95 % confidence that its
-    variance is smaller than that of uniform points, and ∫f²/p must be smaller than ∫f². The
-    effective number of uniform points (Σ|f|)²/Σf² must be at least 16, since peaks may be missed
-    otherwise.
-    `mcspectra.improve.learned` describes the method of fitting.
+    Candidates (`mcspectra.improve.learned.LEARNED`), from smooth to fine, are compared
+    by the variance of f/p with at least six realizations of the sampler. The count is n,
+    or the largest count that the evaluations allow: at least n/16, by default usually n/4. The best
+    candidate is checked on fresh points: at least 16 realizations must show with 95 % confidence
+    that its variance is smaller than that of uniform points, and ∫f²/p must be smaller than ∫f².
+    The effective number of uniform points (Σ|f|)²/Σf² must be at least 16, since peaks may
+    be missed otherwise. `mcspectra.improve.learned` describes the method of fitting.
 
     Examples
     --------

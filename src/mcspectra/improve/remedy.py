@@ -307,20 +307,21 @@ def remedies(
 
     Notes
     -----
-    ``fitted``, ``regression``, ``order`` and ``preintegrated`` change the estimator after a pilot
-    of an eighth of the budget (at most 4096 evaluations), and keep its integral. If no count of
-    points costs exactly the budget, the largest count below is measured, and the error is
-    extrapolated to the budget along the fitted rate. The interval includes the uncertainty of the
-    slope. Errors are not extrapolated for changes with a pilot. A user's function is evaluated at
-    most 4/3 · budget · realizations times for each set-up, and 7/3 · budget · realizations times
-    for the given set-up's diagnosis. Searches for offsets of strata and for widths of smooth edges
-    take more evaluations, so that these changes are not tried for a user's function. Biased changes
-    are not tried if ∫f is unknown. The error of a change that is biased, by smoothing or by a
-    sampler that is not randomized, is taken about the integral of the given estimator. A change to
-    another integral has no rate, since its error converges to the square of the bias. Pilots of
-    heuristics and the values of a mean over a box count as evaluations. If all estimates are equal
-    but differ from the integral, they have missed a rare event: error and ratio are NaN, and the
-    verdict is undecided. Set-ups without a rate are last by rate.
+    ``fitted``, ``regression``, ``order`` and ``preintegrated`` change the estimator after
+    a pilot of an eighth of the budget (at most 4096 evaluations), and keep its integral.
+    If no count of points costs exactly the budget, the largest count below is measured,
+    and the error is extrapolated to the budget along the fitted rate. The interval includes
+    the uncertainty of the slope. Errors are not extrapolated for changes with a pilot.
+    A user's function is evaluated at most 4/3 · budget · realizations times for each set-up,
+    and 7/3 · budget · realizations times for the given set-up's diagnosis.
+    Searches for offsets of strata and for widths of smooth edges take more evaluations,
+    so that these changes are not tried for a user's function. Biased changes are not tried
+    if ∫f is unknown. The error of a change that is biased, by smoothing or by a sampler
+    that is not randomized, is taken about the integral of the given estimator.
+    A change to another integral has no rate, since its error converges to the square of the bias.
+    Pilots of heuristics and the values of a mean over a box count as evaluations.
+    If all estimates are equal but differ from the integral, they have missed a rare event:
+    error and ratio are NaN, and the verdict is undecided. Set-ups without a rate are last by rate.
 
     Examples
     --------

@@ -1,13 +1,13 @@
-"""Numba kernels of the variance terms and of pairs of points; they check nothing.
+"""Numba kernels of the variance terms and of pairs of points, without checks of arguments.
 
 Indices: r realizations of a block, h coefficients (half spectra of all techniques,
 one after another), c channels, a bands, k half widths, j the real numbers of the coefficients (2
 each if they are complex). `double[h]` is 2 for a coefficient that also stands for −m, else 1.
 All sums over h with conj(f_h) S_h are real because the full spectrum is Hermitian.
 
-Coefficients are processed in tiles that stay in the first cache while all realizations pass.
-The sums are the same, term by term. Tiles are slices, because loops from 0 are vectorized.
-Loops with a variable start, whose sign Numba cannot infer, are not.
+Coefficients are processed in tiles that stay in the first cache during a loop over realizations.
+Tiles change neither the terms of the sums nor their order. Tiles are slices, because loops from 0
+are vectorized. Loops with a variable start, whose sign Numba cannot infer, are not.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def band_estimates(
 
 @kernel
 def accumulate(s: Array, mean: Array, estimate: Array, squares: Array, cov: Array) -> None:
-    """Add second moments of a block about its own means, for all real numbers alike.
+    """Add second moments of a block about its own means, for every real number in the same way.
 
     s (R, J), mean (J,), estimate (R, C) without its mean; squares (J,) += Σ_r (S − S̄)²;
     cov (C, J) += Σ_r (S − S̄)(I − Ī).
@@ -102,7 +102,10 @@ def term_sums(f: Array, m2: Array, cov: Array, double: Array, dc: Array, out: Ar
 
 @kernel
 def pair_sum_1d(points: Array, table: Array) -> float:
-    """Return Σ_{i<k} A(x_i − x_k) of points (n, 1); table (N,) holds A(j/N), linear in between."""
+    """Return Σ_{i<k} A(x_i − x_k) of points (n, 1).
+
+    Array table (N,) holds A(j/N), which is interpolated linearly.
+    """
     size = table.size
     total = 0.0
     for a in range(len(points)):
@@ -116,7 +119,10 @@ def pair_sum_1d(points: Array, table: Array) -> float:
 
 @kernel
 def pair_sum_2d(points: Array, table: Array) -> float:
-    """Return Σ_{i<k} A(x_i − x_k) of points (n, 2); table (N, N) is bilinear in between."""
+    """Return Σ_{i<k} A(x_i − x_k) of points (n, 2).
+
+    Array table (N, N) is interpolated bilinearly.
+    """
     size = len(table)
     total = 0.0
     for a in range(len(points)):

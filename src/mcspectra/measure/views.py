@@ -29,7 +29,7 @@ __all__ = ["Frequencies", "View"]
 
 @dataclass(frozen=True)
 class FrequencySettings:
-    """The default half width, and the number of points for mean squares."""
+    """Limits of the default half width, and the number of points for mean squares."""
 
     # Least default half width: features of 1/128 of the cube,
     # the pixels of a thumbnail, are resolved.
@@ -41,7 +41,7 @@ class FrequencySettings:
     # ten roundings of float64.
     rounding: float = 1e-15
     # Number of points for mean squares of weights and functions.
-    # They give the energy share of a smooth f to 1e-4, and of a discontinuous one to 1 %.
+    # The points give the energy share of a smooth f to 1e-4, and of a discontinuous f to 1 %.
     probes: int = 2**14
 
 
@@ -59,7 +59,7 @@ class Frequencies:
 
     @staticmethod
     def of(subject: Subject, asked: Any, n: int = 1) -> Frequencies:
-        """Choose space, half width for n points and basis, if an analysis leaves them open.
+        """Choose the space, the half width for n points and the basis that an analysis leaves open.
 
         The basis ``"auto"`` fits the points of the estimator. The points of a mirrored integrand
         are folded in the domain; in primary space they are those of the sampler.
@@ -85,7 +85,7 @@ class Frequencies:
             while width > 1 and (2 * width + 1) ** dims > _SETTINGS.most_frequencies:
                 width //= 2
             if domain is not None and domain.fourier_source == "exact" and dims <= 2:
-                # Halve the width while f has only rounding in the outer half
+                # Halve the width while f has only rounding noise in the outer half
                 power = np.abs(domain.fourier_grid(width)) ** 2
                 power = power.reshape(*(2 * width + 1,) * dims, -1)
                 while width > 1:
@@ -104,7 +104,7 @@ class Frequencies:
 
     @property
     def size(self) -> int:
-        """Number of coefficients; in primary space, for each technique."""
+        """Number of coefficients, in primary space for each technique."""
         techniques = len(self.estimator.counts) if self.space == "primary" else 1
         return self.basis.size * techniques
 
@@ -116,7 +116,7 @@ class Frequencies:
     def view(self, n: int, asked: Any, *, apart: bool = False) -> View:
         """Prepare transforms of n points and coefficients of f, with `apart` by technique.
 
-        Techniques are always separate in primary space.
+        In primary space, techniques are always separate.
         """
         estimator, basis = self.estimator, self.basis
         f = estimator.domain_integrand if self.space == "domain" else None
@@ -160,13 +160,13 @@ class View:
     estimator: AbstractEstimator
     space: str
     basis: Basis
-    transforms: tuple[Coefficients, ...]  # One for each technique's points, or one for all points
+    transforms: tuple[Coefficients, ...]  # One for each technique, or one for all points
     engine: str
     integrand_coefficients: Array  # f^t, (C, T, H)
     source: str  # origin of the coefficients
 
     def spectra(self, points: list[Array]) -> list[Array]:
-        """Return spectra of a block, (R, H), of each technique, or of all together."""
+        """Return the spectra of a block, (R, H), for each technique or for all together."""
         if self.space == "primary":
             return [
                 transform(u, None) for transform, u in zip(self.transforms, points, strict=True)
@@ -188,7 +188,7 @@ class View:
     def energy(self, n: int) -> tuple[Array, Array]:
         """Return the part of ∫f² in the basis functions, and the random variance of the rest.
 
-        Both are (channels or 1,), and NaN if ∫f² is not known.
+        Both results are (channels or 1,), and NaN if ∫f² is not known.
         The power of random points is (1/n) times the mean square of the weights.
         """
         estimator, basis = self.estimator, self.basis

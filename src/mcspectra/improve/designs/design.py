@@ -186,10 +186,10 @@ def design(
 
     Notes
     -----
-    The objective is the expected variance tr(C_f C_S); see `improve.designs.searches`. For other
-    classes the variances may be larger than the variances of usual samplers: see `certificate`. If
-    the search is interrupted (Ctrl-C), the best sampler found up to then is returned and is not put
-    into the cache.
+    The objective is the expected variance tr(C_f C_S); see `improve.designs.searches`.
+    For other classes the variances may be larger than the variances of usual samplers:
+    see `certificate`. If the search is interrupted (Ctrl-C),
+    the best sampler found up to then is returned and is not put into the cache.
 
     Examples
     --------
