@@ -59,9 +59,8 @@ __all__ = [
     "realizations_needed",
 ]
 
-Precision = Annotated[
-    float, Meta(ge=1e-4, le=1.0)
-]  # A smaller error takes billions of realizations
+# A smaller relative error takes billions of realizations
+Precision = Annotated[float, Meta(ge=1e-4, le=1.0)]
 
 
 @dataclass(frozen=True)

@@ -17,9 +17,8 @@ __all__ = ["Setup", "affordable_count"]
 class CountSettings:
     """Limits in the search for an affordable number of points."""
 
-    # Number of candidate counts, and the inverse of the relative step for samplers
-    # with a count near every number. Counts of nets or strata are further apart than the step;
-    # 64 and 1,024 candidates give the same result.
+    # Number of candidate counts, and inverse of the relative step between candidates for samplers
+    # that allow a count near every number. 64 and 1,024 candidates find the same count.
     tries: int = 256
 
 
