@@ -38,9 +38,9 @@ _ORIGINAL = "original"
 @final
 @dataclass(frozen=True)
 class SmoothingSettings:
-    """Settings of scans over the widths of smoothed edges."""
+    """Settings of scans over widths of smoothed edges."""
 
-    # Most widths of one scan.
+    # Maximum number of widths in one scan.
     # A scan of 256 widths of 64 points with the default 1000 realizations takes 1.6e7 evaluations.
     most_widths: int = 256
 
@@ -65,7 +65,7 @@ def smoothing_scan(
     Parameters
     ----------
     integrand
-        f, or its spec.
+        The integrand f, or a spec.
     sampler, counts
         A sampler, and one number of points n or several in ascending order.
         A rate needs at least two.
@@ -124,7 +124,7 @@ def smoothing_scan(
     ).rename(estimator="width")
 
     # Compute ∫ f_δ − ∫ f, (W[, channels]), and the interval of its square from the errors of both
-    kept = [g is f or isinstance(g, BoxSmoothed) for g in functions]  # boxes keep the integral
+    kept = [g is f or isinstance(g, BoxSmoothed) for g in functions]  # Boxes keep the integral
     pairs = list(zip(functions, kept, strict=True))
     accuracy = [0.0 if k else integral_accuracy(f)[1] + integral_accuracy(g)[1] for g, k in pairs]
     none = np.zeros(f.channels or ())
@@ -134,7 +134,8 @@ def smoothing_scan(
     low, high = np.maximum(np.abs(bias) - error, 0.0), np.abs(bias) + error
     square_ci = np.stack([low, high], axis=-1) ** 2
 
-    # Find the width of the least error for each n, and the range of widths that may have it
+    # Find the width with the least error for each n,
+    # and the range of widths that may have this error
     mse = measured["variance"].values + np.expand_dims(bias**2, 1)
     mse_ci = measured["variance_ci"].values + np.expand_dims(square_ci, 1)
     total, ci = (mse.sum(axis=2), mse_ci.sum(axis=2)) if f.channels else (mse, mse_ci)
@@ -195,9 +196,8 @@ def mirror_study(
     mirrorings
         Some of ``"original"``, ``"integrand"``, ``"random"``, ``"uniform"`` (`mcspectra.Mirrored`).
         The six plots of the slides do not include ``"integrand"``.
-        Whether exact variances are also returned.
-        They are fast in 1-D, and take up to minutes for each Whether to return exact variances too.
-        They are fast in 1-D, and take up to minutes for each count of shifted sets in 2-D.
+        Whether exact variances are also returned. Exact variances are fast in 1-D;
+        in 2-D, each count of shifted sets takes up to minutes.
     realizations, rng, max_evaluations, workers
         Same as in `mcspectra.convergence`. All curves share random numbers.
 

@@ -158,11 +158,8 @@ def _read(given: Any, dims: int | None) -> Objective:
                 found = given(rng)
             except McspectraError:
                 raise
-            except (
-                AttributeError,
-                TypeError,
-                ValueError,
-            ) as error:  # A function of points is also possible
+            # A function of points fails in this way
+            except (AttributeError, TypeError, ValueError) as error:
                 raise ParameterError(
                     f"{name} raised {type(error).__name__} of a generator: {error}; give a "
                     "function of a generator that makes an integrand, or for one function "
