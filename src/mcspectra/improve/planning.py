@@ -693,7 +693,7 @@ class _Ladder:
     def reaches(self, target: Array, side: int) -> float:
         """Return log of the least n at which the variance, or an end, reaches the target.
 
-        `end` 0 is the variance.
+        Side 0 is the variance; sides −1 and 1 are the ends of its interval.
         """
         off = (self.logs + side * self.half - np.log(target)).max(axis=1)
         return _crossing(np.log(self.n), off)
