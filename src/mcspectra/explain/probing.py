@@ -455,8 +455,7 @@ def lines_of(
         aside = np.where(pair[:, :1] < 0.5, steps[:, None], -steps[:, None])
 
         def moved(which: Array, along: Array) -> Array:
-            """Return whether displaced lines lose the change of g;
-            (K, d) lists the axes to move."""
+            """Return whether lines lose the change of g if displaced along some axes (K, d)."""
             x = pair[which] + np.where(along[:, None], aside[which], 0.0)
             found = g(np.clip(x, 0.0, BELOW_ONE).reshape(-1, dims)).reshape(-1, 2)
             return np.asarray(np.abs(np.diff(found, axis=1)[:, 0]) <= 0.5 * height[which])
