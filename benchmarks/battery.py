@@ -4,7 +4,7 @@ Each case has a function or estimator with a sampler, an integral, and the cause
 that may come first. A profile has a budget of 8,192 evaluations. A case checks these points:
 
 * The interval of the profile contains the integral.
-* The first reported cause is an expected one.
+* The first reported cause is an expected cause.
 * The recommended change lowers the variance.
   To check this, both set-ups are measured again at the same counts.
 * The rate with scrambled nets agrees, to 0.1 or within its interval, with the rate of 10,000
@@ -163,7 +163,7 @@ def cases() -> Iterator[Case]:
         "exp, Halton shifted", lambda x: np.exp(x.sum(axis=1)), 2, e**2, faces, "halton | shift"
     )
 
-    # Growth at the border
+    # Cases with growth at the border
     grows = ("border-growth",)
     yield Case("root", lambda x: _inner(x[:, 0]) ** -0.3, 1, 1 / 0.7, grows)
     yield Case("root in 2-D", lambda x: _inner(x[:, 1]) ** -0.25 * x[:, 0], 2, 2 / 3, grows)

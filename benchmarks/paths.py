@@ -123,9 +123,8 @@ def times() -> dict[str, list[float]]:
 
     works = {"raw": raw, "map": mapped(0), "map with shares of 128 chains": mapped(128)}
     ratios: dict[str, list[float]] = {name: [] for name in works}
-    for turn in range(
-        ROUNDS + 1
-    ):  # rounds are adjacent in time; the first round compiles
+    # Rounds are adjacent in time, because a busy machine slows all; the first round compiles
+    for turn in range(ROUNDS + 1):
         seconds = {}
         for name, work in works.items():
             start = time.perf_counter()

@@ -13,7 +13,7 @@ Ten integrands, each with 30 seeds and all methods in one run:
   each with an eighth of the evaluations.
 
 A line gives the RMS error of each method and, in brackets, the number of intervals
-that contain the integral. A peer counts if at least 27 intervals contain it.
+that contain the integral. A peer counts if at least 27 intervals contain the integral.
 The last line gives the number of integrands for which the errors of ``profile`` and ``after``
 are at most 1.2 times the error of the best peer that counts.
 """

@@ -79,7 +79,7 @@ def all_cases() -> Iterator[tuple[mcs.Estimator, mcs.Sampler, tuple[str, ...]]]:
 
 
 def is_right(seen: Evidence, causes: tuple[str, ...]) -> bool:
-    """Whether the first cause is an expected one."""
+    """Whether the first cause is an expected cause."""
     return causes_of(seen)[0].name in causes
 
 

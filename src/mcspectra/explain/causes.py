@@ -290,7 +290,7 @@ class Evidence:
     Attributes
     ----------
     estimator, sampler
-        The estimator, and the sampler that is used with it.
+        The estimator, and the sampler that draws its points.
     sets
         Evaluations at scrambled nets.
     curves
@@ -366,7 +366,7 @@ class Evidence:
                 missed = point_in_words(places[met][0])
 
         # For a single technique, find the mean dimension and a pole;
-        # then evaluate lines of each technique technique
+        # then evaluate lines of each technique
         lines: list[Lines] = []
         mean, pole, noise, failed = math.nan, None, 0.0, ""
         allowed = (
@@ -902,7 +902,7 @@ def _cusp(seen: Evidence) -> Cause | None:
         return None
     order, d = float(np.median(seen.each("exponent")[cusps])), seen.sets.dims
     # A cell of side h next to the cusp has a variance ∝ h^(2a),
-    # and n^(1 − 1/d) cells are next to it
+    # and n^(1 − 1/d) cells are next to the cusp
     limit = -1.0 - min(1.0 + 2.0 * order, 2.0) / d
     return Cause(
         "cusp",

@@ -74,7 +74,7 @@ def primary_picture(
     estimator
         Estimator, integrand, an integrand's spec string, or a function.
     dims
-        Number of dims of a function, and of a spec without ``dims``.
+        Number of dims of a function, or of a spec without ``dims``.
     technique
         Index of the technique whose g is evaluated.
     resolution

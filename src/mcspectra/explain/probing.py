@@ -69,8 +69,9 @@ class LineSettings:
     # Exponent below which the roughest place may be a jump. A jump has the exponent 0,
     # or up to 0.3 next to a steep part, and a kink has 1. Insensitive between 0.2 and 0.8.
     jump: float = 0.4
-    # Number of bisections of the last step of a line with a possible jump, and fraction of the
-    # height that a jump keeps in these. A cusp of order 0.15 keeps 2^(−8 · 0.15) = 0.44 on average.
+    # Number of bisections of the last step of a line with a possible jump,
+    # and fraction of the height that a jump keeps in the bisections.
+    # A cusp of order 0.15 keeps 2^(−8 · 0.15) = 0.44 on average.
     # 8 bisections end at 6e-8 of the line, so a smooth step of a width above 1e-7 counts as a jump.
     bisections: int = 8
     kept: float = 0.75
@@ -111,7 +112,7 @@ class LineSettings:
     # and 2^−40 is still exact next to 1. Insensitive between half and double values.
     ends: tuple[float, ...] = (2.0**-4, 2.0**-12, 2.0**-20, 2.0**-30, 2.0**-40)
     # Distance from an end of a line at which g must not fail;
-    # points of samples of a few thousand come as close.
+    # samples of a few thousand points come as close.
     inside: float = 2.0**-12
 
     @property
@@ -423,7 +424,8 @@ def lines_of(
     size = np.where(size > floor, size, np.maximum(size[first, rows], 1e-300))
     slope = -np.polyfit(np.arange(settings.late + 1), np.log2(size), 1)[0]
     exponent = np.where(rough, slope, 2.0)
-    # A steep end is neither a jump nor a kink: bounded functions of normal quantiles have it
+    # A steep end is neither a jump nor a kink:
+    # bounded functions of normal quantiles have steep ends
     edge = np.abs(window[:, 1] - 0.5) > 0.5 - 4.0 * gaps[1]
     exponent[edge & (exponent >= settings.pole)] = 2.0
 
@@ -495,7 +497,7 @@ def mean_dimension(g: Function, points: Array, values: Array, rng: np.random.Gen
     """Return the mean dimension Σ_i T_i/Var g.
 
     T_i is half the mean squared change when coordinate i is redrawn. g has the given values (k,)
-    at the points (k, d), and is evaluated at d more points for each of them.
+    at the points (k, d), and is evaluated at d more points for each given point.
     """
     k, d = points.shape
     total = 0.0

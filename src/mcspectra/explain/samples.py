@@ -74,7 +74,7 @@ class CurveSettings:
     # double and 0.2 alone give intervals that contain the rate in 94, 92 and 92 % of cases.
     drifts: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
     # Standard error of an unknown rate, for which −1 is used:
-    # rates from −2 to 0 are within two of them.
+    # rates from −2 to 0 are within two standard errors.
     unknown: float = 0.5
     # Least standard error of a logarithm of the variance, because real curves deviate from lines
     # by 2 % or more. Values of 0.01 and 0.04 give the same rates to 0.01.

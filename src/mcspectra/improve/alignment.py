@@ -230,7 +230,7 @@ def best_alignment(
     Notes
     -----
     Intervals of ratios are for independent measurements.
-    They hold for all candidates together at 95 %.
+    The intervals hold at 95 % for all candidates together.
 
     Examples
     --------

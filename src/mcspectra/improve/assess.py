@@ -68,7 +68,7 @@ class Errors:
     noise: Array  # Value of v below which the estimates differ by rounding only, (N,)
     blind: Array  # Whether the estimates are all equal, but differ from the integral, (N,)
     # Number of evaluations before the first point.
-    # The rate excludes these, because they do not grow
+    # The rate excludes these evaluations, because their number does not grow
     overhead: int = 0
 
     @staticmethod

@@ -84,7 +84,7 @@ class ChangeSettings:
     # for the smallest pilot, so that changes with a larger share may be worse.
     most_left: float = 0.8
     # Number of points that are evaluated at once: a table of 256 polynomials then takes 32 MB.
-    # Results do not depend on it.
+    # Results do not depend on this number.
     block: int = 2**14
 
 

@@ -86,7 +86,7 @@ class LearnSettings:
     # With 8 n for the choice, each of five candidates can have six sets of n/4 points;
     # with 8 n for the check, the result and uniform points can have 16 sets of n/4 points each.
     evaluations_per_point: int = 16
-    # Ratio of n to the smallest count at which candidates may be compared.
+    # Ratio of n to the smallest count of points at which candidates may be compared.
     # At n/16 the ratios of variances of nets are already near the ratios at n;
     # at smaller counts nets do not resolve the splines.
     fewest_divisor: int = 16
@@ -108,7 +108,7 @@ class LearnSettings:
     # Largest change of the logarithm of a weight in one step of L-BFGS: a factor e for the weight.
     # With 0.5 or 2 the variances change by 1 %, and one variance falls by 18 %.
     longest: float = 1.0
-    # Decrease of the entropy below which a step of L-BFGS is the last one.
+    # Decrease of the entropy below which L-BFGS ends.
     # From 2e-10 to 2e-8 the variances are the same to three digits.
     gain: float = 2e-9
     # Maximum number of dims in which a flow is fitted with all `steps`;
@@ -379,7 +379,7 @@ def learned_density(
     sampler, n
         The sampler and the number of points that will be used. The sampler must be random.
     dims
-        Number of dims, up to 24; needed if neither f nor the sampler has one.
+        Number of dims, up to 24; needed if neither f nor the sampler has a number of dims.
     evaluations
         Maximum number of evaluations of f, at least 256. Half of the evaluations,
         at most 8192, are for the fit. Of the others, one half chooses between candidates,

@@ -54,7 +54,7 @@ class PlanSettings:
     # with its rate. This is also the largest count at which `predict` seeks the limit of rates.
     octaves: int = 16
     # Factor by which the predicted curve extends below the target variance,
-    # so that upper ends of intervals also reach it.
+    # so that upper ends of intervals also reach the target.
     margin: float = 4.0
     # Largest planned number of points; larger numbers do not fit a 64-bit integer.
     most: int = 2**62
@@ -815,10 +815,10 @@ def plan(
     Parameters
     ----------
     estimator, samplers
-        An estimator, and one sampler or a list of them.
+        An estimator, and a sampler or a list of samplers.
     dims
-        Number of dims of a function, and of a spec without ``dims``.
-        By default that of a sampler that is not a spec.
+        Number of dims of a function, or of a spec without ``dims``.
+        The default is the number of dims of the sampler, if the sampler is not a spec.
     target_error
         Target root mean square error, for each channel.
     relative

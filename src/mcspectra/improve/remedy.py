@@ -283,7 +283,7 @@ def remedies(
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of the integrand. A limit below the evaluations
+        Maximum number of evaluations of the integrand. A limit below the evaluations
         of the given set-up and its diagnosis raises before any evaluation. The kinds share
         the remaining evaluations equally; a change that needs more than its share is not tried.
 

@@ -191,11 +191,12 @@ def mirror_study(
         Same as in `mcspectra.convergence`, with a sampler that does not end with a shift. n
         is the number of evaluations of the integrand, so that variances at one n are at equal cost.
     dims
-        Number of dims of a function, or of a spec that leaves it open.
+        Number of dims of a function, or of a spec without dims.
         The default is the number of dims of the sampler, if the sampler is not a spec.
     mirrorings
         Some of ``"original"``, ``"integrand"``, ``"random"``, ``"uniform"`` (`mcspectra.Mirrored`).
         The six plots of the slides do not include ``"integrand"``.
+    exact
         Whether exact variances are also returned. Exact variances are fast in 1-D;
         in 2-D, each count of shifted sets takes up to minutes.
     realizations, rng, max_evaluations, workers

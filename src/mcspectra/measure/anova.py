@@ -67,7 +67,7 @@ class AnovaSettings:
     least: int = 4
     # Number of independent batches of frequencies, whose spread gives the standard error.
     # Student's t with 15 degrees of freedom makes intervals 9 % wider than a normal law;
-    # intervals would be 4 % narrower with twice the batches, and 11 % wider with half of them.
+    # Intervals would be 4 % narrower with twice as many batches, and 11 % wider with half as many.
     batches: int = 16
 
 
@@ -440,7 +440,7 @@ def anova_variances(
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Largest number of evaluations of the integrand.
+        Maximum number of evaluations of the integrand.
         An analysis that takes more raises, before it starts if possible.
 
     Returns

@@ -71,7 +71,7 @@ SHARED_SETS = 8
 class BenchSettings:
     """Numbers of sets of a bench, and sizes of its spectra and pictures."""
 
-    # Number of given sets per count from which the sets are measured without a randomization:
+    # Least number of given sets per count for a measurement without a randomization:
     # the spread of 16 sets gives a variance to 35 %.
     enough_sets: int = 16
     # Half widths of the spectra in 1, 2 and 3 dims, for 513, 16,641 and 68,921 frequencies.
@@ -252,7 +252,7 @@ def sampler_bench(
                     f"{short_spec(free.spec)}"
                 )
             added |= {step: None} if step else {}
-            # Convergence on the tasks at the counts nearest to the requested ones
+            # Measure convergence on the tasks at the counts nearest to the requested counts
             nearest, own_tasks = _nearest(free, asked), [t for t in tasks if t.dims == d]
             numbers, sets = sorted({*nearest.values()}), many
             if isinstance(free, GivenPoints):

@@ -71,7 +71,7 @@ class StageSettings:
     # of √(24/100) = 0.5. Insensitive between 50 and 200.
     first: int = 100
     # Least and largest factor by which a stage lengthens the sample.
-    # A stage that is a quarter longer confirms the last one.
+    # A stage that is a quarter longer confirms the previous stage.
     # After a factor of 4 the kurtosis is twice as accurate, so the next length is better chosen.
     # With a least factor of 1.1, searches for 10 % end at an error of 10.3 %;
     # with 1.25 they end at 9 %; 1.5 takes 30 % more realizations. The largest factor
@@ -156,7 +156,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
-        """Yield the next realizations of every cell that needs more of them."""
+        """Yield the next realizations of every cell that is not finished."""
         cells = self._cells(subject, stream)
         found = yield from in_step([
             cell.all_of(part, self.realizations)
@@ -373,8 +373,8 @@ def convergence(
         Samplers may be spec strings. For plain sampling an estimator may be an integrand,
         its spec string, or a vectorized function of points (…, d).
     dims
-        Number of dims of a function, and of a spec without ``dims``.
-        By default that of a sampler that is not a spec.
+        Number of dims of a function, or of a spec without ``dims``.
+        The default is the number of dims of the sampler, if the sampler is not a spec.
     counts
         Ascending numbers of points n that every sampler allows.
     realizations
@@ -392,8 +392,8 @@ def convergence(
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more raises,
-        before it starts if possible.
+        Maximum number of evaluations of the integrand.
+        An analysis that takes more raises, before it starts if possible.
 
     Returns
     -------
@@ -453,8 +453,10 @@ def realizations_needed(
     Parameters
     ----------
     estimator, sampler, n
-        The estimator, its sampler and the number of points. Number of dims of a function,
-        and of a spec without ``dims``. By default that of a sampler that is not a spec.
+        The estimator, its sampler and the number of points.
+    dims
+        Number of dims of a function, or of a spec without ``dims``.
+        The default is the number of dims of the sampler, if the sampler is not a spec.
     relative_error
         Requested standard error of the variance, relative to it, of every channel.
     max_realizations
@@ -464,8 +466,8 @@ def realizations_needed(
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more raises,
-        before it starts if possible.
+        Maximum number of evaluations of the integrand.
+        An analysis that takes more raises, before it starts if possible.
 
     Returns
     -------

@@ -96,8 +96,8 @@ class IntegrationSettings:
     # Number of points for which the law of the sampler is determined.
     # The law states the kind of scramble, which is equal for all n.
     law_at: int = 64
-    # Largest ratio of the number of points of a set to the number of points of the sets
-    # that measure the rate. Insensitive between 2 and 8: widths differ by 1 % on average.
+    # Largest ratio of the size of a set to the size of the sets that measure the rate.
+    # Insensitive between 2 and 8: widths differ by 1 % on average.
     pilot: int = 4
     # Number of prefixes of a replicate to which the rate is fitted, each half as long as the next.
     # With 2 prefixes intervals are 6 % wider. Insensitive between 4 and 6.
@@ -150,7 +150,7 @@ def integrate(
     sampler
         A randomized sampler; by default ``"sobol | owen"``, for the median ``"sobol | lms"``.
     dims
-        Number of dims, needed if neither f nor the sampler has one.
+        Number of dims, needed if neither f nor the sampler has a number of dims.
     combine
         ``"mean"`` of the replicates, or ``"median"`` for linear scrambles such as ``lms``.
         The median is far better for smooth f in one dim, and in two dims from about 2,000 calls on.
@@ -159,8 +159,8 @@ def integrate(
         when it is repeated with the same cache, and gives the same bits.
     on_error
         ``"raise"`` if f fails or is not finite. ``"skip"`` counts such points.
-        For each of them, the value uses the mean of all other points,
-        and the interval covers the least to the largest value of these.
+        For each failed point, the value uses the mean of all other points,
+        and the interval covers their least to largest value.
         The note reports the number of failed points and the first failed point.
     tolerance
         Tolerance: calls end when the half width of the interval is at most this value,
@@ -268,7 +268,7 @@ def integrate(
         found = _estimated(sets, law, median=median, linear=linear)
         while allowed < calls.budget and not found.half_width <= least_width:
             # The width falls as the root of the variance.
-            # An infinite interval takes twice the calls
+            # An infinite interval takes twice as many calls
             wider = min(found.half_width / least_width, 2.0**_SETTINGS.growth)
             more = wider ** (2.0 / sets.rate if sets.rate > 0.0 else 2.0)
             more = min(max(_SETTINGS.margin * more, 2.0), _SETTINGS.growth)

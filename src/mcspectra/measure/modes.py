@@ -321,8 +321,8 @@ def covariance_modes(
     passes
         Number of passes over the realizations, at least 2. More passes separate close eigenvalues.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more raises,
-        before it starts if possible.
+        Maximum number of evaluations of the integrand.
+        An analysis that takes more raises, before it starts if possible.
 
     Returns
     -------

@@ -248,8 +248,8 @@ def technique_terms(
     fit_last
         Number of the largest counts to which rates are fitted, as in `convergence`.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more raises,
-        before it starts if possible.
+        Maximum number of evaluations of the integrand.
+        An analysis that takes more raises, before it starts if possible.
 
     Returns
     -------
@@ -279,8 +279,9 @@ def technique_terms(
 
     Notes
     -----
-    O(R (n + T² M)) time and O(T² M) memory for T techniques and M frequencies. The bottleneck
-    compares the techniques' own variances; correlations between techniques may cancel part of them.
+    O(R (n + T² M)) time and O(T² M) memory for T techniques and M frequencies.
+    The bottleneck compares the techniques' own variances;
+    correlations between techniques may cancel part of these variances.
 
     Examples
     --------

@@ -270,8 +270,8 @@ def variance_terms(
         The estimator with one sampler, or with a list of different samplers, which use the same
         random numbers. `n` is the number of points of each technique in units of its ``counts``.
     dims
-        Number of dims of a function, and of a spec without ``dims``.
-        By default that of a sampler that is not a spec.
+        Number of dims of a function, or of a spec without ``dims``.
+        The default is the number of dims of the sampler, if the sampler is not a spec.
     half_width
         Frequencies m run over {−half_width … half_width}^d.
         The default is 64, or the power of two near 2 n^(1/d) if that is larger. The default
@@ -298,8 +298,8 @@ def variance_terms(
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more raises,
-        before it starts if possible.
+        Maximum number of evaluations of the integrand.
+        An analysis that takes more raises, before it starts if possible.
 
     Returns
     -------

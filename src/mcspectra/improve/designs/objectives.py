@@ -1,7 +1,7 @@
 """Objectives of a design: classes of integrands, with random members or a known covariance.
 
 The expected variance over a class is tr(C_f C_S), C_f = E[f_m conj(f_l)].
-It is the sum of the variances of functions g_t with Σ_t g_t(x) g_t(y) = E[f(x) f(y)].
+This is the sum of the variances of functions g_t with Σ_t g_t(x) g_t(y) = E[f(x) f(y)].
 For M members, these functions are the members times 1/√M.
 For a covariance of coefficients, they are its eigenvectors times the roots of its eigenvalues.
 For a spectrum, they are the waves √(2 P(m)) cos(2π m·x) and √(2 P(m)) sin(2π m·x).

@@ -10,8 +10,8 @@ Each search tries plain and folded sets and keeps the better ones.
 
 Sets that divide the cells of a grid among them need no shift.
 Let φ_t be features with Σ_t φ_t(x) φ_t(y) = Cov(f(x), f(y)) at the centers of cells. The variance
-is then the mean over sets of Σ_t (mean φ_t)². Exchanges of cells between sets lower it.
-They start from random sets, or from the cosets of a designed digital net, if that start is better.
+is then the mean over sets of Σ_t (mean φ_t)². Exchanges of cells between sets lower this variance.
+Exchanges start from random sets, or from the cosets of a designed digital net if these are better.
 The points of a set have the same offset within their cells up to reflections,
 which are chosen so that the sum of the signed slopes is small.
 """
