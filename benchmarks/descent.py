@@ -1,4 +1,4 @@
-"""SciPy's L-BFGS-B, QR and eigensolver compared with ours: quality, and stability of the bits.
+"""SciPy's L-BFGS-B, QR and eigensolver compared with ours: minima, and stability of bits.
 
 For descents of optimized samplers, ``python -m benchmarks descent`` prints the smallest value after
 the same number of evaluations as ours. The command then repeats the computations of the libraries

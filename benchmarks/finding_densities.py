@@ -92,7 +92,7 @@ def toy_environment() -> tuple[Any, list[Any], Any]:
 
 
 def channels() -> Plots:
-    """Channels of a small environment map, sampled by luminance and channel densities."""
+    """Channels of a small environment map, sampled by densities of luminance and of channels."""
     ways = mcs.estimators.channel_estimators(*toy_environment())
     curves: dict[str, dict[str, Curve]] = {color: {} for color in ("red", "green", "blue")}
     names = {"one": "luminance", "own": "own density", "mis": "MIS of the three"}

@@ -1,4 +1,4 @@
-"""Variance of changed estimators over that of plain ones at equal cost, including pilots.
+"""Variance of changed estimators relative to plain estimators at equal cost, including pilots.
 
 Each budget is 2^14 evaluations, of which the pilot uses 2^11. Variances come from fresh samples
 by `mcspectra.convergence`. For nets, both variances use the largest power of two within the budget.

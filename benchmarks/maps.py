@@ -1,9 +1,9 @@
 """Rate map of Veach's scene compared with raw Mitsuba calls for the same samples.
 
-The raw calls evaluate each of four strategies (light, BSDF, and the parts
-of both in MIS) separately. Their kernels have one lane per sample, sum over the samples of a pixel,
-and read existing tables. The raw calls copy results to NumPy, without statistics.
-The map evaluates a technique once for both the plain and the weighted estimate,
+The raw calls evaluate each of four strategies (light, BSDF,
+and the parts of both in MIS) separately. The kernels of these calls have one lane per sample,
+sum over the samples of a pixel, and read existing tables. The raw calls copy results to NumPy,
+without statistics. The map evaluates a technique once for both the plain and the weighted estimate,
 in a loop over samples. "kernels alone" means these loops without the map's statistics.
 ``--full`` maps 256 × 170 pixels without predictions and compares with the raw calls alone,
 which takes minutes. By default a smaller map is used.

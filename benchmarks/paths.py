@@ -100,7 +100,7 @@ def renders(scene: Scene, integrator: str) -> Array:
 
 
 def times() -> dict[str, list[float]]:
-    """Time of maps of Cornell's box divided by that of raw renders with as many paths."""
+    """Time of maps of Cornell's box divided by the time of raw renders with equal paths."""
     mitsuba = load_mitsuba()
     import drjit
 

@@ -6,15 +6,15 @@ and from the tests of `profile`, with two seeds and 8,192 evaluations each. Pole
 of known order and rank are the cases of `PoleSettings`. ``--NAME`` measures one setting.
 
 ``--rates`` tests `CurveSettings` with five functions whose rate with scrambled nets is known.
-It prints the root mean square error of rates, the fraction of intervals that contain the rate,
-and the mean half width.
+The benchmark prints the root mean square error of rates,
+the fraction of intervals that contain the rate, and the mean half width.
 
 ``--chains`` tests `ChainSettings` with chains of 500 to 2,000 draws
 that have one known fault or none.
 
 ``--stages`` tests `StageSettings` with 150 searches for a variance to 10 %.
-It prints the mean number of realizations, the root mean square of the true relative error,
-and the mean number of stages.
+The benchmark prints the mean number of realizations,
+the root mean square of the true relative error, and the mean number of stages.
 """
 
 from __future__ import annotations

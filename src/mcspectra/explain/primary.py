@@ -86,7 +86,7 @@ def primary_picture(
         ``primary_value`` (u0, u1[, channel]) is g at the centers of cells. ``primary_jump`` (axis,
         u0, u1) is the size of the jump to the next cell along each axis, 0 where g is continuous.
         ``face_jump`` (axis[, along]) is the size of the jump from u_axis = 0 to u_axis = 1,
-        at centers along the other axis. It affects samplers that wrap around,
+        at centers along the other axis. This jump affects samplers that wrap around,
         and is infinite at poles. ``primary_jump_length`` and ``primary_jump_height`` (kind)
         are the length of the curves of jumps (their number in 1-D) and their mean height,
         for the kinds ``interior`` and ``boundary``. The height is infinite if g is unbounded there;

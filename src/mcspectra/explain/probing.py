@@ -3,19 +3,20 @@
 A line is evaluated in equal steps, and close to its ends. Around the largest second difference,
 the step is halved repeatedly, with two evaluations for each halving. Where the function is smooth,
 the second difference shrinks with the square of the step. At a kink it shrinks with the step,
-and at a cusp |t|^a with the step to the power a. It stays constant at a jump and grows at a pole.
-Toward the ends of lines along the axes the steps shrink faster:
+and at a cusp |t|^a with the step to the power a. The second difference stays constant
+at a jump and grows at a pole. Toward the ends of lines along the axes the steps shrink faster:
 the slope of log |g| is the exponent of the growth of g at the border.
 
-A search climbs to poles. It begins at the largest or the smallest known value, moves in random
-directions that climb, and halves the step if no direction climbs. The ellipsoid of directions
-adapts to the moves ([Hansen2001]_). The climb ends early on a bounded function. A function that
-grows as r^−a toward a set of codimension k leads the climb to that set. Along rays from the top the
-differences g(r) − g(4r) ∝ r^−a give a, for any additive constant. |g|^(−2/a) is a quadratic form of
-the distance. Its rank is k, including one for each face that contains the top. The volume where |g|
-> λ is ∝ λ^(−k/a): ∫g² is infinite for a/k ≥ ½, and the integral does not exist for a/k ≥ 1. Where
-faces meet, a product of powers of distances to some of them has the tail of the largest power
-toward one face, or of the mean power of all.
+A search climbs to poles. The search begins at the largest or the smallest known value,
+moves in random directions that climb, and halves the step if no direction climbs. The ellipsoid
+of directions adapts to the moves ([Hansen2001]_). The climb ends early on a bounded function.
+A function that grows as r^−a toward a set of codimension k leads the climb to that set.
+Along rays from the top the differences g(r) − g(4r) ∝ r^−a give a, for any additive constant.
+|g|^(−2/a) is a quadratic form of the distance. The rank of this form is k,
+including one for each face that contains the top. The volume where |g| > λ is ∝ λ^(−k/a):
+∫g² is infinite for a/k ≥ ½, and the integral does not exist for a/k ≥ 1. Where faces meet,
+a product of powers of distances to some of them has the tail of the largest power toward one face,
+or of the mean power of all.
 """
 
 from __future__ import annotations

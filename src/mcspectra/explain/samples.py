@@ -69,7 +69,7 @@ class CurveSettings:
     # With 6 octaves they contain the rate in 63 instead of 93 % of cases.
     octaves: int = 3
     # Candidate standard deviations of the drift of the rate in an octave, weighted by likelihood.
-    # They range from a straight curve (1/20) to a rate that changes by its usual range,
+    # The values range from a straight curve (1/20) to a rate that changes by its usual range,
     # 1 to 3, in a few octaves. Half of these values,
     # double and 0.2 alone give intervals that contain the rate in 94, 92 and 92 % of cases.
     drifts: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
@@ -80,7 +80,7 @@ class CurveSettings:
     # by 2 % or more. Values of 0.01 and 0.04 give the same rates to 0.01.
     floor: float = 0.02
     # Number of standard errors within which a measured rate agrees with a theoretical rate:
-    # 95 % of a normal law.
+    # the value is for 95 % of a normal law.
     agrees: float = 2.0
 
 
@@ -284,7 +284,7 @@ class Sets:
         return found
 
     def technique_curves(self, settings: CurveSettings = CURVE_SETTINGS) -> list[Curve]:
-        """Return the variance of each technique with scrambled nets, against N."""
+        """Return the variance of each technique with scrambled nets for all N."""
         counts = 2 ** np.arange(self.n.bit_length())
         parts = zip(self.points, self.values, self.counts, strict=True)
         return [Sets((p,), (v,), (c,))._curve(_of_nets, counts, settings) for p, v, c in parts]

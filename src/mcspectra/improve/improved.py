@@ -121,7 +121,7 @@ class RegressionSettings:
     most_normal_degree: int = 3
     # Number of first directions of z that also have bases of their own, which may have more terms.
     # With one direction, the remaining variance of a ridge is 1.6 times as large;
-    # with four directions, that of an Asian option in 16-D is 1.1 times as large.
+    # with four directions, the remaining variance of an Asian option in 16-D is 1.1 times as large.
     turned: int = 2
 
 

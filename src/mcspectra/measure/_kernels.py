@@ -23,9 +23,9 @@ __all__ = [
     "term_sums",
 ]
 
-# Number of coefficients of a tile. It is compiled into the kernels and has no effect on the sums.
-# A tile's complex spectrum, coefficient, weight and two labels take 512 · 56 bytes = 28 KiB,
-# which fits into a first cache of 32 KiB.
+# Number of coefficients of a tile. The number is compiled into the kernels
+# and has no effect on the sums. A tile's complex spectrum, coefficient,
+# weight and two labels take 512 · 56 bytes = 28 KiB, which fits into a first cache of 32 KiB.
 _TILE = 512
 
 

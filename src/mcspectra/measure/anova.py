@@ -286,7 +286,7 @@ class Anova(Counted, frozen=True, kw_only=True):
 
 @final
 class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
-    """Variance by subset of the axes, from sampled frequencies."""
+    """Variance for each subset of the axes, from sampled frequencies."""
 
     function = "measure.anova_spectrum"
     variables = ("anova_variance", "anova_variance_se")

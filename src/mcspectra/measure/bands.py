@@ -64,9 +64,9 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
     bands
         ``radial`` are shells of |m| of width one; ``dyadic`` are shells whose width doubles.
         ``anova`` groups functions by the axes along which they vary,
-        so the bands are the parts of the ANOVA decomposition.
-        ``wedge`` (2-D) has the constant and 12 sectors of 15° of the direction of ±m (for Walsh
-        and Haar, of the numbers of oscillations along the axes, powers of two).
+        so the bands are the parts of the ANOVA decomposition. ``wedge`` (2-D) has the constant,
+        and 12 sectors of 15° for the direction of ±m (for Walsh and Haar,
+        of the numbers of oscillations along the axes, powers of two).
         Integer labels ≥ 0 are an array with the shape of the basis; labels of m and −m are equal.
 
     Raises

@@ -6,7 +6,7 @@ A stationary chain has the spectral density S(ν), ν in cycles per draw. Its me
 
 which is the power term with the Fejér kernel of the window W of equal weights.
 For a stationary chain the dc and cross terms vanish. S comes from an autoregression whose order
-is chosen by AIC, as in [Thompson2010]_. Its autocovariances are corrected for the subtracted mean:
+is chosen by AIC, as in [Thompson2010]_. The autocovariances are corrected for the subtracted mean:
 removing a mean of variance V lowers all of them by V. The scatter of the chains' means is a second,
 independent estimate. Both estimates are pooled by degrees of freedom. If they disagree,
 the chains are in different parts of the distribution, and the error has no upper bound.

@@ -1,10 +1,11 @@
 """Convergence: measured variance against n and its fitted rate.
 
 The number of realizations is given, or grows until the variance is accurate enough (docs/theory.md,
-"Intervals of variances, and stopping"). It grows in stages that depend only on earlier estimates,
-so the result has the same bits for any number of workers. The search ends only if the next stage,
-at least a quarter longer, confirms the accuracy: a skewed sample tends to reach it first when
-its kurtosis is underestimated. Estimates without any spread do not prove that the variance is 0.
+"Intervals of variances, and stopping"). The number grows in stages that depend only
+on earlier estimates, so the result has the same bits for any number of workers.
+The search ends only if the next stage, at least a quarter longer, confirms the accuracy:
+a skewed sample tends to reach it first when its kurtosis is underestimated.
+Estimates without any spread do not prove that the variance is 0.
 After 10,000 equal estimates the error is NaN, and the precision is not reached.
 
 If the estimates missed the source of the variance, its interval has no finite upper end,
@@ -270,7 +271,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         return self._cells(subject, stream)[part].run(part, first, realizations)
 
     def _cells(self, subject: Subject, stream: Stream) -> list[MomentsCell]:
-        """Return cells by group of estimators that share realizations, by sampler, by count.
+        """Return cells for each group of estimators, each sampler and each count.
 
         Estimators of one technique without their own `draw` use
         the sampler's points and share realizations.
@@ -388,7 +389,7 @@ def convergence(
         for each count stops (`realizations_needed`). By default all realizations are used.
     fit_last
         Number of the largest counts to which the rate is fitted; all by default.
-        ``"auto"`` uses as many as lie on a line; see `mcspectra.core.fits.fit_rate`.
+        ``"auto"`` uses as many counts as lie on a line; see `mcspectra.core.fits.fit_rate`.
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
@@ -458,7 +459,7 @@ def realizations_needed(
         Number of dims of a function, or of a spec without ``dims``.
         The default is the number of dims of the sampler, if the sampler is not a spec.
     relative_error
-        Requested standard error of the variance, relative to it, of every channel.
+        Requested relative standard error of the variance of every channel.
     max_realizations
         Largest number of realizations, at least 2.
     rng
@@ -485,8 +486,8 @@ def realizations_needed(
 
     Notes
     -----
-    The search takes about (κ − 1)/relative_error² realizations,
-    and a quarter more for confirmation. It cannot account for events that are too rare to occur:
+    The search takes about (κ − 1)/relative_error² realizations, and a quarter
+    more for confirmation. The search cannot account for events that are too rare to occur:
     compare ``skewness`` with its value for the integrand.
 
     Examples
@@ -598,7 +599,7 @@ def count_moments(
     workers: int = 1,
     first: int = 0,
 ) -> Moments:
-    """Return moments of estimates of consecutive realizations from `first` on, channels last."""
+    """Return moments of estimates of consecutive realizations, the first one `first`."""
     run = MomentsCell((estimator,), sampler, n, stream).run(0, first, realizations)
     tree: MergeTree[list[Moments]] = MergeTree()
     for state in map_in_order(run.block, range(run.blocks), workers):

@@ -57,7 +57,7 @@ __all__ = ["CovarianceProduct", "Modes", "covariance_modes"]
 class ModeSettings:
     """Numbers of vectors and realizations for modes."""
 
-    # Vectors in addition to the modes.
+    # Number of vectors in addition to the modes.
     # [Halko2011]_ proves bounds for any number and recommends 5 to 10.
     oversampling: int = 8
     # Largest number of elements of one set of vectors: 1 GiB in float64.

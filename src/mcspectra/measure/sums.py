@@ -47,7 +47,7 @@ Variables: TypeAlias = dict[str, tuple[tuple[str, ...], Any]]
 class BatchSettings:
     """Number of blocks for standard errors."""
 
-    # Least number of blocks, if there are twice as many realizations.
+    # Least number of blocks if there are at least two realizations for each.
     # Student's t with 19 degrees of freedom makes intervals 7 % wider than a normal law;
     # 40 blocks would make intervals 3 % wider, and 10 blocks 15 %.
     least: int = 20

@@ -163,7 +163,7 @@ class View:
     transforms: tuple[Coefficients, ...]  # One for each technique, or one for all points
     engine: str
     integrand_coefficients: Array  # f^t, (C, T, H)
-    source: str  # origin of the coefficients
+    source: str  # source of the coefficients
 
     def spectra(self, points: list[Array]) -> list[Array]:
         """Return the spectra of a block, (R, H), for each technique or for all together."""

@@ -82,8 +82,8 @@ class SearchSettings:
     # Lattices
 
     # Number of points of the table that estimates the spectrum of a class;
-    # this number is doubled above three dims.
-    # The ratio of lattices is 0.020 to 0.021 for half or twice as many, and 0.27 to 0.30 in 3-D.
+    # this number is doubled above three dims. For half or twice as many points,
+    # the ratio of lattices is 0.020 to 0.021, and 0.27 to 0.30 in 3-D.
     frequencies: int = 2**16
     # Number of initial vectors in the search of lattices in three dims or more:
     # one vector is built axis by axis, the others are random.
@@ -113,13 +113,13 @@ class SearchSettings:
     # Settings of sets that share a grid
 
     # Number of cells of the grid. The number of sets of n points is cells/n, at least 16.
-    # The ratio of strata is 0.033, 0.031 and 0.033 for half, all and twice as many.
+    # The ratio of strata is 0.033, 0.031 and 0.033 for half, once and twice as many cells.
     cells: int = 2**16
     # Number of features of the covariance, or n if n is larger, up to twice this setting.
-    # The ratio of strata is 0.031 for half or twice as many.
+    # The ratio of strata is 0.031 for half or twice as many features.
     features: int = 160
     # Number of exchanges of cells that are tried in a round. The ratio of strata is 0.035, 0.031
-    # and 0.028 for half, all and twice as many exchanges; the time is proportional to this number.
+    # and 0.028 for half, once and twice as many exchanges; the time is proportional to this number.
     trials: int = 2**20
     # Maximum number of rounds of exchanges. The ratio of strata is 0.037, 0.031 and 0.028 for 12,
     # 24 and 48 rounds; the time is proportional to this number.
@@ -142,8 +142,8 @@ class SearchSettings:
     # Settings of sets on the torus
 
     # Number of points in the table that estimates the spectrum.
-    # This number bounds the time of each gradient.
-    # At n = 5000 the ratio of ``points`` is 0.20, 0.082 and 0.078 for half, all and twice as many.
+    # This number bounds the time of each gradient. At n = 5000 the ratio of ``points`` is 0.20,
+    # 0.082 and 0.078 for half, once and twice as many points.
     torus_frequencies: int = 2**14
 
 
