@@ -407,7 +407,7 @@ def _stationary_error(
     """Return result variables for draws (chain, draw) without a burn-in,
     with bands between the given edges.
 
-    `drifts` describes how the chains drift; it is empty if they do not.
+    `drifts` describes a drift that the search for a burn-in found; else it is empty.
     """
     from scipy.signal import lfilter
     from scipy.stats import chi2, f, t
