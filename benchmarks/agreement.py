@@ -1,21 +1,22 @@
 """Do `profile`, `remedies`, `plan`, `predict` and brute force give the same answer?
 
 Sixty estimators: functions, importance densities, multiple importance sampling, pixels and paths.
-Each function searches the best set-up at 4,096 evaluations. Brute force then measures the RMSE of
+Each function searches for the best set-up at 4,096 evaluations. Brute force then measures the RMSE of
 the given and of the recommended set-ups with 1,000 new estimates each, or 200 estimates of pixels
 and paths. A function agrees under these conditions:
 
-* `profile`: its interval of the RMSE overlaps that of brute force, for the set-up that it
-  recommends;
-* `remedies`: its set-up is that of the profile; or both measured this set-up (a preintegration
-  along some direction, a regression), with overlapping intervals; or the RMSE of both recommended
-  set-ups are the same within their intervals;
-* `plan`: for the RMSE of brute force, its interval of n overlaps that of brute force, which is
-  4,096 evaluations converted by the slope of the variance;
-* `predict`: its interval of the variance overlaps that of brute force at these evaluations.
+* `profile`: the interval of the RMSE overlaps the interval by brute force,
+  for the set-up that it recommends;
+* `remedies`: the recommended set-up is that of the profile; or both measured this set-up
+  (a preintegration along some direction, a regression), with overlapping intervals;
+  or the RMSE of both recommended set-ups are the same within their intervals;
+* `plan`: for the RMSE by brute force, the planned interval of n overlaps the interval
+  by brute force, which is 4,096 evaluations converted by the slope of the variance;
+* `predict`: the interval of the variance overlaps the interval by brute force
+  at this number of evaluations.
 
-An open interval always overlaps. In addition, no recommended set-up may be worse than the given
-one, and no function may exceed the allowed number of evaluations.
+An open interval always overlaps. In addition, no recommended set-up may be worse
+than the given one, and no function may exceed the allowed number of evaluations.
 """
 
 from __future__ import annotations
@@ -56,7 +57,7 @@ class Case:
 
 @dataclass
 class Found:
-    """Results of a case: disagreements, bad advice, exceeded budgets, and the answers in words."""
+    """Results of a case: disagreements, bad advice, exceeded budgets, and answers in words."""
 
     wrong: list[str] = field(default_factory=list)
     worse: list[str] = field(default_factory=list)
@@ -166,7 +167,7 @@ def cases() -> Iterator[Case]:
 
 
 def _brute(setup: Setup, n: int, estimates: int, seed: int) -> tuple[float, float, float]:
-    """RMSE and the ends of its 95 % interval."""
+    """The RMSE and the ends of the 95 % interval."""
     found = mcs.convergence(setup.estimator, setup.sampler, [n], realizations=estimates, rng=seed)
     low, high = np.atleast_2d(found["variance_ci"].values.squeeze())[0]
     return tuple(
@@ -175,7 +176,7 @@ def _brute(setup: Setup, n: int, estimates: int, seed: int) -> tuple[float, floa
 
 
 def _overlap(one: tuple[float, float], other: tuple[float, float]) -> bool:
-    """Whether intervals overlap up to rounding; an unknown interval always does."""
+    """Whether intervals overlap up to rounding; an unknown interval overlaps all intervals."""
     if any(math.isnan(v) for v in (*one, *other)):
         return True
     tiny = 1e-13
@@ -203,7 +204,7 @@ def judge(case: Case, seed: int = 0) -> Found:
     if after[1] > before[2] * 1.001:
         found.worse.append(f"profile {after[0] / before[0]:.2g}")
 
-    # Remedies for the same budget
+    # Find remedies for the same budget
     try:
         table = mcs.remedies(
             estimator,
@@ -233,7 +234,7 @@ def judge(case: Case, seed: int = 0) -> Found:
     except McspectraError as error:
         found.words.append(f"remedies: {error}")
 
-    # The plan for the RMSE of the given set-up, and its prediction
+    # Plan for the RMSE of the given set-up, and predict the variance
     slope = profile.rate if profile.rate < 0.0 else -1.0
     if min(before) > 0.0 and max(before) < math.inf:
         low, high = (n * (before[0] / end) ** (2.0 / slope) for end in before[1:])

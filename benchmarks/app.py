@@ -1,9 +1,9 @@
 """Latency of the explorer in Chromium: time from a slider's move to the updated figures.
 
-The page is the default one: 256 jittered points, 129² frequencies. A key moves the slider of the
-strata shift. The page records when bokeh receives new data for the first figure, and for the last
-figure of the round with fewest realizations. Processor time of the server counts from the key to
-the last figure of all rounds, as a mean over the moves.
+The page is the default one: 256 jittered points, 129² frequencies. A key moves the slider
+of the strata shift. The page records when bokeh receives new data for the first figure,
+and for the last figure of the round with the fewest realizations. The processor time of the server,
+from the key to the last figure of all rounds, is a mean over all moves.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def main() -> None:
 
 
 def _move(page: Any, pid: int) -> tuple[float, float, float]:
-    """Press a key on the slider; return ms to first and last figure, and server seconds."""
+    """Press a key on the slider; return ms to the first and last figure, and server seconds."""
     before = _processor_time(pid)
     page.evaluate("() => { window.heard.length = 0; }")
     page.get_by_role("slider", name="Strata shift, A").press("ArrowRight")
@@ -91,7 +91,7 @@ def _server() -> Iterator[tuple[subprocess.Popen[str], str]]:
 
 
 def _processor_time(pid: int) -> float:
-    """Seconds of user and system time of a process; Linux only."""
+    """Return the seconds of user and system time of a process, on Linux only."""
     fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
     return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
 

@@ -1,4 +1,4 @@
-"""Bases: size of the cross term for each randomization, and the convergence of the sum."""
+"""Bases: size of the cross term for each randomization, and convergence of the three terms' sum."""
 
 from __future__ import annotations
 

@@ -1,17 +1,17 @@
 """Profiles of estimators with known problems: is the cause found, and is the advice good?
 
-Each case has a function or estimator with its sampler, its integral, and the causes that may come
-first. A profile has a budget of 8,192 evaluations. A case checks these points:
+Each case has a function or estimator with a sampler, an integral, and the causes
+that may come first. A profile has a budget of 8,192 evaluations. A case checks these points:
 
 * The interval of the profile contains the integral.
-* Its first cause is an expected one.
-* The change that it recommends lowers the variance. Both set-ups are measured again for this, at
-  the same counts.
-* Its rate with scrambled nets agrees with that of 10,000 realizations at the last counts of its
-  curve, to 0.1 or within its interval. The budget is 8,192 or 262,144 evaluations.
+* The first reported cause is an expected cause.
+* The recommended change lowers the variance.
+  To check this, both set-ups are measured again at the same counts.
+* The rate with scrambled nets agrees, to 0.1 or within its interval, with the rate of 10,000
+  realizations at the last counts of the curve. The budget is 8,192 or 262,144 evaluations.
 
-No rate is reported for an infinite variance. For jumps along axes, local rates vary between −1 and
-−3 for the same f; there, realizations at 16 to 4,096 points give the rate.
+No rate is reported for an infinite variance. For jumps along axes, local rates vary between −1
+and −3 for the same f; for these cases, realizations at 16 to 4,096 points give the rate.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def _normal(x: Array) -> Array:
 
 
 def _simplex(d: int, t: float) -> float:
-    """P(x_1 + … + x_d < t), by Irwin and Hall."""
+    """Return P(x_1 + … + x_d < t) by the Irwin–Hall distribution."""
     return sum(
         (-1) ** k * math.comb(d, k) * (t - k) ** d for k in range(math.floor(t) + 1)
     ) / math.factorial(d)
@@ -155,7 +155,7 @@ def cases() -> Iterator[Case]:
     )
     yield Case("hinge in 4-D", lambda x: np.maximum(x @ (1, -1, 0.5, 0.2), 0.0), 4, math.nan, kink)
 
-    # Faces that differ, with sets that wrap around
+    # Different opposite faces, with sets that wrap around
     faces = ("border-jump",)
     yield Case("ramp, shifted", lambda x: x[:, 0], 1, 0.5, faces, "jittered | shift")
     yield Case("ramps, lattice", lambda x: x @ (1.0, 2.0), 2, 1.5, faces, "rank1-lattice | shift")
@@ -163,7 +163,7 @@ def cases() -> Iterator[Case]:
         "exp, Halton shifted", lambda x: np.exp(x.sum(axis=1)), 2, e**2, faces, "halton | shift"
     )
 
-    # Growth at the border
+    # Cases with growth at the border
     grows = ("border-growth",)
     yield Case("root", lambda x: _inner(x[:, 0]) ** -0.3, 1, 1 / 0.7, grows)
     yield Case("root in 2-D", lambda x: _inner(x[:, 1]) ** -0.25 * x[:, 0], 2, 2 / 3, grows)
@@ -185,7 +185,7 @@ def cases() -> Iterator[Case]:
         infinite,
     )
 
-    # A few values dominate
+    # Cases in which a few values dominate
     heavy = ("heavy-tail",)
     yield Case(
         "peak",
@@ -209,7 +209,7 @@ def cases() -> Iterator[Case]:
         heavy,
     )
 
-    # Interactions of many dims
+    # Cases with interactions of many dims
     many = ("high-dimension",)
     yield Case(
         "product of 10", lambda x: (3 * x - 0.5).prod(axis=1), 10, 1.0, (*many, "heavy-tail")
@@ -275,7 +275,7 @@ def near(curve: Curve, rate: float) -> bool:
 
 
 def near_or_within(curve: Curve, rate: float) -> bool:
-    """Whether a rate is right to 0.1, or its interval contains the truth."""
+    """Whether a rate is right to 0.1, or the interval contains the true rate."""
     low, high = curve.rate_ci
     return near(curve, rate) or low <= rate <= high
 
@@ -326,7 +326,7 @@ def judge(case: Case, seed: int = 0) -> Outcome:
             measured = mcs.convergence(
                 each, source, [count], realizations=REALIZATIONS, rng=seed + 2
             )
-            # A deterministic set has a bias instead of a variance
+            # Deterministic sets have a bias instead of a variance
             pair.append(float(measured["variance"][0]) or float(measured["mse"][0]))
         ratio = pair[0] / max(pair[1], 1e-300)
     return Outcome(case, found, seconds, covers, tuple(rates), ratio)

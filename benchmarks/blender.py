@@ -1,8 +1,8 @@
-"""Frames of Blender's Cycles: noise of its sampling patterns by `mcspectra frames`.
+"""Frames of Blender's Cycles: noise of the sampling patterns by `mcspectra frames`.
 
 Run ``BLENDER_PYTHON=… python -m benchmarks blender`` with a Python 3.11 that has the package bpy.
-This Python runs the file as a script, which renders two spheres below an area light: 96 × 72
-pixels, 8 frames of 4, 16 and 64 samples.
+This Python interpreter runs the file as a script, which renders two spheres below an area light:
+96 × 72 pixels, 8 frames of 4, 16 and 64 samples.
 """
 
 from __future__ import annotations

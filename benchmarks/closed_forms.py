@@ -1,9 +1,9 @@
 """Closed-form Fourier power and covariance of scrambled nets compared with many realizations.
 
-For each net with each randomization in 1 to 4 dims, powers and covariances at random integer
-frequencies are compared with their means over 100,000 realizations. z is the difference in standard
-errors; real and imaginary part of a covariance count separately. The root mean square of z is 1 if
-both agree.
+For each net with each randomization in 1 to 4 dims, powers and covariances
+at random integer frequencies are compared with their means over 100,000 realizations.
+z is the difference in standard errors; real and imaginary parts of a covariance count separately.
+The root mean square of z is 1 if closed forms and means agree.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ REALIZATIONS = 100_000
 NETS = ("sobol", "niederreiter", "halton", "faure")
 STEPS = ("owen", "lms", "digital-shift")
 MOST_RMS = 1.1
-_PAIRS = 24  # pairs of frequencies in each case, half of them equal
+_PAIRS = 24  # number of pairs of frequencies in each case, half of them equal
 _HIGHEST = 9
 _BLOCK = 5000  # number of realizations at a time
-# in 1 to 4 dims; all other nets have 16 points
+# numbers of points in 1 to 4 dims; all other nets have 16 points
 _COUNTS = {"halton": (12, 12, 12, 12), "faure": (16, 16, 9, 25)}
 
 
 def z_values(sampler: str, n: int, dims: int, realizations: int = REALIZATIONS) -> Array:
-    """Differences of closed forms and means, in standard errors."""
+    """Differences between closed forms and means, in standard errors."""
     rng = np.random.default_rng(dims)
     m = rng.integers(-_HIGHEST, _HIGHEST + 1, (_PAIRS, dims))
     other = rng.integers(-_HIGHEST, _HIGHEST + 1, (_PAIRS, dims))

@@ -1,8 +1,8 @@
-"""`variance_terms` with 64 given bands, compared with drawing and transforming the same points.
+"""Time of `variance_terms` with 64 given bands, relative to drawing and transforming the points.
 
 The reference also draws the points, so that the whole analysis is compared with its indispensable
-parts. Seconds are the best of the rounds. The ratio is the median of the ratios of each round; the
-ratio of best times is also printed, because the machine may have been busy.
+parts. Seconds are the least of all rounds. The ratio is the median of the ratios of each round;
+the ratio of least times is also printed, because the machine may have been busy.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ BANDS = 64
 
 
 def main() -> None:
-    """Print seconds and the ratio for each size, for one thread."""
+    """Print seconds and the ratio for each size, on one thread."""
     for half_width, n, realizations in SIZES:
         ours, theirs, ratio = _ratio(half_width, n, realizations)
         print(

@@ -1,8 +1,8 @@
 """Convergence of jittered points compared with one fused numba loop: sample, evaluate, accumulate.
 
-Five counts from 16 to 4096, 1000 realizations, two integrands, one thread. The fused loop is
-written for this one task: it has no array of points or values, evaluates both integrands at one
-point, uses the package's own generator, and sums only the first two powers.
+The task has five counts from 16 to 4096, 1000 realizations, two integrands and one thread.
+The fused loop is written for this one task: it has no array of points or values, evaluates
+both integrands at one point, uses the package's own generator, and sums only the first two powers.
 """
 
 from __future__ import annotations

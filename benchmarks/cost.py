@@ -1,15 +1,15 @@
 """Cost of an expected power spectrum by points n, frequencies M, realizations R and accuracy ε.
 
-Model of the NUFFT [Barnett2019]_ for the seconds per realization; R realizations take R t:
+The model of the NUFFT [Barnett2019]_ for the seconds per realization; R realizations take R t:
 
     t = a + b n log(1/ε) + c M log M.
 
-A point is spread to log^d(1/ε) cells, of which vector instructions process a row together. In two
-dims, the time per point therefore grows like log(1/ε). Times are the smallest processor times of
-two sweeps.
+A point is spread to log^d(1/ε) cells; vector instructions process a row of cells together.
+In two dims, the time per point therefore grows like log(1/ε).
+Times are the smallest processor times of two sweeps.
 
-``python -m benchmarks cost --plot`` also draws measured times and the model to
-docs/figures/cost.png.
+``python -m benchmarks cost --plot`` also draws measured times
+and the model to docs/figures/cost.png.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ COUNTS = (256, 1024, 4096, 16384, 65536)
 HALF_WIDTHS = (16, 32, 64, 128, 256)
 REALIZATIONS = (2, 4, 8, 16, 32, 64)
 ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8)
-FIXED = (4096, 64)  # points and half width while R and ε vary
-_SECONDS = 0.15  # seconds for each case, twice
+FIXED = (4096, 64)  # number of points and half width while R and ε vary
+_SECONDS = 0.15  # seconds spent on each case, twice
 
 
 @dataclass(frozen=True)
 class Series:
-    """Seconds per call against one quantity, with the model's values."""
+    """Seconds per call for values of one quantity, and the values of the model."""
 
     label: str
     x: Array
@@ -93,7 +93,7 @@ def _terms(n: int, half_width: int, eps: float) -> tuple[float, float, float]:
 
 
 def _seconds(n: int, half_width: int, eps: float = EPS, realizations: int = 2) -> float:
-    """Smallest time per realization of the power of `realizations` sets, one thread."""
+    """Smallest time per realization of the power spectrum of `realizations` sets, one thread."""
     grid = FrequencyGrid(DIMS, half_width)
     points = mcs.sampler("random", dims=DIMS).draw(n, realizations=realizations, rng=1)
     total, squares = np.zeros(grid.stored), np.zeros(grid.stored)
@@ -108,7 +108,7 @@ def _seconds(n: int, half_width: int, eps: float = EPS, realizations: int = 2) -
 
 
 def _by_realizations() -> Series:
-    """Seconds of R realizations; the model is R times half the time of a pair."""
+    """Seconds for R realizations; the model is R times half of the time of a pair."""
     n, half_width = FIXED
     count = np.array(REALIZATIONS, np.float64)
     measured = np.array([r * _seconds(n, half_width, EPS, r) for r in REALIZATIONS])

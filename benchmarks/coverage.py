@@ -1,4 +1,4 @@
-"""Coverage of 95 % intervals: variances, captured parts, spectra and ANOVA shares."""
+"""Coverage of 95 % intervals of variances, captured parts, spectra and ANOVA shares."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from mcspectra.measure.sums import BATCH_SETTINGS, ratio_factors
 
 REPETITIONS = 2_000
 COUNTS = (20, 100, 1000)
-_RUNS = 400  # number of analyses; each has several numbers
+_RUNS = 400  # number of analyses; each gives several intervals
 
-# Distributions of estimates: generator, variance and kurtosis
+# Distributions of estimates, with generator, variance and kurtosis
 LAWS: dict[str, tuple[Callable[..., np.ndarray], float, float]] = {
     "normal": (lambda rng, s: rng.standard_normal(s), 1.0, 3.0),
     "uniform": (lambda rng, s: rng.random(s), 1 / 12, 1.8),
@@ -33,7 +33,7 @@ LAWS: dict[str, tuple[Callable[..., np.ndarray], float, float]] = {
     ),
 }
 
-# Exponents a of p ∝ x^a, integrands, and half widths of their truncation
+# Exponents a of p ∝ x^a, integrands, and half widths at which these are truncated
 RATIOS: dict[str, tuple[float, Callable[[np.ndarray], np.ndarray], int]] = {
     "p = 1, step": (0.0, lambda x: 1.0 * (x < 0.3), 8),
     "p = 1, exp(−3x)": (0.0, lambda x: np.exp(-3 * x), 2),
@@ -117,7 +117,7 @@ def _of_spectra() -> Iterator[tuple[str, ...]]:
 
 
 def _of_anova() -> Iterator[tuple[str, ...]]:
-    """Coverage of shares and dimensions of Π (1 + (x_i − ½) √(12 a_i)), a = 1, ½, ⅕."""
+    """Coverage of shares and effective dimensions of Π (1 + (x_i − ½) √(12 a_i)), a = 1, ½, ⅕."""
     part = np.array([1.0, 0.5, 0.2])
     variance = np.prod(1 + part) - 1
     truth = {

@@ -1,8 +1,8 @@
-"""SciPy's L-BFGS-B, QR and eigensolver compared with ours: quality, and stability of the bits.
+"""SciPy's L-BFGS-B, QR and eigensolver compared with ours: minima, and stability of bits.
 
 For descents of optimized samplers, ``python -m benchmarks descent`` prints the smallest value after
-the same number of evaluations as ours. It then repeats the libraries' computations with other
-numbers of threads, and with the kernels of OpenBLAS for other processors.
+the same number of evaluations as ours. The command then repeats the computations of the libraries
+with other numbers of threads, and with the kernels of OpenBLAS for other processors.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from mcspectra.samplers.relaxation import near_energy
 
 STARTS = 3
 COUNTS = (256, 1024)
-_FURTHER = 2  # ratio of evaluations allowed to L-BFGS-B over ours
-_MEMORY = 10  # number of corrections that both methods keep
+_FURTHER = 2  # evaluations allowed to L-BFGS-B, divided by ours
+_MEMORY = 10  # number of stored corrections in both methods
 
 DIGESTS = """
 import hashlib
@@ -63,7 +63,7 @@ MACHINES = (
 
 
 class Task(NamedTuple):
-    """A descent of an optimized sampler; `goal` is a sufficiently small value."""
+    """A descent of an optimized sampler; `goal` is a value that is small enough."""
 
     name: str
     n: int
@@ -88,7 +88,7 @@ def tasks() -> Iterator[Task]:
 def values_of(
     task: Task, run: Callable[[Callable[[Array], tuple[float, Array]], Array], object], seed: int
 ) -> Array:
-    """Running minimum after each evaluation of a descent, (evaluations,)."""
+    """Least value up to each evaluation of a descent, (evaluations,)."""
     found = []
 
     def counted(x: Array) -> tuple[float, Array]:

@@ -44,7 +44,7 @@ def variance_panels(
     y: str = "variance",
     limits: tuple[float, float] | None = None,
 ) -> tuple[Panel, ...]:
-    """Return panels with points, intervals and lines between them; first lines are thickest.
+    """Return panels with points, intervals and lines between points; the first lines are thickest.
 
     Curves of the same name look the same in all panels.
     """
@@ -71,11 +71,11 @@ def variance_panels(
 
 
 def with_interval(value: Any, interval: Any, form: str = ".2f") -> str:
-    """Format as ``−1.50 (−1.55 … −1.45)``."""
+    """Format a rate as ``−1.50 (−1.55 … −1.45)``."""
     low, high = np.asarray(interval, np.float64)
     return f"{float(value):{form}} ({low:{form}} … {high:{form}})"
 
 
 def slopes(counts: Sequence[int] | Array, values: Array) -> Array:
-    """Rates between neighboring counts."""
+    """Return rates between neighboring counts."""
     return np.diff(np.log(values)) / np.diff(np.log(counts))

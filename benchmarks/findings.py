@@ -1,8 +1,8 @@
-"""Numbers and figures of ``docs/findings``: ``python -m benchmarks findings --plot`` creates both.
+"""Numbers and figures of ``docs/findings``, made by ``python -m benchmarks findings --plot``.
 
 Each function prints the numbers of one page, with 95 % intervals, and returns its figures by name.
-With ``--plot`` the lines are also written to ``docs/findings/numbers.txt``, from which the pages
-may quote.
+With ``--plot`` the lines are also written to ``docs/findings/numbers.txt``,
+which the pages may quote.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def homogenisation() -> Plots:
 
 
 def alignment() -> Plots:
-    """Variance of a step by offset, exact and measured, and of two edges without a good offset."""
+    """Exact and measured variance of a step by offset, and of two edges without a good offset."""
     step, bar = (
         mcs.integrand(s, dims=1) for s in ("step(at=0.3)", "disk(center=0.47, radius=0.27)")
     )
@@ -119,7 +119,7 @@ def alignment() -> Plots:
 
 
 def smoothing() -> Plots:
-    """Squared error of a disk by the width of its edge, and the best width for each budget."""
+    """Squared error of a disk for each width of the edge, and the best width for each budget."""
     widths = [0.005, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1, 0.14, 0.2, 0.28]
     d = mcs.improve.smoothing_scan(
         "disk(center=0.47)", "jittered", (64, 256, 1024), [0, *widths], realizations=1000, rng=1

@@ -1,4 +1,4 @@
-"""dc + power + cross compared with the truncated estimate's variance, and the slides' pairing."""
+"""Sum of the three terms compared with the variance of the truncated estimate."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _difference(dims: int, name: str, density: str | None, space: str) -> float:
 
 
 def _pairing() -> None:
-    """Print the predictions of C_ml and of its conjugate for points crowded at one side."""
+    """Print the predictions by C_ml and by its conjugate for points crowded at one side."""
     f = mcs.Integrand.from_function(
         lambda x: np.exp(3 * np.cos(2 * np.pi * (x[..., 0] - 0.15))), dims=1
     )
@@ -56,7 +56,7 @@ def _pairing() -> None:
 
 
 def main() -> None:
-    """Print the largest difference for each number of dims, then the pairing."""
+    """Print the largest difference for each number of dims, then both predictions."""
     names = ("random", "jittered", "jittered | shift", "one-sided")
     for dims in SIZES:
         cases = itertools.product(names, (None, "linear(slope=1.2)"), ("domain", "primary"))

@@ -1,8 +1,8 @@
-"""Variance of changed estimators over that of plain ones at equal cost, including pilots.
+"""Variance of changed estimators relative to plain estimators at equal cost, including pilots.
 
-Each budget is 2^14 evaluations, of which the pilot uses 2^11. Variances come from fresh samples by
-`mcspectra.convergence`. For nets, both variances use the largest power of two that fits. The
-printed ratios are medians over pilots.
+Each budget is 2^14 evaluations, of which the pilot uses 2^11. Variances come from fresh samples
+by `mcspectra.convergence`. For nets, both variances use the largest power of two within the budget.
+The printed ratios are medians over pilots.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def _normal(x: Array) -> Array:
 
 
 def _asian(x: Array) -> Array:
-    """Call on the geometric mean of 16 prices from increments, with strike and start 1."""
+    """Call option on the geometric mean of 16 prices, from increments; strike and start are 1."""
     time = np.arange(1, STEPS + 1) / STEPS
     walk = np.cumsum(_normal(x), axis=-1) / math.sqrt(STEPS)
     mean = (VOLATILITY * walk - 0.5 * VOLATILITY**2 * time).mean(axis=-1)

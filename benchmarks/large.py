@@ -64,7 +64,7 @@ CASES = (
 
 
 def main() -> None:
-    """Print a line for each case; four times the realizations should need the same memory."""
+    """Print a line for each case; memory should be the same for four times as many realizations."""
     _, idle = Case(1, 1, 1, 0).run()
     print(f"imports alone {idle:.0f} MB; aim in 2-D ≤ 1000 MB")
     print(f"{'frequencies':>12s} {'pairs':>9s} {'points':>7s} {'realizations':>13s} "

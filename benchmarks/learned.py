@@ -1,7 +1,7 @@
 """Ratios of variances with and without learned densities.
 
-Each density is learned for the sampler and n. The variances use 200 realizations that were not part
-of the learning. Run ``python -m benchmarks learned``.
+Each density is learned for the sampler and n. The variances use 200 realizations that were not used
+for learning. Run ``python -m benchmarks learned``.
 """
 
 from __future__ import annotations

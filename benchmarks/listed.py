@@ -1,4 +1,4 @@
-"""`power_at` for listed frequencies, compared with a sum of all phases in NumPy on one thread."""
+"""`power_at` for listed frequencies, compared with direct sums in NumPy on one thread."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def _real(dims: int, count: int) -> Array:
 
 
 def _subset(dims: int, count: int) -> Array:
-    """Integer frequencies with three nonzero components."""
+    """Return integer frequencies with three nonzero components."""
     generator = np.random.default_rng(1)
     m = np.zeros((count, dims))
     m[:, :3] = generator.integers(1, 9, (count, 3))
@@ -27,7 +27,7 @@ def _subset(dims: int, count: int) -> Array:
 
 
 CASES: tuple[tuple[str, Callable[[int, int], Array], int, int, int], ...] = (
-    # label, function for the frequencies, dims, points, number of frequencies
+    # label, function that makes frequencies, dims, points, number of frequencies
     ("2-D, real", _real, 2, 1024, 2000),
     ("2-D, real", _real, 2, 4096, 4000),
     ("6-D, real", _real, 6, 1024, 2000),

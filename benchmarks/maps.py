@@ -1,11 +1,12 @@
-"""Rate map of Veach's scene compared with raw Mitsuba calls for the same samples, in one run.
+"""Rate map of Veach's scene compared with raw Mitsuba calls for the same samples.
 
-The raw calls evaluate each of four strategies (light, BSDF and their parts of MIS) separately.
-Their kernels have one lane per sample, sum over the samples of a pixel, and read existing tables.
-The results are copied to NumPy, without statistics. The map evaluates a technique once for its
-plain and its weighted estimate, in a loop over samples. "kernels alone" means these loops without
-the map's statistics. ``--full`` maps 256 × 170 pixels without predictions and compares with the raw
-calls alone, which takes minutes. By default a smaller map is used.
+The raw calls evaluate each of four strategies (light, BSDF,
+and the parts of both in MIS) separately. The kernels of these calls have one lane per sample,
+sum over the samples of a pixel, and read existing tables. The raw calls copy results to NumPy,
+without statistics. The map evaluates a technique once for both the plain and the weighted estimate,
+in a loop over samples. "kernels alone" means these loops without the map's statistics.
+``--full`` maps 256 × 170 pixels without predictions and compares with the raw calls alone,
+which takes minutes. By default a smaller map is used.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ def main(*flags: str) -> None:
             ("kernels alone", raw.loops),
         ]
     seconds = dict.fromkeys([name for name, _ in works], float("inf"))
-    for _ in range(1 if full else ROUNDS):  # both alternate, because a busy machine slows both
+    for _ in range(1 if full else ROUNDS):  # alternate both, because a busy machine slows both
         for name, work in works:
             start = time.perf_counter()
             work()
@@ -58,7 +59,7 @@ def main(*flags: str) -> None:
 
 
 def run_map(size: tuple[int, int], predict_every: int = 0) -> None:
-    """Map four strategies and their sum."""
+    """Map four strategies and the sum of both techniques."""
     variance_map(
         "veach",
         counts=COUNTS,
@@ -69,7 +70,7 @@ def run_map(size: tuple[int, int], predict_every: int = 0) -> None:
 
 
 class RawCalls:
-    """Mitsuba's calls for all pixels of a grid; first hits and tables are computed beforehand."""
+    """Raw Mitsuba calls for all pixels of a grid; first hits and tables are computed before."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         grid = np.stack(np.meshgrid(*map(np.arange, size)), axis=-1).reshape(-1, 2)

@@ -1,4 +1,4 @@
-"""Predicted error spectra of images compared with measured ones: masks, sets and integrands.
+"""Predicted error spectra of images compared with measured ones, for masks, sets and integrands.
 
 ``python -m benchmarks masks`` prints predicted / measured power in four bands of radial frequency,
 from 64 images.

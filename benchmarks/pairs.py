@@ -1,7 +1,7 @@
 """Pair correlation of 4096 points in 200 bins, compared with `freud.density.RDF`.
 
 Both count the pairs of a periodic square up to the same distance and divide by the expected count
-for random points. freud's cell list and ours use their defaults, on one thread.
+for random points. Both use default settings on one thread.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from benchmarks.timing import compare
 from mcspectra.spectra.pairs import count_pairs
 
 POINTS, BINS = 4096, 200
-DISTANCES = (0.49, 0.1)  # freud needs less than half the side
+DISTANCES = (0.49, 0.1)  # freud allows distances below half the side
 
 
 def main() -> None:
@@ -40,7 +40,7 @@ def _compare(points: np.ndarray, distance: float) -> None:
     print(f"  count_pairs, {1e9 * ours / counted.sum() * 2:.1f} ns a pair: {1e3 * ours:.1f} ms")
     print(f"  freud.density.RDF:          {1e3 * theirs:.1f} ms")
     print(f"  ratio (aim ≤ 0.5):          {ratio:.3f}")
-    # freud computes in float32, so that pairs at the border of a bin may move to the next bin.
+    # freud computes in float32, so pairs at the border of a bin may be in the neighboring bin.
     differ = np.abs(counted - rdf.bin_counts).sum() / counted.sum()
     print(f"  pairs that freud has in other bins: {differ:.1e} of all")
 

@@ -1,12 +1,12 @@
-"""Whole paths of five scenes compared with Mitsuba's renders, and the time of a map over raw paths.
+"""Paths of five scenes compared with renders by Mitsuba, and time of a map relative to raw paths.
 
 A film has 8 × 6 pixels with a box filter. `mitsuba.render` and `variance_map` with random points
-each give means and variances of 400 estimates of 64 paths. Welch's test compares the values and
-their squared deviations (by the logarithm of the variances, which is closer to normal). It also
+each give means and variances of 400 estimates of 64 paths. Welch's test compares the values
+and the squared deviations (by logarithms of variances, which are closer to normal). The test also
 compares the variance of all bounces together with 64 times the variance of the renders. The limit
-of |t| holds for all tests of the table together (Šidák). Then a map of 64 × 64 pixels with paths of
-depth 5 is timed against raw renders of the same number of paths. ``--coverage`` prints instead how
-often the 95 % intervals of shares contain the truth, at six pixels of Cornell's box.
+of |t| holds for all tests of the table together (Šidák). Then a map of 64 × 64 pixels with paths
+of depth 5 is timed against raw renders of the same number of paths. ``--coverage`` prints instead
+how often 95 % intervals of shares contain the true share, at six pixels of Cornell's box.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from mcspectra.rendering.scenes import as_scene
 from mcspectra.samplers import as_sampler
 
 N, REALIZATIONS, CHAINS = 64, 400, 2000
-LARGEST_SE = 0.2  # largest relative standard error of variances that are compared with all bounces
+LARGEST_SE = 0.2  # largest relative standard error of variances in the comparison of all bounces
 FALSE_ALARM = 0.001  # probability that any t in the table exceeds its limit by chance
 LUMINANCE = [0.212671, 0.715160, 0.072169]
 SMALL, LARGE = (8, 6), (64, 64)
@@ -56,7 +56,7 @@ def main(*flags: str) -> None:
 
 
 def compared(scene: Scene, integrator: str) -> str:
-    """Return one row: dims, pixels, largest statistics, and shares of the picture's variance."""
+    """Return a row: dims, pixels, largest test statistics, and shares of the variance."""
     theirs = renders(scene, integrator)
     found = variance_map(
         scene, sampler="random", counts=(N // 4, N), realizations=REALIZATIONS, points="own",
@@ -71,7 +71,7 @@ def compared(scene: Scene, integrator: str) -> str:
         means = (found["mean"].values[0] - mean) / np.sqrt((own + variance) / REALIZATIONS)
         both = np.hypot(found["variance_relative_se"].values[0, -1], relative)
         ratio = np.log(own / variance) / both
-        # All bounces together give the variance of one path, where it is precise enough
+        # Compare all bounces together with the variance of a path, where this is precise enough
         path = np.log(whole / (N * variance)) / np.hypot(error / whole, relative)
         told = seen & (error < LARGEST_SE * whole) & (relative < LARGEST_SE)
     weight = weight.where(told)
@@ -87,9 +87,9 @@ def compared(scene: Scene, integrator: str) -> str:
 
 
 def renders(scene: Scene, integrator: str) -> Array:
-    """Luminance of independent renders (R, h, w) by Mitsuba."""
+    """Return the luminance of independent renders by Mitsuba: (R, h, w)."""
     mitsuba = load_mitsuba()
-    import drjit  # Mitsuba must come first, because it chooses the LLVM
+    import drjit  # Import Mitsuba first, because it chooses the LLVM library
 
     loaded, made = load_scene(scene), find_integrator(as_scene(scene), integrator)
     images = [
@@ -100,7 +100,7 @@ def renders(scene: Scene, integrator: str) -> Array:
 
 
 def times() -> dict[str, list[float]]:
-    """Seconds of maps of Cornell's box over those of a raw render of as many paths, by round."""
+    """Time of maps of Cornell's box divided by the time of raw renders with equal paths."""
     mitsuba = load_mitsuba()
     import drjit
 
@@ -123,9 +123,8 @@ def times() -> dict[str, list[float]]:
 
     works = {"raw": raw, "map": mapped(0), "map with shares of 128 chains": mapped(128)}
     ratios: dict[str, list[float]] = {name: [] for name in works}
-    for turn in range(
-        ROUNDS + 1
-    ):  # rounds are adjacent in time, because a busy machine slows all; the first round compiles
+    # Rounds are adjacent in time, because a busy machine slows all; the first round compiles
+    for turn in range(ROUNDS + 1):
         seconds = {}
         for name, work in works.items():
             start = time.perf_counter()

@@ -2,19 +2,20 @@
 
 Ten integrands, each with 30 seeds and all methods in one run:
 
-* ``profile``: `mcspectra.profile` with a quarter of the evaluations, then `integrate(profile=…)`
-  with the rest;
-* ``after``: the same, but all evaluations follow a profile of equal cost (8,192 in total), for a
-  function that is integrated repeatedly;
+* ``profile``: `mcspectra.profile` with a quarter of the evaluations,
+  then `integrate(profile=…)` with the rest;
+* ``after``: the same, but all evaluations follow a profile of equal cost (8,192 in total),
+  for a function that is integrated repeatedly;
 * ``integrate``: `mcspectra.integrate` alone;
-* ``scipy``: 16 scrambled Sobol' sets of SciPy and Student's t;
+* ``scipy``: 16 scrambled Sobol' sets of SciPy, with Student's t interval;
 * ``net``, ``lattice``: QMCPy's CubQMCNetG and CubBayesLatticeG with all evaluations in one set;
-* ``vegas``: four iterations of one eighth to adapt, four to integrate.
+* ``vegas``: four iterations adapt the grid and four integrate,
+  each with an eighth of the evaluations.
 
-A line gives the RMS error of each method and, in brackets, the number of intervals that contain the
-integral. A peer counts if at least 27 do. The last line gives the number of integrands for which
-the errors of ``profile`` and ``after`` are at most 1.2 times the error of the best peer that
-counts.
+A line gives the RMS error of each method and, in brackets, the number of intervals
+that contain the integral. A peer counts if at least 27 intervals contain the integral.
+The last line gives the number of integrands for which the errors of ``profile`` and ``after``
+are at most 1.2 times the error of the best peer that counts.
 """
 
 from __future__ import annotations
@@ -73,7 +74,7 @@ def _keister(x: Array) -> Array:
 
 
 def problems() -> Iterator[tuple[str, Callable[[Array], Array], int, float | None]]:
-    """Yield name, function, dims and integral; None if 2^22 points estimate it."""
+    """Yield name, function, dims and integral (None if 2^22 points estimate the integral)."""
     oscillatory = np.array([1.0, 0.5, 0.8, 0.3, 0.6])
     yield "Genz oscillatory 5-D", lambda x: np.cos(1.0 + x @ oscillatory), 5, None
     width = 2.0 * (math.atan(1.2) + math.atan(0.8))

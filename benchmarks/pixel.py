@@ -1,8 +1,8 @@
-"""Throughput of a pixel as an integrand compared with the same Mitsuba kernels without our checks.
+"""Throughput of a pixel as an integrand compared with Mitsuba kernels without our checks.
 
-The raw calls pass the same NumPy points as float32 to the same light or BSDF sampling of Mitsuba in
-one kernel, and return its float32 values to NumPy. Both sides use the same million samples, in
-turn.
+The raw calls pass the same NumPy points as float32 to the same light
+or BSDF sampling of Mitsuba in one kernel, and return the float32 values to NumPy.
+Both sides use the same million samples, in turn.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ PLACE: dict[str, Any] = {"scene": "veach", "x": 568, "y": 100, "light": "light-3
 
 
 def main() -> None:
-    """Print samples per second, and raw time over ours, for light and BSDF sampling."""
+    """Print samples per second, and raw time divided by ours, for light and BSDF sampling."""
     u = np.random.default_rng(1).random((SAMPLES, 2))
     for strategy in ("light", "bsdf"):
         pixel = Pixel(**PLACE, strategy=strategy)
@@ -39,7 +39,7 @@ def main() -> None:
 
 
 def raw_call(strategy: str, u: Array) -> Array:
-    """Mitsuba's values at samples (M, 2)."""
+    """Return the values by Mitsuba at samples (M, 2)."""
     mitsuba = load_mitsuba()
     with LOCK:
         hit = primary_hit(load_scene(PLACE["scene"]), PLACE["x"], PLACE["y"])

@@ -1,8 +1,8 @@
-"""Throughput of stock integrators with our samplers compared with Mitsuba's own one.
+"""Throughput of stock integrators with our samplers compared with the stock sampler.
 
-Both sides of each line alternate in the same run. ``sobol | owen`` is computed in the kernel. Other
-samplers draw new tables of points for every image; one set that is moved in each pixel is the
-cheapest.
+Both sides of each line alternate in the same run. ``sobol | owen`` is computed in the kernel.
+Other samplers draw new tables of points for every image.
+One set that is moved in each pixel is the cheapest.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ SPECS = ("random", "jittered", "sobol | owen", "sobol | owen | decorrelate(mode=
 
 
 def main() -> None:
-    """Print ratios of throughput; 1 is the stock sampler."""
+    """Print ratios of throughput to the stock sampler."""
     register_samplers("llvm_ad_rgb")
     for integrator in ({"type": "direct"}, {"type": "path", "max_depth": 4}):
         reference = _image(integrator, {"type": "independent"})

@@ -1,15 +1,15 @@
 """Predicted variances compared with precise measured ones: accuracy and coverage of intervals.
 
-Each row is a sampler in a group of problems; each of its cells is a problem at a count. A cell is
-right if predicted/measured is within 5 %, or within two standard errors of the measurement. Its
-interval covers if the difference lies within both intervals together. Predictions evaluate no
-sample of f at the sampler's points; measurements have at least 1,000 realizations. ``--group=2-D``
-selects one group, ``--group=new`` all groups whose names begin with "new".
+Each row is a sampler in a group of problems; each cell of a row is a problem at a count. A cell
+is right if predicted/measured is within 5 %, or within two standard errors of the measurement.
+The interval covers if the difference lies within both intervals together. Predictions do
+not evaluate f at the points of the sampler; measurements have at least 1,000 realizations.
+``--group=2-D`` selects one group, ``--group=new`` all groups whose names begin with "new".
 
-New groups have every fast sampler with an offset (shift, strata-shift, digital-shift), problems in
-4 to 8 dims, and unbounded ones. References are measured with 20,000 realizations. If the moments of
-estimates are unbounded, references come from closed-form integrals, summed over strata and pairs of
-points (`Unbounded`).
+New groups have every fast sampler with an offset (shift, strata-shift, digital-shift),
+problems in 4 to 8 dims, and unbounded ones. References are measured with 20,000 realizations.
+If the moments of estimates are unbounded, references come from closed-form integrals,
+summed over strata and pairs of points (`Unbounded`).
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ WITHIN, AT_MOST = 0.05, 0.2
 """Relative error below which a prediction is right, and the largest allowed relative error."""
 
 REALIZATIONS = 10_000
-"""Realizations of measurements: relative standard error about 1.4 % for normal estimates."""
+"""Number of realizations, for a relative standard error of about 1.4 % of normal estimates."""
 
-_DEAR = {"bnot": 2000, "poisson-disk": 4000}  # realizations of slow samplers
+_DEAR = {"bnot": 2000, "poisson-disk": 4000}  # number of realizations for slow samplers
 
 
 NEW_REALIZATIONS = 20_000
-"""Realizations of measurements in new groups: relative standard error about 1 %."""
+"""Number of realizations in new groups, for a relative standard error of about 1 %."""
 
 MOST_MISSED = 4.0
 """Largest allowed error of a prediction, in standard errors of reference and prediction."""
@@ -46,12 +46,12 @@ MOST_MISSED = 4.0
 
 @dataclass(frozen=True)
 class Group:
-    """Problems that are tested with the same samplers and counts.
+    """A group of problems that are tested with the same samplers and counts.
 
     Attributes
     ----------
     realizations
-        Realizations of each measurement.
+        Number of realizations of each measurement.
     """
 
     problems: Sequence[Any]
@@ -64,8 +64,8 @@ class Group:
 class Tail:
     """An unbounded function h of one variable, with the integrals of h and h² from 0 to u.
 
-    `even` means h(1 − u) = h(u), so that values near 1 can be computed from the precise distance to
-    1.
+    `even` means h(1 − u) = h(u), so that values near 1 can be computed
+    from the precise distance to 1.
     """
 
     h: Callable[[Array], Array]
@@ -79,20 +79,20 @@ class Tail:
         return float(self.integral_to(np.array([1.0]))[0])
 
     def stratum_means(self, s: int, offset: float = 0.0) -> Array:
-        """Means over s strata of the torus whose first stratum starts at `offset` strata."""
+        """Return means over s strata of the torus, of which the first starts at `offset` strata."""
         ends = (np.arange(s + 1) + offset % 1.0) / s
         whole = self.integral_to(np.minimum(ends, 1.0)) + self.integral_to(np.maximum(ends - 1, 0))
         return np.asarray(s * np.diff(whole))
 
     def between(self, s: int, offset: float | None = 0.0) -> float:
-        """Mean square of the means over strata; None averages over all offsets."""
+        """Return the mean square of means over strata; None averages over all offsets."""
         if offset is not None:
             return float(np.mean(self.stratum_means(s, offset) ** 2))
         nodes, weights = _ends_rule()
         return float(weights @ [np.mean(self.stratum_means(s, t) ** 2) for t in nodes])
 
     def grid_variance(self, n: int) -> float:
-        """Variance of the mean over a grid of n points with one uniform offset within a cell."""
+        """Return the variance of the mean over a grid of n points with a uniform offset."""
         nodes, weights = _ends_rule()
         k, half = np.arange(n)[:, None], n // 2
         if self.even:
@@ -108,7 +108,7 @@ class Tail:
 
 
 def _ends_rule() -> tuple[Array, Array]:
-    """Nodes and weights on [0, 1] for functions with powers above −1 at both ends."""
+    """Return nodes and weights on [0, 1] for functions with powers above −1 at both ends."""
     u, w = np.polynomial.legendre.leggauss(200)
     t, w = 0.5 * (u + 1.0), 0.5 * w
     low = 0.5 * t**10
@@ -128,7 +128,7 @@ def _student_to(u: Array) -> Array:
 
 
 def power_tail(a: float) -> Tail:
-    """u^−a with 0 < a < 1/2."""
+    """The function u^−a with 0 < a < 1/2."""
     return Tail(lambda u: u**-a, lambda u: u ** (1.0 - a) / (1.0 - a), 1.0 / (1.0 - 2.0 * a))
 
 
@@ -160,7 +160,7 @@ class Unbounded:
         self.spec = f"Unbounded({tail!r}, {dims}{how}).estimator"
 
     def variance(self, sampler: str, n: int) -> float:
-        """Exact variance of the mean over n points."""
+        """Return the exact variance of the mean over n points."""
         h, d = self.tail, self.dims
         base, _, step = sampler.partition(" | ")
         offset: float | None = None if step == "shift" else 0.0
@@ -170,7 +170,8 @@ class Unbounded:
         starts = [offset] * d
         if step == "strata-shift":
             starts = [0.5 * n ** (-1.0 / d) * s for s in sides]
-        # For strata, Latin hypercubes and scrambled nets, pairs have one distribution on each axis
+        # For strata, Latin hypercubes and scrambled nets,
+        # pairs have the same distribution on each axis
         if not self.product:
             if base == "random":
                 return d * (h.square - h.mean**2) / n
@@ -197,7 +198,7 @@ class Unbounded:
         cells = np.rint(points * n).astype(np.int64)
         total = 0.0
         for i in range(n):
-            # bits below the common prefix
+            # number of bits below the common prefix
             apart_bits = np.frexp((cells ^ cells[i]).astype(float))[1]
             total += float(of_level[levels - apart_bits].prod(axis=-1).sum())
         return total / n**2 - float(h.mean ** (2 * d))
@@ -292,7 +293,7 @@ def groups() -> dict[str, Group]:
     else:
         found["pixels"] = Group(pixels, ("random", "jittered | shift", "sobol | owen"), counts[:-1])
 
-    # New: offsets in 2-D for all fast samplers
+    # New groups: offsets in 2-D for all fast samplers
     many = NEW_REALIZATIONS
     rotated, disk = (
         formula("exp(-9*(x0+x1-0.7)**2-2*(x0-x1)**2)", 2),
@@ -306,7 +307,7 @@ def groups() -> dict[str, Group]:
         many,
     )
 
-    # New: 4 to 8 dims
+    # New groups: problems in 4 to 8 dims
     def ball(dims: int, square: float) -> Any:
         text = "+".join(f"(x{i}-0.5)**2" for i in range(dims))
         return formula(f"where({text}<{square},1,0)", dims)
@@ -385,7 +386,7 @@ IN_MANY_DIMS = (
 
 
 def measure(group: Group, sampler: str) -> tuple[tuple[int, ...], Array, Array]:
-    """Counts (N,), reference variances (problems, N) and their standard errors; equal dims."""
+    """Counts (N,), reference variances and their standard errors, both (problems, N)."""
     many = _DEAR.get(sampler.partition(" ")[0], group.realizations)
     variances, errors, counts = [], [], ()
     for problem in group.problems:
@@ -414,7 +415,7 @@ class Tally:
     missed: float = 0.0
 
     def add(self, right: Array, near: Array, covered: Array, missed: Array) -> None:
-        """Count cells (problems, N), and keep the largest miss in standard errors."""
+        """Count the right cells of (problems, N), and keep the largest miss in standard errors."""
         self.cells += right.size
         self.right += int(right.sum())
         self.near += int(near.sum())
@@ -459,7 +460,7 @@ def main(*flags: str) -> None:
             bounds = np.where(none[..., None], measured[..., None], bounds)
             methods = [np.broadcast_to(_methods(each), value.shape[1:]) for each in found]
 
-            # Errors relative to the measured value, minus its own error
+            # Errors relative to the measured value, minus the error of the measurement
             off = np.abs(value / measured - 1.0)
             noise = error / measured
             right = (off <= WITHIN) | (off <= 2.0 * noise)
@@ -467,7 +468,7 @@ def main(*flags: str) -> None:
             half = np.where(value < measured, bounds[..., 1] - value, value - bounds[..., 0])
             within = np.hypot(half, 1.96 * error)
             distance = np.abs(value - measured)
-            # References in closed form are right to rounding
+            # Closed-form references are right to rounding
             covered = distance <= within + 1e-9 * measured
             missed = np.where(covered, 0.0, np.inf)
             np.divide(1.96 * distance, within, out=missed, where=within > 0.0)
@@ -513,7 +514,7 @@ def _call(problem: Any, sampler: str, n: int) -> str:
 
 
 def _methods(found: Any) -> Array:
-    """Names of the methods along n."""
+    """Return the names of the methods along n."""
     return np.asarray(found["method"].to_numpy())
 
 

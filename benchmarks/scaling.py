@@ -1,8 +1,8 @@
-"""Scaling of studies: overhead of tasks, cells and workers, efficiency, memory, a million cells.
+"""Scaling of studies: overhead of tasks, cells and workers; efficiency; memory; a million cells.
 
-Parts by name: ``python -m benchmarks.scaling tasks workers``. Without names, it runs all except
-``million``, which takes minutes and 2 GB of disk. Wall times depend on other load of the machine,
-but processor times hardly do; both are printed.
+Select parts by name: ``python -m benchmarks.scaling tasks workers``.
+Without names, all parts run except ``million``, which takes minutes and 2 GB of disk.
+Wall times depend on other load of the machine, but processor times hardly do; both are printed.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from mcspectra.studies.run import MakeExecutor, Progress, drive
 from mcspectra.studies.schedule import Schedule
 from mcspectra.studies.tasks import StudyTask
 
-_NAP = 0.2  # seconds of a calibrated task
+_NAP = 0.2  # duration of a calibrated task, in seconds
 _STUDY = """
 title = "scaling"
 samplers = ["random"]
@@ -79,8 +79,8 @@ def tasks() -> None:
 
 
 def cells() -> None:
-    """Overhead of a cell: its plan, its schedule and its row of the ledger."""
-    count = 3000  # more cells than a run writes as a store at its end
+    """Overhead of a cell: plan, schedule and row of the ledger."""
+    count = 3000  # more cells than a run writes to a store at the end
     with _timed(f"decode and plan {count:,} short cells", count):
         plan = make_plan(_study(count), Path())
     plan.cells[0].compute(0)  # import and compile
@@ -95,7 +95,7 @@ def cells() -> None:
 
 
 def million(count: int = 10**6) -> None:
-    """A study of a million cells: its plan, ledger, status, one cell, and memory."""
+    """A study of a million cells: plan, ledger, status, one cell, and memory."""
     samplers = ("random", "jittered", "halton", "sobol", "latin-hypercube")
     samplers += tuple(f"{name} | shift" for name in samplers)
     with _timed(f"decode {count:,} cells"):
@@ -140,7 +140,7 @@ def _record(
 
 
 def workers() -> None:
-    """Overhead of a worker: its start, and its first task."""
+    """Overhead of a worker: start and first task."""
     config = _study(16)
     for count in (1, 2):
         with _timed(f"16 short cells on {count} worker processes, their start included"):
@@ -152,7 +152,7 @@ def workers() -> None:
 
 
 def efficiency() -> None:
-    """Time with one worker over that with w, divided by w, for tasks that sleep."""
+    """Time with one worker divided by w times the time with w workers, for tasks that sleep."""
     config = _study(64)
     one = None
     for count in (1, 2, 4, 8):
@@ -167,7 +167,7 @@ def efficiency() -> None:
 
 
 def memory() -> None:
-    """Memory of the command during a study of ten thousand cells."""
+    """Memory of the command that runs a study of ten thousand cells."""
     count = 10_000
 
     def told(progress: Progress) -> None:
@@ -193,7 +193,7 @@ class _Count:
 
 
 class _Blocks(Analysis, frozen=True, kw_only=True):
-    """An analysis of many blocks that counts them."""
+    """An analysis of many blocks, whose result is the number of blocks."""
 
     variables = (Variable("number of blocks", "1", None, "f", "blocks"),)
     blocks: int
@@ -209,7 +209,7 @@ class _Blocks(Analysis, frozen=True, kw_only=True):
 
 
 class _Nothing:
-    """Records of a study that stores nothing."""
+    """Records of a study, which are not stored."""
 
     def tasks(self, path: str) -> list[Any]:  # noqa: ARG002
         return []
@@ -262,9 +262,9 @@ def _run(config: StudyConfig, engine: MakeExecutor) -> None:
 
 
 def _processor() -> float:
-    """Processor seconds of this process, and of its child processes that have ended.
+    """Processor seconds of this process and of ended child processes.
 
-    A permanent process forks the workers; they have ended when a study has ended.
+    A permanent process forks the workers, which have ended when a study has ended.
     """
     used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     running = (each.cpu_times() for each in psutil.Process().children())

@@ -1,18 +1,20 @@
-"""Settings of algorithms: number of right cases at half, once and twice each value.
+"""Settings of algorithms: number of right cases with half, once and twice each value.
 
-Without a flag it tests `CauseSettings` and its parts. The cases are those of the benchmark
-``battery``, whose first cause is known, and those of the tests of `profile`, with two seeds and
-8,192 evaluations each. Poles |A(x − c)|^−a of known order and rank are cases of `PoleSettings`.
-``--NAME`` measures one setting.
+Without a flag the benchmark tests `CauseSettings` and its parts.
+The cases are from the benchmark ``battery``, whose first cause is known,
+and from the tests of `profile`, with two seeds and 8,192 evaluations each. Poles |A(x − c)|^−a
+of known order and rank are the cases of `PoleSettings`. ``--NAME`` measures one setting.
 
-``--rates`` tests `CurveSettings` with five functions whose rate with scrambled nets is known: root
-mean square error of rates, fraction of intervals that contain the rate, and mean half width.
+``--rates`` tests `CurveSettings` with five functions whose rate with scrambled nets is known.
+The benchmark prints the root mean square error of rates,
+the fraction of intervals that contain the rate, and the mean half width.
 
-``--chains`` tests `ChainSettings` with chains of 500 to 2,000 draws that have one known fault or
-none.
+``--chains`` tests `ChainSettings` with chains of 500 to 2,000 draws
+that have one known fault or none.
 
-``--stages`` tests `StageSettings` with 150 searches for a variance to 10 %: mean number of
-realizations, root mean square of the true relative error, and mean number of stages.
+``--stages`` tests `StageSettings` with 150 searches for a variance to 10 %.
+The benchmark prints the mean number of realizations,
+the root mean square of the true relative error, and the mean number of stages.
 """
 
 from __future__ import annotations
@@ -38,12 +40,12 @@ from mcspectra.measure.converge import STAGE_SETTINGS, MomentsCell, StageSetting
 
 SEEDS = 2
 NESTED = ("lines", "poles", "curves")
-# Settings that `Evidence.of` uses; all others affect only the detectors
+# Settings that `Evidence.of` uses; all other settings affect only the detectors
 EVALUATING = {
     *("nets", "more_from", "lines_share", "check_share", "given_share", "pole_share"),
     *("dimension_share", "again", "same_value", "climbed", "many_dims"),
 }
-# Limits of the range of values, which no case reaches
+# Limits of the range of values; no case reaches these limits
 OMITTED = {"smallest", "largest", "pdf_points"}
 POLES = (
     (np.eye(1), 0.45, 1, False),
@@ -59,7 +61,7 @@ POLES = (
 
 
 def all_cases() -> Iterator[tuple[mcs.Estimator, mcs.Sampler, tuple[str, ...]]]:
-    """Estimators with their samplers and the causes that may come first."""
+    """Estimators with samplers, and with the causes that may come first."""
     from tests.profiler.test_profile import FUNCTIONS
 
     def shaped(case: Case) -> Any:
@@ -77,12 +79,12 @@ def all_cases() -> Iterator[tuple[mcs.Estimator, mcs.Sampler, tuple[str, ...]]]:
 
 
 def is_right(seen: Evidence, causes: tuple[str, ...]) -> bool:
-    """Whether the first cause is an expected one."""
+    """Whether the first cause is an expected cause."""
     return causes_of(seen)[0].name in causes
 
 
 def poles_right(settings: PoleSettings) -> int:
-    """Number of poles with an exponent right to 0.02 and the right rank and place."""
+    """Number of poles whose exponent is right to 0.02, with the right rank and place."""
     right = 0
     for matrix, order, rank, border in POLES:
         place = np.zeros(matrix.shape[1]) if border else 0.3 + 0.1 * np.arange(matrix.shape[1])
@@ -111,7 +113,7 @@ def changed(settings: Any, name: str, factor: float) -> Any:
 
 
 def variants() -> Iterator[tuple[str, str, list[CauseSettings]]]:
-    """Class and name of each setting, with the settings for half and twice its value."""
+    """Class and name of each setting, and settings in which its value is halved or doubled."""
     for part in ("", *NESTED):
         own = getattr(CAUSE_SETTINGS, part) if part else CAUSE_SETTINGS
         for field in fields(own):
@@ -178,7 +180,7 @@ def chains() -> None:
     groups = faulty_chains()
 
     def right(settings: ChainSettings) -> str:
-        """Numbers of chains with the expected cause or evidence."""
+        """Numbers of chains for which the expected cause or evidence is reported."""
         counts = {}
         for name, (wanted, group) in groups.items():
             found = [quantity_error(x, np.ones(x.shape), settings) for x in group]
@@ -229,12 +231,12 @@ def stages() -> None:
     cell = MomentsCell((estimator,), mcs.sampler("random", dims=1), 1, Stream.from_rng(0))
 
     def search(values: Array, settings: StageSettings) -> tuple[int, float, int]:
-        """Number of realizations, variance and number of stages of one search."""
+        """Return number of realizations, variance and number of stages of a search."""
         steps, count = cell.until_precise(0, 0.1, len(values), settings), 0
         wanted = next(steps)
         while True:
             count += 1
-            # The values are the estimates, so that no points are drawn
+            # Random values replace estimates, so that no points are drawn
             _, first, size = map(int, wanted.key.split("-"))
             moments = Moments.of(values[first : first + size, None], tails=True)
             try:
@@ -271,7 +273,7 @@ def main(*only: str) -> None:
     ]
 
     def right(settings: CauseSettings, *, again: bool) -> str:
-        """Number of right causes, and of right poles if they may change."""
+        """Return the number of right causes, and of right poles if the setting may affect poles."""
         count = 0
         for (e, sampler, causes, seed), seen in zip(given, usual, strict=True):
             try:

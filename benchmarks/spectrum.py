@@ -1,6 +1,7 @@
 """Expected power of 4096 points on 512² frequencies, compared with one complex FFT of that size.
 
-Our grids contain m and −m: 513² frequencies, −256 … 256; the FFT has 512², −256 … 255.
+Our grids contain m and −m, 513² frequencies from −256 to 256.
+The FFT has 512² frequencies, from −256 to 255.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from benchmarks.timing import compare
 from mcspectra.spectra.transforms import FrequencyGrid, Transform, direct_sum
 
 POINTS, HALF_WIDTH, REALIZATIONS = 4096, 256, 8
-CHOSEN = 64  # realizations of the spectrum whose accuracy follows its statistical error
+CHOSEN = 64  # number of realizations if the statistical error determines the accuracy
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Times that a user waits for first: import, help, a component in a notebook, a new estimator."""
+"""Times that users wait for first: import, help, a component in a notebook, a new estimator."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def main() -> None:
     import mcspectra as mcs
     from mcspectra.report.reprs import component_html
 
-    # Use components that are registered without parameters, and name the slowest
+    # Use all components that need no parameters, and print the name of the slowest
     shown = {}
     for make, names in (
         (mcs.sampler, mcs.samplers.SAMPLERS),
@@ -50,7 +50,7 @@ def main() -> None:
 
 
 def _seconds(call: Callable[[], object]) -> float:
-    """Median of 5 calls after a first one, which compiles."""
+    """Return the median time of 5 calls after a first call, which compiles."""
     call()
     found = []
     for _ in range(5):

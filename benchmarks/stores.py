@@ -1,4 +1,4 @@
-"""Ledgers of many cells: seconds to write, resume, list, open and export them."""
+"""Ledgers of many cells: seconds to write, resume, list, open and export a ledger."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _NOTE = StudyNote(
 
 
 def main(*counts: str) -> None:
-    """Print a line for each step and number of cells; by default 1,000 and 100,000 cells."""
+    """Print a line for each step and each number of cells, by default 1,000 and 100,000."""
     curve = mcs.convergence(
         mcs.Estimator(mcs.integrand("gaussian", dims=2)),
         mcs.sampler("random", dims=2),

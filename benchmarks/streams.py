@@ -1,4 +1,4 @@
-"""Uniform random numbers compared with NumPy's generator, one thread."""
+"""Uniform random numbers compared with NumPy's generator, on one thread."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
 """Studies: overhead of a cell, and speedup by two workers.
 
 Overhead compares cells of about half a second, run through tasks and ledger, with a bare loop over
-the same cells. Efficiency is the time with one worker over that with w, divided by w. Tasks that
-sleep show the cost of scheduling. Real tasks also share Python's lock (threads) and a memory bus.
-Two processes that each loop over half of the cells, without a study, show the most that two
-processors of the machine can give. If times vary, the shortest of several rounds is used, in which
-all methods take turns.
+the same cells. Efficiency is the time with one worker divided by w times the time with w workers.
+Tasks that sleep show the cost of scheduling. Real tasks also share Python's lock (threads)
+and a memory bus. Two processes that each loop over half of the cells,
+without a study, show the largest speedup that two processors of the machine allow.
+All methods take turns in several rounds. If times vary, the shortest time is used.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from mcspectra.studies.executors import Cluster, Dask, Threads
 from mcspectra.studies.run import MakeExecutor
 
 SECONDS = 0.5
-LONG = 1.5  # seconds of a cell for which starting processes is worthwhile
+LONG = 1.5  # seconds of a cell that make it worthwhile to start processes
 ROUNDS = 3
 CELLS = 16
 STUDY = """
@@ -77,7 +77,7 @@ def main() -> None:
 
 
 def _print_real(config: StudyConfig, rounds: int) -> None:
-    """Print efficiencies of two workers on real cells, and of the machine."""
+    """Print the efficiency of two workers on real cells, and of two plain processes."""
     works: dict[str, Callable[[], float]] = {
         "bare": lambda: _loop(config),
         "two": lambda: _side_by_side(config),
@@ -101,9 +101,9 @@ def _print_efficiency(what: str, one: float, several: float, workers: int) -> No
 
 
 def _side_by_side(config: StudyConfig) -> float:
-    """Seconds of two processes that compute half of the cells each, without their start."""
+    """Seconds in which two started processes compute half of the cells each."""
     context = multiprocessing.get_context("spawn")
-    gate = context.Barrier(3, timeout=600)  # the timeout ends the wait for a half that fails
+    gate = context.Barrier(3, timeout=600)  # a failed half ends the wait
     halves = [context.Process(target=_half, args=(config, i, gate)) for i in range(2)]
     for half in halves:
         half.start()
@@ -116,7 +116,7 @@ def _side_by_side(config: StudyConfig) -> float:
 
 def _half(config: StudyConfig, first: int, gate: Any) -> None:
     plan = make_plan(config, Path())
-    make_plan(study(2), Path()).cells[0].compute(config.seed)  # import and compile first
+    make_plan(study(2), Path()).cells[0].compute(config.seed)  # import modules and compile first
     gate.wait()
     for cell in plan.cells[first::2]:
         cell.compute(config.seed)

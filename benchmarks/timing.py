@@ -14,7 +14,7 @@ def compare(
     subject: Callable[[], Any], reference: Callable[[], Any], rounds: int = 15
 ) -> tuple[float, float, float]:
     """Best seconds of subject and reference over `rounds`, and the median of paired ratios."""
-    subject(), reference()  # compile, plan and fill caches first
+    subject(), reference()  # a first call compiles, plans and fills caches
     pairs = []
     for _ in range(rounds):
         start = time.perf_counter()

@@ -1,4 +1,4 @@
-"""Rates of one pixel of Veach's scene: diffuse wall, widest light, jittered, 500 realizations."""
+"""Rates at a pixel of Veach's scene: diffuse wall, widest light, jittered points."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ WALL = "pixel(scene='veach', x=568, y=100, light='light-3', strategy='{}')"
 
 
 def main() -> None:
-    """Print the fitted rate over the last four counts, its interval and the mean by strategy."""
+    """Print, by strategy, the fitted rate over the last four counts, its interval and the mean."""
     estimators = {
         "light": mcs.Estimator(WALL.format("light")),
         "BSDF": mcs.Estimator(WALL.format("bsdf")),

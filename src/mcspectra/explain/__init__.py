@@ -1,4 +1,4 @@
-"""Causes of the noise of an estimator: evidence, detectors and the reported causes."""
+"""Causes of the noise of an estimator: evidence, detectors and reports of causes."""
 
 import lazy_loader
 

@@ -1,8 +1,8 @@
-"""Causes of noise in an estimator, each with a detector, numbers as evidence and a sentence.
+"""Causes of noise in an estimator. Each cause has a detector, numbers as evidence and a sentence.
 
-`Evidence.of` evaluates the integrand. Detectors evaluate nothing: they take the evidence and return
-a `Cause` or None. `CAUSES` lists the detectors with the most harmful cause first, and `causes_of`
-keeps that order.
+`Evidence.of` evaluates the integrand. Detectors do not evaluate it:
+they take the evidence and return a `Cause` or None.
+`CAUSES` lists the detectors with the most harmful cause first, and `causes_of` keeps that order.
 """
 
 from __future__ import annotations
@@ -79,142 +79,142 @@ Name: TypeAlias = Literal[
 @final
 @dataclass(frozen=True)
 class CauseSettings:
-    """How a budget of evaluations is divided, and the thresholds above which causes are reported.
+    """Fractions of a budget of evaluations, and thresholds above which causes are reported.
 
     "Insensitive between a and b" means that the first cause is right with a and with b in all of
-    the 152 cases of ``python -m benchmarks settings``, as with the value itself.
+    the 152 cases of ``python -m benchmarks settings``, as with the value of the setting itself.
     """
 
-    # Least number of scrambled nets. The standard error of a variance of 20 normal estimates is a
-    # third of it. With 40 nets, of half the size, one of 152 causes is wrong; 10 nets are enough.
+    # Least number of scrambled nets.
+    # A variance of 20 normal estimates has a relative standard error of a third.
+    # With 40 nets of half the size, one of 152 causes is wrong; 10 nets are also enough.
     nets: int = 20
-    # Evaluations of the integrand above which the number of nets grows as their square root. Nets
-    # then have 512 points or more, so that a curve has ten counts, and more nets improve the rate
-    # more than more counts do.
+    # Number of evaluations of the integrand above which the number of nets grows as the square root
+    # of this number. Nets then have 512 points or more, so that a curve has ten counts,
+    # and additional nets improve the rate more than additional counts.
     more_from: int = 16384
     # Fraction of the budget that is spent on lines and poles. Insensitive between 0.1 and 0.4.
     lines_share: float = 0.2
     # Fraction of the budget that is left to check a change of the estimator. Insensitive between
     # 0.075 and 0.15; with 0.3, which leaves less for nets, one of 152 causes is wrong.
     check_share: float = 0.15
-    # Fraction of the budget that is spent on the given sampler if nets cannot estimate its
-    # variance. It leaves 40 % to nets. Insensitive between 0.125 and 0.5.
+    # Fraction of the budget that is spent on the given sampler if nets cannot estimate
+    # its variance. The nets then get 40 % of the budget. Insensitive between 0.125 and 0.5.
     given_share: float = 0.25
-    # Largest fraction of the evaluations for lines that the search for a pole may take. Insensitive
-    # between 0.4 and 0.8; without any lines four of 152 causes are wrong.
+    # Largest fraction of the lines' evaluations that is spent on the search for a pole.
+    # Insensitive between 0.4 and 0.8; without any lines four of 152 causes are wrong.
     pole_share: float = 0.8
-    # Fraction of the evaluations for lines that estimate the mean dimension. Insensitive between
+    # Fraction of the lines' evaluations that is spent on the mean dimension. Insensitive between
     # 0.125 and 0.25; with 0.5, which leaves less for lines, four causes are wrong.
     dimension_share: float = 0.25
-    # Number of points whose values are evaluated twice to detect noise. A function that is random
-    # at half of its points is detected
-    # with probability 1 − 2^−8 = 0.996.
+    # Number of points whose values are evaluated twice to detect noise.
+    # A function that is random at half of its points is detected with probability 1 − 2^−8 = 0.996.
     again: int = 8
-    # Difference of two values at a point that counts as rounding, as a fraction of the largest
-    # value. Sums of 1e6 terms in float64, or
-    # of a few terms in float32, whose order changes, differ by less.
+    # Difference of two values at a point that counts as rounding,
+    # as a fraction of the largest value. Sums of 1e6 terms in float64,
+    # or of a few terms in float32, whose order changes, differ by less.
     same_value: float = 1e-6
-    # Largest square of a deviation, in units of the variance, above which a pole is searched for in
-    # many dims. Insensitive between 150 and 600.
+    # Largest square of a deviation, in units of the variance,
+    # above which a pole is searched for in many dims. Insensitive between 150 and 600.
     climbed: float = 300.0
-    # Smallest and largest value of g whose squares, summed over any number of points, are within
-    # the range of float64 from 1e-308 to 1e308.
+    # Smallest and largest values of g whose squares, summed over any number of points,
+    # are within the range of float64 from 1e-308 to 1e308.
     smallest: float = 1e-120
     largest: float = 1e120
-    # Least number of dims in which the mean dimension is estimated. In 1 to 3 dims points fill the
-    # cube well enough for interactions of all axes. Insensitive between 4 and 8; with 2 one of 152
-    # causes is wrong.
+    # Least number of dims in which the mean dimension is estimated.
+    # In 1 to 3 dims points fill the cube well enough for interactions of all axes.
+    # Insensitive between 4 and 8; with 2, one of 152 causes is wrong.
     many_dims: int = 4
-    # Number of points for which the law of the sampler is read. The kind of a law is equal for all
-    # n (tested with 32 and 128).
+    # Number of points for which the law of the sampler is determined.
+    # The kind of law is the same for all n (tested with 32 and 128).
     law_at: int = 64
-    # Error of a measured exponent of growth: the variance counts as infinite above 0.48. The limit
-    # is ½, and exponents of poles are right to 0.02 in all of 18 cases. Insensitive between 0.01
-    # and 0.04.
+    # Error of a measured exponent of growth. The variance is infinite above ½, and counts
+    # as infinite above 0.48. Measured exponents of poles are right to 0.02 in all of 18 cases.
+    # Insensitive between 0.01 and 0.04.
     exponent_error: float = 0.02
-    # Error of the order of a pole inside that only the bends of lines show. Insensitive between
-    # 0.04 and 0.16.
+    # Error of the measured order of a pole inside the cube, if only lines show the pole.
+    # Insensitive between 0.04 and 0.16.
     bend_error: float = 0.08
-    # Tail index above which the integral does not exist. The limit is 1; a pole of order 1 is
-    # measured as 0.95 or more. It changes only
-    # the sentence and the remedies.
+    # Tail index above which the integral does not exist. The theoretical limit is 1; a pole
+    # of order 1 is measured as 0.95 or more. This value affects only the sentence and the remedies.
     no_integral: float = 0.95
     # Exponent of growth at the border above which it is a main cause; slower growth is listed after
-    # all others. With 0.04 two of 152 causes are wrong; insensitive between 0.08 and 0.16.
+    # all other causes. With 0.04, two of 152 causes are wrong. Insensitive between 0.08 and 0.16.
     grows: float = 0.08
-    # Kurtosis of the values of g above which a tail is heavy if few values hold most of the
-    # variance: 3 is normal, 9 is exponential, 114 is lognormal with σ = 1. Insensitive between 15
-    # and 60.
+    # Kurtosis of the values of g above which a tail is heavy
+    # if few values hold most of the variance. The kurtosis is 3 for normal,
+    # 9 for exponential and 114 for lognormal values with σ = 1. Insensitive between 15 and 60.
     heavy_kurtosis: float = 30.0
-    # Fraction of the sum of squares in one value above which a tail is heavy. Insensitive between
-    # 0.1 and 0.4; the same share as in `measure/blindness.py`.
+    # Fraction of the sum of squares from a single value above which a tail is heavy.
+    # Insensitive between 0.1 and 0.4. The same fraction is used in `measure/blindness.py`.
     large_share: float = 0.2
-    # Fractions of the values that hold nine tenths of the variance: a tail is heavy below the
-    # first, and is the main cause below the second. Insensitive between 0.025 and 0.1, and between
-    # 0.005 and 0.01; with 0.02 two of 152 causes are wrong.
+    # Two limits of the fraction of values that hold nine tenths of the variance. A tail is heavy
+    # below the first limit, and is the main cause below the second limit. Insensitive between 0.025
+    # and 0.1, and between 0.005 and 0.01; with 0.02 two of 152 causes are wrong.
     few_values: float = 0.05
     very_few_values: float = 0.01
-    # Number of different values, as a fraction of all evaluations, below which g is a step
-    # function. Insensitive between 0.025 and 0.1.
+    # Number of different values, as a fraction of all evaluations,
+    # below which g is a step function. Insensitive between 0.025 and 0.1.
     few_different: float = 0.05
-    # Least number of lines for the conclusion that there is no problem: with 4 lines a feature on
-    # half of all lines is missed with
-    # probability 1/16. Insensitive between 2 and 8.
+    # Least number of lines for the conclusion that there is no problem. With 4 lines, a feature
+    # that half of all lines cross is missed with probability 1/16. Insensitive between 2 and 8.
     least_lines: int = 4
-    # Fraction of the lines with a jump on which the jump stays in place on a parallel line: above
-    # it, jumps are parallel to axes. Insensitive between 0.35 and 0.7; above 1 no jump is parallel
-    # to an axis.
+    # Fraction of the lines with a jump on which a parallel line has the jump at the same place.
+    # Above this fraction, jumps are parallel to axes. Insensitive between 0.35 and 0.7;
+    # above 1, no jump is parallel to an axis.
     straight: float = 0.7
-    # Number of lines through jumps, as a fraction of those through cusps, above which g jumps. One
-    # line in 100 through a cusp of order ½ appears to be a jump by chance.
+    # Number of lines through jumps, as a fraction of the number of lines through cusps,
+    # above which g jumps. One line in 100 through a cusp of order ½ appears to be a jump by chance.
     jumps_of_cusps: float = 0.05
-    # Fraction of the places along a line that are extremes above which g oscillates. Noise has ⅔.
-    # Insensitive between 0.165 and 0.33;
+    # Fraction of the places along a line that are local extremes, above which g oscillates.
+    # The fraction is ⅔ for noise. Insensitive between 0.165 and 0.33;
     # with 0.66, the value of noise, four causes are wrong.
     turns: float = 0.33
-    # Least number of waves along a line for an oscillation. The 16 steps of a line resolve fewer
-    # waves. Insensitive between 3 and 12.
+    # Least number of waves along a line for an oscillation.
+    # Smaller numbers are resolved by the 16 steps of a line. Insensitive between 3 and 12.
     waves: float = 6.0
-    # Gain of nets over random points above which nets resolve g. Insensitive between 2 and 8.
+    # Gain of nets over random points above which nets count as resolving g.
+    # Insensitive between 2 and 8.
     resolved: float = 4.0
-    # Number of points that resolve a smooth function, before a factor of 2 for each axis with
-    # waves. Insensitive between 8 and 32.
+    # Number of points that resolve a smooth function,
+    # before multiplication by 2 for each axis with waves. Insensitive between 8 and 32.
     coarse_cube: float = 16.0
-    # Mean dimension above which g varies with many axes at once: 1 is additive, 2 has pairs of
-    # axes. Insensitive between 0.9 and 3.6.
+    # Mean dimension above which g varies with many axes at once. The mean dimension is 1
+    # for additive functions, and 2 for functions of pairs of axes. Insensitive between 0.9 and 3.6.
     low_dimension: float = 1.8
-    # Gain of nets over random points above which the number of dims is not a problem. Insensitive
-    # between 4 and 16.
+    # Gain of nets over random points above which the number of dims is not a problem.
+    # Insensitive between 4 and 16.
     little_gain: float = 8.0
-    # Mean squared difference between opposite faces, as a fraction of the variance of g, above
-    # which a shift around the torus costs precision. Insensitive between 5e-4 and 2e-3.
+    # Mean squared difference between opposite faces, as a fraction of the variance of g,
+    # above which a shift around the torus costs precision. Insensitive between 5e-4 and 2e-3.
     opposite: float = 1e-3
-    # Number of points that measure the integral of a wrong density. A net of this size gives the
-    # four digits of the sentence if 1/p is
-    # smooth; no decision depends on it.
+    # Number of points that measure the integral of a wrong density. A net of this size gives
+    # the four digits of the sentence if 1/p is smooth. No decision depends on this number.
     pdf_points: int = 4096
-    # Least number of sets whose spread gives a variance: 8 sets give it to a factor of 0.44 to 4.1,
-    # with 95 %.
+    # Least number of sets whose spread gives a variance:
+    # 8 sets give the variance to a factor of 0.44 to 4.1, with 95 %.
     few_sets: int = 8
-    # Standard errors of the correlation between consecutive sets, or of the mean over sets, that
-    # cannot be chance. For 4.5 the probability of a false alarm is 3e-6. For 6, by Student's t with
-    # 19 degrees of freedom, it is 1e-5.
+    # Numbers of standard errors, of the correlation between consecutive sets and of the mean
+    # over sets, that exclude chance. For 4.5 the probability of a false alarm is 3e-6.
+    # For 6 the probability is 1e-5, by Student's t with 19 degrees of freedom.
     serial: float = 4.5
     away: float = 6.0
-    # Standard deviation of means over sets below which they count as equal. Their rounding is about
-    # 1e-16, and the mean of x along an axis of a scrambled net differs by 0.29 n^−1.5, which is
-    # above 1e-9 for up to 400,000 points.
+    # Standard deviation of means over sets below which the means count as equal.
+    # Rounding of means is about 1e-16, and the mean of x along an axis of a scrambled net differs
+    # by 0.29 n^−1.5, which exceeds 1e-9 for up to 400,000 points.
     rounding: float = 1e-9
-    # Relevant distance between floating-point numbers, as a fraction of the spread of g: steps of 1
-    # % of the spread change its variance by 1e-5. It is also the least variance along a line, as a
-    # fraction of the largest one. Insensitive between 0.005 and 0.02.
+    # Distance between floating-point numbers above which rounding matters,
+    # as a fraction of the spread of g: steps of 1 % of the spread change the variance by 1e-5.
+    # Also the least variance along a line, as a fraction of the largest variance along a line.
+    # Insensitive between 0.005 and 0.02.
     coarse: float = 1e-2
-    # Part of the variance above which a technique is the cause, and above which it is the cause if
-    # its rate is also slower. Insensitive between 0.4 and 1.6 for the first, and between 0.25 and 1
-    # for the second.
+    # Two limits of a technique's part of the variance. Above the first limit the technique
+    # is the cause; above the second, it is the cause if its rate is also slower.
+    # Insensitive between 0.4 and 1.6 for the first, and between 0.25 and 1 for the second.
     dominant: float = 0.8
     largest_part: float = 0.5
-    # Standard errors by which the rate of a technique must be slower: 95 % of a normal law.
+    # Number of standard errors by which the rate of a technique must be slower than other rates,
+    # for 95 % confidence.
     slower: float = 2.0
     # Settings of lines, of the search for poles, and of curves of variance.
     lines: LineSettings = LINE_SETTINGS
@@ -225,7 +225,8 @@ class CauseSettings:
 CAUSE_SETTINGS = CauseSettings()
 """Default settings of the search for causes."""
 
-# Causes that are also reported for a noisy function: its lines have no shape
+# Causes that are also reported for noisy functions.
+# Other causes need lines, which noise makes meaningless
 _SHAPELESS = frozenset(
     {
         "wrong-pdf",
@@ -249,7 +250,7 @@ class Cause:
     sentence
         The cause and its effect in words, with numbers.
     evidence
-        The numbers, by name.
+        Numbers that support the cause, by name.
     kinds
         Kinds of remedies for this cause (`mcspectra.improve.candidates.KINDS`).
     """
@@ -268,10 +269,10 @@ class Replicates:
     Attributes
     ----------
     estimates
-        Estimates of the first sets, (R,), possibly none.
+        Estimates of the first sets, (R,), where R may be 0.
     waves
-        Means over each set of x − ½, cos 2πx and sin 2πx along every axis, (R, 3d). Their means
-        over uniform points are 0.
+        Means over each set of x − ½, cos 2πx and sin 2πx along every axis, (R, 3d).
+        These functions have mean 0 over uniform points.
     different
         Number of distinct sets.
     """
@@ -284,12 +285,12 @@ class Replicates:
 @final
 @dataclass(frozen=True)
 class Evidence:
-    """Evaluations that the detectors use.
+    """Evaluations that detectors use as evidence.
 
     Attributes
     ----------
     estimator, sampler
-        The estimator, and the sampler that is used with it.
+        The estimator, and the sampler that draws its points.
     sets
         Evaluations at scrambled nets.
     curves
@@ -297,19 +298,19 @@ class Evidence:
     lines
         Lines through the integrand g of each technique.
     pole
-        The pole of g, if one was found; for a single technique only.
+        The pole of g, if the search found one; searched for a single technique only.
     mean_dimension
-        Mean dimension of g, NaN if it was not estimated.
+        Mean dimension of g, or NaN if not estimated.
     replicates
-        Sets of the sampler, if some were drawn.
+        Sets of the sampler, if any were drawn.
     noise
-        Variance of g at a point, if repeated evaluations differ; else 0.
+        Variance of g at a single point if repeated evaluations differ, else 0.
     calls
         Number of evaluations of the integrand.
     missed
         A position, in words, where a density of the user is 0 and f is not; else empty.
     failed
-        Why g has no values at probes next to the border, with a position; else empty.
+        Reason why g has no values next to the border, with a position; else empty.
     settings
         Thresholds of the detectors.
     """
@@ -341,13 +342,13 @@ class Evidence:
         Raises
         ------
         ParameterError
-            If the budget is too small, or values are too large or too small for their powers.
+            If the budget is too small, or values are too large or too small to be squared.
         """
         each, n, nets = shares_of(estimator, sampler, budget, settings)
         sets = Sets.of(estimator, n, nets, stream.child(0))
         calls = nets * n * each
         size = max(float(np.abs(v).max()) for v in sets.values)
-        if not math.isfinite(size):  # f gives finite numbers
+        if not math.isfinite(size):  # At this position f is finite
             raise ParameterError("The pdf is not finite at some samples; give a finite pdf.")
         if size and not settings.smallest <= size <= settings.largest:
             raise ParameterError(
@@ -364,8 +365,8 @@ class Evidence:
             if len(places) and (met := scalar(estimator, estimator.integrand(places)) != 0.0).any():
                 missed = point_in_words(places[met][0])
 
-        # Find the mean dimension and a pole of a single technique, then evaluate lines of each
-        # technique
+        # For a single technique, find the mean dimension and a pole;
+        # then evaluate lines of each technique
         lines: list[Lines] = []
         mean, pole, noise, failed = math.nan, None, 0.0, ""
         allowed = (
@@ -395,7 +396,7 @@ class Evidence:
                 if estimator.dims >= settings.many_dims and some > 1:
                     step = max(1, nets * n // some)
                     mean = mean_dimension(g, points[::step][:some], values[::step][:some], own)
-                # A pole that matters in many dims dominates the variance with few evaluations
+                # In many dims, a pole matters only if few evaluations dominate the variance
                 squares = (values - values.mean()) ** 2
                 peaked = squares.max() > settings.climbed * squares.mean()
                 if estimator.dims < settings.many_dims or peaked:
@@ -404,7 +405,7 @@ class Evidence:
                         pole = pole_of(g, points, values, most, own, settings.poles)
                     except BudgetError:
                         raise
-                    except ParameterError as error:  # The climb left the region of the samples
+                    except ParameterError as error:  # The climb left the region that samples reach
                         failed = str(error)
             lines.append(lines_of(g, estimator.dims, allowed - made, own, settings.lines))
             calls += made * estimator.evaluations_per_point
@@ -432,12 +433,12 @@ class Evidence:
         while isinstance(law, laws.Folded | laws.Mirrored):
             law = law.inner
         shifted = isinstance(law, laws.Shifted)
-        # A mirrored estimator folds points after the shift, so faces do not meet
+        # A mirrored estimator folds points after the shift, so opposite faces do not meet
         return shifted and not isinstance(self.estimator, Mirrored)
 
     @property
     def opposite(self) -> float:
-        """Mean square difference of g between opposite faces over its variance."""
+        """Mean squared difference of g between opposite faces, divided by the variance of g."""
         ends = self.each("ends")
         ends = ends[np.isfinite(ends)]
         return float(np.mean(ends**2)) / max(self.scale**2, 1e-300) if ends.size else 0.0
@@ -448,12 +449,12 @@ class Evidence:
         return self.opposite <= self.settings.opposite
 
     def each(self, name: str) -> Array:
-        """Return an attribute of all lines."""
+        """Return an attribute of the lines of all techniques."""
         return np.concatenate([getattr(lines, name) for lines in self.lines])
 
 
 def is_apart(estimator: AbstractEstimator, sampler: Sampler) -> bool:
-    """Return whether the variance of a sampler cannot be estimated from nets."""
+    """Return whether evaluations at nets cannot estimate the variance of a sampler."""
     told = sampler.spec in {NETS, "random", "jittered", "latin-hypercube"}
     return not told and not estimator.randomized(sampler).fixed
 
@@ -474,8 +475,8 @@ def shares_of(
     each = estimator.cost
     share = 1.0 - settings.lines_share - settings.check_share
     share -= settings.given_share if is_apart(estimator, sampler) else 0.0
-    # The error of a rate falls only with the number of nets; the error of the integral also falls
-    # with their size
+    # The error of a rate falls only with the number of nets.
+    # The error of the integral also falls with their size
     nets = int(settings.nets * max(1.0, math.sqrt(budget / (each * settings.more_from))))
     n = int(share * budget) // (nets * each)
     if n < 4:
@@ -530,7 +531,7 @@ def _noisy_function(seen: Evidence) -> Cause | None:
 
 
 def _infinite_variance(seen: Evidence) -> Cause | None:
-    # Without a pole from the climb, the bends of lines estimate its order, less precisely
+    # If the climb found no pole, lines give a less precise estimate of the order
     poles = np.concatenate([lines.poles() for lines in seen.lines])
     order = -float(np.median(seen.each("exponent")[poles])) if poles.any() else 0.0
     known = seen.settings
@@ -578,7 +579,7 @@ def _said(pole: Pole) -> str:
 
 
 def _tail(seen: Evidence) -> tuple[float, float, float]:
-    """Return share of the largest square, tail index and kurtosis of the values of g."""
+    """Return the share of the largest square, the tail index and the kurtosis of values of g."""
     values = seen.sets.pooled
     squares = (values - values.mean()) ** 2
     total = float(squares.sum())
@@ -751,7 +752,7 @@ def _slow_technique(seen: Evidence) -> Cause | None:
 
 def _jumps(seen: Evidence) -> Cause | None:
     meets = np.concatenate([lines.jumps(seen.scale) for lines in seen.lines])
-    # Lines bend at a pole of codimension 1 inside as they do at a jump
+    # A line through a pole of codimension 1 inside the cube looks as if it had a jump
     if seen.pole is not None and not seen.pole.border:
         meets &= seen.pole.codimension > 1
     cusps = sum(int(lines.cusps().sum()) for lines in seen.lines)
@@ -869,10 +870,10 @@ def _high_dimension(seen: Evidence) -> Cause | None:
 
 
 def _limited(seen: Evidence, limit: float) -> str:
-    """Describe the theoretical rate of stratified points, consistently with the measured rates.
+    """Describe the theoretical rate of stratified points, and reconcile it with measured rates.
 
-    Theory holds for large n. A measured rate with a steeper interval holds for the measured counts,
-    so the sentence gives both.
+    The theoretical rate holds for large n. If the interval of the measured rate is steeper,
+    the measured rate holds at the measured counts, so the sentence gives both.
     """
     curves = [seen.curves[name] for name in (NETS, "jittered") if name in seen.curves]
     steepest = min((c for c in curves if c.rate_ci[1] < limit), key=lambda c: c.rate, default=None)
@@ -888,8 +889,8 @@ def _limited(seen: Evidence, limit: float) -> str:
 def _cusps_and_kinks(seen: Evidence) -> tuple[Array, Array]:
     """Return lines through cusps, and lines through kinks; the more frequent kind is reported.
 
-    On a single line the exponent of a cusp or a kink has an error of about 0.1, and a jump next to
-    a steep part resembles either.
+    On a single line the exponent of a cusp or a kink has an error of about 0.1,
+    and a jump next to a steep part resembles either.
     """
     each = [(lines.cusps(), lines.kinks()) for lines in seen.lines]
     return tuple(map(np.concatenate, zip(*each, strict=True)))  # type: ignore[return-value]
@@ -900,8 +901,8 @@ def _cusp(seen: Evidence) -> Cause | None:
     if not cusps.sum() > kinks.sum():
         return None
     order, d = float(np.median(seen.each("exponent")[cusps])), seen.sets.dims
-    # A cell of side h next to the cusp has the variance h^(2a), and n^(1 − 1/d) cells are next to
-    # it
+    # A cell of side h next to the cusp has a variance ∝ h^(2a),
+    # and n^(1 − 1/d) cells are next to the cusp
     limit = -1.0 - min(1.0 + 2.0 * order, 2.0) / d
     return Cause(
         "cusp",
@@ -952,16 +953,15 @@ def causes_of(seen: Evidence) -> list[Cause]:
     """Return all detected causes, or the single cause `none`."""
     found = [cause for detect in CAUSES if (cause := detect(seen)) is not None]
     names = {cause.name for cause in found}
-    # Steps between floating-point numbers are not jumps, and noise has no shape
+    # Steps between floating-point numbers are not jumps, and noise has no features on lines
     if "float-drift" in names:
         found = [c for c in found if c.name not in {"interior-jump", "axis-parallel-jump"}]
     if "noisy-function" in names:
         found = [c for c in found if c.name in _SHAPELESS]
-    # A heavy tail follows from growth without bound, which is reported
+    # Unbounded growth, which is reported, implies a heavy tail
     if names & {"infinite-variance", "border-growth"}:
         found = [c for c in found if c.name != "heavy-tail"]
-    # A tail follows from many dims, or from a plane beyond which g is 0, unless very few values
-    # matter
+    # Many dims, or a plane beyond which g is 0, explain a tail, unless very few values matter
     heavy = next((c for c in found if c.name == "heavy-tail"), None)
     if (
         heavy is not None
@@ -971,7 +971,7 @@ def causes_of(seen: Evidence) -> list[Cause]:
         found = sorted(found, key=lambda c: c.name == "heavy-tail")
     if found:
         return found
-    # Half of the causes show only on lines
+    # Half of the causes can be detected only on lines
     looked, least = len(seen.each("axis")), seen.settings.least_lines
     if looked < least:
         return [

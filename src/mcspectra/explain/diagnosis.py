@@ -1,7 +1,7 @@
-"""Causes of the noise of an estimator with its sampler, and reasons why a change helps.
+"""Causes of noise of an estimator with its sampler, and reasons why a change lowers the noise.
 
-The causes are those of a profile. There are two further reasons: unbounded weights 1/p, and a part
-of the primary-space integrand g that is odd about the center of the cube.
+The causes are the same as in a profile. A change may help for two further reasons: unbounded
+weights 1/p, and a part of the primary-space integrand g that is odd about the center of the cube.
 """
 
 from __future__ import annotations
@@ -23,20 +23,21 @@ __all__ = ["Diagnosis", "diagnose", "jumps_inside"]
 
 @dataclass(frozen=True)
 class DiagnosisSettings:
-    """Evaluations of a diagnosis, and the parts of the variance that count as a reason."""
+    """Number of evaluations, and the parts of the variance that count as a reason."""
 
-    # Number of evaluations of g for the causes: the smallest budget with which `python -m
-    # benchmarks battery` detects them.
+    # Number of evaluations of g for the causes:
+    # the smallest budget with which `python -m benchmarks battery` detects the causes.
     evaluations: int = 8192
-    # Fraction of the variance of g above which its odd part is the reason for a gain, and above
-    # which it is one of several reasons: the other part of the variance is then below 10 %, or at
-    # least a tenth is explained.
+    # Two fractions of the variance of g.
+    # Above the first, the odd part of g is the reason for a gain: all other variance is below 10 %.
+    # Above the second, the odd part is one of several reasons: it explains at least a tenth.
     mostly: float = 0.9
     partly: float = 0.1
-    # Most dims in which the odd part is measured: all 2^d reflections of each point are evaluated.
+    # Maximum number of dims in which the odd part is measured:
+    # all 2^d reflections of each point are evaluated.
     odd_dims: int = 4
-    # Points of that measurement. The odd part of the variance is then known to about 1 %, enough
-    # for both limits.
+    # Number of points for this measurement.
+    # The odd part of the variance is then known to about 1 %, enough for both limits.
     odd_points: int = 2**12
 
 
@@ -47,17 +48,17 @@ _SETTINGS = DiagnosisSettings()
 class Diagnosis:
     """Causes of noise, and other reasons why a change may help."""
 
-    causes: list[Cause]  # most important first; empty if they could not be found
-    unseen: str = ""  # why causes could not be found
+    causes: list[Cause]  # causes, the most important first; empty if they could not be found
+    unseen: str = ""  # reason why causes could not be found
     unbounded: bool = False  # whether ∫1/p diverges
-    slow: str = ""  # name of the technique with most of the variance, if there is one
-    # Fraction of the variance of g that its mean over all reflections lacks; None if it is not
-    # known
+    slow: str = ""  # name of the technique with most of the variance, if any
+    # Fraction of the variance of g that is missing in the mean over all reflections;
+    # None if not known
     odd: float | None = None
 
     @property
     def text(self) -> str:
-        """The causes in sentences."""
+        """Sentences that describe the causes."""
         found = [cause.sentence for cause in self.causes] or [self.unseen]
         if self.unbounded:
             found.insert(
@@ -70,15 +71,15 @@ class Diagnosis:
     def removes(
         self, kind: str, name: str, *, biased: bool, unbounded: bool, jumps: bool | None
     ) -> str:
-        """Describe the cause that a better change removes; empty if none is known.
+        """Describe the cause that a better change removes; empty if no such cause is known.
 
         Parameters
         ----------
         kind, name, biased
-            Those of the `mcspectra.improve.answers.Candidate`.
-            For other warps: whether ∫1/p diverges, and whether g jumps inside, None if not tested.
+            The estimator and the sampler of the `mcspectra.improve.answers.Candidate`. For other
+            warps: whether ∫1/p diverges, and whether g jumps inside the cube; None if not tested.
         """
-        # The cause that this kind of change removes
+        # Find the cause that this kind of change removes
         inside = _jumps(self.causes)
         wrapped = any(cause.name == "border-jump" for cause in self.causes)
         odd = f"{100 * (self.odd or 0.0):.0f} % of the variance of g"
@@ -143,9 +144,9 @@ def diagnose(
     """Find the causes of noise, within `most` evaluations of a user's function."""
     with counting("The diagnosis", most):
         causes, unseen = _looked_for(estimator, sampler, stream, most)
-        # Fraction of the variance of g that cancels in its mean over all 2^d reflections about the
-        # center, from means over fixed points; None in many dims, or if g is constant or cannot be
-        # evaluated
+        # Fraction of the variance of g that cancels in its mean over
+        # all 2^d reflections about the center, computed at fixed points;
+        # None in many dims, or if g is constant or cannot be evaluated
         odd, whole, even = None, 0.0, 0.0
         with suppress(McspectraError):
             few = estimator.dims <= _SETTINGS.odd_dims

@@ -1,4 +1,4 @@
-"""The primary-space integrand as an image with its jumps, which explain slow rates.
+"""The primary-space integrand as an image, with jumps that explain slow rates.
 
 Jumps inside the square and jumps between opposite sides reduce the rate of correlated samplers.
 Mirroring removes the jumps between opposite sides, but not the jumps inside.
@@ -32,30 +32,28 @@ KINDS = ("interior", "boundary")
 
 @dataclass(frozen=True)
 class PictureSettings:
-    """How jumps between opposite faces, and densities that reach zero, are recognized."""
+    """Settings that detect jumps between opposite faces, and densities that reach zero."""
 
-    # Distances from a face at which g is evaluated. The square root of float64's spacing, 2^−26,
-    # balances the rounding of u against the change
-    # of a smooth g. 2^−40 is 2^14 times closer and still exact next to 1.
+    # Distances from a face at which g is evaluated. The square root of float64's spacing,
+    # 2^−26, balances the rounding of u against the change of a smooth g.
+    # 2^−40 is 2^14 times closer and still exact next to 1.
     near: float = 2.0**-26
     nearer: float = 2.0**-40
-    # Fraction of a difference of opposite faces that must remain at the smaller distance for a
-    # jump. All of a jump remains; without one, 2^−14
-    # of the difference of a smooth g remains and 2^−7 of that of a square root.
+    # Fraction of a difference between opposite faces that must remain at the smaller distance
+    # from the faces for a jump. A jump remains in full. Without a jump,
+    # 2^−14 of the difference of a smooth g remains, and 2^−7 of that of a square root.
     stays: float = 0.5
-    # Factor of growth from the larger to the smaller distance above which g has a pole at a face.
-    # The power t^−a grows by more for a > 1/14, and
-    # bounded functions do not near their bound.
+    # Factor by which g must grow from the larger to the smaller distance for a pole at a face.
+    # The power t^−a grows by more for a > 1/14, and bounded functions grow less.
     grows: float = 2.0
-    # Difference of opposite faces that counts as rounding, as a fraction of the range of g. The
-    # near distance changes a smooth g by about 1e-8 of its range.
+    # Difference between opposite faces that counts as rounding, as a fraction of the range of g.
+    # The smaller distance changes a smooth g by about 1e-8 of its range.
     negligible: float = 1e-7
     # Number of points along each axis of the grid on which a density is searched for zeros. 64
-    # steps include all dyadic places down to 1/64,
-    # where densities in pieces and textures have their zeros.
+    # steps include all multiples of 1/64, where textures and piecewise densities have their zeros.
     probes: int = 65
-    # Value of p, as a fraction of its largest value on the grid, that counts as zero: 1/p is then
-    # 1e9 times its least.
+    # Value of p, as a fraction of its largest value on the grid, that counts as zero:
+    # 1/p is then 1e9 times its least value.
     zero: float = 1e-9
 
 
@@ -76,9 +74,9 @@ def primary_picture(
     estimator
         Estimator, integrand, an integrand's spec string, or a function.
     dims
-        Number of dims of a function, and of a spec without ``dims``.
+        Number of dims of a function, or of a spec without ``dims``.
     technique
-        Number of the technique whose g is evaluated.
+        Index of the technique whose g is evaluated.
     resolution
         Number of cells along each axis, 4 to 1024.
 
@@ -87,18 +85,19 @@ def primary_picture(
     xarray.Dataset
         ``primary_value`` (u0, u1[, channel]) is g at the centers of cells. ``primary_jump`` (axis,
         u0, u1) is the size of the jump to the next cell along each axis, 0 where g is continuous.
-        ``face_jump`` (axis[, along]) is the size of the jump from u_axis = 0 to u_axis = 1, at
-        centers along the other axis. It affects samplers that wrap around, and is infinite at
-        poles. ``primary_jump_length`` and ``primary_jump_height`` (kind) are the length of the
-        curves of jumps (their number in 1-D) and their mean height, for the kinds ``interior`` and
-        ``boundary``. The height is infinite if g is unbounded there; ``primary_pole`` (kind) is
-        then 1. ``reciprocal_unbounded`` is 1 if 1/p is unbounded because p reaches 0 on a grid.
-        Jumps of several channels are Euclidean lengths.
+        ``face_jump`` (axis[, along]) is the size of the jump from u_axis = 0 to u_axis = 1,
+        at centers along the other axis. This jump affects samplers that wrap around,
+        and is infinite at poles. ``primary_jump_length`` and ``primary_jump_height`` (kind)
+        are the length of the curves of jumps (their number in 1-D) and their mean height,
+        for the kinds ``interior`` and ``boundary``. The height is infinite if g is unbounded there;
+        ``primary_pole`` (kind) is then 1. ``reciprocal_unbounded`` is 1 if 1/p
+        is unbounded because p reaches 0 on a grid. Jumps of several channels are Euclidean lengths.
 
     Raises
     ------
     ParameterError
-        If there are more than two dims, no such technique, or a resolution out of range.
+        If there are more than two dims, if the technique does not exist,
+        or if the resolution is out of range.
     DensityError
         If p is 0 where f is not.
     """
@@ -119,12 +118,13 @@ def primary_picture(
     jumps = find_jumps(g, found.dims, side, scale=scale)
     line = (np.arange(side) + 0.5) / side
 
-    # Jumps (dims[, side]) between opposite faces, and positions of faces with a pole
+    # Jumps (dims[, side]) between opposite faces, and positions on faces with a pole
     faces = np.zeros((found.dims, side ** (found.dims - 1)))
     face_poles = np.zeros(faces.shape, bool)
     along = grid_centers(side, found.dims - 1) if found.dims > 1 else np.empty((1, 0))
     for axis in range(found.dims):
-        # Values (2, k, channels) next to both faces, and closer to them
+        # Values (2, k, channels) at the larger distance from both faces,
+        # and at the smaller distance
         near, nearer = (
             np.stack([g(np.insert(along, axis, end, axis=1)) for end in (gap, 1.0 - gap)])
             for gap in (_SETTINGS.near, _SETTINGS.nearer)
@@ -139,7 +139,7 @@ def primary_picture(
     poles = np.array([jumps.poles.any(), face_poles.any()])
     heights = [jumps.mean_height, float(finite.mean()) if finite.size else 0.0]
 
-    # Evaluate the technique's density on a grid that includes the sides
+    # Evaluate the density of the technique on a grid that includes the sides
     reaches_zero = False
     density: Density | None = getattr(found.primary_integrand(number), "density", None)
     if density is not None:

@@ -1,21 +1,22 @@
-"""Roughness of a black-box function: jumps, cusps and kinks along lines, and poles.
+"""Roughness of a black-box function: jumps, cusps and kinks on lines, and poles.
 
-A line is evaluated in equal steps, and close to its ends. The steps are halved about the largest
-second difference, with two evaluations for each halving. Where the function is smooth, the second
-difference shrinks with the square of the step. At a kink it shrinks with the step, and at a cusp
-|t|^a with the step to the power a. It stays constant at a jump and grows at a pole. Toward the ends
-of lines along the axes the steps shrink faster: the slope of log |g| is the exponent of the growth
-of g at the border.
+A line is evaluated in equal steps, and close to its ends. Around the largest second difference,
+the step is halved repeatedly, with two evaluations for each halving. Where the function is smooth,
+the second difference shrinks with the square of the step. At a kink it shrinks with the step,
+and at a cusp |t|^a with the step to the power a. The second difference stays constant
+at a jump and grows at a pole. Toward the ends of lines along the axes the steps shrink faster:
+the slope of log |g| is the exponent of the growth of g at the border.
 
-A search climbs to poles. It begins at the largest or the smallest known value, moves in random
-directions that climb, and halves the step if no direction climbs. The ellipsoid of directions
-adapts to the moves ([Hansen2001]_). The climb ends early on a bounded function. A function that
-grows as r^−a toward a set of codimension k leads the climb to that set. Along rays from the top the
-differences g(r) − g(4r) ∝ r^−a give a, for any additive constant. |g|^(−2/a) is a quadratic form of
-the distance. Its rank is k, including one for each face that contains the top. The volume where |g|
-> λ is ∝ λ^(−k/a): ∫g² is infinite for a/k ≥ ½, and the integral does not exist for a/k ≥ 1. Where
-faces meet, a product of powers of distances to some of them has the tail of the largest power
-toward one face, or of the mean power of all.
+A search climbs to poles. The search begins at the largest or the smallest known value,
+moves in random directions that climb, and halves the step if no direction climbs. The ellipsoid
+of directions adapts to the moves ([Hansen2001]_). The climb ends early on a bounded function.
+A function that grows as r^−a toward a set of codimension k leads the climb to that set.
+Along rays from the top the differences g(r) − g(4r) ∝ r^−a give a, for any additive constant.
+|g|^(−2/a) is a quadratic form of the distance. The rank of this form is k,
+including one for each face that contains the top. The volume where |g| > λ is ∝ λ^(−k/a):
+∫g² is infinite for a/k ≥ ½, and the integral does not exist for a/k ≥ 1. Where faces meet,
+a product of powers of distances to some of them has the tail of the largest power toward one face,
+or of the mean power of all.
 """
 
 from __future__ import annotations
@@ -47,80 +48,82 @@ __all__ = [
 @final
 @dataclass(frozen=True)
 class LineSettings:
-    """How lines are evaluated, and the exponents that distinguish a pole, a jump and a kink.
+    """Settings for evaluations on lines, and exponents that distinguish a pole, a jump and a kink.
 
-    Numbers of cases are those of ``python -m benchmarks settings``, as in `CauseSettings`.
+    Numbers of cases in the comments are from ``python -m benchmarks settings``,
+    as in `CauseSettings`.
     """
 
-    # Number of equal steps of a line before it is zoomed. Insensitive between 8 and 16; with 32,
-    # which leave half the lines, two of 152
-    # causes are wrong.
+    # Number of equal steps of a line before steps are halved. Insensitive between 8 and 16;
+    # with 32 steps, which allow half as many lines, two of 152 causes are wrong.
     steps: int = 16
-    # Halvings of the steps about the roughest place. 2^−12 of a step is 1.5e-5 of the line: far
-    # above rounding, and far below the distance between features that 16 steps can find. With 6
-    # halvings 29 of 152 causes are wrong; insensitive between 12 and 24.
+    # Number of halvings of the step around the roughest place. 2^−12 of a step is 1.5e-5
+    # of the line: far above rounding, and far below the distance between features that 16 steps can
+    # find. With 6 halvings 29 of 152 causes are wrong; insensitive between 12 and 24.
     halvings: int = 12
-    # Number of last halvings whose second differences give the exponent. Insensitive between 3 and
-    # 6; with 12 two of 152 causes are wrong.
+    # Number of last halvings whose second differences give the exponent.
+    # Insensitive between 3 and 6; with 12 two of 152 causes are wrong.
     late: int = 6
-    # Exponent below which the roughest place is a pole. A jump has 0 and a pole r^−a has −a.
-    # Insensitive between −0.3 and −0.075.
+    # Exponent below which the roughest place is a pole.
+    # A jump has the exponent 0 and a pole r^−a has −a. Insensitive between −0.3 and −0.075.
     pole: float = -0.15
-    # Exponent below which the roughest place may be a jump. A jump has 0, up to 0.3 next to a steep
-    # part, and a kink has 1. Insensitive between 0.2 and 0.8.
+    # Exponent below which the roughest place may be a jump. A jump has the exponent 0,
+    # or up to 0.3 next to a steep part, and a kink has 1. Insensitive between 0.2 and 0.8.
     jump: float = 0.4
-    # Number of bisections of the last step of such a line, and the fraction of its height that a
-    # jump keeps. A cusp of order 0.15 keeps
-    # 2^(−8 · 0.15) = 0.44 on average. 8 bisections end at 6e-8 of the line, so a smooth step of a
-    # width above 1e-7 counts as a jump.
+    # Number of bisections of the last step of a line with a possible jump,
+    # and fraction of the height that a jump keeps in the bisections.
+    # A cusp of order 0.15 keeps 2^(−8 · 0.15) = 0.44 on average.
+    # 8 bisections end at 6e-8 of the line, so a smooth step of a width above 1e-7 counts as a jump.
     bisections: int = 8
     kept: float = 0.75
-    # Exponent below which a roughest place that is neither a jump nor a pole is a cusp. A cusp
-    # |t|^a has a, to about 0.1 on one line, and no line through a kink had less than 0.86.
+    # Exponent below which a roughest place that is neither a jump nor a pole is a cusp.
+    # A cusp |t|^a has the exponent a, with an error of about 0.1 on one line.
+    # No line through a kink had an exponent below 0.86.
     cusp: float = 0.8
-    # Exponent below which the roughest place is a kink. A kink has 1 and a smooth function has 2.
-    # With 0.8 14 of 152 causes are wrong, and with 3.2, which makes smooth functions kinks, 36.
+    # Exponent below which the roughest place is a kink.
+    # A kink has the exponent 1 and a smooth function has 2.
+    # With 0.8, 14 of 152 causes are wrong, and with 3.2, which makes smooth functions kinks, 36.
     kink: float = 1.6
-    # Smallest height of a jump, as a fraction of the spread of g. A jump of 1e-4 of the spread has
-    # 1e-8 of the variance, which no count in reach of a profile shows. Insensitive between 5e-5 and
-    # 2e-4.
+    # Smallest height of a jump, as a fraction of the spread of g.
+    # A jump of 1e-4 of the spread has 1e-8 of the variance,
+    # too little to matter at any count of a profile. Insensitive between 5e-5 and 2e-4.
     least_jump: float = 1e-4
-    # Second difference that counts as rounding, as a fraction of the spread of g. After 12 halvings
-    # a smooth g has about 1e-9 of its spread left. Insensitive between 5e-10 and 2e-9.
+    # Second difference that counts as rounding, as a fraction of the spread of g.
+    # After 12 halvings, the second difference of a smooth g is about 1e-9 of the spread.
+    # Insensitive between 5e-10 and 2e-9.
     negligible: float = 1e-9
-    # Second difference that counts as rounding, in spacings of floating-point numbers at the values
-    # of g. A sum of a thousand terms, in random order, is off by about √1000 = 32 spacings.
-    # Insensitive between 16 and 64.
+    # Second difference that counts as rounding, in units of the spacing
+    # of floating-point numbers at the values of g. A sum of a thousand terms, in random order,
+    # is off by about √1000 = 32 spacings. Insensitive between 16 and 64.
     grains: float = 32.0
-    # Fraction of the gain before that the last gain must exceed for growth to continue. A bounded
-    # function gains 2^−10 of it, ln t gains 1,
-    # and t^−a gains 2^(10a). Insensitive between 0.33 and 0.65; with 1.3 growth as a logarithm is
-    # missed, and six of 152 causes are wrong.
+    # Ratio of the last gain to the gain before, above which growth continues to the end of the
+    # line. The ratio is 2^−10 for a bounded function, 1 for ln t, and 2^(10a) for t^−a. Insensitive
+    # between 0.33 and 0.65; with 1.3 logarithmic growth is missed, and six of 152 causes are wrong.
     goes_on: float = 0.65
-    # Largest distance of the parallel line that tests whether a discontinuity is normal to the
-    # axis. It moves an edge with a slope of 1 by 0.0025 or more, a hundred times the resolution of
-    # the zoom. Insensitive between 0.0025 and 0.01.
+    # Largest distance to the parallel line that tests whether a discontinuity is normal
+    # to the axis. On the parallel line an edge with a slope of 1 is moved by 0.0025 or more,
+    # a hundred times the last step of the halvings. Insensitive between 0.0025 and 0.01.
     aside: float = 0.005
-    # Number of groups of axes along which the roughest place of a chord is displaced in turn: an
-    # edge normal to an axis moves with one of
-    # them. An edge across two axes appears to be one with probability 1/3, and with more axes less
-    # often.
+    # Number of groups of axes along which the roughest place of a chord is displaced in turn:
+    # an edge normal to an axis moves with one group only. An edge oblique to two axes appears
+    # to be normal to an axis with probability 1/3, and with more axes less often.
     groups: int = 3
-    # Distances from both ends of a line along an axis at which g is evaluated. The last ones are
-    # 2^10 apart, so even t^−0.08 grows by 1.7
-    # between them, and 2^−40 is still exact next to 1. Insensitive between half and double.
+    # Distances from both ends at which g is evaluated on a line along an axis.
+    # The last two distances have the ratio 2^10, so even t^−0.08 grows by 1.7 between them,
+    # and 2^−40 is still exact next to 1. Insensitive between half and double values.
     ends: tuple[float, ...] = (2.0**-4, 2.0**-12, 2.0**-20, 2.0**-30, 2.0**-40)
-    # Distance from an end at which g must not fail; samples of a few thousand points come as close.
+    # Distance from an end of a line at which g must not fail;
+    # samples of a few thousand points come as close.
     inside: float = 2.0**-12
 
     @property
     def line(self) -> int:
-        """Evaluations of a line along an axis."""
+        """Number of evaluations of a line along an axis."""
         return self.steps + 2 * self.halvings + self.bisections + 2 * len(self.ends) + 2
 
     @property
     def chord(self) -> int:
-        """Evaluations of any other line."""
+        """Number of evaluations of any other line."""
         return self.steps + 2 * self.halvings + self.bisections + 2 * self.groups
 
 
@@ -131,62 +134,61 @@ LINE_SETTINGS = LineSettings()
 @final
 @dataclass(frozen=True)
 class PoleSettings:
-    """How a search climbs to a pole, and how the pole is measured.
+    """Settings of the climb to a pole, and of measurements at the pole.
 
-    Numbers of cases are those of ``python -m benchmarks settings``, as in `CauseSettings`.
+    Numbers of cases in the comments are from ``python -m benchmarks settings``,
+    as in `CauseSettings`.
     """
 
-    # Most halvings of the step of a climb. The largest radius below is then 1/16 of the first step,
-    # the distance between neighboring points. With 8 halvings 30 of 152 causes and 10 of 18 poles
-    # are wrong; insensitive between 16 and 32.
+    # Maximum number of halvings of the step of a climb. The largest radius of the rays (`radii`)
+    # is then 1/16 of the first step, which is the distance between neighboring points.
+    # With 8 halvings 30 of 152 causes and 10 of 18 poles are wrong; insensitive between 16 and 32.
     halvings: int = 16
-    # Largest number of moves with one step before it is halved. Insensitive between 3 and 12.
+    # Largest number of moves with one step before the step is halved. Insensitive between 3 and 12.
     moves: int = 6
     # Number of halvings in a group: the climb is judged by the medians of its last three groups.
-    # With 2, one of 18 poles is wrong;
-    # insensitive between 3 and 6.
+    # With 2, one of 18 poles is wrong; insensitive between 3 and 6.
     group: int = 3
-    # The climb ends as bounded if the last gain is less than this part of the gain before. Near a
-    # smooth top the gains of three halvings fall to 4^−3, and toward ln r they stay equal.
+    # Ratio of the last gain to the gain before, below which the climb ends because g is bounded.
+    # Near a smooth top the gains of three halvings fall to 4^−3, and for ln r the gains stay equal.
     # Insensitive between 0.15 and 0.6.
     bounded: float = 0.3
     # Number of rays from the top, whose median exponent is used. Insensitive between 3 and 12.
     rays: int = 6
-    # Weight of the last move in the ellipsoid of directions, from 0 to 1. Insensitive
-    # between 0.2 and 0.4; with 0.8 one of 18 poles is wrong.
+    # Weight of the last move in the ellipsoid of directions, from 0 to 1.
+    # Insensitive between 0.2 and 0.4; with 0.8 one of 18 poles is wrong.
     learning_rate: float = 0.4
-    # Radii along the rays, in units of the last step, each 4 times the one before. The smallest is
-    # 16, so that an error of the top by one step changes the distance by 6 % at most. Insensitive
-    # between half and double.
+    # Radii along the rays, in units of the last step, each 4 times the one before. The smallest
+    # is 16, so that an error of the top by one step changes the distance by 6 % at most.
+    # Insensitive between half and double.
     radii: tuple[float, ...] = (2.0**4, 2.0**6, 2.0**8, 2.0**10, 2.0**12)
-    # Number of these radii that are evaluated toward each face alone: three give one exponent for
-    # any additive constant. With 2, four of
-    # 152 causes are wrong; insensitive between 3 and 6.
+    # Number of these radii that are evaluated toward each face alone:
+    # three radii give one exponent for any additive constant.
+    # With 2 radii, four of 152 causes are wrong; insensitive between 3 and 6.
     near: int = 3
-    # Fraction of the rays that may rise outward; if more do, the top is not a pole. Insensitive
-    # between 0.125 and 0.5.
+    # Fraction of the rays on which g may rise outward; if more rays rise, the top is not a pole.
+    # Insensitive between 0.125 and 0.5.
     rising: float = 0.25
-    # Distance from all faces but one at which growth toward that face alone is measured, in units
-    # of the last step. It is half of the first
-    # step, and 2^7 times the largest of the first three radii. Insensitive between 2^14 and 2^16.
+    # Distance from all faces but one at which growth toward that face alone is measured,
+    # in units of the last step. This distance is half of the first step,
+    # and 2^7 times the largest of the first three radii. Insensitive between 2^14 and 2^16.
     away: float = 2.0**15
-    # Exponent above which a function grows toward one face alone. Insensitive between 0.025 and
-    # 0.1.
+    # Exponent above which a function grows toward one face alone.
+    # Insensitive between 0.025 and 0.1.
     alone: float = 0.05
-    # Eigenvalues of the quadratic form above this part of the largest one count for the
-    # codimension. Insensitive between 0.002 and 0.008.
+    # Fraction of the largest eigenvalue of the quadratic form above which an eigenvalue counts
+    # for the codimension. Insensitive between 0.002 and 0.008.
     rank: float = 0.004
-    # Factor by which the height must grow for a move. Insensitive down to 0.5; with 2, few moves
-    # are made, and 15 of 18 poles are missed.
+    # Factor by which the height must grow for a move to be accepted. Insensitive down to 0.5.
+    # With 2, few moves are accepted, and 15 of 18 poles are missed.
     better: float = 1.005
     # Number of the largest heights that are compared before a climb. Insensitive between 8 and 32.
     compared: int = 16
-    # A climb starts if the largest height exceeds the last of these by more than this part of
-    # itself. Insensitive between 0.05 and 0.2.
+    # Relative difference between the largest and the last of these heights above
+    # which a climb starts. Insensitive between 0.05 and 0.2.
     stands_out: float = 0.1
-    # Exponent below which growth counts as logarithmic; exponents below the negative of it mean no
-    # pole. Measured exponents are right to 0.02
-    # (`test_exponents_and_codimensions_of_poles_are_measured`).
+    # Exponent below which growth counts as logarithmic; exponents below the negative of this value
+    # mean no pole. Measured exponents are right to 0.02 (`test_poles_are_climbed_to_and_measured`).
     # Insensitive between 0.01 and 0.04.
     least_exponent: float = 0.02
 
@@ -203,23 +205,23 @@ Function = Callable[[Array], Array]
 @final
 @dataclass(frozen=True)
 class Lines:
-    """Measurements on K lines.
+    """Measurements on K lines through the cube.
 
     Attributes
     ----------
     axis
         Axis that each line runs along, −1 for chords: (K,).
     exponent
-        Exponent of the step in the second difference about the roughest place: (K,).
+        Exponent of the step in the second difference around the roughest place: (K,).
     kept
-        Fraction of the height that remains after bisections: (K,); 0 without bisections.
+        Fraction of the height that remains after bisections, 0 without bisections: (K,).
     place
-        The roughest place, (K,), from 0 to 1 along the line.
+        Position of the roughest place, (K,), from 0 to 1 along the line.
     height
         Change of g at the roughest place: (K,).
     straight
-        Whether the change of g stays in place when the line is displaced along other axes, as at a
-        discontinuity normal to one axis: (K,).
+        Whether the change of g stays in place when the line is displaced along other axes,
+        as at a discontinuity normal to one axis: (K,).
     growth
         Exponents a of g ~ t^−a at both ends of lines along axes, 0 where g does not grow: (K, 2);
         NaN for chords.
@@ -228,14 +230,14 @@ class Lines:
     waves
         Number of periods along the line of a cosine with the same variance and the same bend: (K,).
     turns
-        Fraction of the places that are higher, or lower, than both neighbors: (K,).
+        Fraction of the places that are higher or lower than both neighbors: (K,).
     spread
         Variance along the line: (K,).
     settings
         The exponents that distinguish a pole, a jump and a kink.
     failed
-        Why g has no values close to some ends, with a position; else empty. These ends have no
-        growth.
+        Reason why g has no values close to some ends, with a position; else empty.
+        These ends have no growth.
     """
 
     axis: Array
@@ -254,21 +256,22 @@ class Lines:
 
     @property
     def _rough(self) -> Array:
-        """Return lines with a roughest place that is not a jump, and no smoother than a kink."""
+        """Return lines whose roughest place is not a jump, and not smoother than a kink."""
         jump = self.kept > self.settings.kept
         return np.asarray(~jump & (self.exponent < self.settings.kink))
 
     @property
     def _steep(self) -> tuple[Array, bool]:
-        """Return lines through poles or cusps, and whether these are poles.
+        """Return lines through poles or cusps, and whether they are poles.
 
-        The exponent of a single line through a cusp may be negative by chance, but not the median.
+        On a single line through a cusp the exponent may be negative by chance,
+        but the median exponent is not.
         """
         steep = self._rough & (self.exponent < self.settings.cusp)
         return steep, bool(steep.any() and np.median(self.exponent[steep]) < 0.0)
 
     def jumps(self, scale: float) -> Array:
-        """Return lines whose roughest place is a jump that is large enough for a spread of g."""
+        """Return lines whose roughest place is a jump, large compared with the spread of g."""
         large = self.height > self.settings.least_jump * scale
         return np.asarray(large & (self.kept > self.settings.kept))
 
@@ -288,7 +291,7 @@ class Lines:
 
 
 def grain(values: Array) -> float:
-    """Return the spacing of floats at the largest value: of float32 if float32 holds all values."""
+    """Return the spacing of floats at the largest value, of float32 if it represents all values."""
     size = np.abs(values).max(initial=0.0)
     with np.errstate(over="ignore"):
         single = (values.astype(np.float32) == values).all()
@@ -311,7 +314,7 @@ def lines_of(
     dims
         Number of dims d.
     evaluations
-        Most evaluations of g.
+        Maximum number of evaluations of g.
     """
     pairs = evaluations // (settings.line + (settings.chord if dims > 1 else 0))
     if not pairs:
@@ -336,7 +339,7 @@ def lines_of(
     for k, i in enumerate(axis):
         if i >= 0:
             start[k, i], way[k, i] = 0.0, 1.0
-        else:  # a chord in any direction through a point, from face to face
+        else:  # A chord in any direction through a point, from face to face
             direction = rng.standard_normal(dims)
             with np.errstate(divide="ignore"):
                 near, far = np.sort([-start[k] / direction, (1 - start[k]) / direction], axis=0)
@@ -346,7 +349,7 @@ def lines_of(
             )
 
     def at(t: Array, which: Any = slice(None)) -> Array:
-        """Return values at places (K, m) along all lines, or along some."""
+        """Return values at places (K, m) along all lines, or along selected lines."""
         x = start[which, None] + t[..., None] * way[which, None]
         return g(np.clip(x, 0.0, BELOW_ONE).reshape(-1, dims)).reshape(t.shape)
 
@@ -360,8 +363,8 @@ def lines_of(
     turns = (np.diff(np.sign(np.diff(y, axis=1)), axis=1) != 0).mean(axis=1)
     rows = np.arange(len(axis))
 
-    # The ends of lines along the axes. Growth counts if it continues to the end and exceeds all
-    # values inside
+    # Examine the ends of lines along the axes.
+    # Growth counts if it continues to the end and exceeds all values inside
     usual, straight = np.abs(y).max(), axis >= 0
     growth, ends = np.full((len(axis), 2), np.nan), np.full(len(axis), np.nan)
     gaps = np.array(settings.ends)
@@ -371,7 +374,7 @@ def lines_of(
         outer = at(both, straight)
     except BudgetError:
         raise
-    except ParameterError:  # g fails where hardly any sample falls: leave those lines without ends
+    except ParameterError:  # g fails next to the border: leave out these ends
         outer = np.full(both.shape, np.nan)
         for k, row in enumerate(np.flatnonzero(straight)):
             try:
@@ -391,9 +394,9 @@ def lines_of(
     growth[straight] = np.where(grows, slope, 0.0).T
     ends[straight] = outer[1, :, 1] - outer[0, :, 1]
 
-    # Halve the steps about the largest second difference; places near an end count where g does not
-    # grow. Every other line uses the largest fourth difference, in which a kink stands out even if
-    # g is steep elsewhere
+    # Halve the steps around the largest second difference.
+    # Places near an end count only if g does not grow there. Every other line uses
+    # the largest fourth difference, in which a kink stands out even if g is steep elsewhere
     wide = np.full((2, len(axis)), np.nan)
     wide[:, straight] = np.where(grows, np.nan, outer[..., 1])
     t = np.column_stack([np.full(len(axis), gaps[1]), t, np.full(len(axis), 1.0 - gaps[1])])
@@ -416,14 +419,14 @@ def lines_of(
     scale = max(float(np.sqrt(spread.mean())), 1e-300)
     floor = max(settings.negligible * scale, settings.grains * grain(y[:, 1:-1]))
     rough = size[-1] > floor
-    # Second differences at rounding level, before the place is reached, are meaningless: take the
-    # first one above that level
+    # Second differences at rounding level are meaningless before the roughest place is reached:
+    # use the first one above that level
     first = np.argmax(size > floor, axis=0)
     size = np.where(size > floor, size, np.maximum(size[first, rows], 1e-300))
     slope = -np.polyfit(np.arange(settings.late + 1), np.log2(size), 1)[0]
     exponent = np.where(rough, slope, 2.0)
-    # Steepness at an end is neither a jump nor a kink: bounded functions of normal quantiles have
-    # it
+    # A steep end is neither a jump nor a kink:
+    # bounded functions of normal quantiles have steep ends
     edge = np.abs(window[:, 1] - 0.5) > 0.5 - 4.0 * gaps[1]
     exponent[edge & (exponent >= settings.pole)] = 2.0
 
@@ -442,20 +445,20 @@ def lines_of(
         ends_y = np.where(left, np.hstack([ends_y[:, :1], new]), np.hstack([new, ends_y[:, 1:]]))
     kept[may] = np.abs(np.diff(ends_y, axis=1)[:, 0]) / np.maximum(height[may], 1e-300)
 
-    # Displace the last window inward: along all other axes for a line along an axis, and along
-    # groups of axes in turn for chords. A
-    # discontinuity that is not normal to an axis moves away
+    # Displace the last window toward the inside: along all other axes for a line along an axis,
+    # and along one group of axes after another for chords.
+    # A discontinuity that is not normal to an axis moves away
     stays = np.ones(len(axis), bool)
     if dims > 1:
         groups = min(settings.groups, dims)
         group = rng.permuted(np.tile(np.arange(dims) % groups, (len(axis), 1)), axis=1)
-        # Random lengths, so that steps along a slanted edge do not cancel
+        # Displacements have random lengths, so that changes along a slanted edge do not cancel
         steps = settings.aside * rng.uniform(0.5, 1.0, (len(axis), dims))
         pair = start[:, None] + window[:, ::2, None] * way[:, None]
         aside = np.where(pair[:, :1] < 0.5, steps[:, None], -steps[:, None])
 
         def moved(which: Array, along: Array) -> Array:
-            """Return whether the change of g is lost on lines displaced along some axes (K, d)."""
+            """Return whether lines lose the change of g if displaced along some axes (K, d)."""
             x = pair[which] + np.where(along[:, None], aside[which], 0.0)
             found = g(np.clip(x, 0.0, BELOW_ONE).reshape(-1, dims)).reshape(-1, 2)
             return np.asarray(np.abs(np.diff(found, axis=1)[:, 0]) <= 0.5 * height[which])
@@ -494,8 +497,8 @@ def _bends(t: Array, y: Array) -> Array:
 def mean_dimension(g: Function, points: Array, values: Array, rng: np.random.Generator) -> float:
     """Return the mean dimension Σ_i T_i/Var g.
 
-    T_i is half the mean squared change when coordinate i is redrawn. g has the given values (k,) at
-    the points (k, d), and is evaluated at d more points for each of them.
+    T_i is half the mean squared change when coordinate i is redrawn. g has the given values (k,)
+    at the points (k, d), and is evaluated at d more points for each given point.
     """
     k, d = points.shape
     total = 0.0
@@ -521,7 +524,7 @@ class Pole:
     codimension
         Codimension k of the pole: 1 for a surface, d for a point.
     border
-        Whether the pole lies in faces of the cube.
+        Whether the pole lies on faces of the cube.
     """
 
     place: Array
@@ -552,7 +555,7 @@ def pole_of(
     points, values
         Points (k, d) at which g is known, and its values (k,).
     evaluations
-        Most evaluations of g.
+        Maximum number of evaluations of g.
     """
     d = points.shape[1]
     centre, left = float(np.median(values)), evaluations
@@ -594,7 +597,7 @@ def _climbed(
         if made + 2 * d > evaluations:
             return x, 0.0, made
         ways = np.linalg.qr(rng.standard_normal((d, d)))[0] @ np.linalg.cholesky(shape).T
-        size = step * rng.uniform(0.8, 1.25)  # So that no place occurs twice
+        size = step * rng.uniform(0.8, 1.25)  # Random factors avoid repeated places
         around = np.clip(x + size * np.concatenate([ways, -ways]), 0.5 * step, 1.0 - 0.5 * step)
         new = g(around)
         made += 2 * d
@@ -637,7 +640,7 @@ def _measured(
         return None
     if exponent < settings.least_exponent:
         return Pole(top, 0.0, 1, bool(side.any()))
-    if side.sum() > 1:  # Growth toward each face alone, away from the others
+    if side.sum() > 1:  # Measure growth toward each face alone, away from other faces
         faces = np.flatnonzero(side)
         aside = np.where(side, top + settings.away * step * inward, top)
         close = radii[: settings.near]
@@ -660,7 +663,7 @@ def _measured(
     table[first, second] = table[second, first] = size
     own = np.diag(table)
     form = 0.5 * (table - own[:, None] - own) + 1.5 * np.diag(own)
-    # A face counts unless the pole continues from it inward
+    # A face counts unless the pole continues from this face inward
     side &= own > settings.rank * own.max()
     free = np.linalg.eigvalsh(form[np.ix_(~side, ~side)])
     rank = int(side.sum() + (free > settings.rank * own.max()).sum())

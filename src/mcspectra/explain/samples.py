@@ -1,15 +1,17 @@
 """Variances of several samplers at all counts, from one array of evaluations.
 
-R scrambled nets of N points are evaluated once. Each run of 2^k of their points that starts at a
-multiple of 2^k is a scrambled net. Means over runs therefore have the variance of nets of all
-sizes. The variance between evaluations of different nets in one cell is the variance of jittered
-points. In the same way, slabs of an axis give the variance of Latin hypercubes, and the whole cube
-gives that of random points. Products of values of one net are left out where they are correlated.
+R scrambled nets of N points are evaluated once.
+Each run of 2^k of their points that starts at a multiple of 2^k is a scrambled net.
+Means over runs therefore have the variance of nets of all sizes. The variance between evaluations
+of different nets in one cell is the variance of jittered points. In the same way, slabs
+of an axis give the variance of Latin hypercubes, and the whole cube gives that of random points.
+Products of values from the same net are left out where values are correlated.
 
 Errors come from a jackknife over the nets, so the error of the rate includes the correlation
-between counts. The rate is constant over the last octaves. Before them it drifts by a random walk
-from octave to octave, and the likelihood of the curve weights several sizes of its step. Therefore
-all counts of a straight curve determine its rate, but only the last counts of a bent one.
+between counts. In the model of the rate, the rate is constant over the last octaves.
+Over earlier octaves it drifts by a random walk, and the likelihood of the curve gives weights
+to several step sizes. Therefore all counts of a straight curve determine its rate,
+but only the last counts determine the rate of a bent curve.
 """
 
 from __future__ import annotations
@@ -47,38 +49,38 @@ NETS = "sobol | owen"
 @final
 @dataclass(frozen=True)
 class CurveSettings:
-    """How curves of variance are estimated from nets, and how their rates are fitted.
+    """Settings that estimate curves of variance from nets, and fit rates to them.
 
-    "Insensitive" refers to ``python -m benchmarks settings``, as in `CauseSettings`. Numbers for
-    rates are those of ``python -m benchmarks settings --rates``: five functions with known rates,
-    50 times each.
+    "Insensitive" refers to ``python -m benchmarks settings``, as in `CauseSettings`.
+    Numbers for rates are those of ``python -m benchmarks settings --rates``:
+    five functions with known rates, 50 times each.
     """
 
-    # Number of slabs along an axis that represent the strata of a Latin hypercube. Insensitive
-    # between 16 and 64. The variance of an
-    # additive function with n > 32 points is estimated (n/32)² times too large, as a bound.
+    # Number of slabs along an axis that replace the strata of a Latin hypercube.
+    # Insensitive between 16 and 64. For additive functions with n > 32 points the estimate
+    # is an upper bound, (n/32)² times too large.
     slabs: int = 32
-    # Largest number of dims in which the variance of jittered points is estimated; insensitive
-    # between 2 and 6. In 4 dims a net of 256
-    # points, the most that 8,192 evaluations allow, has 4 cells along an axis, so the curve would
-    # have three counts.
+    # Largest number of dims in which the variance of jittered points is estimated;
+    # insensitive between 2 and 6. In 4 dims a net of 256 points, the most that 8,192 evaluations
+    # allow, has 4 cells along an axis, so the curve would have three counts.
     jittered_dims: int = 3
-    # Number of last octaves over which the rate is constant. With 2 intervals of rates are 1.4
-    # times as wide and hold as often; with 6 they hold in 63 instead of 93 % of cases.
+    # Number of last octaves over which the rate is constant.
+    # With 2 octaves, intervals of rates are 1.4 times as wide and contain the rate as often.
+    # With 6 octaves they contain the rate in 63 instead of 93 % of cases.
     octaves: int = 3
-    # Standard deviations of the drift of the rate in an octave, whose likelihoods are the weights
-    # of the fits: from a straight curve (1/20) to a rate that changes by its usual range, 1 to 3,
-    # in a few octaves. Half of them, double and 0.2 alone give intervals that hold in 94, 92 and 92
-    # % of cases.
+    # Candidate standard deviations of the drift of the rate in an octave, weighted by likelihood.
+    # The values range from a straight curve (1/20) to a rate that changes by its usual range,
+    # 1 to 3, in a few octaves. Half of these values,
+    # double and 0.2 alone give intervals that contain the rate in 94, 92 and 92 % of cases.
     drifts: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
-    # Standard error of an unknown rate, which is taken as −1: rates from −2 to 0 are within two of
-    # them.
+    # Standard error of an unknown rate, for which −1 is used:
+    # rates from −2 to 0 are within two standard errors.
     unknown: float = 0.5
-    # Least standard error of a logarithm of the variance, because real curves are not straighter
-    # than 2 %. 0.01 and 0.04 give the same
-    # rates to 0.01.
+    # Least standard error of a logarithm of the variance, because real curves deviate from lines
+    # by 2 % or more. Values of 0.01 and 0.04 give the same rates to 0.01.
     floor: float = 0.02
-    # Standard errors within which a measured and a theoretical rate agree: 95 % of a normal law.
+    # Number of standard errors within which a measured rate agrees with a theoretical rate:
+    # the value is for 95 % of a normal law.
     agrees: float = 2.0
 
 
@@ -89,27 +91,29 @@ CURVE_SETTINGS = CurveSettings()
 @final
 @dataclass(frozen=True)
 class Curve:
-    """Variance against the number of points.
+    """Variance as a function of the number of points.
 
     Attributes
     ----------
     counts, variance, relative_se
         Arrays (N,); the standard error is that of log variance.
     rate, rate_se
-        Slope over the last octaves and its standard error; NaN if it cannot be fitted, for example
-        because the variance vanishes.
+        Slope over the last octaves and its standard error;
+        NaN if it cannot be fitted, for example because the variance vanishes.
     degrees
         Degrees of freedom of the errors.
     drift
-        Estimated standard deviation of the change of the slope in an octave; it continues beyond
-        the counts.
+        Estimated standard deviation of the change of the slope in an octave;
+        it continues beyond the counts.
     vanishes
-        Smallest count at which the sets did not vary at all.
+        Smallest count at which all sets gave the same estimate.
     level, scatter
-        Logarithm of the line over the variance at the last count, and the standard deviation of the
-        logarithms about the line. Both are used beyond the counts, for curves that are not lines.
+        Logarithm of the ratio of the fitted line to the variance at the last count,
+        and standard deviation of logarithms about the line.
+        Both are used in extrapolations of curves that are not lines.
     bend
-        Expected change of the slope beyond the counts, and its standard error.
+        Expected change of the slope beyond the measured counts,
+        and the standard error of this change.
     """
 
     counts: Array
@@ -125,7 +129,10 @@ class Curve:
     bend: float = 0.0
 
     def at(self, n: float) -> tuple[float, float]:
-        """Return the variance at n and its logarithmic standard error, extrapolated by the rate."""
+        """Return the variance at n and its logarithmic standard error.
+
+        Beyond the counts, the variance is extrapolated with the rate.
+        """
         if n >= self.vanishes or not len(self.counts):
             return 0.0, 0.0
         if n <= self.counts[-1]:
@@ -143,7 +150,7 @@ class Curve:
         return value, math.hypot(float(self.relative_se[-1]), away * error, walk, self.scatter)
 
     def towards(self, rate: float, error: float) -> Curve:
-        """Average the rate with a theoretical rate, by weights, unless the two disagree."""
+        """Return the weighted mean of the rate and a theoretical rate, unless both disagree."""
         if not abs(self.rate - rate) <= CURVE_SETTINGS.agrees * math.hypot(self.rate_se, error):
             return self
         share = error**2 / (error**2 + self.rate_se**2)
@@ -173,7 +180,7 @@ class _Part:
     values: Array
 
     def between(self, cell: Array, cells: int) -> Array:
-        """Return the mean over cells of their squared means, without products within one net."""
+        """Return the mean of squared means over cells, without products within one net."""
         r = len(self.values)
         place = (np.arange(r)[:, None] * cells + cell).ravel()
         sums = np.bincount(place, self.values.ravel(), r * cells).reshape(r, cells)
@@ -183,18 +190,18 @@ class _Part:
         return np.asarray(np.mean(products / np.maximum(pairs, 1), axis=1, where=pairs > 0))
 
 
-# An estimate from all nets, then from all nets but each one: (1 + R,)
+# Estimates from all nets, then from all nets except each single one: (1 + R,)
 _Estimate = Callable[[_Part, int], Array]
 
 
 def _sums(x: Array) -> Array:
-    """Return sums over all nets, then over all nets but each one: (1 + R, …) from (R, …)."""
+    """Return sums over all nets, then without each single net: (1 + R, …) from (R, …)."""
     whole = x.sum(axis=0)
     return np.concatenate([whole[None], whole - x])
 
 
 def _means(x: Array) -> Array:
-    """Return means over all nets, then over all nets but each one: (1 + R,) from (R,)."""
+    """Return means over all nets, then without each single net: (1 + R,) from (R,)."""
     return np.asarray(_sums(x) / _sums(np.ones(len(x))))
 
 
@@ -208,7 +215,7 @@ class Sets:
     points, values
         Points and values of each technique t: (R, N·c_t, d) and (R, N·c_t), with N a power of two.
     counts
-        Counts c_t of the techniques.
+        Counts c_t of points of the techniques.
     """
 
     points: Sequence[Array]
@@ -243,12 +250,12 @@ class Sets:
 
     @cached_property
     def pooled(self) -> Array:
-        """All values of g for the technique that varies most."""
+        """All values of g for the technique with the largest variance."""
         return np.asarray(max(self.values, key=lambda v: float(v.var()))).ravel()
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval of the mean over all nets, wider if g grows at the border."""
+        """95 % interval of the mean over all nets, which is wider if g grows at the border."""
         growths = []
         if len(self.values) == 1:
             growths = border_growth(self.points[0].reshape(-1, self.dims), self.values[0].ravel())
@@ -271,13 +278,13 @@ class Sets:
             of_slabs = partial(_of_slabs, slabs=settings.slabs)
             many = counts[counts >= settings.slabs]
             found["latin-hypercube"] = self._curve(of_slabs, many, settings, -1.0)
-        # The variance between strata is a difference; without significant counts there is no curve
+        # The variance between strata is a difference; without significant values there is no curve
         if len(found["random"].counts):
             found = {name: curve for name, curve in found.items() if len(curve.counts)}
         return found
 
     def technique_curves(self, settings: CurveSettings = CURVE_SETTINGS) -> list[Curve]:
-        """Return the variance of each technique with scrambled nets, against N."""
+        """Return the variance of each technique with scrambled nets for all N."""
         counts = 2 ** np.arange(self.n.bit_length())
         parts = zip(self.points, self.values, self.counts, strict=True)
         return [Sets((p,), (v,), (c,))._curve(_of_nets, counts, settings) for p, v, c in parts]
@@ -289,7 +296,7 @@ class Sets:
         settings: CurveSettings,
         rate: float | None = None,
     ) -> Curve:
-        """Return the curve of an estimate, with errors by its jackknife."""
+        """Return the curve of an estimate, with errors by a jackknife."""
         parts = [_Part(p, v - v.mean()) for p, v in zip(self.points, self.values, strict=True)]
 
         found = np.stack([
@@ -319,7 +326,7 @@ def scalar(estimator: AbstractEstimator, values: Array) -> Array:
 def curve_of(
     counts: Sequence[int], estimates: Sequence[Array], settings: CurveSettings = CURVE_SETTINGS
 ) -> Curve:
-    """Return the curve of independent estimates at several counts, (R,) each."""
+    """Return the curve of variances from independent estimates at several counts, (R,) each."""
     found = np.array([e.var(ddof=1) for e in estimates])
     left = np.stack([
         [np.delete(e, r).var(ddof=1) for e in estimates] for r in range(len(estimates[0]))
@@ -341,9 +348,9 @@ def _fitted(
 ) -> Curve:
     """Return the curve of variances `found`, (N,), with a jackknife.
 
-    `left` are the variances without each realization, (R, N). The rate is fitted unless it is
-    given. With `exact`, a variance of zero is a result; otherwise variances are differences, and
-    zero means that a variance is below its error.
+    `left` are the variances without each realization, (R, N).
+    The rate is fitted unless it is given. With `exact`, a variance of zero is a result;
+    otherwise variances are differences, and zero means that a variance is smaller than its error.
     """
     degrees = len(left) - 1
     floor = rounding_floor(np.array(size))
@@ -404,7 +411,7 @@ def _of_strata(part: _Part, n: int) -> Array:
 
 
 def _of_slabs(part: _Part, n: int, slabs: int) -> Array:
-    """Return the variance of a mean over a Latin hypercube with many more points than slabs."""
+    """Return the variance of a mean over a Latin hypercube, from slabs."""
     whole = _of_nets(part, 1)
     mean = part.between(np.zeros(part.values.shape, np.int64), 1)
     for axis in range(part.points.shape[2]):

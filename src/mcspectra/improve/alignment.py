@@ -1,9 +1,9 @@
-"""Alignment of strata with edges: variance against the offset of strata, and the best offset.
+"""Alignment of strata with edges: variance for each offset of strata, and the best offset.
 
-A stratum that an edge cuts into shares s and 1 − s has the variance s(1 − s) of the jump. A stratum
-whose border is the edge has no variance. A fixed offset moves strata on the torus
-(``strata-shift``). If the positions of the edges are known, `aligned-strata` bends the strata to
-them.
+A stratum that an edge cuts into shares s and 1 − s has the variance s(1 − s) of the jump.
+A stratum whose border is the edge has no variance.
+A fixed offset moves all strata on the torus (``strata-shift``).
+If the positions of the edges are known, `aligned-strata` bends the strata to them.
 """
 
 from __future__ import annotations
@@ -43,25 +43,26 @@ METHODS = ("auto", "exact", "measured")
 @final
 @dataclass(frozen=True)
 class AlignmentSettings:
-    """Settings of scans over the offsets of strata."""
+    """Settings of scans over offsets of strata."""
 
-    # Most offsets of one scan, over all axes. A measured scan of 4096 offsets of 64 points with the
-    # default 1000 realizations takes 2.6e8 evaluations.
+    # Maximum number of offsets in one scan, over all axes. A measured scan of 4096 offsets
+    # of 64 points with the default 1000 realizations takes 2.6e8 evaluations.
     most_offsets: int = 4096
-    # Default number of offsets along each axis in 1, 2 and more dims: 16, 64 and 4^d in all. For
-    # disks and steps in 1-D and 2-D, half or twice as many end at the same variance within 0.1 %,
-    # unless the edge can be aligned almost exactly.
+    # Default number of offsets along each axis in 1, 2 and more dims:
+    # 16, 64 and 4^d offsets in all. For disks and steps in 1-D and 2-D, half or twice as many
+    # offsets give the same variance within 0.1 %, unless the edge can be aligned almost exactly.
     usual_offsets: tuple[int, int, int] = (16, 8, 4)
-    # Rounding of an exact variance, as a fraction of I²/n. It is a difference of means of g² and of
-    # squared means, each rounded to 1.1e-16; the factor 100 allows for the sums behind the means.
+    # Rounding of an exact variance, as a fraction of I²/n.
+    # An exact variance is a difference of means of g² and squared means, each rounded to 1.1e-16.
+    # The factor 100 allows for rounding in the sums of these means.
     exact_rounding: float = 1e-14
-    # Relative standard error of exact variances in the fit of a rate. All counts have the same
-    # weight for any value. Rates and their intervals agree to 9 digits for values from 1e-9 to
-    # 1e-3.
+    # Relative standard error of exact variances in the fit of a rate.
+    # All counts have equal weights for any value of this setting.
+    # Rates and their intervals agree to 9 digits for values from 1e-9 to 1e-3.
     exact_se: float = 1e-6
-    # Number of times that the pattern search halves its step. The last step is 1/256 of the spacing
-    # of the scan. For disks in 1-D at n = 11, 16 halvings lower the variance by 0.02 %, and 4
-    # halvings raise it by 0.3 %.
+    # Number of times that the pattern search halves its step.
+    # The last step is 1/256 of the spacing of the scan. For disks in 1-D at n = 11,
+    # 16 halvings lower the variance by 0.02 %, and 4 halvings raise the variance by 0.3 %.
     halvings: int = 8
 
 
@@ -80,7 +81,7 @@ def strata_shift_scan(
     rng: RngLike = 0,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Scan variance and rate against a fixed offset of the strata.
+    """Compute variance and rate for fixed offsets of the strata.
 
     Parameters
     ----------
@@ -89,33 +90,34 @@ def strata_shift_scan(
     counts
         One number of points n, or several in ascending order. A rate needs at least two.
     dims
-        Number of dims of a function, or of a spec that leaves it open. The default is the number of
-        dims of the sampler, if the sampler is not a spec.
+        Number of dims of a function, or of a spec without dims.
+        The default is the number of dims of the sampler, if the sampler is not a spec.
     offsets
-        Fractions of the side n^(-1/d) of a stratum: ascending numbers in [0, 1), the same along
-        each axis; or the number of equally spaced offsets from 0. The default is 16 in 1-D, 8 in
-        2-D and 4 in more dims. A scan has at most 4096 offsets. The same fraction of a side is
-        another position in the domain for each n.
+        Fractions of the side n^(-1/d) of a stratum: ascending numbers in [0, 1),
+        the same along each axis; or the number of equally spaced offsets from 0.
+        The default is 16 in 1-D, 8 in 2-D and 4 in more dims. A scan has at most 4096 offsets.
+        The same fraction of a side is another position in the domain for each n.
     method
-        ``"exact"`` (`mcspectra.exact_variance`); ``"measured"``, with the same random numbers for
-        all offsets; or ``"auto"``, which is exact if an exact variance is known and f is not a
-        user's function, since exact variances take many calls. The attribute ``method`` names the
-        choice.
+        ``"exact"`` (`mcspectra.exact_variance`);
+        ``"measured"``, with the same random numbers for all offsets;
+        or ``"auto"``, which is exact if an exact variance is known and f is not a user's function,
+        since exact variances take many calls. The attribute ``method`` names the choice.
     realizations, rng, workers
         Options of measured variances; see `mcspectra.convergence`.
 
     Returns
     -------
     xarray.Dataset
-        ``variance`` and ``variance_ci`` on offset0, offset1, … and n, ``rate`` and ``rate_ci`` on
-        the offsets, and a dim channel if f has several channels. Intervals of exact variances have
-        width 0. Intervals of their rates show how far the variances are from a line.
+        ``variance`` and ``variance_ci`` on offset0, offset1, … and n,
+        ``rate`` and ``rate_ci`` on the offsets, and a dim channel if f has several channels.
+        Intervals of exact variances have width 0.
+        Intervals of rates of exact variances show how far the variances are from a line.
 
     Raises
     ------
     CountError, ParameterError
-        If the sampler has no set of a count, counts or offsets are not ascending, or there are too
-        many offsets.
+        If the sampler has no set of a count, if counts or offsets are not ascending,
+        or if there are too many offsets.
     NoClosedForm
         If ``method="exact"`` and no exact variance is known.
 
@@ -190,22 +192,22 @@ def best_alignment(
     rng: RngLike = 0,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Find the offset of strata with the least variance, and measure its effect.
+    """Find the offset of strata with the least variance, and measure the effect.
 
     Parameters
     ----------
     estimator, sampler, n
-        An estimator, a sampler without a shift, and the number of points. A shift would average
-        over all offsets.
+        An estimator, a sampler without a shift, and the number of points.
+        A shift would average over all offsets.
     dims
-        Number of dims of a function, or of a spec that leaves it open. The default is the number of
-        dims of the sampler, if the sampler is not a spec.
+        Number of dims of a function, or of a spec without dims.
+        The default is the number of dims of the sampler, if the sampler is not a spec.
     edges
-        Positions of known edges; see `aligned`. If given, strata with borders at the edges are
-        also tested. This needs an estimator without a density and n = s^d.
+        Positions of known edges; see `aligned`. If edges are given, strata with borders
+        at the edges are also tested. This requires an estimator without a density, and n = s^d.
     offsets, method
-        Same as in `mcspectra.improve.strata_shift_scan`. A pattern search that halves its step 8
-        times refines the best offset of the scan.
+        Same as in `mcspectra.improve.strata_shift_scan`.
+        A pattern search, which halves its step 8 times, refines the best offset of the scan.
     realizations, rng, workers
         Same as in `mcspectra.convergence`. The measurement of each candidate has its own stream.
 
@@ -215,10 +217,10 @@ def best_alignment(
         The dim candidate is ``"unshifted"``, ``"offset"`` and, with `edges`, ``"aligned"``.
         Variables are ``strata_offset(candidate, axis)``, ``predicted_variance``,
         ``measured_variance`` with ``measured_variance_ci``, ``variance_ratio`` to the first
-        candidate with ``variance_ratio_ci``, and ``improvement``: 1 if that interval is below 1, −1
-        if it is above 1, else 0. The attribute ``best`` names the candidate with the least
-        predicted variance (measured variance, if a candidate has no prediction), and ``improved``
-        is yes, no or undecided for it. Variances of several channels are added.
+        candidate with ``variance_ratio_ci``, and ``improvement``: 1 if that interval is below 1,
+        −1 if the interval is above 1, else 0. The attribute ``best`` names the candidate
+        with the least predicted variance (measured variance, if a candidate has no prediction),
+        and ``improved`` is yes, no or undecided for it. Variances of several channels are added.
 
     Raises
     ------
@@ -227,8 +229,8 @@ def best_alignment(
 
     Notes
     -----
-    Intervals of ratios are for independent measurements. They hold for all candidates together at
-    95 %.
+    Intervals of ratios are for independent measurements.
+    The intervals hold at 95 % for all candidates together.
 
     Examples
     --------
@@ -249,7 +251,8 @@ def best_alignment(
     stream, threads = Stream.from_rng(rng), available_workers(workers)
     found = _Offsets.of(plain, source, [n], method, count, stream.child(0), threads)
 
-    # Find the offset with the least predicted variance: the best of a grid, then a pattern search
+    # Find the offset with the least predicted variance:
+    # the best on a grid, then a pattern search from there
     values = {o: found.total(o, n) for o in itertools.product(places, repeat=source.dims)}
     offset = min(values, key=lambda o: values[o])
     value, step = values[offset], 0.5 / len(places)
@@ -274,7 +277,7 @@ def best_alignment(
         candidates.append(("aligned", bent, source, zero, expected))
     names, estimators, samplers, shifts, predicted = zip(*candidates, strict=True)
 
-    # Measure variances, summed over channels, with upper bounds of relative standard errors
+    # Measure variances summed over channels, with upper bounds of the relative standard errors
     moments = [
         count_moments(e, s, n, count, stream.child(1 + i), threads)
         for i, (e, s) in enumerate(zip(estimators, samplers, strict=True))
@@ -284,7 +287,7 @@ def best_alignment(
     least = np.array([float(m.relative_se.max()) for m in moments])
     relative = np.divide(error, measured, out=least, where=measured > 0)
 
-    # Compute ratios of independent measurements; NaN if both are rounding noise
+    # Compute ratios of independent variances; a ratio is NaN if both variances are rounding noise
     z = float(ndtri(1.0 - 0.025 / (len(candidates) - 1)))
     half = z * np.hypot(relative, relative[0])
     floor = float(rounding_floor(moments[0].mean).sum())
@@ -327,10 +330,10 @@ def aligned(
     estimator
         An estimator without a density, or an integrand.
     edges
-        Positions of the edges, as in the density ``aligned-strata``: one list in 1-D, else one list
-        for each dim.
+        Positions of the edges, as in the density ``aligned-strata``:
+        one list in 1-D, else one list for each dim.
     n
-        Number of points that the estimator will be used with, s^d.
+        Number of points with which the estimator will be used, s^d.
 
     Raises
     ------
@@ -357,12 +360,12 @@ def aligned(
 class _Offsets:
     """Variance of an estimator as a function of the offset of the sampler's strata."""
 
-    # The estimator and the sampler whose strata are moved
+    # The estimator, and the sampler whose strata are moved
     estimator: AbstractEstimator
     sampler: Sampler
-    # Whether variances are exact; otherwise all offsets are measured on the same realizations
+    # Whether variances are exact; otherwise, all offsets are measured with the same realizations
     exact: bool
-    # Number of realizations, random numbers and threads of measured variances
+    # Number of realizations, random numbers and number of threads of measured variances
     realizations: int
     stream: Stream
     workers: int
@@ -389,7 +392,7 @@ class _Offsets:
         found = _Offsets(estimator, sampler, exact, realizations, stream, workers)
         try:
             if exact:
-                # At about half a side, edges at multiples of the side cut strata
+                # With an offset of about half a side, edges at multiples of the side cut strata
                 for probe, n in itertools.product((0.0, 0.4375), counts):
                     found.at([probe] * estimator.dims, n)
         except NoClosedForm:

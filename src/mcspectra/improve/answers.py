@@ -1,9 +1,9 @@
-"""The answer to "what should I use?": candidates, their results, and the advice that follows.
+"""The answer to "what should I use?": candidates, results of candidates, and advice.
 
-A *candidate* is a changed estimator or sampler. Its *result* compares its error at a budget of
-evaluations with the given set-up. An *answer* contains the best candidate, or the given set-up if
-no interval excludes it. `mcspectra.profile`, `mcspectra.remedies`, and studies of pixels and paths
-print an `Answer`.
+A *candidate* is a changed estimator or sampler. Its *result* compares its error
+at a budget of evaluations with the given set-up. An *answer* contains the best candidate,
+or the given set-up if no candidate has an interval that excludes equality.
+`mcspectra.profile`, `mcspectra.remedies`, and studies of pixels and paths print an `Answer`.
 """
 
 from __future__ import annotations
@@ -36,19 +36,20 @@ __all__ = [
 @final
 @dataclass(frozen=True)
 class AnswerSettings:
-    """Limits of the numbers in an answer."""
+    """Limits of numbers in an answer."""
 
-    # Largest number of evaluations that an answer contains: at 10^9 per second 10^15 take 11 days.
+    # Largest number of evaluations that an answer contains:
+    # 10^15 evaluations take 11 days at 10^9 per second.
     many: float = 1e15
-    # Least gain in variance at which an undecided change is mentioned: a smaller gain is not worth
-    # a larger budget.
+    # Least gain in variance at which an undecided change is mentioned:
+    # a smaller gain is not worth a larger budget.
     may_gain: float = 2.0
 
 
 _SETTINGS = AnswerSettings()
 
 Verdict = Literal["given", "better", "worse", "undecided"]
-"""Result of a comparison with the given set-up, by its interval."""
+"""Result of a comparison with the given set-up, as decided by the interval."""
 
 
 @final
@@ -61,22 +62,24 @@ class Candidate:
     kind
         One of `mcspectra.improve.candidates.KINDS`, or ``"given"``.
     name, change
-        A short label, unique among those compared, and an imperative that describes the change.
+        A short label, unique among the compared candidates,
+        and an imperative that describes the change.
     setup
         The estimator and the sampler after the change.
     biased
-        Whether it estimates another integral; its error is then relative to the given integral.
+        Whether the candidate estimates another integral;
+        the error is then relative to the given integral.
     pilot
-        Evaluations beyond the budget that found the change. A pilot within the budget is part of
-        the set-up (`Setup.overhead`).
+        Number of evaluations beyond the budget that found the change.
+        A pilot within the budget is part of the set-up (`Setup.overhead`).
     effort
         Cost of an evaluation relative to the given set-up, for paths of different lengths.
     ratio
-        Expected variance over that of the given estimator at equal cost, NaN if it is not known.
+        Expected variance divided by that of the given estimator at equal cost, NaN if unknown.
     finite_below
-        Upper limit of a for a finite variance, if g grows as t^−a at the border.
+        Upper limit of the exponent a for a finite variance, if g grows as t^−a at the border.
     note
-        A sentence that follows the reason.
+        A sentence to append to the reason.
     """
 
     kind: str
@@ -92,7 +95,7 @@ class Candidate:
 
     @property
     def key(self) -> str:
-        """Text that is equal for changes that make the same set-up."""
+        """Text that is equal for two changes with the same resulting set-up."""
         specs = f"{self.setup.estimator.spec} with {self.setup.sampler.spec}"
         return specs if self.setup.at_count is None else f"{specs}, {self.name}"
 
@@ -100,7 +103,7 @@ class Candidate:
 @final
 @dataclass(frozen=True)
 class CandidateResult:
-    """The error of a candidate at a budget, and its ratio to the given set-up.
+    """The error of a candidate at a budget, and the ratio of variances to the given set-up.
 
     Attributes
     ----------
@@ -111,19 +114,21 @@ class CandidateResult:
     n
         Number of points of an estimate at the budget.
     rmse, rmse_ci
-        Root mean square error of an estimate, and its 95 % interval. The interval includes the
-        error of the rate beyond the measured counts. NaN if the size cannot be determined.
+        Root mean square error of an estimate, and its 95 % interval.
+        The interval includes the error of the rate beyond the measured counts.
+        All are NaN if the error cannot be determined.
     gain, gain_ci
-        Ratio of the variances before and after the change, and its interval. The intervals of all
-        candidates are simultaneous, at 95 %.
+        Ratio of the variances before and after the change, and the interval of this ratio.
+        The intervals of all candidates are simultaneous, at 95 %.
     rate, rate_ci
         Slope of log variance against log n.
     needed, needed_ci
-        Evaluations with which the given set-up has this RMSE, and their interval.
+        Number of evaluations with which the given set-up has this RMSE,
+        and the interval of this number.
     verdict
-        The result by the interval of the gain.
+        The result of the comparison, as decided by the interval of the gain.
     setup
-        The estimator and the sampler; None for draws, and in stored results.
+        The estimator and the sampler; None in comparisons of draws and in stored results.
     """
 
     name: str
@@ -172,9 +177,9 @@ class Answer:
     Attributes
     ----------
     budget
-        Evaluations of the integrand in an estimate.
+        Number of evaluations of the integrand in an estimate.
     given
-        The set-up that all candidates are compared with.
+        The given set-up, with which all candidates are compared.
     best
         The first result that is better than the given set-up, or `given`.
     runner_up
@@ -184,7 +189,7 @@ class Answer:
     results
         Results of all compared candidates, the given set-up first.
     tried, not_tried
-        Names of the tested candidates, and of other candidates with the reason.
+        Names of the tested candidates; names of untested candidates, with reasons.
     instead
         A sentence that replaces the advice.
     why
@@ -204,9 +209,9 @@ class Answer:
 
     @staticmethod
     def of(budget: int, results: Sequence[CandidateResult], **said: Any) -> Answer:
-        """Make the answer from results: the given set-up, then others, the preferred ones first.
+        """Make the answer from results: first the given set-up, then others by preference.
 
-        `said` are other attributes.
+        `said` are further attributes of the answer.
         """
         given, *others = results
         better = [result for result in others if result.verdict == "better"]
@@ -226,7 +231,7 @@ class Answer:
 
     @property
     def changes(self) -> bool:
-        """Whether a change is better than the given set-up."""
+        """Whether some change is better than the given set-up."""
         return self.best is not self.given
 
     @property
@@ -282,7 +287,7 @@ class Answer:
         return f"{text}."
 
     def _perhaps(self) -> str:
-        """Mention the change that may be better, if there is one."""
+        """Mention an undecided change that may be better, if there is one."""
         other = self.runner_up
         if other is None or other.verdict != "undecided":
             return ""
@@ -320,7 +325,7 @@ def simultaneous_z(comparisons: int) -> float:
 
 
 def rounded(value: float) -> str:
-    """Format with two digits, in millions and larger units for large numbers of evaluations."""
+    """Format a number of evaluations with two digits, in millions or larger units."""
     for size, name in ((1e12, " trillion"), (1e9, " billion"), (1e6, " million"), (10.0, "")):
         if size <= value < _SETTINGS.many:
             scale = 1.0 if size < 1e6 else size
@@ -329,7 +334,7 @@ def rounded(value: float) -> str:
 
 
 def _between(ends: tuple[float, float]) -> str:
-    """Format an interval in parentheses; empty if it has no width or infinite ends."""
+    """Format an interval in parentheses; return "" if the width is zero or infinite."""
     low, high = ends
     if math.isinf(high) and 0.0 < low < math.inf:
         return f" ({rounded(low)} or more)"

@@ -1,9 +1,9 @@
-"""Assessment of candidates: errors at several costs on common random numbers, and their results.
+"""Assessment of candidates: errors at several costs with common random numbers, and verdicts.
 
-Candidates are compared with the given set-up realization by realization, by influences
-(docs/theory.md, "Intervals of variances, and stopping"). If all estimates are equal, either the
-estimator has no variance, or no estimate has hit a rare event. If equal estimates differ from the
-integral, their error is unknown (NaN), not 0.
+Candidates are compared with the given set-up realization by realization,
+by influence functions (docs/theory.md, "Intervals of variances, and stopping"). If all estimates
+are equal, either the estimator has no variance, or a rare event occurs in no estimate.
+If equal estimates differ from the integral, the error is unknown (NaN), not 0.
 """
 
 from __future__ import annotations
@@ -43,13 +43,13 @@ __all__ = [
 class AssessSettings:
     """Settings of the comparison of candidates."""
 
-    # Weight, in realizations, of the prior that estimates are normal, so that Var(ψ) = 2. It is
-    # used in the fit of rates, not in
-    # comparisons. At 100 realizations it reduces the scatter of standard errors of normal estimates
-    # from 12 to 10 %; intervals cover 93 to 95 % for any prior from 0 to 40.
+    # Weight, in realizations, of the prior that estimates are normal, so that Var(ψ) = 2.
+    # The prior is used in fits of rates, not in comparisons. At 100 realizations
+    # the prior reduces the scatter of standard errors of normal estimates from 12 to 10 %;
+    # intervals contain the truth in 93 to 95 % of cases for any weight from 0 to 40.
     prior: int = 20
-    # Standard errors of the mean of the given set-up within which estimates that are all equal are
-    # taken to be exact: a normal mean is beyond 4 with probability 6e-5.
+    # Number of standard errors of the given set-up's mean. Equal estimates that are closer
+    # to this mean count as exact: a normal mean is beyond 4 standard errors with probability 6e-5.
     sigmas: float = 4.0
 
 
@@ -63,11 +63,12 @@ class Errors:
     cost: Array  # evaluations of the integrand in an estimate, (N,)
     error: Array  # mean squared error v, summed over channels, (N,)
     mean: Array  # mean estimate, (N, C)
-    bias: Array  # mean estimate minus the integral, (N, C), NaN if that is not known
+    bias: Array  # mean estimate minus the integral, (N, C), NaN if the integral is not known
     influence: Array  # ψ, (N, R)
-    noise: Array  # v below which the estimates differ by rounding only, (N,)
+    noise: Array  # Value of v below which the estimates differ by rounding only, (N,)
     blind: Array  # Whether the estimates are all equal, but differ from the integral, (N,)
-    # Evaluations before the first point; the rate excludes them, because they do not grow
+    # Number of evaluations before the first point.
+    # The rate excludes these evaluations, because their number does not grow
     overhead: int = 0
 
     @staticmethod
@@ -80,12 +81,12 @@ class Errors:
         tolerance: float = 1e-9,
         overhead: int = 0,
     ) -> Errors:
-        """Compute errors of estimates (R, C), one array for each cost, of the integral (C,).
+        """Compute errors of estimates (R, C) of the integral (C,), with one array for each cost.
 
         Errors are relative to the integral if `biased`, else to the mean of the estimates.
         `tolerance` is the relative tolerance of the integral.
         """
-        # Compute mean squared errors and influences (R,), relative to the integral or the mean
+        # Compute mean squared errors about the integral or the mean, and influences (R,)
         parts = []
         for values in estimates:
             count = len(values)
@@ -118,7 +119,7 @@ class Errors:
     def checked(self, reference: Errors) -> Errors:
         """Set the variance to 0 where equal estimates agree with the mean of the reference.
 
-        This is for an unknown integral; the mean of the reference has a standard error.
+        Used for an unknown integral; the mean of the reference has a standard error.
         """
         if not np.isnan(self.bias).any() or reference.blind[-1]:
             return self
@@ -134,14 +135,14 @@ class Errors:
 
     @property
     def relative_se(self) -> Array:
-        """Standard error of v relative to it, (N,)."""
+        """Relative standard error of v, (N,)."""
         return np.array([_standard_error(psi) for psi in self.influence])
 
     def rate(self) -> tuple[float, Array]:
-        """Fit the slope of log v against log cost without overhead, and its influences (R,).
+        """Fit the slope of log v against log cost without overhead; also return influences (R,).
 
-        The fit is by weighted least squares as in `mcspectra.core.fits`; NaN for fewer than two
-        errors.
+        The fit uses weighted least squares as in `mcspectra.core.fits`;
+        NaN for fewer than two errors.
         """
         used = self.used
         if used.sum() < 2:
@@ -153,14 +154,14 @@ class Errors:
         return float((slope * y).sum()), weighted_sum(slope, self.influence[used])
 
     def fit(self) -> RateFit:
-        """Fit the rate with its interval and lack of fit; see `mcspectra.convergence`."""
+        """Fit the rate, its interval and the lack of fit; see `mcspectra.convergence`."""
         return fit_rate(self.cost - self.overhead, self.error, self.relative_se, self.noise)
 
     def at(self, budget: float, *, carry: bool = True) -> tuple[float, Array]:
-        """Return log v at a cost of `budget` and its influences (R,), extrapolated along the rate.
+        """Return log v at a cost of `budget` and influences (R,), extrapolated along the rate.
 
-        After a pilot the last error is not extrapolated, because nets often have half the points
-        that would fit into the budget.
+        After a pilot the last error is not extrapolated,
+        because nets often have only half of the points that the budget allows.
         """
         last = len(self.cost) - 1
         if not self.used[last]:
@@ -178,27 +179,28 @@ class Errors:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Ratio of the variances of two set-ups at a budget, and the difference of their rates."""
+    """Ratio of the variances of two set-ups at a budget, and difference of the rates."""
 
     # log(v/v_reference) and its standard error
     log_ratio: float
     log_ratio_se: float
-    # Difference of the rate and the reference's rate, and its standard error; NaN if a rate is NaN
+    # Rate minus the rate of the reference, and the standard error; NaN if a rate is NaN
     rate_difference: float
     rate_difference_se: float
 
 
 def compare(errors: Errors, reference: Errors, budget: float, pilot: int = 0) -> Comparison:
-    """Compare two set-ups with the same number of realizations on the same random numbers.
+    """Compare two set-ups with the same number of realizations and the same random numbers.
 
-    The budget of the reference includes `pilot` evaluations that the other set-up took beyond it.
+    The budget of the reference includes `pilot` evaluations that the other set-up took
+    beyond the budget.
     """
     carry = not errors.overhead and not reference.overhead
     own, own_influence = errors.at(budget, carry=carry)
     other, other_influence = reference.at(budget + pilot, carry=carry)
     rate, slope = errors.rate()
     other_rate, other_slope = reference.rate()
-    # Widen the error of the slope if the curves do not follow a line within their scatter
+    # Increase the error of the slope if the curves do not follow a line within their scatter
     points = ((e, int(e.used.sum()) - 2) for e in (errors, reference))
     bend = max(widening(free, e.fit().chi2) if free > 0 else 1.0 for e, free in points)
     return Comparison(
@@ -226,7 +228,7 @@ def estimates_of(
 
 
 def _standard_error(influence: Array, prior: int = _SETTINGS.prior) -> float:
-    """Return the root mean square over √R, with a prior of normal estimates for few values."""
+    """Return the root mean square over √R, with a prior of normal estimates."""
     count = len(influence)
     square = (np.square(influence).sum() + 2.0 * prior) / (count + prior)
     return math.sqrt(square / count)
@@ -244,12 +246,12 @@ class MeasuredCandidate:
     specs
         The estimator and the sampler, as texts.
     n
-        Number of points at the largest cost.
+        Number of points at the largest number of evaluations.
     errors
         Errors at several costs.
     infinite_weights, jumps
-        For changed warps: whether weights are infinite, and whether there are jumps inside, None if
-        that is not known.
+        For changed warps: whether weights are infinite, and whether g jumps inside the cube;
+        None if not known.
     """
 
     kind: str
@@ -290,22 +292,22 @@ class MeasuredCandidate:
 @final
 @dataclass(frozen=True)
 class Assessed:
-    """A candidate with its result, and the difference of its rate.
+    """A candidate with its result, and the difference between its rate and the given rate.
 
     Attributes
     ----------
     measured
         The candidate with its errors at several costs.
     result
-        Its result at the budget.
+        The result of the candidate at the budget.
     error, error_ci
-        Variance or mean squared error at the budget, and its 95 % interval.
+        Variance or mean squared error at the budget, and the 95 % interval.
     ratio, ratio_ci
-        Ratio of the error to that of the given set-up, and its interval.
+        Ratio of the error to the error of the given set-up, and the interval of this ratio.
     rate_difference, rate_difference_ci
-        Rate minus the rate of the given set-up, and its interval.
+        Rate minus the rate of the given set-up, and the interval of this difference.
     rate_verdict
-        The result by this interval.
+        The verdict about the rate, as decided by the interval of the difference.
     """
 
     measured: MeasuredCandidate
@@ -325,14 +327,14 @@ class Assessed:
 
 
 def assessed(measured: Sequence[MeasuredCandidate], budget: int) -> list[Assessed]:
-    """Compare all candidates with the first, the given set-up, with simultaneous 95 % intervals."""
-    # One comparison of errors and one of rates for each change
+    """Compare all candidates with the first, the given set-up, by simultaneous 95 % intervals."""
+    # Each change has one comparison of errors and one of rates
     z = simultaneous_z(2 * (len(measured) - 1))
     reference = measured[0].errors
     slope = reference.rate()[0]
 
     def needed(log_ratio: float) -> float:
-        """Return evaluations with which the given set-up has the error after the change."""
+        """Return the evaluations with which the given set-up reaches the error of the change."""
         if not slope < 0.0 or math.isnan(log_ratio):
             return math.nan
         return budget * math.exp(min(log_ratio / slope, 700.0))

@@ -1,8 +1,8 @@
 """Candidates: set-ups of an estimator and a sampler that differ from the given one in one respect.
 
-A *kind* of change is a function that takes the given set-up and yields candidates, each with an
-imperative that describes the change. A kind without candidates raises an error with the reason.
-`candidates_of` runs the kinds.
+A *kind* of change is a function that takes the given set-up and yields candidates.
+Each candidate has an imperative that describes the change.
+A kind without candidates raises an error with the reason. `candidates_of` runs the kinds.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ __all__ = [
     "candidates_of",
 ]
 
-# Stream label of pilots; the labels 0 and 1 are of the searches for a width and for an offset
+# Stream label of pilots; searches for a width and for an offset have the labels 0 and 1
 _PILOTS = 2
 # Kinds that change the estimator inside a mirrored estimator, which is mirrored again afterwards
 _INSIDE = frozenset(
@@ -61,9 +61,9 @@ _INSIDE = frozenset(
 @final
 @dataclass(frozen=True)
 class CandidateSettings:
-    """Settings of the changes that are tried."""
+    """Settings of the tried changes."""
 
-    # Samplers of the kind ``sampler``: the usual choice of each family in the package
+    # Samplers of the kind ``sampler``: the usual sampler of each family in the package
     samplers: tuple[str, ...] = (
         "random",
         "jittered",
@@ -75,31 +75,32 @@ class CandidateSettings:
         "rank1-lattice | shift | mirror(mode='fold')",
         "sobol | owen",
     )
-    # Most dims in which strata are aligned with edges. A search for an offset takes 96 variances in
-    # 2-D, 112 in 3-D and 320 in 4-D. In 3-D, 64 points have four strata along each axis.
+    # Maximum number of dims in which strata are aligned with edges.
+    # A search for an offset computes 96 variances in 2-D, 112 in 3-D and 320 in 4-D.
+    # In 3-D, 64 points have four strata along each axis.
     most_aligned_dims: int = 2
-    # Most dims in which cubic stratification is tried. Order 4 needs at least 4^d cells, 256 in
-    # 4-D, and its rate n^(−1 − 8/d) gains little over nets there.
+    # Maximum number of dims in which cubic stratification is tried. Order 4 needs
+    # at least 4^d cells, 256 in 4-D, where its rate n^(−1 − 8/d) gains little over nets.
     most_cubic_dims: int = 3
-    # Largest number of dims in which edges are smoothed by means over boxes. In more dims a mean
-    # takes more evaluations; smoothing by
-    # the distance takes one evaluation in any dims.
+    # Maximum number of dims in which edges are smoothed by means over boxes. In more dims a mean
+    # takes more evaluations. Smoothing by the distance takes one evaluation for any number of dims.
     most_boxed_dims: int = 2
-    # Divisor of the budget that gives the evaluations of a pilot. An eighth allows estimates at the
-    # two largest budgets of `mcspectra.remedies`, B/4 and B, so a rate can be fitted.
+    # Divisor of the budget that gives the evaluations of a pilot. An eighth allows estimates
+    # at the two largest budgets of `mcspectra.remedies`, B/4 and B, so a rate can be fitted.
     pilot_divisor: int = 8
-    # Least number of points of a pilot. Each half of 32 determines 8 coefficients at 4 evaluations
-    # each, as required by `ChangeSettings.evaluations_per_term`.
+    # Least number of points of a pilot. Each half of 32 points determines 8 coefficients
+    # with 4 evaluations for each, as required by `ChangeSettings.evaluations_per_term`.
     least_pilot: int = 64
-    # Most points of a pilot. Regressions on 2048, 4096 and 8192 evaluations leave 1.08, 0.93 and
-    # 0.89 % of the variance of an Asian option in 16-D, and fitted densities differ by 3 %
-    # (`benchmarks improvements`).
+    # Maximum number of points of a pilot.
+    # Regressions on 2048, 4096 and 8192 evaluations leave 1.08, 0.93 and 0.89 % of the variance
+    # of an Asian option in 16-D, and fitted densities differ by 3 % (`benchmarks improvements`).
     most_pilot: int = 4096
     # Widths of smoothed edges that are scanned, in units of the domain: octaves from 2^-10 to 1/4.
     # A wider edge covers most of the domain; a narrower edge is a jump at the budgets in use.
     widths: tuple[float, ...] = tuple(2.0**-k for k in range(10, 1, -1))
-    # Most realizations of each variance in the scans for a width and an offset. The relative
-    # standard error √(2/300) = 8 % is small compared with the factor between neighboring widths.
+    # Maximum number of realizations for each variance in scans for a width and an offset.
+    # The relative standard error √(2/300) = 8 % is small compared
+    # with the factor between neighboring widths.
     scan_realizations: int = 300
 
 
@@ -112,14 +113,14 @@ class Budget:
 
     evaluations: int  # evaluations of the integrand in one estimate
     realizations: int  # number of estimates of each measurement
-    stream: Stream  # the search's own random numbers: the chosen change is measured again on others
+    stream: Stream  # random numbers of the search, not reused afterwards
     settings: CandidateSettings = _SETTINGS
-    # Evaluations of g at uniform points that exist already; otherwise fits take a pilot
+    # Existing evaluations of g at uniform points; without these, fits take a pilot
     seen: Evaluations | None = None
 
 
 _Candidates: TypeAlias = Iterator[Candidate | str]
-"""Candidates, and sentences with the reason why another change cannot be made or has no effect."""
+"""Candidates, and sentences why other changes are impossible or have no effect."""
 
 Kind: TypeAlias = Literal[
     "unshifted",
@@ -142,10 +143,10 @@ Kind: TypeAlias = Literal[
 
 
 def candidates_of(given: Setup, kinds: Sequence[Kind], budget: Budget) -> _Candidates:
-    """Yield the candidates of the given kinds in order, each once, and ``name: reason`` of others.
+    """Yield each candidate of the given kinds once, and ``name: reason`` of other changes.
 
-    If a kind raises an error, the error is the reason. A change of the estimator inside a mirrored
-    estimator is mirrored again.
+    If a kind raises an error, the error is the reason.
+    A change of the estimator inside a mirrored estimator is mirrored again.
     """
     seen = {Candidate("given", "given", "", given).key}
     for kind in kinds:
@@ -162,7 +163,7 @@ def candidates_of(given: Setup, kinds: Sequence[Kind], budget: Budget) -> _Candi
                     if outer is not None:
                         setup = replace(setup, estimator=Mirrored(setup.estimator, outer.mode))
                         made = replace(found, setup=setup)
-                    # This raises an error if there are no such points
+                    # Raises an error if there are no such points
                     setup.estimator.randomized(setup.sampler)
                 except McspectraError as error:
                     yield f"{made.name}: {error}"
@@ -195,7 +196,7 @@ def _candidate(
 
 
 def leave_shift_out(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
-    """Offer the sampler without its shift."""
+    """Yield the sampler without its shift."""
     plain = _without_shift(given.sampler)
     if plain is None:
         raise ParameterError(f"{given.sampler.spec} has no shift to leave out.")
@@ -205,7 +206,7 @@ def leave_shift_out(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG00
 
 
 def _without_shift(sampler: Sampler) -> Sampler | None:
-    """Return the sampler without its shifts, or None if it has none."""
+    """Return the sampler without its shifts, or None if it has no shift."""
     plain, steps = sampler.plain, sampler.randomizations
     if not any(isinstance(step, Shift) for step in steps):
         return None
@@ -215,7 +216,7 @@ def _without_shift(sampler: Sampler) -> Sampler | None:
 
 
 def align_strata(given: Setup, budget: Budget) -> _Candidates:
-    """Offer strata with borders at known edges, and the best offset of strata at the budget."""
+    """Yield strata with borders at known edges, and the best offset of strata at the budget."""
     plain = _without_shift(given.sampler) or given.sampler
     law = plain.law(plain.nearest_count(2**plain.dims))
     stratified = isinstance(law, Strata | PairedAxes)
@@ -231,7 +232,7 @@ def align_strata(given: Setup, budget: Budget) -> _Candidates:
         if len(given.estimator.counts) > 1 or not any(edges) or not jittered:
             raise ParameterError("No edges along the axes are known.")
         at = partial(aligned, given.estimator, edges if plain.dims > 1 else edges[0])
-        at(2**plain.dims)  # raises an error if the estimator cannot be aligned
+        at(2**plain.dims)  # Raises an error if the estimator cannot be aligned
         return replace(given, sampler=plain, at_count=at)
 
     change = "bend the strata so that their borders are at the edges"
@@ -266,7 +267,7 @@ def align_strata(given: Setup, budget: Budget) -> _Candidates:
 
 
 def mirror(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
-    """Offer all ways of mirroring."""
+    """Yield all ways of mirroring."""
     if isinstance(given.estimator, Mirrored):
         raise ParameterError(f"{given.estimator.spec} is mirrored already.")
     changes = {
@@ -280,7 +281,7 @@ def mirror(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
 
 
 def change_sampler(given: Setup, budget: Budget) -> _Candidates:
-    """Offer samplers of all families, and those that come with the renderer of g."""
+    """Yield samplers of all families, and samplers of the renderer of g."""
     stock = getattr(getattr(given.estimator, "integrand", None), "stock_samplers", ())
     for spec in (*budget.settings.samplers, *stock):
         make = partial(make_sampler, spec, given.estimator.dims)
@@ -288,7 +289,7 @@ def change_sampler(given: Setup, budget: Budget) -> _Candidates:
 
 
 def change_heuristic(given: Setup, budget: Budget) -> _Candidates:
-    """Offer other heuristics for the techniques."""
+    """Yield other heuristics for the weights of the techniques."""
     estimator = given.estimator
     if not isinstance(estimator, Weighted):
         raise ParameterError(f"{estimator.spec} has no heuristic: it is not weighted.")
@@ -306,7 +307,7 @@ def change_heuristic(given: Setup, budget: Budget) -> _Candidates:
 
 
 def single_techniques(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
-    """Offer each technique alone."""
+    """Yield each technique alone."""
     estimator = given.estimator
     if not isinstance(estimator, Weighted) or len(estimator.counts) < 2:
         raise ParameterError(f"{estimator.spec} has one technique only.")
@@ -316,7 +317,7 @@ def single_techniques(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG
 
 
 def compensate(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
-    """Offer tables without the part that the other techniques sample ([Karlik2019]_)."""
+    """Yield tables without the part that the other techniques sample ([Karlik2019]_)."""
     estimator = given.estimator
     if not isinstance(estimator, MultipleImportance) or len(estimator.densities) < 2:
         raise ParameterError(f"{estimator.spec} has no table alongside other techniques.")
@@ -348,14 +349,14 @@ def compensate(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
 
 
 def change_warp(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
-    """Offer the same density by other warps, other densities, and the uniform density."""
+    """Yield the same density with other warps, other densities, and the uniform density."""
     estimator = given.estimator
     density = estimator.density if isinstance(estimator, Estimator) else None
     if not isinstance(estimator, Estimator) or density is None:
         raise ParameterError(f"{estimator.spec} has no single density to replace.")
 
-    # List the same pdf by other warps, a pdf without jumps, and a pdf that is bounded from below
-    plain: Any = density  # only some densities have the parameters that are read below
+    # List the same pdf with other warps, a pdf without jumps, and a pdf that is bounded from below
+    plain: Any = density  # Only some densities have the parameters that are read below
     others = [dataclasses.replace(plain, warp=w) for w in density.warps if w != plain.warp]
     if isinstance(density, EnvironmentDensity) and density.interpolation == "constant":
         others.append(dataclasses.replace(density, interpolation="bilinear", warp="marginal"))
@@ -373,7 +374,7 @@ def change_warp(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
 
 
 def smooth_edges(given: Setup, budget: Budget) -> _Candidates:
-    """Offer the width with the least error at the budget, by a scan with own random numbers."""
+    """Yield the width of smoothed edges with the least error at the budget, from a scan."""
     estimator = given.estimator
     n = affordable_count(given, budget.evaluations)
     if not isinstance(estimator, Estimator) or n is None:
@@ -397,14 +398,14 @@ def smooth_edges(given: Setup, budget: Budget) -> _Candidates:
     )
     width = float(scan["best_width"].values[0])
     f = smoothed(estimator.integrand, width, method=method)
-    biased = not isinstance(f, BoxSmoothed)  # means over boxes keep the integral
+    biased = not isinstance(f, BoxSmoothed)  # Means over boxes keep the integral
     change = f"smooth the edges of f over a width of {width:.3g}"
     make = partial(Estimator, f, estimator.density)
     yield _candidate(given, "smoothed", f"smoothed by {width:.3g}", change, make, biased=biased)
 
 
 def separate_channels(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
-    """Offer densities for each channel."""
+    """Yield densities for each channel."""
     estimator = given.estimator
     density: Any = estimator.density if isinstance(estimator, Estimator) else None
     parameters = set() if density is None else {f.name for f in dataclasses.fields(density)}
@@ -426,7 +427,7 @@ def separate_channels(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG
 
 
 def improve(kind: Kind, given: Setup, budget: Budget) -> _Candidates:
-    """Offer the changes of g that evaluations suggest: known ones, or a pilot in the budget."""
+    """Yield the changes of g that existing evaluations, or those of a pilot, suggest."""
     seen, charged = budget.seen, 0
     if seen is None:
         settings, each = budget.settings, given.estimator.evaluations_per_point
@@ -456,7 +457,7 @@ def improve(kind: Kind, given: Setup, budget: Budget) -> _Candidates:
 
 
 def stratify_cubes(given: Setup, budget: Budget) -> _Candidates:
-    """Offer cubic stratification ([Chopin2024]_) of orders 3 and 4.
+    """Yield cubic stratification ([Chopin2024]_) of orders 3 and 4.
 
     Orders 1 and 2 are samplers: ``jittered`` and ``antithetic-jittered``.
     """
@@ -493,4 +494,4 @@ KINDS: Mapping[Kind, Callable[[Setup, Budget], _Candidates]] = {
     "cubic": stratify_cubes,
     "sampler": change_sampler,
 }
-"""Kinds of change, with the functions that offer the changes."""
+"""Kinds of change, with the functions that yield the changes."""

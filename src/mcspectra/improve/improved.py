@@ -1,19 +1,20 @@
-"""Estimators changed after evaluations of g: densities, control variates, rotations, smoothing.
+"""Changes of estimators by evaluations of g: densities, control variates, rotations, smoothing.
 
-All changes apply to the primary-space integrand g on the unit cube, so that they work for any
-estimator of one technique. They keep the integral for any evaluations of g:
+All changes apply to the primary-space integrand g on the unit cube, so that they work
+for any estimator of one technique. The integral is the same for any evaluations of g:
 
-* *fitted*: g(T(u))/q(T(u)), u uniform. The density q consists of splines
-  (`mcspectra.improve.learned`), or is a normal density of z = Φ⁻¹(u), moved and stretched to the
-  moments of |g|;
-* *order*: the same with an orthogonal matrix, whose q is 1. The directions of z along which g
-  varies most come first ([Liu2023]_), since the first coordinates of nets are the best;
+* *fitted*: g(T(u))/q(T(u)), u uniform.
+  The density q consists of splines (`mcspectra.improve.learned`),
+  or is a normal density of z = Φ⁻¹(u), moved and stretched to the moments of |g|;
+* *order*: the same with an orthogonal matrix, for which q is 1. The directions of z along
+  which g varies most come first ([Liu2023]_), since the first coordinates of nets are the best;
 * *regression*: g minus polynomials of mean 0 that are fitted to it;
-* *preintegrated*: means along the first direction, over both sides of the point where g jumps or
-  leaves 0, and over a bracket of this point. The bracket depends on the other coordinates only, so
-  that the sum of means over the parts, each of one or two points, has the expectation of g.
+* *preintegrated*: means along the first direction, over both sides of the point where g jumps
+  or leaves 0, and over a bracket of this point. The bracket depends on the other coordinates only,
+  so that the sum of means over the parts, each of one or two points, has the expectation of g.
 
-`Cubic` needs no pilot: it is g minus polynomials through its values at the centers of cells.
+`Cubic` needs no pilot: the estimator uses g minus polynomials through the values of g
+at the centers of cells.
 
 The expected gain of a change is computed from evaluations that were not used in its fit.
 """
@@ -55,33 +56,35 @@ __all__ = [
 class ChangeSettings:
     """Settings of changed estimators, and of the densities that are fitted to g."""
 
-    # Rounds of a pilot whose points follow g. In problems of `benchmarks improvements`, two rounds
-    # leave several times the variance of a narrow peak in 3-D, and eight rounds are no better.
+    # Number of rounds of a pilot whose points follow g. In problems of `benchmarks improvements`,
+    # two rounds leave several times the variance of a narrow peak in 3-D,
+    # and eight rounds are no better.
     rounds: int = 4
-    # Candidates of `fit_splines` (cells of each axis, parts or 0 for a flow, smoothness), joint
-    # ones and products. The first of all candidates also places the points of the rounds. Without
-    # the flow the variance of a ridge across two axes is 17 times as large; without the finer
-    # product a narrow peak is followed less well. Without the mixture the results were the same.
+    # Candidates of `fit_splines` for joint densities and for products. Each has three numbers:
+    # cells of each axis; parts of a mixture, or 0 for a flow; weight of the smoothness.
+    # The first of all candidates also places the points of the rounds. Without the flow
+    # the variance of a ridge across two axes is 17 times as large. Without the finer product
+    # the density follows a narrow peak less well. Without the mixture the results were the same.
     joint: tuple[tuple[int, int, float], ...] = ((16, 0, 1e-4), (12, 4, 1e-3))
     products: tuple[tuple[int, int, float], ...] = ((12, 1, 1e-3), (24, 1, 1e-4))
-    # Most dims in which joint densities are tried. A flow of d axes has about 36 d² weights at 16
-    # cells: 800 in 5-D, which is a fifth of the evaluations of the largest pilot.
+    # Maximum number of dims in which joint densities are tried. A flow of d axes has about 36 d²
+    # weights with 16 cells: 800 weights in 5-D, a fifth of the evaluations of the largest pilot.
     most_joint_dims: int = 5
-    # Share of the uniform density in a fitted density, which bounds g/q by 20 |g|. It is paid for
-    # where g is small: with 0.025, 0.05 and 0.1, 0.6, 1.1 and 2.2 % of the variance of a ridge
-    # remain.
+    # Share of the uniform density in a fitted density, which bounds g/q by 20 |g|. This share adds
+    # variance: with 0.025, 0.05 and 0.1, 0.6, 1.1 and 2.2 % of the variance of a ridge remain.
     defensive: float = 0.05
-    # Least variance of a fitted normal density along any direction. A density with less than the
-    # variance 1 of z vanishes at the border of the cube, where g/q then grows without bound.
+    # Least variance of a fitted normal density along any direction.
+    # A density whose variance is less than 1, the variance of z,
+    # vanishes at the border of the cube, where g/q then grows without bound.
     least_spread: float = 1.0
     # Settings of the fits of splines
     splines: LearnSettings = field(default_factory=LearnSettings)
-    # Largest expected share of the variance, before cost, at which a change is offered. The share
-    # is estimated from the pilot, with a relative standard error of √(2/64) = 18 % for the smallest
-    # one, so that changes above 0.8 may be worse.
+    # Largest expected share of the variance, before cost, at which a change is offered.
+    # The share is estimated from the pilot, with a relative standard error of √(2/64) = 18 %
+    # for the smallest pilot, so that changes with a larger share may be worse.
     most_left: float = 0.8
-    # Points that are evaluated at once: a table of 256 polynomials then takes 32 MB. Results do not
-    # depend on it.
+    # Number of points that are evaluated at once: a table of 256 polynomials then takes 32 MB.
+    # Results do not depend on this number.
     block: int = 2**14
 
 
@@ -90,18 +93,19 @@ class ChangeSettings:
 class RegressionSettings:
     """Settings of regressions of g on polynomials."""
 
-    # Evaluations for each coefficient. A fit of p coefficients to k evaluations increases the
-    # variance that it leaves by the factor 1 + p/k, here at most 1.25. Results of four problems of
-    # `benchmarks improvements` are the same for 2 and 8.
+    # Least number of evaluations for each coefficient. A fit of p coefficients
+    # to k evaluations increases the remaining variance by the factor 1 + p/k, here at most 1.25.
+    # Results of four problems of `benchmarks improvements` are the same for 2 and 8.
     evaluations_per_term: int = 4
-    # Ridge that is added to the normal equations, relative to the mean squares of the basis, which
-    # are 1. Results are the same to three digits from 1e-12 to 1e-4.
+    # Regularization that is added to the diagonal of the normal equations, relative to the mean
+    # squares of the basis, which are 1. Results are the same to three digits from 1e-12 to 1e-4.
     ridge: float = 1e-9
-    # Most terms of a basis, which bounds the cost of each evaluation of the control variate.
-    # Results are the same for 128 and 512.
+    # Maximum number of terms of a basis, which bounds the cost of each evaluation
+    # of the control variate. Results are the same for 128 and 512.
     most_terms: int = 256
-    # Candidates of degrees: of each coordinate alone, and of products of two coordinates in all.
-    # They range from a plane to products of degree 8; evaluations that were not fitted choose one.
+    # Candidate degrees of polynomials: the degree in each coordinate alone, and the total degree
+    # of products of two coordinates. Candidates range from a plane to products of degree 8.
+    # Evaluations that were not fitted choose one candidate.
     degrees: tuple[tuple[int, int], ...] = (
         (1, 0),
         (2, 2),
@@ -116,8 +120,8 @@ class RegressionSettings:
     # that few evaluations reach: half of E z⁸ comes from |z| > 2.9, a region of probability 0.004.
     most_normal_degree: int = 3
     # Number of first directions of z that also have bases of their own, which may have more terms.
-    # With one direction a ridge is left with 1.6 times the variance; with four an Asian option in
-    # 16-D with 1.1 times.
+    # With one direction, the remaining variance of a ridge is 1.6 times as large;
+    # with four directions, the remaining variance of an Asian option in 16-D is 1.1 times as large.
     turned: int = 2
 
 
@@ -135,7 +139,7 @@ class Evaluations:
     points, values
         Points (k, d) in the unit cube, and values (k, channels or 1).
     pdf
-        Density of the points, (k,); 1 for uniform points and for scrambled nets.
+        Density of the points, (k,); the density is 1 for uniform points and for scrambled nets.
     """
 
     points: Array
@@ -148,12 +152,12 @@ class Evaluations:
         return Evaluations(points, values.reshape(len(points), -1), np.ones(len(points)))
 
     def part(self, which: Array) -> Evaluations:
-        """Return some of the evaluations."""
+        """Return selected evaluations."""
         return Evaluations(self.points[which], self.values[which], self.pdf[which])
 
     @cached_property
     def halves(self) -> tuple[Evaluations, Evaluations]:
-        """Every second evaluation, and the others, so neighbors are in both halves."""
+        """Two halves: every second evaluation, and all others, so neighbors are in both halves."""
         odd = np.arange(len(self.points)) % 2 == 1
         return self.part(odd), self.part(~odd)
 
@@ -163,12 +167,12 @@ class Evaluations:
         return _quantiles(self.points)
 
     def turned(self, matrix: Array) -> Evaluations:
-        """Return the same values at the points that a rotation maps to these points."""
+        """Return the same values at points that a rotation maps to the present points."""
         return replace(self, points=_Normal(matrix.T).sample(self.points))
 
     @cached_property
     def directions(self) -> Array:
-        """Orthonormal directions of z (columns), sorted by the variation of g, largest first."""
+        """Return orthonormal directions of z (columns), with the largest variation of g first."""
         d = self.points.shape[1]
         basis = _Basis.of(d, True, 2, 2).cut(len(self.points))
         slopes = np.zeros((d, d))
@@ -200,8 +204,8 @@ class Evaluations:
     def variance(self, pdf: Array | None = None) -> float:
         """Return the variance of g/q at points of density q, by default the uniform density.
 
-        It is a mean of squares about a ratio of means, so that nothing cancels if g/q is almost
-        constant.
+        The variance is a mean of squares about a ratio of means,
+        so that nothing cancels if g/q is almost constant.
         """
         q = np.ones(len(self.pdf)) if pdf is None else pdf
         weight, values = q / self.pdf, self.values / q[:, None]
@@ -211,7 +215,7 @@ class Evaluations:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Changed(Derived):
-    """A changed g with the same integral."""
+    """A changed integrand g with the same integral."""
 
     integrand: Integrand
     pilot_evaluations: int = 0
@@ -267,7 +271,7 @@ class _Warped(_Changed):
 @final
 @dataclass(frozen=True, eq=False)
 class _Normal:
-    """The map z → A z + b of z = Φ⁻¹(u), on the cube."""
+    """The map of the cube that corresponds to z → A z + b with z = Φ⁻¹(u)."""
 
     matrix: Array
     shift: Array | float = 0.0
@@ -295,17 +299,17 @@ _Map: TypeAlias = Density | _Normal
 @final
 @dataclass(frozen=True)
 class _Basis:
-    """Products of one or two orthonormal polynomials of different coordinates, all of mean 0.
+    """Products of one or two orthonormal polynomials of different coordinates, each with mean 0.
 
     Attributes
     ----------
     normal
-        Whether polynomials are Hermite polynomials of z = Φ⁻¹(u); otherwise they are Legendre
-        polynomials of u, or of Φ of directions of z.
+        Whether polynomials are Hermite polynomials of z = Φ⁻¹(u);
+        otherwise they are Legendre polynomials of u, or of Φ of directions of z.
     axes, degrees
         Two coordinates and two degrees for each term, (terms, 2).
     turn
-        Directions of z that replace the coordinates, (d, ·).
+        Directions of z that replace the coordinates, one in each column: (d, ·).
     """
 
     normal: bool
@@ -315,7 +319,7 @@ class _Basis:
 
     @staticmethod
     def of(dims: int, normal: bool, alone: int, together: int) -> _Basis:
-        """Return degrees up to `alone` of one coordinate, total degrees up to `together` of two."""
+        """Return degrees up to `alone` of a coordinate, total degrees up to `together` of two."""
         terms = [(i, i, a, 0) for i in range(dims) for a in range(1, alone + 1)]
         terms += [
             (i, j, a, b)
@@ -328,7 +332,7 @@ class _Basis:
         return _Basis(normal, found[:, :2], found[:, 2:])
 
     def cut(self, count: int) -> _Basis:
-        """Return the basis if `count` evaluations are enough for it, else its linear terms."""
+        """Return the basis if `count` evaluations are enough, else only its linear terms."""
         if len(self.axes) * _REGRESSION.evaluations_per_term <= count:
             return self
         linear = self.degrees.sum(axis=1) == 1
@@ -367,7 +371,7 @@ class _Basis:
         return np.asarray(np.linalg.solve(square, columns.T @ seen.values)[1:])
 
     def left(self, fitted: Evaluations, other: Evaluations) -> float:
-        """Return the share of the variance of other evaluations that a fit leaves."""
+        """Return the fraction of variance that remains after the fit, on other evaluations."""
         rest = other.values - self(other.points) @ self.fit(fitted)
         return float(rest.var(axis=0).sum() / max(other.values.var(axis=0).sum(), 1e-300))
 
@@ -375,7 +379,7 @@ class _Basis:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Controlled(_Changed):
-    """g minus a control variate of integral 0."""
+    """Integrand g minus a control variate of integral 0."""
 
     name: ClassVar[str] = "controlled"
     text = "{0.integrand.spec} less its regression on {0.basis.axes.shape[0]} polynomials"
@@ -390,21 +394,23 @@ class _Controlled(_Changed):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Cubic(_Changed):
-    """g minus a polynomial of degree r − 1 along each axis in each of side^d cells ([Chopin2024]_).
+    """Integrand g minus a polynomial in each of side^d cells ([Chopin2024]_).
 
-    The polynomial goes through g at the centers of the r nearest cells along each axis, and its
-    mean over the cell is added again. If r is even, means over a point and its image about the
-    center of the cell contain even powers only, and r = 2 needs no centers. Jittered points in the
-    same cells have a variance ∝ n^(−1 − 2r/d) if g has r derivatives.
+    The polynomial has degree r − 1 along each axis.
+
+    The polynomial goes through g at the centers of the r nearest cells along each axis,
+    and the mean of the polynomial over the cell is added again. If r is even, means over a point
+    and its image about the center of the cell contain even powers only, and r = 2 needs no centers.
+    Jittered points in the same cells have a variance ∝ n^(−1 − 2r/d) if g has r derivatives.
 
     Attributes
     ----------
     order
         The order r.
     side
-        Cells along each axis; 0 before `in_cells`.
+        Number of cells along each axis; 0 before `in_cells`.
     centers
-        g at the centers, (side^d, channels or 1).
+        Values of g at the centers, (side^d, channels or 1).
     """
 
     name: ClassVar[str] = "cubic"
@@ -423,7 +429,7 @@ class Cubic(_Changed):
         return self.integrand.evaluations_per_point * (1 + (self.order % 2 == 0) + (self.order > 2))
 
     def in_cells(self, side: int) -> Cubic:
-        """Return the same with `side` cells along each axis, and evaluate g at their centers."""
+        """Return the same with `side` cells along each axis; evaluate g at centers of cells."""
         if side < self.order:
             raise ParameterError(
                 f"{side} cells along an axis are too few for order {self.order}; give as many."
@@ -442,8 +448,8 @@ class Cubic(_Changed):
         if self.centers is None:
             return np.asarray(values)
 
-        # Evaluate Lagrange polynomials through nodes 0 … r − 1 along each axis, (…, r), at the
-        # points, and their means over cells
+        # Evaluate Lagrange polynomials through nodes 0 … r − 1 along each axis, (…, r),
+        # at the points, and the means of these polynomials over cells
         nodes = np.arange(self.order)
         first = np.clip(cell - (self.order - 1) // 2, 0, self.side - self.order)
 
@@ -454,7 +460,7 @@ class Cubic(_Changed):
         at, weights = np.polynomial.legendre.leggauss(self.order)
         means = lagrange((cell - first)[..., None] + 0.5 * at).swapaxes(-1, -2) @ (0.5 * weights)
 
-        # Multiply them over the axes, and subtract the products of means: (k, r^d)
+        # Multiply the polynomials over the axes, and subtract the products of means: (k, r^d)
         stencil = np.indices((self.order,) * self.dims).reshape(self.dims, -1)
         axes = np.arange(self.dims)
         found = [lagrange(x * self.side - 0.5 - first) for x in places]
@@ -470,15 +476,16 @@ class Cubic(_Changed):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Preintegrated(_Changed):
-    """Means of g along an axis, over both sides of a point where g jumps or leaves 0.
+    """Integrand with means of g along an axis, over both sides of a jump or the edge of a zero.
 
     Attributes
     ----------
     axis
         The axis.
     halvings
-        Number of halvings of the bracket of the point. After 7 a fraction 2^-7 of the axis remains,
-        sampled by one point, whose variance is at most 2^-16 of the squared jump.
+        Number of halvings of the bracket of the point.
+        After 7 halvings, a fraction 2^-7 of the axis remains, which is sampled by one point.
+        The variance of this part is at most 2^-16 of the squared jump.
     """
 
     name: ClassVar[str] = "preintegrated"
@@ -496,7 +503,7 @@ class _Preintegrated(_Changed):
             x[:, self.axis] = np.clip(t, 0.0, BELOW_ONE)
             return self.integrand(x).reshape(len(u), -1)
 
-        # Bracket the point where g leaves 0, else the half with the larger difference
+        # Keep the half where g leaves 0, else the half with the larger difference
         low = np.full(len(u), 2.0**-12)
         high = 1.0 - low
         at_low, at_high = g(low), g(high)
@@ -519,13 +526,16 @@ class _Preintegrated(_Changed):
 
 
 _Found: TypeAlias = Iterator[tuple[str, str, _Changed, float]]
-"""Names, changes, changed integrands, and the shares of the variance that they leave."""
+"""Names, changes, changed integrands, and the fractions of variance that remain."""
 
 
 def _fitted(
     g: Integrand, seen: Evaluations, settings: ChangeSettings, *, roughly: bool = False
 ) -> _Found:
-    """Fit the best density of each family; if `roughly`, only the first candidate of splines."""
+    """Fit the best density of each family.
+
+    If `roughly`, only the first candidate of splines is fitted.
+    """
     joint = settings.joint if 1 < g.dims <= settings.most_joint_dims else ()
     splines = (*joint, *settings.products)[: 1 if roughly else None]
     families: list[tuple[str, str, list[Callable[[Evaluations], _Map]]]] = [
@@ -556,7 +566,7 @@ def _fitted(
 
 
 def _splines(seen: Evaluations, setting: tuple[int, int, float], settings: ChangeSettings) -> _Map:
-    """Fit splines to |g|, or to the power of |g| that the points can determine."""
+    """Fit splines to |g|, or to a power of |g| if the points cannot determine |g|."""
     size = (seen.weights * seen.pdf)[:, None]
     return fit_splines(
         seen.points,
@@ -570,7 +580,7 @@ def _splines(seen: Evaluations, setting: tuple[int, int, float], settings: Chang
 
 
 def _normal(seen: Evaluations, stretch: str, least_spread: float) -> _Map:
-    """Fit the normal density with the mean of z under |g|, and with its variances or covariance."""
+    """Fit the normal density with the mean, and the variances or covariance, of z under |g|."""
     z, weights = seen.normal, seen.weights
     d, effective = z.shape[1], 1.0 / float((weights**2).sum())
     mean = weights @ z
@@ -589,7 +599,7 @@ def _normal(seen: Evaluations, stretch: str, least_spread: float) -> _Map:
 
 
 def _regression(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:  # noqa: ARG001
-    """Fit the basis that leaves the least variance."""
+    """Fit the basis after which the least variance remains."""
     first, second = seen.halves
     d, own = seen.points.shape[1], _REGRESSION
     few = min(d, own.turned)
@@ -633,12 +643,12 @@ def _order(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:
 
 
 def _preintegrated(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:  # noqa: ARG001
-    """Take means along the axis that leaves the least variance, and along the first direction.
+    """Take means along the axis with the least remaining variance, or the first direction.
 
     The variance that remains is at least the part that a regression assigns to the other
-    coordinates alone, and at most everything but the main effect of this coordinate. The geometric
-    mean of the two is expected. Squares of coefficients are products of the coefficients of two
-    halves.
+    coordinates alone, and at most all variance except the main effect of this coordinate.
+    The expected variance is the geometric mean of both bounds.
+    Squares of coefficients are products of the coefficients of two halves.
     """
     d = g.dims
     if d == 1:
@@ -690,11 +700,11 @@ def improvements(
     charged: int = 0,
     settings: ChangeSettings = _SETTINGS,
 ) -> Iterator[Candidate]:
-    """Yield changed estimators of the same integral, without new evaluations of g.
+    """Yield changed estimators with the same integral, without new evaluations of g.
 
-    Their expected ratios of variances are for random points. For *order* it is the ratio of the
-    variances without main effects, which nets do not remove. They are computed from evaluations
-    that were not used in the fit.
+    Expected ratios of variances are for random points. For *order*, the expected ratio
+    is that of the variances without main effects, because nets remove main effects.
+    The ratios are computed from evaluations that were not used in the fit.
 
     Parameters
     ----------
@@ -705,7 +715,7 @@ def improvements(
     kinds
         Some of `CHANGES`.
     charged
-        Evaluations that count as the pilot of each change; 0 if they were needed anyway.
+        Number of evaluations that count as the pilot of each change; 0 if they were needed anyway.
     settings
         Settings of the changes.
 
@@ -747,7 +757,10 @@ def evaluated(
     sizes = [count // rounds] * (rounds - 1) + [count - (rounds - 1) * (count // rounds)]
 
     def follow(points: Array, values: Array, pdf: Array) -> _Map | None:
-        """Fit a density; None, for uniform points, until both halves have a value that is not 0."""
+        """Fit a density; return None until both halves have a nonzero value.
+
+        None stands for uniform points.
+        """
         seen = Evaluations(points, values, pdf)
         if not all(half.values.any() for half in seen.halves):
             return None

@@ -1,19 +1,19 @@
-"""Importance densities learned from evaluations of an integrand, for the sampler that will be used.
+"""Importance densities learned from evaluations of an integrand, for a given sampler.
 
 A density p of `mcspectra.densities.learned` is fitted to evaluations f(x_k) at points of density π.
 The fit minimizes
 
     log Σ_k ρ_k p(x_k) − Σ_k w_k log p(x_k) + smoothness,   ρ_k = 1/π(x_k),   w_k ∝ ρ_k |f(x_k)|.
 
-This is the relative entropy of |f| and p, with both integrals estimated from the *same* points. If
-|f| belongs to the family, the minimum is |f| itself for any number of points, whereas the mean of
-log p alone has the noise of the points. Smoothness is a penalty on second differences of the
-logarithms of the splines' weights, as in P-splines [Eilers1996]_. Numbers of cells and parts and
-the weight of the penalty define candidates. Candidates are compared by the variance of f/p with
-points of the sampler itself, on evaluations that were not used in the fit. ∫f²/p alone does not
-measure how rough f/p is, and roughness is the part of the variance that nets and strata do not
-remove. The best candidate is checked on fresh points: it must have less variance than uniform
-points, or the result is uniform.
+This is the relative entropy of |f| and p, with both integrals estimated from the *same* points.
+If |f| belongs to the family, the minimum is |f| itself for any number of points,
+whereas the mean of log p alone has the noise of the points. Smoothness is a penalty
+on second differences of the logarithms of the splines' weights, as in P-splines [Eilers1996]_.
+A candidate is defined by numbers of cells and parts, and by the weight of the penalty.
+Candidates are compared by the variance of f/p with points of the sampler itself, on evaluations
+that were not used in the fit. ∫f²/p alone does not measure the roughness of f/p, which causes
+the variance that nets and strata do not remove. The best candidate is checked on fresh points:
+the result is the uniform density unless the variance is less than with uniform points.
 """
 
 from __future__ import annotations
@@ -57,11 +57,11 @@ __all__ = ["LEARNED", "LearnSettings", "fit_splines", "in_rounds", "learned_dens
 class LearnSettings:
     """Settings of fits of splines, and of the choice between fitted densities."""
 
-    # Candidates of the two kinds: cells of each axis; parts of a mixture, or 0 for a flow; weight
-    # of the smoothness penalty. The first candidate also places the points of the first rounds. The
-    # numbers range from smooth to fine; evaluations that no candidate was fitted to choose one.
-    # Without any one of them, the variance of a peak in 2-D and of two bells in 3-D changes by −30
-    # to +6 %.
+    # Candidates of the two kinds. The numbers are: cells of each axis;
+    # parts of a mixture, or 0 for a flow; weight of the smoothness penalty. The first candidate
+    # also places the points of the first rounds. Candidates range from smooth to fine;
+    # evaluations that were not used in any fit choose one. Without any one of the candidates,
+    # the variance of a peak in 2-D and of two bells in 3-D changes by −30 to +6 %.
     mixture: tuple[tuple[int, int, float], ...] = (
         (12, 4, 1e-3),
         (8, 4, 1e-1),
@@ -74,65 +74,66 @@ class LearnSettings:
         (8, 0, 1e-2),
         (16, 0, 1e-4),
     )
-    # Most dims of a learned density. In 24-D a flow takes 9 s to fit.
+    # Maximum number of dims of a learned density. In 24-D a flow takes 9 s to fit.
     most_dims: int = 24
-    # Least number of evaluations that can be asked for. Half of 256 is for the fit, a quarter is
-    # six
-    # sets of two points for each of five candidates, and a quarter checks the best of them.
+    # Least allowed number of evaluations. Half of 256 is for the fit, a quarter is six sets
+    # of two points for each of five candidates, and a quarter checks the best of them.
     least_evaluations: int = 256
-    # Least number of evaluations by default: `most_fitted` for the fit, and as many for the choice
-    # and for the check together.
+    # Least number of evaluations by default:
+    # `most_fitted` for the fit, and the same number for choice and check together.
     usual_evaluations: int = 3 * 2**13
-    # Evaluations by default for each of the n points, in addition to `most_fitted`. With 8 n for
-    # the choice, each of five candidates can have six sets of n/4 points; with 8 n for the check,
-    # the result and uniform points can have 16 sets of n/4 points each.
+    # Default number of evaluations for each of the n points, in addition to `most_fitted`.
+    # With 8 n for the choice, each of five candidates can have six sets of n/4 points;
+    # with 8 n for the check, the result and uniform points can have 16 sets of n/4 points each.
     evaluations_per_point: int = 16
-    # Divisor of n that gives the smallest count at which candidates may be compared. At n/16 the
-    # ratios of variances of nets are already near the ratios at n; at smaller counts nets do not
-    # resolve the splines.
+    # Ratio of n to the smallest count of points at which candidates may be compared.
+    # At n/16 the ratios of variances of nets are already near the ratios at n;
+    # at smaller counts nets do not resolve the splines.
     fewest_divisor: int = 16
-    # Most evaluations in a fit. With 2048 instead of 4096 evaluations in the fit, the variances of
-    # the same cases change by −21 to +12 %.
+    # Maximum number of evaluations in a fit. With 2048 instead of 4096 evaluations in the fit,
+    # the variances of the same cases change by −21 to +12 %.
     most_fitted: int = 2**13
-    # Points of a block of the sums of a fit. Products of blocks of 128 points are too small for the
-    # threads of BLAS, so that all machines compute the same bits.
+    # Number of points in a block of the sums of a fit. Products of blocks of 128 points
+    # are too small for the threads of BLAS, so that all machines compute the same bits.
     block: int = 128
-    # Bins of the marginal distributions of |f| that place the knots. Half or twice as many change
-    # the variances by 1 % at most.
+    # Number of bins of the marginal distributions of |f| that place the knots.
+    # Half or twice as many bins change the variances by 1 % at most.
     bins: int = 512
-    # Rounds of Lloyd's method, which groups points to start the parts of a mixture. Half or twice
-    # as many change the variances by 5 % at most.
+    # Number of rounds of Lloyd's method, which groups points to start the parts of a mixture.
+    # Half or twice as many rounds change the variances by 5 % at most.
     lloyd_rounds: int = 8
-    # Most steps of L-BFGS in a fit. Half or twice as many change the variances by 5 % at most.
+    # Maximum number of steps of L-BFGS in a fit.
+    # Half or twice as many steps change the variances by 5 % at most.
     steps: int = 120
-    # Longest move of a logarithm of a weight in one step of L-BFGS: a factor e. With 0.5 or 2 the
-    # variances change by 1 %, and one falls by 18 %.
+    # Largest change of the logarithm of a weight in one step of L-BFGS: a factor e for the weight.
+    # With 0.5 or 2 the variances change by 1 %, and one variance falls by 18 %.
     longest: float = 1.0
-    # A step of L-BFGS that lowers the entropy by less is the last one. From 2e-10 to 2e-8 the
-    # variances are the same to three digits.
+    # Decrease of the entropy below which L-BFGS ends.
+    # From 2e-10 to 2e-8 the variances are the same to three digits.
     gain: float = 2e-9
-    # Most dims in which a flow is fitted with all `steps`; in d more dims the steps fall as 4/d.
-    # Longer fits in many dims cost more and the densities are no better.
+    # Maximum number of dims in which a flow is fitted with all `steps`;
+    # above this, in d dims, the number of steps is multiplied by 4/d.
+    # In many dims longer fits cost more, and the densities are no better.
     most_dims_of_all_steps: int = 4
-    # Least number of sets for the variance of each candidate. The logarithm of a ratio of two
-    # variances of 6 sets has a standard error of √(4/5) = 0.9.
+    # Least number of sets for the variance of each candidate.
+    # The logarithm of a ratio of two variances of 6 sets has a standard error of √(4/5) = 0.9.
     least_replicates: int = 6
-    # Least number of fresh sets that check the result, for each of the two variances. With 16 sets,
-    # a measured ratio below 1/2.4 is below 1 with 95 % confidence.
+    # Least number of fresh sets that check the result, for each of the two variances.
+    # With 16 sets, a measured ratio below 1/2.4 is below 1 with 95 % confidence.
     least_checks: int = 16
-    # Least effective number (Σ|f|)²/Σf² of the uniform points of the fit and of the check. With 16,
+    # Least effective number (Σ|f|)²/Σf² of uniform points, in the fit and in the check. With 16,
     # a peak that has a third of ∫|f| is missed by all of them with probability e^(−16/3) = 0.5 %.
-    # With 4, of three equal peaks one was missed, and the variance was 2.3 times as large.
+    # With 4, one of three equal peaks was missed, and the variance was 2.3 times as large.
     least_effective: float = 16.0
     # Weight that is added to every spline at the start of a fit, so that logarithms are finite.
     # From 1e-8 to 1e-4 the variances are the same within 0.3 %.
     least_weight: float = 1e-6
-    # Largest ratio of variances to uniform points at which a density is kept. A smaller gain is
-    # within the errors of six sets, and uniform points cannot fail.
+    # Largest ratio of the variance to that of uniform points at which a density is kept.
+    # A smaller gain is within the errors of six sets, and uniform points cannot fail.
     most_ratio: float = 0.5
-    # Evaluations for each weight of a flow. With fewer, weights follow the noise of the points; see
-    # `evaluations_per_term` of `mcspectra.improve.improved.RegressionSettings`. In 2-D and 3-D
-    # results are the same for 2 and 8.
+    # Least number of evaluations for each weight of a flow. With fewer, weights follow the noise
+    # of the points; see `evaluations_per_term` of `mcspectra.improve.improved.RegressionSettings`.
+    # In 2-D and 3-D results are the same for 2 and 8.
     evaluations_per_gate: int = 4
 
 
@@ -158,18 +159,18 @@ def fit_splines(
     Parameters
     ----------
     points, values, pdf
-        Points (N, d); values (N, channels), not all 0; density of the points, (N,).
+        Points (N, d); values (N, channels), which are not all 0; and density of the points, (N,).
     setting
         Cells of each axis; parts of a mixture, or 0 for a flow; weight of the smoothness.
     defensive
         δ, share of the uniform density.
     generator
-        Random numbers that choose the points that start the parts of a mixture.
+        Random numbers, which choose initial points for the parts of a mixture.
     settings
         Settings of the fit.
     """
     cells, parts, smooth = setting
-    # Pad to whole blocks with points of weight 0
+    # Fill the last block with points of weight 0
     points, values, pdf = (
         _padded(given, by, settings.block)
         for given, by in ((points, 0.5), (values, 0.0), (pdf, np.inf))
@@ -178,7 +179,7 @@ def fit_splines(
     w = rho * np.abs(values / np.abs(values).max()).sum(axis=1)
     w, rho = w / w.sum(), rho / rho.sum()
 
-    # Place half of the knots by the mass of |f|, and half of them equally spaced
+    # Place half of the knots by the mass of |f|, and the other half equally spaced
     bins = settings.bins
     at, knots = np.linspace(0.0, 1.0, bins + 1), np.empty((points.shape[1], cells + 1))
     for line, x in zip(knots, points.T, strict=True):
@@ -200,7 +201,8 @@ def fit_splines(
         settings=settings,
     )
 
-    # Group points with the mass of |f| by Lloyd's method; parts start from these groups
+    # Group points with the mass of |f| by Lloyd's method;
+    # the parts of the mixture start from these groups
     own = np.zeros(len(points), np.int64)
     if parts > 1:
         known = min(parts, int(np.count_nonzero(w)))
@@ -222,9 +224,9 @@ def fit_splines(
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Seen:
-    """The function that fits minimize, of points in blocks."""
+    """The function that a fit minimizes, for points in blocks."""
 
-    basis: list[Array]  # splines of each axis at the points, (blocks, M, size)
+    basis: list[Array]  # values of the splines of each axis at the points, (blocks, M, size)
     rho: Array  # ρ and w, (blocks, size), both of sum 1
     weight: Array
     uniform: Array  # logarithms of the weights of the uniform density, (d, M)
@@ -233,7 +235,7 @@ class _Seen:
     settings: LearnSettings = _SETTINGS
 
     def mixture(self, own: Array, count: int, steps: int) -> tuple[Array, Array]:
-        """Fit shares (K,) and logarithms of the tables (K, d, M), from groups of points."""
+        """Fit shares (K,) of parts and logarithms of tables (K, d, M), starting from groups."""
         from scipy.special import log_softmax, softmax
 
         # Start from the means of the splines over the groups
@@ -249,7 +251,7 @@ class _Seen:
         def loss(given: Array) -> tuple[float, Array]:
             shares, logits = log_softmax(given[:count]), given[count:].reshape(tables.shape)
             c = softmax(logits, axis=-1)
-            inner = [  # densities of the parts at the points
+            inner = [  # Densities of the parts at the points
                 np.maximum(np.moveaxis(c[:, i] @ b, 1, 0), 1e-300).copy()
                 for i, b in enumerate(self.basis)
             ]
@@ -271,15 +273,15 @@ class _Seen:
         return softmax(best[:count]), log_softmax(best[count:].reshape(tables.shape), axis=-1)
 
     def flow(self, features: Array, start: Array) -> Array:
-        """Fit gates (d, M, 1 + d·DEGREE), from the logarithms of a product's tables (d, M)."""
+        """Fit gates (d, M, 1 + d·DEGREE), starting from logarithms of a product's tables (d, M)."""
         shape, before = (*start.shape, features.shape[1]), np.tri(len(start), k=-1, dtype=bool)
 
         def loss_of(followed: Array) -> tuple[Array, Callable[[Array], tuple[float, Array]]]:
-            """Return a mask of the gates if each axis follows some axes (d, d), and their loss."""
+            """Return a mask of the gates if each axis depends on some axes (d, d), and the loss."""
             columns = np.insert(np.repeat(followed, DEGREE, axis=1), 0, True, axis=1)
             used = np.broadcast_to(columns[:, None], shape)
             seen = [features[:, c] for c in columns]
-            # An axis that follows no other has the same weights at all points
+            # An axis that depends on no other axis has the same weights at all points
             shown = [f if f.shape[1] > 1 else f[:1, :, :1] for f in seen]
 
             def loss(given: Array) -> tuple[float, Array]:
@@ -309,8 +311,8 @@ class _Seen:
 
             return used, loss
 
-        # Follow the axes whose gates change the product most, in a number that the points can
-        # determine
+        # Make each axis depend on the axes whose gates change the product most,
+        # as many as the points can determine
         each = self.settings.evaluations_per_gate
         gates, most = np.zeros(shape), self.rho.size // (each * shape[1] * DEGREE)
         gates[:, :, 0] = start
@@ -330,13 +332,13 @@ class _Seen:
     ) -> Array:
         """Minimize by the package's L-BFGS.
 
-        SciPy's L-BFGS calls threads of BLAS at each step, which takes 15 times as long as the rest.
+        SciPy's L-BFGS uses threads of BLAS at each step, which takes 15 times as long as the rest.
         """
         longest, gain = self.settings.longest, self.settings.gain
         return minimize(loss, start, iterations=steps, longest=longest, gain=gain)
 
     def _entropy(self, logarithm: Array) -> tuple[float, Array]:
-        """Return the entropy, and its derivatives by log q at the points."""
+        """Return the entropy, and the derivatives by log q at the points."""
         q = np.exp(logarithm)
         p = (1.0 - self.defensive) * q + self.defensive
         mass = float((self.rho * p).sum())
@@ -344,7 +346,7 @@ class _Seen:
         return math.log(mass) - float((self.weight * np.log(p)).sum()), slope
 
     def _bent(self, logits: Array, axis: int) -> tuple[float, Array]:
-        """Return the penalty, and its derivatives."""
+        """Return the smoothness penalty and its derivatives."""
         bend = np.diff(logits, 2, axis=axis)
         back = np.moveaxis(np.zeros_like(logits), axis, 0)
         for shift, factor in enumerate((1.0, -2.0, 1.0)):
@@ -369,18 +371,19 @@ def learned_density(
     Parameters
     ----------
     f
-        An integrand, also of several channels, its spec, or a function of points (k, d) to (k,).
+        An integrand (of one or more channels), a spec, or a function of points (k,
+        d) to values (k,).
     kind
-        ``"mixture"`` (a mixture of products of splines) or ``"spline-flow"`` (splines of each
-        coordinate whose weights depend on the coordinates before it).
+        ``"mixture"`` (a mixture of products of splines) or ``"spline-flow"`` (splines
+        of each coordinate whose weights depend on the coordinates before it).
     sampler, n
-        The sampler and the number of points that will be used. The sampler is random.
+        The sampler and the number of points that will be used. The sampler must be random.
     dims
-        Number of dims, up to 24; needed if neither f nor the sampler has one.
+        Number of dims, up to 24; needed if neither f nor the sampler has a number of dims.
     evaluations
-        Most evaluations of f, at least 256. Half of them, at most 8192, are for the fit. One half
-        of the rest is for the choice between candidates, the other half checks the result. The
-        default is 16 n + 8192, and at least 24576.
+        Maximum number of evaluations of f, at least 256. Half of the evaluations,
+        at most 8192, are for the fit. Of the others, one half chooses between candidates,
+        and the other half checks the result. The default is 16 n + 8192, and at least 24576.
     defensive
         Least value δ of the density, above 0 and below 1: |f|/p is at most |f|/δ.
     rng
@@ -391,16 +394,16 @@ def learned_density(
     Returns
     -------
     Density
-        A continuous density with an exact inverse and a continuous warp. Its `spec` reads it from
-        its file. It is ``uniform``, with a `NoGainWarning`, if no candidate halves the variance of
-        uniform points, or if the check does not confirm the gain.
+        A continuous density with an exact inverse and a continuous warp. Its `spec` reads
+        it from its file. It is ``uniform``, with a `NoGainWarning`, if no candidate halves
+        the variance of uniform points, or if the check does not confirm the gain.
 
     Raises
     ------
     ParameterError
-        If the kind is unknown, a value is out of range, or the sampler is not random; if f is NaN
-        or infinite at a point, or 0 at all points; or if evaluations are too few to compare
-        candidates near n.
+        If the kind is unknown, a value is out of range, or the sampler is not random;
+        if f is NaN or infinite at a point, or 0 at all points;
+        or if evaluations are too few to compare candidates near n.
     CountError
         If the sampler has no sets of n points.
     FileFormatError
@@ -408,14 +411,13 @@ def learned_density(
 
     Notes
     -----
-    Candidates (`mcspectra.improve.learned.LEARNED`), from smooth to fine, are compared by the
-    variance of f/p with at least six realizations of the sampler. The count is n, or the largest
-    count that the evaluations allow: at least n/16, by default usually n/4. The best candidate is
-    checked on fresh points: at least 16 realizations must show with 95 % confidence that its
-    variance is smaller than that of uniform points, and ∫f²/p must be smaller than ∫f². The
-    effective number of uniform points (Σ|f|)²/Σf² must be at least 16, since peaks may be missed
-    otherwise.
-    `mcspectra.improve.learned` describes the method of fitting.
+    Candidates (`mcspectra.improve.learned.LEARNED`), from smooth to fine, are compared
+    by the variance of f/p with at least six realizations of the sampler. The count is n,
+    or the largest count that the evaluations allow: at least n/16, by default usually n/4. The best
+    candidate is checked on fresh points: at least 16 realizations must show with 95 % confidence
+    that its variance is smaller than that of uniform points, and ∫f²/p must be smaller than ∫f².
+    The effective number of uniform points (Σ|f|)²/Σf² must be at least 16, since peaks may
+    be missed otherwise. `mcspectra.improve.learned` describes the method of fitting.
 
     Examples
     --------
@@ -481,7 +483,7 @@ def learned_density(
             )
         counts.append(count)
 
-    # Fit the candidates to points of densities that follow f better and better
+    # Fit the candidates to points of densities that approximate f better and better
     made = list[Density]()
     first = LEARNED[kind][0]
 
@@ -504,7 +506,7 @@ def learned_density(
         made.append(fit_splines(*seen, setting, defensive, places, settings=settings))
 
     def ratios_at(p: Density, count: int, replicates: int, label: int) -> tuple[Array, Array]:
-        """Return points (replicates, count, d) with density p, and f/p there."""
+        """Return points (replicates, count, d) with density p, and values of f/p there."""
         u = source.draw_stream(count, stream.child(label), 0, replicates).reshape(-1, d)
         x, pdf = p.sample_pdf(u)
         ratio = values_at(x) / pdf[:, None]
@@ -513,10 +515,10 @@ def learned_density(
     def variances_of(ratios: Sequence[Array]) -> Array:
         """Return the variance over realizations for each density; units of f cancel in ratios."""
         means = np.array([ratio.mean(axis=1) for ratio in ratios])
-        scale = np.abs(means).max() or 1.0  # squares of 1e200 would overflow
+        scale = np.abs(means).max() or 1.0  # Squares of 1e200 would overflow
         return np.asarray((means / scale).var(axis=1, ddof=1).sum(axis=-1))
 
-    # Choose by the next evaluations
+    # Choose a candidate by the next evaluations
     uniform, count = Uniform(dims=d), counts[0]
     replicates = (evaluations - half - checked) // (count * candidates)
     left = [uniform, *made]
@@ -528,9 +530,8 @@ def learned_density(
     )
 
     # Check the choice on fresh points: the variances of sets, and the mean squares of single
-    # points.
-    # A peak that the fit has missed may lie in none of the sets of p, but then raises ∫f²/p. If few
-    # of the uniform points meet what f has, other peaks may be missed by all points
+    # points. If the fit has missed a peak, the sets of p may miss it too, but then ∫f²/p is large.
+    # If f is nonzero at few uniform points, all points may miss other peaks
     if best is not uniform:
         from scipy.special import fdtri
 
@@ -593,11 +594,11 @@ def in_rounds(
     follow: Callable[[Array, Array, Array], Any],
     stream: Stream,
 ) -> tuple[Array, Array, Array]:
-    """Return points (N, d) that follow a function better and better, their values and densities.
+    """Return points (N, d) that follow a function better and better, with values and densities.
 
-    Before each round but the first, `follow` fits the density of its points to all evaluations: an
-    object with `sample` and `pdf`, or None for uniform points. All points are one sample of the
-    mixture of all densities.
+    Before each round but the first, `follow` fits the density of the next points
+    to all evaluations: an object with `sample` and `pdf`, or None for uniform points.
+    All points are one sample of the mixture of all densities.
     """
     points, values = np.empty((0, dims)), np.empty((0, 1))
     pdf = np.empty(0)

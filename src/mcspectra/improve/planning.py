@@ -1,12 +1,12 @@
 """Planning: the least number of points that reaches an error.
 
-The variance of known integrands is predicted at powers of two, and between two of them at counts
-from bisection. Functions of users are measured. Scrambled nets give the variance of several
-samplers at once (`mcspectra.explain.samples`); other samplers draw their own sets. A measurement
-has stages, each with twice the evaluations of the one before, and no evaluation is repeated. It
-ends at the first stage that determines n within a factor. A smaller error never takes fewer points:
-every search depends on the error through comparisons only, and no stage plans less than an earlier
-one excluded.
+The variance of known integrands is predicted at powers of two,
+and between two powers at counts from bisection. Functions of users are measured.
+Scrambled nets give the variance of several samplers at once (`mcspectra.explain.samples`);
+other samplers draw their own sets. A measurement has stages, each with twice the evaluations
+of the one before, and no evaluation is repeated. The measurement ends at the first stage
+that determines n within a factor. A smaller error never takes fewer points: every search depends
+on the error through comparisons only, and no stage plans less than an earlier one excluded.
 """
 
 from __future__ import annotations
@@ -42,59 +42,59 @@ if TYPE_CHECKING:
 __all__ = ["MeasuredPlanSettings", "Plan", "PlanSettings", "plan"]
 
 _TINY = float(np.finfo(float).tiny)
-"""Replaces a variance of 0 in logarithms."""
+"""Number that replaces a variance of 0 in logarithms."""
 
 
 @final
 @dataclass(frozen=True)
 class PlanSettings:
-    """How the least count is searched in predictions."""
+    """Settings of the search for the least count by predictions."""
 
     # Largest power of two at which variances are predicted. Beyond it the curve is extrapolated
-    # with its rate. It is also the largest count at which
-    # `predict` seeks the limit of rates.
+    # with its rate. This is also the largest count at which `predict` seeks the limit of rates.
     octaves: int = 16
-    # Factor by which the curve extends below the target variance, so that upper ends of intervals
-    # also reach it.
+    # Factor by which the predicted curve extends below the target variance,
+    # so that upper ends of intervals also reach the target.
     margin: float = 4.0
-    # Largest planned number of points; more do not fit a 64-bit integer.
+    # Largest planned number of points; larger numbers do not fit a 64-bit integer.
     most: int = 2**62
-    # Inverse of the relative step of the search for n between powers of two. Up to 256, n is the
-    # least count; beyond that it is too large by at most
-    # 0.4 %, for eight predictions.
+    # Inverse of the relative step of the search for n between powers of two. Up to 256,
+    # n is the least count. Beyond 256, n is too large by at most 0.4 %, after eight predictions.
     steps: int = 256
-    # Ratio of the ends of an interval of n above which the answer contains it.
+    # Ratio of the ends of an interval of n above which the answer contains the interval.
     wide: float = 1.25
-    # Number of consecutive counts that are tested for estimators of several techniques, because the
-    # sampler must be able to draw all sets.
+    # Number of consecutive counts that are tested for estimators of several techniques,
+    # because the sampler must be able to draw the sets of all techniques.
     tries: int = 256
 
 
 @final
 @dataclass(frozen=True)
 class MeasuredPlanSettings:
-    """Settings for the evaluations of a function in a plan."""
+    """Settings of plans that evaluate a function."""
 
     # Largest number of evaluations under any limit: the points of a stage take 128 MB in 1-D.
     most: int = 2**24
-    # Evaluations of the first stage: the default of `profile`.
+    # Number of evaluations of the first stage: the default of `profile`.
     first: int = 2**12
-    # Sets of the first stage: a variance of 32 sets has a standard error of a quarter of it.
+    # Number of sets of the first stage:
+    # a variance from 32 sets has a relative standard error of a quarter.
     nets: int = 32
-    # The sets are doubled, instead of their points, in every stage whose number is a multiple of
-    # this. 2^18 evaluations then have 128 sets, whose variance has a standard error of 12 %. With 2
-    # the sets have half the points, and rates of jumps become uncertain.
+    # Interval of stages at which the number of sets is doubled, instead of the number of points.
+    # 2^18 evaluations then have 128 sets, whose variance has a standard error of 12 %.
+    # With 2, sets have half as many points, and rates of jumps become uncertain.
     doubling: int = 3
-    # Least number of points of a set of the first stage: four counts, which give a rate.
+    # Least number of points in each set of the first stage:
+    # smaller counts within a set then give a rate.
     least: int = 8
-    # Least number of sets for a variance, as in `profile`: for samplers of few stored sets.
+    # Least number of sets for a variance, as in `profile`: used for samplers with few stored sets.
     least_sets: int = 3
-    # Ratio of the ends of an interval of n at which a stage is enough.
+    # Ratio of the ends of an interval of n below which no further stage follows.
     narrow: float = 1.5
-    # Number of sets with which a stage is enough for any n: it has the evaluations of 256 sets of n
-    # points, which give the variance to √(2/256) = 9 %.
+    # Number of sets of n points whose evaluations are enough for any n:
+    # 256 sets give the variance to √(2/256) = 9 %.
     enough: int = 256
-    # Number of points per octave at which a curve, linear in between, is compared with the error.
+    # Number of counts per octave at which a piecewise linear curve is compared with the error.
     parts: int = 16
 
 
@@ -106,9 +106,9 @@ _OF_NETS = {NETS, "random", "jittered"}
 @final
 @dataclass(frozen=True)
 class _Found:
-    """Answer for one sampler: n, the ends of its interval, and the variance there, (channels,).
+    """Answer for one sampler: n, the ends of the interval of n, and the variance at n, (channels,).
 
-    `curve` has the variance and the ends of its interval at `_CURVE`, (N, channels, 3).
+    `curve` contains the variance and the ends of its interval at `_CURVE`, (N, channels, 3).
     """
 
     n: float
@@ -120,7 +120,7 @@ class _Found:
 
     @staticmethod
     def none(channels: int, note: str) -> _Found:
-        """Make a missing answer with its reason."""
+        """Return an answer without n, and with the reason why n is unknown."""
         nan = math.nan
         curve = np.full((len(_CURVE), channels, 3), nan)
         return _Found(nan, (nan, nan), np.full(channels, nan), ("none", note), curve, (note,))
@@ -145,7 +145,7 @@ class Plan(Counted, frozen=True, kw_only=True):
     relative: Annotated[bool, Meta(description="The error is relative to the integral.")] = False
 
     def need(self, subject: Subject) -> Need:
-        """Return the need of predictions or measurements; check that a relative error exists."""
+        """Return the memory and work that a plan needs; check that a relative error exists."""
         estimator, samplers = subject.estimator, subject.samplers
         for sampler in samplers:
             least = sampler.nearest_count(1)
@@ -172,19 +172,19 @@ class Plan(Counted, frozen=True, kw_only=True):
         )
 
     def limit(self, subject: Subject) -> int | None:
-        """Return the most evaluations of a measurement; known integrands have no limit."""
+        """Return the maximum number of evaluations; known integrands have no limit."""
         if self.max_evaluations is None and _is_measured(subject.estimator):
             return LIMITS.evaluations
         return self.max_evaluations
 
     def _integral(self, estimator: AbstractEstimator) -> Any:
-        """Return the integral; None if it takes evaluations that are measured."""
+        """Return the integral, or None if it must be estimated from evaluations."""
         if _is_measured(estimator) and estimator.integral_source != "exact":
             return None
         return estimator.integral
 
     def _parts(self, subject: Subject) -> list[str]:
-        """Return samplers that are drawn for a measurement and share its evaluations."""
+        """Return the samplers that are drawn for a measurement, and share its evaluations."""
         estimator = subject.estimator
         apart = [s.spec for s in subject.samplers if not _of_nets(estimator, s)]
         nets = len(apart) < len(subject.samplers)
@@ -193,7 +193,7 @@ class Plan(Counted, frozen=True, kw_only=True):
         return [NETS] * nets + [spec for spec in apart if spec not in fixed]
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[xr.Dataset]:
-        """Plan in one block, because each step of the search depends on the one before."""
+        """Plan in one block, because each step of the search depends on the previous step."""
         return whole(lambda: self._planned(subject, stream), self.need(subject).cost)
 
     def _planned(self, subject: Subject, stream: Stream) -> xr.Dataset:
@@ -304,7 +304,7 @@ class Plan(Counted, frozen=True, kw_only=True):
 
 
 def _between(low: float, high: float) -> str:
-    """Format an interval in parentheses if it is wide."""
+    """Format an interval in parentheses if the interval is wide."""
     if math.isinf(high):
         return f" ({low:.0f} or more)"
     return f" ({low:.0f} to {high:.0f})" if high > _SETTINGS.wide * low else ""
@@ -320,9 +320,9 @@ def _by_prediction(predictor: Predictor, sampler: Sampler, target: Array) -> _Fo
     curve = np.full((len(_CURVE), len(target), 3), np.nan)
 
     def at(n: int) -> Array:
-        """Return the predicted variance of a count, cached."""
+        """Return the cached predicted variance at a count."""
         cells = predictor.at(sampler, n)
-        if cells.notes[0] == VANISHES:  # At rounding level, which counts as 0
+        if cells.notes[0] == VANISHES:  # The variance is at rounding level, which counts as 0
             cells = replace(cells, variance=np.nan_to_num(cells.variance))
         counts.append(n)
         found.append(cells)
@@ -360,7 +360,7 @@ def _least(
         return math.nan, unknown, found[-1].named() if found else ("none", "")
     first = next((k for k in known if (variances[k] <= target).all()), None)
     if first is None:
-        # Use the slope of the last predictions, rounded up to a count that the sampler allows
+        # Extrapolate with the slope of the last predictions, and round up to an allowed count
         last, earlier = known[-1], known[max(0, len(known) - 4)]
         ends, ratio = variances[last], counts[last] / counts[earlier]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -377,10 +377,10 @@ def _least(
     best = float(counts[first]), variances[first], found[first].named()
     before = [k for k in known if k < first]
 
-    # Bisect the octaves between the last count that misses the target and the first that reaches
-    # it. Curves are not monotone. Two targets take the same
-    # path while both are met or both are missed; then the smaller one continues upward. Nets are
-    # balanced only at powers of their base
+    # Bisect the octaves between the last count that misses the target and the first count
+    # that reaches it. Curves are not monotone. The searches for two targets take
+    # the same path while both targets are met or both are missed; then the search
+    # for the smaller target continues upward. Nets are balanced only at powers of their base
     if not before or _base(estimator.law(sampler, counts[first])):
         return best
     low, high = counts[before[-1]], counts[first]
@@ -409,10 +409,10 @@ def _ends(
     found: list[Cells],
     target: Array,
 ) -> tuple[float, float]:
-    """Return the least counts at which the ends of predicted variances reach the target.
+    """Return the least counts at which the ends of predicted intervals reach the target.
 
-    Beyond the last count the ends are extrapolated by the last slopes. They are infinite if these
-    never reach the target.
+    Beyond the last count the ends are extrapolated by the last slopes.
+    A count is infinite if its end never reaches the target.
     """
     order = [k for k in np.argsort(counts) if np.isfinite(found[k].variance[0]).all()]
     if not np.isfinite(n) or not order:
@@ -439,21 +439,22 @@ def _ends(
 @final
 @dataclass(frozen=True)
 class _Stage:
-    """Curves of variance by sampler and channel, and the values behind them.
+    """Curves of variance by sampler and channel, and the values from which they are computed.
 
     Attributes
     ----------
     curves
-        A curve for each channel, by the spec of the sampler.
+        A list of curves, one for each channel, by the spec of the sampler.
     means
         Estimates of the largest sets, (R, channels).
     points, values
-        Points (N, d) of a single technique, None for several, and the values (N, channels) of the
-        technique with the largest variance.
+        Points (N, d) of a single technique, None for several, and the values (N,
+        channels) of the technique with the largest variance.
     largest
-        Evaluations of the largest sets over those of a point: R times their count.
+        Number of evaluations of the largest sets divided by evaluations of a point:
+        R times the count.
     evaluations
-        Evaluations of all stages up to this one.
+        Number of evaluations of all stages up to this one.
     """
 
     curves: dict[str, list[Curve]]
@@ -465,7 +466,7 @@ class _Stage:
 
 
 def _sizes(stage: int, share: int, each: int) -> tuple[int, int] | None:
-    """Return the number of sets of a stage and of their points; None beyond the share."""
+    """Return the number of sets of a stage and the points of a set; None beyond the budget."""
     first = max(_MEASURED.first // each, _MEASURED.nets * _MEASURED.least)
     points = first << stage
     if points > share:
@@ -486,7 +487,7 @@ def _pooled(
 
 @dataclass
 class _Nets:
-    """Scrambled nets, which include the points of the stage before."""
+    """Scrambled nets that include the points of the previous stage."""
 
     estimator: AbstractEstimator
     share: int
@@ -496,13 +497,13 @@ class _Nets:
     evaluations: int = 0
 
     def stage(self, place: int) -> _Stage:
-        """Return a stage, made once, after the stages before it."""
+        """Return a stage, which is made once, after all earlier stages."""
         while len(self.made) <= place:
             self.made.append(self._next())
         return self.made[place]
 
     def stages(self) -> Iterator[_Stage]:
-        """Yield all stages within the share, each made on demand."""
+        """Yield all stages within the allowed evaluations; each is made on demand."""
         place = 0
         while _sizes(place, self.share, self.estimator.cost):
             yield self.stage(place)
@@ -514,7 +515,7 @@ class _Nets:
         assert sizes is not None
         nets, n = sizes[0], 1 << (sizes[1] // sizes[0]).bit_length() - 1
         points = estimator.draw(as_sampler(NETS, estimator.dims), n, self.stream, 0, nets)
-        # The first points of the first nets are those of the stage before
+        # The first points of the first nets are the points of the previous stage
         values = []
         for t, u in enumerate(points):
             all_values = np.empty((*u.shape[:2], channels))
@@ -557,7 +558,7 @@ class _Own:
     evaluations: int = 0
 
     def stages(self) -> Iterator[_Stage]:
-        """Yield all stages within the share, each made on demand."""
+        """Yield all stages within the allowed evaluations; each is made on demand."""
         estimator, sampler = self.estimator, self.sampler
         base = max(sampler.digit_bases, default=2)
         counts = sorted({
@@ -587,7 +588,7 @@ class _Own:
             stage += 1
 
     def _add(self, n: int, sets: int) -> None:
-        """Evaluate more sets of n points, up to `sets` of them."""
+        """Evaluate further sets of n points, up to `sets` sets in all."""
         estimator, channels = self.estimator, max(1, self.estimator.channels)
         points, values = self.made.get(n, ([], []))
         have = len(points[0]) if points else 0
@@ -606,11 +607,11 @@ class _Own:
 
 
 def _in_stages(source: _Nets | _Own, sampler: Sampler, target: Array) -> _Found:
-    """Return the answer of the first stage that determines n well enough, or of the last."""
+    """Return the answer of the first stage that determines n well enough, or of the last stage."""
     estimator, least, best = source.estimator, 0.0, None
     for stage in source.stages():
         curves = stage.curves.get(sampler.spec)
-        if curves is None:  # The variance is below its error
+        if curves is None:  # The variance is smaller than its error
             continue
         curve = _Ladder.of(curves)
         note, _ = doubt(stage.points, stage.values) or ("", False)
@@ -672,7 +673,7 @@ class _Ladder:
     n
         Counts, `MeasuredPlanSettings.parts` per octave, (N,).
     logs, half
-        Logarithms of variances, and half their 95 % intervals, (N, channels).
+        Logarithms of variances, and half widths of their 95 % intervals, (N, channels).
     """
 
     curves: Sequence[Curve]
@@ -690,7 +691,10 @@ class _Ladder:
         return _Ladder(curves, n, np.log(np.maximum(found[..., 0], _TINY)), t * found[..., 1])
 
     def reaches(self, target: Array, side: int) -> float:
-        """Return log of the least n at which an end (0: the variance) reaches the target."""
+        """Return log of the least n at which the variance, or an end, reaches the target.
+
+        Side 0 is the variance; sides −1 and 1 are the ends of its interval.
+        """
         off = (self.logs + side * self.half - np.log(target)).max(axis=1)
         return _crossing(np.log(self.n), off)
 
@@ -704,7 +708,7 @@ class _Ladder:
 
     @property
     def trusted(self) -> float:
-        """The largest n with a narrow interval at it and at all smaller n."""
+        """The largest n such that intervals are narrow at n and at all smaller counts."""
         rates = [c.rate if math.isfinite(c.rate) else -1.0 for c in self.curves]
         width = (2.0 * self.half / np.maximum(-np.array(rates), 0.5)).max(axis=1)
         wide = np.flatnonzero(width > math.log(_MEASURED.narrow))
@@ -722,7 +726,7 @@ def _crossing(x: Array, off: Array) -> float:
     if not len(reached):
         return math.inf
     k = int(reached[0])
-    # A variance that vanishes does so at the count itself
+    # A vanishing variance reaches the target at the count itself
     if not k or off[k] < off[k - 1] + 0.5 * math.log(_TINY):
         return float(x[k])
     return float(np.interp(0.0, -off[k - 1 : k + 1], x[k - 1 : k + 1]))
@@ -731,7 +735,8 @@ def _crossing(x: Array, off: Array) -> float:
 def _count_from(estimator: AbstractEstimator, sampler: Sampler, n: float) -> float:
     """Return the least allowed count that is at least n; for nets a power of their base.
 
-    It is infinite if the sampler has no such count. A count may be less than n by a millionth.
+    The result is infinite if the sampler has no such count.
+    The count may be less than n by a millionth of n.
     """
     if not n * (1.0 - 1e-6) <= min(_SETTINGS.most, sampler.max_count):
         return math.inf
@@ -749,7 +754,7 @@ def _count_from(estimator: AbstractEstimator, sampler: Sampler, n: float) -> flo
 
 
 def _measured_count_from(estimator: AbstractEstimator, sampler: Sampler, n: float) -> float:
-    """Apply `_count_from`, for lattices at powers of two, as each count has its own lattice."""
+    """Apply `_count_from`, for lattices at powers of two, as lattices of counts differ."""
     leaf = leaf_of(estimator.law(sampler, sampler.nearest_count(1)))
     if not (isinstance(leaf, Fixed) and leaf.even):
         return _count_from(estimator, sampler, n)
@@ -761,7 +766,7 @@ def _measured_count_from(estimator: AbstractEstimator, sampler: Sampler, n: floa
 
 
 def _base(law: Law) -> int:
-    """Return the base of a net, which is balanced only at powers of it; 0 for other points."""
+    """Return the base whose powers balance a net; 0 for points that are not a net."""
     leaf = leaf_of(law)
     bases = set(leaf.bases or ()) if isinstance(leaf, Fixed) else set()
     return bases.pop() if len(bases) == 1 else 0
@@ -810,39 +815,39 @@ def plan(
     Parameters
     ----------
     estimator, samplers
-        An estimator, and one sampler or a list of them.
+        An estimator, and a sampler or a list of samplers.
     dims
-        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
-        that is not a spec.
+        Number of dims of a function, or of a spec without ``dims``.
+        The default is the number of dims of the sampler, if the sampler is not a spec.
     target_error
         Target root mean square error, for each channel.
     relative
-        Whether it is relative to the integral.
+        Whether the target is relative to the integral.
     rng
         Seed (SPEC 7).
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of a function or of a costly integrand, which all samplers share; by
-        default 2^18. A plan starts with 4,096 and doubles them until the interval of n is narrower
-        than a factor of 1.5.
+        Maximum number of evaluations of a function or of a costly integrand,
+        shared by all samplers; by default 2^18. A plan starts with 4,096 evaluations
+        and doubles this number until the interval of n is narrower than a factor of 1.5.
 
     Returns
     -------
     xarray.Dataset
-        ``planned_n``, the least count with an RMSE of at most the target; NaN if not known. For
-        nets (sobol, pmj02 and the like), which other counts leave unbalanced, it is a power of
-        their base. For other samplers of known integrands it is accurate to 0.4 %. With the same
-        seed a smaller target never has a smaller ``planned_n``. ``planned_n_ci(bound)`` is this
-        count for variances at the ends of their 95 % intervals. Its upper end is infinite if the
-        values do not bound the variance; the attribute ``note`` gives the reason. ``planned_error``
-        is the RMSE at ``planned_n``, and ``target_variance`` the square of the target. The curve
-        ``predicted_variance(n)`` with ``predicted_variance_ci(n, bound)`` is at allowed powers of
-        two, down to a quarter of the target variance or up to 2^16. Beyond the predicted or
-        measured counts n follows from the last slope, which ``how`` reports. The coordinates
-        ``method`` and ``how`` (attributes for a single sampler) are those of `predict`, or
-        ``"measured"`` with the number of evaluations. A list adds the dim sampler. The attribute
-        ``answer`` is a sentence.
+        ``planned_n``, the least count with an RMSE of at most the target; NaN if not known.
+        For nets (sobol, pmj02 and the like), which other counts leave unbalanced, it is a power
+        of their base. For other samplers of known integrands, the count is accurate to 0.4 %.
+        With the same seed a smaller target never has a smaller ``planned_n``.
+        ``planned_n_ci(bound)`` is this count for variances at the ends of their 95 % intervals.
+        The upper end is infinite if the values do not bound the variance;
+        the attribute ``note`` gives the reason. ``planned_error`` is the RMSE at ``planned_n``,
+        and ``target_variance`` the square of the target. The curve ``predicted_variance(n)``
+        with ``predicted_variance_ci(n, bound)`` is at allowed powers of two, down to a quarter
+        of the target variance or up to 2^16. Beyond the predicted or measured counts n follows
+        from the last slope, which ``how`` reports. The coordinates ``method`` and ``how``
+        (attributes for a single sampler) are those of `predict`, or ``"measured"`` with the number
+        of evaluations. A list adds the dim sampler. The attribute ``answer`` is a sentence.
 
     Raises
     ------

@@ -1,9 +1,9 @@
 """Remedies: changes that lower an estimator's noise at a budget, measured, ranked and explained.
 
-Every candidate (`mcspectra.improve.candidates`) is run at the same budgets of integrand evaluations
-and with the same random numbers as the given set-up (`mcspectra.improve.assess`). Intervals of all
-comparisons are simultaneous: a remedy is recommended only if its interval excludes the given
-set-up.
+Every candidate (`mcspectra.improve.candidates`) is run at the same budgets of evaluations
+and with the same random numbers as the given set-up (`mcspectra.improve.assess`).
+Intervals of all comparisons are simultaneous:
+a remedy is recommended only if its interval excludes the given set-up.
 """
 
 from __future__ import annotations
@@ -44,32 +44,31 @@ __all__ = ["Remedies", "RemedySettings", "ranked", "remedies"]
 class RemedySettings:
     """Settings of the comparison of remedies."""
 
-    # Number of budgets at which each set-up is measured. Five budgets B/256, B/64, B/16, B/4 and B
-    # give a rate, and three degrees of freedom for the lack of fit.
+    # Number of budgets at which each set-up is measured. Five budgets B/256, B/64, B/16,
+    # B/4 and B give a rate, and three degrees of freedom for the lack of fit.
     steps: int = 5
-    # Ratio of successive budgets. A smaller ratio costs more: the total is 1/(1 − 1/ratio) times
-    # the largest budget (4/3 here). A larger ratio leaves
-    # only two or three budgets that are enough for two counts.
+    # Ratio of successive budgets. A smaller ratio costs more:
+    # the total is 1/(1 − 1/ratio) times the largest budget (4/3 here).
+    # With a larger ratio only two or three budgets would be large enough for two points.
     ratio: int = 4
-    # Expected number of changes of each kind, for the estimate of cost and memory before a run. All
-    # 15 kinds together make 17 to 24 changes of functions in 2-D, and ``sampler`` alone makes
-    # eight.
+    # Expected number of changes of each kind, for estimates of cost and memory before a run. All 15
+    # kinds together make 17 to 24 changes of functions in 2-D, and ``sampler`` alone makes eight.
     tries: int = 3
-    # Largest relative difference between equal estimates and an exact integral that counts as
-    # rounding. Means round to about 1e-15; the rest allows for values that cancel to 1e-6 of their
-    # size.
+    # Largest relative difference between equal estimates and an exact integral
+    # that counts as rounding. Means round to about 1e-15;
+    # the margin allows for values that cancel to 1e-6 of their size.
     exact_tolerance: float = 1e-9
-    # The same for an integral by quadrature or by many points, whose error estimates can be too
-    # small. Equal estimates that miss a rare event differ
-    # from the integral by far more than this.
+    # Largest such difference for an integral by quadrature or by many points,
+    # whose estimated error can be too small.
+    # Equal estimates that miss a rare event differ from the integral by far more than this.
     quadrature_tolerance: float = 1e-3
-    # Number of standard errors of such an integral that are allowed if they exceed
+    # Allowed difference from such an integral, in standard errors, if this exceeds
     # `quadrature_tolerance`. A normal error is beyond 4 standard errors with probability 6e-5.
     sigmas: float = 4.0
 
 
 _SETTINGS = RemedySettings()
-# Stream label of searches; the labels below are of the steps
+# Stream label of searches; steps have the smaller labels
 _SEARCH = _SETTINGS.steps
 
 _DIMS: dict[str, tuple[str, ...]] = {
@@ -88,7 +87,7 @@ _DIMS: dict[str, tuple[str, ...]] = {
 
 @final
 class Remedies(Counted, frozen=True, kw_only=True):
-    """Changes that would lower the noise at equal cost: measured, ranked, explained."""
+    """Changes that lower the noise at equal cost, with measurements, ranks and reasons."""
 
     function = "remedies"
     verb = "remedies"
@@ -135,7 +134,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
             )
         tries = 1 + _SETTINGS.tries * len(self._kinds)
         evaluations = self.realizations * given.cost * sum(counts)
-        if given.is_black_box:  # The diagnosis may take as many again
+        if given.is_black_box:  # The diagnosis may take the same number of evaluations again
             evaluations += self.budget * self.realizations
         return Need(
             cost=float(self.budget * self.realizations * tries) * ratio / (ratio - 1),
@@ -144,7 +143,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Trials]:
-        """Measure the given set-up, then the changes of one kind after another."""
+        """Measure the given set-up, then the changes, one kind after another."""
         given = Setup(subject.estimator, subject.sampler)
         start = Candidate("given", "as given", "leave everything as it is", given)
         unknown = np.isnan(given.estimator.known_integral()[0]).any()
@@ -192,7 +191,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
             return _Trials(tried, [], found)
 
         def result(found: _Trials) -> xr.Dataset:
-            """Rank all set-ups by their variances; a set-up that two kinds make counts once."""
+            """Rank all set-ups by their variances; a set-up made by two kinds counts once."""
             assert found.diagnosis is not None
             first: dict[str, MeasuredCandidate] = {}
             for each in found.tried:
@@ -217,7 +216,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         for step, n in _affordable(setup, self.budget).items():
             try:
                 estimator = setup.at(n)
-            except McspectraError:  # There are fewer strata than edges
+            except McspectraError:  # This count has fewer strata than edges
                 continue
             cost.append(n * setup.cost + setup.overhead)
             own = stream.child(step)
@@ -260,46 +259,47 @@ def remedies(
     max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Try changes to an estimator and its sampler at equal cost, rank them, and explain the gains.
+    """Try changes of an estimator and its sampler at equal cost, rank them, and explain the gains.
 
-    All changes together take 10 to 25 times budget · realizations evaluations of a user's function:
-    about 20 million at a budget of 1,000 with the default realizations.
+    All changes together evaluate a user's function 10 to 25 times budget · realizations times:
+    about 20 million times at a budget of 1,000 with the default number of realizations.
 
     Parameters
     ----------
     estimator, sampler
         The given set-up.
     budget
-        Evaluations of the integrand in one estimate. An estimate with n points takes Σ counts · n.
+        Number of evaluations of the integrand in one estimate.
+        An estimate with n points takes Σ counts · n evaluations.
     dims
-        Number of dims of a function, or of a spec without ``dims``. The default is the number of
-        dims of the sampler, if the sampler is not a spec.
+        Number of dims of a function, or of a spec without ``dims``.
+        The default is the number of dims of the sampler, if the sampler is not a spec.
     realizations
-        Realizations of each set-up at each of five budgets, from 100 to 100 000.
+        Number of realizations of each set-up at each of five budgets, from 100 to 100 000.
     rng
         Seed (SPEC 7), common to all set-ups.
     kinds
-        Kinds of change to try; all by default. See `mcspectra.improve.candidates.KINDS`.
+        Kinds of changes to try; by default all kinds. See `mcspectra.improve.candidates.KINDS`.
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of the integrand. A limit below the evaluations of the given set-up and its
-        diagnosis raises before any evaluation. The kinds share the rest equally; a change that does
-        not fit into a share is not tried.
+        Maximum number of evaluations of the integrand. A limit below the evaluations
+        of the given set-up and its diagnosis raises before any evaluation. The kinds share
+        the remaining evaluations equally; a change that needs more than its share is not tried.
 
     Returns
     -------
     xarray.Dataset
         The labels of the dim ``remedy`` are names of changes in the order of their variances at the
-        budget, with ``"as given"`` among them. Variables on ``remedy``: ``error`` (the variance, or
-        the mean squared error of a biased change, summed over channels) with ``error_ci``;
+        budget, with ``"as given"`` among them. Variables on ``remedy``: ``error`` (the variance,
+        or the mean squared error of a biased change, summed over channels) with ``error_ci``;
         ``error_ratio`` to the given set-up with the simultaneous 95 % interval ``error_ratio_ci``;
         ``rate`` and ``rate_ci``; ``rate_difference`` with ``rate_difference_ci``, likewise;
-        ``rank_by_rate``. Coordinates: ``kind``, ``change`` (an imperative), ``verdict`` and
-        ``rate_verdict`` (better, worse, undecided, given) and ``reason``. Variables on (remedy,
-        step): ``cost`` and ``error_at_cost``. The attributes ``diagnosis`` and ``answer`` are
-        sentences, ``best`` has the numbers of the answer as JSON, and ``not_tried`` lists changes
-        that could not be tried, with reasons.
+        ``rank_by_rate``. Coordinates: ``kind``, ``change`` (an imperative),
+        ``verdict`` and ``rate_verdict`` (better, worse, undecided, given) and ``reason``.
+        Variables on (remedy, step): ``cost`` and ``error_at_cost``. The attributes ``diagnosis``
+        and ``answer`` are sentences, ``best`` has the numbers of the answer as JSON,
+        and ``not_tried`` lists changes that could not be tried, with reasons.
 
     Raises
     ------
@@ -308,20 +308,21 @@ def remedies(
 
     Notes
     -----
-    ``fitted``, ``regression``, ``order`` and ``preintegrated`` change the estimator after a pilot
-    of an eighth of the budget (at most 4096 evaluations), and keep its integral. If no count of
-    points costs exactly the budget, the largest count below is measured, and the error is
-    extrapolated to the budget along the fitted rate. The interval includes the uncertainty of the
-    slope. Errors are not extrapolated for changes with a pilot. A user's function is evaluated at
-    most 4/3 · budget · realizations times for each set-up, and 7/3 · budget · realizations times
-    for the given set-up's diagnosis. Searches for offsets of strata and for widths of smooth edges
-    take more evaluations, so that these changes are not tried for a user's function. Biased changes
-    are not tried if ∫f is unknown. The error of a change that is biased, by smoothing or by a
-    sampler that is not randomized, is taken about the integral of the given estimator. A change to
-    another integral has no rate, since its error converges to the square of the bias. Pilots of
-    heuristics and the values of a mean over a box count as evaluations. If all estimates are equal
-    but differ from the integral, they have missed a rare event: error and ratio are NaN, and the
-    verdict is undecided. Set-ups without a rate are last by rate.
+    ``fitted``, ``regression``, ``order`` and ``preintegrated`` change the estimator after
+    a pilot of an eighth of the budget (at most 4096 evaluations), and keep its integral.
+    If no count of points costs exactly the budget, the largest count below is measured,
+    and the error is extrapolated to the budget along the fitted rate. The interval includes
+    the uncertainty of the slope. Errors are not extrapolated for changes with a pilot.
+    A user's function is evaluated at most 4/3 · budget · realizations times for each set-up,
+    and 7/3 · budget · realizations times for the given set-up's diagnosis.
+    Searches for offsets of strata and for widths of smooth edges take more evaluations,
+    so that these changes are not tried for a user's function. Biased changes are not tried
+    if ∫f is unknown. The error of a change that is biased, by smoothing or by a sampler
+    that is not randomized, is taken about the integral of the given estimator.
+    A change to another integral has no rate, since its error converges to the square of the bias.
+    Pilots of heuristics and the values of a mean over a box count as evaluations.
+    If all estimates are equal but differ from the integral, they have missed a rare event:
+    error and ratio are NaN, and the verdict is undecided. Set-ups without a rate are last by rate.
 
     Examples
     --------
@@ -341,7 +342,7 @@ def ranked(
     budget: int,
     diagnosis: Diagnosis,
 ) -> xr.Dataset:
-    """Compare all candidates with the first, the set-up as given, and sort them; see `remedies`."""
+    """Compare all candidates with the given set-up, the first; sort them; see `remedies`."""
     found = assessed(measured, budget)
     given = found[0]
     found.sort(key=lambda each: float(np.nan_to_num(each.ratio, nan=np.inf)))
@@ -389,7 +390,7 @@ def ranked(
 
 
 def _reason(each: Assessed, diagnosis: Diagnosis) -> str:
-    """Explain why a candidate is better, or how the measurement ended if it is not."""
+    """Explain why a candidate is better, or report the result of the measurement if it is not."""
     candidate = each.measured
     if each.result.verdict == "given":
         found = ""
@@ -442,7 +443,7 @@ def _answer(
     answer = Answer.of(budget, results, **said)
     best = next(each for each in found if each.result is answer.best)
     why = [] if best is given else [reasons[best.result.name]]
-    # The change with the best rate, if larger budgets favor it
+    # Name the change with the best rate, if larger budgets favor this change
     resolved = [each for each in found if is_resolved(*each.result.rate_ci) and each is not best]
     steep = [each for each in resolved if each.rate_verdict == "better"]
     if steep:
@@ -459,20 +460,20 @@ def _answer(
 
 @dataclass(frozen=True)
 class _Trials:
-    """Measured set-ups, reasons for others, and the diagnosis of the given set-up."""
+    """Measured set-ups, reasons for untried ones, and the diagnosis of the given set-up."""
 
     tried: list[MeasuredCandidate]
     not_tried: list[str]
     diagnosis: Diagnosis | None
 
     def merge(self, other: _Trials) -> _Trials:
-        """Return the trials of both, in their order."""
+        """Return the set-ups of both objects, in order."""
         diagnosis = self.diagnosis or other.diagnosis
         return _Trials(self.tried + other.tried, self.not_tried + other.not_tried, diagnosis)
 
 
 def _affordable(setup: Setup, budget: int) -> dict[int, int]:
-    """Return the ascending counts that fit into the budgets of the steps, by step."""
+    """Return the ascending counts that fit into the budgets, by step."""
     found: dict[int, int] = {}
     for step in range(_SETTINGS.steps):
         n = affordable_count(setup, budget // _SETTINGS.ratio ** (_SETTINGS.steps - 1 - step))
@@ -482,5 +483,5 @@ def _affordable(setup: Setup, budget: int) -> dict[int, int]:
 
 
 def _padded(values: Array) -> list[float]:
-    """Return the values of all steps, NaN for the first steps, whose budget was too small."""
+    """Return the values of all steps, with NaN for first steps whose budget was too small."""
     return [math.nan] * (_SETTINGS.steps - len(values)) + [float(v) for v in values]

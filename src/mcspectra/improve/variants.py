@@ -38,10 +38,10 @@ _ORIGINAL = "original"
 @final
 @dataclass(frozen=True)
 class SmoothingSettings:
-    """Settings of scans over the widths of smoothed edges."""
+    """Settings of scans over widths of smoothed edges."""
 
-    # Most widths of one scan. A scan of 256 widths of 64 points with the default 1000 realizations
-    # takes 1.6e7 evaluations.
+    # Maximum number of widths in one scan.
+    # A scan of 256 widths of 64 points with the default 1000 realizations takes 1.6e7 evaluations.
     most_widths: int = 256
 
 
@@ -65,10 +65,10 @@ def smoothing_scan(
     Parameters
     ----------
     integrand
-        f, or its spec.
+        The integrand f, or a spec.
     sampler, counts
-        A sampler, and one number of points n or several in ascending order. A rate needs at least
-        two.
+        A sampler, and one number of points n or several in ascending order.
+        A rate needs at least two.
     widths
         Widths δ in ascending order; see `mcspectra.smoothed`. A width of 0 is f itself.
     density
@@ -81,19 +81,19 @@ def smoothing_scan(
     Returns
     -------
     xarray.Dataset
-        ``variance(width, n)`` with ``variance_ci``; ``smoothing_bias(width)``, the difference of
-        the integrals, and ``bias_squared(width)`` with ``bias_squared_ci``, from the errors of the
-        integrals; ``mse(width, n)`` = bias² + variance with ``mse_ci``; ``rate(width)`` of the
-        variance with ``rate_ci``; ``best_width(n)``, the width with the least mse, and
-        ``best_width_range(n, bound)``, the range of all widths whose interval of the mse begins
-        below the end of the best interval. Several channels add a dim channel; the best width
-        minimizes the sum over channels.
+        ``variance(width, n)`` with ``variance_ci``; ``smoothing_bias(width)``,
+        the difference of the integrals, and ``bias_squared(width)`` with ``bias_squared_ci``,
+        from the errors of the integrals; ``mse(width, n)`` = bias² + variance with ``mse_ci``;
+        ``rate(width)`` of the variance with ``rate_ci``;
+        ``best_width(n)``, the width with the least mse, and ``best_width_range(n, bound)``,
+        the range of all widths whose interval of the mse begins below the end of the best interval.
+        Several channels add a dim channel; the best width minimizes the sum over channels.
 
     Raises
     ------
     CountError, ParameterError
-        If the sampler has no set of a count, widths are not ascending or impossible, or dims
-        disagree.
+        If the sampler has no set of a count, widths are not ascending or impossible,
+        or dims disagree.
 
     Examples
     --------
@@ -124,7 +124,7 @@ def smoothing_scan(
     ).rename(estimator="width")
 
     # Compute ∫ f_δ − ∫ f, (W[, channels]), and the interval of its square from the errors of both
-    kept = [g is f or isinstance(g, BoxSmoothed) for g in functions]  # boxes keep the integral
+    kept = [g is f or isinstance(g, BoxSmoothed) for g in functions]  # Boxes keep the integral
     pairs = list(zip(functions, kept, strict=True))
     accuracy = [0.0 if k else integral_accuracy(f)[1] + integral_accuracy(g)[1] for g, k in pairs]
     none = np.zeros(f.channels or ())
@@ -134,7 +134,8 @@ def smoothing_scan(
     low, high = np.maximum(np.abs(bias) - error, 0.0), np.abs(bias) + error
     square_ci = np.stack([low, high], axis=-1) ** 2
 
-    # Find the width of the least error for each n, and the range of widths that may have it
+    # Find the width with the least error for each n,
+    # and the range of widths that may have this error
     mse = measured["variance"].values + np.expand_dims(bias**2, 1)
     mse_ci = measured["variance_ci"].values + np.expand_dims(square_ci, 1)
     total, ci = (mse.sum(axis=2), mse_ci.sum(axis=2)) if f.channels else (mse, mse_ci)
@@ -187,17 +188,17 @@ def mirror_study(
     Parameters
     ----------
     estimator, sampler, counts
-        Same as in `mcspectra.convergence`, with a sampler that does not end with a shift. n is the
-        number of evaluations of the integrand, so that variances at one n are at equal cost.
+        Same as in `mcspectra.convergence`, with a sampler that does not end with a shift. n
+        is the number of evaluations of the integrand, so that variances at one n are at equal cost.
     dims
-        Number of dims of a function, or of a spec that leaves it open. The default is the number of
-        dims of the sampler, if the sampler is not a spec.
+        Number of dims of a function, or of a spec without dims.
+        The default is the number of dims of the sampler, if the sampler is not a spec.
     mirrorings
         Some of ``"original"``, ``"integrand"``, ``"random"``, ``"uniform"`` (`mcspectra.Mirrored`).
         The six plots of the slides do not include ``"integrand"``.
-        Whether exact variances are also returned. They are fast in 1-D, and take up to minutes for
-        each Whether to return exact variances too. They are fast in 1-D, and take up to minutes for
-        each count of shifted sets in 2-D.
+    exact
+        Whether exact variances are also returned. Exact variances are fast in 1-D;
+        in 2-D, each count of shifted sets takes up to minutes.
     realizations, rng, max_evaluations, workers
         Same as in `mcspectra.convergence`. All curves share random numbers.
 
@@ -205,16 +206,16 @@ def mirror_study(
     -------
     xarray.Dataset
         ``variance``, ``variance_ci``, ``mean``, ``mean_se``, and with `exact` ``exact_variance``
-        (NaN if it is not known), on the dims mirroring, homogenized (False, True: with ``shift``)
-        and n; ``rate`` and ``rate_ci`` on the first two dims; and the dim channel if f has several
-        channels.
+        (NaN if it is not known), on the dims mirroring, homogenized (False, True:
+        with ``shift``) and n; ``rate`` and ``rate_ci`` on the first two dims;
+        and the dim channel if f has several channels.
 
     Raises
     ------
     CountError, ParameterError
-        If a sampler has no set of a count (``"uniform"`` needs multiples of 2^d), a mirroring is
-        unknown or listed twice, the sampler already ends with a shift, or `exact` is neither True
-        nor False.
+        If a sampler has no set of a count (``"uniform"`` needs multiples of 2^d),
+        a mirroring is unknown or listed twice, the sampler already ends with a shift,
+        or `exact` is neither True nor False.
 
     Examples
     --------

@@ -1,4 +1,4 @@
-"""Measurements of the variance: against n, term by term, by technique, axis and mode."""
+"""Measurements of the variance against n, term by term, and by technique, axis and mode."""
 
 import lazy_loader
 

@@ -1,12 +1,13 @@
-"""ANOVA of a variance in many dims: contributions of axes, alone or together, to the noise.
+"""ANOVA of a variance in many dims: contributions of single axes and sets of axes to the noise.
 
-docs/theory.md, "Analysis by axes", derives both methods. `anova_variances` is pick-freeze
-[Sobol2001]_ with whole point sets. The part of the empty set of axes is 0, but its sample is
-subtracted from all others: it contains most of their errors, so shares near 1 are precise.
+docs/theory.md, "Analysis by axes", derives both methods of this module.
+`anova_variances` is pick-freeze [Sobol2001]_ with whole point sets.
+The part of the empty set of axes is 0, but its sample is subtracted from all others:
+this sample contains most of the errors of the others, so shares near 1 are precise.
 
-`anova_spectrum` draws frequencies with a probability q(m) = Π_{i∈u} q_1(m_i), q_1(k) ∝ 1/k² up to
-K. The |f_m|² of a function with jumps or a boundary term falls like 1/m_i² along each axis, so the
-terms |f_m|² ⟨|S_m|²⟩ / q(m) are bounded.
+`anova_spectrum` draws frequencies with a probability q(m) = Π_{i∈u} q_1(m_i), q_1(k) ∝ 1/k² up
+to K. The |f_m|² of a function with jumps or a boundary term falls like 1/m_i² along each axis,
+so the terms |f_m|² ⟨|S_m|²⟩ / q(m) are bounded.
 """
 
 from __future__ import annotations
@@ -51,10 +52,10 @@ EFFECTIVE_SHARE = 0.99
 
 @dataclass(frozen=True)
 class AnovaSettings:
-    """Limits of memory, and the numbers of realizations and batches that give errors."""
+    """Limits of memory, and numbers of realizations and batches for standard errors."""
 
-    # Largest number of axes, or groups of axes: the pairs of 64 axes are 2,016 subsets, each with
-    # an estimate for every realization.
+    # Largest number of axes, or groups of axes:
+    # 64 axes have 2,016 pairs, each with an estimate for every realization.
     most_dims: int = 64
     # Largest number of stored estimates, over all subsets and realizations: 0.5 GiB in float64.
     most_values: int = 2**26
@@ -64,9 +65,9 @@ class AnovaSettings:
     # Least number of realizations that give a standard error. With two, both products of deviations
     # are equal and the error would be 0; `variance_terms` also needs four.
     least: int = 4
-    # Number of independent batches of frequencies, whose spread gives the standard error. Student's
-    # t with 15 degrees of freedom makes intervals 9 % wider than a normal law; twice the batches
-    # would gain 4 %, half would lose 11 %.
+    # Number of independent batches of frequencies, whose spread gives the standard error.
+    # Student's t with 15 degrees of freedom makes intervals 9 % wider than a normal law;
+    # Intervals would be 4 % narrower with twice as many batches, and 11 % wider with half as many.
     batches: int = 16
 
 
@@ -129,7 +130,10 @@ class Anova(Counted, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Estimates]:
-        """Return the estimates of every realization, because covariances need the means of all."""
+        """Return the estimates of every realization.
+
+        Covariances need the means over all realizations.
+        """
         e, sampler, n = subject.estimator, subject.sampler, self.n
         partner = stream.child(_PARTNER)
         groups = self._group_of_axes(e.dims)
@@ -139,7 +143,7 @@ class Anova(Counted, frozen=True, kw_only=True):
 
         @functools.cache
         def same_always() -> bool:
-            """Return whether all streams give one set, which then has no independent partner."""
+            """Return whether all streams give the same set, which has no independent partner."""
             one, other = (sampler.draw_stream(n, s, 0, 1) for s in (stream, partner))
             return np.array_equal(one, other)
 
@@ -147,7 +151,7 @@ class Anova(Counted, frozen=True, kw_only=True):
             """Return estimates with the axes of each subset kept and the others replaced."""
             block = blocks[index]
             kept = e.draw(sampler, n, stream, *block)
-            # Independent sets, each in its own order; random points if all sets are equal
+            # Independent sets, each in an order of its own; random points if all sets are equal
             if same_always():
                 random = as_sampler("random", sampler.dims)
                 others = e.draw(random, n, stream.child(_UNIFORM), *block)
@@ -188,7 +192,7 @@ class Anova(Counted, frozen=True, kw_only=True):
         return given
 
     def _labelled(self, estimates: Array, subject: Subject) -> xr.Dataset:
-        """Return linear combinations of covariances of all subsets with the first, as a dataset."""
+        """Combine the covariances of all subsets with the first subset into a dataset."""
         moments, count = Moments.of(estimates[0], tails=True), estimates.shape[1]
         # Products of deviations, whose means over realizations are covariances: (S, R, channels)
         deviation = estimates - estimates.mean(axis=1, keepdims=True)
@@ -201,20 +205,20 @@ class Anova(Counted, frozen=True, kw_only=True):
         weight = dict(zip(frozen, np.eye(len(frozen)), strict=True))
 
         def below(*u: int) -> Array:
-            """Return the weights of all subsets of u together."""
+            """Return the weights of a sum over all subsets of u."""
             return np.asarray(weight[u] - weight[()])
 
         parts = [
             below(*u) - sum((below(a) for a in u if len(u) > 1), np.zeros(len(frozen)))
             for u in listed
         ]
-        # The variance from the same pairs, and each realization's part of it
+        # The variance from the same pairs, and the part of each realization in this variance
         varies = moments.variance > rounding_floor(moments.mean)
         every = weighted_sum(below(*axes), products)
         whole = np.where(varies, every.mean(axis=0), np.nan)
 
         def combined(weights: list[Array]) -> tuple[Array, Array, Array, Array]:
-            """Return combinations (U, S) of covariances with errors, and shares with intervals."""
+            """Return weighted sums of covariances with errors, and shares with intervals."""
             each = [weighted_sum(row, products) for row in weights]
             means = np.stack([q.mean(axis=0) for q in each])
             errors, share = (
@@ -282,7 +286,7 @@ class Anova(Counted, frozen=True, kw_only=True):
 
 @final
 class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
-    """Variance by subset of the axes, from sampled frequencies."""
+    """Variance for each subset of the axes, from sampled frequencies."""
 
     function = "measure.anova_spectrum"
     variables = ("anova_variance", "anova_variance_se")
@@ -317,7 +321,7 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
     ] = 64
 
     def need(self, subject: Subject) -> Need:
-        """Check that coefficients are exact, points uniform, and frequencies uncorrelated."""
+        """Check exact coefficients, uniform points and uncorrelated frequencies."""
         estimator, sampler = subject.estimator, subject.sampler
         estimator.check_sampler(sampler, self.n)
         plain = isinstance(estimator, Estimator) and estimator.density is None
@@ -349,7 +353,7 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Batches]:
-        """Return batches of frequencies and sets, independent of each other."""
+        """Return batches of frequencies and sets; batches are independent of each other."""
         f, n, dims = subject.estimator.integrand, self.n, subject.estimator.dims
         subsets = _subsets(dims, self.order)
         batches = _SETTINGS.batches
@@ -358,7 +362,8 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
         cumulative = np.cumsum(np.arange(1.0, self.half_width + 1) ** -2)
 
         def batch(index: int) -> _Batches:
-            # Frequencies of each subset, (U count, d), and their probabilities, (U count,)
+            # Frequencies of all subsets, (U · count, d),
+            # and the probabilities of these frequencies, (U · count,)
             m: Array = np.zeros((len(subsets), count, dims))
             q: Array = np.ones((len(subsets), count))
             for place, subset in enumerate(subsets):
@@ -421,8 +426,8 @@ def anova_variances(
         The estimator with its sampler and number of points, in up to 64 dims or groups. Random
         sampling with n = 1, the default, gives the ANOVA variances σ²_u of the integrand itself.
     dims
-        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
-        that is not a spec.
+        Number of dims of a function, or of a spec without ``dims``.
+        The default is the number of dims of the sampler, if the sampler is not a spec.
     order
         Largest number of axes of a subset, 1 or 2.
     realizations
@@ -435,26 +440,26 @@ def anova_variances(
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more raises, before it starts if
-        possible.
+        Maximum number of evaluations of the integrand.
+        An analysis that takes more raises, before it starts if possible.
 
     Returns
     -------
     xarray.Dataset
-        ``anova_variance(subset)`` c_u, with ``_se``, and ``anova_share(subset)``, its share of the
-        variance of the same pairs, so all shares sum to 1. The shares of single axes are the
-        first-order Sobol' indices. ``total_variance(axis)`` is the sum of c_u over all u with the
-        axis, with ``_se``, and ``total_share(axis)`` are the total Sobol' indices.
-        ``higher_order_variance`` is the part of subsets beyond `order`, with ``_se``, and
-        ``higher_order_share`` its share. ``truncation_share(axes)`` is the share of the first axes.
-        ``effective_dimension_truncation`` and ``effective_dimension_superposition`` (NaN beyond
-        `order`); ``mean_dimension``, the mean of |u| weighted by c_u; ``variance``.
+        ``anova_variance(subset)`` c_u, with ``_se``, and ``anova_share(subset)``,
+        its share of the variance of the same pairs, so all shares sum to 1. The shares of single
+        axes are the first-order Sobol' indices. ``total_variance(axis)`` is the sum of c_u over
+        all u with the axis, with ``_se``, and ``total_share(axis)`` are the total Sobol' indices.
+        ``higher_order_variance`` is the part of subsets beyond `order`, with ``_se``,
+        and ``higher_order_share`` its share. ``truncation_share(axes)`` is the share of the first
+        axes. ``effective_dimension_truncation`` and ``effective_dimension_superposition`` (NaN
+        beyond `order`); ``mean_dimension``, the mean of |u| weighted by c_u; ``variance``.
 
-        Shares and dimensions have 95 % intervals ``_ci``, not clipped to 0 and 1. Intervals of
-        ratios of means come from the delta method with Student's t. Intervals of effective
-        dimensions end where the ends of the shares cross 99 %, or at infinity if the lower end does
-        not. Errors and intervals of fewer than 4 realizations are NaN. Several channels add a dim
-        channel.
+        Shares and dimensions have 95 % intervals ``_ci``, which are not clipped to 0 and 1.
+        Intervals of ratios of means come from the delta method with Student's t.
+        Intervals of effective dimensions end where the ends of the shares cross 99 %,
+        or at infinity if the lower end does not. Errors and intervals of fewer than 4 realizations
+        are NaN. Several channels add a dim channel.
 
     Raises
     ------
@@ -463,9 +468,10 @@ def anova_variances(
 
     Notes
     -----
-    The cost is O(R n d²) evaluations for order 2 and O(R n d) for order 1. c_u may be negative if
-    parts are correlated, or by noise within its standard error. Given sets (`Sampler.from_points`)
-    have no independent partners; random points replace these, with larger errors.
+    The cost is O(R n d²) evaluations for order 2 and O(R n d) for order 1.
+    c_u may be negative if parts are correlated, or by noise within its standard error.
+    Given sets (`Sampler.from_points`) have no independent partners;
+    random points replace these sets, so errors are larger.
 
     Examples
     --------
@@ -494,13 +500,14 @@ def anova_spectrum(
     Parameters
     ----------
     estimator
-        An estimator of one integrand with exact Fourier coefficients and uniform points, in up to
-        64 dims.
+        An estimator of one integrand with exact Fourier coefficients and uniform points,
+        in up to 64 dims.
     sampler, n
-        Points that are the same after any translation: random, or with shift.
+        Random points, or points with a random shift:
+        their distribution is the same after any translation.
     dims
-        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
-        that is not a spec.
+        Number of dims of a function, or of a spec without ``dims``.
+        The default is the number of dims of the sampler, if the sampler is not a spec.
     order
         Largest number of axes of a subset, 1 to 3.
     frequencies
@@ -508,22 +515,22 @@ def anova_spectrum(
     half_width
         Largest |m_i|; higher frequencies are left out.
     realizations
-        Total number of point sets, at least 32, if ⟨|S_m|²⟩ has no closed form.
+        Total number of point sets, at least 32, used if ⟨|S_m|²⟩ has no closed form.
     rng
         Seed (SPEC 7).
 
     Returns
     -------
     xarray.Dataset
-        ``anova_variance`` c_u and ``anova_variance_se`` on dim subset, as in `anova_variances`. The
-        error is that of the mean of 16 independent batches of frequencies and sets. The attribute
-        ``power`` reports whether ⟨|S_m|²⟩ is exact.
+        ``anova_variance`` c_u and ``anova_variance_se`` on dim subset, as in `anova_variances`.
+        The error is that of the mean of 16 independent batches of frequencies and sets.
+        The attribute ``power`` reports whether ⟨|S_m|²⟩ is exact.
 
     Raises
     ------
     NoClosedForm
-        If the coefficients are not exact, the points have a density, or their frequencies are
-        correlated. `anova_variances` has no such requirements.
+        If the coefficients are not exact, the points have a density,
+        or their frequencies are correlated. `anova_variances` has no such requirements.
     ParameterError, CountError
         If a value is out of range, or the frequencies would not fit into memory.
 
@@ -549,7 +556,7 @@ class _Estimates:
 
 @dataclass(frozen=True)
 class _Batches:
-    """Means of the terms of batches, (B, U, channels), and the source of the power."""
+    """Means of the terms of each batch, (B, U, channels), and the source of the power ⟨|S_m|²⟩."""
 
     means: JOIN
     power: Annotated[str, "same"]
@@ -561,7 +568,7 @@ def _subsets(dims: int, order: int) -> list[tuple[int, ...]]:
 
 
 def _frozen(dims: int, order: int) -> list[tuple[int, ...]]:
-    """Return the subsets of axes that are kept, each once, the full and the empty set first."""
+    """Return each subset of axes that is kept once; the full set and the empty set come first."""
     axes = tuple(range(dims))
     without = [(*axes[:i], *axes[i + 1 :]) for i in axes]
     first = [axes[:s] for s in range(1, dims)]
@@ -569,13 +576,13 @@ def _frozen(dims: int, order: int) -> list[tuple[int, ...]]:
 
 
 def _least(shares: Array) -> Array:
-    """Return the smallest number, from 1, whose share (s, ...) is enough; NaN if no share is."""
+    """Return the smallest number of axes whose share (s, ...) is large enough, else NaN."""
     enough = shares >= EFFECTIVE_SHARE
     return np.where(enough.any(axis=0), enough.argmax(axis=0) + 1.0, np.nan)
 
 
 def _least_ci(ends: Array) -> Array:
-    """Return the interval of that number from (s, channels, 2): (channels, 2)."""
+    """Return the interval of the number of axes, (channels, 2), from shares (s, channels, 2)."""
     least = _least(ends)[..., ::-1]
     unknown = np.asarray(np.isnan(ends).any(axis=(0, 2)))[:, None]
     return np.where(unknown, np.nan, np.nan_to_num(least, nan=np.inf))

@@ -1,7 +1,7 @@
 """Partitions of the basis functions into bands, which split an estimate into parts.
 
-A band is a set of functions with the estimate I_a = Σ_{m in a} conj(f_m) S_m. The sum of Cov(I_a,
-I_b) over all pairs of bands is the variance.
+A band is a set of functions with the estimate I_a = Σ_{m in a} conj(f_m) S_m.
+The sum of Cov(I_a, I_b) over all pairs of bands is the variance.
 """
 
 from __future__ import annotations
@@ -23,14 +23,13 @@ PARTITIONS = ("radial", "anova", "wedge", "dyadic")
 
 @dataclass(frozen=True)
 class BandSettings:
-    """Limits and numbers of bands."""
+    """Largest and default numbers of bands."""
 
-    # Largest number of bands in a user's labels: the covariance of 4,096 bands takes 128 MiB per
-    # channel.
+    # Largest number of bands in a user's labels:
+    # the covariance of 4,096 bands takes 128 MiB per channel.
     most: int = 4096
-    # Number of sectors of directions ±m, 15° each: both axes and both diagonals are centers of
-    # sectors, with two other
-    # sectors in between.
+    # Number of sectors of directions ±m, 15° each:
+    # both axes and both diagonals are centers of sectors, with two other sectors in between.
     wedges: int = 12
 
 
@@ -64,16 +63,17 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
     ----------
     bands
         ``radial`` are shells of |m| of width one; ``dyadic`` are shells whose width doubles.
-        ``anova`` groups functions by the axes along which they vary, so the bands are the parts of
-        the ANOVA decomposition. ``wedge`` (2-D) has the constant and 12 sectors of 15° of the
-        direction of ±m (for Walsh and Haar, of the numbers of oscillations along the axes, powers
-        of two). Integer labels ≥ 0 are an array of the basis' shape, equal for m and −m.
+        ``anova`` groups functions by the axes along which they vary,
+        so the bands are the parts of the ANOVA decomposition. ``wedge`` (2-D) has the constant,
+        and 12 sectors of 15° for the direction of ±m (for Walsh and Haar,
+        of the numbers of oscillations along the axes, powers of two).
+        Integer labels ≥ 0 are an array with the shape of the basis; labels of m and −m are equal.
 
     Raises
     ------
     ParameterError
-        If the name is unknown, or labels have another shape, type or range, or differ between m and
-        −m.
+        If the name is unknown; if labels have a wrong shape, type or range;
+        or if they differ between m and −m.
     """
     check_bands(bands, basis)
     labels: tuple[str, ...] | list[str]
@@ -96,11 +96,11 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
             meaning = "ANOVA: axes that vary"
         case "wedge":
             m = basis.directions()
-            angle = np.arctan2(m[:, 1], m[:, 0]) % np.pi  # ±m are one direction
+            angle = np.arctan2(m[:, 1], m[:, 0]) % np.pi  # m and −m have the same direction
             wedges = _SETTINGS.wedges
             sector = (
                 np.rint(angle / np.pi * wedges).astype(np.int64) % wedges
-            )  # Centered on the axes
+            )  # Sectors are centered on the axes
             of = np.where((m == 0).all(axis=1), 0, 1 + sector)
             labels = ["constant", *(f"{180 * k / wedges:g}°" for k in range(wedges))]
             meaning = "wedge: direction of m"
@@ -121,8 +121,8 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
                     "bands must be the same for m and −m, so that band estimates are real."
                 )
             labels = tuple(map(str, range(int(of.max()) + 1)))
-    # The last labels may have no members: small grids, and bases without negative indices, lack
-    # directions.
+    # The last labels may have no members,
+    # because small grids and bases without negative indices lack directions.
     return Bands(of, tuple(labels[: int(of.max()) + 1]), f"band ({meaning})")
 
 

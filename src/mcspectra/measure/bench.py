@@ -1,7 +1,8 @@
 """Comparison of samplers on standard integrands by variance, rank, spectrum, quality and speed.
 
-It combines `convergence`, `power_spectrum`, `pair_correlation` and `quality_figures`. It is not an
-`Analysis`, because it measures speed, and the result of an analysis has the same bits every time.
+The module combines `convergence`, `power_spectrum`, `pair_correlation` and `quality_figures`.
+It is not an `Analysis`, because results of analyses have the same bits every time,
+and measured speeds do not.
 """
 
 from __future__ import annotations
@@ -63,42 +64,39 @@ BENCH_QUALITY = (
 """Figures of quality that are measured at every count."""
 
 SHARED_SETS = 8
-"""Number of optimized sets that are reused under random translations, as they are slow to make."""
+"""Number of slowly optimized sets that are reused under random translations."""
 
 
 @dataclass(frozen=True)
 class BenchSettings:
-    """Numbers of sets, and sizes of spectra and pictures, of a bench."""
+    """Numbers of sets of a bench, and sizes of its spectra and pictures."""
 
-    # Number of given sets per count that are measured without a randomization: their spread gives a
-    # variance to 35 %.
+    # Least number of given sets per count for a measurement without a randomization:
+    # the spread of 16 sets gives a variance to 35 %.
     enough_sets: int = 16
-    # Half widths of the spectra in 1, 2 and 3 dims, for 513, 16,641 and 68,921 frequencies. Larger
-    # maps would not be printed in full. Spectra in more dims are omitted.
+    # Half widths of the spectra in 1, 2 and 3 dims, for 513, 16,641 and 68,921 frequencies.
+    # Larger maps would not be printed in full. Spectra in more dims are omitted.
     half_widths: tuple[int, ...] = (256, 64, 20)
-    # Number of sets whose figures of quality are averaged. At 256 points in 2-D single figures of
-    # scrambled nets differ by
-    # 1 to 5 % and those of random points by 11 to 27 %, so means of 8 sets are accurate to 2 % and
-    # 10 %.
+    # Number of sets whose figures of quality are averaged.
+    # At 256 points in 2-D single figures of scrambled nets differ by 1 to 5 % and those
+    # of random points by 11 to 27 %, so means of 8 sets are accurate to 2 % and 10 %.
     quality_sets: int = 8
-    # Least number of sets for an interval of the pair correlation. Student's t with 7 degrees of
-    # freedom makes it a fifth
-    # wider than a normal law. With fewer sets the interval would hide the curve in a plot.
+    # Least number of sets for an interval of the pair correlation.
+    # With 8 sets, Student's t makes the interval a fifth wider than a normal law.
+    # With fewer sets the interval would hide the curve in a plot.
     few_sets: int = 8
-    # Largest number of sets over which the pair correlation is averaged: at 256 points in 2-D, 8,
-    # 16 and 32 sets give half
-    # widths of 0.05, 0.03 and 0.02.
+    # Largest number of sets over which the pair correlation is averaged:
+    # at 256 points in 2-D, 8, 16 and 32 sets give half widths of 0.05, 0.03 and 0.02.
     pair_sets: int = 16
     # Largest number of points of a drawn set, because more dots overlap.
     most_pictured: int = 1024
-    # Largest number of dims of the integrands. Genz's difficulty is divided among the dims, so in
-    # more dims his functions
-    # are nearly linear along each axis.
+    # Largest number of dims of the integrands. Genz's difficulty is divided among the dims,
+    # so in more dims his functions are nearly linear along each axis.
     most_dims: int = 64
 
 
 _SETTINGS = BenchSettings()
-_LEVEL = 0.95  # level of the simultaneous intervals of ranks
+_LEVEL = 0.95  # Level of the simultaneous intervals of ranks
 
 # Genz's difficulty, the sum of a_i over the dims
 _GENZ = {
@@ -139,16 +137,16 @@ def sampler_bench(
     Parameters
     ----------
     samplers
-        Samplers, spec strings or arrays of points, as in `as_sampler`. Spec strings are built for
-        all dims; other samplers are used in their own dims. Sets that are always the same are
-        randomized by owen (digital nets) or shift for the measurement of variances. The same holds
-        for fewer than 16 given sets of a count; points of files are recognized as nets in base 2, 3
-        or 5.
+        Samplers, spec strings or arrays of points, as in `as_sampler`.
+        Spec strings are built for all dims; other samplers are used in their own dims.
+        For the measurement of variances, sets that are always the same are randomized
+        by owen (digital nets) or shift. The same holds if fewer than 16 sets of a count are given;
+        points of files are recognized as nets in base 2, 3 or 5.
     counts
-        Numbers of points; each sampler uses the nearest counts that it allows.
+        Numbers of points; each sampler uses the allowed counts nearest to these.
     dims
-        One or several numbers of dims. The integrands are built for all of them. Spectra, pair
-        correlations, quality and speed use the first number, projections all.
+        One or several numbers of dims. The integrands are built for all of them. Spectra,
+        pair correlations, quality and speed use the first number; projections use all numbers.
     realizations
         Number of realizations for each variance; for given sets at most the number of sets.
     rng
@@ -157,31 +155,31 @@ def sampler_bench(
     Returns
     -------
     xarray.Dataset
-        On (sampler, integrand, n): ``mean``, ``variance``, ``variance_ci`` and ``points_made``, the
-        count. On (sampler, integrand): ``rate``, ``rate_ci``, ``rank`` by n · variance at the
-        largest n, and ``rank_ci``, simultaneous 95 % intervals of all ranks. On (sampler, n):
-        figures of quality, and ``points_per_second`` of one thread that generates them, NaN for
-        points that are read. On (sampler, m0, …) and (sampler, radius): ``power``,
-        ``radial_power``, ``anisotropy_db`` (1 to 3 dims). On (sampler, r): ``pair_correlation``,
-        ``pair_correlation_ci``. On (sampler, point, axis): ``points``, one set in the sampler's
-        largest number of dims. ``pictured_n`` is the count of spectra. Values are NaN if a sampler
-        does not allow the dims or the count. The coordinate ``randomization`` of a sampler names
-        the randomization that was added for the measurement of variances, and so does the attribute
-        ``note``.
+        On (sampler, integrand, n): ``mean``, ``variance``, ``variance_ci`` and ``points_made``,
+        the count. On (sampler, integrand): ``rate``, ``rate_ci``, ``rank`` by n · variance
+        at the largest n, and ``rank_ci``, simultaneous 95 % intervals of all ranks. On (sampler,
+        n): figures of quality, and ``points_per_second`` of one thread that generates them,
+        NaN for points that are read. On (sampler, m0, …) and (sampler, radius):
+        ``power``, ``radial_power``, ``anisotropy_db`` (1 to 3 dims). On (sampler, r):
+        ``pair_correlation``, ``pair_correlation_ci``. On (sampler, point, axis): ``points``,
+        one set in the sampler's largest number of dims. ``pictured_n`` is the count of spectra.
+        Values are NaN if a sampler does not allow the dims or the count.
+        The coordinate ``randomization`` of a sampler names the randomization that was added
+        for the measurement of variances, and so does the attribute ``note``.
 
     Raises
     ------
     ParameterError
-        If there are no samplers, two are alike, or one allows none of the dims.
+        If there are no samplers, two samplers are equal, or a sampler allows none of the dims.
     McspectraError
-        If a sampler cannot be made or drawn; the message gives the reason.
+        If a sampler cannot be made, or cannot draw points; the message gives the reason.
 
     Notes
     -----
-    The integrands are Genz's six families [Genz1984]_ (smooth, a kink, an axis-parallel jump) with
-    his difficulties, a half-space with an oblique border, a ball in up to 3 dims and Sobol's
-    g-function. All results except ``points_per_second`` depend on samplers and seed alone; every
-    sampler has its own stream.
+    The integrands are Genz's six families [Genz1984]_ (smooth, a kink,
+    an axis-parallel jump) with his difficulties, a half-space with an oblique border,
+    a ball in up to 3 dims and Sobol's g-function. All results except ``points_per_second`` depend
+    on samplers and seed alone; every sampler has its own stream.
     """
     for name, given in (("samplers", samplers), ("counts", counts), ("dims", dims)):
         if not isinstance(given, list | tuple | range) and not (
@@ -215,7 +213,8 @@ def sampler_bench(
                 reason = reason or error
         if reason is not None and not sources:
             raise reason
-        # Leave out dims in which all requested counts coincide, such as strata in 10-D
+        # Leave out dims in which a sampler allows only one of the requested counts,
+        # such as strata in 10-D
         single = [d for d, each in sources.items() if len(_nearest(each, asked)) < 2]
         for d in single if len(single) < len(sources) else ():
             del sources[d]
@@ -227,7 +226,9 @@ def sampler_bench(
                 f"The sampler {short_spec(spec)} is listed twice; list each sampler once."
             )
     labels = list(map(short_spec, specs))
-    if len(set(labels)) < len(labels):  # For example, files of one name in several folders
+    if len(set(labels)) < len(
+        labels
+    ):  # Names may be equal, for example of files in several folders
         labels = specs
 
     tasks = [task for d in wanted for task in standard_tasks(d)]
@@ -241,7 +242,7 @@ def sampler_bench(
         for d, source in sources.items():
             made_counts = sorted(set(_nearest(source, asked).values()))
             free, step = free_of(source, made_counts)
-            if not step:  # A function may use no generator
+            if not step:  # A sampler that is a function may ignore the generator
                 n = made_counts[-1]
                 if different_realizations(source, n, Stream.from_rng(own), 2) == 1:
                     free, step = randomized(source, made_counts)
@@ -251,7 +252,7 @@ def sampler_bench(
                     f"{short_spec(free.spec)}"
                 )
             added |= {step: None} if step else {}
-            # Convergence on the tasks at the counts nearest to the requested ones
+            # Measure convergence on the tasks at the counts nearest to the requested counts
             nearest, own_tasks = _nearest(free, asked), [t for t in tasks if t.dims == d]
             numbers, sets = sorted({*nearest.values()}), many
             if isinstance(free, GivenPoints):
@@ -322,9 +323,10 @@ def ranks(variance: Array, variance_ci: Array, n: Array) -> tuple[Array, Array]:
     Returns
     -------
     tuple
-        Ranks (sampler, task), where 1 is the least variance; their ends (sampler, task, 2). The
-        lower end is one more than the number of significantly better samplers, by differences of
-        independent estimates of log variance and Bonferroni over all pairs on all tasks.
+        Ranks (sampler, task), where 1 is the least variance; their ends (sampler, task, 2).
+        The lower end is one more than the number of significantly better samplers,
+        as tested by differences of independent estimates of log variance and Bonferroni over
+        all pairs on all tasks.
     """
     known = (variance >= 0.0) & np.isfinite(variance)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -334,7 +336,7 @@ def ranks(variance: Array, variance_ci: Array, n: Array) -> tuple[Array, Array]:
     pairs = sum(math.comb(int(k), 2) for k in known.sum(axis=0))
     z = stats.norm.ppf(1.0 - (1.0 - _LEVEL) / (2.0 * max(pairs, 1)))
 
-    # i is significantly better than k if their intervals leave a gap
+    # Sampler i is significantly better than k if the intervals of both do not overlap
     with np.errstate(invalid="ignore"):
         gap = logs[None] - logs[:, None]
         sure = gap > z * np.hypot(steps[:, None, :, 1], steps[None, ..., 0])
@@ -356,14 +358,14 @@ def standard_tasks(dims: int) -> Iterator[Task]:
 
 
 def _nearest(source: Sampler, asked: Sequence[int]) -> dict[int, int]:
-    """Return allowed counts of a sampler by the nearest requested counts, each count once."""
+    """Return the allowed counts of a sampler nearest to the requested counts, each count once."""
     found = {n: source.nearest_count(n) for n in asked}
     best = {count: min(asked, key=lambda n: abs(n - count)) for count in found.values()}
     return {n: count for n, count in found.items() if best[count] == n}
 
 
 def _look(source: Sampler, asked: Sequence[int], own: Any, seed: int) -> xr.Dataset:
-    """Compute spectrum, pair correlation, quality and speed."""
+    """Compute the spectrum, pair correlation, quality and speed of a sampler."""
     stream = Stream.from_rng(own)
     nearest = _nearest(source, asked)
     n = max(nearest.values())
@@ -377,7 +379,7 @@ def _look(source: Sampler, asked: Sequence[int], own: Any, seed: int) -> xr.Data
         parts += [spectrum[["power", "radial_power"]], rings]
     if n > 1:
         pairs = pair_correlation(source, n, realizations=min(sets, _SETTINGS.pair_sets), rng=own)
-        if sets < _SETTINGS.few_sets:  # Intervals would hide the curve
+        if sets < _SETTINGS.few_sets:  # Intervals from few sets would hide the curve
             pairs["pair_correlation_ci"][:] = np.nan
         parts.append(pairs[["pair_correlation", "pair_correlation_ci"]])
     means: dict[str, list[float]] = {name: [] for name in (*BENCH_QUALITY, "points_per_second")}
@@ -395,7 +397,7 @@ def _look(source: Sampler, asked: Sequence[int], own: Any, seed: int) -> xr.Data
 
 
 def _joined(parts: Sequence[xr.Dataset]) -> xr.Dataset:
-    """Merge results about one sampler; curves of several dims follow each other."""
+    """Merge results of one sampler; curves for several numbers of dims are concatenated."""
     import xarray as xr
 
     return xr.merge(parts, join="outer", compat="no_conflicts", combine_attrs="override")
@@ -411,7 +413,8 @@ def shared_sets(source: Sampler) -> Sampler:
 
 
 def free_of(source: Sampler, counts: Sequence[int]) -> tuple[Sampler, str]:
-    """Return a sampler whose variance can be measured at these counts, and the addition or "".
+    """Return a sampler whose variance can be measured at these counts,
+    and the added randomization or "".
 
     Sets that do not vary enough are randomized.
     """
@@ -423,14 +426,14 @@ def free_of(source: Sampler, counts: Sequence[int]) -> tuple[Sampler, str]:
 
 
 def randomized(source: Sampler, counts: Sequence[int]) -> tuple[Sampler, str]:
-    """Return a sampler with the randomization that suits its laws at these counts, and its name."""
+    """Return a sampler with a randomization that suits its laws at these counts, and a name."""
     nets = bases_to_scramble([source.law(n) for n in counts]) is not None
     step = Owen() if nets else Shift()
     return source.then(step), step.name
 
 
 def making_seconds(source: Sampler, n: int, rng: int) -> float:
-    """Return the best time of a few draws on one thread without the cache; NaN for read points."""
+    """Return the best time of a few draws on one thread without the cache; NaN for files."""
     if isinstance(source.plain, GivenPoints):
         return math.nan
     stream = Stream.from_rng(rng)

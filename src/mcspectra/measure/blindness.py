@@ -1,8 +1,8 @@
-"""Estimates that missed the source of their variance, and sentences that report it.
+"""Detection of estimates that missed the source of their variance, and sentences about them.
 
-Three kinds of estimates give no upper bound: estimates without spread, estimates whose mean differs
-from the integral, and estimates of which one causes most of the variance. `blindness` detects them
-with the known integral, ∫g² and poles.
+Three kinds of estimates give no upper bound of the variance: estimates without spread, estimates
+whose mean differs from the integral, and samples in which one estimate causes most of the variance.
+`blindness` detects these estimates by the known integral, ∫g² and poles.
 """
 
 from __future__ import annotations
@@ -27,26 +27,24 @@ __all__ = ["blindness", "blindness_of", "is_fixed"]
 
 @dataclass(frozen=True)
 class BlindnessSettings:
-    """Thresholds for estimates that missed the source of their variance."""
+    """Thresholds that detect estimates which missed the source of their variance."""
 
-    # Share of one square in Σ (estimate − mean)² above which the tail is not resolved. In samples
-    # of 1,000 exponential
-    # numbers the largest square has 4 % (median), and 17 % once in a thousand samples; for normal
-    # numbers it is 1.2 and
-    # 2.4 %.
+    # Share of one square in Σ (estimate − mean)² above which the tail is not resolved.
+    # In samples of 1,000 exponential numbers the largest square has 4 % (median),
+    # and 17 % once in a thousand samples; for normal numbers it is 1.2 and 2.4 %.
     large_share: float = 0.2
-    # Probability that the largest square of a few normal estimates exceeds the limit for them.
+    # Probability that the largest square of a few normal estimates exceeds the limit
+    # for few estimates.
     rarely: float = 1e-3
-    # κ − 1 of estimates above which ∫g² is computed to test for an infinite variance. It is 2 for
-    # normal and 8 for
-    # exponential estimates. A smaller value only costs time; a larger one leaves more poles to
-    # other tests.
+    # κ − 1 of estimates above which ∫g² is computed to test for an infinite variance.
+    # κ − 1 is 2 for normal and 8 for exponential estimates. A smaller value only costs time;
+    # with a larger value, other tests must detect more poles.
     peaked: float = 9.0
-    # Exponent of a pole above which ∫g⁴ diverges: the limit ¼ minus the error of fitted slopes,
-    # 5e-4.
+    # Exponent of a pole above which ∫g⁴ diverges:
+    # the limit ¼ minus 5e-4, the error of fitted slopes.
     no_kurtosis: float = 0.2495
-    # Standard errors between the mean and the integral that exclude chance. The normal probability
-    # is 6e-7, which stays small over the many counts of a study.
+    # Standard errors between the mean and the integral that exclude chance.
+    # The normal probability is 6e-7, and remains small for the many counts of a study together.
     far: float = 5.0
 
 
@@ -71,20 +69,20 @@ def blindness(
     Parameters
     ----------
     measured
-        Arrays (estimator, sampler, n, channel) by name: ``realizations``, ``variance``, its
-        ``relative_se``, the ``largest_share`` of a square in it, whether it is ``resolved``, the
-        ``tail_index``, ``bias``, ``bias_se`` and the rounding ``floor``.
+        Arrays (estimator, sampler, n, channel) by name: ``realizations``, ``variance``,
+        its ``relative_se``, the ``largest_share`` of a square in it, whether it is ``resolved``,
+        the ``tail_index``, ``bias``, ``bias_se`` and the rounding ``floor``.
 
     Returns
     -------
     tuple
-        Whether each variance is unbounded, in the shape of ``variance``; and the sentences.
+        Whether each variance has no upper bound, in the shape of ``variance``; and the sentences.
     """
     from scipy.special import gammainc, ndtr, stdtrit
 
     r = measured["realizations"]
-    # Tails get lighter with more points, so a tail that is heavy at n is also heavy at smaller
-    # counts, observed or not
+    # Tails get lighter with more points, so a tail that is heavy at n is also heavy
+    # at smaller counts, even if it was not observed there
     heavy, unresolved = (
         np.logical_or.accumulate(found[:, :, ::-1], axis=2)[:, :, ::-1]
         for found in (measured["largest_share"] > _large_share(r), ~measured["resolved"])
@@ -103,12 +101,11 @@ def blindness(
         unsampled = unsampled_note(e, int(counts[-1]) * realizations)
         if unsampled is not None:
             notes[f"{e.spec}: {unsampled}"] = None
-        # Largest exponent of poles of any technique; black boxes are not called
+        # Largest exponent of poles of any technique; user functions are not called
         techniques = range(len(e.counts) if not e.is_black_box else 0)
         peaks = np.max([growth(e.primary_integrand(t)) for t in techniques], axis=0, initial=0.0)
-        # n times the variance of random points, Σ_t (∫g_t² − (∫g_t)²)/counts[t]; NaN without a
-        # closed form. If the
-        # variance may be infinite, a quadrature of ∫g² is tried
+        # n times the variance of random points, Σ_t (∫g_t² − (∫g_t)²)/counts[t];
+        # NaN without a closed form. If the variance may be infinite, a quadrature of ∫g² is tried
         doubtful, of_random = bool((suspect & varies)[i].any()), np.zeros(max(1, e.channels))
         for t, count in enumerate(e.counts):
             g, unknown = e.primary_integrand(t), np.full(of_random.shape, np.nan)
@@ -134,7 +131,8 @@ def blindness(
             agrees = ~missed[at] & (varies[at].any(axis=0) | (e.integral_source == "exact"))
             excess = true / np.where(varies[at], of["variance"], np.nan)
 
-            # Report the first condition that holds at a count, with the worst value over the counts
+            # For each count, report the first condition that holds,
+            # with the worst value over the counts
             everywhere = np.ones_like(low)
             for text, where, size in (
                 ("∫g² diverges: infinite variance", everywhere & np.isinf(of_random), excess),
@@ -191,10 +189,10 @@ def blindness_of(
 
 
 def _large_share(realizations: Array) -> Array:
-    """Return the share of one square in the variance above which the tail is not resolved.
+    """Return the share of one square in the variance above which the tail counts as unresolved.
 
-    It is a fifth, or more for few realizations: normal ones exceed it with probability 0.001
-    [Grubbs 1950].
+    The share is a fifth, or more for few realizations:
+    normal estimates exceed it with probability 0.001 [Grubbs 1950].
     """
     from scipy.special import stdtrit
 

@@ -1,15 +1,15 @@
-"""The error of the mean of correlated draws: Markov chains as samplers in time.
+"""The error of the mean of correlated draws, such as Markov chains.
 
 A stationary chain has the spectral density S(ν), ν in cycles per draw. Its mean over n draws has
 
     Var = ∫ S(ν) |W(ν)|² dν = (1/n) ∫ S(ν) F_n(ν) dν,    F_n(ν) = sin²(πnν) / (n sin²(πν)),
 
-which is the power term with the Fejér kernel of the window W of equal weights. Stationarity makes
-dc and cross term vanish. S comes from an autoregression whose order is chosen by AIC, as in
-[Thompson2010]_. Its autocovariances are corrected for the subtracted mean: removing a mean of
-variance V lowers all of them by V. The scatter of the chains' means is a second, independent
-estimate. Both are pooled by degrees of freedom. If they disagree, the chains are in different parts
-of the distribution, and the error has no upper bound.
+which is the power term with the Fejér kernel of the window W of equal weights.
+For a stationary chain the dc and cross terms vanish. S comes from an autoregression whose order
+is chosen by AIC, as in [Thompson2010]_. The autocovariances are corrected for the subtracted mean:
+removing a mean of variance V lowers all of them by V. The scatter of the chains' means is a second,
+independent estimate. Both estimates are pooled by degrees of freedom. If they disagree,
+the chains are in different parts of the distribution, and the error has no upper bound.
 """
 
 from __future__ import annotations
@@ -33,73 +33,74 @@ __all__ = ["CHAIN_SETTINGS", "ChainSettings", "chain_error", "quantity_error"]
 
 @dataclass(frozen=True)
 class ChainSettings:
-    """Thresholds of the causes that are reported for chains.
+    """Thresholds above which faults of chains are reported.
 
-    Numbers of cases are those of ``python -m benchmarks settings --chains``.
+    The numbers of cases in comments are from ``python -m benchmarks settings --chains``.
     """
 
-    # Least number of draws of a chain. Fewer draws allow an autoregression of order 2 at most (a
-    # quarter of the draws).
+    # Least number of draws of a chain.
+    # Fewer draws allow an autoregression of order 2 at most (a quarter of the draws).
     least_draws: int = 10
-    # Standard errors of the power of the mean chain above which chains are correlated: the normal
-    # probability is 6e-7. Half has 2
-    # false alarms in 475; double misses all of 50 sets of chains with a common part of 0.3.
+    # Standard errors of the power of the mean chain above which chains are correlated: a normal
+    # law exceeds 5 standard errors with probability 6e-7. Half this value has 2 false alarms
+    # in 475 cases; double this value misses all of 50 sets of chains with a common part of 0.3.
     score: float = 5.0
-    # Probability that a test reports a cause for chains without one. Two tests of drift and one of
-    # means are made for each quantity, so a model of 100 quantities has a false alarm in 2 % of
-    # runs. With 1e-2 there are 4 false alarms in 475; 1e-6 finds the same faults.
+    # Probability that a test reports a fault of chains without faults. Two tests of drift
+    # and one of means are made for each quantity, so a model of 100 quantities has a false alarm
+    # in 2 % of runs. With 1e-2 there are 4 false alarms in 475 cases; 1e-6 finds the same faults.
     alarm: float = 1e-4
-    # Length of a chain, in autocorrelation times, below which it still depends on its start. Half
-    # misses 43 of 50 chains with
-    # ρ = 0.99; double takes 21 of 25 short chains for stuck.
+    # Length of a chain, in autocorrelation times, below which the chain still depends on its start.
+    # Half this value misses 43 of 50 chains with ρ = 0.99;
+    # double this value reports 21 of 25 short chains as stuck.
     forgotten: float = 8.0
-    # First parts of a chain, as fractions of its draws, whose means are compared with that of the
-    # last half. Shorter parts have too
-    # few draws for a normal law, and longer ones are half of it.
+    # Initial parts of a chain, as fractions of its draws,
+    # whose means are compared with the mean of the last half.
+    # Shorter parts have too few draws for a normal law; longer parts would reach the last half.
     starts: tuple[float, ...] = (0.05, 0.1, 0.2)
-    # Probability of a difference above which the remaining draws count as stationary, and factor by
-    # which more draws are left out, because the bias of the mean may still be a standard error
-    # there. Of 200 sets of 4 chains of 1,000 normal draws + 5 exp(−t/100), 153 are reported (47 are
-    # stuck, without an end), and 93 % of intervals hold. With 0.3 and 1.5 it is 76 % and 93 %, with
-    # 0.1 and 1.5 90 % and 89 %.
+    # Probability of a difference above which the remaining draws count as stationary,
+    # and factor that lengthens the part left out, because the bias of the mean may still
+    # be one standard error. Of 200 sets of 4 chains of 1,000 normal draws + 5 exp(−t/100),
+    # 153 are reported (47 are stuck, without an end), and 93 % of intervals contain the mean.
+    # With 0.3 and 1.5, 76 % are reported and 93 % of intervals contain the mean;
+    # with 0.1 and 1.5 the fractions are 90 % and 89 %.
     settled: float = 0.2
     margin: float = 2.0
-    # Probability of a difference between the last two quarters of a chain below which it drifts
-    # until its end. With 0.001, 4 of 50
-    # linear drifts are reported as a burn-in.
+    # Probability of a difference between the last two quarters of a chain below which the chain
+    # counts as drifting until its end. With 0.001, 4 of 50 linear drifts are reported as a burn-in.
     ends_alike: float = 0.05
-    # Candidate numbers of draws, as parts of a chain, and the largest fraction that is left out:
-    # the last half is the reference for
-    # the start.
+    # Candidate numbers of draws that are left out, as parts of a chain,
+    # and the largest fraction left out: the last half is the reference for the start.
     cuts: int = 40
     most_left_out: float = 0.5
-    # Fraction of consecutive equal draws above which a chain is stuck. Insensitive between 0.05 and
-    # 0.1; 0.2 misses a run of 110 draws in 1,000.
+    # Fraction of consecutive equal draws above which a chain is stuck.
+    # Insensitive between 0.05 and 0.1; 0.2 misses a run of 110 draws in 1,000.
     run: float = 0.1
-    # Number of different values above which repeated draws are a fault. A count or a flag repeats
-    # its values.
+    # Number of different values above which repeated draws are a fault.
+    # A count or a flag repeats its values.
     values: int = 20
-    # Part of the variance between the two sides of the mean above which draws lie on two levels. It
-    # is 0.64 for a normal law, 0.75 for a uniform one and 1 for two values. 0.7 takes 22 of 50
-    # random walks for levels; 0.95 misses levels that are 8 standard deviations apart.
+    # Part of the variance that lies between the draws above and below the mean. Above this part,
+    # draws lie on two levels. The part is 0.64 for a normal law, 0.75 for a uniform
+    # one and 1 for two values. A value of 0.7 reports 22 of 50 random walks as levels;
+    # 0.95 misses levels that are 8 standard deviations apart.
     two_levels: float = 0.85
-    # Largest number of moves of each chain between the levels. With 20 moves the share of time on a
-    # level has an error of about 1/√20 = 22 %. Insensitive between 10 and 40.
+    # Largest number of moves of each chain between the levels. With 20 moves the fraction of time
+    # on a level has an error of about 1/√20 = 22 %. Insensitive between 10 and 40.
     switches: int = 20
-    # Tail index above which a tail is heavy. The variance is infinite for ½ and above, and an index
-    # from 2,000 draws has a standard error of about 0.1. 0.5 finds 49 of 50 chains with infinite
-    # variance, 0.6 finds 47 and 0.8 finds 25.
+    # Tail index above which a tail is heavy. The variance is infinite for tail indices of ½
+    # and above, and an index from 2,000 draws has a standard error of about 0.1. A threshold
+    # of 0.5 finds 49 of 50 chains with infinite variance, 0.6 finds 47 and 0.8 finds 25.
     heavy: float = 0.6
-    # Least number of draws in a tail whose index is fitted: 20 draws give it to about 0.3. With 10
-    # there is a false alarm in 475; 20 and 40 have none and find the same tails.
+    # Least number of draws in a tail whose index is fitted:
+    # 20 draws give the index to about 0.3. With 10 draws there is a false alarm in 475 cases;
+    # 20 and 40 draws cause no false alarm and find the same tails.
     least_tail: int = 20
-    # Smallest allowed size of the largest draw of a quantity; its inverse is the largest. Squares
-    # of both, summed over any number of
-    # draws, are within the range of float64.
+    # Smallest allowed magnitude of the largest draw of a quantity;
+    # the largest allowed magnitude is its inverse.
+    # Squares of both magnitudes, summed over any number of draws, are within the range of float64.
     smallest: float = 1e-100
-    # Degrees of freedom of the error below which realizations are few: with 6 the error is accurate
-    # to 1/√12 = 29 %. With 3, one of 25 chains of 12 draws is missed; with 12 there are 12 false
-    # alarms in 475.
+    # Degrees of freedom of the error below which the draws count as too few:
+    # with 6 degrees the error is accurate to 1/√12 = 29 %. With 3 degrees,
+    # one of 25 chains of 12 draws is missed; with 12 there are 12 false alarms in 475.
     few_degrees: float = 6.0
 
 
@@ -116,14 +117,14 @@ _VARIABLES: dict[str, tuple[str, ...]] = {
 
 
 def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
-    """Error of the means of Markov chains, its frequencies in time, and faults of the chains.
+    """Estimate the error of the means of Markov chains by frequency, and find faults of the chains.
 
     Parameters
     ----------
     draws
-        Real numbers: (n,) for one chain, (chain, draw), or (chain, draw, quantity). Also a
-        DataArray or Dataset with the dims chain and draw, or an object with such a Dataset as its
-        group posterior, for example ArviZ's InferenceData or DataTree.
+        Real numbers: (n,) for one chain, (chain, draw), or (chain, draw, quantity).
+        Also a DataArray or Dataset with the dims chain and draw, or an object with such a Dataset
+        as its group posterior, for example ArviZ's InferenceData or DataTree.
     weights
         Importance weights or multiplicities of the draws, (n,) or (chain, draw), not negative;
         equal by default. The error is that of the ratio estimate Σwx/Σw, linearized.
@@ -134,25 +135,25 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
         ``mean`` with ``mean_ci``; ``mcse``, the standard error of the mean, with ``mcse_ci``;
         ``ess``, variance of the draws / mcse², with ``ess_ci``, which exceeds n for antithetic
         chains; ``spectrum_at_zero``, S(0). ``burn_in`` is the number of initial draws of each chain
-        that all of these leave out, because they depend on the start. On the dim ``band``, octaves
-        of frequency named by their periods, with ``band_low`` and ``band_high`` in cycles per draw:
-        ``error_share``, the share of the error; ``draw_share``, the share of the variance of the
-        draws; ``chain_spectrum``, the measured mean of S, with ``chain_spectrum_ci``; and
-        ``fitted_spectrum``. Coordinates are ``cause`` (comma-separated names, or none) and
-        ``evidence``, a sentence on each. Several quantities add a dim quantity. For stuck chains or
-        heavy tails nothing bounds the error, and the intervals are infinite.
+        that all these results leave out, because they depend on the start. On the dim ``band``,
+        octaves of frequency named by their periods, with ``band_low`` and ``band_high`` in cycles
+        per draw: ``error_share``, the share of the error; ``draw_share``, the share of the variance
+        of the draws; ``chain_spectrum``, the measured mean of S, with ``chain_spectrum_ci``;
+        and ``fitted_spectrum``. Coordinates are ``cause`` (comma-separated names, or none)
+        and ``evidence``, a sentence on each. Several quantities add a dim quantity. For stuck
+        chains or heavy tails the error has no upper bound, and the intervals are infinite.
 
     Raises
     ------
-        If there are fewer than 10 draws, other dims, values that are not finite, weights that are
-        negative or all zero in a chain, or draws whose squares exceed the range of floats.
+        If there are fewer than 10 draws, wrong dims, values that are not finite, weights
+        that are negative or all zero in a chain, or draws whose squares exceed the range of floats.
 
     Notes
     -----
     S(0) from an autoregression has a smaller error, and an interval with coverage closer to 95 %,
-    than two alternatives: the initial monotone sequence, which cannot resolve antithetic or
-    oscillating chains, and averages of the lowest frequencies (docs/theory.md,
-    "Chains"). The cost is O(n log n).
+    than two alternatives: the initial monotone sequence, which cannot resolve antithetic
+    or oscillating chains, and averages of the lowest frequencies (docs/theory.md, "Chains").
+    The cost is O(n log n).
 
     Examples
     --------
@@ -268,15 +269,15 @@ def _quantities(draws: Any) -> tuple[list[str], Array]:
 
 @dataclass(frozen=True)
 class _ChainFit:
-    """An autoregression of chains with a common law, and the error of a chain's mean from it."""
+    """An autoregression of chains with a common law, and the error of a chain's mean."""
 
     # Coefficients of the draws, 1 first, whose weighted sum is white noise
     coefficients: Array
     variance: float  # variance of a chain's mean, ∫ S F_n / n
-    spread: float  # variance of a draw
+    spread: float  # variance of a single draw
     at_zero: float  # S(0)
     degrees: float  # degrees of freedom of the variance
-    spectrum: Array  # S at the frequencies
+    spectrum: Array  # spectral density S at the frequencies
     error: Array  # parts of the variance at the frequencies
     power: Array  # periodogram at the frequencies
     frequency: Array  # j / length cycles per draw, from 0 to ½
@@ -290,7 +291,7 @@ def _fitted(z: Array) -> _ChainFit:
     chains, n = z.shape
     length = next_fast_len(2 * n, real=True)
     frequency = np.arange(length // 2 + 1) / length
-    both = np.full(frequency.size, 2.0 / length)  # ±ν, but 0 and ½ once
+    both = np.full(frequency.size, 2.0 / length)  # ν and −ν both count, but 0 and ½ count once
     both[0] /= 2.0
     both[-1] /= 1.0 + (length % 2 == 0)
     with np.errstate(invalid="ignore"):
@@ -322,8 +323,8 @@ def _fitted(z: Array) -> _ChainFit:
         variance = float(error.sum())
 
     # The error of log S(0) by the delta method; the covariance of the coefficients contains Γ⁻¹.
-    # AIC uses two orders more than
-    # necessary, so the error includes one more coefficient even if it is 0
+    # AIC chooses up to two unnecessary orders, so the error includes one more coefficient,
+    # even if this is 0
     order = len(chosen) + 1
     sums = solve_toeplitz(covariance[:order], np.ones(order)).sum() * innovation
     square = (2.0 + 4.0 * max(float(sums), 0.0) / float(chosen.sum()) ** 2) / (n * chains)
@@ -342,7 +343,7 @@ def quantity_error(x: Array, w: Array, settings: ChainSettings = CHAIN_SETTINGS)
         drifts = "the chain drifts: its mean still moves after half of the draws"
         return _stationary_error(x, w, _edges(n), drifts, settings)
     rest = _stationary_error(x[:, dropped:], w[:, dropped:], _edges(n), "", settings)
-    if "stuck-chain" in rest["cause"]:  # The end moves as the start does
+    if "stuck-chain" in rest["cause"]:  # The end of the chain moves as much as the start
         return _stationary_error(x, w, _edges(n), "", settings)
     said = (
         f"the first draws depend on where the chains began, so the first {dropped} of {n} of each "
@@ -358,10 +359,11 @@ def quantity_error(x: Array, w: Array, settings: ChainSettings = CHAIN_SETTINGS)
 
 
 def _burn_in(z: Array, settings: ChainSettings) -> int:
-    """Return the number of draws of each chain that depend on its start; n if over half do.
+    """Return the number of draws of each chain that depend on its start; n if these are over half.
 
-    The mean of the first draws, over all chains, is compared with that of the last half, whose
-    spectrum at frequency 0 gives the error of both. Normal scores of the draws have no tails.
+    The mean of the first draws, over all chains, is compared with that of the last half,
+    whose spectrum at frequency 0 gives the error of both.
+    Draws are replaced by normal scores, which have no heavy tails.
     """
     from scipy.special import ndtri
     from scipy.stats import f, rankdata
@@ -377,7 +379,7 @@ def _burn_in(z: Array, settings: ChainSettings) -> int:
     fit = _fitted(last)
 
     def chance(start: int, stop: int, first: int = half) -> float:
-        """Return the probability of such a difference between stationary draws."""
+        """Return the probability that stationary draws differ as much."""
         spread = fit.at_zero * (1.0 / (stop - start) + 1.0 / (n - first)) / chains
         away = float(mean[start:stop].mean() - mean[first:].mean())
         return float(f.sf(away**2 / spread, 1, fit.degrees))
@@ -385,7 +387,7 @@ def _burn_in(z: Array, settings: ChainSettings) -> int:
     sizes = [max(1, round(part * n)) for part in settings.starts]
     if min(chance(0, size) for size in sizes) * len(sizes) > settings.alarm:
         return 0
-    # The last half drifts itself if its quarters differ
+    # The last half drifts if its two quarters differ
     middle = (half + n) // 2
     if chance(half, middle, middle) < settings.ends_alike:
         return n
@@ -402,9 +404,10 @@ def _burn_in(z: Array, settings: ChainSettings) -> int:
 def _stationary_error(
     x: Array, w: Array, edges: Array, drifts: str, settings: ChainSettings
 ) -> dict[str, Any]:
-    """Return the variables for draws (chain, draw) without a burn-in, with bands between edges.
+    """Return result variables for draws (chain, draw) without a burn-in,
+    with bands between the given edges.
 
-    `drifts` describes how the chains drift, if that is known; else it is empty.
+    `drifts` describes a drift that the search for a burn-in found; else it is empty.
     """
     from scipy.signal import lfilter
     from scipy.stats import chi2, f, t
@@ -513,7 +516,7 @@ def _stationary_error(
     cells = np.bincount(of_grid, minlength=size)
     error = np.bincount(of_grid, own.error, size)
     fitted, power = (np.bincount(of_grid, v, size) / cells for v in (fit.spectrum, fit.power))
-    # The band below 1/n is measured by the scatter of the chains' means
+    # In the band below 1/n, the spectrum is measured by the scatter of the chains' means
     freedom = 2.0 * rows * n * np.diff(edges)
     power[0], freedom[0] = (n * means.var(ddof=1), rows - 1) if rows > 1 else (math.nan, math.nan)
     chances = chi2.ppf([0.975, 0.025], freedom[:, None])
@@ -546,7 +549,7 @@ def _tail_index(z: Array, least: int) -> float:
     excess = excess[1:] - excess[0]
     if not excess[most // 4] > 0:
         return math.nan
-    # Posterior mean over a grid of b = −k/σ, whose prior is about the first quartile
+    # Posterior mean over a grid of b = −k/σ, whose prior depends on the first quartile
     grid = 30 + int(math.sqrt(most))
     b = 1 - np.sqrt(grid / (np.arange(grid) + 0.5))
     b = b / (3 * excess[int(most / 4 + 0.5) - 1]) + 1 / excess[-1]
@@ -554,9 +557,9 @@ def _tail_index(z: Array, least: int) -> float:
     likelihood = most * (np.log(-b / k) - k - 1)
     weight = np.exp(likelihood - likelihood.max())
     index = float(np.log1p(-(b @ weight) / weight.sum() * excess).mean())
-    return (most * index + 5) / (most + 10)  # Prior of the reference: ten more draws with ½
+    return (most * index + 5) / (most + 10)  # Prior: ten more draws of index ½
 
 
 def _edges(n: int) -> Array:
-    """Return ends of the bands: octaves below ½, down to 1/n, and from 0."""
+    """Return the ends of the bands: octaves from ½ down to 1/n, then one band from 0 to 1/n."""
     return np.append(0.0, 2.0 ** np.arange(-math.floor(math.log2(n)), 0))

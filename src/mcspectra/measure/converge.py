@@ -1,14 +1,15 @@
 """Convergence: measured variance against n and its fitted rate.
 
 The number of realizations is given, or grows until the variance is accurate enough (docs/theory.md,
-"Intervals of variances, and stopping"). It grows in stages that depend only on earlier estimates,
-so the result has the same bits for any number of workers. A stop counts only if the next stage, at
-least a quarter longer, confirms it: a skewed sample tends to stop first when its kurtosis is
-underestimated. Estimates without any spread do not prove that the variance is 0. After 10,000 of
-them the error is NaN, and the precision is not reached.
+"Intervals of variances, and stopping"). The number grows in stages that depend only
+on earlier estimates, so the result has the same bits for any number of workers.
+The search ends only if the next stage, at least a quarter longer, confirms the accuracy:
+a skewed sample tends to reach it first when its kurtosis is underestimated.
+Estimates without any spread do not prove that the variance is 0.
+After 10,000 equal estimates the error is NaN, and the precision is not reached.
 
-If the estimates missed the source of the variance, its interval has no finite upper end, the rate
-has no interval, and the attribute ``note`` explains why (`mcspectra.measure.blindness`).
+If the estimates missed the source of the variance, its interval has no finite upper end,
+the rate has no interval, and the attribute ``note`` explains why (`mcspectra.measure.blindness`).
 """
 
 from __future__ import annotations
@@ -59,28 +60,30 @@ __all__ = [
     "realizations_needed",
 ]
 
-Precision = Annotated[float, Meta(ge=1e-4, le=1.0)]  # A smaller one takes billions of realizations
+# A smaller relative error takes billions of realizations
+Precision = Annotated[float, Meta(ge=1e-4, le=1.0)]
 
 
 @dataclass(frozen=True)
 class StageSettings:
-    """Stages of a search for the number of realizations, and the size of blocks."""
+    """Lengths of the stages in a search for the number of realizations, and the size of blocks."""
 
-    # Realizations of the first stage: the kurtosis of 100 normal estimates has a standard error of
-    # √(24/100) = 0.5. Insensitive between 50 and 200.
+    # Realizations of the first stage: the kurtosis of 100 normal estimates has a standard error
+    # of √(24/100) = 0.5. Insensitive between 50 and 200.
     first: int = 100
-    # Least and largest factor by which a stage lengthens the sample. A quarter more confirms a
-    # stop. After a factor of 4 the
-    # kurtosis is twice as accurate, so the next length is better chosen. With 1.1, searches for 10
-    # % end at an error of 10.3 %; with 1.25 it is 9 %, and 1.5 takes 30 % more. The largest factor
+    # Least and largest factor by which a stage lengthens the sample.
+    # A stage that is a quarter longer confirms the previous stage.
+    # After a factor of 4 the kurtosis is twice as accurate, so the next length is better chosen.
+    # With a least factor of 1.1, searches for 10 % end at an error of 10.3 %;
+    # with 1.25 they end at 9 %; 1.5 takes 30 % more realizations. The largest factor
     # is insensitive between 2 and 8 (``python -m benchmarks settings --stages``).
     step: float = 1.25
     leap: float = 4.0
-    # Number of realizations without spread after which the search ends: an event of probability
-    # 3e-4 occurs with 95 %.
+    # Number of realizations without spread after which the search ends:
+    # an event of probability 3e-4 per realization occurs in 10,000 of them with probability 95 %.
     blank: int = 10_000
-    # Divisor of the usual block length: a thousand realizations of a thousand points then have two
-    # blocks for two threads.
+    # Divisor of the usual block length:
+    # a thousand realizations of a thousand points then have two blocks for two threads.
     parts: int = 2
 
 
@@ -133,7 +136,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
     fit_last: Annotated[Window, FIT_LAST] = None
 
     def need(self, subject: Subject) -> Need:
-        """Check that every sampler allows every count, and that all fit in one dataset."""
+        """Check that every sampler allows every count, and that all results fit in one dataset."""
         estimators, samplers = subject.estimators, subject.samplers
         check_window(self.fit_last, len(self.counts))
         channels = sorted({e.channels for e in estimators})
@@ -154,7 +157,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
-        """Yield the next realizations of every cell that needs some, by the part of the cell."""
+        """Yield the next realizations of every cell that is not finished."""
         cells = self._cells(subject, stream)
         found = yield from in_step([
             cell.all_of(part, self.realizations)
@@ -163,8 +166,8 @@ class Convergence(Counted, frozen=True, kw_only=True):
             for part, cell in enumerate(cells)
         ])  # fmt: skip
 
-        # Moments of every estimator, sampler and count; estimators that share realizations come
-        # last
+        # Moments for every estimator, sampler and count;
+        # estimators that share realizations come last
         estimators, samplers = subject.estimators, subject.samplers
         flat = [each for cell in found for each in cell]
         joint = len(cells[0].estimators) > 1
@@ -185,7 +188,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         known = np.array([error for _, error, _ in references])[:, None, None, None]
         floor = rounding_floor(np.fmax(np.abs(mean), np.abs(integral)))
 
-        # A deterministic set has no variance; the rest is rounding noise
+        # A deterministic set has no variance; any spread is rounding noise
         fixed = np.array([[is_fixed(e, s) for s in samplers] for e in estimators])
         variance[fixed], interval[fixed], mean_se[fixed] = 0.0, 0.0, 0.0
         v, r, f = (np.moveaxis(a, 2, 0) for a in (variance, relative, floor))
@@ -233,7 +236,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
             "fit_chi2": fits["chi2"],
         }
 
-        # A single estimator or sampler, and a scalar integrand, have no dim
+        # A single estimator, a single sampler and a scalar integrand have no dim in the result
         single = {
             "estimator": subject.estimator is estimators[0],
             "sampler": subject.sampler is samplers[0],
@@ -263,15 +266,16 @@ class Convergence(Counted, frozen=True, kw_only=True):
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
-        """Return any run of realizations of a cell."""
+        """Return the estimates of consecutive realizations of a cell."""
         part, first, realizations = map(int, key.split("-"))
         return self._cells(subject, stream)[part].run(part, first, realizations)
 
     def _cells(self, subject: Subject, stream: Stream) -> list[MomentsCell]:
-        """Return cells by group of estimators that share realizations, by sampler, by count.
+        """Return cells for each group of estimators, each sampler and each count.
 
-        Estimators of one technique without their own `draw` use the sampler's points and share
-        them. With a requested precision, each estimator takes the realizations that it needs.
+        Estimators of one technique without their own `draw` use
+        the sampler's points and share realizations.
+        With a requested precision, each estimator takes the realizations that it needs.
         """
         estimators = tuple(subject.estimators)
         draws = AbstractEstimator.draw
@@ -343,7 +347,7 @@ class RealizationsNeeded(Counted, frozen=True, kw_only=True):
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
-        """Return any run of realizations."""
+        """Return the estimates of consecutive realizations."""
         cell = MomentsCell((subject.estimator,), subject.sampler, self.n, stream)
         return cell.run(*map(int, key.split("-")))
 
@@ -366,56 +370,57 @@ def convergence(
     Parameters
     ----------
     estimator, sampler
-        One or a list of each, without duplicates. Samplers may be spec strings. For plain sampling
-        an estimator may be an integrand, its spec string, or a vectorized function of points (…,
-        d).
+        One estimator and one sampler, or a list of each, without duplicates.
+        Samplers may be spec strings. For plain sampling an estimator may be an integrand,
+        its spec string, or a vectorized function of points (…, d).
     dims
-        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
-        that is not a spec.
+        Number of dims of a function, or of a spec without ``dims``.
+        The default is the number of dims of the sampler, if the sampler is not a spec.
     counts
         Ascending numbers of points n that every sampler allows.
     realizations
-        Number of independent realizations for each n, at least 2; with `relative_error`, the
-        largest number.
+        Number of independent realizations for each n, at least 2;
+        with `relative_error`, the largest number.
     rng
-        Seed (SPEC 7). Each n has its own stream, shared by all estimators and samplers (common
-        random numbers).
+        Seed (SPEC 7). Each n has its own stream,
+        shared by all estimators and samplers (common random numbers).
     relative_error
-        Relative standard error of the variance at which each count stops (`realizations_needed`).
-        By default all realizations are used.
+        Relative standard error of the variance at which the search
+        for each count stops (`realizations_needed`). By default all realizations are used.
     fit_last
-        Number of last counts that are fitted; all by default. ``"auto"`` uses as many as lie on a
-        line; see `mcspectra.core.fits.fit_rate`.
+        Number of the largest counts to which the rate is fitted; all by default.
+        ``"auto"`` uses as many counts as lie on a line; see `mcspectra.core.fits.fit_rate`.
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more raises, before it starts if
-        possible.
+        Maximum number of evaluations of the integrand.
+        An analysis that takes more raises, before it starts if possible.
 
     Returns
     -------
     xarray.Dataset
-        ``variance(n)``, ``variance_ci(n, bound)``, ``mean(n)``, ``mean_se(n)``; ``bias(n)`` and
-        ``mse(n)`` relative to the estimator's integral (attribute ``integral_source``), and
-        ``bias_se(n)``, which includes the integral's error. For a user's function without a given
-        integral both are NaN, and ``mse`` is the variance. ``realizations_used(n)``; with
-        `relative_error` ``reached(n)`` (1: yes; 0: `realizations` came first, or there was no
-        spread). ``rate``, ``rate_ci(bound)``, ``fit_first_n`` (the smallest count of the fit) and
-        ``fit_chi2`` (its lack of fit per degree of freedom).
+        ``variance(n)``, ``variance_ci(n, bound)``, ``mean(n)``, ``mean_se(n)``;
+        ``bias(n)`` and ``mse(n)`` relative to the estimator's integral (attribute
+        ``integral_source``), and ``bias_se(n)``, which includes the integral's error.
+        For a user's function without a given integral both are NaN, and ``mse`` is the variance.
+        ``realizations_used(n)``; with `relative_error` ``reached(n)`` (1: yes; 0: `realizations`
+        came first, or there was no spread). ``rate``, ``rate_ci(bound)``, ``fit_first_n`` (the
+        smallest count of the fit) and ``fit_chi2`` (the lack of fit per degree of freedom).
 
         A deterministic set has the variance 0 and no rate, which the attribute ``note`` reports.
         The note also reports estimates that missed the source of their variance: all are equal;
-        their tails are not resolved; the mean is five standard errors from the integral; ∫g²
-        diverges or exceeds the value of random points; or most of ∫g² lies where no sample falls
-        (`mcspectra.estimators.tails`). Tails are not resolved in three cases: one square is a fifth
-        or more of the variance; the tail index k̂ is that of a hardly finite variance; or values of
-        a user's function of one technique follow a power law with much of their variance beyond all
-        of them. The upper end of ``variance_ci`` and both ends of ``rate_ci`` are then infinite.
+        the tails are not resolved; the mean is five standard errors from the integral;
+        ∫g² diverges or exceeds the value of random points;
+        or most of ∫g² lies where no sample falls (`mcspectra.estimators.tails`).
+        Tails are not resolved in three cases: one square is a fifth or more of the variance;
+        the tail index k̂ belongs to a variance that is hardly finite; or values of a user's
+        function of one technique follow a power law with much of the variance beyond the largest
+        value. The upper end of ``variance_ci`` and both ends of ``rate_ci`` are then infinite.
 
         If a sampler has fewer stored sets than realizations and reuses them under translations,
-        errors are at least those of a jackknife over groups of sets. Lists add the dims estimator
-        and sampler, several channels the dim channel. Counts whose variance is rounding noise are
-        left out of the fit; the rate of fewer than two other counts is NaN.
+        errors are at least the errors of a jackknife over groups of sets. Lists add
+        the dims estimator and sampler, several channels the dim channel. Counts whose variance
+        is rounding noise are left out of the fit; the rate is NaN if fewer than two counts remain.
 
     Raises
     ------
@@ -450,10 +455,11 @@ def realizations_needed(
     ----------
     estimator, sampler, n
         The estimator, its sampler and the number of points.
-        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
-        that is not a spec. that is not a spec.
+    dims
+        Number of dims of a function, or of a spec without ``dims``.
+        The default is the number of dims of the sampler, if the sampler is not a spec.
     relative_error
-        Requested standard error of the variance, relative to it, of every channel.
+        Requested relative standard error of the variance of every channel.
     max_realizations
         Largest number of realizations, at least 2.
     rng
@@ -461,17 +467,17 @@ def realizations_needed(
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more raises, before it starts if
-        possible.
+        Maximum number of evaluations of the integrand.
+        An analysis that takes more raises, before it starts if possible.
 
     Returns
     -------
     xarray.Dataset
-        ``realizations_used``; ``reached`` (1: yes, confirmed by the last stage; 0: the maximum came
-        first, or the estimates had no spread); ``variance`` with ``variance_ci``;
-        ``variance_relative_se`` (NaN without spread; infinite if tails are not resolved, which the
-        attribute ``note`` reports); ``skewness`` and ``kurtosis`` of the estimates (0 and 3 for
-        normal ones); ``mean``, ``mean_se``. Several channels add a dim channel.
+        ``realizations_used``; ``reached`` (1: yes, confirmed by the last stage; 0:
+        the maximum came first, or the estimates had no spread); ``variance`` with ``variance_ci``;
+        ``variance_relative_se`` (NaN without spread; infinite if tails are not resolved,
+        which the attribute ``note`` reports); ``skewness`` and ``kurtosis`` of the estimates (0
+        and 3 for normal ones); ``mean``, ``mean_se``. Several channels add a dim channel.
 
     Raises
     ------
@@ -480,9 +486,9 @@ def realizations_needed(
 
     Notes
     -----
-    The search takes about (κ − 1)/relative_error² realizations, and a quarter more for
-    confirmation. It cannot account for events that are too rare to occur: compare ``skewness`` with
-    its value for the integrand.
+    The search takes about (κ − 1)/relative_error² realizations, and a quarter
+    more for confirmation. The search cannot account for events that are too rare to occur:
+    compare ``skewness`` with its value for the integrand.
 
     Examples
     --------
@@ -503,7 +509,7 @@ _Search: TypeAlias = "Generator[Reduction[list[Moments]], list[Moments], list[_F
 @final
 @dataclass(frozen=True)
 class MomentsCell:
-    """Estimators that use the same sets of n points, for moments of their estimates."""
+    """Moments of the estimates of a group of estimators that use the same sets of n points."""
 
     estimators: tuple[AbstractEstimator, ...]
     sampler: Sampler
@@ -513,7 +519,7 @@ class MomentsCell:
     def run(self, part: int, first: int, realizations: int) -> Reduction[list[Moments]]:
         """Return moments of each estimator over `realizations` realizations from `first` on."""
         evaluations = self.n * sum(self.estimators[0].counts)
-        numbers = evaluations * self.estimators[0].dims  # coordinates of a realization
+        numbers = evaluations * self.estimators[0].dims  # Number of coordinates of a realization
         blocks = realization_blocks(realizations, STAGE_SETTINGS.parts * numbers, first=first)
         sets = independent_sets(self.estimators[0].law(self.sampler, self.n))
 
@@ -522,7 +528,7 @@ class MomentsCell:
             return [of_estimator(e, points) for e in self.estimators]
 
         def of_estimator(e: AbstractEstimator, points: list[Array]) -> tuple[Array, Moments | None]:
-            """Return estimates (R, channels or 1); for black boxes also moments at points."""
+            """Return estimates (R, channels or 1), and for user functions moments of the values."""
             if len(points) > 1 or not e.is_black_box:
                 return e.estimate(points).reshape(len(points[0]), -1), None
             values = e.primary_values(0, points[0])
@@ -570,7 +576,8 @@ class MomentsCell:
             if (now and before) or moments.count >= (min(most, settings.blank) if blank else most):
                 return [(moments, now and before)]
             before = now
-            # The next stage ends where the error should be reached, within the limits of its length
+            # The next stage ends where the error should be reached,
+            # within limits of the stage's length
             excess = math.inf if blank else error / relative_error
             longer = min(max(excess**2, settings.step), settings.leap)
             stop = min(most, math.ceil(moments.count * longer))
@@ -579,7 +586,7 @@ class MomentsCell:
 
 
 def count_stream(stream: Stream, n: int) -> Stream:
-    """Return the stream of one count: common to all estimators and samplers."""
+    """Return the stream of one count, which all estimators and samplers share."""
     return stream.child(n)
 
 
@@ -592,7 +599,7 @@ def count_moments(
     workers: int = 1,
     first: int = 0,
 ) -> Moments:
-    """Return moments of estimates of consecutive realizations from `first` on, channels last."""
+    """Return moments of estimates of consecutive realizations, the first one `first`."""
     run = MomentsCell((estimator,), sampler, n, stream).run(0, first, realizations)
     tree: MergeTree[list[Moments]] = MergeTree()
     for state in map_in_order(run.block, range(run.blocks), workers):

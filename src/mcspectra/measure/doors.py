@@ -1,4 +1,4 @@
-"""Common parts of all analyses: the body of their public functions, coordinates and sentences."""
+"""Common parts of analyses: the body of the public functions, coordinates and sentences."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ if TYPE_CHECKING:
 __all__ = ["NO_VARIANCE", "VANISHES", "answer", "counted"]
 
 NO_VARIANCE = "has no variance: add owen or shift, or compare |bias|"
-"""Text after the name of a sampler whose set is always the same."""
+"""Message after the name of a sampler that always draws the same set."""
 
 VANISHES = "the variance vanishes to rounding"
-"""Text about estimates that all equal the integral."""
+"""Message if all estimates are equal to the integral."""
 
 
 def answer(analysis: type[Analysis], arguments: Mapping[str, Any]) -> xr.Dataset:
@@ -28,8 +28,8 @@ def answer(analysis: type[Analysis], arguments: Mapping[str, Any]) -> xr.Dataset
     analysis
         The class of the analysis.
     arguments
-        ``estimator``, ``sampler`` or ``samplers``, ``dims``, ``rng``, ``workers`` for analyses with
-        threads, and every option.
+        ``estimator``, ``sampler`` or ``samplers``, ``dims``, ``rng``,
+        ``workers`` for analyses with threads, and all other options.
     """
     sampler = arguments.get("sampler", arguments.get("samplers"))
     subject = as_subject(

@@ -1,28 +1,31 @@
-"""An integral with its interval for a budget of calls: replicates of randomized sets, Student's t.
+"""An integral with its interval for a budget of calls, from replicates of randomized sets.
 
-A budget of N calls is divided into R replicates of n points. If the variance of a replicate is ∝
-n^-θ, the interval has a half width ∝ t_{R−1} n^{−θ/2} R^{−1/2}. Few replicates of many points are
-best for large θ, for example for smooth functions and scrambled nets. More replicates are best for
-θ near 1, because they make t smaller at no cost. A quarter of the budget measures θ with eight
-replicates. Their points are the first ones of the later sets, prefixes of a randomized sequence.
+A budget of N calls is divided into R replicates of n points.
+If the variance of a replicate is ∝ n^-θ, the interval has a half width ∝ t_{R−1} n^{−θ/2} R^{−1/2}.
+Few replicates of many points are best for large θ, for example for smooth functions and scrambled
+nets. More replicates are best for θ near 1, because they make the quantile t smaller at no cost.
+A quarter of the budget measures θ with eight replicates.
+Their points are prefixes of randomized sequences, and later sets start with the same points.
 
-The interval is the hull of Student's t interval and Hall's transform of it (`mean_interval`). For
-300 seeds at 256 calls it holds the integral of x^−½ in 88 % (74 % by Student's t alone) and that of
-e^(x + y) in 97 % (96 %).
+The interval is the hull of two intervals: Student's t, and Hall's transform
+of Student's t (`mean_interval`). For 300 seeds at 256 calls it contains the integral of x^−½
+in 88 % of cases (74 % by Student's t alone), and the integral of e^(x + y) in 97 % (96 %).
 
-If f grows without bound toward a face of the cube, the errors of strata follow another law. Its
-quantiles replace those of Student's t if they are wider (`estimators/tails.py`).
+If f grows without bound toward a face of the cube, the errors of strata follow another law.
+The quantiles of this law replace those of Student's t if the interval
+is then wider (`estimators/tails.py`).
 
-Both are asymptotic in R, and eight replicates are the minimum. Events with a probability below 1/R
-for each replicate may be missed, for example a step along an axis next to a line of the net. The
-interval is then too short [Owen2025]_. Intervals that hold for any bounded function would need n =
-Θ(N^{1/(θ+1)}) [Jain2026]_. Most of the budget would go to replicates, and the error of a smooth
-function would be ten times as large.
+Both intervals are asymptotic in R, and R is at least eight.
+Replicates may miss events with a probability below 1/R for each replicate, for example a step along
+an axis next to a line of the net. The interval is then too short [Owen2025]_. Intervals that hold
+for any bounded function would need n = Θ(N^{1/(θ+1)}) [Jain2026]_. Such intervals would spend
+most of the budget on replicates, and the error of a smooth function would be ten times as large.
 
-Most linear scrambles of a net have far smaller errors than the few that cause the variance. The
-*median* of replicates ignores these few, and its error falls faster than any power of n for smooth
-f ([Pan2024]_). Order statistics bound the median for any distribution, because half of the
-estimates are above it. Nested scrambles have no such sets, so their mean is better.
+A few linear scrambles of a net cause most of the variance;
+all others have far smaller errors. The *median* of replicates ignores the few bad scrambles,
+and its error falls faster than any power of n for smooth f ([Pan2024]_). Order statistics bound
+the median for any distribution, because half of the estimates are above the median.
+Nested scrambles have no such bad sets, so their mean is better.
 """
 
 from __future__ import annotations
@@ -75,49 +78,49 @@ __all__ = ["integrate"]
 
 @dataclass(frozen=True)
 class IntegrationSettings:
-    """How a budget is divided into replicates, and when a median replaces the mean.
+    """Settings that divide a budget into replicates, and that choose between median and mean.
 
-    Numbers are from 40 runs with 512 and with 4,096 calls on each of five functions: smooth ones in
-    2 and 4 dims, x^−½, a quarter disk and a kink.
+    Numbers in the comments are from 40 runs with 512 and with 4,096 calls
+    on each of five functions: smooth ones in 2 and 4 dims, x^−½, a quarter disk and a kink.
     """
 
-    # Least number of replicates. Intervals of 16 are 1.6 to 1.9 times as wide for smooth functions.
-    # Those of 4 are as wide as those of 8 on average, but miss events of probability 1/8 more
-    # often.
+    # Least number of replicates. Intervals of 16 replicates are 1.6 to 1.9 times as wide
+    # for smooth functions. Intervals of 4 replicates are as wide as those of 8 on average,
+    # but miss events of probability 1/8 more often.
     least: int = 8
-    # Least number of replicates of a median: odd, so that it is one of them. The 95 % interval then
-    # ends at the second and the last but one, so one bad scramble on either side has no effect.
-    # Intervals of 7 are as wide on average; those of 21 are 1.5 times as wide.
+    # Least number of replicates of a median: an odd number,
+    # so that the median is one of the replicates. The 95 % interval then ends at the second
+    # and at the last replicate but one, so one bad scramble on either side has no effect.
+    # Intervals of 7 replicates are as wide on average; intervals of 21 are 1.5 times as wide.
     least_of_median: int = 11
-    # Number of points at which the kind of scramble is read from the law of the sampler, which is
-    # equal for all n.
+    # Number of points for which the law of the sampler is determined.
+    # The law states the kind of scramble, which is equal for all n.
     law_at: int = 64
-    # Ratio of the longest sets to the sets that measure the rate. Insensitive between 2 and 8:
-    # widths differ by 1 % on average.
+    # Largest ratio of the size of a set to the size of the sets that measure the rate.
+    # Insensitive between 2 and 8: widths differ by 1 % on average.
     pilot: int = 4
-    # Number of prefixes of a replicate that the rate is fitted to, each half as long as the next.
-    # With 2 prefixes intervals are
-    # 6 % wider; insensitive between 4 and 6.
+    # Number of prefixes of a replicate to which the rate is fitted, each half as long as the next.
+    # With 2 prefixes intervals are 6 % wider. Insensitive between 4 and 6.
     levels: int = 4
-    # Factor by which the interval of the mean must be wider before the median is taken to be
-    # better. With 1, intervals of the
-    # median hold the integral in 90 instead of 93 % of runs; with 4 they are 12 % wider.
+    # Factor by which the interval of the mean must be wider than that of the median before
+    # the median is preferred. With 1, intervals of the median contain the integral in 90 instead
+    # of 93 % of runs; with 4, intervals are 12 % wider.
     stands_out: float = 2.0
-    # Number of calls before the width is first compared with a tolerance: 8 replicates of 128
-    # points, whose interval is right
-    # for usual functions.
+    # Number of calls before the width of the interval is first compared with a tolerance:
+    # 8 replicates of 128 points, whose interval is right for usual functions.
     first: int = 2**10
-    # Ratio of the calls to those that the rate requires, so that most tolerances take two rounds: a
-    # width of 8 replicates has a standard error of 25 %.
+    # Ratio of the number of calls to the number that the rate requires. With this margin most
+    # tolerances take two rounds, although the width from 8 replicates has a standard error of 25 %.
     margin: float = 1.3
-    # Largest ratio of the calls of two rounds, because the first rates are uncertain.
+    # Largest ratio between the numbers of calls of consecutive rounds,
+    # because first rates are uncertain.
     growth: float = 4.0
 
 
 _SETTINGS = IntegrationSettings()
 
-_SIDE = 0.025  # Probability on either side of a 95 % interval
-_RATES = 1.0, 3.0  # θ of random points, and of smooth functions under scrambled nets
+_SIDE = 0.025  # Probability beyond each end of a 95 % interval
+_RATES = 1.0, 3.0  # Exponent θ of random points, and of smooth functions with scrambled nets
 
 
 def integrate(
@@ -140,57 +143,59 @@ def integrate(
     Parameters
     ----------
     f
-        A vectorized function of points (…, d) with values (…), an integrand without channels or its
-        spec string, or an estimator of one technique, such as ``Estimator(f, density)``.
+        A vectorized function of points (…, d) with values (…), an integrand without channels
+        or its spec string, or an estimator of one technique, such as ``Estimator(f, density)``.
     budget
-        Most calls of f, each for one point. f is not called beyond this number.
+        Maximum number of calls of f, where each point is one call.
     sampler
         A randomized sampler; by default ``"sobol | owen"``, for the median ``"sobol | lms"``.
     dims
-        Number of dims, needed if neither f nor the sampler has one.
+        Number of dims, needed if neither f nor the sampler has a number of dims.
     combine
-        ``"mean"`` of the replicates, or ``"median"`` for linear scrambles such as ``lms``. The
-        median is far better for smooth f in one dim, and in two dims from about 2,000 calls on.
+        ``"mean"`` of the replicates, or ``"median"`` for linear scrambles such as ``lms``.
+        The median is far better for smooth f in one dim, and in two dims from about 2,000 calls on.
     vectorized, workers, cache
-        Options for slow functions; see `mcspectra.integrands.Calls`. An interrupted call continues
+        Options for slow functions: see `mcspectra.integrands.Calls`. An interrupted call continues
         when it is repeated with the same cache, and gives the same bits.
     on_error
-        ``"raise"`` if f fails or is not finite. ``"skip"`` counts such points. The value uses the
-        mean of all other points for them. The interval covers their least to largest value for each
-        such point. The note reports their number and the first one.
+        ``"raise"`` if f fails or is not finite. ``"skip"`` counts such points.
+        For each failed point, the value uses the mean of all other points,
+        and the interval covers their least to largest value.
+        The note reports the number of failed points and the first failed point.
     tolerance
-        Half width of the interval at which the calls end, even if the budget allows more. The note
-        reports if the budget ends first.
+        Tolerance: calls end when the half width of the interval is at most this value,
+        even if the budget allows more calls. The note reports if the budget is spent first.
     profile
-        The `mcspectra.Profile` of f. The estimator and the sampler are the ones that it advises.
-        Its evaluations, which are not part of this budget, are reused: the value is the mean of its
-        integral and the new one, weighted by their intervals.
+        The `mcspectra.Profile` of f.
+        The estimator and the sampler are those that the profile recommends.
+        Evaluations of the profile are reused, and are not part of this budget: the value
+        is the mean of the profile's integral and the new integral, weighted by their intervals.
     rng
         Seed (SPEC 7).
 
     Returns
     -------
     xarray.Dataset
-        ``value`` (NaN without an integral). ``interval(bound)``, 95 % over the replicates; for the
-        median it holds, with at least 95 %, the median of the distribution of replicates, which are
-        as often too large as too small. ``calls`` that were made,
-        ``skipped`` calls that failed, ``replicates``, ``n`` points of each, and ``rate`` of the
-        variance as measured for the division of the budget, NaN if not measured. The interval is
-        infinite if all replicates are equal, if f grows toward a face of the cube so fast that its
-        variance is infinite, or if a few values hold most of the variance. The attribute ``note``
-        gives the reason. Slower growth widens the interval on the side of the growth.
+        ``value`` (NaN without an integral). ``interval(bound)``, 95 % over the replicates;
+        for the median it contains the median of the distribution of replicates with probability
+        at least 95 %. ``calls`` that were made, ``skipped`` calls that failed, ``replicates``,
+        ``n`` points of each, and ``rate`` of the variance as measured for the division
+        of the budget, NaN if not measured. The interval is infinite if all replicates are equal,
+        if f grows toward a face of the cube so fast that its variance is infinite,
+        or if a few values hold most of the variance. The attribute ``note`` gives the reason.
+        Slower growth widens the interval on the side of the growth.
 
     Warns
     -----
     InfiniteVarianceWarning
-        If the variance of f is infinite, or f has no integral.
+        If the variance of f is infinite, or the integral of f does not exist.
 
     Raises
     ------
     ParameterError
         If a value is out of range, the sampler is not random, f has channels or several techniques,
-        the budget is too small for eight replicates (eleven for a median), or a median is requested
-        without linear scrambles; also errors of `mcspectra.integrands.Calls`.
+        the budget is too small for eight replicates (eleven for a median), or a median
+        is requested without linear scrambles; also errors of `mcspectra.integrands.Calls`.
     ConfigError
         If the points and values of the budget exceed this machine's memory.
 
@@ -203,7 +208,7 @@ def integrate(
     >>> int(found["calls"]), int(found["n"])
     (1920, 128)
     """
-    # The function and the sampler
+    # Make an estimator of the function, and the sampler
     if profile is not None:
         if sampler is not None or cache is not None:
             given = "sampler" if sampler is not None else "cache"
@@ -256,14 +261,14 @@ def integrate(
     check_memory(memory_of(calls.budget, known), "integrate")
     stream = Stream.from_rng(rng)
 
-    # Make replicates; with a tolerance a few first, then as many as the interval requires
+    # Make replicates. With a tolerance, first make a few, then as many as the interval requires.
     allowed = calls.budget if tolerance is None else min(calls.budget, _SETTINGS.first)
     with calls:
         sets = _sampled(calls, setup, stream, allowed, median=median)
         found = _estimated(sets, law, median=median, linear=linear)
         while allowed < calls.budget and not found.half_width <= least_width:
-            # The width falls as the root of the variance; an infinite interval takes twice the
-            # calls
+            # The width falls as the root of the variance.
+            # An infinite interval takes twice as many calls
             wider = min(found.half_width / least_width, 2.0**_SETTINGS.growth)
             more = wider ** (2.0 / sets.rate if sets.rate > 0.0 else 2.0)
             more = min(max(_SETTINGS.margin * more, 2.0), _SETTINGS.growth)
@@ -310,7 +315,7 @@ def integrate(
 
 @dataclass(frozen=True)
 class _Replicates:
-    """Points (R, n, d) and values (R, n) of replicates, NaN where f failed; θ of the variance."""
+    """Points (R, n, d) and values (R, n) of replicates, NaN where f failed; and the rate θ."""
 
     points: Array
     values: Array
@@ -335,7 +340,7 @@ def _sampled(
             Parameter("budget"),
             f" is {allowed}, too small for {least} replicates of {source.spec}; give more.",
         )
-    # Measure the rate by prefixes of the first replicates
+    # Measure the rate from prefixes of the first replicates
     first, rate = np.empty((few, 0)), math.nan
     splits = source.sequence and not median
     pilot = affordable_count(setup, most // _SETTINGS.pilot) if splits else None
@@ -359,10 +364,10 @@ def _sampled(
         if n < max(pilot or 1, 2):
             break
         counts.add(n)
-    # Half widths of the interval by Student's t, up to a constant factor
+    # Half widths of Student's t intervals, up to a constant factor
     widths = {n: student_t(r := allowed // n) * n ** (-0.5 * rate) * r**-0.5 for n in counts}
     n = min(widths, key=lambda n: widths[n])
-    # Reuse the values of prefixes of sequences, or of the same count
+    # Reuse values of prefixes of sequences, or of sets with the same count
     have = first if known is None or not splits else known.values
     if known is not None and known.values.shape[1] == n:
         have = known.values
@@ -371,7 +376,7 @@ def _sampled(
     replicates = allowed // n
     while replicates >= least and replicates * n - min(replicates, rows) * columns > calls.left:
         replicates -= 1
-    if replicates < least and known is not None:  # Too few calls are left for longer sets
+    if replicates < least and known is not None:  # The remaining calls are too few for longer sets
         return known
     have = have[:replicates]
     x = source.draw_stream(n, stream, 0, replicates)
@@ -385,9 +390,10 @@ def _sampled(
 
 @dataclass(frozen=True)
 class _Estimated:
-    """The value, its interval, a note, and the reason for an infinite variance, if it is infinite.
+    """The value, its interval, a note, and the reason if the variance is infinite.
 
-    `values` have the mean of all others where f failed. `alike` is true if replicates do not vary.
+    `values` have the mean of all other values where f failed.
+    `alike` is true if replicates do not vary.
     """
 
     value: float
@@ -403,17 +409,16 @@ class _Estimated:
 
 
 def _estimated(sets: _Replicates, law: Law, *, median: bool, linear: bool) -> _Estimated:
-    """Return the estimate from replicates; its interval is infinite if nothing varies."""
+    """Return the estimate from replicates; the interval is infinite if no values vary."""
     from scipy.special import bdtr
 
-    # Points where f failed have the mean of all others
+    # Points where f failed get the mean of all other values
     values = _filled(sets.values)
     means, replicates = values.mean(axis=1), len(values)
     moments = Moments.of(means, tails=True)
     value, interval = float(moments.mean), mean_interval(means)
-    # With growth at the border, strata have skewed errors, and a variance may not exist. Other
-    # unresolved tails leave the interval
-    # unbounded
+    # With growth at the border, strata have skewed errors, and a variance may not exist.
+    # Other unresolved tails leave the interval unbounded
     growths = border_growth(sets.points.reshape(-1, sets.points.shape[-1]), values.ravel())
     endless = growth_note(growths)
     note = None if growths else tail_note(moments) or few_note(values.ravel())
@@ -421,7 +426,7 @@ def _estimated(sets: _Replicates, law: Law, *, median: bool, linear: bool) -> _E
         interval = -math.inf, math.inf
     elif endless or not isinstance(law, Independent):
         interval = growing_interval(means, growths)
-    # Take the median; if no set stands out from its neighbors, f is rough or n is small
+    # Take the median. If no set stands out from its neighbors, f is rough or n is small
     outer = int((bdtr(np.arange(replicates), replicates, 0.5) < _SIDE).sum()) - 1
     ends = np.sort(means)[[outer, -1 - outer]]
     stand_out = linear and 0.0 < _SETTINGS.stands_out * np.ptp(ends) < np.ptp(interval)
@@ -449,7 +454,7 @@ def _estimated(sets: _Replicates, law: Law, *, median: bool, linear: bool) -> _E
 
 
 def _advised(f: Any, profile: Any) -> tuple[AbstractEstimator, Sampler]:
-    """Return the estimator and the sampler that the profile of f advises."""
+    """Return the estimator and the sampler that the profile of f recommends."""
     answer = getattr(profile, "answer", None)
     if answer is None:
         raise ParameterError(
@@ -472,17 +477,17 @@ def _with_profile(
     profile: Any,
     found: _Estimated,
 ) -> tuple[float, tuple[float, float], str | None]:
-    """Combine an estimate with that of a profile, whose error is uncorrelated; return an interval.
+    """Combine an estimate with the uncorrelated estimate of a profile; return an interval.
 
-    The advised estimator is fitted to evaluations of the profile. For any such fit its estimates
-    have the mean ∫f, so their errors are uncorrelated with those of the profile.
+    The recommended estimator is fitted to evaluations of the profile. For any such fit,
+    the estimates have the mean ∫f, so their errors are uncorrelated with the errors of the profile.
     """
     low, high = profile.interval
     twice = 2.0 * low - profile.integral, 2.0 * high - profile.integral
     if found.alike and twice[0] <= value <= twice[1] and high - low < math.inf:
-        # f varied in the profile, but is constant to rounding at the advised points. The value is
-        # within two half widths,
-        # about four standard errors, of the mean of the profile
+        # f varied in the profile,
+        # but is constant to rounding at the points of the recommended sampler.
+        # The value is within two half widths, about four standard errors, of the profile's mean
         away = math.sqrt(float(rounding_floor(np.array(value))))
         return value, (value - away, value + away), "all replicates are equal to rounding"
     widths = interval[1] - interval[0], high - low
@@ -491,7 +496,7 @@ def _with_profile(
         return profile.integral, (low, high), note
     if not (math.isfinite(sum(widths)) and min(widths) > 0.0):
         return value, interval, note
-    # The width of few replicates has a large error, so use the expected width if it is smaller
+    # The width from few replicates has a large error, so use the expected width if that is smaller
     best, (replicates, n) = profile.answer.best, found.values.shape
     expected = 4.0 * best.rmse * (n / best.n) ** (0.5 * best.rate) * replicates**-0.5
     own = min(widths[0], expected) if math.isfinite(expected) else widths[0]
@@ -504,7 +509,7 @@ def _with_profile(
 
 
 def _filled(values: Array) -> Array:
-    """Return values with the mean of all others instead of NaN."""
+    """Return values in which the mean of all other values replaces NaN."""
     failed = np.isnan(values)
     if not failed.any():
         return values

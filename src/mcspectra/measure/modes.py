@@ -1,17 +1,18 @@
 """Leading modes of a covariance of spectra: patterns of coefficients that vary together.
 
-The eigenvectors of Cov(y_m, y_l), with y_m = conj(f_m) S_m or S_m itself, are patterns over the
-frequencies whose amplitudes are uncorrelated. The eigenvalues are the variances of these
-amplitudes. The matrix is never formed. Randomized subspace iteration [Halko2011]_ needs only its
-product with a few vectors: one pass over the realizations, which can be drawn again. The range of A
-Ω, with Ω random, holds the leading eigenvectors up to errors that shrink with every further
-product. The eigenpairs of A projected on that range (Rayleigh-Ritz) are the result, and ‖A v − λ v‖
-bounds the distance of λ to an eigenvalue of A. The coordinates are the real and imaginary parts of
-the stored coefficients, times √2 if −m is not stored.
+The eigenvectors of Cov(y_m, y_l), with y_m = conj(f_m) S_m or y_m = S_m,
+are patterns over the frequencies whose amplitudes are uncorrelated.
+The eigenvalues are the variances of these amplitudes. The covariance matrix A is never stored.
+Randomized subspace iteration [Halko2011]_ needs only its product with a few vectors:
+one pass over the realizations, which are drawn again for each pass. The range of A Ω,
+with Ω random, holds the leading eigenvectors up to errors that shrink with every further product.
+The eigenpairs of A projected on that range (Rayleigh-Ritz) are the result,
+and ‖A v − λ v‖ bounds the distance of λ to an eigenvalue of A. The coordinates are the real
+and imaginary parts of the stored coefficients, times √2 if −m is not stored.
 
-A itself is a sample. Each batch of realizations gives a variance along v, and the spread over
-batches gives the error of λ as the variance along v. This error excludes the selection of v for a
-large λ: `noise_edge` is the largest eigenvalue that the selection gives for a flat spectrum.
+A is estimated from a sample. Each batch of realizations gives a variance along v, and the spread
+over batches gives the error of λ as the variance along v. This error excludes the bias of choosing
+v for a large λ: `noise_edge` is the largest eigenvalue that this choice gives for a flat spectrum.
 """
 
 from __future__ import annotations
@@ -56,21 +57,22 @@ __all__ = ["CovarianceProduct", "Modes", "covariance_modes"]
 class ModeSettings:
     """Numbers of vectors and realizations for modes."""
 
-    # Vectors in addition to the modes. [Halko2011]_ proves bounds for any number and recommends 5
-    # to 10.
+    # Number of vectors in addition to the modes.
+    # [Halko2011]_ proves bounds for any number and recommends 5 to 10.
     oversampling: int = 8
     # Largest number of elements of one set of vectors: 1 GiB in float64.
     most_numbers: int = 2**27
-    # Realizations per coefficient below which a note warns of sampling noise. With 10 of them the
-    # edge of the spectrum of noise is (1 + √(1/10))² = 1.73 times its mean [Marchenko1967]_.
+    # Number of realizations per coefficient below which a note warns of sampling noise.
+    # With 10 realizations per coefficient the largest eigenvalue of noise
+    # is (1 + √(1/10))² = 1.73 times its mean [Marchenko1967]_.
     many: float = 10.0
-    # Variance of a coordinate, as a fraction of the largest, that counts as rounding. Its standard
-    # deviation is then 1e-10 of the largest, about a million roundings.
+    # Variance of a coordinate that counts as rounding, as a fraction of the largest variance.
+    # The standard deviation is then 1e-10 of the largest, about a million rounding errors.
     rounding: float = 1e-20
 
 
 _SETTINGS = ModeSettings()
-_START = 0x6D6F6465  # Stream label of the first vectors
+_START = 0x6D6F6465  # Stream label of the initial random vectors
 
 
 @final
@@ -147,7 +149,7 @@ class Modes(Counted, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
-        """Yield one pass over the realizations after another, each with the vectors of the last."""
+        """Yield passes over the realizations, each with the vectors of the previous pass."""
         estimator, n = subject.estimator, self.n
         frequencies = Frequencies.of(subject, self)
         if frequencies.diverge:
@@ -190,7 +192,8 @@ class Modes(Counted, frozen=True, kw_only=True):
                     points = estimator.draw(subject.sampler, n, stream, *blocks[place])
                     z = coordinates.real(view.coefficients(points))
                     tree.add(CovarianceProduct.of(z, vectors))
-                # All blocks as one batch; a single realization has no covariance and is left out
+                # Combine all blocks of a batch.
+                # A single realization has no covariance and is left out
                 total = tree.total()
                 some, least = slice(0, int(total.count > 1)), max(total.count - 1, 1)
                 projected = (product(vectors.T, total.product) / least)[None][some]
@@ -206,7 +209,7 @@ class Modes(Counted, frozen=True, kw_only=True):
                 key=str(number),
             )
 
-        # The range of A Ω, then the eigenpairs of A projected on it
+        # Find the range of A Ω, then the eigenpairs of A projected on this range
         width = min(coordinates.size, self.modes + _SETTINGS.oversampling)
         start = np.random.default_rng([stream.key, _START])
         vectors = start.standard_normal((coordinates.size, width))
@@ -217,8 +220,8 @@ class Modes(Counted, frozen=True, kw_only=True):
         values, vectors, residuals, errors = found.eigenpairs(vectors)
         diagonal = found.squares / (found.count - 1)
 
-        # Patterns over the frequencies; each vector's sign is such that the mode adds to the
-        # estimate
+        # Patterns over the frequencies.
+        # The sign of each vector is such that the mode adds to the estimate
         modes, basis, techniques = self.modes, view.basis, len(view.transforms)
         values, vectors = values[:modes], vectors[:, :modes]
         amplitude = product(coordinates.direction[None], vectors)[0]
@@ -230,8 +233,8 @@ class Modes(Counted, frozen=True, kw_only=True):
         patterns = patterns.reshape(modes, techniques, *basis.shape)
         trace, size = float(diagonal.sum()), coordinates.size
         # Largest sample eigenvalue of a flat spectrum of the same trace, by Marchenko and Pastur.
-        # With D varying
-        # coordinates it is λ (1 + √(D/(R − 1)))² in the limit of large D and R [Marchenko1967]_
+        # With D varying coordinates it is λ (1 + √(D/(R − 1)))² in the limit of large D
+        # and R [Marchenko1967]_
         least = _SETTINGS.rounding * diagonal.max(initial=0.0)
         varying = int(np.count_nonzero(diagonal > least))
         level = trace / varying if varying else 0.0
@@ -265,7 +268,7 @@ class Modes(Counted, frozen=True, kw_only=True):
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
-        """Return one pass; earlier passes are repeated, because their vectors are needed."""
+        """Return one pass. Earlier passes are repeated, because their vectors are needed."""
         steps = self.reduction(subject, stream)
         states = None
         while True:
@@ -308,35 +311,36 @@ def covariance_modes(
     modes
         Number of modes, at most the number of coefficients.
     weighted
-        If true, modes of conj(f_m) S_m, whose covariances sum to the variance. If false, modes of
-        S_m, the points alone.
+        If true, find modes of conj(f_m) S_m, whose covariances sum to the variance.
+        If false, find modes of S_m, which describes the points alone.
     bands, band
-        Labels of the bands to include, from the partition `bands`
-        (`mcspectra.measure.bands.make_bands`); None for all.
+        Labels of the bands to include,
+        from the partition `bands` (`mcspectra.measure.bands.make_bands`); None for all.
     channel
-        Number of the channel of the integrand.
+        Index of the channel of the integrand.
     passes
         Number of passes over the realizations, at least 2. More passes separate close eigenvalues.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more raises, before it starts if
-        possible.
+        Maximum number of evaluations of the integrand.
+        An analysis that takes more raises, before it starts if possible.
 
     Returns
     -------
     xarray.Dataset
-        ``eigenvalue(mode)`` of the sample covariance, descending; ``eigenvalue_se(mode)``, the
-        error of the variance along the mode, by batch means. ``noise_edge`` is the largest
-        eigenvalue to expect if all were equal: sampling alone makes flat spectra steep, unless
-        there are many more realizations than coefficients. ``eigenvalue_residual(mode)`` bounds the
-        numerical distance to an eigenvalue of the sample covariance. ``eigenvalue_share(mode)`` is
-        the share of the trace, and ``mode_contribution(mode)`` the mode's own contribution to the
-        variance of the band-limited estimate. ``mode_vector(mode, m0, …)`` has norm 1 over all
-        frequencies. ``band_trace`` is the sum of all eigenvalues.
+        ``eigenvalue(mode)`` of the sample covariance, descending;
+        ``eigenvalue_se(mode)``, the error of the variance along the mode, by batch means.
+        ``noise_edge`` is the largest expected sample eigenvalue if all true eigenvalues are equal:
+        sampling alone makes flat spectra steep, unless there are many more realizations
+        than coefficients. ``eigenvalue_residual(mode)`` bounds the numerical distance
+        to an eigenvalue of the sample covariance. ``eigenvalue_share(mode)`` is the share
+        of the trace, and ``mode_contribution(mode)`` the mode's own contribution to the variance
+        of the band-limited estimate. ``mode_vector(mode, m0, …)`` has norm 1 over all frequencies.
+        ``band_trace`` is the sum of all eigenvalues.
 
     Raises
     ------
     ParameterError
-        If a value is out of range, a label unknown, the vectors too large, or ∫1/p diverges.
+        If a value is out of range, a label is unknown, the vectors are too large, or ∫1/p diverges.
 
     Notes
     -----
@@ -360,10 +364,11 @@ class _Coordinates:
     # Indices of the band's coefficients among the stored coefficients of all techniques: int64 (P,)
     place: Array
     factor: Array  # y = factor · S, with conj(f_m) or 1, times `scale`: (P,)
-    scale: Array  # √2 for a coefficient that also stands for −m, else 1: (P,)
-    # Those of them with an imaginary part: all but the constants, in a complex basis; (Q,)
+    scale: Array  # Factor √2 for a coefficient that also stands for −m, else 1: (P,)
+    # Indices of the coefficients with an imaginary part,
+    # in a complex basis all but the constants: (Q,)
     complex: Array
-    direction: Array  # The band's part of the estimate is its scalar product with z: (D,)
+    direction: Array  # Vector whose scalar product with z is the band's part of the estimate: (D,)
 
     @staticmethod
     def of(view: View, inside: Array, channel: int, *, weighted: bool) -> _Coordinates:
@@ -384,12 +389,12 @@ class _Coordinates:
         return len(self.direction)
 
     def real(self, s: Array) -> Array:
-        """Return z of spectra (R, T·H): float64 (R, D)."""
+        """Return coordinates z, float64 (R, D), of spectra (R, T·H)."""
         y = s[:, self.place] * self.factor
         return np.concatenate([y.real, y.imag[:, self.complex]], axis=1)
 
     def stored(self, vectors: Array, size: int) -> Array:
-        """Return patterns over all `size` stored coefficients, (k, size), of vectors (D, k)."""
+        """Return the patterns over all `size` stored coefficients, (k, size), of vectors (D, k)."""
         half = len(self.place)
         y: Array = vectors[:half].T
         if self.size > half:
@@ -408,15 +413,15 @@ class CovarianceProduct:
     count: int
     mean: Array
     along: Array
-    product: Array  # the sum, (D, k)
+    product: Array  # the sum of products, (D, k)
     squares: Array  # Σ (z − z̄)², (D,): the diagonal
-    # Degrees of freedom of the batches, (B,), and their Vᵀ A_b V, (B, k, k)
+    # Degrees of freedom of the batches, (B,), and matrices Vᵀ A_b V of the batches, (B, k, k)
     degrees: Array
     projected: Array
 
     @staticmethod
     def of(z: Array, vectors: Array) -> CovarianceProduct:
-        """Return sums of realizations z, (R, D), without a batch."""
+        """Return sums over realizations z, (R, D), without batches."""
         mean, width = z.mean(axis=0), vectors.shape[1]
         deviation = z - mean
         total = product(deviation.T, product(deviation, vectors))
@@ -425,7 +430,7 @@ class CovarianceProduct:
         return CovarianceProduct(len(z), mean, along, total, squares, *none)
 
     def merge(self, other: CovarianceProduct) -> CovarianceProduct:
-        """Return sums over the realizations of both, about their common mean."""
+        """Return sums over the realizations of both objects, about the common mean."""
         count = self.count + other.count
         delta, along = other.mean - self.mean, other.along - self.along
         factor, part = self.count * other.count / count, other.count / count
@@ -442,8 +447,8 @@ class CovarianceProduct:
     def eigenpairs(self, vectors: Array) -> tuple[Array, Array, Array, Array]:
         """Return eigenpairs of the unbiased covariance A in the range of vectors (D, k).
 
-        The results are descending eigenvalues; eigenvectors, (D, k); ‖A v − λ v‖; and standard
-        errors.
+        The results are descending eigenvalues; eigenvectors, (D, k); ‖A v − λ v‖;
+        and standard errors.
         """
         image = self.product / (self.count - 1)
         values, rotation = eigenpairs(product(vectors.T, image))

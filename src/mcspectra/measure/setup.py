@@ -15,11 +15,10 @@ __all__ = ["Setup", "affordable_count"]
 
 @dataclass(frozen=True)
 class CountSettings:
-    """Limits of the search for a number of points."""
+    """Limits in the search for an affordable number of points."""
 
-    # Number of candidate counts, and the inverse of the relative step for samplers with a count
-    # near every number.
-    # Counts of nets or strata are closer to each other than the step; 64 and 1,024 find the same.
+    # Number of candidate counts, and inverse of the relative step between candidates for samplers
+    # that allow a count near every number. 64 and 1,024 candidates find the same count.
     tries: int = 256
 
 
@@ -41,12 +40,12 @@ class Setup:
 
     @property
     def cost(self) -> int:
-        """Evaluations of the integrand for each of n points."""
+        """Number of evaluations of the integrand for each of the n points."""
         return self.estimator.cost
 
     @property
     def overhead(self) -> int:
-        """Evaluations before the first point, such as those of a pilot."""
+        """Number of evaluations before the first point, for example of a pilot."""
         return self.estimator.pilot_evaluations
 
     @property
@@ -60,7 +59,7 @@ class Setup:
         return self.estimator.randomized(self.sampler).unbiased
 
     def too_dear(self, budget: int) -> str:
-        """Return why no two counts are within a budget."""
+        """Return the reason why a budget does not allow two counts."""
         if self.overhead >= budget:
             return f"Its pilot alone takes {self.overhead} evaluations; the budget is {budget}."
         if self.cost > sum(self.estimator.counts):
@@ -88,8 +87,8 @@ def affordable_count(setup: Setup, budget: int) -> int | None:
                 pass
             else:
                 return n
-        # If other counts are poor, use the next smaller power of the base; use large steps if
-        # counts are dense
+        # If other counts are poor, use the next smaller power of the base.
+        # Use large steps if counts are dense
         base = max(source.digit_bases, default=2)
         power = base ** int(math.log(n, base) + 1e-9)
         if poor and power < n:

@@ -1,11 +1,11 @@
 """Mergeable second moments of spectra and band-limited estimates, in constant memory.
 
 The power term, the contribution map and the band covariance follow from them (docs/theory.md,
-"Contributions and bands"). Errors come from batch means: every block of realizations gives an
-unbiased estimate. The spread over B blocks gives the error of their mean, with the quantile of
-Student's t for B − 1 degrees of freedom. The estimate from all realizations together is slightly
-more precise, so the errors are conservative. If realizations reuse a few stored sets, groups of
-these sets replace the blocks.
+"Contributions and bands"). Errors come from batch means:
+every block of realizations gives an unbiased estimate. The spread over B blocks gives the error
+of their mean, with the quantile of Student's t for B − 1 degrees of freedom. The estimate
+from all realizations together is slightly more precise, so the errors are conservative.
+If realizations reuse a few stored sets, groups of these sets replace the blocks.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ Variables: TypeAlias = dict[str, tuple[tuple[str, ...], Any]]
 
 @dataclass(frozen=True)
 class BatchSettings:
-    """Numbers of blocks whose spread gives standard errors."""
+    """Number of blocks for standard errors."""
 
-    # Least number of blocks, if there are twice as many realizations. Student's t with 19 degrees
-    # of freedom makes intervals 7 % wider than a normal law; 40 blocks would make them 3 % wider,
-    # and 10 blocks 15 %.
+    # Least number of blocks if there are at least two realizations for each.
+    # Student's t with 19 degrees of freedom makes intervals 7 % wider than a normal law;
+    # 40 blocks would make intervals 3 % wider, and 10 blocks 15 %.
     least: int = 20
 
 
@@ -66,7 +66,7 @@ class StoredGroups:
     first
         Number of the first realization of a block.
     sets, groups
-        Number of sets, and of groups of sets, whose spread gives the errors.
+        Number of stored sets, and number of groups of sets whose spread gives the errors.
     """
 
     first: int
@@ -75,11 +75,11 @@ class StoredGroups:
 
     @staticmethod
     def of(law: Law, realizations: int, first: int) -> StoredGroups | None:
-        """Return the groups of the sets of a law, or None if no set is reused."""
+        """Return the groups of stored sets of a sampler's law, or None if no set is reused."""
         sets = independent_sets(law)
         if sets is None or sets >= realizations:
             return None
-        # A group needs two realizations for a variance: translations of one set, or two sets
+        # A group needs two realizations for a variance: two translations of one set, or two sets
         alone = law.stationary and realizations >= 2 * sets
         return StoredGroups(
             first, sets, min(sets if alone else max(sets // 2, 1), BATCH_SETTINGS.least)
@@ -96,8 +96,8 @@ class TermSums:
 
     sums: SpectralSums
     measured: Moments
-    batches: Batches | None  # None if no block has two realizations
-    # By group of stored sets, "0", "1", …, instead of blocks; None if no set is reused
+    batches: Batches | None  # None if every block has fewer than two realizations
+    # Sums by group of stored sets, "0", "1", …, instead of blocks; None if no set is reused
     by_group: dict[str, TermSums] | None = None
 
     @staticmethod
@@ -119,7 +119,7 @@ class TermSums:
         return TermSums(sums, measured, None, groups)
 
     def merge(self, other: TermSums) -> TermSums:
-        """Return sums of both, group by group."""
+        """Return the sums of both objects, group by group."""
         groups = None
         if self.by_group is not None and other.by_group is not None:
             groups = dict(self.by_group)
@@ -132,7 +132,7 @@ class TermSums:
         return TermSums(sums, measured, batches, groups)
 
     def all_batches(self, partition: Partition) -> Batches | None:
-        """Return the batches by block or stored sets; None if all have one realization."""
+        """Return batches by block or stored sets; None if all batches have one realization."""
         if self.by_group is None:
             return self.batches
         each = (Batches.of(g.sums, g.measured, partition) for g in self.by_group.values())
@@ -144,8 +144,8 @@ class TermSums:
 class Partition:
     """The coefficients of the integrand, with their weights and labels."""
 
-    # Stored coefficients f_m of all techniques, one technique after the other: (C, H), real or
-    # complex
+    # Stored coefficients f_m of all techniques, one technique after another:
+    # (C, H), real or complex
     coefficients: Array
     double: Array  # 2.0 for a coefficient that also stands for −m, else 1.0: (H,)
     dc: Array  # Whether a coefficient belongs to the constant function: bool (H,)
@@ -166,8 +166,8 @@ class SpectralSums:
     band_mean: Array  # (C, A)
     band_m2: Array  # (C, A, A)
     truncated: Moments  # moments of the estimate truncated at each half width: (C, K+1)
-    # (H, 2H): Σ_r (S−S̄)_m conj(S−S̄)_l and the same without conj, which give all four signs of (m,
-    # l)
+    # (H, 2H): Σ_r (S−S̄)_m conj(S−S̄)_l and the same without conj;
+    # both together give all four signs of (m, l)
     matrix: Array | None
 
     @staticmethod
@@ -200,7 +200,7 @@ class SpectralSums:
         )
 
     def terms(self, partition: Partition) -> tuple[Array, Array, Array]:
-        """Return dc, power and cross term, each (C,), unbiased; their sum is the variance of I."""
+        """Return unbiased dc, power and cross terms, each (C,); the variance of I is their sum."""
         f = partition.coefficients
         sums = np.zeros((len(f), 3))
         term_sums(f, self.m2, self.cov, partition.double, partition.dc, sums)
@@ -213,7 +213,7 @@ class SpectralSums:
         return np.asarray((f.conj() * self.cov).real / max(self.count - 1, 1))
 
     def merge(self, other: SpectralSums) -> SpectralSums:
-        """Return sums of both sets of realizations together (Chan, Golub & LeVeque 1983)."""
+        """Return sums over both sets of realizations together (Chan, Golub & LeVeque 1983)."""
         a, b = self.count, other.count
         factor, part = a * b / (a + b), b / (a + b)
         delta = other.mean - self.mean
@@ -240,8 +240,8 @@ class SpectralSums:
 class RunningSpread:
     """Sums over blocks of arrays x of weight w, for the error of their weighted mean.
 
-    All arrays have one shape and type. Deviations are from the mean with weights w², which is the
-    mean of equal blocks. For complex numbers the error is the root of the mean |error|².
+    All arrays have the same shape and type. Deviations are from the mean with weights w², which for
+    equal blocks is the plain mean. For complex numbers the error is the root of the mean |error|².
     """
 
     total: SUM  # Σ w² x
@@ -252,7 +252,7 @@ class RunningSpread:
 
     @staticmethod
     def of(values: Array, weight: float) -> RunningSpread:
-        """Return sums of one array."""
+        """Return the sums for a single array."""
         weight = float(weight)
         total = weight**2 * values
         return RunningSpread(total, (total * values.conj()).real, weight, weight**2)
@@ -268,20 +268,19 @@ class RunningSpread:
 
 @dataclass(frozen=True)
 class Batches:
-    """Estimates of each block: all terms and variances, and the spread of maps and matrices."""
+    """Terms and variances of each block, and the spread of maps and matrices over blocks."""
 
-    weights: JOIN  # degrees of freedom of each block: (B,)
+    weights: JOIN  # Degrees of freedom of each block: (B,)
     values: JOIN  # dc, power and cross term and measured variance: (B, 4, C)
     # Spread of the contributions (C, H), of the covariances of bands (C, A, A) and, if requested,
-    # of the stored
-    # covariances (H, 2H)
+    # of the stored covariances (H, 2H)
     contribution: RunningSpread
     band_covariance: RunningSpread
     matrix: RunningSpread | None
 
     @staticmethod
     def of(sums: SpectralSums, measured: Moments, partition: Partition) -> Batches | None:
-        """Return the estimates of one block; None for one realization, which has no covariance."""
+        """Return the estimates of a block, or None for a single realization without covariance."""
         degrees = sums.count - 1
         if degrees < 1:
             return None
@@ -310,7 +309,7 @@ class Batches:
         return spread(terms - weighted_sum(share, terms), share)
 
     def captured_factors(self) -> Array:
-        """Return ends of the 95 % interval of predicted/measured variance, over it: (C, 2)."""
+        """Return the 95 % interval of the ratio predicted/measured, divided by it: (C, 2)."""
         return ratio_factors(self.values[:, :3].sum(axis=1), self.values[:, 3], self.share)
 
 
@@ -327,16 +326,16 @@ def ratio_factors(above: Array, below: Array, share: Array) -> Array:
     """Return ends of the 95 % interval of a ratio of means, over the ratio: (..., 2).
 
     The means are of positive block values (B, ...). The interval is logarithmic, by the jackknife
-    with Student's t [Miller1974]_. If few blocks hold most of the error, the others missed the
-    tail. The interval is then 1 + √(excess kurtosis / B) times as wide, and the skewness widens it
-    on the side of that tail (``python -m benchmarks coverage``).
+    with Student's t [Miller1974]_. If few blocks hold most of the error, the other blocks missed
+    the tail. The interval is then 1 + √(excess kurtosis / B) times as wide, and the skewness widens
+    the interval on the side of this tail (``python -m benchmarks coverage``).
     """
     blocks = len(share)
     if blocks < 2:
         return np.full((*above.shape[1:], 2), np.nan)
     weight = share.reshape(-1, *[1] * (above.ndim - 1))
     with np.errstate(invalid="ignore", divide="ignore"):
-        # Blocks that capture only rounding have no spread
+        # Blocks that capture only rounding noise have no spread
         above = np.maximum(above, np.finfo(float).eps ** 2 * below)
         a, b = ((weighted_sum(share, v) - weight * v) / (1.0 - weight) for v in (above, below))
         influence = (1.0 - 1.0 / weight) * np.log(a / b)
@@ -347,5 +346,5 @@ def ratio_factors(above: Array, below: Array, share: Array) -> Array:
     skewness, kurtosis = (unit**3).mean(axis=0), (unit**4).mean(axis=0)
     wider = 1.0 + np.sqrt(np.maximum(kurtosis - 3.0, 0.0) / blocks)
     low, high = (error * (wider + np.maximum(sign * skewness, 0.0)) for sign in (-1, 1))
-    with np.errstate(over="ignore"):  # No upper end if only rounding is captured
+    with np.errstate(over="ignore"):  # No upper end if only rounding noise is captured
         return np.asarray(np.exp(np.stack([-low, high], axis=-1)))

@@ -1,11 +1,11 @@
-"""The terms of each technique and between techniques: which technique causes the variance.
+"""Terms of the variance for each technique and each pair of techniques.
 
 The variance is the sum over all pairs of techniques of Cov(E_t, E_s), where E_t is the part of an
 estimate from technique t. Off the diagonal it is 0 for independent sets, but not for techniques
 that share points (`mcspectra.estimators.sets`). Each covariance has a dc, a power and a cross term,
-with the spectrum S^t and the integrand f^t of technique t instead of S and f. For large n, the
-slowest rate of a technique becomes the rate of the sum. That technique is the *bottleneck* if the
-95 % interval of its rate lies above the intervals of all other techniques.
+with the spectrum S^t and the integrand f^t of technique t instead of S and f. For large n,
+the slowest rate of a technique becomes the rate of the sum. That technique is the *bottleneck*
+if the 95 % interval of its rate lies above the intervals of all other techniques.
 """
 
 from __future__ import annotations
@@ -57,10 +57,10 @@ _FINITE = ("technique_covariance", "technique_variance", "measured_variance", "m
 
 @dataclass(frozen=True)
 class TechniqueSettings:
-    """Limit of memory for pairs of techniques."""
+    """Limit of memory for sums over pairs of techniques."""
 
-    # Largest number of complex values of Σ_r S^t conj(S^s), over all pairs of techniques and
-    # frequencies: 512 MiB.
+    # Largest number of complex values of Σ_r S^t conj(S^s),
+    # over all pairs of techniques and frequencies: 512 MiB.
     most: int = 2**25
 
 
@@ -125,16 +125,16 @@ class Techniques(Counted, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
-        """Return the sums of all counts at once."""
+        """Return the sums for all counts together."""
         estimator, counts = subject.estimator, self._counts
         frequencies = Frequencies.of(subject, self)
         views = [frequencies.view(n, self, apart=True) for n in counts]
         techniques = len(estimator.counts)
 
         def of_count(key: str, view: View, n: int, own: Stream) -> Reduction[_Total]:
-            """Return sums of one count; a block is also a batch."""
+            """Return the sums for one count; each block is a batch."""
             evaluations = n * sum(estimator.counts)
-            # Number of coordinates of a realization, or of its spectra if that is larger
+            # Number of coordinates of a realization, or size of its spectra if that is larger
             numbers = max(evaluations * estimator.dims, 4 * techniques * view.basis.stored)
             blocks = realization_blocks(
                 self.realizations, numbers, multiple=2, least=BATCH_SETTINGS.least
@@ -165,7 +165,7 @@ class Techniques(Counted, frozen=True, kw_only=True):
             for name, (dims, _) in parts[0].items()
         }
         notes: dict[str, Any] = {} if self._several else {"n": counts[0]}
-        if is_fixed(estimator, subject.sampler):  # The rest is rounding
+        if is_fixed(estimator, subject.sampler):  # Nonzero variances are rounding noise
             notes["note"] = f"{subject.sampler.spec} {NO_VARIANCE}"
             variables = {
                 name: (dims, v if name.startswith(("mean", "captured")) else np.zeros_like(v))
@@ -232,38 +232,39 @@ def technique_terms(
     estimator, sampler
         A `MultipleImportance`, a `TechniqueSum` or any other estimator, and its sampler.
     counts
-        Number of points n of each technique in units of its ``counts``. A list of ascending numbers
-        adds the dim n, rates and the bottleneck.
+        Number of points n of each technique in units of its ``counts``.
+        A list of ascending numbers adds the dim n, rates and the bottleneck.
     dims, half_width, basis, engine, eps, workers
         Same as in `variance_terms`.
     realizations
         Number of independent realizations for each n, at least 2.
     rng
-        Seed (SPEC 7). With a single n, realizations are those of `variance_terms`; with a list,
-        each n has the same stream as in `convergence`.
+        Seed (SPEC 7). With a single n, realizations are those of `variance_terms`;
+        with a list, each n has the same stream as in `convergence`.
     space
-        ``"domain"`` or ``"primary"`` as in `variance_terms`; by default the domain, if there is
-        one. In primary space the dc terms are 0, because the points of every technique have equal
-        weights.
+        ``"domain"`` or ``"primary"`` as in `variance_terms`;
+        by default the domain, if there is one. In primary space the dc terms are 0,
+        because the points of every technique have equal weights.
     fit_last
-        Number of last counts that rates are fitted to, as in `convergence`.
+        Number of the largest counts to which rates are fitted, as in `convergence`.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more raises, before it starts if
-        possible.
+        Maximum number of evaluations of the integrand.
+        An analysis that takes more raises, before it starts if possible.
 
     Returns
     -------
     xarray.Dataset
-        On technique and technique_other: ``technique_covariance`` of the techniques' parts of the
-        estimate, which sums to ``measured_variance``; and ``technique_dc_term``,
+        On technique and technique_other: ``technique_covariance`` of the techniques' parts
+        of the estimate, which sums to ``measured_variance``; and ``technique_dc_term``,
         ``technique_power_term`` and ``technique_cross_term``, which sum to ``predicted_variance``.
-        All four have ``_se`` (batch means, from 4 realizations on). ``dc_term``, ``power_term`` and
-        ``cross_term`` are those of `variance_terms`: in the domain the sums over pairs. In primary
-        space each technique has its own frequencies, so dc and power are sums over the diagonal and
-        cross is the rest. On technique: ``technique_variance`` with ``_ci``, the diagonal.
-        ``captured`` with ``_ci``. With a list of n: ``technique_rate`` and ``rate`` with ``_ci``,
-        and ``bottleneck``, the technique with a significantly slower rate than all others
-        (intervals do not overlap), or −1 if undecided. The attribute ``bottleneck`` has its name.
+        All four have ``_se`` (batch means, from 4 realizations on).
+        ``dc_term``, ``power_term`` and ``cross_term`` are those of `variance_terms`:
+        in the domain the sums over pairs. In primary space each technique has its own frequencies,
+        so dc and power are sums over the diagonal and cross is the rest. On technique:
+        ``technique_variance`` with ``_ci``, the diagonal. ``captured`` with ``_ci``.
+        With a list of n: ``technique_rate`` and ``rate`` with ``_ci``, and ``bottleneck``,
+        the technique with a significantly slower rate than all others (their intervals do
+        not overlap), or −1 if undecided. The attribute ``bottleneck`` has its name.
         Techniques without variance are excluded. Several channels add a dim channel.
 
     Raises
@@ -278,8 +279,9 @@ def technique_terms(
 
     Notes
     -----
-    O(R (n + T² M)) time and O(T² M) memory for T techniques and M frequencies. The bottleneck
-    compares the techniques' own variances; correlations between techniques may cancel it.
+    O(R (n + T² M)) time and O(T² M) memory for T techniques and M frequencies.
+    The bottleneck compares the techniques' own variances;
+    correlations between techniques may cancel part of these variances.
 
     Examples
     --------
@@ -305,7 +307,8 @@ def _variables(total: _Total, view: View) -> Variables:
     """Return result variables of one count, with a leading channel axis."""
     found, moments = total.sums.covariances(view), total.sums.moments
     share = total.weights / total.weights.sum()
-    # Scaled by the factor by which few stored sets raise the error of the whole variance
+    # Errors are multiplied by the factor by which few stored sets raise the error
+    # of the whole variance
     wider = moments.widening[:, -1]
     errors = spread(total.values - weighted_sum(share, total.values), share)
     errors = errors * wider[:, None, None]
@@ -394,9 +397,9 @@ class TechniqueSums:
         )
 
     def covariances(self, view: View) -> Array:
-        """Return dc, power and cross term and measured covariance of pairs: (4, C, T, T).
+        """Return dc term, power term, cross term and measured covariance of pairs: (4, C, T, T).
 
-        They are unbiased: dc + power + cross is the covariance of the truncated estimates.
+        The terms are unbiased: dc + power + cross is the covariance of the truncated estimates.
         """
         f, basis, degrees = view.integrand_coefficients, view.basis, max(self.count - 1, 1)
         weighted = self.products * basis.double / degrees
@@ -429,7 +432,7 @@ def technique_rates(
     """
     variance = np.stack([m.variance for m in moments])  # (N, C, T + 1)
     relative = np.stack([m.relative_se for m in moments])
-    # Rounding is relative to the whole estimate, because a part of it may be 0
+    # Rounding is relative to the whole estimate, because the part of a technique may be 0
     size = np.stack([np.abs(m.mean).max(axis=1, keepdims=True) for m in moments])
     floor = np.broadcast_to(rounding_floor(size), variance.shape)
     fits = fit_rates(np.array(ns), variance, relative, floor, window)
@@ -437,14 +440,15 @@ def technique_rates(
     still = np.asarray((variance <= floor)[:, :, :-1].all(axis=0))
     choice = []
     for rates, intervals, own in zip(rate, interval, still, strict=True):
-        # The technique whose interval lies above the intervals of all other techniques that vary
+        # Find the technique whose interval lies above the intervals
+        # of all other techniques that vary
         moving = np.flatnonzero(~own).tolist()
         slowest = max(
             moving, key=lambda t: np.nan_to_num(rates[t], nan=-math.inf), default=UNDECIDED
         )
         low = intervals[slowest, 0]
         others = [intervals[t, 1] for t in moving if t != slowest]
-        # A rate that could not be fitted compares false, hence undecided
+        # Comparisons with a rate that could not be fitted are false, so the result is undecided
         decided = moving and math.isfinite(low) and all(high < low for high in others)
         choice.append(slowest if decided else UNDECIDED)
     variables: Variables = {

@@ -1,8 +1,8 @@
-"""The three terms: variance of an estimator predicted and explained from spectra.
+"""The three terms of the variance of an estimator, which spectra predict and explain.
 
-See docs/theory.md, "The three terms" and "Contributions and bands". No M × M matrix is stored. In
-primary space every technique has its own integrand and points, and the sums run over (technique,
-m).
+See docs/theory.md, "The three terms" and "Contributions and bands".
+No M × M matrix is stored. In primary space every technique has its own integrand and points,
+and the sums run over (technique, m).
 """
 
 from __future__ import annotations
@@ -49,8 +49,8 @@ __all__ = ["Terms", "variance_terms"]
 class TermSettings:
     """Limit of memory for the full cross matrix."""
 
-    # Largest number of frequencies of a full cross matrix: two complex matrices of that size take
-    # 0.5 GiB.
+    # Largest number of frequencies of a full cross matrix:
+    # two complex matrices of that size take 0.5 GiB.
     most_matrix: int = 4096
 
 
@@ -120,13 +120,13 @@ class Terms(Counted, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[list[TermSums]]:
-        """Return sums over all realizations of each sampler; a block is also a batch."""
+        """Return sums over all realizations of each sampler; each block is a batch."""
         estimator, samplers, n = subject.estimator, subject.samplers, self.n
         frequencies = self._frequencies(subject)
         view = frequencies.view(n, self)
         bands = make_bands(self.bands, view.basis)
         partition = view.partition(bands.of, self.cross_matrix)
-        # Number of coordinates of a realization, or of its spectra if that is larger
+        # Number of coordinates of a realization, or size of its spectra if that is larger
         numbers = max(n * estimator.dims * sum(estimator.counts), 2 * partition.double.size)
         blocks = realization_blocks(
             self.realizations, numbers, multiple=2, least=BATCH_SETTINGS.least
@@ -142,7 +142,7 @@ class Terms(Counted, frozen=True, kw_only=True):
             return TermSums.of(view.coefficients(points), estimates, partition, stored)
 
         def result(totals: list[TermSums]) -> xr.Dataset:
-            # The variables of every sampler, then all of them on a dim sampler
+            # Compute the variables of every sampler, then join them along a dim sampler
             share, tail = view.energy(n)
             found: list[Variables] = []
             notes: dict[str, None] = {}
@@ -156,7 +156,7 @@ class Terms(Counted, frozen=True, kw_only=True):
                 own["measured_variance_ci"][1][blind, 1] = np.inf
                 captured = own["captured_ci"][1]
                 captured[blind, 0] = np.minimum(captured[blind, 0], 0.0)
-                if is_fixed(estimator, sampler):  # The rest is rounding
+                if is_fixed(estimator, sampler):  # Nonzero variances are rounding noise
                     known = ("mean", "energy_share", "captured")
                     own = {
                         name: (dims, v if name.startswith(known) else np.zeros_like(v))
@@ -178,7 +178,8 @@ class Terms(Counted, frozen=True, kw_only=True):
             techniques, basis = len(view.transforms), view.basis
             batches = totals[0].all_batches(partition)
 
-            # Coordinates of m and l: the frequencies in 1-D, else a running number with m_0, m_1, …
+            # Coordinates of m and l: frequencies in 1-D, else an index,
+            # with the components m_0, m_1, …
             matrix: dict[str, Any] = {}
             if self.cross_matrix and basis.dims == techniques == 1:
                 matrix = {"m": basis.axis, "l": basis.axis}
@@ -269,27 +270,27 @@ def variance_terms(
         The estimator with one sampler, or with a list of different samplers, which use the same
         random numbers. `n` is the number of points of each technique in units of its ``counts``.
     dims
-        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
-        that is not a spec.
+        Number of dims of a function, or of a spec without ``dims``.
+        The default is the number of dims of the sampler, if the sampler is not a spec.
     half_width
-        Frequencies m run over {−half_width … half_width}^d. The default is 64, or the power of two
-        near 2 n^(1/d) if that is larger. It is lower if f has no higher frequencies, or if there
-        would be more than 2^17.
+        Frequencies m run over {−half_width … half_width}^d.
+        The default is 64, or the power of two near 2 n^(1/d) if that is larger. The default
+        is lower if f has no higher frequencies, or if there would be more than 2^17 frequencies.
     realizations
         Number of independent realizations, at least 2.
     rng
         Seed (SPEC 7). Realization r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
     basis
         ``"fourier"``, ``"cosine"``, ``"walsh"`` or ``"haar"`` (`mcspectra.spectra.bases`).
-        ``"auto"`` is the one that fits the sampler's randomization; the attribute ``basis`` reports
-        it. A list of samplers needs a basis that fits all.
+        ``"auto"`` is the one that fits the sampler's randomization;
+        the attribute ``basis`` reports it. A list of samplers needs a basis that fits all of them.
     space
-        ``"domain"`` uses f with the warped, weighted points (the paper's view). ``"primary"`` uses
-        g(u) with the sampler's own points, which shows discontinuities of the warp. The default is
-        the domain, if there is one.
+        ``"domain"`` uses f with the warped, weighted points (the paper's view).
+        ``"primary"`` uses g(u) with the sampler's own points, which shows discontinuities
+        of the warp. The default is the domain view, if there is a domain.
     bands
-        ``"radial"``, ``"dyadic"``, ``"anova"``, ``"wedge"``, or an integer label ≥ 0 for every
-        basis function; see `mcspectra.measure.bands.make_bands`.
+        ``"radial"``, ``"dyadic"``, ``"anova"``, ``"wedge"``,
+        or an integer label ≥ 0 for every basis function; see `mcspectra.measure.bands.make_bands`.
     cross_matrix
         Whether to return C_ml and conj(f_m) f_l C_ml in full, for at most 4096 frequencies.
     engine, eps
@@ -297,30 +298,31 @@ def variance_terms(
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Most evaluations of the integrand. An analysis that takes more raises, before it starts if
-        possible.
+        Maximum number of evaluations of the integrand.
+        An analysis that takes more raises, before it starts if possible.
 
     Returns
     -------
     xarray.Dataset
-        ``dc_term``, ``power_term``, ``cross_term`` and ``predicted_variance``, their sum, with
-        ``_ci``; ``measured_variance`` with ``_ci``. ``captured`` with ``_ci`` is
-        predicted/measured, NaN if the measured variance is rounding noise. ``energy_share`` is the
-        part of ∫f² within the half width, and ``tail_term`` the variance of the rest for random
-        points. ``contribution`` and ``power_contribution`` are on m0, m1, …. Further variables are
-        ``band_covariance(band, band_other)``, ``truncated_variance(half_width)`` and
-        ``captured_by_half_width(half_width)``. A list adds a dim sampler, several channels a dim
-        channel, and several techniques in primary space a dim technique on maps. With
-        `cross_matrix` there are ``coefficient_covariance(m, l)`` and ``cross_matrix(m, l)``.
+        ``dc_term``, ``power_term``, ``cross_term`` and ``predicted_variance``, their sum,
+        with ``_ci``; ``measured_variance`` with ``_ci``. ``captured`` with ``_ci``
+        is predicted/measured, NaN if the measured variance is rounding noise.
+        ``energy_share`` is the part of ∫f² within the half width, and ``tail_term`` the variance
+        of the rest for random points. ``contribution`` and ``power_contribution`` are on m0, m1, ….
+        Further variables are ``band_covariance(band, band_other)``,
+        ``truncated_variance(half_width)`` and ``captured_by_half_width(half_width)``.
+        A list adds a dim sampler, several channels a dim channel,
+        and several techniques in primary space a dim technique on maps.
+        With `cross_matrix` there are ``coefficient_covariance(m, l)`` and ``cross_matrix(m, l)``.
 
-        The terms, ``contribution``, ``band_covariance`` and both matrices have standard errors
-        ``_se``, and the terms ``_ci``, by batch means from 4 realizations on. The attribute
-        ``batches`` is the number of batches, and 95 % intervals use Student's t with one degree of
-        freedom less. The interval of ``captured`` is logarithmic, and wider if few batches hold
-        most of the error. A set that is always the same has no variance, which the attribute
-        ``note`` reports. The note also names estimates that missed the source of their variance
-        (see `convergence`). The upper end of ``measured_variance_ci`` is then infinite, and the
-        lower end of ``captured_ci`` is 0.
+        The terms, ``contribution``, ``band_covariance`` and both matrices
+        have standard errors ``_se``, and the terms ``_ci``, by batch means from 4 realizations on.
+        The attribute ``batches`` is the number of batches, and 95 % intervals use Student's t
+        with one degree of freedom less. The interval of ``captured`` is logarithmic, and wider
+        if few batches hold most of the error. A set that is always the same has no variance,
+        which the attribute ``note`` reports. The note also names estimates that missed the source
+        of their variance (see `convergence`). The upper end of ``measured_variance_ci``
+        is then infinite, and the lower end of ``captured_ci`` is 0.
 
     Raises
     ------
@@ -330,14 +332,14 @@ def variance_terms(
     Warns
     -----
     InfiniteWeightVarianceWarning
-        If ∫1/p diverges. The terms of the domain view are then infinite and given as NaN or
-        infinity.
+        If ∫1/p diverges.
+        The terms of the domain view are then infinite and given as NaN or infinity.
 
     Notes
     -----
-    O(R (n + M log M)) time and O(M + bands²) memory. 95 % intervals follow from the kurtosis of the
-    estimates. A truncated spectrum predicts part of the variance, which ``captured`` reports;
-    `mcspectra.predict` predicts all of it.
+    O(R (n + M log M)) time and O(M + bands²) memory.
+    95 % intervals follow from the kurtosis of the estimates. A truncated spectrum predicts part
+    of the variance, which ``captured`` reports; `mcspectra.predict` predicts all of it.
 
     Examples
     --------
@@ -354,7 +356,7 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
     """Return all variables with a channel axis first; errors are NaN for fewer than two blocks."""
     sums, measured, basis = total.sums, total.measured, view.basis
     batches = total.all_batches(partition)
-    assert batches is not None  # The first block has at least two realizations
+    assert batches is not None  # The first block has two or more realizations
     f, degrees = partition.coefficients, sums.count - 1
     shape = (len(f), len(view.transforms), basis.stored)
     maps, pairs = ("channel", "technique", *basis.names), ("channel", "band", "band_other")
@@ -379,9 +381,9 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
         variables[f"{name}_se"] = ("channel",), error
         variables[f"{name}_ci"] = interval(value, student_t(batches.count) * error)
 
-    # Part of the variance in the frequencies; NaN if the variance is rounding noise
+    # Part of the variance within the frequencies; NaN if the variance is rounding noise
     real = np.where(measured.variance > rounding_floor(measured.mean), measured.variance, np.nan)
-    with np.errstate(invalid="ignore"):  # 0 times infinity if nothing is captured
+    with np.errstate(invalid="ignore"):  # NaN from 0 times infinity if nothing is captured
         captured_ci = (predicted / real)[:, None] * batches.captured_factors()
     variables |= {
         "captured": (("channel",), predicted / real),
@@ -403,8 +405,8 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
 
     # Full C_ml and conj(f_m) f_l C_ml; errors of conjugates are equal and scale with |f_m f_l|
     if sums.matrix is not None and batches.matrix is not None:
-        # For each coefficient of each technique: its position among the stored ones, and whether it
-        # is conjugated
+        # For each coefficient of each technique:
+        # its position among the stored coefficients, and whether it is conjugated
         techniques, (place, conjugate) = len(view.transforms), basis.whole()
         index = (np.arange(techniques)[:, None] * basis.stored + place).ravel()
         flip = np.tile(conjugate, techniques)
@@ -439,11 +441,10 @@ def _predicted_ci(total: TermSums, batches: Batches) -> Array:
 
 
 def _signed(stored: Array, index: Array, flip: Array) -> Array:
-    """Return ⟨S_a conj S_b⟩ for a, b plain or conjugated, from the stored blocks.
+    """Return ⟨S_a conj S_b⟩ for plain or conjugated a and b, from the stored blocks.
 
-    The stored blocks are those with and without conj. S_{−l} = conj S_l gives C_{m,−l} = Cov(S_m,
-    conj S_l), the pseudo-covariance. In primary space the coefficients of the techniques follow one
-    another.
+    Blocks are stored with and without conj. S_{−l} = conj S_l gives C_{m,−l} = Cov(S_m, conj S_l),
+    the pseudo-covariance. In primary space the coefficients of the techniques follow one another.
     """
     size = len(stored)
     plain, pseudo = stored[:, :size][np.ix_(index, index)], stored[:, size:][np.ix_(index, index)]

@@ -1,8 +1,8 @@
 """The two views of an estimator: pairs of integrand coefficients and spectra of points.
 
-The *domain* view pairs one integrand f with the warped, weighted points of all techniques. In
-*primary* space every technique has its own integrand g_t and the sampler's own points, and sums run
-over (technique, m).
+The *domain* view pairs one integrand f with the warped, weighted points of all techniques.
+In *primary* space every technique has its own integrand g_t and the sampler's own points,
+and sums run over (technique, m).
 """
 
 from __future__ import annotations
@@ -29,20 +29,19 @@ __all__ = ["Frequencies", "View"]
 
 @dataclass(frozen=True)
 class FrequencySettings:
-    """The default half width, and the number of points for mean squares."""
+    """Limits of the default half width, and the number of points for mean squares."""
 
-    # Least default half width: features of 1/128 of the cube, the pixels of a thumbnail, are
-    # resolved.
+    # Least default half width: features of 1/128 of the cube,
+    # the pixels of a thumbnail, are resolved.
     least_width: int = 64
-    # Largest number of frequencies of a default half width, 2^17. In 2-D a half width of 128 fits,
-    # and one spectrum takes 1 MiB in half storage.
+    # Largest number of frequencies of a default half width, 2^17.
+    # In 2-D a half width of 128 fits, and one spectrum takes 1 MiB in half storage.
     most_frequencies: int = 2**17
-    # Fraction of Σ|f_m|² outside half the width below which the width is halved: ten roundings of
-    # float64.
+    # Fraction of Σ|f_m|² outside half the width below which the width is halved:
+    # ten roundings of float64.
     rounding: float = 1e-15
-    # Number of points for mean squares of weights and functions. They give the energy share of a
-    # smooth f to 1e-4, and of
-    # a discontinuous one to 1 %.
+    # Number of points for mean squares of weights and functions.
+    # The points give the energy share of a smooth f to 1e-4, and of a discontinuous f to 1 %.
     probes: int = 2**14
 
 
@@ -60,7 +59,7 @@ class Frequencies:
 
     @staticmethod
     def of(subject: Subject, asked: Any, n: int = 1) -> Frequencies:
-        """Choose space, half width for n points and basis, if an analysis leaves them open.
+        """Choose the space, the half width for n points and the basis that an analysis leaves open.
 
         The basis ``"auto"`` fits the points of the estimator. The points of a mirrored integrand
         are folded in the domain; in primary space they are those of the sampler.
@@ -78,15 +77,15 @@ class Frequencies:
         dims = estimator.dims if chosen == "primary" else estimator.domain_dims
         width: int | None = asked.half_width
         if width is None:
-            # Twice the frequency n^(1/d), above which n strata are like random points, within the
-            # limits
+            # Twice the frequency n^(1/d), above which n strata are like random points,
+            # within the limits
             width = max(
                 _SETTINGS.least_width, 2 ** math.ceil(math.log2(2.0 * n ** (1.0 / dims)) - 1e-9)
             )
             while width > 1 and (2 * width + 1) ** dims > _SETTINGS.most_frequencies:
                 width //= 2
             if domain is not None and domain.fourier_source == "exact" and dims <= 2:
-                # Halve the width while f has only rounding in the outer half
+                # Halve the width while f has only rounding noise in the outer half
                 power = np.abs(domain.fourier_grid(width)) ** 2
                 power = power.reshape(*(2 * width + 1,) * dims, -1)
                 while width > 1:
@@ -105,7 +104,7 @@ class Frequencies:
 
     @property
     def size(self) -> int:
-        """Number of coefficients; in primary space, for each technique."""
+        """Number of coefficients, in primary space for each technique."""
         techniques = len(self.estimator.counts) if self.space == "primary" else 1
         return self.basis.size * techniques
 
@@ -117,7 +116,7 @@ class Frequencies:
     def view(self, n: int, asked: Any, *, apart: bool = False) -> View:
         """Prepare transforms of n points and coefficients of f, with `apart` by technique.
 
-        Techniques are always separate in primary space.
+        In primary space, techniques are always separate.
         """
         estimator, basis = self.estimator, self.basis
         f = estimator.domain_integrand if self.space == "domain" else None
@@ -161,13 +160,13 @@ class View:
     estimator: AbstractEstimator
     space: str
     basis: Basis
-    transforms: tuple[Coefficients, ...]  # One for each technique's points, or one for all points
+    transforms: tuple[Coefficients, ...]  # One for each technique, or one for all points
     engine: str
     integrand_coefficients: Array  # f^t, (C, T, H)
-    source: str  # origin of the coefficients
+    source: str  # source of the coefficients
 
     def spectra(self, points: list[Array]) -> list[Array]:
-        """Return spectra of a block, (R, H), of each technique, or of all together."""
+        """Return the spectra of a block, (R, H), for each technique or for all together."""
         if self.space == "primary":
             return [
                 transform(u, None) for transform, u in zip(self.transforms, points, strict=True)
@@ -189,8 +188,8 @@ class View:
     def energy(self, n: int) -> tuple[Array, Array]:
         """Return the part of ∫f² in the basis functions, and the random variance of the rest.
 
-        Both are (channels or 1,), and NaN if ∫f² is not known. The power of random points is (1/n)
-        times the mean square of the weights.
+        Both results are (channels or 1,), and NaN if ∫f² is not known.
+        The power of random points is (1/n) times the mean square of the weights.
         """
         estimator, basis = self.estimator, self.basis
         f = np.abs(self.integrand_coefficients) ** 2 * basis.double

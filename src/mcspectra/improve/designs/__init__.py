@@ -1,1 +1,1 @@
-"""Samplers designed for a class of integrands: objectives, searches, certificates."""
+"""Samplers designed for a class of integrands: objectives, searches and certificates."""

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 __all__ = ["certificate", "design"]
 
-_VERSION = 4  # version of the searches; the cache ignores samplers of other versions
+_VERSION = 4  # Version of the searches; the cache ignores samplers of other versions
 
 
 @final
@@ -54,14 +54,14 @@ _VERSION = 4  # version of the searches; the cache ignores samplers of other ver
 class DesignSettings:
     """Settings of the cache of designs and of certificates."""
 
-    # Points and members whose values identify a class in the cache, together with its text.
-    # Functions have no text that identifies them, and their values may be 0 outside a small region:
-    # 64 points missed disks of radius 0.1, and 8192 points miss a region of volume 1e-3 with
-    # probability 3e-4.
+    # Number of points and number of members whose values, with the text of the class,
+    # identify a class in the cache. No text identifies a function,
+    # and its values may be 0 outside a small region: 64 points missed disks of radius 0.1,
+    # and 8192 points miss a region of volume 1e-3 with probability 3e-4.
     cache_points: int = 2**13
     cache_members: int = 256
-    # Samplers that designs and certificates compare with by default: the usual samplers with the
-    # least variance. Folded lattices have less variance than others for smooth integrands.
+    # Samplers that designs and certificates compare with by default: the usual samplers
+    # with the least variance. Folded lattices have less variance than others for smooth integrands.
     rivals: tuple[str, ...] = (
         "sobol | owen",
         "pmj02",
@@ -73,14 +73,15 @@ class DesignSettings:
         "rank1-lattice | shift | mirror(mode='fold')",
         "fibonacci | shift | mirror(mode='fold')",
     )
-    # Members, realizations of each group of members, and most evaluations of each sampler, when a
-    # design is compared with its rivals before it is returned. The members of a group share their
-    # realizations, so that 20 groups of 32 have 620 degrees of freedom: an error of 6 %.
+    # Number of members, number of realizations of each group of members,
+    # and maximum number of evaluations of each sampler, when a design is compared
+    # with its rivals before it is returned. The members of a group share realizations,
+    # so that 20 groups of 32 have 620 degrees of freedom: an error of 6 %.
     check_members: int = 2000
     check_realizations: int = 32
     check_evaluations: int = 2**24
-    # Groups of members of a certificate, each with its own realizations. The errors have 19 degrees
-    # of freedom, so that intervals by Student's t are 7 % wider than with many groups.
+    # Number of groups of members of a certificate, each with its own realizations. The errors have
+    # 19 degrees of freedom, so that intervals by Student's t are 7 % wider than with many groups.
     groups: int = 20
 
 
@@ -136,29 +137,29 @@ def design(
     ----------
     kind
         ``"lattice"`` (generating vectors: all in 2-D, else axis by axis), ``"polynomial-lattice"``,
-        ``"digital-net"`` (generator matrices), ``"owen"`` (64 flipped trees of Sobol' points with
-        the same t), ``"strata"`` (their shape, and the combination of points of different strata)
-        or ``"points"`` (sets that divide a grid among them, or one set on the torus by its
-        gradient); or ``"density"``: see `learned_density`.
+        ``"digital-net"`` (generator matrices), ``"owen"`` (64 flipped trees of Sobol' points
+        with the same t), ``"strata"`` (their shape, and the combination of points
+        of different strata) or ``"points"`` (sets that divide a grid among them,
+        or one set on the torus by its gradient); or ``"density"``: see `learned_density`.
     objective
         The integrand of a density, or the class of a sampler. A class is a spec, whose parameters
         may be ``uniform(a, b)`` or ``normal(mean, sd)``, drawn for each axis if possible:
         ``"gaussian(center=uniform(0, 1), width=uniform(0.1, 0.4))"``; ``"gaussians"`` (this one),
         ``"disks"`` or ``"half-spaces"`` (a uniform direction through a uniform point); a function
-        ``generator -> integrand``; a list of all these, in equal shares, such as the pixels of a
-        scene; ``{"spectrum": P}`` with the powers P(m) = E|f_m|², an array (2h + 1, …) of m = −h …
-        h or, with ``"half_width": h``, a callable of m (k, d); ``{"covariance": C}``, C_ml = E[f_m
-        conj(f_l)] as a matrix of these m in C order, or a callable of m and l.
+        ``generator -> integrand``; a list of all these, in equal shares, such as the pixels
+        of a scene; ``{"spectrum": P}`` with the powers P(m) = E|f_m|², an array (2h + 1,
+        …) of m = −h … h or, with ``"half_width": h``, a callable of m (k, d); ``{"covariance":
+        C}``, C_ml = E[f_m conj(f_l)] as a matrix of these m in C order, or a callable of m and l.
     n
         Number of points. Nets and trees take powers of two.
     dims
-        Number of dims, up to 8. The default is the number of dims of the integrands, or 2 if they
-        fit any number.
+        Number of dims, up to 8. The default is the number of dims of the integrands,
+        or 2 if they fit any number.
     rng
         Seed. The same seed gives the same sampler.
     path
-        File for the sampler or the density, .json. Sets of points go into a .npz file of the same
-        name. The default is the cache folder.
+        File for the sampler or the density, .json.
+        Sets of points go into a .npz file of the same name. The default is the cache folder.
     family, sampler, budget, defensive
         Options of a density: `kind` (default ``"mixture"``), `sampler` (default ``"sobol |
         owen"``), `evaluations` and `defensive` of `learned_density`.
@@ -168,17 +169,18 @@ def design(
     Returns
     -------
     Sampler or Density
-        It is unbiased for every integrand. Its `spec` makes it again; kinds with sets name their
-        file. If a usual sampler has less variance over fresh members of the class, with 95 %
-        confidence, it is returned with a `NoGainWarning`, unless `settings.return_rival` is false.
+        The sampler is unbiased for every integrand. Its `spec` makes the sampler again;
+        the spec of kinds with sets names their file.
+        If a usual sampler has less variance over fresh members of the class, with 95 % confidence,
+        it is returned with a `NoGainWarning`, unless `settings.return_rival` is false.
 
     Raises
     ------
     CountError
         If the kind has no sets of n points.
     ParameterError
-        If the kind is unknown; an option of densities is given with a sampler or the reverse; the
-        objective is empty, constant or cannot be read; or dims are out of range.
+        If the kind is unknown; an option of densities is given for a sampler or the reverse;
+        the objective is empty, constant or cannot be read; or dims are out of range.
     DomainError
         If values of an integrand are not finite.
     FileFormatError
@@ -186,10 +188,10 @@ def design(
 
     Notes
     -----
-    The objective is the expected variance tr(C_f C_S); see `improve.designs.searches`. For other
-    classes the variances may be larger than the variances of usual samplers: see `certificate`. If
-    the search is interrupted (Ctrl-C), the best sampler found up to then is returned and is not put
-    into the cache.
+    The objective is the expected variance tr(C_f C_S); see `improve.designs.searches`.
+    For other classes the variances may be larger than the variances of usual samplers:
+    see `certificate`. If the search is interrupted (Ctrl-C),
+    the best sampler found up to then is returned and is not put into the cache.
 
     Examples
     --------
@@ -228,7 +230,7 @@ def design(
     stream = Stream.from_rng(rng)
     chosen = path_to_write(path, "a file for the sampler", (".json",))
 
-    # Look for the sampler in the cache, in which values identify a class
+    # Search the cache, in which values identify a class, for the sampler
     probes = Stream(0).uniforms(0, _SETTINGS.cache_points, goal.dims)
     values = goal.functions(_SETTINGS.cache_members, Stream(0).generator(0))(probes)
     words = (f"{_VERSION} {kind} {n} {stream.key} {settings} {values.shape} {goal.text} ").encode()
@@ -241,7 +243,7 @@ def design(
             warn(read["note"], NoGainWarning)
         return found if chosen is None else _saved(found, chosen)
 
-    # Return a usual sampler if an interrupt comes before the first result
+    # Return a usual sampler if the user interrupts before the first result
     usual = sampler_of("korobov | shift", goal.dims)
     best, finished = Design(math.inf, 0.0, lambda _: usual), False
     try:
@@ -259,7 +261,7 @@ def design(
         made, note = best.make(target.with_suffix(".npz")), ""
         if (
             finished and settings.return_rival
-        ):  # a usual sampler may have less variance over fresh members
+        ):  # A usual sampler may have less variance over fresh members
             made, note = _better_rival(goal, made, n, stream.child(5))
         if note:
             target.with_suffix(".npz").unlink(missing_ok=True)
@@ -278,7 +280,7 @@ def _saved(found: Sampler, target: Path) -> Sampler:
     spec = found.spec
     source = next((w for w in spec.split("'") if w.endswith(".npz")), None)
     if source is not None:
-        copy = str(target.with_suffix(".npz").resolve())  # an absolute path works in any folder
+        copy = str(target.with_suffix(".npz").resolve())  # An absolute path is valid in any folder
         shutil.copyfile(source, copy)
         spec = spec.replace(repr(source), repr(copy))
     target.write_text(json.dumps({"spec": spec, "dims": found.dims}) + "\n")
@@ -307,30 +309,30 @@ def certificate(
     dims
         Number of dims. The default is the number of dims of the sampler.
     rivals
-        Samplers to compare with. The default is sobol | owen, pmj02, pmj02-blue-noise, and shifted
-        Korobov, rank-1 and Fibonacci lattices, folded and not, except those without a set of n
-        points in these dims.
+        Samplers that are compared with the design. The default is sobol | owen, pmj02,
+        pmj02-blue-noise, and shifted Korobov, rank-1 and Fibonacci lattices, folded and not,
+        except those without a set of n points in these dims.
     members
-        Number of members that are drawn, in 20 groups.
+        Number of drawn members, in 20 groups.
     realizations
-        Independent sets for each group.
+        Number of independent sets for each group.
     rng
-        Seed. Use another seed than in the design.
+        Seed, which should differ from the seed of the design.
 
     Returns
     -------
     xarray.Dataset
         `mean_variance(sampler)` with `mean_variance_ci`, and `design_ratio` with `design_ratio_ci`:
-        the mean variance of the sampler over that of the best rival. The rival of each half of the
-        groups is the best in the other half. Intervals at 95 % use Student's t over groups, and the
-        jackknife for the ratio. The attribute `best_rival` names the rival with the least mean
-        variance: use it if the ratio is above 1.
+        the mean variance of the sampler over that of the best rival.
+        The rival for each half of the groups is the best one in the other half. Intervals
+        at 95 % use Student's t over groups, and the jackknife for the ratio. The attribute
+        `best_rival` names the rival with the least mean variance: use it if the ratio is above 1.
 
     Raises
     ------
     ParameterError
-        If there is no rival, all variances of the best rival vanish, or an argument of `design` is
-        wrong.
+        If there is no rival, if all variances of the best rival vanish,
+        or if an argument of `design` is wrong.
     """
     groups = _SETTINGS.groups
     given = as_sampler(sampler, dims)
@@ -349,7 +351,7 @@ def certificate(
     if not means[best] > 0.0:
         raise ParameterError(f"The variance of {samplers[best].spec} vanishes; there is no ratio.")
     spread = student_t(groups) * sums.std(axis=1, ddof=1) / math.sqrt(groups)
-    # The least of several estimates is biased, so choose the rival of each half by the other half
+    # The least of several estimates is biased, so choose the rival for each half by the other half
     halves = sums.reshape(len(samplers), -1, 2)
     chosen = 1 + halves.sum(axis=1)[1:, ::-1].argmin(axis=0)
     beaten = halves[chosen, :, (0, 1)].T.ravel()
@@ -374,7 +376,7 @@ def certificate(
 
 
 def _rivals(given: Sequence[Sampler | str] | None, dims: int, n: int) -> list[Sampler]:
-    """Return the given rivals, or those of the default that have n points in these dims."""
+    """Return the given rivals, or default rivals that have n points in these dims."""
     found = []
     for rival in _SETTINGS.rivals if given is None else given:
         with suppress(*([McspectraError] if given is None else [])):
@@ -394,7 +396,7 @@ def _sums_of_groups(
 ) -> Array:
     """Return the mean variance of each sampler over each group of members: (samplers, groups).
 
-    Groups have their own members and realizations, which are independent of one another.
+    Members and realizations of different groups are independent of each other.
     """
     groups = _SETTINGS.groups
     sums = np.empty((len(samplers), groups))
@@ -417,12 +419,13 @@ def _ratio(above: Array, below: Array) -> tuple[float, float, float]:
 
 
 def _better_rival(goal: Objective, made: Sampler, n: int, stream: Stream) -> tuple[Sampler, str]:
-    """Return the rival that has less variance than a design, and a sentence; else the design."""
+    """Return a rival with less variance than the design, and a sentence; else the design."""
     realizations = _SETTINGS.check_realizations
     members = _SETTINGS.check_evaluations // (n * realizations)
     members = min(_SETTINGS.check_members, max(_SETTINGS.groups, members))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", NotPowerOfTwoWarning)  # an unbalanced rival loses
+        # Unbalanced rivals have large variances
+        warnings.simplefilter("ignore", NotPowerOfTwoWarning)
         rivals = [rival for rival in _rivals(None, goal.dims, n) if rival.unbiased]
         sums = _sums_of_groups(goal, [made, *rivals], n, members, realizations, stream)
     best = 1 + int(sums[1:].sum(axis=1).argmin())

@@ -1,10 +1,10 @@
-"""Objectives of a design: classes of integrands, drawn at random or known entirely.
+"""Objectives of a design: classes of integrands, with random members or a known covariance.
 
-The expected variance over a class is tr(C_f C_S), C_f = E[f_m conj(f_l)]. It is the sum of the
-variances of functions g_t with Σ_t g_t(x) g_t(y) = E[f(x) f(y)]. For M members, these functions are
-the members times 1/√M. For a covariance of coefficients, they are its eigenvectors times the roots
-of its eigenvalues. For a spectrum, they are the waves √(2 P(m)) cos(2π m·x) and √(2 P(m)) sin(2π
-m·x).
+The expected variance over a class is tr(C_f C_S), C_f = E[f_m conj(f_l)].
+This is the sum of the variances of functions g_t with Σ_t g_t(x) g_t(y) = E[f(x) f(y)].
+For M members, these functions are the members times 1/√M.
+For a covariance of coefficients, they are its eigenvectors times the roots of its eigenvalues.
+For a spectrum, they are the waves √(2 P(m)) cos(2π m·x) and √(2 P(m)) sin(2π m·x).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from mcspectra.samplers.stratified import Random
 __all__ = ["Objective", "Values", "as_objective"]
 
 Values: TypeAlias = Callable[[Array], Array]
-"""Functions whose variances add up to the expected variance: points (N, d) to (M, N)."""
+"""Functions whose variances sum to the expected variance: points (N, d) to values (M, N)."""
 
 
 @final
@@ -43,17 +43,18 @@ Values: TypeAlias = Callable[[Array], Array]
 class ObjectiveSettings:
     """Settings of classes of integrands."""
 
-    # Most dims of a class. The tables of the searches have 2^18 values, in 8-D 2^2 along each axis.
+    # Maximum number of dims of a class. Tables of the searches have 2^18 values,
+    # in 8-D 2^2 along each axis.
     most_dims: int = 8
-    # Most waves of a spectrum, and most eigenvectors of a covariance; the largest ones are kept.
-    # Each wave is two functions, so that searches handle twice as many functions.
+    # Maximum numbers of waves of a spectrum and of eigenvectors of a covariance; the largest ones
+    # are kept. Each wave gives two functions, so that searches handle twice as many functions.
     most_waves: int = 1024
-    # Members and points that are tested for a class in which all members are constant. A class is
-    # refused by mistake if its members vary in less than about 1/8192 of the volume only.
+    # Number of members and points that are tested to detect a class of constant members. A class
+    # is refused by mistake if its members vary only in less than about 1/8192 of the volume.
     probe_members: int = 16
     probe_points: int = 2**13
-    # Default and largest half width h of a spectrum or a covariance that is a function. A spectrum
-    # has (2h + 1)^d values: 2.1e6 of h = 64 in 3-D.
+    # Default and largest half width h of a spectrum or a covariance that is a function.
+    # A spectrum has (2h + 1)^d values: 2.1e6 of h = 64 in 3-D.
     usual_half_width: int = 8
     most_half_width: int = 64
 
@@ -75,12 +76,12 @@ class Objective:
     Attributes
     ----------
     text
-        A name for messages.
+        Name of the class in messages.
     draw
-        Function of M and a generator that makes M random members, or the whole class if it is a
-        list.
+        Function of M and a generator that makes M random members,
+        or the whole class if this is a list.
     whole
-        The functions of the whole class if it is known entirely, else None.
+        The functions of the whole class if all of them are known, else None.
     """
 
     text: str
@@ -94,13 +95,15 @@ class Objective:
 
 
 def as_objective(given: object, dims: int | None = None) -> Objective:
-    """Read an objective; see `design`. The default of dims is that of its integrands, else 2.
+    """Read an objective; see `design`.
+
+    The default of dims is the number of dims of the integrands, else 2.
 
     Raises
     ------
     ParameterError
-        If the objective cannot be read, is empty or has constant members only, or dims are not 1 to
-        8.
+        If the objective cannot be read, is empty or has constant members only,
+        or if dims are not 1 to 8.
     DomainError
         If values are not finite.
     """
@@ -126,7 +129,7 @@ def _read(given: Any, dims: int | None) -> Objective:
     if isinstance(given, Mapping):
         return _of_waves(given, dims)
     if isinstance(given, Sequence):
-        # Give each part the same share; a list of single integrands is the whole class
+        # Give each part the same share. A list of single integrands is the whole class
         if not given:
             raise ParameterError("The objective is an empty list; give one integrand at least.")
         # Specs take the dims of the other parts
@@ -155,7 +158,8 @@ def _read(given: Any, dims: int | None) -> Objective:
                 found = given(rng)
             except McspectraError:
                 raise
-            except (AttributeError, TypeError, ValueError) as error:  # perhaps a function of points
+            # A function of points fails in this way
+            except (AttributeError, TypeError, ValueError) as error:
                 raise ParameterError(
                     f"{name} raised {type(error).__name__} of a generator: {error}; give a "
                     "function of a generator that makes an integrand, or for one function "
@@ -177,12 +181,12 @@ def _of_one(f: Integrand) -> Objective:
 
 
 def _of_text(text: str, dims: int | None) -> Objective:
-    """Read a family, or a spec with uniform(a, b) or normal(mean, sd) as parameters."""
+    """Read a family of integrands, or a spec with parameters uniform(a, b) or normal(mean, sd)."""
     if text == _HALF_SPACES:
         d = dims or 2
 
         def half_space(rng: np.random.Generator) -> Integrand:
-            """Draw a border through a uniform point, in a uniform direction."""
+            """Draw the border of a half-space through a uniform point, with a uniform direction."""
             normal = rng.standard_normal(d)
             normal /= np.sqrt(normal @ normal)
             arguments = {"normal": normal.tolist(), "offset": float(normal @ rng.random(d))}
@@ -288,7 +292,7 @@ def _of_waves(given: Mapping[str, Any], dims: int | None) -> Objective:
                 "The spectrum has values that are negative or complex; power is not."
             )
         power = 0.5 * (power + power[::-1])
-        later = np.arange(len(m) // 2 + 1, len(m))  # one of m and −m
+        later = np.arange(len(m) // 2 + 1, len(m))  # Keep one of m and −m
         kept = later[np.argsort(-power[later], kind="stable")[: _SETTINGS.most_waves]]
         kept = kept[power[kept] > 0]
         vectors, m = np.diag(np.sqrt(2.0 * power[kept])), m[kept]

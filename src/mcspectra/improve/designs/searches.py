@@ -1,18 +1,19 @@
-"""Searches, one for each kind of sampler; each yields better and better samplers.
+"""Searches for each kind of sampler, which yield better and better samplers.
 
-A set that is shifted at random has the variance Σ_{m≠0} P(m) |S_m|², with P(m) = E|f_m|² of the
-class. For a lattice, this is the sum of P over its dual lattice. Under a digital shift the same
-holds in the Walsh basis: the variance is (1/n²) Σ_ij κ(x_i xor x_j), with κ the Walsh series of P.
-For a digital net it is the mean of κ over the points alone. If sets are folded after the shift,
-both hold for g(x) = f(1 − |2x − 1|), which is continuous on the torus [Hickernell2002]_. Each
-search tries both and keeps the better one.
+A set that is shifted at random has the variance Σ_{m≠0} P(m) |S_m|²,
+with P(m) = E|f_m|² of the class. For a lattice, this is the sum of P over its dual lattice.
+Under a digital shift the same holds in the Walsh basis: the variance is (1/n²) Σ_ij κ(x_i xor x_j),
+with κ the Walsh series of P. For a digital net the variance is the mean of κ over the points alone.
+If sets are folded after the shift, both statements hold for g(x) = f(1 − |2x − 1|),
+which is continuous on the torus [Hickernell2002]_.
+Each search tries plain and folded sets and keeps the better ones.
 
-Sets that divide the cells of a grid among them need no shift. Let φ_t be features with Σ_t φ_t(x)
-φ_t(y) = Cov(f(x), f(y)) at the centers of cells. The variance is then the mean over sets of Σ_t
-(mean φ_t)². Exchanges of cells between sets lower it. They start from random sets, or from the
-cosets of a designed digital net, if that start is better. The points of a set have the same offset
-within their cells up to reflections, which are chosen so that the sum of the signed slopes is
-small.
+Sets that divide the cells of a grid among them need no shift.
+Let φ_t be features with Σ_t φ_t(x) φ_t(y) = Cov(f(x), f(y)) at the centers of cells. The variance
+is then the mean over sets of Σ_t (mean φ_t)². Exchanges of cells between sets lower this variance.
+Exchanges start from random sets, or from the cosets of a designed digital net if these are better.
+The points of a set have the same offset within their cells up to reflections,
+which are chosen so that the sum of the signed slopes is small.
 """
 
 from __future__ import annotations
@@ -52,99 +53,104 @@ _FOLD = " | mirror(mode='fold')"
 class SearchSettings:
     """Settings of the searches.
 
-    Larger numbers take longer searches. Comments state the mean variance of designs at other
-    values, as a ratio to ``sobol | owen``, over 400 fresh members of ``gaussians`` at n of about 64
-    in 2-D.
+    Larger numbers make searches longer.
+    Comments state the mean variance of designs at other values, as a ratio to ``sobol | owen``,
+    over 400 fresh members of ``gaussians`` at n of about 64 in 2-D.
     """
 
     # Classes
 
-    # Most random members that represent a class. The ratio of strata is 0.037, 0.031 and 0.027 for
-    # 512, 1024 and 2048 members; the ratio of lattices does not change.
+    # Maximum number of random members that represent a class. The ratio of strata is 0.037,
+    # 0.031 and 0.027 for 512, 1024 and 2048 members; the ratio of lattices does not change.
     members: int = 1024
-    # Most values of a table of all members at the points of a grid: 128 MB in single precision.
+    # Maximum number of values in a table of all members at the points of a grid:
+    # 128 MB in single precision.
     table_values: int = 2**25
-    # Whether a usual sampler that has less variance is returned instead of the design. Without it,
-    # designs of one kind can be compared with designs of another kind.
+    # Whether a usual sampler that has less variance is returned instead of the design.
+    # Without this replacement, designs of one kind can be compared with designs of another kind.
     return_rival: bool = True
-    # Points at which members are evaluated at once: 64 MB in double precision for 1024 members.
+    # Number of points at which members are evaluated at once:
+    # 64 MB in double precision for 1024 members.
     block: int = 2**13
-    # Points and members with which the searches of nets, and of lattices in three dims or more,
-    # measure their samplers. The ratio of nets is 0.167 for half or twice as many points, and 0.164
-    # to 0.167 for half or twice as many members. In 3-D, 128 members choose another lattice, with
-    # 0.313 instead of 0.295.
+    # Number of points and number of members with which searches measure samplers,
+    # in searches of nets and of lattices in three dims or more. The ratio of nets is 0.167
+    # for half or twice as many points, and 0.164 to 0.167 for half or twice as many members.
+    # In 3-D, 128 members choose another lattice, with 0.313 instead of 0.295.
     judge_points: int = 2**16
     judge_members: int = 256
 
     # Lattices
 
-    # Points of the table that estimates the spectrum of the class, twice as many above three dims.
-    # The ratio of lattices is 0.020 to 0.021 for half or twice as many, and 0.27 to 0.30 in 3-D.
+    # Number of points of the table that estimates the spectrum of a class;
+    # this number is doubled above three dims. For half or twice as many points,
+    # the ratio of lattices is 0.020 to 0.021, and 0.27 to 0.30 in 3-D.
     frequencies: int = 2**16
-    # Starting vectors of the search of lattices in three dims or more: one that is built axis by
-    # axis, and random ones. In 3-D the ratio is 0.295 for 24 and 48, and 0.274 for 96 in twice the
-    # time.
+    # Number of initial vectors in the search of lattices in three dims or more:
+    # one vector is built axis by axis, the others are random.
+    # In 3-D the ratio is 0.295 for 24 and 48, and 0.274 for 96 in twice the time.
     vectors: int = 48
-    # Number of the best of these vectors that are measured. In 3-D the ratio is the same for 6 and
-    # 24.
+    # Number of the best vectors of this search that are measured.
+    # In 3-D the ratio is the same for 6 and 24.
     judged: int = 12
 
     # Nets and trees
 
-    # Most points of a net or of trees. Exchanges in trees compare all pairs of points, and their
-    # number grows as n².
+    # Maximum number of points of a net or of trees.
+    # Exchanges in trees compare all pairs of points, whose number grows as n².
     most_points: int = 2**12
-    # Most bits of the codes of all axes together: the Walsh table has 2^18 values for each member.
+    # Maximum number of bits in the codes of all axes together:
+    # the Walsh table has 2^18 values for each member.
     table_bits: int = 18
-    # Starting matrices of the search of nets: those of Sobol', and random ones of the same
-    # strength. The ratio is the same for 3 and 12.
+    # Number of initial matrices in the search of nets:
+    # Sobol' matrices, and random ones of the same strength. The ratio is the same for 3 and 12.
     net_starts: int = 6
-    # Trees of a design of kind ``owen``: number of independent sets, so that errors can be
-    # estimated from realizations. The ratio is 0.235 for 32 and 0.224 for 64 and 128.
+    # Number of trees in a design of kind ``owen``: the trees are independent sets, so that errors
+    # can be estimated from realizations. The ratio is 0.235 for 32 and 0.224 for 64 and 128.
     trees: int = 64
-    # Trees that choose whether sets are folded. The ratio is the same for 4 and 16.
+    # Number of trees that decide whether sets are folded. The ratio is the same for 4 and 16.
     first_trees: int = 8
 
-    # Sets that share a grid
+    # Settings of sets that share a grid
 
-    # Cells of the grid. The sets of n points are cells/n in number, at least 16. The ratio of
-    # strata is 0.033, 0.031 and 0.033 for half, all and twice as many.
+    # Number of cells of the grid. The number of sets of n points is cells/n, at least 16.
+    # The ratio of strata is 0.033, 0.031 and 0.033 for half, once and twice as many cells.
     cells: int = 2**16
-    # Features of the covariance, or n if n is larger, up to twice this number. The ratio of strata
-    # is 0.031 for half or twice as many.
+    # Number of features of the covariance, or n if n is larger, up to twice this setting.
+    # The ratio of strata is 0.031 for half or twice as many features.
     features: int = 160
-    # Exchanges of cells that are tried in a round. The ratio of strata is 0.035, 0.031 and 0.028
-    # for half, all and twice as many, in proportion to the time.
+    # Number of exchanges of cells that are tried in a round. The ratio of strata is 0.035, 0.031
+    # and 0.028 for half, once and twice as many exchanges; the time is proportional to this number.
     trials: int = 2**20
-    # Most rounds of exchanges. The ratio of strata is 0.037, 0.031 and 0.028 for 12, 24 and 48,
-    # again in proportion to the time.
+    # Maximum number of rounds of exchanges. The ratio of strata is 0.037, 0.031 and 0.028 for 12,
+    # 24 and 48 rounds; the time is proportional to this number.
     rounds: int = 24
-    # Rounds after which the better of several starts is chosen. For ``points`` and ``half-spaces``
-    # the ratio is 0.735 for 2, 4 and 8.
+    # Number of rounds after which the best of several starts is chosen.
+    # For ``points`` and ``half-spaces`` the ratio is 0.735 for 2, 4 and 8.
     first_rounds: int = 4
-    # A round that lowers the variance by a smaller fraction is the last. The ratio of strata is the
-    # same for half or twice the value.
+    # Fraction of the variance: the search ends after a round that lowers the variance by less.
+    # The ratio of strata is the same for half or twice the value.
     least_gain: float = 0.003
-    # Whether exchanges also start from the cosets of a digital net. In 4-D, 64 points end with less
-    # variance than from random sets: tests/improve/test_design.py.
+    # Whether exchanges also start from the cosets of a digital net.
+    # In 4-D, 64 points end with less variance than from random sets: tests/improve/test_design.py.
     cosets: bool = True
-    # Shapes of strata that are compared, the most even ones, and realizations of each comparison.
-    # The least variance of 32 realizations has a relative error of √(2/31) = 25 %, and differs
-    # between shapes that matter by more.
+    # Number of compared shapes of strata, the most even shapes first, and number of realizations
+    # in each comparison. The least variance of 32 realizations has a relative error
+    # of √(2/31) = 25 %, and differences between good and bad shapes are larger.
     shapes: int = 12
     shape_realizations: int = 32
 
-    # Sets on the torus
+    # Settings of sets on the torus
 
-    # Points of the table that estimates the spectrum, which bounds the time of each gradient.
-    # At n = 5000 the ratio of ``points`` is 0.20, 0.082 and 0.078 for half, all and twice as many.
+    # Number of points in the table that estimates the spectrum.
+    # This number bounds the time of each gradient. At n = 5000 the ratio of ``points`` is 0.20,
+    # 0.082 and 0.078 for half, once and twice as many points.
     torus_frequencies: int = 2**14
 
 
 class Design(NamedTuple):
-    """A sampler that was found: its expected variance, the share of the search done, and its maker.
+    """A sampler from a search: expected variance, completed fraction of the search, and maker.
 
-    `make` takes the path of a .npz file, and writes the file if the sampler needs one.
+    `make` takes the path of a .npz file, and writes this file if the sampler needs a file.
     """
 
     variance: float
@@ -172,12 +178,12 @@ def mean_variances(values: Values, source: Sampler, n: int, realizations: int, s
 def _fourier_power(
     values: Values, dims: int, fold: bool, size: int, block: int
 ) -> tuple[Array, Array]:
-    """Return frequencies m, one of ±m, and 2 E|f_m|², the strongest first: int64 (K, d), (K,).
+    """Return frequencies, one of m and −m, and 2 E|f_m|², the largest first: int64 (K, d), (K,).
 
-    Up to 3 dims they are the frequencies of a grid. In more dims a grid has few frequencies along
-    an axis, but functions that are not periodic have most of their power along the axes. The
-    frequencies are then those of a hyperbolic cross and of a ball, estimated on a lattice. Of
-    frequencies that the lattice cannot distinguish, only the lowest is kept.
+    In up to 3 dims the frequencies are those of a grid. In more dims a grid has few frequencies
+    along an axis, but functions that are not periodic have most of their power along the axes.
+    The frequencies are then those of a hyperbolic cross and of a ball, estimated on a lattice.
+    Of frequencies that the lattice cannot distinguish, only the lowest is kept.
     """
     if dims <= 3:
         side = int(size ** (1.0 / dims) + 1e-9)
@@ -207,7 +213,8 @@ def _fourier_power(
         m = m[first]
     table = evaluated(values, folded(x) if fold else x, block)
 
-    # Transform two functions at once: |F(m)|² + |F(−m)|² of g + ih is 2 |g_m|² + 2 |h_m|²
+    # Transform two functions g, h at once:
+    # for F of g + ih, |F(m)|² + |F(−m)|² = 2 |g_m|² + 2 |h_m|²
     power = np.zeros(shape)
     for k in range(0, len(table), 2):
         second = table[k + 1] if k + 1 < len(table) else 0.0
@@ -223,7 +230,7 @@ def _fourier_power(
 def _best_vector(
     m: Array, power: Array, dims: int, n: int, generator: np.random.Generator, starts: int
 ) -> Iterator[tuple[float, Array]]:
-    """Yield vectors of small dual sums: the best in 2-D, else axis by axis while it helps."""
+    """Yield vectors with small dual sums: the best in 2-D, else improved axis by axis."""
     sums = np.empty(n)
     for start in range(starts if dims > 2 else 1):
         vector = np.ones(dims, np.int64)
@@ -233,7 +240,7 @@ def _best_vector(
         for sweep in range(6):
             for axis in range(1, dims):
                 seen = np.ones(len(m), bool)
-                if start == sweep == 0:  # use the components that are already chosen
+                if start == sweep == 0:  # Use the components that are already chosen
                     seen = (m[:, axis + 1 :] == 0).all(axis=1)
                 _kernels.best_multiple(m[seen], power[seen], vector, axis, n, sums)
                 vector[axis] = sums.argmin()
@@ -272,14 +279,14 @@ def _lattices(
         for value, vector in _best_vector(
             m[:most], power[:most], objective.dims, n, stream.generator(1), settings.vectors
         ):
-            if not found:  # the result if the search is interrupted
+            if not found:  # The result if the search is interrupted
                 yield Design(math.inf, fold / 2, partial(_as_made, made_of(vector, fold)))
             found.append((value, vector))
             report("lattice", (fold + len(found) / settings.vectors) / 2)
         kept = 1 if plane else settings.judged
         for value, vector in sorted(found, key=lambda each: each[0])[:kept]:
             made = made_of(vector, fold)
-            if not plane:  # frequencies that are not in the table may matter
+            if not plane:  # Frequencies that are missing in the table may matter
                 value = judge(made)
             yield Design(value, (fold + 1) / 2, partial(_as_made, made))
 
@@ -302,14 +309,14 @@ def _power_of_two(n: int, kind: str, most: int) -> int:
 
 
 def _axis_bits(n: int, dims: int, most: int) -> int:
-    """Return the digits of each axis in a table of `most` bits: two more than the points need."""
+    """Return the digits of each axis in a table of `most` bits: two more than points need."""
     return max(1, min(most // dims, n.bit_length() + 1))
 
 
 def _tables(
     objective: Objective, bits: int, stream: Stream, settings: SearchSettings, *, owen: bool
 ) -> Iterator[tuple[str, Array]]:
-    """Yield randomizations, and the kernel κ of each over codes."""
+    """Yield randomizations, each with its kernel κ of codes."""
     dims = objective.dims
     members = min(settings.members, settings.table_values >> dims * bits)
     values = objective.functions(members, stream.generator(0))
@@ -323,7 +330,7 @@ def _tables(
         power[0], tail = 0.0, _FOLD if fold else ""
         power = power / float(len(x)) ** 2
         yield f" | digital-shift{tail}", hadamard(power)
-        if owen:  # power is averaged over the Walsh functions with the same last digits of all axes
+        if owen:  # Power is averaged over the Walsh functions with the same last digits on all axes
             codes = np.arange(len(power))
             level = np.zeros(len(power), np.int64)
             for axis in range(dims):
@@ -380,11 +387,11 @@ def _nets(
                 columns = sobol.copy()
                 if (
                     start > 1
-                ):  # adding higher rows to lower rows gives matrices of the same strength
+                ):  # Adding higher rows to lower rows gives matrices of the same strength
                     for j, r in itertools.product(range(dims), range(1, rows)):
                         mixed = columns[j] >> rows - r & generator.integers(0, 1 << r)
                         columns[j] ^= (np.bitwise_count(mixed) & 1).astype(np.int64) << rows - 1 - r
-                if start:  # the first net is Sobol' itself
+                if start:  # The first net is the Sobol' net
                     flat = code(columns)
                     _kernels.improve_code(table, flat, dims * bits, span)
                     for j in range(dims):
@@ -406,7 +413,7 @@ def _trees(
     places = (dims - 1 - np.arange(dims)) * bits
 
     def flipped(table: Array, first: int, last: int) -> tuple[float, Array]:
-        """Return the mean variance of some trees, and their sets."""
+        """Return the mean variance of some trees, and the sets of these trees."""
         codes = ((starts[first:last] * 2.0**bits).astype(np.int64) << places).sum(axis=2)
         energy = 0.0
         for tree in codes:
@@ -416,7 +423,7 @@ def _trees(
         top = codes[..., None] >> places & (1 << bits) - 1
         return energy, (top + starts[first:last] * 2.0**bits % 1.0) / 2.0**bits
 
-    # Choose the randomization by the first trees; the variance is the mean over all trees
+    # The first trees choose the randomization; the variance is the mean over all trees
     frames = list(_tables(objective, bits, stream, settings, owen=False))
     begun = [(*flipped(table, 0, tried), tail, table) for tail, table in frames]
     energy, sets, tail, table = min(begun, key=lambda each: each[0])
@@ -452,7 +459,7 @@ def _shared(
             "kind='lattice'.",
             (most,),
         )
-    # n points can balance about n features, which take some n members
+    # Sets of n points can balance about n features; about n members determine these features
     members = min(2 * settings.members, max(settings.members, 8 * n))
     values = objective.functions(members, stream.generator(0))
 
@@ -468,7 +475,7 @@ def _shared(
 
     shape = np.array(min(_shapes(n, dims)[: settings.shapes], key=jittered))
     wanted = np.full(dims, settings.cells ** (1.0 / dims))
-    if free and n & (n - 1) == 0:  # the cosets of a net need a grid of powers of two
+    if free and n & (n - 1) == 0:  # Cosets of a net need a grid whose sides are powers of two
         wanted = 2.0 ** ((settings.cells.bit_length() + dims - 2 - np.arange(dims)) // dims)
     parts = np.maximum(1, np.rint(wanted / shape)).astype(np.int64)
     sides, sets = shape * parts, int(parts.prod())
@@ -483,7 +490,7 @@ def _shared(
     features = np.ascontiguousarray((turned[:, kept].T.astype(np.float32) @ table).T)
     del table
 
-    # Start with one random cell of each stratum in each set, or with the cosets of a net
+    # Each set starts with one random cell of each stratum, or with a coset of a net
     place = np.ravel_multi_index(tuple((cells // parts).T), tuple(shape))
     order = np.lexsort((stream.generator(1).random(len(cells)), place))
     owner = np.empty(len(cells), np.int64)
@@ -500,7 +507,7 @@ def _shared(
         _kernels.swap_cells(features, owner, place, sums, sides, free, keys[turn], settings.trials)
         return float((sums.astype(np.float64) ** 2).sum()) / (sets * n**2)
 
-    # Continue with the start that is better after some rounds
+    # Continue with the start that has the least variance after some rounds
     tried = []
     for owner in begun:
         sums = np.zeros((sets, len(kept)), np.float32)
@@ -521,7 +528,7 @@ def _shared(
 def _cosets(
     objective: Objective, n: int, sides: Array, stream: Stream, settings: SearchSettings
 ) -> Array | None:
-    """Return the coset of a designed digital net for each cell, (N,), on grids of powers of two."""
+    """Return the coset of a designed digital net for each cell, (N,); sides are powers of two."""
     if n < 4 or (np.append(sides, n) & np.append(sides, n) - 1).any():
         return None
     nets = _nets(objective, n, stream, settings, polynomial=False, frames=1)
@@ -531,7 +538,7 @@ def _cosets(
     if len(np.unique(codes)) < n:
         return None
 
-    # Clear the leading digit of each vector of the span's echelon form from all codes
+    # Clear the leading digit of each vector in the span's echelon form from all codes
     rest, left = np.arange(sides.prod()), codes
     while left.max() > 0:
         vector = left.max()
@@ -540,7 +547,7 @@ def _cosets(
 
 
 def _of_cells(features: Array, owner: Array, cells: Array, sides: Array, path: Path) -> Sampler:
-    """Choose reflections by the slopes of the features, and write the cells."""
+    """Choose reflections by the slopes of the features, and make a sampler of the cells."""
     sets = np.argsort(owner, kind="stable").reshape(owner.max() + 1, -1)
     signed = cells[sets] + 1
     table = features.reshape(*sides, -1)
@@ -557,7 +564,7 @@ def _of_cells(features: Array, owner: Array, cells: Array, sides: Array, path: P
 def _points(
     objective: Objective, n: int, stream: Stream, settings: SearchSettings
 ) -> Iterator[Design]:
-    """Search sets that share a grid; then, up to 3 dims, one set on the torus by its gradient."""
+    """Search sets that share a grid; then, in up to 3 dims, one set on the torus by gradient."""
     dims = objective.dims
     if n <= settings.cells // 16 or dims > 3:
         for found in _shared(objective, n, stream, settings, free=True):
@@ -582,7 +589,7 @@ def _points(
 
 
 def _energy(m: Array, power: Array, dims: int) -> Callable[[Array], tuple[float, Array]]:
-    """Return a function of Σ_m P(m) |S_m|² and its gradient, by transforms and their adjoints."""
+    """Return a function that computes Σ_m P(m) |S_m|² and its gradient by transforms."""
     import finufft
 
     side = 2 * int(np.abs(m).max()) + 1
@@ -590,7 +597,7 @@ def _energy(m: Array, power: Array, dims: int) -> Callable[[Array], tuple[float,
     for sign in (1, -1):
         weights[tuple((sign * m + side // 2).T)] = 0.5 * power
     along = np.arange(side) - side // 2
-    # The energy then agrees with a direct sum to 1e-8: tests/improve/test_design.py
+    # With this tolerance the energy agrees with a direct sum to 1e-8: tests/improve/test_design.py
     options = {"eps": 1e-9, "nthreads": 1, "upsampfac": 1.25}
     forward = getattr(finufft, f"nufft{dims}d1")
     backward = getattr(finufft, f"nufft{dims}d2")
@@ -617,4 +624,4 @@ KINDS: dict[str, Search] = {
     "strata": partial(_shared, free=False),
     "points": _points,
 }
-"""Kinds of samplers, with their searches."""
+"""Kinds of samplers, with the search of each kind."""
