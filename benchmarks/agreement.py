@@ -1,9 +1,9 @@
 """Do `profile`, `remedies`, `plan`, `predict` and brute force give the same answer?
 
 Sixty estimators: functions, importance densities, multiple importance sampling, pixels and paths.
-Each function searches for the best set-up at 4,096 evaluations. Brute force then measures the RMSE of
-the given and of the recommended set-ups with 1,000 new estimates each, or 200 estimates of pixels
-and paths. A function agrees under these conditions:
+Each function searches for the best set-up at 4,096 evaluations. Brute force then measures
+the RMSE of the given and of the recommended set-ups with 1,000 new estimates each,
+or 200 estimates of pixels and paths. A function agrees under these conditions:
 
 * `profile`: the interval of the RMSE overlaps the interval by brute force,
   for the set-up that it recommends;

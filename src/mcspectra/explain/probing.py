@@ -188,7 +188,8 @@ class PoleSettings:
     # which a climb starts. Insensitive between 0.05 and 0.2.
     stands_out: float = 0.1
     # Exponent below which growth counts as logarithmic; exponents below the negative of this value
-    # mean no pole. Measured exponents are right to 0.02 (`test_poles_are_climbed_to_and_measured`).
+    # mean no pole. Measured exponents are right to 0.02
+    # (`test_exponents_and_codimensions_of_poles_are_measured`).
     # Insensitive between 0.01 and 0.04.
     least_exponent: float = 0.02
 
