@@ -578,7 +578,7 @@ def _interval(nu: Array) -> Array:
 def _comb(nu: Array, sides: Any) -> Array:
     """Return the transform of the grid {j/s}, A_s(ν), of each coordinate; its period is s."""
     s = np.asarray(sides, float)
-    rest = nu - s * np.rint(nu / s)  # within half a period, the divisor vanishes only at 0
+    rest = nu - s * np.rint(nu / s)  # within half a period, the divisor is not 0
     return np.asarray(_interval(rest) / _interval(rest / s))
 
 

@@ -141,7 +141,7 @@ class IndexGrid:
         return stored.reshape(*stored.shape[:-1], *self.shape)
 
     def pick(self, full: Array) -> Array:
-        """Extract the stored values (stored, ...) of a whole array (*shape, ...); inverts `full`."""
+        """Return the stored values (stored, ...) of a whole array (*shape, ...); inverts `full`."""
         return full.reshape(self.size, *full.shape[self.dims :])[: self.stored]
 
     def whole(self) -> tuple[Array, Array]:
