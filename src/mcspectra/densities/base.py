@@ -407,7 +407,7 @@ class NumericalDensity(_ByFunctions):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Cdf at jumps and kinks. In 2-D only on axis 1, since jumps on axis 0 depend on the row."""
+        """Cdf at jumps and kinks; in 2-D of axis 1 only, since breaks of axis 0 vary by row."""
         return self._warp.breaks
 
     def zero_points(self) -> Array:

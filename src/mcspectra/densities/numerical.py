@@ -86,7 +86,7 @@ class NumericalWarp:
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Cdf at jumps and kinks. In 2-D only on axis 1, since jumps on axis 0 depend on the row."""
+        """Cdf at jumps and kinks; in 2-D of axis 1 only, since breaks of axis 0 vary by row."""
         last = self._last.breaks()
         return (last,) if self.dims == 1 else ((), last)
 
@@ -188,7 +188,7 @@ class NumericalWarp:
         Raises
         ------
         DensityError
-            If the integrals differ, because of jumps or kinks along lines that are not axis-parallel.
+            If the integrals differ, because of jumps or kinks along oblique or curved lines.
         """
         y = (0.25 + np.arange(_ROWS) * 0.7548776662466927) % 1.0
         finer = _Cells(*_halved(self._rows.low, self._rows.width))
