@@ -314,7 +314,7 @@ class Determinantal(Sampler):
         return Stationary(n=n, dims=self.dims, power=lambda m: self._power(n, m))
 
     def _power(self, n: int, m: Array) -> Array:
-        """⟨|S_m|²⟩ at integer m, (..., d): 1/n minus the share of waves that m moves onto others."""
+        """⟨|S_m|²⟩ at integer m, (..., d): 1/n minus the share of waves that m maps onto waves."""
         waves = self.frequencies(n)
         flat = np.rint(m).reshape(-1, self.dims).astype(np.int64)
         rows, back = np.unique(flat, axis=0, return_inverse=True)

@@ -174,7 +174,7 @@ class Motif(ABC):
 
     @abstractmethod
     def mean(self, a: Array) -> Array:
-        """Return ⟨M(a)⟩ at a (..., d), where M(a) is the mean of exp(−2πi a·ξ) over the points ξ."""
+        """Return ⟨M(a)⟩ at a (..., d); M(a) is the mean of exp(−2πi a·ξ) over the points ξ."""
 
     @abstractmethod
     def second(self, a: Array, b: Array) -> Array:
@@ -256,7 +256,7 @@ class AntitheticPair(Motif):
         return UniformPoint().mean(a)
 
     def second(self, a: Array, b: Array) -> Array:
-        """Return the moment of M(a) = exp(−iπ Σ a) cos(2π a·η), η uniform in the centered cell."""
+        """Return the moment; M(a) = exp(−iπ Σ a) cos(2π a·η), η uniform in the centered cell."""
         mean = 0.5 * (np.prod(np.sinc(a - b), axis=-1) + np.prod(np.sinc(a + b), axis=-1))
         return np.asarray(np.prod(_center(a - b), axis=-1) * mean)
 
