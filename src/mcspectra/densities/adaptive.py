@@ -131,7 +131,7 @@ def integrate(
     cells
         Number of starting cells along each axis.
     points
-        Points (M, d) where narrow peaks may be. Cells with one of them are split to level 16 (8
+        Points (M, d) where narrow peaks may be. Cells with such a point are split to level 16 (8
         in 2-D) regardless of the rule.
     most_cells
         Number of cells of a level at which splitting ends.

@@ -40,7 +40,7 @@ _NO_RATE = 1e-16
 
 @dataclass(frozen=True, kw_only=True)
 class _Separable(Density):
-    """A product over any number of dims."""
+    """Abstract product of 1-D densities over any number of dims."""
 
     dims: int = whole(DEFAULT_DIMS, least=1, most=MAX_DIMS)
 

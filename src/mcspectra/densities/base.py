@@ -377,7 +377,7 @@ class NumericalDensity(_ByFunctions):
     dims
         1 or 2.
     pdf_function
-        Density: points (..., d) to (...).
+        Density: function of points (..., d) that returns values (...).
     normalize
         Whether to divide the pdf by its integral.
 

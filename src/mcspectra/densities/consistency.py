@@ -168,7 +168,7 @@ def _mass_problem(density: Checkable, x: Array) -> str | None:
 
 
 def _doubled(cells: Array, side: int, dims: int) -> Array:
-    """Sum over cells of twice the edge: (..., side^d) to (..., (side/2)^d)."""
+    """Merge 2^d cells into one by sums: (..., side^d) to (..., (side/2)^d)."""
     grid = cells.reshape(*cells.shape[:-1], *(side // 2, 2) * dims)
     sums = grid.sum(axis=tuple(range(-1, -2 * dims, -2)))
     return np.asarray(sums.reshape(*cells.shape[:-1], -1))

@@ -4,11 +4,10 @@
 volume. The borders of such strata miss an edge, unless n times the edge's position is a whole
 number. Strata of unequal volume need points with weights. A warp provides both. Each piece between
 edges gets k_j of s strata, at least one and in proportion to its length L_j. The piecewise constant
-density p =
-k_j/(s L_j) maps the edges to (k_0 + … + k_j)/s in primary space, on borders of the s equal strata.
-Weights 1/p differ from 1 only by the rounding of the k_j, and the estimator is unbiased. (Rounding
-the k_j at random, with equal weights, is an alternative, but then an edge still cuts strata and
-determines the variance.)
+density p = k_j/(s L_j) maps the edges to (k_0 + … + k_j)/s in primary space, on borders of the s
+equal strata. Weights 1/p differ from 1 only by the rounding of the k_j, and the estimator is
+unbiased. (Rounding the k_j at random, with equal weights, is an alternative, but then an edge still
+cuts strata and determines the variance.)
 """
 
 from __future__ import annotations

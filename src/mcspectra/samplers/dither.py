@@ -283,8 +283,7 @@ class LowDiscrepancyBlueNoise(PlaneSampler, OptimisedSampler):
     The set has one point in each cell, and one in each n-th of either axis. It also has one point
     in each interval of area 1/n that is 2^j cells long, with 2^j ≥ chunk, and a 2^j-th of a cell
     wide; chunk = 2 makes a (0,2)-net. The points are uniform over cells and along each axis, but
-    slightly
-    less so within cells. Add shift for unbiased means.
+    slightly less so within cells. Add shift for unbiased means.
 
     The blue-noise set is a jittered set, relaxed within its cells until Gaussians of half a cell's
     width around the points overlap least. It is computed for every realization; the authors keep a

@@ -253,8 +253,7 @@ class Kronecker(FixedSet):
     -----
     Multiples are computed in integer units of 2^-64 modulo 1. This is exact, and differences of
     points depend on differences of indices only. Simple fractions such as 0.5 put all points on few
-    lines;
-    the sampler does not check that α is irrational.
+    lines; the sampler does not check that α is irrational.
 
     References
     ----------

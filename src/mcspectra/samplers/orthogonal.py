@@ -122,9 +122,8 @@ class OrthogonalArray(Sampler):
     The arrays are those of Bush [Bush1952]_ (for t = 2 those of Bose) over the integers modulo s.
     Row i contains the values of a polynomial of degree below t at 0 … s − 1, and its leading
     coefficient. Any t columns contain each of the s^t combinations of levels once. The levels of
-    each
-    column are renamed by a random permutation, as in [Owen1992]_. Points come in the order of the
-    array. Powers of primes are not supported; they need arithmetic in finite fields.
+    each column are renamed by a random permutation, as in [Owen1992]_. Points come in the order of
+    the array. Powers of primes are not supported; they need arithmetic in finite fields.
 
     References
     ----------

@@ -355,7 +355,7 @@ def _fill_antithetic(keys: Array, corners: Array, side: float, out: Array) -> No
             for j in range(dims):
                 u = mix_uniform(keys[r, 0], keys[r, 1], i * dims + j)
                 out[r, i, 0, j] = corners[i, j] + side * u
-                # Reflect the number k/2^53 exactly, so that reflections are spread as evenly
+                # Reflect the number k/2^53 exactly, so that reflections are spread as evenly as points
                 out[r, i, 1, j] = corners[i, j] + side * (BELOW_ONE - u)
 
 
@@ -427,9 +427,8 @@ class CorrelatedMultiJittered(PlaneSampler):
     memo's code: a = ⌊√n⌋ columns and b = ⌈n/a⌉ rows of height a/n, of which the last is incomplete.
     Then each of n intervals of the second axis contains one point; each cell, and each of a·b
     intervals of the first axis, contains at most one. Digit scrambles need a full rectangle.
-    Shuffles are true random permutations, whereas
-    the memo hashes indices. Points come in the order of their second coordinate; add shuffle for a
-    random order.
+    Shuffles are true random permutations, whereas the memo hashes indices. Points come in the order
+    of their second coordinate; add shuffle for a random order.
 
     References
     ----------

@@ -113,8 +113,7 @@ def power_spectrum(
         ``radial_power``, ``radial_power_se`` on dim radius: |m| in cycles per unit, rings of one
         frequency step, without m = 0. Errors are computed from the ring means of the realizations,
         since frequencies of one set are not independent. ``radial_power_ci`` is the 95 % interval
-        by
-        Student's t of the logarithm, power · exp(±t se/power). t has realizations − 1 degrees of
+        by Student's t of the logarithm, power · exp(±t se/power). t has realizations − 1 degrees of
         freedom (attribute ``student_t``) and applies to ``power_se`` as well. If the sampler has
         fewer sets than realizations, errors and t are based on the number of sets.
 
