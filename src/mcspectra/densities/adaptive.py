@@ -125,7 +125,7 @@ def integrate(
     Parameters
     ----------
     function
-        Points (..., d) to (...). An infinite value makes the whole integral infinite.
+        Function of points (..., d). An infinite value makes the whole integral infinite.
     dims
         Number of dims d.
     cells
@@ -204,7 +204,7 @@ def positive_integral(
     Parameters
     ----------
     function
-        Points (..., d) to (...).
+        Function of points (..., d) that returns values (...).
     dims
         Number of dims d, 1 or 2.
     most_cells
@@ -213,11 +213,12 @@ def positive_integral(
     Returns
     -------
     tuple of float
-        Infinite, with error 0, if the unresolved part does not shrink. Poles r^-a with a > 0.97
-        count as divergent, see `mcspectra.densities.reciprocal_integral`. Otherwise it is the error
-        of the cells. If the rest was added as a geometric series, it is the change of the sum over
-        the last level, extrapolated with the ratio of the series. The series is only approximate
-        where poles cross.
+        Integral and error. If the unresolved part does not shrink, the integral is infinite and the
+        error is 0. Poles r^-a with a > 0.97 count as divergent, see
+        `mcspectra.densities.reciprocal_integral`. Otherwise the error is the sum over the cells. If
+        the rest was added as a geometric series, the error is the change of the sum over the last
+        level, extrapolated with the ratio of the series. The series is only approximate where poles
+        cross.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         found = integrate(function, dims, cells=CELLS[dims], most_cells=most_cells)

@@ -5,8 +5,8 @@ Selection of a part
 A mixture p = Σ_t w_t p_t [OwenZhou2000]_ has two ways in which one point chooses its part:
 
 * ``"coordinate"``: one coordinate of u chooses the part and is stretched for further use. Dims and
-  strata are kept, but the warp and g(u) = f/p jump at the borders of the shares w_t. These jumps
-  cost jittered and low-discrepancy points their rate.
+  strata are kept, but the warp and g(u) = f/p jump at the borders of the shares w_t. Because of
+  these jumps, jittered and low-discrepancy points converge more slowly.
 * ``"extra"``: a further, last coordinate chooses the part. Each part gets all other coordinates,
   but the estimator needs a sampler of d+1 dims, and g still jumps along the last dim.
 * A *deterministic split* draws n w_t points of each part. It is not a warp of one point, but

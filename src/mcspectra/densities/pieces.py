@@ -104,7 +104,7 @@ class AlignedStrata(Density):
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """1 for a list of edges, else the number of lists."""
+        """Number of dims: 1 for a list of edges, else the number of lists."""
         return len(self._per_axis)
 
     @property
@@ -225,7 +225,7 @@ class GridDensity(Density):
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """Number of lists of nodes."""
+        """Number of dims: the number of lists of nodes."""
         return len(self.nodes)
 
     @cached_property

@@ -159,7 +159,7 @@ def star_discrepancy(points: object) -> float:
     Raises
     ------
     ParameterError
-        If d > 2 (exact algorithms take O(n^(1 + d/2)) and are not built in), or n > 2^14 in 2-D.
+        If d > 2 (exact algorithms take O(n^(1 + d/2)) and are not implemented), or n > 2^14 in 2-D.
 
     Notes
     -----

@@ -441,9 +441,9 @@ def fill_nested(keys: Array, bases: Array, out: Array) -> None:
 
 @kernel
 def _image(k0: np.uint64, k1: np.uint64, node: Any, digit: int, base: int) -> int:
-    # Return the image of a digit under the random permutation of a node. Follow this digit through
-    # Fisher and Yates's swaps. A number below c is the upper word of c times 64 random bits; the
-    # lower word serves for the next number, until a factor of 2^32 is used up.
+    # Return the image of a digit under the random permutation of a node. The digit is followed
+    # through the swaps of Fisher and Yates. A number below c is the upper word of c times 64 random
+    # bits; the lower word serves for the next number, until a factor of 2^32 is used up.
     position, used, drawn = digit, 1, 0
     bits = mix_bits(k0, k1, node)
     for t in range(base - 1):

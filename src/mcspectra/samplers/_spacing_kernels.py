@@ -275,7 +275,7 @@ def _grids(points: Array, placed: int, room: int) -> Any:
 
 @kernel
 def pick_candidates(keys: Array, candidates: int, out: Array) -> None:
-    """Fill out (R, n, d): point i is the farthest from earlier points of candidates·i places."""
+    """Fill out (R, n, d): of candidates·i places, point i is the farthest from earlier points."""
     count, n, dims = out.shape
     x = np.empty(dims)
     for r in range(count):

@@ -334,7 +334,7 @@ class QmcpySampler(OneByOne):
 
     @property
     def max_count(self) -> int:  # type: ignore[override]
-        """Limit of the generator."""
+        """Largest number of points that the generator allows."""
         limit = self._pattern.n_limit
         return MAX_COUNT if limit > MAX_COUNT else int(limit)
 

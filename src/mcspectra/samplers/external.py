@@ -300,7 +300,7 @@ def recognized(points: Array, bases: tuple[int, ...] | None) -> Fixed:
         words ^= words[0]
         digital = _is_group(words, np.bitwise_xor, lambda row, _: np.stack([0 * row, row, 0 * row]))
 
-    # Test for a lattice: n times the differences are whole numbers, a group modulo n
+    # Test for a lattice: n times the differences must be whole numbers and a group modulo n
     steps = n * (points - points[0])
     even = n > 1 and bool((np.abs(steps - np.rint(steps)) <= _OFF_LATTICE).all())
     vector: tuple[int, ...] | None = None

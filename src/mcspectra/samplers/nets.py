@@ -245,7 +245,7 @@ class Niederreiter(_BinaryNet):
     x² + x + 1, …), of degree e_j. Row q·e_j + u of its matrix holds the coefficients of
     x^-1, x^-2, … in x^u / p^(q+1), u < e_j, in the order of Bratley, Fox and Niederreiter. The
     sequence has t = Σ (e_j − 1). A single axis of degree e > 1 is guaranteed to be balanced only at
-    n = 2^k with k divisible by e; scrambling does not change that.
+    n = 2^k with k divisible by e; scrambling does not change this condition.
 
     References
     ----------
@@ -573,7 +573,7 @@ def _matrix(j: int, matrix: tuple[Any, ...], base: int, digits: int | None) -> A
 def _net_of_file(path: str, given: int) -> tuple[int, Array]:
     """Return base and columns (d, m, rows) of a file of matrices; `given` is the default base."""
     with opened(path, "generator matrices") as (stream, size, name, _):
-        check_decoded_size(name, size, 128 * size)  # text of the digits, and the integers
+        check_decoded_size(name, size, 128 * size)  # decoded text and integers
         lines = stream.read().decode().splitlines()
     kept = [line.partition("#")[0].split() for line in lines]
     kept = [words for words in kept if words]

@@ -93,7 +93,7 @@ class PMJ(_PlaneSequence):
 class PMJ02(_PlaneSequence):
     """Progressive multi-jittered (0,2)-sequence (2-D).
 
-    Any count. The first 2^k points have one in each elementary interval of area 2^-k, of any shape.
+    Any count. The first 2^k points have one point in each elementary interval of area 2^-k.
     Other counts cause a `NotPowerOfTwoWarning`.
 
     Notes
@@ -174,7 +174,7 @@ def pairings() -> Array:
 
 @kernel
 def _complete(k0: np.uint64, k1: np.uint64, number: int, high: Any, level: int) -> Any:
-    # Return the word with the bits of `high` down to that of `level`, and random bits below.
+    # Return the word with the bits of `high` down to bit `level`, and random bits below.
     low = (_ONE << np.uint64(52 - level)) - _ONE
     return (high & ~low) | ((mix_bits(k0, k1, number) >> _S11) & low)
 

@@ -229,8 +229,8 @@ def _seen(points: Array, center: Array, turn: Array, reach: float, found: Array)
 
 @kernel
 def _clip_all(keys: Array, points: Array, out: Array) -> None:
-    # Points in the window whose edge passes through the (n + 1)-th nearest to its center; out (R,
-    # n, 2)
+    # Fill out (R, n, 2) with the points in the window whose edge passes through the (n + 1)-th
+    # nearest point to the window's center
     count, n, _ = points.shape
     found = np.empty((25 * n, 3))
     numbers = np.empty(5)

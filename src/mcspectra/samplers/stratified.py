@@ -355,7 +355,7 @@ def _fill_antithetic(keys: Array, corners: Array, side: float, out: Array) -> No
             for j in range(dims):
                 u = mix_uniform(keys[r, 0], keys[r, 1], i * dims + j)
                 out[r, i, 0, j] = corners[i, j] + side * u
-                # Reflect the number k/2^53 exactly, so that reflections are spread as evenly as points
+                # Reflect the number k/2^53 exactly, so that reflections are as uniform
                 out[r, i, 1, j] = corners[i, j] + side * (BELOW_ONE - u)
 
 

@@ -534,8 +534,8 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
         factors.append(own)
 
     total = np.zeros(len(flat), complex)
-    # Digits of each axis, the highest first; the nudge corrects coordinates rounded to just below a
-    # multiple of a digit
+    # Digits of each axis, the highest first; the nudge corrects coordinates that were rounded to
+    # just below a multiple of b^-places
     digits = []
     for axis, b in enumerate(bases):
         nudge = 0.0 if b & (b - 1) == 0 else 2.0**-52
@@ -639,7 +639,7 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
         rule = np.remainder(np.arange(s) / s + offset[i], 1.0), np.full(s, 1.0 / s)
         axis = _StrataAxis(p, s, *(_all_offsets(p, s, 1.0, highest) if shifted else rule))
         same = axis.mean_product(axis.of_stratum, m[..., i], other[..., i])
-        if latin:  # two different strata; one stratum has no such pair
+        if latin:  # two different strata; if there is only one, no pair
             free = (m[..., i] == 0) & (other[..., i] == 0)
             same = (n * free - same) / max(n - 1, 1)
         pairs = pairs * same

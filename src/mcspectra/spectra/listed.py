@@ -205,7 +205,7 @@ def _type_3(frequencies: Array, eps: float) -> Listed:
     def transform(points: Array, weights: Array) -> Array:
         import finufft
 
-        # A plan per set costs little, and threads share nothing
+        # A plan for each set costs little, and no plan is shared by threads
         plan = finufft.Plan(
             3, dims, eps=eps, isign=-1, upsampfac=upsampling, nthreads=1, showwarn=0
         )

@@ -410,7 +410,7 @@ def _over_directions(half: _HalfSpectrum, label: Array, lengths: Array) -> _LowF
     own, k = mean[label[several]], count[label[several]]
     spread = (half.power[several] - own) ** 2 * k / (k - 1)
     excess = float(np.mean((spread - half.se[several] ** 2) / own**2)) if several.any() else 0.0
-    # Few lengths have several directions, as (3, 4) and (5, 0), but unequal powers also misfit a line
+    # Few lengths have several directions, like (3, 4) and (5, 0); else unequal powers misfit a line
     if half.grid.dims == 1 or (excess <= _ISOTROPIC and whole.chi2 <= _SUSPECT):
         return whole
     # Classify frequencies by their nonzero axes and, in 2-D if both are nonzero, by wedges
