@@ -493,8 +493,8 @@ def divide_by_density(
 ) -> Array:
     """Return values/pdf, 0 where both are 0; values (...) or (..., channels).
 
-    A pdf that is 0 on a face or a line can be 0 at samples that are not randomized: the first point
-    of many sequences is the origin.
+    If samples are not randomized, a pdf that is 0 on a face or a line can be 0 at a sample: many
+    sequences start at the origin.
 
     Parameters
     ----------

@@ -145,9 +145,9 @@ class DiskDensity(_TwoWarps):
         Center of the disk, one number for both coordinates or one per coordinate; the disk must lie
         inside the square.
     warp
-        ``"polar"``: φ = 2π u_0, ρ² = radius² u_1. The sides u_0 = 0 and 1 coincide in x, the sides
-        of u_1 do not: the whole side u_1 = 0 maps to the center. ``"concentric"`` [Shirley1997]_:
-        squares around the center map to circles, and all sides lie on the rim.
+        ``"polar"``: φ = 2π u_0, ρ² = radius² u_1. The sides u_0 = 0 and 1 coincide in x.
+        The sides of u_1 do not coincide: the side u_1 = 0 maps to the center. ``"concentric"``
+        [Shirley1997]_: squares around the center map to circles, and all sides lie on the rim.
     """
 
     name: ClassVar[str] = "disk"

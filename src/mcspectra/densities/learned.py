@@ -188,7 +188,7 @@ class Learned(Wrapper):
 
 
 def _splines(knots: Array) -> Any:
-    """Return quadratic B-splines of integral 1 on knots (C + 1,): a scipy spline of C + 2."""
+    """Return quadratic B-splines of integral 1 on knots (C + 1,): a SciPy spline of size C + 2."""
     from scipy.interpolate import BSpline
 
     ends = np.concatenate([[0.0, 0.0], knots, [1.0, 1.0]])

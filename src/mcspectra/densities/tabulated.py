@@ -341,7 +341,7 @@ class _Hierarchical:
     """
 
     def __init__(self, cells: Array) -> None:
-        # Split the longer side from the root on, and rows if both are equal
+        # From the root on, split the longer side, or the rows if both sides are equal
         bits = [(size - 1).bit_length() for size in cells.shape]
         table = np.pad(cells, [(0, 2**b - size) for b, size in zip(bits, cells.shape, strict=True)])
         axes = []

@@ -297,7 +297,7 @@ def _diaphony_sum(x: Array) -> float:
     n, dims = x.shape
     total = 0.0
     for i in range(n):
-        row = 0.0  # one sum per point: rounding errors as of n terms, not n²
+        row = 0.0  # one sum per point: rounding errors of n terms, not of n²
         for j in range(i):
             product = 1.0
             for k in range(dims):

@@ -91,7 +91,7 @@ class PointSets(dict[int, Array]):
     def laws(self) -> dict[int, Law]:
         """The recognized law of the sets of each count.
 
-        A smaller set counts as a net if its quality t is no worse than that of the largest set.
+        A smaller set counts as a net if its quality t is no worse than the t of the largest set.
         """
         found: dict[int, Law] = {}
         largest: tuple[int, int] | None = None

@@ -119,7 +119,7 @@ class OrthogonalArray(Sampler):
 
     Notes
     -----
-    The arrays are those of Bush [Bush1952]_ (for t = 2 those of Bose) over the integers modulo s.
+    The arrays were found by Bush [Bush1952]_ (for t = 2 by Bose), over the integers modulo s.
     Row i contains the values of a polynomial of degree below t at 0 … s − 1, and its leading
     coefficient. Any t columns contain each of the s^t combinations of levels once. The levels of
     each column are renamed by a random permutation, as in [Owen1992]_. Points come in the order of

@@ -83,7 +83,7 @@ class SlicedOptimalTransport(OptimisedSampler):
 def projected_quantiles(direction: Array, n: int) -> Array:
     """Return the quantiles (k − ½)/n, k = 1 … n, of θ·(x − ½), x uniform in the cube.
 
-    The distribution starts as that of the widest component. For each further component, it is
+    The start is the distribution of the widest component. For each further component, it is
     averaged over an interval of that component's width.
     """
     widths = np.sort(np.abs(direction))[::-1]

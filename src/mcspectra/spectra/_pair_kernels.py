@@ -16,7 +16,7 @@ Work = tuple[Array, Array]
 
 __all__ = ["count_distances", "count_ordered_pairs"]
 
-_CHUNK = 512  # neighbors per chunk; 8 KiB of scratch space fit the first-level cache
+_CHUNK = 512  # number of neighbors per chunk; 8 KiB of scratch space fit the first-level cache
 
 
 @kernel
@@ -88,7 +88,7 @@ def count_distances(
         x = coordinates[0, a]
         while end < total and coordinates[0, end] - x <= limit:
             if end >= n and coordinates[0, end] - x == limit:
-                break  # beyond half the torus, the other point counts the pair
+                break  # at exactly this distance, the other point counts the pair
             end += 1
         for start in range(a + 1, end, _CHUNK):
             stop = min(start + _CHUNK, end)

@@ -382,7 +382,7 @@ def _(law: Fixed) -> SpectralMoments:
             corner = np.exp(-2j * np.pi * np.remainder(law.corner * nu / s, 1.0))
             return _product(_comb(nu, s) * corner)
         if law.vector is not None and np.array_equal(nu, np.rint(nu)):
-            # 1 where m·z ≡ 0 modulo n; residues are multiplied to avoid overflow
+            # S_ν is 1 where ν·z ≡ 0 modulo n; products of residues do not overflow
             n, vector = law.n, np.asarray(law.vector, np.int64)
             residues = np.rint(np.remainder(nu, n)).astype(np.int64) * (vector % n) % n
             return np.asarray((residues.sum(axis=-1) % n == 0) + 0j)

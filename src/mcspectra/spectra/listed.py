@@ -198,7 +198,7 @@ def listed_transform(
 def _type_3(frequencies: Array, eps: float) -> Listed:
     dims = frequencies.shape[1]
     missing = [None] * (3 - dims)
-    # Accuracy reached with 1.25, measured: 2e-9 in one and two dims, 6e-8 in three
+    # Measured accuracy with oversampling 1.25: 2e-9 in one and two dims, 6e-8 in three
     upsampling = 1.25 if eps >= (1e-9 if dims < 3 else 1e-7) else 2.0
     targets = [*(np.ascontiguousarray(axis) for axis in frequencies.T), *missing]
 

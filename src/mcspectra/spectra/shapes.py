@@ -281,7 +281,7 @@ def low_frequency_exponent(
     Raises
     ------
     ParameterError
-        If errors are missing, lengths are fewer than three, or means between integers are missing.
+        If there are no errors, fewer than three lengths, or no means (needed between integers).
 
     Notes
     -----
