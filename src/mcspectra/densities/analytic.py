@@ -1,7 +1,7 @@
 """Densities in closed form: products over the dims, with one parameter for all dims or per dim.
 
-The cdf of uniform, linear, power, exponential, cosine and tent densities has a closed-form inverse;
-that of truncated normals is inverted by logarithms of the normal cdf.
+The cdf of uniform, linear, power, exponential, cosine and tent densities has a closed-form inverse.
+The cdf of truncated normals is inverted by logarithms of the normal cdf.
 """
 
 from __future__ import annotations
@@ -319,9 +319,9 @@ class CosineWeighted(_Separable):
     -----
     Two meanings of *cosine-weighted* agree here. In flatland x = ½ + θ/π is the angle of a
     direction above a line, with p(θ) = cos θ/2. On the hemisphere with the density cos θ/π by solid
-    angle, the polar angle has the density sin 2θ. It is this density in x = 2θ/π, and its warp
-    θ = arcsin √u is that of Malley's method [Pharr2016]_ (§13.6.3). The density is 0 at both ends,
-    and ∫1/p diverges.
+    angle, the polar angle has the density sin 2θ. In x = 2θ/π this is the density here, and the
+    warp θ = arcsin √u is the warp of Malley's method [Pharr2016]_ (§13.6.3). The density is 0 at
+    both ends, and ∫1/p diverges.
     """
 
     def reciprocal_integral(self) -> float:

@@ -395,8 +395,8 @@ class Fixed(Law):
         Whether the evenness of the set depends only on differences of points on the torus, as for
         lattices and Kronecker points. Translations then preserve the evenness.
     digital
-        Whether the digits of the points form a group under addition without carry; then all points
-        have the same relation to the others.
+        Whether the digits of the points form a group under addition without carry. If so, each
+        point has the same relation to all other points.
     columns
         Columns of the generator matrices of a digital net in base 2, as 32-bit numbers with the
         first digit highest, uint64 (dims, log2 n); None if they are unknown.

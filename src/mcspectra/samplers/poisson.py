@@ -176,8 +176,8 @@ class PoissonDisk(Sampler):
 class DartThrowing(Sampler):
     """Random points, rejected if too close to an earlier one, until n are accepted (Cook).
 
-    The law equals that of `poisson-disk`, which is faster, but up to 8 dims are allowed. Distances
-    are on the torus. A set restarts after 100,000 rejected darts in a row.
+    The law is the same as for `poisson-disk`, which is faster. Here up to 8 dims are allowed.
+    Distances are on the torus. A set restarts after 100,000 rejected darts in a row.
 
     Attributes
     ----------

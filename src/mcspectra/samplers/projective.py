@@ -48,9 +48,9 @@ class ProjectiveBlueNoise(Sampler):
     ----------
     dims
         1 to 6.
-    radius_
-        Minimum distance in every projection on k axes, relative to that of the densest known
-        packing of n points in k dims; 0.01 to 1. The default is 0.65, 0.6, 0.5, 0.4, 0.33 and
+    Minimum distance in every projection on k axes, relative to the distance in the densest known
+    packing of n points in k dims; 0.01 to 1. The default is 0.65, 0.6, 0.5, 0.4, 0.33 and 0.25 in 1
+    to 6 dims, slightly below the largest value at which darts place 1000 points.
         0.25 in 1 to 6 dims, slightly below the largest value at which darts place 1000 points.
 
     References

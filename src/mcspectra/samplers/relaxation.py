@@ -309,8 +309,8 @@ class FarthestPoint(PlaneSampler, OptimisedSampler):
     dims
         2.
     sweeps
-        Largest number of moves of every point; fewer if no point moves. After 30 sweeps the
-        minimum distance is about 0.92 of that of the hexagonal packing.
+        Largest number of moves of every point; fewer if no point moves. After 30 sweeps the minimum
+        distance is about 0.92 times the distance in the hexagonal packing.
 
     References
     ----------

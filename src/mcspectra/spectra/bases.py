@@ -84,7 +84,7 @@ class Basis(IndexGrid, ABC):
 @final
 @dataclass(frozen=True)
 class FourierBasis(Basis):
-    """Fourier basis: complex; coefficients of −m are conjugates of those of m and not stored."""
+    """Fourier basis: complex; coefficients of −m are conjugates and are not stored."""
 
     name: ClassVar[str] = "fourier"
     label: ClassVar[str] = FrequencyGrid.label

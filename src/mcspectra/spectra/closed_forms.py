@@ -7,7 +7,8 @@ C_ml diagonal.
 Method
 ------
 Three kinds of sets are covered. Notation: χ(ν) = sinc(πν) exp(−iπν) is the transform of the unit
-interval, and A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/s) that of a grid. All are products over the axes.
+interval, and A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/s) is the transform of a grid. Both are products
+over the axes.
 
 * Independent motifs, one in each of N cells. M(ν) is the mean of exp(−2πi ν·ξ) over the points of
   one motif, in units of cells. Then ⟨S_ν⟩ = A(ν) ⟨M(ν/s)⟩ and C_ml = (1/N) A(m − l) [⟨M(m/s) conj

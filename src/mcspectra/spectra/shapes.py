@@ -128,12 +128,12 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        On dim radius, rings of one frequency step: ``radial_power``; ``radial_power_se``, that of
-        the spectrum, or for a spectrum without it that of uncorrelated frequencies;
-        ``anisotropy``, the variance over direction divided by the mean² [Ulichney1988]_, and
-        ``anisotropy_db``, 10 log10 of it; ``anisotropy_noise_db``, its value from noise alone in an
-        isotropic spectrum (−10 log10 of the realizations for Gaussian S). NaN for rings with one
-        direction or without power.
+        On dim radius, rings of one frequency step. ``radial_power`` is the mean;
+        ``radial_power_se`` is the standard error from the spectrum or, if missing there, that of
+        uncorrelated frequencies. ``anisotropy`` is the variance over direction divided by the mean²
+        [Ulichney1988]_, and ``anisotropy_db`` is 10 log10 of the anisotropy.
+        ``anisotropy_noise_db`` is the value from noise alone in an isotropic spectrum (−10 log10 of
+        the realizations for Gaussian S). NaN for rings with one direction or without power.
 
     Examples
     --------

@@ -76,7 +76,7 @@ class IndexGrid:
     label: ClassVar[str] = "index of the basis function"
     units: ClassVar[str] = "1"
     hermitian: ClassVar[bool] = False
-    """Whether indices run from −K, and coefficients of −m are the conjugates of those of m.
+    """Whether indices run from −K, and coefficient −m is the conjugate of coefficient m.
 
     Then only the first half is stored, up to and including m = 0."""
 
