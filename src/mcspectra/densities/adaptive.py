@@ -1,11 +1,11 @@
-"""Adaptive quadrature of integrals over the unit cube that may diverge, with a record of levels.
+"""Adaptive quadrature of possibly divergent integrals over the unit cube, with a record of levels.
 
 Method
 ------
 The domain starts as equal cells. A cell is *resolved* if a Gauss-Legendre rule on it agrees with
 the same rule on its 2^d halves. Other cells are split, level by level. The unresolved part at level
 L lies within about 2^-L of the singularities and jumps. Its total U_L, roughly a sum over dyadic
-shells, therefore distinguishes singularities. Next to f ~ r^-a along a line, U_L shrinks like
+shells, therefore shows the kind of singularity. Next to f ~ r^-a along a line, U_L shrinks like
 2^{-(1-a)L}. It stays constant or grows if the integral diverges.
 
 Everything here is deterministic: fixed points, fixed offsets, no seed.
@@ -36,12 +36,12 @@ __all__ = [
 ]
 
 # Orders are even, so that no node is a cell center, and different, so that no node lies on the
-# diagonal. A density that is 0 only there must not appear to be 0 on an area.
+# diagonal. If a density is 0 only at such places, no node may find this 0
 _ORDERS = {1: (8,), 2: (6, 4)}
 _DEPTH = {1: 36, 2: 28}
 _FULL_DEPTH = {1: 6, 2: 2}  # at least 4096 cells, so that nodes do not miss narrow steps
 MOST_CELLS = 2**16
-"""Number of cells of a level at which splitting ends: in 2-D 1.6 million evaluations."""
+"""Number of cells of a level at which splitting ends; 1.6 million evaluations in 2-D."""
 _RELATIVE = 1e-10
 _ABSOLUTE = 1e-13  # tolerance relative to the whole integral
 _FORCED_DEPTH = {1: 16, 2: 8}
@@ -49,11 +49,11 @@ _FORCED_DEPTH = {1: 16, 2: 8}
 CELLS = {1: 64, 2: 16}
 """Default number of starting cells along each axis, by dims."""
 SETS, SET_SIZE = 32, 4096
-"""Number of shifted low-discrepancy sets, whose spread is an error bar, and points per set."""
+"""Number of shifted low-discrepancy sets, whose spread estimates the error, and points per set."""
 _SLOWEST = 0.98  # largest ratio of levels: p ~ r^a with a > 0.97 counts as divergent
 _NEGLIGIBLE = 1e-6
-_SHRINKING = 0.8  # largest volume ratio per level; ½ next to a line, ¼ next to a point
-_FIRST_LEVELS = 4  # first levels, which also split cells merely near a zero
+_SHRINKING = 0.8  # largest ratio of volumes of levels; ½ next to a line, ¼ next to a point
+_FIRST_LEVELS = 4  # number of first levels, which also split cells near a zero
 _WINDOW = 8
 _TAIL = 256
 _LARGEST_TAIL_INDEX = 1.0 - 3.0 / math.sqrt(_TAIL)
@@ -63,8 +63,9 @@ _LARGEST_TAIL_INDEX = 1.0 - 3.0 / math.sqrt(_TAIL)
 class Quadrature:
     """Integrals over the starting cells, row-major (k^d,), and the record of levels.
 
-    `errors` bounds the error of each integral. `totals` is the estimate of the whole integral after
-    each level, `unresolved` its part in cells where the rules disagree, and `volumes` their volume.
+    `errors` bounds the error of each integral. `totals` has the estimate of the whole integral
+    after each level. `unresolved` is the part of it in cells where the rules disagree, and
+    `volumes` is the volume of these cells.
     """
 
     cells: Array
@@ -75,7 +76,7 @@ class Quadrature:
 
     @property
     def isolated(self) -> bool:
-        """Whether the integral is infinite or resolved, or unresolved cells shrink quickly."""
+        """Whether the integral is infinite or resolved, or its unresolved cells shrink quickly."""
         if not math.isfinite(self.totals[-1]) or self.unresolved[-1] == 0:
             return True
         volumes = self.volumes
@@ -85,8 +86,9 @@ class Quadrature:
     def ratio(self) -> float:
         """Ratio of the unresolved parts of successive levels; 0 if everything is resolved.
 
-        It compares sums over the last levels with sums over the levels before. Single ratios vary,
-        because the position of a zero within its cell changes from level to level.
+        The ratio compares sums over the last levels with sums over the levels before. Ratios of
+        single levels vary, because the position of a zero within its cell changes from level to
+        level.
         """
         parts = self.unresolved
         half = min(_WINDOW, (len(parts) - _FIRST_LEVELS) // 2)
@@ -123,20 +125,20 @@ def integrate(
     Parameters
     ----------
     function
-        Points (..., d) to (...). An infinite value makes the whole integral infinite.
+        Function of points (..., d). An infinite value makes the whole integral infinite.
     dims
         Number of dims d.
     cells
         Number of starting cells along each axis.
     points
-        Points (M, d) where narrow peaks may be. Cells with one of them are split to level 16 (8
+        Points (M, d) where narrow peaks may be. Cells with such a point are split to level 16 (8
         in 2-D) regardless of the rule.
     most_cells
         Number of cells of a level at which splitting ends.
 
     Notes
     -----
-    The cost is at most 36 (2-D: 28) levels of 2^16 cells with 8 (24) evaluations each.
+    The cost in 1-D is at most 36 levels of 2^16 cells with 8 evaluations each; in 2-D 28 and 24.
     """
     corners = _grid(cells, dims)
     owner = np.arange(len(corners))
@@ -175,7 +177,7 @@ def integrate(
 def mean_or_infinity(
     function: Callable[[Array], Array], dims: int, *, most_cells: int = MOST_CELLS
 ) -> float:
-    """Return ∫ of a function ≥ 0 of points (..., d), any d: infinite if it appears to diverge.
+    """Return the integral of a function ≥ 0 in any dims d: infinite if it appears to diverge.
 
     For the accuracy see the notes of `mcspectra.densities.reciprocal_integral`; `most_cells` is the
     same as for `positive_integral`.
@@ -202,7 +204,7 @@ def positive_integral(
     Parameters
     ----------
     function
-        Points (..., d) to (...).
+        Function of points (..., d) that returns values (...).
     dims
         Number of dims d, 1 or 2.
     most_cells
@@ -211,11 +213,12 @@ def positive_integral(
     Returns
     -------
     tuple of float
-        Infinite, with error 0, if the unresolved part does not shrink. Poles r^-a with a > 0.97
-        count as divergent, see `mcspectra.densities.reciprocal_integral`. Otherwise the error is
-        that of the cells. If the rest was added as a geometric series, the error is the change of
-        this sum over the last level, extrapolated with the ratio of the series. The series is only
-        approximate where poles cross.
+        Integral and error. If the unresolved part does not shrink, the integral is infinite and the
+        error is 0. Poles r^-a with a > 0.97 count as divergent, see
+        `mcspectra.densities.reciprocal_integral`. Otherwise the error is the sum over the cells. If
+        the rest was added as a geometric series, the error is the change of the sum over the last
+        level, extrapolated with the ratio of the series. The series is only approximate where poles
+        cross.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         found = integrate(function, dims, cells=CELLS[dims], most_cells=most_cells)
@@ -233,13 +236,13 @@ def positive_integral(
 
 
 def recurrences(dims: int, key: int = 0) -> Array:
-    """Return additive recurrences (32, 4096, d) by `golden_vector`, each with its own shift."""
+    """Return point sets (32, 4096, d) : additive recurrences by `golden_vector`, each shifted."""
     shifts = Stream(key).uniforms(0, SETS, dims)[:, None, :]
     return np.asarray((shifts + np.arange(SET_SIZE)[:, None] * golden_vector(dims)) % 1.0)
 
 
 def _aitken(a: float, b: float, c: float) -> float:
-    """Return the limit of a geometric series with these last sums; c if they are not geometric."""
+    """Return the limit of a geometric series with these last sums; c if sums are not geometric."""
     steady = 0 < abs(c - b) < abs(b - a)
     return c + (c - b) ** 2 / ((b - a) - (c - b)) if steady else c
 

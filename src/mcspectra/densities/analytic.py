@@ -1,7 +1,7 @@
 """Densities in closed form: products over the dims, with one parameter for all dims or per dim.
 
-The cdf of uniform, linear, power, exponential, cosine and tent densities has a closed-form inverse;
-that of truncated normals is inverted by logarithms of the normal cdf.
+The cdf of uniform, linear, power, exponential, cosine and tent densities has a closed-form inverse.
+The cdf of truncated normals is inverted by logarithms of the normal cdf.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ __all__ = [
 
 _MAX_SIGMAS = 100.0
 _MAX_SIGMA = 100.0
-# Closer to −1, more than 1 in 1000 samples u^(1/(a+1)) would be below the smallest float
+# For a closer to −1, more than 1 in 1000 samples u^(1/(a+1)) underflow
 _LEAST_EXPONENT = -0.99
 _MOST_EXPONENT = 1000.0
 _MOST_RATE = 700.0  # exp(710) is infinite
@@ -40,7 +40,7 @@ _NO_RATE = 1e-16
 
 @dataclass(frozen=True, kw_only=True)
 class _Separable(Density):
-    """A product over any number of dims."""
+    """Abstract product of 1-D densities over any number of dims."""
 
     dims: int = whole(DEFAULT_DIMS, least=1, most=MAX_DIMS)
 
@@ -77,7 +77,7 @@ class Linear(_Separable):
     ----------
     slope
         Slope s, within [−2, 2]: one number for all dims or one per dim. At ±2 the density falls to
-        0 at an end, and ∫1/p diverges.
+        0 at one end, and ∫1/p diverges.
 
     Notes
     -----
@@ -101,7 +101,7 @@ class Linear(_Separable):
 
     def _pdf(self, x: Array) -> Array:
         s = self._slopes
-        # Both forms start from the end with the lower density
+        # Both forms start from the end with lower density
         line = np.where(s >= 0, (1.0 - 0.5 * s) + s * x, (1.0 + 0.5 * s) - s * (1.0 - x))
         return bounded_product(line, self.spec)
 
@@ -209,7 +209,7 @@ class TruncatedNormal(_Separable):
         c = self._normal
         share = np.where(c.flip, 1.0 - u, u)
         ratio = np.exp(c.log_low - c.log_high)
-        with np.errstate(divide="ignore"):  # for share 0 and ratio 0, the logarithm and z are −∞
+        with np.errstate(divide="ignore"):  # at share 0 and ratio 0, the logarithm and z are −∞
             log_cdf = c.log_high + np.log(share + (1.0 - share) * ratio)
         z = np.clip(ndtri_exp(np.minimum(log_cdf, 0.0)), c.low, c.high)
         x = np.clip(c.mean + c.sigma * z, 0.0, 1.0)
@@ -250,11 +250,11 @@ class Power(_Separable):
 
     def _pdf(self, x: Array) -> Array:
         a = self._exponents
-        # 0^a is infinite for a < 0. At 1e-320 or in products, finite values may overflow as well
+        # 0^a is infinite for a < 0. Finite values may overflow, at x = 1e-320 or in products
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             factors = (a + 1.0) * x**a
             product = factors.prod(axis=-1)
-        # 0 · ∞ in a product of dims: such points have no volume
+        # Where the product over dims is 0 · ∞: such points have no volume
         return np.asarray(np.where(np.isnan(product), 0.0, product))
 
     def _sample(self, u: Array) -> Array:
@@ -280,7 +280,7 @@ class Exponential(_Separable):
 
     @cached_property
     def _flat(self) -> Array:
-        """Whether each rate is too small to change a float."""
+        """Whether each rate is so small that its dim counts as uniform."""
         return np.abs(self._each("rate")) < _NO_RATE
 
     @cached_property
@@ -319,9 +319,9 @@ class CosineWeighted(_Separable):
     -----
     Two meanings of *cosine-weighted* agree here. In flatland x = ½ + θ/π is the angle of a
     direction above a line, with p(θ) = cos θ/2. On the hemisphere with the density cos θ/π by solid
-    angle, the polar angle has the density sin 2θ. It is this density in x = 2θ/π, and its warp
-    θ = arcsin √u is that of Malley's method [Pharr2016]_ (§13.6.3). The density is 0 at both ends,
-    and ∫1/p diverges.
+    angle, the polar angle has the density sin 2θ. In x = 2θ/π this is the density here, and the
+    warp θ = arcsin √u is the warp of Malley's method [Pharr2016]_ (§13.6.3). The density is 0 at
+    both ends, and ∫1/p diverges.
     """
 
     def reciprocal_integral(self) -> float:
@@ -329,7 +329,7 @@ class CosineWeighted(_Separable):
         return math.inf
 
     def _pdf(self, x: Array) -> Array:
-        from_end = np.minimum(x, 1.0 - x)  # makes the zero at x = 1 exact
+        from_end = np.minimum(x, 1.0 - x)  # p(1) is exactly 0
         return np.asarray((0.5 * math.pi * np.sin(math.pi * from_end)).prod(axis=-1))
 
     def _sample(self, u: Array) -> Array:
@@ -360,13 +360,13 @@ class Tent(_Separable):
 
     @cached_property
     def _sides(self) -> tuple[Array, Array]:
-        """Lengths of the rising and the falling side, with 1 for 0."""
+        """Lengths of the rising and the falling side; length 0 is replaced by 1."""
         c = self._peaks
         return np.where(c > 0, c, 1.0), np.where(c < 1, 1.0 - c, 1.0)
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """The peak; the cdf there equals its position."""
+        """The peak, in x and in u, because the cdf at the peak equals its position."""
         return tuple((c,) if 0 < c < 1 else () for c in self._peaks.tolist())
 
     def reciprocal_integral(self) -> float:
@@ -374,7 +374,7 @@ class Tent(_Separable):
         return math.inf
 
     def _rising(self, x: Array) -> Array:
-        """Whether x is on the rising side; also for u, as the cdf of the peak is its position."""
+        """Whether x (or u) is on the rising side; the cdf at the peak equals its position."""
         return np.asarray((x < self._peaks) | (self._peaks == 1))
 
     def _heights(self, x: Array) -> tuple[Array, Array]:

@@ -55,12 +55,12 @@ __all__ = [
 ]
 
 _LARGEST_LOGARITHM = float(np.log(np.finfo(float).max))
-_PROBE = 5  # points of the first call; odd and small, so that wrong shapes fail
+_PROBE = 5  # number of points of the first call; odd and small to find wrong shapes
 _SAME = 1e-9
 
 
 def per_dim(default: float, **limits: float) -> Any:
-    """Declare a field of one real number for all dims or one per dim, stored as it was given."""
+    """Declare a field of one real number for all dims or one per dim, stored in the given form."""
 
     def check(name: str, given: Any, dims: int) -> Any:
         as_reals(name, given, dims, **limits)
@@ -77,7 +77,7 @@ class Density(Component, ABC):
     dims
         Number of dimensions d.
     warps
-        Names of the warps T of the same pdf that the parameter ``warp`` allows; often empty.
+        Names that the parameter ``warp`` allows: warps T of the same pdf. Often empty.
     """
 
     dims: int
@@ -85,7 +85,7 @@ class Density(Component, ABC):
 
     @property
     def primary_dims(self) -> int:
-        """Number of dims of u: equal to `dims`, or larger if extra coordinates choose a part."""
+        """Number of dims of u: `dims`, or more if extra coordinates choose a part."""
         return self.dims
 
     def pdf(self, x: object) -> Array:
@@ -108,7 +108,7 @@ class Density(Component, ABC):
         return np.clip(x, 0.0, BELOW_ONE)
 
     def sample_pdf(self, u: object) -> tuple[Array, Array]:
-        """Return points x of `sample`, (..., d), and the density there, (...), in one pass."""
+        """Return the points x (..., d) of `sample` and the density at x (...), in one pass."""
         x, pdf = self._sample_pdf(as_points(u, self.primary_dims, "u"))
         return np.clip(x, 0.0, BELOW_ONE), pdf
 
@@ -133,7 +133,7 @@ class Density(Component, ABC):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Positions on each axis of *primary* space at which the warp is not smooth."""
+        """Positions on each axis of *primary* space where the warp is not smooth."""
         return ((),) * self.primary_dims
 
     def zero_points(self) -> Array:
@@ -187,7 +187,7 @@ class Density(Component, ABC):
         Parameters
         ----------
         pdf
-            Density: points (..., d) to (...); integral 1. It may be 0 on a set of measure zero.
+            Density at points (..., d), with integral 1. It may be 0 on a set of measure zero.
         sample
             The warp T: primary points (..., d) in [0,1) to points (..., d) in [0,1). If it is
             missing, the warp is computed from the pdf in 1-D and 2-D (see
@@ -203,7 +203,7 @@ class Density(Component, ABC):
         ------
         DensityError
             If a function is not callable, fails, returns a wrong shape, or is not consistent with
-            the others (see `check`), or if the pdf alone is not enough.
+            the others (see `check`), or if further functions are needed.
 
         Examples
         --------
@@ -251,7 +251,7 @@ class Density(Component, ABC):
 
 
 class Wrapper(Density):
-    """A density whose warp and pdf are those of another density, `_inside`."""
+    """A density that takes its warp and pdf from another density, `_inside`."""
 
     @property
     @abstractmethod
@@ -370,24 +370,24 @@ class NumericalDensity(_ByFunctions):
     Details of the pdf, such as a peak, a gap or a box, are resolved if they are wider than 2^-18 in
     1-D, or 1/500 along both axes in 2-D. Narrower details and their mass may be missed; then
     `normalize` divides by an integral that is too small. If the integral is known,
-    ``normalize=False`` detects this; or give sample=.
+    ``normalize=False`` detects missing mass; or give sample=.
 
     Attributes
     ----------
     dims
         1 or 2.
     pdf_function
-        Density: points (..., d) to (...).
+        Density: function of points (..., d) that returns values (...).
     normalize
         Whether to divide the pdf by its integral.
 
     Raises
     ------
     DensityError
-        If the integral of the pdf is not 1 (to 1e-9) and `normalize` is False. If the pdf is
-        negative, not finite within (0,1)^d, or too rough or steep: in 2-D with jumps or kinks
-        along lines that are not axis-parallel, in 1-D with poles anywhere but at 0, where floats
-        are dense.
+        If the integral of the pdf is not 1 (to 1e-9) and `normalize` is False, or if the pdf is
+        negative, not finite within (0,1)^d, or too rough or steep. In 2-D, jumps or kinks along
+        lines that are not axis-parallel are too rough. In 1-D, poles are too steep except at 0,
+        where floats are dense.
     """
 
     dims: int = whole(1, least=1, most=2)
@@ -407,7 +407,7 @@ class NumericalDensity(_ByFunctions):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """The cdf at jumps and kinks; in 2-D only on axis 1, since axis 0 depends on the row."""
+        """Cdf at jumps and kinks; in 2-D of axis 1 only, since breaks of axis 0 vary by row."""
         return self._warp.breaks
 
     def zero_points(self) -> Array:
@@ -466,7 +466,7 @@ def bounded_product(factors: Array, spec: str) -> Array:
     with np.errstate(over="ignore", invalid="ignore"):
         product = np.asarray(factors.prod(axis=-1))
     overflown = ~np.isfinite(product)
-    if overflown.any():  # perhaps only in a partial product
+    if overflown.any():  # perhaps only a partial product overflows
         with np.errstate(divide="ignore"):
             product[overflown] = exponential(np.log(factors[overflown]).sum(axis=-1), spec)
     return product
@@ -493,8 +493,8 @@ def divide_by_density(
 ) -> Array:
     """Return values/pdf, 0 where both are 0; values (...) or (..., channels).
 
-    A pdf that is 0 on a face or a line can be 0 at samples that are not randomized: the first point
-    of many sequences is the origin.
+    If samples are not randomized, a pdf that is 0 on a face or a line can be 0 at a sample: many
+    sequences start at the origin.
 
     Parameters
     ----------
@@ -514,7 +514,7 @@ def divide_by_density(
     -----
     UndefinedRatioWarning
         If both are 0 at a sample. The text is the same for every block of an estimator, so that
-        Python's default filter shows it once.
+        Python's default filter shows the warning once.
     """
     scaled = pdf if values.ndim == pdf.ndim else pdf[..., None]
     zero = pdf <= 0

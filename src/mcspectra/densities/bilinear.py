@@ -31,9 +31,8 @@ class _Tables(NamedTuple):
     """Arguments of the kernels.
 
     The knots `xs` (w,) and `ys` (h,) run from 0 to 1. `nodes` (h, w) is the density at the knots.
-    `sums` (h, w) integrates the nodes along each row, from 0 at the first knot; this is exact for a
-    function that is linear between knots. `rows` (h,) integrates ``sums[:, -1]`` along the columns,
-    from 0 to 1.
+    `sums` (h, w) has the integrals along each row from 0 to each knot, exact for functions that are
+    linear between knots. `rows` (h,) integrates ``sums[:, -1]`` along the columns, from 0 to 1.
     """
 
     xs: Array
@@ -113,7 +112,7 @@ class Bilinear(Density):
                 np.concatenate([[0.0], (np.arange(k) + 0.5) / k, [1.0]]) for k in (width, height)
             )
             nodes = np.pad(table, ((1, 1), (1, 1)), mode="edge")
-        if self.periodic:  # average of the last and the first center
+        if self.periodic:  # average of the values at the last and the first center
             nodes[:, 0] = nodes[:, -1] = (nodes[:, 1] + nodes[:, -2]) / 2
         sums = _integrals(xs, nodes)
         rows = _integrals(ys, sums[:, -1])
@@ -158,7 +157,7 @@ def _fraction(knots: Array, i: int, x: float) -> float:
 
 @kernel
 def _solve(a: float, b: float, share: float) -> float:
-    """Return t in [0,1] such that the line from a to b has `share` of its integral below t.
+    """Return t in [0,1] such that `share` of the integral of the line from a to b lies below t.
 
     This is the root of (b − a) t²/2 + a t = share (a + b)/2, in the form without cancellation.
     """
@@ -200,13 +199,13 @@ def _evaluate(xs: Array, ys: Array, nodes: Array, x: Array, out: Array) -> None:
 
 @kernel
 def _column(xs: Array, nodes: Array, sums: Array, j: int, t: float, u: float) -> float:
-    """Return x_0 at the share u along the line at t between rows j and j+1."""
+    """Return x_0 below which the share u of the line at t between rows j and j+1 lies."""
     total = _mixed(sums, j, t, xs.size - 1)
     if total <= 0.0:  # a line without mass: the identity, which `_flatten` undoes
         return u
     target = min(u * total, below(total))
     low, size = 0, xs.size - 1
-    while size > 1:  # same as `last_at_most`, for a blend of two rows
+    while size > 1:  # same as `last_at_most`, but for a blend of two rows
         half = size >> 1
         low += half * (_mixed(sums, j, t, low + half) <= target)
         size -= half
@@ -226,7 +225,7 @@ def _shape(
         j = _interval(rows, u[k, 1])
         share = (u[k, 1] - rows[j]) / (rows[j + 1] - rows[j])
         x[k, 1] = _place(ys, j, _solve(sums[j, last], sums[j + 1, last], share))
-        t = _fraction(ys, j, x[k, 1])  # fraction of the rounded point, as in `_flatten`
+        t = _fraction(ys, j, x[k, 1])  # computed from the rounded point, as in `_flatten`
         x[k, 0] = _column(xs, nodes, sums, j, t, u[k, 0])
 
 

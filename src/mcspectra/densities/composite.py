@@ -5,10 +5,10 @@ Selection of a part
 A mixture p = Σ_t w_t p_t [OwenZhou2000]_ has two ways in which one point chooses its part:
 
 * ``"coordinate"``: one coordinate of u chooses the part and is stretched for further use. Dims and
-  strata are kept, but the warp jumps at the borders of the shares w_t. So does g(u) = f/p, which
-  costs jittered and low-discrepancy points their rate.
+  strata are kept, but the warp and g(u) = f/p jump at the borders of the shares w_t. Because of
+  these jumps, jittered and low-discrepancy points converge more slowly.
 * ``"extra"``: a further, last coordinate chooses the part. Each part gets all other coordinates,
-  but the estimator needs a sampler of d+1 dims, and g still jumps along the last one.
+  but the estimator needs a sampler of d+1 dims, and g still jumps along the last dim.
 * A *deterministic split* draws n w_t points of each part. It is not a warp of one point, but
   several techniques with the balance heuristic: `mcspectra.estimators.split_mixture`.
 """
@@ -45,7 +45,7 @@ from mcspectra.densities.registry import DENSITIES, as_density, density
 __all__ = ["Defensive", "Mixture", "Product"]
 
 _MAX_PARTS = 1024
-_PLACES = 4  # number of positions of the other coordinates, for each zero of a part
+_PLACES = 4  # for each zero of a part: number of positions of the other coordinates
 _SELECTIONS = ("coordinate", "extra")
 
 
@@ -72,7 +72,7 @@ def _as_part(part: Any, dims: int) -> Density:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Product(Density):
-    """Product of densities, p(x) = Π_j p_j(x of part j): the parts take the axes one after another.
+    """Product of densities, p(x) = Π_j p_j(x of part j): the parts use consecutive axes.
 
     Attributes
     ----------
@@ -91,7 +91,7 @@ class Product(Density):
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """Sum of the dims of the parts."""
+        """Number of dims: the sum over the parts."""
         return sum(part.dims for part in self.parts)
 
     @property
@@ -100,7 +100,7 @@ class Product(Density):
 
     @property
     def spec(self) -> str:
-        """Spec string that includes the dims of parts whose spec lacks them."""
+        """Spec string; it states the dims of each part."""
         return f"{self.name}(parts=[{', '.join(repr(_with_dims(part)) for part in self.parts)}])"
 
     @property
@@ -159,7 +159,7 @@ def _slices(sizes: list[int]) -> tuple[slice, ...]:
 
 
 def _with_dims(part: Density) -> str:
-    """Return the spec of a part, with its dims if they are not 1 and the class takes any."""
+    """Return the spec of a part, with its dims if not 1 and the class allows any number."""
     spec, takes = part.spec, "dims" in inspect.signature(type(part)).parameters
     if part.dims == 1 or not takes or part.name == "function":
         return spec
@@ -184,7 +184,7 @@ class Mixture(Density):
     selection
         How a point chooses its part, ``"coordinate"`` or ``"extra"``.
     axis
-        The coordinate that chooses, for ``"coordinate"``; for ``"extra"`` it is the last one.
+        Coordinate that chooses the part if `selection` is ``"coordinate"``; else the last one.
 
     Notes
     -----
@@ -249,8 +249,8 @@ class Mixture(Density):
         return tuple(tuple(sorted(b for b in axis if 0 < b < 1)) for axis in found)
 
     def preimages(self, x: object) -> Array:
-        """Return primary points of every part with an inverse, for selection by a coordinate."""
-        if self.selection == "extra":  # each x and part has a whole line of u
+        """Return primary points of all parts with an inverse, if a coordinate chooses the part."""
+        if self.selection == "extra":  # a whole line of u maps to each x and part
             return np.empty((0, self.primary_dims))
         found = [part.preimages(x) for part in self.parts]
         for t, u in enumerate(found):
@@ -297,13 +297,13 @@ class Mixture(Density):
 
     @cached_property
     def _borders(self) -> Array:
-        """Cumulative shares (T+1,), from 0 to exactly 1."""
+        """Cumulative sums of the shares (T+1,), from 0 to exactly 1."""
         sums = np.concatenate([[0.0], np.cumsum(self.shares)])
         sums[-1] = 1.0
         return np.asarray(np.minimum(sums, 1.0))
 
     def _place(self, t: int, v: Any) -> Any:
-        """Return the position of v in [0,1) of part t on the choosing axis."""
+        """Return the position on the choosing axis of v in [0,1), a coordinate of part t."""
         low, high = self._borders[t : t + 2]
         return low + v * (high - low)
 
@@ -325,7 +325,7 @@ class Defensive(Wrapper):
     share
         Share of the uniform density, above 0 and below 1.
     selection, axis
-        Same as in `Mixture`; the upper end of the coordinate chooses the uniform part.
+        Same as in `Mixture`. The upper end of the coordinate chooses the uniform part.
     """
 
     dims: int = None  # type: ignore[assignment]  # the density's own
@@ -357,7 +357,7 @@ class Defensive(Wrapper):
 
 
 def _dims_of(parts: Any, dims: int | None) -> int:
-    """Return the dims for spec strings without dims: `dims`, or those of a given part."""
+    """Return the dims for spec strings that state none: `dims`, or the dims of a given part."""
     if dims is not None:
         return as_integer("dims", dims, least=1)
     given = parts if isinstance(parts, list | tuple) else []

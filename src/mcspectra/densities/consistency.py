@@ -13,9 +13,9 @@ from mcspectra.densities.adaptive import CELLS, SET_SIZE, SETS, integrate, recur
 
 __all__ = ["check_density"]
 
-_SPREADS = 7.0  # Student's t with 31 degrees: 7e-8 per cell, 2e-5 for 256 cells
-# All sets may have the count k in a cell whose mean count is k + q, with probability (1 − q)^32:
-# less than 7e-8 for q > 0.4. If counts differ, the spread covers the deviation.
+_SPREADS = 7.0  # in standard errors: false alarm 7e-8 per cell, 2e-5 for 256 cells
+# If the mean count of a cell is k + q, all sets have the count k with probability (1 − q)^32: less
+# than 7e-8 for q > 0.4. If counts differ, their spread covers the deviation.
 _ALIKE = 0.4
 _ROUND_TRIP = 1e-6
 _INTEGRAL = 1e-4
@@ -55,22 +55,22 @@ def check_density(density: Checkable) -> None:
     Raises
     ------
     DensityError
-        If they are not; the message names the error and, if possible, the wrong function.
+        If these are inconsistent; the message names the error and, if possible, the wrong function.
 
     Notes
     -----
     * pdf is finite and not negative at 4096 points, and its integral is 1 to 1e-4.
     * sample stays in [0,1]; invert(sample(u)) = u to 1e-6, plus the effect of rounding of x on u.
     * Samples follow the pdf. In 1-D and 2-D, 32 shifted sets of 4096 points are counted in each of
-      64 (16 × 16) cells, and in cells of 2, 4, … times the edge. Their shares are compared with the
-      integrals of the pdf over the cells. The bound is 7 standard errors, plus 0.4/4096 for counts
-      that are equal in all sets, plus the error of the quadrature. In 1-D this detects a mass of
-      1/2 that is wrong by 0.1 %, and one of 1/64 that is wrong by 2 %, but not errors within a
-      cell. In three or more dims, where cells are too coarse, |det ∂T/∂u| · p(T(u)) = 1 is tested
-      by central differences at 512 points. 2 % of these may fail, next to jumps. If the warp is
-      not one-to-one (`Density.one_to_one`), the shares of the sets in each of 8 slabs of every
-      axis are compared with the mean of the pdf over that slab, from the same points. This tests
-      marginals only.
+        64 (16 × 16) cells, and in cells of 2, 4, … times the edge. The shares of the cells are
+        compared with the integrals of the pdf. The bound is 7 standard errors, plus 0.4/4096 for
+        counts that are equal in all sets, plus the error of the quadrature. In 1-D this detects a
+        mass of 1/2 that is wrong by 0.1 %, and a mass of 1/64 that is wrong by 2 %, but not errors
+        within a cell. In three or more dims, where cells are too coarse, |det ∂T/∂u| · p(T(u)) = 1
+        is tested by central differences at 512 points. 2 % of the points may fail, because of
+        jumps. If the warp is not one-to-one (`Density.one_to_one`), the shares of the points in
+        each of 8 slabs of every axis are compared with the mean of the pdf over that slab, from the
+        same points. This tests marginals only.
 
     A density with errors below these bounds passes. Peaks narrower than 2^-20 (2^-12 in 2-D) of the
     domain are not resolved.
@@ -116,7 +116,7 @@ def check_density(density: Checkable) -> None:
 
 
 def _round_trip(density: Checkable, u: Array, x: Array) -> str | None:
-    """Return a sentence if invert(sample(u)) is not u, else None."""
+    """Return an error message if invert(sample(u)) is not u, else None."""
     if not density.has_inverse:
         return None
     back = density._invert(x)
@@ -133,7 +133,7 @@ def _round_trip(density: Checkable, u: Array, x: Array) -> str | None:
 
 
 def _mass_problem(density: Checkable, x: Array) -> str | None:
-    """Return a sentence if masses of cells by pdf and by samples differ, else None."""
+    """Return an error message if pdf and samples differ in the mass of a cell, else None."""
     dims = density.dims
     side = CELLS[dims]
     pdf = integrate(density._pdf, dims, cells=side, points=x[0, :: 4 ** (dims - 1)])
@@ -168,14 +168,14 @@ def _mass_problem(density: Checkable, x: Array) -> str | None:
 
 
 def _doubled(cells: Array, side: int, dims: int) -> Array:
-    """Sum over cells of twice the edge: (..., side^d) to (..., (side/2)^d)."""
+    """Merge 2^d cells into one by sums: (..., side^d) to (..., (side/2)^d)."""
     grid = cells.reshape(*cells.shape[:-1], *(side // 2, 2) * dims)
     sums = grid.sum(axis=tuple(range(-1, -2 * dims, -2)))
     return np.asarray(sums.reshape(*cells.shape[:-1], -1))
 
 
 def _slab_problem(density: Checkable, x: Array) -> str | None:
-    """Return a sentence if samples and pdf differ in the share of a slab, else None."""
+    """Return an error message if pdf and samples differ in the share of a slab, else None."""
     y = recurrences(density.dims)
     p = density._pdf(y)
     for axis in range(density.dims):
@@ -196,7 +196,7 @@ def _slab_problem(density: Checkable, x: Array) -> str | None:
 
 
 def _jacobian_problem(density: Checkable, u: Array) -> str | None:
-    """Return a sentence if |det ∂T/∂u| p(T(u)) is not 1 or the pdf holds more, else None."""
+    """Return an error message if |det ∂T/∂u| p(T(u)) is not 1 or mass is missed, else None."""
     u = np.clip(u[2:514], 2 * _STEP, 1.0 - 2 * _STEP)
     steps = _STEP * np.eye(density.dims)
     ahead, behind = (density._sample(u[:, None, :] + s * steps) for s in (1.0, -1.0))

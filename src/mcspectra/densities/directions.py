@@ -3,9 +3,9 @@
 With solid angle dω = sin θ dθ dφ, a density q per steradian is p(x) = q |∂ω/∂x| on the square. It
 falls to 0 at the poles: ∫1/p diverges logarithmically, but ∫f²/p does not if f also contains sin θ.
 
-All densities rest on maps between the square and the disk or the sphere in polar coordinates. A
-point of the unit disk is (ρ, turn), a direction is (θ/π, turn), with turn = φ/2π in [0,1]. Maps to
-the disk preserve area up to the factor π, maps to the sphere up to 4π.
+All densities use maps from the square to the disk or the sphere in polar coordinates. A point of
+the unit disk is (ρ, turn), a direction is (θ/π, turn), with turn = φ/2π in [0,1]. Maps to the disk
+preserve area up to the factor π, maps to the sphere up to 4π.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _Map = tuple[Callable[[Array], _Pair], Callable[[Array, Array], Array]]
 
 
 def _polar_to_disk(u: Array) -> _Pair:
-    """turn = u_0, ρ² = u_1: unbounded distortion at the center, and x jumps at the seam."""
+    """Map by turn = u_0, ρ² = u_1: unbounded distortion at the center, and x jumps at the seam."""
     return np.sqrt(u[..., 1]), u[..., 0]
 
 
@@ -63,7 +63,7 @@ def _concentric_from_disk(radius: Array, turn: Array) -> Array:
 
 
 def _polar_to_sphere(u: Array) -> _Pair:
-    """turn = u_0, sin²(θ/2) = u_1: separable on the lat-long square."""
+    """Map by turn = u_0, sin²(θ/2) = u_1: separable on the lat-long square."""
     half = np.sqrt(np.minimum(u[..., 1], 1.0 - u[..., 1]))
     theta = 2.0 / np.pi * np.arcsin(half)
     return np.where(u[..., 1] > 0.5, 1.0 - theta, theta), u[..., 0]
@@ -75,7 +75,7 @@ def _polar_from_sphere(theta: Array, turn: Array) -> Array:
 
 
 def _octahedral_to_sphere(u: Array) -> _Pair:
-    """Fold the square to an octahedron of equal area [Clarberg2008]_: one pole at the corners."""
+    """Fold the square to an octahedron of equal area [Clarberg2008]_; the corners are one pole."""
     a, b = np.abs(2.0 * u[..., 0] - 1.0), np.abs(2.0 * u[..., 1] - 1.0)
     lower = a + b > 1.0
     radius = np.where(lower, (1.0 - a) + (1.0 - b), a + b)
@@ -93,7 +93,7 @@ def _octahedral_from_sphere(theta: Array, turn: Array) -> Array:
     below, left = turn > 0.5, np.abs(turn - 0.5) < 0.25
     folded = np.where(below, 1.0 - turn, turn)
     folded = np.where(left, 0.5 - folded, folded)
-    # |a| and |b| have the sum radius (or 2 − radius) and the difference radius·ratio
+    # |a| + |b| is radius (or 2 − radius), and |b| − |a| is radius · ratio
     b = 4.0 * radius * folded
     a = radius - b
     a, b = np.where(lower, 1.0 - b, a), np.where(lower, 1.0 - a, b)
@@ -101,7 +101,7 @@ def _octahedral_from_sphere(theta: Array, turn: Array) -> Array:
     return np.asarray(0.5 * (signed + 1.0))
 
 
-# Maps from the square to (ρ, turn) of the unit disk or (θ/π, turn) of the sphere, and inverses
+# Pairs of a map from the square to the disk (ρ, turn) or the sphere (θ/π, turn), and its inverse
 _DISK_MAPS: Mapping[str, _Map] = {
     "polar": (_polar_to_disk, _polar_from_disk),
     "concentric": (_concentric_to_disk, _concentric_from_disk),
@@ -134,8 +134,8 @@ def _as_center(name: str, value: Any) -> float | tuple[float, ...]:
 class DiskDensity(_TwoWarps):
     """Uniform on a disk inside the unit square, 0 outside.
 
-    Both warps preserve areas. They separate neighbors at different places (see `warp`), which
-    changes the rate of correlated samplers.
+    Both warps preserve areas. They separate neighboring points at different places (see `warp`),
+    which changes the rate of correlated samplers.
 
     Attributes
     ----------
@@ -145,9 +145,9 @@ class DiskDensity(_TwoWarps):
         Center of the disk, one number for both coordinates or one per coordinate; the disk must lie
         inside the square.
     warp
-        ``"polar"``: φ = 2π u_0, ρ² = radius² u_1. The sides u_0 = 0 and 1 coincide in x, the sides
-        of u_1 do not: the whole side u_1 = 0 maps to the center. ``"concentric"`` [Shirley1997]_:
-        squares around the center map to circles, and all sides lie on the rim.
+        ``"polar"``: φ = 2π u_0, ρ² = radius² u_1. The sides u_0 = 0 and 1 coincide in x.
+        The sides of u_1 do not coincide: the side u_1 = 0 maps to the center. ``"concentric"``
+        [Shirley1997]_: squares around the center map to circles, and all sides lie on the rim.
     """
 
     name: ClassVar[str] = "disk"
@@ -202,7 +202,7 @@ class HemisphereDensity(_TwoWarps):
         ``"uniform"``: 1/2π per steradian, p = (π/2) sin θ. ``"cosine"``: cos θ/π per steradian,
         p = (π/2) sin 2θ.
     warp
-        Map to the disk on which ρ² is the share up to θ. ``"polar"`` keeps x_0 = u_0 and is smooth
+        Map to a disk: ρ² is the share up to θ. ``"polar"`` keeps x_0 = u_0 and is smooth
         on the lat-long square. ``"concentric"`` ([Shirley1997]_, lifted as by Malley) is smooth on
         the sphere, and x jumps where φ passes 0: along u_1 = ½, u_0 > ½.
 

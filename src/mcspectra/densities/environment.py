@@ -34,7 +34,7 @@ from mcspectra.densities.tabulated import WARPS, PiecewiseConstant, shown
 
 __all__ = ["EnvironmentDensity", "ImageDensity", "compensated"]
 
-_NODES = 4  # nodes of a Gauss rule along each axis of a cell
+_NODES = 4  # number of Gauss nodes along each axis of a cell
 _BLOCK = 2**16  # number of cells processed at a time
 
 
@@ -62,10 +62,10 @@ class ImageDensity(Wrapper):
     path
         A file in a format that `mcspectra.core.images.read_image` supports.
     channel
-        ``"luminance"`` (Rec. 709; for one channel, that channel) or the number of a channel.
+        ``"luminance"`` (Rec. 709; the only channel if there is one) or the number of a channel.
     floor
-        Smallest pixel value, as a multiple of the mean; lower pixels are raised to it. Above 0 the
-        density is positive everywhere.
+        Smallest pixel value, as a multiple of the mean; lower pixels are raised to this value. If
+        it is above 0, the density is positive everywhere.
     linear
         Whether values of PNG and JPEG files are linear instead of sRGB.
     warp
@@ -110,13 +110,13 @@ class EnvironmentDensity(Wrapper):
         A file in a format that `mcspectra.core.images.read_image` supports, or pixels (h, w) or
         (h, w, channels), linear and at least 0; by default `synthetic_sky`.
     channel
-        ``"luminance"`` (Rec. 709; for one channel, that channel) or the number of a channel.
+        ``"luminance"`` (Rec. 709; the only channel if there is one) or the number of a channel.
     interpolation
         ``"constant"``: constant in each pixel, with mass exactly L · solid angle.
-        ``"bilinear"``: between pixel centers, periodic in φ, from L sin θ at the centers.
+        ``"bilinear"``: interpolates L sin θ between pixel centers, periodic in φ.
     sin_theta
-        Whether to weight rows by their solid angle; False samples L over the square, as for a
-        flat picture.
+        Whether to weight rows by their solid angle. False samples L over the square, as for a flat
+        picture.
     compensation
         False, or the multiple of the mean radiance to subtract: p ∝ max(0, L − multiple · mean L),
         the normal-independent form of [Karlik2019]_. True means 1, which suits equal numbers of
@@ -170,13 +170,13 @@ class EnvironmentDensity(Wrapper):
         scaled = radiance / radiance.max()
         mean = float(angles @ scaled.mean(axis=1))
         left = np.maximum(scaled - float(self.compensation) * mean, 0.0)
-        # The mean of a constant map may be rounded to just below the pixels
+        # The mean of a constant map may be rounded to just below the pixel values
         if self.compensation and left.max() <= 1e-12:
             raise DensityError(
                 f"Compensation leaves nothing of {source}: no pixel is above "
                 f"{float(self.compensation):g} times the mean; give a smaller multiple or False."
             )
-        # sin θ at the centers equals this up to a factor (see `row_solid_angles`)
+        # These angles are proportional to sin θ at the centers (see `row_solid_angles`)
         weighted = left * angles[:, None]
         if self.interpolation == "bilinear":
             return Bilinear(values=weighted, periodic=True)
@@ -198,25 +198,25 @@ def compensated(
     others
         Densities of the other techniques, or spec strings.
     counts
-        Number of points of `density` and of the others, as in `MultipleImportance`; equal by
-        default.
+        Number of points of `density` and of each other technique, as in `MultipleImportance`; equal
+        by default.
 
     Returns
     -------
     PiecewiseConstant
-        p'_τ with the warp of `density`; it is 0 in cells that the others sample often enough.
+        p'_τ with the warp of `density`; it is 0 in cells that the other techniques sample enough.
 
     Raises
     ------
     ParameterError
-        If it is not a table, or has other dims, or counts have another length.
+        If `density` is not a table, dims disagree, or `counts` has another length.
 
     Notes
     -----
-    The other densities enter by their means over cells, from Gauss rules of 4 nodes per axis. A
-    cell in which all others are 0 at one of these nodes keeps all of λ p, so that f stays covered;
-    `MultipleImportance` checks this again. Compensation is optimal only for f proportional to p. If
-    f has further factors, it is still unbiased.
+    The other densities enter by their means over cells, computed by Gauss rules of 4 nodes per
+    axis. A cell in which all other densities are 0 at one of these nodes keeps all of λ p, so that
+    f stays covered; `MultipleImportance` checks this again. Compensation is optimal only for f
+    proportional to p. If f has further factors, the estimate is still unbiased.
 
     Examples
     --------
@@ -257,7 +257,7 @@ def compensated(
 
 
 def _taken(others: list[Density], shares: Array, shape: tuple[int, ...]) -> Array:
-    """Return Σ β_s p_s over each cell, 0 if it vanishes anywhere in the cell: `shape`."""
+    """Return means of Σ β_s p_s over cells, 0 if it is 0 at a node of the cell: `shape`."""
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     grid = np.stack(np.meshgrid(*([0.5 * (node + 1)] * len(shape)), indexing="ij"), axis=-1)
     inside = grid.reshape(-1, len(shape))
@@ -277,12 +277,12 @@ def _taken(others: list[Density], shares: Array, shape: tuple[int, ...]) -> Arra
 
 
 def _level(p: Array, taken: Array, share: float) -> float:
-    """Return λ such that the mean of max(0, λ p − taken) is share; found by sorting."""
+    """Return λ, found by sorting, such that the mean of max(0, λ p − taken) is share."""
     inside = p.ravel() > 0
     own, other = p.ravel()[inside], taken.ravel()[inside]
     ratio = other / own
     order = np.argsort(ratio)
-    # λ if exactly the first k cells in this order are above 0; valid if the next is not.
+    # λ if exactly the first k cells in this order are above 0; valid if cell k + 1 is not above 0.
     levels = (share * p.size + np.cumsum(other[order])) / np.cumsum(own[order])
     ends = np.append(ratio[order][1:], np.inf)
     return float(levels[np.flatnonzero(levels <= ends)[0]])

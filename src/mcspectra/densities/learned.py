@@ -1,4 +1,4 @@
-"""Smooth densities of splines, one axis after another, with a share of the uniform density.
+"""Smooth spline densities, one axis after another, with a share of the uniform density.
 
 p(x) = δ + (1 − δ) Π_i q_i(x_i | x_1 … x_{i−1}), where q_i = Σ_m a_m B_m is a quadratic spline. The
 B_m are B-splines of integral 1. The weights a ≥ 0 have sum 1 and depend on the earlier coordinates:
@@ -8,9 +8,9 @@ B_m are B-splines of integral 1. The weights a ≥ 0 have sum 1 and depend on th
 * *flows*: a = softmax(θ_i φ), where φ are Legendre polynomials of each earlier coordinate x_j.
 
 The warp is Rosenblatt's [Rosenblatt1952]_ of p itself. Let Q be the density q of the given
-x_1 … x_{i−1}. Then u_i = ω F_i(x_i) + (1 − ω) x_i with ω = (1 − δ) Q/((1 − δ) Q + δ) and a monotone
-cubic spline F_i. No coordinate chooses a part: T is continuous, twice differentiable, and has an
-exact inverse.
+coordinates x_1 … x_{i−1}. Then u_i = ω F_i(x_i) + (1 − ω) x_i with ω = (1 − δ) Q/((1 − δ) Q + δ)
+and a monotone cubic spline F_i. No coordinate chooses a part: T is continuous, twice
+differentiable, and has an exact inverse.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ __all__ = ["DEGREE", "Learned", "SplineDensity", "flow_features", "spline_basis"
 
 DEGREE = 4  # degree of the polynomials of a flow
 _FORMAT = "mcspectra density 1"
-_MOST_GATE = 1e6  # largest allowed weight of a gate; fitted weights are smaller
+_MOST_GATE = 1e6  # largest absolute value of θ; fitted values are smaller
 _PDF, _SAMPLE, _INVERT = 0, 1, 2
-_SETTLED = 1e-14  # step of Newton's method at which the next is rounding
+_SETTLED = 1e-14  # a Newton step this small ends the iteration
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SplineDensity(Density):
-    """Given by its tables.
+    """Spline density that is given by its tables.
 
     Attributes
     ----------
@@ -54,9 +54,9 @@ class SplineDensity(Density):
     shares, tables
         For a mixture: w (K,) of sum 1, and c (K, d, M), rows of sum 1. Empty for a flow.
     gates
-        For a flow: θ (d, M, 1 + d·DEGREE), 0 for later coordinates. Empty for a mixture.
+        For a flow: θ (d, M, 1 + d·DEGREE), with 0 for later coordinates. Empty for a mixture.
     defensive
-        δ, the least density, so that |f/p| is at most |f|/δ.
+        δ, the smallest value of p, so that |f/p| is at most |f|/δ.
     """
 
     name: ClassVar[str] = "spline"
@@ -74,7 +74,7 @@ class SplineDensity(Density):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """On the first axis, the shares left of the knots; breaks of other axes depend on it."""
+        """Cdf at the knots of the first axis; breaks of other axes depend on the point."""
         middle = np.full((self.knots.shape[1] - 2, self.dims), 0.5)
         middle[:, 0] = self.knots[0, 1:-1]
         found = np.unique(self._walked(middle, _INVERT)[:, 0])
@@ -141,7 +141,7 @@ class Learned(Wrapper):
         return self._inside.dims
 
     def cuts(self, others: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
-        """Return domain places at which the pdf is not smooth, and `others`; up to 2-D."""
+        """Return `others` and the domain places where the pdf is not smooth; in up to 2-D."""
         if self.dims > 2:
             return others
         ends = self._inside.knots[:, 1:-1]
@@ -188,7 +188,7 @@ class Learned(Wrapper):
 
 
 def _splines(knots: Array) -> Any:
-    """Return quadratic B-splines of integral 1 on knots (C + 1,): a scipy spline of C + 2."""
+    """Return quadratic B-splines of integral 1 on knots (C + 1,): a SciPy spline of size C + 2."""
     from scipy.interpolate import BSpline
 
     ends = np.concatenate([[0.0, 0.0], knots, [1.0, 1.0]])
@@ -242,7 +242,7 @@ def _walk(
     out: Array,
 ) -> None:  # pragma: no cover - compiled
     # Fill out with the pdf (N, 1) at x, with x and pdf (N, d + 1) from u, or with u from x. The
-    # array a holds the weights of the splines of an axis
+    # array a holds the spline weights of one axis
     d, cells, parts = knots.shape[0], knots.shape[1] - 1, shares.size
     a, held, x = np.empty(cells + 2), np.empty(parts), np.empty(d)
     degree = (gates.shape[2] - 1) // d if parts == 0 else 0
@@ -267,7 +267,7 @@ def _walk(
             spread = (1.0 - defensive) * joint
             spread /= spread + defensive
 
-            # The cell of x_i: by the cdf of its end (sampling), or by its end
+            # The cell of x_i: found by the cdf at its end if sampling, else by the end itself
             left, c = 0.0, 0
             while c < cells - 1:
                 end = knots[i, c + 1]

@@ -6,7 +6,7 @@ positive everywhere. Both can be applied to any integrand in (s, t).
 
 Cumulative solid angles are written without differences of nearly equal terms, and inverted by
 Newton's method. The closed forms of the papers lose all digits for small lights, because they
-subtract angles of order 1 to obtain one of order Ω.
+compute a small angle Ω as a difference of angles of order 1.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ __all__ = ["SphericalRectangle", "SphericalTriangle"]
 Vector = tuple[float, float, float]
 
 _PERPENDICULAR = 1e-9  # largest cosine of the angle between edges of a rectangle
-_MOST = 120  # largest number of iterations: bisection needs 53, at most doubled by Newton steps
+_MOST = 120  # largest number of iterations: 53 of bisection, at most doubled by Newton's
 _EPS = float(np.finfo(float).eps)
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Light(Density):
-    """u_0 is the share of solid angle up to s, u_1 the share up to t on the line of constant s."""
+    """Maps u_0, the share of solid angle up to s, and u_1, the share up to t on the line at s."""
 
     dims: int = field(default=2, init=False)
 
@@ -64,13 +64,13 @@ def _solve_increasing(function: Callable[[Array], tuple[Array, Array]], target: 
     Parameters
     ----------
     function
-        s to F(s) and F'(s) > 0, with F(0) = 0 and F(1) = 1; all have the shape of `target`.
+        Function of s that returns F(s) and F'(s) > 0, with F(0) = 0, F(1) = 1; shapes as `target`.
     target
         Values in [0,1].
 
     Notes
     -----
-    Converged elements are not changed further, so results do not depend on neighbors.
+    Converged elements are not changed further, so results do not depend on other elements.
     """
     low, high = np.zeros_like(target), np.ones_like(target)
     s, last = target.copy(), np.ones_like(target)
@@ -131,7 +131,7 @@ class SphericalRectangle(_Light):
 
     @cached_property
     def _frame(self) -> tuple[float, float, float, float]:
-        """Least x and y in the frame of the edges around the origin, and the edges' lengths."""
+        """Smallest x and y of the light in the frame of its edges, and the lengths of the edges."""
         corner = np.subtract(self.corner, self.origin)
         e0, e1 = np.array(self.edge0), np.array(self.edge1)
         l0, l1 = float(norm(e0)), float(norm(e1))
@@ -223,7 +223,7 @@ class SphericalTriangle(_Light):
         return np.asarray(self._corners[1] + np.sqrt(t)[..., None] * edge)
 
     def _spread(self, point: Array) -> Array:
-        """Return |x| (|b||x| + b·x); 1 − cos of the angle between b and x is inverse to it."""
+        """Return |x| (|b||x| + b·x), which is ∝ 1/(1 − cos of the angle between b and x)."""
         b, length = self._corners[1], norm(point)
         return np.asarray(length * (norm(b) * length + point @ b))
 
@@ -235,7 +235,7 @@ class SphericalTriangle(_Light):
         return angle / self.solid_angle, slope / self.solid_angle
 
     def _share_of_line(self, s: Array, t: Array) -> tuple[Array, Array]:
-        """Return (1 − cos)/(1 − cos of the whole line), and its slope."""
+        """Return (1 − cos of the line up to t)/(1 − cos of the whole line), and its slope in t."""
         point, whole = self._point(s, t), self._spread(self._opposite(s))
         return t * whole / self._spread(point), 0.5 * whole / norm(point) ** 3
 
@@ -251,7 +251,7 @@ def _corners(x: Array, y0: float, length: float, z: float) -> tuple[Array, Array
 
 
 def _rise(squared: Array, start: float, length: Array | float) -> Array:
-    """Return the difference of y/√(R² + y²) between start + length and start, R² given."""
+    """Return the difference of y/√(R² + y²) between start + length and start, given R²."""
     end = start + np.asarray(length)
     ra, rb = np.sqrt(squared + start**2), np.sqrt(squared + end**2)
     weight = np.abs(end) * ra + np.abs(start) * rb

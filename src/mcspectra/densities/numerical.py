@@ -2,15 +2,15 @@
 
 1-D: the axis is divided into cells on which 12-point Chebyshev interpolants of the pdf are accurate
 to rounding. Jumps and kinks are enclosed in ever smaller cells. Matrices map the values at a cell's
-nodes to the coefficients of the interpolant, and to those of its integral. They also map to the
-interpolant at the nodes of both halves and at the ends, which shows whether the cell is resolved
-[Trefethen2013]_. The cdf is the integral of the interpolants; Newton's method inverts it in the
-cell. The interpolants are compared with the pdf at 2^18 further points.
+nodes to the coefficients of the interpolant and of its integral. Other matrices map the values to
+the interpolant at the nodes of both halves and at the ends, which shows whether the cell is
+resolved [Trefethen2013]_. The cdf is the integral of the interpolants; Newton's method inverts the
+cdf in the cell. The interpolants are compared with the pdf at 2^18 further points.
 
-2-D: the marginal of x_1, then x_0 given x_1, as in `mcspectra.densities.tabulated`. The row of each
-point is evaluated on common cells, so that the warp is as smooth along x_1 as the pdf. Cells are
-exact for jumps along lines x_0 = c and x_1 = c. Jumps and kinks along other lines are refused if
-one of 1018 rows with 1024 places shows them.
+2-D: first the marginal of x_1, then x_0 given x_1, as in `mcspectra.densities.tabulated`. The row
+of each point is evaluated on common cells, so that the warp is as smooth along x_1 as the pdf.
+Cells are exact for jumps along lines x_0 = c and x_1 = c. If one of 1018 rows with 1024 places
+shows jumps or kinks along other lines, the pdf is refused.
 """
 
 from __future__ import annotations
@@ -39,15 +39,15 @@ _BLOCK = 2**20  # number of values in a block of rows, 8 MiB
 _BEND = 1e-4
 _SHARP = 2.0**-18  # cells narrower than this enclose a jump or a kink
 _ORDER = 12
-_TOLERANCE = 1e-14  # tolerance per cell, relative to the whole integral
+_TOLERANCE = 1e-14  # tolerance of each cell, relative to the whole integral
 _MOST_UNRESOLVED = 1e-10
-_NARROWEST = 4.0  # smallest width of a cell, in floats
-_PLACE = 0.381966011250105  # position of a probe in its interval, off dyadic borders
+_NARROWEST = 4.0  # smallest width of a cell, in spacings of adjacent floats
+_PLACE = 0.381966011250105  # position of a probe in its interval; not near dyadic borders
 _PROBED = 2**14  # number of probes per block
 _OFF = 1e-7
 _JUMP = 2.0**-24  # cells narrower than this enclose a jump or a pole
 _ADVICE = "give sample=, or move a pole to 0, where floats are dense"
-_LEAST = 1e-290  # smallest width at 0; closer to 0 a pole may overflow
+_LEAST = 1e-290  # smallest width of the cell at 0; closer to 0 a pole may overflow
 
 _NODES = -np.cos(np.pi * (np.arange(_ORDER) + 0.5) / _ORDER)
 _TO_SERIES = np.linalg.inv(chebyshev.chebvander(_NODES, _ORDER - 1))
@@ -68,7 +68,7 @@ class NumericalWarp:
     Attributes
     ----------
     pdf
-        Points (..., d) to (...); its integral, `total`, need not be 1.
+        Function of points (..., d); its integral, `total`, need not be 1.
     dims
         Number of dims d, 1 or 2.
     spec
@@ -86,7 +86,7 @@ class NumericalWarp:
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """The cdf at jumps and kinks; in 2-D only on axis 1, since axis 0 depends on the row."""
+        """Cdf at jumps and kinks; in 2-D of axis 1 only, since breaks of axis 0 vary by row."""
         last = self._last.breaks()
         return (last,) if self.dims == 1 else ((), last)
 
@@ -99,7 +99,7 @@ class NumericalWarp:
 
     @cached_property
     def _last(self) -> _Axis:
-        """The only axis, or the marginal of x_1."""
+        """In 1-D the only axis, in 2-D the marginal of x_1."""
         density = self.pdf if self.dims == 1 else self._marginal
         subject = f"The pdf of {self.spec}" if self.dims == 1 else f"The marginal of {self.spec}"
         cells = _refine(
@@ -107,7 +107,7 @@ class NumericalWarp:
             start=256,
             most=_MOST[1] if self.dims == 1 else _MOST_OF_MARGINAL,
             subject=subject,
-            probes=_PROBES[1] if self.dims == 1 else 0,  # 3072 nodes exceed the number of rows
+            probes=_PROBES[1] if self.dims == 1 else 0,  # the nodes outnumber the rows
         )
         return _Axis.of(cells, density(cells.nodes[..., None]))
 
@@ -134,7 +134,7 @@ class NumericalWarp:
         return self._on_grid(self._rows.nodes, y[:, None, None])
 
     def _marginal(self, y: Array) -> Array:
-        """Return integrals over x_0 at y (..., 1)."""
+        """Return integrals of the pdf over x_0 at y (..., 1)."""
         flat = y.ravel()
         parts = [
             self._rows.masses(self._row_values(flat[b])).sum(axis=-1) for b in self._blocks(flat)
@@ -168,11 +168,11 @@ class NumericalWarp:
     def _in_rows(self, v: Array, y: Array, *, inverse: bool) -> Array:
         """Return x_0 of u_0 = v in the rows at y, or u_0 of x_0 = v."""
         values = self._row_values(y)
-        # Cdf of each row at the borders of cells, scaled to integral 1
+        # Cdf of each row at the borders of cells, scaled to end at 1
         sums = np.cumsum(self._rows.masses(values), axis=1)
         total = np.where(sums[:, -1] > 0, sums[:, -1], 1.0)[:, None]
         cdf = np.concatenate([np.zeros((len(y), 1)), sums / total], axis=1)
-        # Series of density and integral in the cell of each point
+        # Chebyshev series of density and integral in the cell of each point
         below = (cdf[:, :-1] <= v[:, None]).sum(axis=1) - 1
         cell = self._rows.find(v) if inverse else np.maximum(below, 0)
         each = np.arange(len(cell))
@@ -183,12 +183,12 @@ class NumericalWarp:
         return self._rows.place(cell, density, integral, v - start)
 
     def check_rows(self) -> None:
-        """Compare row integrals in 2-D with integrals on halved cells, at rows that made no cells.
+        """Compare integrals of rows in 2-D with integrals on halved cells, at other rows.
 
         Raises
         ------
         DensityError
-            If they differ, because there are jumps or kinks along other lines.
+            If the integrals differ, because of jumps or kinks along oblique or curved lines.
         """
         y = (0.25 + np.arange(_ROWS) * 0.7548776662466927) % 1.0
         finer = _Cells(*_halved(self._rows.low, self._rows.width))
@@ -203,7 +203,7 @@ class NumericalWarp:
 
 @dataclass(frozen=True)
 class _Axis:
-    """A cdf on cells: series of density (K, 12) and integral (K, 13) per cell, and cdf (K+1,)."""
+    """Cdf on K cells: series of density (K, 12) and integral (K, 13), and cdf at borders (K+1,)."""
 
     cells: _Cells
     density: Array
@@ -231,7 +231,7 @@ class _Axis:
         return np.asarray(np.clip(share, self.cdf[cell], self.cdf[cell + 1]))
 
     def breaks(self) -> tuple[float, ...]:
-        """Return the cdf at enclosed jumps and kinks, and at borders across which the pdf jumps."""
+        """Return the cdf at enclosed jumps and kinks, and at borders where the pdf jumps."""
         narrow = np.flatnonzero(self.cells.width < _SHARP)
         runs = np.split(narrow, np.flatnonzero(np.diff(narrow) > 1) + 1) if narrow.size else []
         closed = [run[np.argmin(self.cells.width[run])] for run in runs]
@@ -270,7 +270,7 @@ class _Cells:
         return np.clip(2.0 * (x - self.low[cell]) / self.width[cell] - 1.0, -1.0, 1.0)
 
     def place(self, cell: Array, density: Array, integral: Array, mass: Array) -> Array:
-        """Return the points of cells up to which their integral is `mass`."""
+        """Return the point in each cell up to which the integral is `mass`."""
         t = np.empty(mass.shape)
         _solve(density, integral, mass, t)
         return np.asarray(self.low[cell] + 0.5 * (t + 1.0) * self.width[cell])
@@ -303,14 +303,14 @@ def _refine(
 ) -> _Cells:
     """Split cells until the interpolants resolve a nonnegative function.
 
-    Details between the nodes of all cells are missed. Probes test for them. If the interpolant
-    differs from the function at a probe, the cells that contain it are split down to the distance
-    of the probes, and further if necessary.
+    Details between the nodes of all cells are missed. Therefore, if the interpolant differs from
+    the function at a probe, the cells that contain the probe are split down to the distance of the
+    probes, and further if necessary.
 
     Parameters
     ----------
     function
-        Nodes (C, 12) to values (C, 12, rows) of functions that share the cells.
+        Function of nodes (C, 12) that returns values (C, 12, rows); the rows share the cells.
     start, most
         Initial and largest number of cells.
     subject
@@ -342,7 +342,7 @@ def _refine(
 def _missed(
     function: Callable[[Array], Array], cells: _Cells, points: Array, subject: str
 ) -> Array:
-    """Return points at which the interpolant of some row is off, except within jumps."""
+    """Return points where the interpolant of some row is inaccurate, except within jumps."""
     at_nodes = function(cells.nodes)
     total = _size(at_nodes, cells.width)
     off = np.zeros(points.size, bool)
@@ -373,14 +373,14 @@ def _split(
     kept: list[tuple[Array, Array]] = []
     unresolved = 0.0
     while low.size:
-        # Test at the nodes of both halves and at the ends, because an end detects a jump between
-        # it and the next node. 0 may be a pole, so the next node replaces it
+        # Test at the nodes of both halves and at the ends: an end detects a jump between the end
+        # and the next node. 0 may be a pole, so the next node replaces it
         nodes = _spread(*_halved(low, width)).reshape(low.size, 2 * _ORDER)
         first = np.where(low > 0, low, nodes[:, 0])
         ends = np.stack([first, np.nextafter(low + width, 0.0)], axis=1)
         found = _checked(function(np.concatenate([nodes, ends], axis=1)), subject)
         off = np.abs(np.einsum("hn,cnr->chr", _TO_HALVES, values) - found)
-        off[low == 0, -2] = 0.0  # the left end is not tested at 0
+        off[low == 0, -2] = 0.0  # the left end 0 is not tested
         gap = off.max(axis=(1, 2)) * width
         narrow = width <= np.maximum(_NARROWEST * np.spacing(low + width), _LEAST)
         seen = np.searchsorted(points, low + width) == np.searchsorted(points, low)
@@ -408,7 +408,7 @@ def _halved(low: Array, width: Array) -> tuple[Array, Array]:
 
 
 def _size(values: Array, width: Array) -> float:
-    """Return the largest integral of the rows; 1 if all vanish, so that zeros count as resolved."""
+    """Return the largest integral of the rows; 1 if all are 0, so that zeros count as resolved."""
     total = float((values.mean(axis=1) * width[:, None]).sum(axis=0).max())
     return total or 1.0
 

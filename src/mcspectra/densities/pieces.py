@@ -1,13 +1,13 @@
-"""Densities in pieces between given places of each axis: constant, or linear, in 1-D products.
+"""Products of 1-D densities that are constant or linear between given places of each axis.
 
 `AlignedStrata` places edges on borders of strata. Points of equal weight need strata of equal
-volume. The borders of such strata miss an edge, unless n times its position is a whole number.
-Strata of other volumes need weights. A warp provides both. Each piece between edges gets k_j of s
-strata, at least one and in proportion to its length L_j. The piecewise constant density p =
-k_j/(s L_j) maps the edges to (k_0 + … + k_j)/s in primary space, on borders of the s equal strata.
-Weights 1/p differ from 1 only by the rounding of the k_j, and the estimator is unbiased. (Rounding
-the k_j at random, with equal weights, is an alternative, but then an edge still cuts strata and
-determines the variance.)
+volume. The borders of such strata miss an edge, unless n times the edge's position is a whole
+number. Strata of unequal volume need points with weights. A warp provides both. Each piece between
+edges gets k_j of s strata, at least one and in proportion to its length L_j. The piecewise constant
+density p = k_j/(s L_j) maps the edges to (k_0 + … + k_j)/s in primary space, on borders of the s
+equal strata. Weights 1/p differ from 1 only by the rounding of the k_j, and the estimator is
+unbiased. (Rounding the k_j at random, with equal weights, is an alternative, but then an edge still
+cuts strata and determines the variance.)
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def _as_edges(name: str, edges: Any) -> Any:
 @final
 @dataclass(frozen=True, kw_only=True)
 class AlignedStrata(Density):
-    """Piecewise constant, so that equal strata of primary space have borders at given edges.
+    """Piecewise constant density that puts borders of equal strata of primary space at edges.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ class AlignedStrata(Density):
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """1 for a list of edges, else the number of lists."""
+        """Number of dims: 1 for a list of edges, else the number of lists."""
         return len(self._per_axis)
 
     @property
@@ -150,9 +150,9 @@ class AlignedStrata(Density):
 
 
 def _allocated(lengths: Array, strata: int) -> Array:
-    """Return whole numbers ≥ 1 of sum `strata`, near `strata` · lengths: largest remainders.
+    """Return whole numbers ≥ 1 near `strata` · lengths with the sum `strata` (largest remainders).
 
-    If short pieces get more than their share, the other pieces divide the rest.
+    If short pieces get more than their share, the other pieces divide the remaining strata.
     """
     counts = np.ones(len(lengths), np.int64)
     long = np.ones(len(lengths), bool)
@@ -208,16 +208,16 @@ def _as_lines(name: str, given: Any) -> tuple[tuple[float, ...], ...]:
 @final
 @dataclass(frozen=True, kw_only=True)
 class GridDensity(Density):
-    """Product over the dims of histograms whose bins hold equal shares.
+    """Product over the dims of histograms whose bins have equal mass.
 
-    VEGAS adapts maps of this kind [Lepage1978]_: give the borders that it found.
+    VEGAS adapts maps of this kind [Lepage1978]_: give the borders from VEGAS.
 
     Attributes
     ----------
     nodes
-        Increasing borders of the N bins of each dim, N + 1 numbers from 0 to 1; N may differ
-        between dims. In 1-D the list of borders itself. u in [i/N, (i+1)/N) maps linearly to bin
-        i, where p_i = 1/(N width_i).
+        Increasing borders of the N bins of each dim: N + 1 numbers from 0 to 1. N may differ
+        between dims. In 1-D the list of borders itself. u in [i/N, (i+1)/N) maps linearly to bin i,
+        where p_i = 1/(N width_i).
     """
 
     name: ClassVar[str] = "grid"
@@ -225,7 +225,7 @@ class GridDensity(Density):
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """Number of lists of nodes."""
+        """Number of dims: the number of lists of nodes."""
         return len(self.nodes)
 
     @cached_property
@@ -234,7 +234,7 @@ class GridDensity(Density):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Shares i/N between bins of different width."""
+        """Positions i/N of borders between bins of different width."""
         return tuple(
             tuple((1 + np.flatnonzero(np.diff(np.diff(line)))) / (len(line) - 1))
             for line in self._lines
@@ -281,7 +281,7 @@ def _as_nodes(name: str, values: object) -> Any:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PiecewiseLinear(Density):
-    """Linear between nodes, given by its values at x = 0, 1/(k−1), …, 1.
+    """1-D density that is linear between nodes, given by values at x = 0, 1/(k−1), …, 1.
 
     Attributes
     ----------
@@ -293,7 +293,7 @@ class PiecewiseLinear(Density):
     -----
     Consider a cell with the densities a and b at its ends. The share r of its mass lies left of
     t = (a + b) r/(a + √D) with D = a² + (b² − a²) r, written from the lower end as in `Linear`.
-    These are sums of positive terms, so there is no cancellation for a → b, nor if a or b is 0.
+    These are sums of positive terms, so there is no cancellation for a → b, or if a or b is 0.
     """
 
     dims: int = field(default=1, init=False)

@@ -42,7 +42,7 @@ def density(spec: str, dims: int | None = None) -> Density:
     spec
         ``name`` or ``name(key=value, ...)``; see ``mcspectra list densities``.
     dims
-        Number of dims; by default those of the spec, else the density's default, or 2.
+        Number of dims; by default as in the spec, else the density's default, else 2.
 
     Raises
     ------
@@ -63,7 +63,7 @@ def density(spec: str, dims: int | None = None) -> Density:
 
 
 def as_density(given: object, dims: int | None = None) -> Density | None:
-    """Convert a density or spec string to a density, None to None; `dims`, if given, must agree.
+    """Convert a spec string to a density; return a density or None as given. `dims` must agree.
 
     Raises
     ------
@@ -87,7 +87,7 @@ def as_density(given: object, dims: int | None = None) -> Density | None:
 
 
 def as_warp(given: object, primary_dims: int) -> Density | None:
-    """Return a density whose warp takes points of `primary_dims` dims, None from None.
+    """Return a density whose warp takes points of `primary_dims` dims; None for None.
 
     The density has `primary_dims` dims, or one less if an extra coordinate chooses a part.
 
@@ -106,7 +106,7 @@ def as_warp(given: object, primary_dims: int) -> Density | None:
 
 
 def _fitting(spec: str, primary_dims: int) -> Density:
-    """Make a density with `primary_dims` dims, or one less if that fits its points."""
+    """Make a density of `primary_dims` dims, or of one less if its warp then fits."""
     try:
         made = density(spec, primary_dims)
     except ParameterError:

@@ -8,31 +8,31 @@ determines where the primary-space integrand g(u) = f(T(u))/p(T(u)) jumps, and h
 
 * ``"marginal"`` [Shirley1992]_ [Pharr2016]_ (§13.6.7): u_1 chooses the row by the marginal cdf, u_0
   the column by the cdf within that row. T_1 is continuous; T_0 jumps from row to row. All jumps lie
-  on axis-aligned segments: whole lines ``u_1 = row border``, and within a row pieces ``u_0 = column
-  border`` that differ from row to row. A line along u_0 crosses no jump of T, a line along u_1 at
-  most h − 1. If all rows are proportional (a separable table), T is continuous, and g jumps only
-  where p does, on whole lines.
+  on axis-aligned segments: whole lines ``u_1 = row border``, and within each row segments ``u_0 =
+  column border``, which differ from row to row. A line along u_0 crosses no jump of T, a line along
+  u_1 at most h − 1. If all rows are proportional (a separable table), T is continuous, and g jumps
+  only where p does, on whole lines.
 * ``"hierarchical"`` [McCoolHarwood1997]_ [Clarberg2005]_ halves the table repeatedly, always the
-  longer side, down to the cells. Each split takes its share of u along that side. Neighborhoods
-  stay compact in both axes, but a split is a jump for every other split that it crosses: lines
-  along u_0 cross at most w − 1 jumps, lines along u_1 h − 1.
+  longer side, down to the cells. Each split divides the coordinate of u along that side.
+  Neighborhoods stay compact along both axes, but each split jumps at all splits that it crosses:
+  lines along u_0 cross at most w − 1 jumps, lines along u_1 at most h − 1.
 * ``"alias"`` [Walker1977]_ [Vose1991]_ costs O(1): u_0 chooses one of h·w bins of equal size and
-  one of the two cells in it. The remainder of u_0 gives the position along x_0, u_1 that along x_1.
-  A line along u_0 crosses up to 2hw − 1 jumps, to arbitrary places; sets are stratified in u_1
-  only, within cells. Several bins may map to the whole of a cell, so T is many-to-one and has *no
-  inverse*.
-* ``"hilbert"`` [SteiglederMcCool2003]_: u_0 chooses a cell by the cdf along a Hilbert curve. Its
-  remainder gives the position in the direction in which the curve leaves the cell, u_1 the position
-  across it. A line along u_0 crosses up to hw − 1 jumps, at turns of the curve. Each jump stays
-  within two neighboring cells if the table is a square of side 2^k (else the curve leaves the table
-  and returns). A line along u_1 crosses no jumps. This warp is made for n strata in u_0: square
-  strata in 2-D provide only √n of them along the curve.
+  one of the two cells in it. The remainder of u_0 gives the position along x_0, and u_1 the
+  position along x_1. A line along u_0 crosses up to 2hw − 1 jumps, to arbitrary places. Sets remain
+  stratified only in u_1, within cells. Several bins may map to the whole of a cell, so T is
+  many-to-one and has *no inverse*.
+* ``"hilbert"`` [SteiglederMcCool2003]_: u_0 chooses a cell by the cdf along a Hilbert curve. The
+  remainder of u_0 gives the position in the direction in which the curve leaves the cell, and u_1
+  the position perpendicular to this direction. A line along u_0 crosses up to hw − 1 jumps, at
+  turns of the curve. Each jump stays within two neighboring cells if the table is a square of side
+  2^k (else the curve leaves the table and returns). A line along u_1 crosses no jumps. This warp is
+  made for n strata in u_0: square strata in 2-D provide only √n strata along the curve.
 
-*Bilinear* tables (`bilinear`) make p, and so g along rows, continuous. They are the remedy if jumps
+*Bilinear* tables (`bilinear`) make p continuous, and hence g along rows. Use such tables if jumps
 reduce the rate.
 
-A border cuts strata, rather than falling between them, unless its position is a multiple of their
-side. Jittered sampling in 2-D then falls from n^-2 to n^-1.5 (see the environment-map study).
+A border cuts strata unless its position is a multiple of the side of a stratum. The variance of
+jittered sampling in 2-D then falls as n^-1.5 instead of n^-2 (see the environment-map study).
 """
 
 from __future__ import annotations
@@ -63,10 +63,10 @@ __all__ = [
 
 WARPS = ("marginal", "hierarchical", "alias", "hilbert")
 
-_MOST_SHOWN = 256  # tables up to this size are kept as lists, which spec strings show
+_MOST_SHOWN = 256  # tables up to this size are kept as lists, shown in spec strings
 _MOST_CELLS = 2**26  # largest number of cells; 512 MiB per copy, and a warp has a few
-_MOST_BREAKS = 2**12  # largest number of breaks; quadrature between more does not pay off
-_SAME_ROWS = 1e-12  # relative tolerance for rows that are proportional
+_MOST_BREAKS = 2**12  # largest number of breaks; quadrature between more breaks does not pay
+_SAME_ROWS = 1e-12  # relative tolerance for proportional rows
 
 
 def as_table(values: object) -> Array:
@@ -112,7 +112,7 @@ def flat(points: Array) -> Array:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PiecewiseConstant(Density):
-    """Constant in cells of equal size, given by a list (1-D) or by rows of a table (2-D).
+    """Constant in each cell, given by a list (1-D) or by the rows of a table (2-D).
 
     Attributes
     ----------
@@ -130,21 +130,21 @@ class PiecewiseConstant(Density):
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """1 or 2, the number of axes of `values`."""
+        """Number of dims: 1 or 2, the number of axes of `values`."""
         return int(self._table.ndim)
 
     @property
     def has_inverse(self) -> bool:
-        """Whether the warp is one-to-one; alias tables are not."""
+        """Whether the warp is one-to-one; the alias warp is not."""
         return self.warp != "alias"
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Shares at which the warp or its slope jumps along a whole axis-normal line.
+        """Positions in u at which the warp or its slope jumps on a whole axis-normal line.
 
         In 1-D this is the cdf at the borders between different cells, in 2-D the breaks of the
-        warp. Borders that form segments rather than lines are omitted, and so are more than 4096
-        per axis.
+        warp. Borders that form segments rather than lines are omitted, and so are the borders of an
+        axis with more than 4096.
         """
         return self._warp.breaks()[: self.dims]
 
@@ -211,7 +211,7 @@ def _cdf(masses: Array) -> Array:
 
 
 def _inner(borders: Array, differ: Array | None = None) -> tuple[float, ...]:
-    """Return ascending borders within (0,1) between cells that differ; empty if over 4096."""
+    """Return ascending borders within (0,1) between different cells; empty if more than 4096."""
     kept = borders if differ is None else borders[1:-1][differ != 0]
     found = np.unique(kept)
     found = found[(found > 0) & (found < 1)]
@@ -225,7 +225,7 @@ def _inner(borders: Array, differ: Array | None = None) -> tuple[float, ...]:
 
 @kernel
 def below(x: float) -> float:
-    """Return the float before x, for x in (0, 1]."""
+    """Return the next smaller float than x, for x in (0, 1]."""
     return np.nextafter(x, 0.0)  # type: ignore[no-any-return]
 
 
@@ -272,7 +272,7 @@ def _look_up(table: Array, x: Array, out: Array) -> None:
 
 @final
 class _Marginal:
-    """u_1 chooses the row by the marginal cdf, u_0 the column by the cdf within that row."""
+    """Marginal warp: u_1 chooses the row by the marginal cdf, u_0 the column by the row's cdf."""
 
     def __init__(self, cells: Array) -> None:
         self.cells = cells
@@ -286,7 +286,7 @@ class _Marginal:
         _unwarp_rows(self.rows, self.columns, x, u)
 
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Marginal cdf between different rows; column borders if the table is separable."""
+        """Marginal cdf between different rows; also cdf at column borders if separable."""
         # Rows are proportional if all rows with mass have the same cdf as the first one
         columns = self.columns[self.cells.any(axis=1)]
         separable = np.abs(columns - columns[0]).max() <= _SAME_ROWS
@@ -305,7 +305,7 @@ def _stretch(borders: Array, u: float) -> tuple[int, float]:
 
 @kernel
 def _shrink(borders: Array, x: float) -> tuple[int, float]:
-    """Return the cell of x and the share up to it."""
+    """Return the cell of x, and the cdf at x."""
     cells = borders.size - 1
     i = _cell_at(x, cells)
     width = borders[i + 1] - borders[i]
@@ -333,7 +333,7 @@ def _unwarp_rows(rows: Array, columns: Array, x: Array, u: Array) -> None:
 
 @final
 class _Hierarchical:
-    """Binary splits of the longer side down to the cells, each by the coordinate along that side.
+    """Hierarchical warp: splits of the longer side down to the cells, by the coordinate along it.
 
     `shares` is a heap: node k has the children 2k+1 (lower indices) and 2k+2, and shares[k] is the
     fraction of its mass in the first child. `axes` (levels,) is the axis that each level splits:
@@ -341,7 +341,7 @@ class _Hierarchical:
     """
 
     def __init__(self, cells: Array) -> None:
-        # Split the longer side from the root on, and rows if both are equal
+        # From the root on, split the longer side, or the rows if both sides are equal
         bits = [(size - 1).bit_length() for size in cells.shape]
         table = np.pad(cells, [(0, 2**b - size) for b, size in zip(bits, cells.shape, strict=True)])
         axes = []
@@ -349,7 +349,7 @@ class _Hierarchical:
             axes.append(int(bits[0] >= bits[1]))
             bits[1 - axes[-1]] -= 1
         self.cells, self.axes = cells, np.array(axes, np.int64)
-        # Sum pairs of rows (axis 1) or columns (axis 0) from the cells up
+        # From the cells up, sum pairs of rows (axis 1) or of columns (axis 0)
         levels = [np.empty(0)]
         for depth in range(len(axes) - 1, -1, -1):
             pairs = (table[0::2], table[1::2]) if axes[depth] else (table[:, 0::2], table[:, 1::2])
@@ -370,7 +370,7 @@ class _Hierarchical:
         _return_to_root(self.shares, self.axes, self.cells.shape, x, u)
 
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Borders of the splits before the first one along the other axis, which cut all lines."""
+        """Borders of the first splits, along one axis; later borders do not cross the square."""
         found: list[tuple[float, ...]] = [(), ()]
         if self.axes.size:
             axis = int(self.axes[0])
@@ -384,7 +384,7 @@ class _Hierarchical:
 
 @kernel
 def _descend(shares: Array, axes: Array, size: tuple[int, ...], u: Array, x: Array) -> None:
-    """Let each split take its part of u and stretch it."""
+    """Fill x: each split chooses a half by a coordinate of u, and stretches the coordinate."""
     height, width = size
     one = below(1.0)
     for k in range(u.shape[0]):
@@ -442,9 +442,9 @@ def _return_to_root(shares: Array, axes: Array, size: tuple[int, ...], x: Array,
 
 @final
 class _Alias:
-    """u_0 chooses a bin and one of its two cells; its remainder places along x_0, u_1 along x_1.
+    """Alias warp: u_0 chooses a bin, one of its two cells and the place along x_0; u_1 along x_1.
 
-    Bin i of n maps to cell i with probability `keep[i]`, and otherwise to the cell `other[i]`.
+    Bin i of n maps to cell i with probability `keep[i]`, otherwise to cell `other[i]`.
     """
 
     def __init__(self, cells: Array) -> None:
@@ -455,7 +455,7 @@ class _Alias:
         _jump(self.keep, self.other, self.cells.shape, u, x)
 
     def invert(self, x: Array, u: Array) -> None:
-        """Raise an error, since a cell belongs to several bins; never called."""
+        """Raise an error, since a cell may belong to several bins; never called."""
         raise NotImplementedError
 
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
@@ -468,13 +468,14 @@ class _Alias:
 def _alias_table(masses: Array) -> tuple[Array, Array]:
     """Return shares `keep` (n,) and cells `other` (n,) of masses (n,) whose mean is 1.
 
-    A cell above the mean fills up each cell below the mean. Empty cells get a share of exactly 0:
-    they are filled first while others are above the mean, and rounding leaves values near 1.
+    Cells above the mean fill the bins of cells below the mean. Empty cells get a share of exactly
+    0: their bins are filled first, while other cells are above the mean, and rounding leaves values
+    near 1.
     """
     n = masses.size
     left = masses.copy()
     keep, other = np.ones(n), np.arange(n)
-    stack = np.empty(n, np.int64)  # cells below the mean from the front, the others from the back
+    stack = np.empty(n, np.int64)  # cells below the mean at the front, others at the back
     low, high = 0, n
     for i in range(n):
         if left[i] < 1.0:
@@ -515,16 +516,16 @@ def _jump(keep: Array, other: Array, size: tuple[int, ...], u: Array, x: Array) 
 
 @final
 class _Hilbert:
-    """u_0 runs through the cells along a Hilbert curve and places along it, u_1 across it.
+    """Hilbert warp: u_0 is the position along a Hilbert curve through the cells, u_1 across it.
 
-    `borders` (n+1,) is the cdf of the cells in the order of the curve. `order` (n,) has their flat
-    indices, and `places` is its inverse. `headings` (n,) has the next direction of the curve: 0
-    +x_0, 1 −x_0, 2 +x_1, 3 −x_1. `guide` has the cell of each of 2^g equal shares, so that a search
-    starts within one or two cells [ChenAsau1974]_.
+    `borders` (n+1,) is the cdf of the cells in the order of the curve. `order` (n,) has the flat
+    indices of these cells, and `places` is its inverse. `headings` (n,) has the direction in which
+    the curve leaves each cell: 0 is +x_0, 1 is −x_0, 2 is +x_1, 3 is −x_1. `guide` has the cell of
+    each of 2^g equal shares, so that a search starts within one or two cells [ChenAsau1974]_.
     """
 
     def __init__(self, cells: Array) -> None:
-        # Order the cells by the curve through the smallest square of 2^k cells around them
+        # Order the cells by the curve through the smallest enclosing square of side 2^k
         side = 1 << (max(cells.shape) - 1).bit_length()
         numbers = np.empty(cells.size, np.int64)
         headings = np.zeros(cells.size, np.int8)
@@ -553,7 +554,7 @@ class _Hilbert:
 def _position(side: int, column: int, row: int) -> int:
     """Return the number of a cell along the curve through side × side cells, side a power of two.
 
-    Quadrants are entered one after another, each turned so that its curve fits.
+    The curve visits one quadrant after another, each turned so that the ends meet.
     """
     found = 0
     step = side >> 1
@@ -570,9 +571,10 @@ def _position(side: int, column: int, row: int) -> int:
 
 @kernel
 def _places_on_curve(side: int, size: tuple[int, ...], places: Array, headings: Array) -> None:
-    """Fill the curve's numbers (height · width,) of the cells and their headings.
+    """Fill the numbers of the cells along the curve, (height · width,), and their headings.
 
-    The heading is the direction of the neighbor with the next number; the last cell continues.
+    The heading of a cell points to the neighbor with the next number. The heading of the last cell
+    is that of the cell before.
     """
     height, width = size
     last = side * side - 1
@@ -602,7 +604,7 @@ def _follow(
 ) -> None:
     height, width = size
     for k in range(u.shape[0]):
-        # u · 2^g is exact, so the bracket of the guide contains u
+        # u · 2^g is exact, so the guide's interval contains u
         g = int(u[k, 0] * (guide.size - 1))
         i = last_at_most(borders, guide[g], guide[g + 1] + 1 - guide[g], u[k, 0])
         rest = (u[k, 0] - borders[i]) / (borders[i + 1] - borders[i])

@@ -62,7 +62,7 @@ def quality_figures(
     n
         Number of points per realization. Optional for given points.
     figures
-        Names from `FIGURES`. Default: all; figures of projections need at least 3 dims.
+        Names from `FIGURES`. Default: all. Figures of projections need at least 3 dims.
     realizations
         Number of realizations. Default: all sets of given points, 1 for a deterministic sampler,
         else 16.
@@ -75,9 +75,10 @@ def quality_figures(
     -------
     xarray.Dataset
         One variable per figure on the dim ``realization``. A figure that cannot be computed (too
-        many points, too many dims, not a power of the base) is NaN, with the reason in its
-        attribute ``missing``. The attribute ``sets`` is the number of different sets if the sampler
-        has a limited number; ``projections`` states the pairs of axes that were used.
+        many points, too many dims, or a number of points that is not a power of the base) is NaN,
+        and its attribute ``missing`` gives the reason. The attribute ``sets`` is the number of
+        different sets if the sampler has a limited number. ``projections`` lists the pairs of axes
+        that were used.
 
     Raises
     ------
@@ -110,13 +111,13 @@ def quality_figures(
             raise ParameterError(f"There is no quality figure {shown(name)}.{known}")
     names = list(dict.fromkeys(given))
     bases = set(sampler.digit_bases)
-    base = bases.pop() if len(bases) == 1 else 0  # base of the digits; 0 if coordinates differ
+    base = bases.pop() if len(bases) == 1 else 0  # common base of the digits; 0 if none
     stream = Stream.from_rng(rng)
     count = different_realizations(sampler, n, stream) if realizations is None else realizations
     count = as_integer("realizations", count, least=1, most=MAX_REALIZATIONS)
 
     def one(realization: int) -> list[tuple[float, str]]:
-        """Return value and reason of each figure; the value is NaN if there is a reason."""
+        """Return each figure's value and reason; the value is NaN if there is a reason."""
         points, found = sampler.draw_stream(n, stream, realization, 1)[0], []
         for name in names:
             try:
@@ -159,7 +160,7 @@ class FigureSummary:
     mean, standard_error
         Mean over realizations and its standard error, which is NaN for a single realization.
     missing
-        Reason for a missing mean, else empty.
+        Reason why the mean is missing; empty if there is a mean.
     """
 
     name: str
@@ -194,7 +195,7 @@ def summarize(figures: xr.Dataset) -> list[FigureSummary]:
 
 
 def different_realizations(sampler: Sampler, n: int, stream: Stream, most: int = 16) -> int:
-    """Return the number of useful realizations: `most`, all given sets, or 1 for a fixed set."""
+    """Return the number of different realizations: 1 for a fixed set, all given sets, or `most`."""
     if isinstance(sampler, GivenPoints):
         sets = len(sampler.sets[n])
         return min(most, sets) if sampler.cycle else sets
@@ -209,7 +210,7 @@ def _pairs(dims: int) -> list[tuple[int, int]]:
 def _projected(
     figure: Callable[[Array], float], choose: Callable[[Array], Any], points: Array
 ) -> float:
-    """Return the worst or mean figure over projections on two axes."""
+    """Return the worst or the mean of a figure over the projections on two axes."""
     if points.shape[1] < 3:
         raise ParameterError("Projections on two axes need point sets in at least 3 dims.")
     values = [figure(points[:, pair]) for pair in map(list, _pairs(points.shape[1]))]
@@ -271,4 +272,4 @@ FIGURES: Mapping[str, Callable[..., float | None]] = {
 }
 """Figures of a set (n, d) by name; `core.results` describes each."""
 
-_OF_DIGITS = ("t_value", "elementary_intervals")  # figures that also take the base of the digits
+_OF_DIGITS = ("t_value", "elementary_intervals")  # figures that depend on the base

@@ -1,8 +1,8 @@
 """Find discontinuities of functions on the unit interval or square by refinement.
 
 The interval between two neighboring grid points is halved repeatedly, each time keeping the half
-in which the function changes more. A change that shrinks with the interval is a slope, a change
-that stays is a jump, and a change that grows is a pole.
+in which the function changes more. If the change shrinks with the interval, it is a slope; if the
+change stays, it is a jump; if it grows, there is a pole.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from mcspectra.core.checks import Array
 
 __all__ = ["Jumps", "curve_length", "find_jumps", "grid_centers"]
 
-_FIRST, _NEXT = 6, 12  # number of halvings to discard slopes, and between later comparisons
-# Fraction of the change that must remain after the first halvings; a straight line leaves 1/64
+_FIRST, _NEXT = 6, 12  # numbers of halvings: to discard slopes, and between comparisons
+# Fraction of the change that must remain after the first halvings; for a line 1/64 remains
 _SLOPE = 1 / 32
-_STAYS = 0.5  # fraction that must remain after the last halvings for a jump; a root leaves 2^-6
-_GROWS = 2.0  # factor above which the change indicates a pole
+_STAYS = 0.5  # fraction of a jump that remains after the last halvings; for a root 2^-6
+_GROWS = 2.0  # factor of growth above which the change is a pole
 _NEGLIGIBLE = 1e-7  # fraction of the scale below which changes are ignored
 _BLOCK = 8  # cells per side of a block in which a curve is treated as straight
 
@@ -38,8 +38,8 @@ class Jumps:
         Size of the jump between a cell and the next along each axis, (d, N) or (d, N, N); 0 without
         a jump. The last cell of each axis has no next cell.
     poles
-        Whether the function grows without bound at the jump, same shape. A pole with similar values
-        on both sides is not detected.
+        Whether the function grows without bound at the jump, with the shape of `heights`. A pole
+        with similar values on both sides is not detected.
     """
 
     heights: Array
@@ -75,13 +75,13 @@ def find_jumps(function: Function, dims: int, side: int, *, scale: float) -> Jum
     side
         Number of cells along each axis.
     scale
-        Typical size of the values; jumps below 1e-7 · scale are ignored.
+        Typical size of the values; jumps smaller than 1e-7 · scale are ignored.
 
     Notes
     -----
     A jump smaller than about 1/60 of the smooth change between two cells cannot be distinguished
-    from it. Of several jumps in one interval only the largest is found. Costs about 7 evaluations
-    for each of d·side^d intervals, and 24 more for each possible jump.
+    from a slope. Of several jumps in one interval only the largest is found. Costs about 7
+    evaluations for each of d·side^d intervals, and 24 more for each possible jump.
     """
     heights = np.zeros((dims, *[side] * dims))
     poles = np.zeros(heights.shape, bool)
@@ -112,7 +112,7 @@ def find_jumps(function: Function, dims: int, side: int, *, scale: float) -> Jum
 
 
 def curve_length(crossed: Array) -> float:
-    """Estimate the length of curves from the intervals that they cross.
+    """Estimate the length of curves from the intervals that the curves cross.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def curve_length(crossed: Array) -> float:
 
 
 def _halve(function: Function, ends: Array, values: Array, times: int) -> tuple[Array, Array]:
-    """Halve intervals (2, k, d) with values (2, k, c), keeping the half with more change."""
+    """Halve intervals (2, k, d) with values (2, k, c), keeping the half with the larger change."""
     for _ in itertools.repeat(None, times):
         if not ends.shape[1]:
             break

@@ -1,6 +1,6 @@
 """The quality parameter t of nets, found by counting points.
 
-An elementary interval in base b is a box with sides b^-k_j whose corners are multiples of the
+An elementary interval in base b is a box with sides b^-k_j whose corners are multiples of its
 sides. A set of n = b^m points is a (t, m, d)-net if every elementary interval of volume b^(t−m)
 contains b^t points.
 """
@@ -17,7 +17,7 @@ from mcspectra.samplers._primes import LARGEST_BASE, power_from
 
 __all__ = ["elementary_intervals", "net_t_value"]
 
-_MOST_WORK = 2**34  # limit for points × interval shapes of one volume, which takes about a minute
+_MOST_WORK = 2**34  # largest points × interval shapes of one volume; takes about a minute
 
 
 def net_t_value(points: object, base: int = 2) -> int | None:
@@ -26,8 +26,8 @@ def net_t_value(points: object, base: int = 2) -> int | None:
     Parameters
     ----------
     points
-        Point set in [0,1), (n, d). Coordinates at most 2^-52 below a multiple of b^-m are rounded
-        up to this multiple.
+        Point set in [0,1), (n, d). Coordinates that are at most 2^-52 below a multiple of b^-m are
+        rounded up to the multiple.
     base
         Base b.
 

@@ -1,4 +1,4 @@
-"""Exact quality figures of one point set: toroidal distances, discrepancies, diaphony.
+"""Exact quality figures of one point set: toroidal distances, discrepancies and diaphony.
 
 Loops visit every pair of points once.
 """
@@ -25,8 +25,8 @@ __all__ = [
     "star_discrepancy",
 ]
 
-_MAX_PAIR_WORK = 2**27  # limit of n² d for loops over pairs: about a second, 8192 points in 2-D
-_TREE_DIMS = 6  # largest number of dims for a tree; in more dims it visits nearly all pairs
+_MAX_PAIR_WORK = 2**27  # largest n² d of loops over pairs: about a second, 8192 points in 2-D
+_TREE_DIMS = 6  # most dims for a tree; in more dims a tree visits nearly all pairs
 _TREE_POINTS = 2**21
 
 _BEST_LATTICE = {
@@ -37,9 +37,9 @@ _BEST_LATTICE = {
     8: math.sqrt(2.0),
     24: 2.0,
 }
-_MOST_STAR_POINTS = 2**14  # largest number of points in 2-D, which takes half a second
+_MOST_STAR_POINTS = 2**14  # largest number of points in 2-D; takes half a second
 _SCIPY: Mapping[str, tuple[str, bool]] = {
-    # kind: SciPy's name, and whether it returns the square
+    # kind: SciPy's name, and whether SciPy returns the square
     "star": ("L2-star", False),
     "centered": ("CD", True),
     "wraparound": ("WD", True),
@@ -91,7 +91,7 @@ def nearest_distances(points: object) -> Array:
         raise ParameterError(f"{n} points are too many for distances; give at most {_TREE_POINTS}.")
     from scipy.spatial import cKDTree
 
-    # Equal points have distance 0; a tree would visit all pairs of them
+    # Equal points have distance 0; a tree would visit all pairs of equal points
     sites, index, counts = distinct_points(x)
     distances = np.zeros(len(sites))
     if len(sites) > 1:
@@ -159,7 +159,7 @@ def star_discrepancy(points: object) -> float:
     Raises
     ------
     ParameterError
-        If d > 2 (exact algorithms take O(n^(1 + d/2)) and are not built in), or n > 2^14 in 2-D.
+        If d > 2 (exact algorithms take O(n^(1 + d/2)) and are not implemented), or n > 2^14 in 2-D.
 
     Notes
     -----
@@ -187,9 +187,9 @@ def star_discrepancy(points: object) -> float:
 def _star_discrepancy_2d(x: Array, y: Array) -> float:
     """Return D* of the points (x_i, y_i), x ascending.
 
-    The supremum over boxes [0,a) × [0,b) is reached or approached at coordinates of points or 1 for
-    a and b. Each column of the grid of all coordinates is scanned together with the points to the
-    left of it, which are sorted by y.
+    The supremum over boxes [0,a) × [0,b) is reached or approached where a and b are coordinates of
+    points, or 1. Each column of the grid of all coordinates is scanned together with the points to
+    the left of the column, which are sorted by y.
     """
     n = len(x)
     heights = np.empty(n + 2)
@@ -297,7 +297,7 @@ def _diaphony_sum(x: Array) -> float:
     n, dims = x.shape
     total = 0.0
     for i in range(n):
-        row = 0.0  # one sum per point keeps rounding errors at n instead of n² terms
+        row = 0.0  # one sum per point: rounding errors of n terms, not of n²
         for j in range(i):
             product = 1.0
             for k in range(dims):

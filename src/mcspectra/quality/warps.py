@@ -14,8 +14,8 @@ from mcspectra.quality.jumps import find_jumps, grid_centers
 
 __all__ = ["warp_quality"]
 
-_STEP = 1e-3  # step of the differences for slopes, as a fraction of a cell
-_ASIDE = (0.31, 0.17)  # offset from the cell center in cells, to avoid creases through centers
+_STEP = 1e-3  # step of the finite differences, as a fraction of a cell
+_ASIDE = (0.31, 0.17)  # offset from the cell centers, in cells; creases may pass through centers
 
 
 def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset:
@@ -31,16 +31,17 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
     Returns
     -------
     xarray.Dataset
-        Maps: ``stretch`` (u0, u1), the largest divided by the smallest singular value of ∂T/∂u in
-        each cell (1 in 1-D, infinite where T is flat); ``jump`` (axis, u0, u1), the jump of T
-        between a cell and the next along each axis (0 where T is continuous); ``warped``
-        (u0, u1, coordinate), T at the cell centers.
+        Maps: ``stretch`` (u0, u1), the largest singular value of ∂T/∂u in each cell divided by the
+        smallest (1 in 1-D, infinite where T is flat); ``jump`` (axis, u0, u1), the jump of T
+        between a cell and the next along each axis (0 where T is continuous); ``warped`` (u0, u1,
+        coordinate), T at the cell centers.
 
         Numbers: ``mean_stretch`` (geometric mean over cells where T is not flat), ``max_stretch``,
-        ``jump_length`` (number of jumps in 1-D) and ``mean_jump``. ``distortion`` is the geometric
-        mean of the diameter of a small square's image divided by the diameter of a square of equal
-        area (1 if squares stay squares). ``neighbor_expansion`` is the root mean square distance
-        between images of neighboring cells divided by the distance of the cells, with jumps.
+        ``jump_length`` (number of jumps in 1-D) and ``mean_jump``. ``distortion`` compares the
+        image of a small square with a square of the image's area: it is the geometric mean of the
+        ratio of their diameters (1 if squares stay squares). ``neighbor_expansion`` is the root
+        mean square distance between the images of neighboring cells, divided by the distance of the
+        cells; jumps count.
 
     Raises
     ------
@@ -49,10 +50,10 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
 
     Notes
     -----
-    Slopes are one-sided differences over a thousandth of a cell. The smaller of both sides is used,
-    so that the difference does not cross a jump. Jumps are found by refinement
-    (`mcspectra.quality.jumps`), without differences between opposite sides of the square. All
-    figures refer to the unit square: for directions, to the lat-long square and not to the sphere.
+    Slopes are one-sided differences over a thousandth of a cell. Of the differences to both sides
+    the smaller is used, so that it does not cross a jump. Jumps are found by refinement
+    (`mcspectra.quality.jumps`). Opposite sides of the square are not compared. All figures refer to
+    the unit square: for directions, to the lat-long square and not to the sphere.
     """
     p = make_density(density) if isinstance(density, str) else density
     if not isinstance(p, Density):
@@ -87,7 +88,7 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
             diameter = np.sqrt((diagonals**2).sum(axis=-2)).max(axis=-1)
             area = np.abs(np.linalg.det(slopes))
             diameters = np.where(area > 0, diameter / np.sqrt(2.0 * area), np.inf)
-    # Root mean square distance of neighbors' images, in cells
+    # Root mean square distance between the images of neighboring cells, in cells
     squares = [(np.diff(image, axis=axis) ** 2).sum(axis=-1).ravel() for axis in range(dims)]
     expansion = float(side * np.sqrt(np.concatenate(squares).mean()))
     cells = tuple(f"u{axis}" for axis in range(dims))

@@ -2,20 +2,20 @@
 
 Farthest points: the center of a largest empty disk is a corner of a Voronoi cell. Each cell starts
 as the square around its point, bounded by the bisectors with the point's own images. The bisectors
-with nearby points cut it. Removing or inserting a point changes only the adjacent cells. Legend: n
-points, 2 dims; buckets as in `_spacing_kernels`; cells as for power diagrams. A row of holes (n, 4)
-has the coordinates of the cell's corner farthest from its point, the squared distance of this
-corner, and the squared distance of the nearest neighbor.
+with nearby points cut the cell. Removing or inserting a point changes only the adjacent cells.
+Notation: n points, 2 dims; buckets as in `_spacing_kernels`; cells as for power diagrams. A row of
+holes (n, 4) describes a cell: the coordinates of the corner farthest from the cell's point, the
+squared distance of this corner, and the squared distance of the nearest neighbor.
 
 Power diagrams: the cell of site i contains the x with |x − x_i|² − w_i ≤ |x − x_j|² − w_j for all
-sites j and their images. The sites in a grid of cells cut it, ring by ring, until the remaining
-sites are too far away. Legend: n sites, 2 dims; points (n, 2) in [0,1), weights w (n,); sites
-(n, 3) are both, in the order of the grid. A cell (K, 4) is a counterclockwise polygon relative to
-its site. Its rows are x and y of a corner, the distance of the site beyond the edge to the next
-corner, and the number of that site (−1 for an image of the site itself). `spare` is scratch space
-of the same shape that holds the corners before a cut.
+sites j and their images. Nearby sites, taken ring by ring from a grid, cut the cell until the
+remaining sites are too far away. Notation: n sites, 2 dims; points (n, 2) in [0,1), weights w (n,);
+sites (n, 3) hold points and weights in the order of the grid. A cell (K, 4) is a counterclockwise
+polygon relative to its site. Its rows are x and y of a corner, the distance of the site beyond the
+edge to the next corner, and the number of that site (−1 for an image of the site itself). `spare`
+is scratch space of the same shape that holds the corners before a cut.
 
-Gaussian blue noise: the energy of all pairs of points and its gradient. Legend: n points, d dims;
+Gaussian blue noise: the energy of all pairs of points and its gradient. Notation: n points, d dims;
 `points` float64 in [0,1); `force` is overwritten with the gradient.
 """
 
@@ -41,12 +41,12 @@ __all__ = [
 ]
 
 _CORNERS = 64  # largest number of corners of a Voronoi cell; six on average
-_LOAD = 2.0  # sites per cell of the grid; 1 to 3 take the same time
+_LOAD = 2.0  # number of sites per cell of the grid; 1 to 3 take the same time
 _SOLVED = 1e-3  # relative residual of the linear equations; enough for Newton steps
-_LONGER = 4.0  # largest ratio of a step to the previous one; short steps come in series
+_LONGER = 4.0  # largest ratio of a step to the previous step; short steps come in series
 _HALVINGS = 40
 _UNLIMITED = 2**62
-_PRODUCTS = 4  # cost of a product in the linear solver, in visits of a site: scattered reads
+_PRODUCTS = 4  # cost of a product in the linear solver, in visits of a site
 
 
 @kernel
@@ -72,7 +72,7 @@ def _bucket(x: float, side: int) -> int:
 def _cut(
     dx: float, dy: float, level: float, label: int, cell: Array, size: int, spare: Array
 ) -> int:
-    # Keep the part of the cell with x·d ≤ level; return its number of corners.
+    # Keep the part of the cell with x·d ≤ level; return the number of its corners.
     for k in range(size):
         for c in range(4):
             spare[k, c] = cell[k, c]
@@ -85,7 +85,7 @@ def _cut(
                 cell[count, c] = spare[k, c]
             count += 1
         if (u <= 0.0) != (v <= 0.0):
-            # An edge leaving the half-plane starts the new edge; an entering edge continues
+            # The new edge starts where an edge leaves the half-plane, and ends where an edge enters
             t = u / (u - v)
             cell[count, 0] = spare[k, 0] + t * (spare[after, 0] - spare[k, 0])
             cell[count, 1] = spare[k, 1] + t * (spare[after, 1] - spare[k, 1])
@@ -107,7 +107,7 @@ def _farthest_corner(cell: Array, size: int) -> tuple[int, float]:
 
 @kernel
 def _measure(i: int, points: Array, buckets: Any, cell: Array, spare: Array, holes: Array) -> int:
-    # Compute Voronoi cell i and its row of `holes`; return its number of corners.
+    # Compute Voronoi cell i and its row of `holes`; return the number of its corners.
     side, _, head, chain = buckets
     size, near = 4, 1.0
     for k in range(4):
@@ -115,7 +115,7 @@ def _measure(i: int, points: Array, buckets: Any, cell: Array, spare: Array, hol
         cell[k, 1] = 0.5 if k < 2 else -0.5
         cell[k, 3] = -1.0
 
-    # Cut the cell by the points in rings of buckets, or by their images
+    # Cut the cell by the points (or images of points) in rings of buckets
     ring, far = 0, 0.5
     while ring == 0 or (ring - 1.0) ** 2 < 4.0 * far * side * side:
         for a in range(-ring, ring + 1):
@@ -141,7 +141,7 @@ def _measure(i: int, points: Array, buckets: Any, cell: Array, spare: Array, hol
 
 @kernel
 def measure_all(points: Array) -> Any:
-    """Return buckets with all points, about one point each, and the holes (n, 4) of all cells."""
+    """Return buckets of about one point each, filled, and the holes (n, 4) of all cells."""
     n = points.shape[0]
     buckets, holes = empty_buckets(n, 2, max(1, int(np.sqrt(n)))), np.empty((n, 4))
     cell, spare = np.empty((_CORNERS, 4)), np.empty((_CORNERS, 4))
@@ -154,7 +154,7 @@ def measure_all(points: Array) -> Any:
 
 @kernel
 def _measure_around(size: int, cell: Array, points: Array, buckets: Any, holes: Array) -> None:
-    # Measure the neighbors of a cell.
+    # Update the distances of the neighbors of a cell.
     other, spare = np.empty((_CORNERS, 4)), np.empty((_CORNERS, 4))
     for k in range(size):
         if cell[k, 3] >= 0:
@@ -192,20 +192,20 @@ def move_points(start: int, stop: int, points: Array, buckets: Any, holes: Array
 
 
 class Diagram(NamedTuple):
-    """Cells of a power diagram, and the faces between them as rows of a sparse matrix.
+    """Cells of a power diagram, and the faces between cells as rows of a sparse matrix.
 
     Attributes
     ----------
     areas, moments
-        ∫ 1 and ∫ |x − x_i|² over each cell, (n,).
+        Integrals of 1 and of |x − x_i|² over each cell, (n,).
     offsets
-        Centroids minus sites, (n, 2).
+        Offsets of the centroids from the sites, (n, 2).
     rows, neighbors, couplings
         Cell i has the faces rows[i, 0] … rows[i, 1] − 1. Each face has a neighbor, the site beyond
-        it, and a coupling, length / (2 distance): the decrease of the area of cell i per unit of
-        that site's weight.
+        the face, and a coupling, length / (2 distance): the decrease of the area of cell i per unit
+        of the neighbor's weight.
     work
-        Number of visited sites and grid cells, each times the corners of the cell it may cut.
+        Work: the sum, over visited sites and grid cells, of the corners of the cell at that time.
     """
 
     areas: Array
@@ -228,9 +228,9 @@ def _cut_by_bucket(
     cell: Array,
     spare: Array,
 ) -> Any:
-    # Cut the cell of site s by the sites in a bucket that are near enough to reach it. `place` is
-    # the position of site s relative to the bucket. Return the squared distance of the farthest
-    # corner and the number of corners.
+    # Cut the cell of site s by the sites in a bucket that are near enough to reach the cell.
+    # `place` is the position of site s relative to the bucket. Return the squared distance of the
+    # farthest corner and the number of corners.
     for t in range(bucket[0], bucket[1]):
         dx, dy = sites[t, 0] - place[0], sites[t, 1] - place[1]
         d2 = dx * dx + dy * dy
@@ -250,7 +250,7 @@ def _cut_by_bucket(
 def _cut_cell(
     s: int, sites: Array, buckets: Any, heaviest: float, cell: Array, spare: Array
 ) -> tuple[int, int]:
-    # Compute the cell of site s (in bucket order); return its number of corners and the work.
+    # Compute the cell of site s (in bucket order); return the number of its corners and the work.
     side, starts = buckets
     x, y, excess, width = sites[s, 0], sites[s, 1], heaviest - sites[s, 2], 1.0 / side
     row, column = _bucket(x, side), _bucket(y, side)
@@ -300,11 +300,11 @@ def power_diagram(points: Array, weights: Array) -> Diagram:
         i = order[s]
         size, visits = _cut_cell(s, sites, (side, starts), heaviest, cell, spare)
         work += visits
-        if used + size > len(neighbors):  # 6 n faces suffice in general position
+        if used + size > len(neighbors):  # 6 n faces suffice for points in general position
             neighbors = np.append(neighbors, np.empty(used + size, np.int64))
             couplings = np.append(couplings, np.empty(used + size))
 
-        # Area, centroid and second moment about the site; faces with other sites
+        # Compute area, centroid, second moment about the site, and faces with other sites
         area, x, y, moment = 0.0, 0.0, 0.0, 0.0
         rows[i, 0] = used
         for k in range(size):
@@ -328,7 +328,7 @@ def power_diagram(points: Array, weights: Array) -> Diagram:
 
 @kernel
 def _divide(x: Array, diagonal: Array, out: Array) -> float:
-    # out = x / diagonal; return x · out.
+    # Write x / diagonal to out; return x · out.
     product = 0.0
     for i in range(x.size):
         out[i] = x[i] / diagonal[i]
@@ -372,7 +372,7 @@ def _solve(diagram: Diagram, rest: Array) -> tuple[Array, int]:
 
 @kernel
 def _compare(areas: Array, masses: Array, rest: Array) -> Any:
-    # Write masses − areas to `rest`; return the largest of them relative to a mass, and |rest|².
+    # Write masses minus areas to `rest`; return its largest entry relative to a mass, and |rest|².
     worst, square = 0.0, 0.0
     for i in range(areas.size):
         rest[i] = masses[i] - areas[i]
@@ -392,12 +392,12 @@ def balance(
 ) -> Any:
     """Return weights whose cells have areas `masses`, and their power diagram.
 
-    Newton steps start at `weights`, or at 0 if those leave a cell empty. They end after `steps`
-    steps, after `most_work` visits (see `Diagram`; the linear solver counts as well), when all
-    areas are right within `tolerance` times their mass, or when the areas no longer improve. No
+    Newton steps start at `weights`, or at 0 if `weights` leave a cell empty. They end after `steps`
+    steps; after `most_work` visits (see `Diagram`; the linear solver counts as well); when all
+    areas are right within `tolerance` times their mass; or when the areas no longer improve. No
     step is taken if some sites are so close that a cell is empty with equal weights. The weights
     maximize a concave function, the dual of the transport of the uniform density to the sites.
-    Damped Newton steps find them from any weights that leave no cell empty [Kitagawa2019]_.
+    Damped Newton steps find the maximum from any weights that leave no cell empty [Kitagawa2019]_.
     """
     weights, diagram = weights.copy(), power_diagram(points, weights)
     if diagram.areas.min() <= 0.0:
@@ -434,7 +434,7 @@ def balance(
 def _add_cell_pair(
     points: Array, a: Array, b: Array, image: Array, sigma: float, force: Array
 ) -> float:
-    # Energy between points a and the points b moved by `image`; each pair counts once if a is b.
+    # Energy between points a and the points b moved by `image`; if a is b, each pair counts once.
     factor, far = -0.5 / sigma**2, 72.0 * sigma**2 / 2.0
     same = image[0] == 0.0 and image[1] == 0.0 and image[2] == 0.0
     energy = 0.0
@@ -463,10 +463,10 @@ def _add_cell_pair(
 
 @kernel
 def near_energy(points: Array, cells: Array, offsets: Array, sigma: float, force: Array) -> float:
-    """Return the energy of points (n, 3) up to 6 σ apart; unused dims are zeros in one cell.
+    """Return the energy of pairs of points (n, 3) up to 6 σ apart; unused dims are zeros.
 
-    `offsets` (K, 3) are the steps to neighboring cells, one of each opposite pair, starting with
-    zero. Steps may go around the torus several times, so that all images of a point count.
+    `offsets` (K, 3) are the steps to neighboring cells: zero first, then one of each opposite pair.
+    Steps may go around the torus several times, so that all images of a point count.
     """
     n = points.shape[0]
     cell = np.empty(n, np.int64)
@@ -498,7 +498,7 @@ def near_energy(points: Array, cells: Array, offsets: Array, sigma: float, force
 
 @kernel
 def series_energy(points: Array, weights: Array, force: Array) -> float:
-    """Return Σ over pairs of Π_j (1 + Σ_m weights[m−1] cos 2πm(x_j − y_j)) in any dimension."""
+    """Return Σ over pairs of Π_j (1 + Σ_m weights[m−1] cos 2πm(x_j − y_j)) in any dims."""
     n, dims = points.shape
 
     # Tabulate cos and sin of 2π m x for m = 1, 2, …: (n, d, orders)
@@ -515,7 +515,7 @@ def series_energy(points: Array, weights: Array, force: Array) -> float:
     energy = 0.0
     for i in range(n):
         for k in range(i):
-            # Compute the factor of each axis and its derivative
+            # Compute the factor of each axis, and the derivative of the factor
             for j in range(dims):
                 value[j], slope[j] = 1.0, 0.0
                 for m in range(weights.size):
@@ -524,7 +524,7 @@ def series_energy(points: Array, weights: Array, force: Array) -> float:
                     turn = s[i, j, m] * c[k, j, m] - c[i, j, m] * s[k, j, m]
                     slope[j] -= 2.0 * pi * (m + 1) * w * turn
 
-            # Compute the derivatives of the product
+            # Compute the derivatives of the product of the factors
             after[dims] = 1.0
             for j in range(dims - 1, -1, -1):
                 after[j] = after[j + 1] * value[j]

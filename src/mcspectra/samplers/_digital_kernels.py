@@ -1,7 +1,7 @@
 """Numba kernels of digital nets: points from generator matrices, and tests of balance.
 
-Legend: n points, d dims; ``directions`` uint32 (d, 32): column k of each generator matrix with its
-first digit in the highest bit, so that 2^31 means ½; ``out`` float64 (n, d).
+Notation: n points, d dims; ``directions`` uint32 (d, 32): column k of each generator matrix with
+its first digit in the highest bit, so that 2^31 means ½; ``out`` float64 (n, d).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ __all__ = [
 
 @kernel
 def direction_numbers(polynomials: Array, initial: Array, out: Array) -> None:
-    """Continue Sobol' direction numbers by their recurrence; out is uint32 (d, 32), 2^31 means ½.
+    """Continue Sobol' direction numbers by their recurrence; out uint32 (d, 32), 2^31 means ½.
 
     polynomials (d,): bit k is the coefficient of x^k; initial (d, s): the odd m_1 … m_s.
     """
@@ -45,7 +45,7 @@ def direction_numbers(polynomials: Array, initial: Array, out: Array) -> None:
 
 @kernel
 def double_words(columns: Array, words: Array) -> None:
-    """Fill the words (n,) of points 0, 1, … of a binary net; each bit of the index doubles them."""
+    """Fill the words (n,) of points 0, 1, … of a binary net; each index bit doubles them."""
     k, size = 0, 1
     while size < words.size:
         new = words[size : 2 * size]
@@ -69,8 +69,9 @@ def fill_binary(directions: Array, out: Array) -> None:
 def fill_base(columns: Array, base: int, out: Array) -> None:
     """Fill `out` with points 0 … n − 1 of a digital net; columns int64 (d, m, rows).
 
-    The kernel counts like an odometer. A digit of the index that goes up by one, or from base − 1
-    to 0 (also one up, modulo the base), adds its column once. base^rows is at most 2^53.
+    The kernel counts like an odometer. When a digit of the index increases by one, or returns from
+    base − 1 to 0 (also an increase modulo the base), its column is added once. base^rows is at most
+    2^53.
     """
     n, dims = out.shape
     _, places, rows = columns.shape
@@ -105,7 +106,7 @@ def leading_digits(x: Array, base: int, places: int) -> Array:
 
 @kernel
 def _next_parts(parts: Array) -> bool:
-    # Advance to the next composition, in place; False after the last one, (0, …, 0, level).
+    # Advance to the next composition, in place; False after the last, (0, …, 0, level).
     h = 0
     while parts[h] == 0:
         h += 1
@@ -120,7 +121,7 @@ def _next_parts(parts: Array) -> bool:
 
 @kernel
 def _balanced(digits: Array, base: int, places: int, parts: Array, cells: Array) -> bool:
-    # Whether all intervals of one shape hold equally many points.
+    # Whether all intervals of one shape contain the same number of points.
     cells[:] = 0
     boxes = 1
     for j in range(parts.size):
@@ -140,7 +141,7 @@ def _balanced(digits: Array, base: int, places: int, parts: Array, cells: Array)
 
 @kernel
 def all_balanced(digits: Array, base: int, places: int, level: int) -> bool:
-    """Return whether every elementary interval of volume base^-level holds n/base^level points.
+    """Return whether every elementary interval of volume base^-level contains n/base^level points.
 
     The shapes of these intervals are the ways to write `level` as a sum of d ordered parts
     k_j ≥ 0, enumerated in the order of Nijenhuis and Wilf's NEXCOM.

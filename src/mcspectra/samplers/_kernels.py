@@ -1,8 +1,8 @@
 """Numba kernels shared by the samplers; arguments are not checked.
 
-Legend: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`; ``out`` is
+Notation: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`; ``out`` is
 float64 (R, n, d) unless stated otherwise. Random number i·d + j of a realization belongs to
-coordinate j of point i; numbers for shuffles follow.
+coordinate j of point i; the numbers for shuffles come after these.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ _LOW32 = np.uint64(0xFFFFFFFF)
 
 @kernel
 def _mix_below(k0: np.uint64, k1: np.uint64, i: int, bound: int) -> Any:
-    # Integer in [0, bound): upper word of bits · bound. Bias below bound/2^64 < 2^-32.
+    # Random integer in [0, bound): upper word of bits · bound. The bias is below 2^-32.
     x, b = mix_bits(k0, k1, i), np.uint64(bound)
     return np.int64(((x >> _S32) * b + (((x & _LOW32) * b) >> _S32)) >> _S32)
 
@@ -43,7 +43,7 @@ def _shuffle(k0: np.uint64, k1: np.uint64, start: int, order: Array) -> None:
 
 @kernel
 def fill_jittered(keys: Array, corners: Array, side: float, out: Array) -> None:
-    """Fill each cell with one point; lower corners (n·d,), out (R, n·d), side from `cell_side`."""
+    """Place one point in each cell; lower corners (n·d,), out (R, n·d), side from `cell_side`."""
     for r in range(out.shape[0]):
         k0, k1 = keys[r, 0], keys[r, 1]
         row = out[r]
@@ -53,7 +53,7 @@ def fill_jittered(keys: Array, corners: Array, side: float, out: Array) -> None:
 
 @kernel
 def fill_latin(keys: Array, side: float, out: Array) -> None:
-    """Fill a Latin hypercube: each coordinate permutes n strata and is jittered within them."""
+    """Fill a Latin hypercube: each coordinate permutes n strata, each with a jittered point."""
     count, n, dims = out.shape
     order = np.empty(n, np.int32)
     for r in range(count):
@@ -65,7 +65,7 @@ def fill_latin(keys: Array, side: float, out: Array) -> None:
 
 
 def translated(points: Array, offsets: Array) -> Array:
-    """Translate sets (R or 1, n, d) on the torus by offsets (R or 1, d) in [0,1): (R, n, d)."""
+    """Return sets (R or 1, n, d) translated on the torus by offsets (R or 1, d) in [0,1)."""
     out = np.empty((max(len(points), len(offsets)), *points.shape[1:]))
     _translate(points, offsets, out)
     return out

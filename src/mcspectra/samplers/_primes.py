@@ -1,4 +1,4 @@
-"""Bases of digits: primes and powers."""
+"""Primes, and powers of the bases of digits."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import math
 __all__ = ["LARGEST_BASE", "is_prime", "power_from", "prime_from"]
 
 LARGEST_BASE = 2**13
-"""Largest base of digits; it exceeds the 1,000th prime, and b^m ≥ 2^32 stays far below 2^53."""
+"""Largest base of digits: above the 1,000th prime, but with b^m ≥ 2^32 far below 2^53."""
 
 
 def is_prime(n: int) -> bool:

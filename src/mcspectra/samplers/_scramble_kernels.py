@@ -1,19 +1,18 @@
 """Numba kernels that scramble digits: XOR, permutations, nested, hash-based, random matrices.
 
-Legend: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`; ``bases`` int64
-(d,); ``points`` float64 (R, n, d), or (1, n, d) if all realizations share a set; ``out`` float64
-(R, n, d).
+Notation: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`; ``bases``
+int64 (d,); ``points`` float64 (R, n, d), or (1, n, d) if all realizations share a set; ``out``
+float64 (R, n, d).
 
-Base 2 comes first. A coordinate is a word of 32 (or 53) bits; its highest bit means ½.
+The first kernels are for base 2. A coordinate is a word of 32 or 53 bits; the highest bit means ½.
 
-In any base, a coordinate x is read as v = ⌊x b^m⌋ with the smallest m such that b^m ≥ 2^32. Before
-that, x is raised by 2^-52, because k/b^p with p ≤ m is not a float and may have been rounded down.
-The result is (v' + (t + ½) 2^-k)/b^m with t < 2^k and b^m 2^k ≤ 2^50. It is uniform to 50 bits. It
-is also so far from every k/b^p that neither rounding nor a float ⌊x b^p⌋ moves it to another
-interval.
+In any base, a coordinate x is read as v = ⌊x b^m⌋ with the smallest m such that b^m ≥ 2^32. First,
+x is increased by 2^-52, because k/b^p with p ≤ m is not a float and may have been rounded down. The
+result is (v' + (t + ½) 2^-k)/b^m with t < 2^k and b^m 2^k ≤ 2^50. It is uniform to 50 bits, and so
+far from every k/b^p that neither rounding nor a float ⌊x b^p⌋ moves it to another interval.
 
-Random numbers with addresses below 2^62 and at least 2^63 belong to binary digits; the addresses
-between belong to nodes of trees in other bases.
+Random numbers with addresses below 2^62 or at least 2^63 are used for binary digits. The addresses
+between are used for nodes of trees in other bases.
 """
 
 from __future__ import annotations
@@ -43,18 +42,18 @@ __all__ = [
 
 _ONE, _TREE, _TAIL = np.uint64(1), np.uint64(1 << 62), np.uint64(1 << 63)
 _S11, _S21, _S32, _S43 = np.uint64(11), np.uint64(21), np.uint64(32), np.uint64(43)
-_S34 = np.uint64(34)  # node numbers stay below 2^33: b^(m−1) < 2^32 per level, from b^level
+_S34 = np.uint64(34)  # node numbers are below 2^33: on each level b^level + v, v < 2^32
 _LOW32 = np.uint64(0xFFFFFFFF)
 _TO_53, _UNIT_53, _TO_32 = 2.0**53, 2.0**-53, 2.0**32
-_WORDS = 512  # words per block: 4 kB
-_TABLE = 1024  # entries of a table of images of digit groups: 8 kB
+_WORDS = 512  # number of words per block: 4 kB
+_TABLE = 1024  # number of entries in a table of digit groups: 8 kB
 _USED_UP = 2**32
 _LEAST, _FINEST = 2.0**32, 2.0**50
 
 
 @kernel
 def xor_digits(keys: Array, points: Array, out: Array) -> None:
-    """Digital shift: XOR of the 53 leading bits with one random word per coordinate."""
+    """Digital shift: XOR the 53 leading bits with one random word per coordinate."""
     count, n, dims = out.shape
     words = np.empty(dims, np.uint64)
     for r in range(count):
@@ -69,7 +68,7 @@ def xor_digits(keys: Array, points: Array, out: Array) -> None:
 
 @kernel
 def _with_tail(k0: np.uint64, k1: np.uint64, number: int, word: Any) -> Any:
-    # The point of a 32-bit word, with independent uniform bits below.
+    # Return the point of a 32-bit word, with independent uniform bits below.
     address: Any = _TAIL | np.uint64(number)
     tail = mix_bits(k0, k1, address) >> _S43
     return np.float64(np.int64((np.uint64(word) << _S21) | tail)) * _UNIT_53
@@ -77,9 +76,9 @@ def _with_tail(k0: np.uint64, k1: np.uint64, number: int, word: Any) -> Any:
 
 @kernel
 def _six_flips(bits: Any, piece: Any) -> Any:
-    # Flips of six bits, the highest first. The node that the higher bits lead to gives each flip;
-    # nodes are numbered as in a heap: node v has the children 2v and 2v + 1. Each flip is moved
-    # to its place directly.
+    # Return the flips of six bits, the highest first. The higher bits determine the node that holds
+    # the flip. Nodes are numbered as in a heap: node v has the children 2v and 2v + 1. Each flip is
+    # moved directly to its place.
     moved = bits << np.uint64(4)
     flips = (moved & np.uint64(32)) | (
         (moved >> (np.uint64(2) + (piece >> np.uint64(5)))) & np.uint64(16)
@@ -94,7 +93,7 @@ def _six_flips(bits: Any, piece: Any) -> Any:
 def _flip_two_levels(
     k0: np.uint64, k1: np.uint64, dim: int, level: int, w: Array, out: Array
 ) -> None:
-    # Two subtrees of six levels each, for all words; the loop has no branch and is vectorized
+    # Two subtrees of six levels each, for all words; without branches, the loop is vectorized
     root, six = np.uint64(dim) << _S32, np.uint64(63)
     upper, lower = root | (_ONE << np.uint64(level)), root | (_ONE << np.uint64(level + 6))
     above, between, below = np.uint64(32 - level), np.uint64(26 - level), np.uint64(20 - level)
@@ -110,7 +109,7 @@ def _flip_two_levels(
 def _nest(
     k0: np.uint64, k1: np.uint64, dim: int, dims: int, start: int, w: Array, out: Array
 ) -> None:
-    # Nested uniform scramble of the 32-bit words w (uint64) of points start, start + 1, … to out.
+    # Write the nested uniform scramble of 32-bit words w of points start, start + 1, … to out.
     # The flip of a bit depends on all higher bits. One 64-bit hash holds the flips of six levels.
     words = w.copy()
     root: Any = (np.uint64(dim) << _S32) | _ONE
@@ -132,7 +131,7 @@ def _nest(
 
 @kernel
 def _reversed(word: Any) -> Any:
-    # Reverse the bits of a 32-bit word by halves, which compilers recognize.
+    # Reverse the bits of a 32-bit word by swaps of halves, which compilers recognize.
     x = np.uint32(word)
     x = np.uint32(np.uint32(x >> 16) | np.uint32(x << 16))
     x = np.uint32(np.uint32((x >> 8) & 0x00FF00FF) | np.uint32((x & 0x00FF00FF) << 8))
@@ -143,7 +142,7 @@ def _reversed(word: Any) -> Any:
 
 @kernel
 def _hashed(word: Any, add: Any, factor: Any, add_2: Any, factor_2: Any) -> Any:
-    # Hash of a reversed word in which every bit depends only on the bits below it. XOR with
+    # Hash a reversed word so that every bit depends only on the bits below. XOR with
     # products by even numbers, and odd multiples of sums, have this property. All uint32, factors
     # odd.
     x = np.uint32(word)
@@ -190,7 +189,7 @@ def scramble_hashed(keys: Array, points: Array, out: Array) -> None:
 
 @kernel
 def _draw_matrices(k0: np.uint64, k1: np.uint64, shift: bool, columns: Array, words: Array) -> None:
-    # Lower triangular matrices with unit diagonal: columns uint64 (d, 53); shift words (d,)
+    # Make lower triangular matrices with unit diagonal: columns uint64 (d, 53); shift words (d,)
     dims = words.size
     for j in range(dims):
         for c in range(53):
@@ -201,7 +200,7 @@ def _draw_matrices(k0: np.uint64, k1: np.uint64, shift: bool, columns: Array, wo
 
 @kernel
 def _product(columns: Array, digits: Any) -> Any:
-    # Matrix times bits; the highest of 64 bits is the first
+    # Multiply a matrix by bits; the highest of 64 bits is the first
     product, c = np.uint64(0), 0
     while digits:
         if digits & _TAIL:
@@ -214,7 +213,7 @@ def _product(columns: Array, digits: Any) -> Any:
 def mix_matrices(keys: Array, shift: bool, points: Array, out: Array) -> None:
     """Multiply the 53 bits of points by random lower triangular matrices with unit diagonal.
 
-    With `shift`, a random word is then added (XOR), the same for all points.
+    With `shift`, a random word, the same for all points, is then added (XOR).
     """
     count, n, dims = out.shape
     columns, words = np.empty((dims, 53), np.uint64), np.empty(dims, np.uint64)
@@ -249,7 +248,7 @@ def fill_mixed(keys: Array, shift: bool, directions: Array, out: Array) -> None:
 
 @kernel
 def _format(base: int) -> tuple[int, float, float, float]:
-    # Number of digits m, b^m, the nudge added before ⌊·⌋, and the unit 2^-k of the tail.
+    # Return the number of digits m, b^m, the nudge added before ⌊·⌋, and the unit 2^-k of the tail.
     places, scale, unit = 0, 1.0, 1.0
     while scale < _LEAST:
         places, scale = places + 1, scale * base
@@ -277,7 +276,7 @@ def _write(v: int, tail: float, scale: float, unit: float) -> Any:
 
 @kernel
 def _quotient(v: int, inverse: float) -> Any:
-    # ⌊v/b⌋ by the float 1/b, for v < 2^45: the error is below 2^-7/b, and ½/b is allowed
+    # ⌊v/b⌋ by the float 1/b, for v < 2^45: the error is below 2^-7/b; up to ½/b would do
     return np.int64((np.float64(v) + 0.5) * inverse)
 
 
@@ -292,8 +291,8 @@ def _draw_permutation(k0: np.uint64, k1: np.uint64, number: int, order: Array) -
 
 @kernel
 def _draw_images(k0: Any, k1: Any, number: int, places: int, base: int, shift: bool) -> Any:
-    # Image of each digit in each place, the lowest place first: int64 (m, b). Also a uniform number
-    # for the digits below, the same for all points.
+    # Make the image of each digit in each place, the lowest place first: int64 (m, b). Also make a
+    # uniform number for the digits below, the same for all points.
     out = np.empty((places, base), np.int64)
     for k in range(places):
         if shift:
@@ -306,7 +305,7 @@ def _draw_images(k0: Any, k1: Any, number: int, places: int, base: int, shift: b
 
 @kernel
 def _group_images(images: Array, most: int) -> Array:
-    # Images of groups of digits, with up to `most` entries per table: (groups, b^digits)
+    # Tabulate images of groups of digits, with up to `most` entries per table: (groups, b^digits)
     places, base = images.shape
     size, digits = base, 1
     while size * base <= most and digits < places:
@@ -324,7 +323,7 @@ def _group_images(images: Array, most: int) -> Array:
 
 @kernel
 def permute_digits(keys: Array, bases: Array, shift: bool, points: Array, out: Array) -> None:
-    """Permute each digit at random (with `shift`, add modulo b), equally for all points.
+    """Permute each digit at random, equally for all points (with `shift`, add modulo b).
 
     The part below the last digit is one uniform number per coordinate, the same for all points.
     """
@@ -354,14 +353,14 @@ def _invert_digits(images: Array, start: int, scale: float, tail: float, out: Ar
     # units of b^-m = 1/scale. Sums are exact; out (n,).
     (places, base), n = images.shape, out.size
 
-    # Tabulate the images of the index's lowest digits, as long as the table pays off
+    # Tabulate the images of the index's lowest digits, while the table saves time
     size, low = base, 1
     while low < places and size * base <= min(n, _TABLE):
         size, low = size * base, low + 1
     table = np.zeros(size)
     width, weight = 1, base ** (places - 1)
     for k in range(low):
-        for digit in range(base - 1, -1, -1):  # 0 last: the others read its entries
+        for digit in range(base - 1, -1, -1):  # digit 0 last: the others read its entries
             image = np.float64(images[places - 1 - k, digit] * weight)
             for v in range(width):
                 table[digit * width + v] = table[v] + image
@@ -405,7 +404,7 @@ def fill_permuted(keys: Array, bases: Array, shift: bool, start: int, out: Array
 
 @kernel
 def fill_nested(keys: Array, bases: Array, out: Array) -> None:
-    """Radical inverses of 0, 1, … after Owen's nested uniform scrambling, also for any run of them.
+    """Fill radical inverses of 0, 1, … (or any run) after Owen's nested uniform scrambling.
 
     Point v + c b^l, with v < b^l and 0 < c < b, shares l digits with point v. No two of these b
     points share the next digit, and lower digits are uniform. So the first points do not depend on
@@ -442,9 +441,9 @@ def fill_nested(keys: Array, bases: Array, out: Array) -> None:
 
 @kernel
 def _image(k0: np.uint64, k1: np.uint64, node: Any, digit: int, base: int) -> int:
-    # Image of one digit under the random permutation of a node, by following this digit through
-    # Fisher and Yates's swaps. A number below c is the upper word of c times 64 random bits; the
-    # lower word serves for the next number, until a factor of 2^32 is used up.
+    # Return the image of a digit under the random permutation of a node. The digit is followed
+    # through the swaps of Fisher and Yates. A number below c is the upper word of c times 64 random
+    # bits; the lower word serves for the next number, until a factor of 2^32 is used up.
     position, used, drawn = digit, 1, 0
     bits = mix_bits(k0, k1, node)
     for t in range(base - 1):
@@ -465,8 +464,9 @@ def _image(k0: np.uint64, k1: np.uint64, node: Any, digit: int, base: int) -> in
 
 @kernel
 def _climb(k0: np.uint64, k1: np.uint64, dim: int, base: int, places: int, v: int) -> int:
-    # Nested uniform scramble of the number v, from its last digit to its first. The node above a
-    # digit gives its permutation. Nodes of a level are numbered from b^level, so numbers are
+    # Apply the nested uniform scramble to the number v, from its last digit to its first. The node
+    # above a digit gives its permutation. Nodes of a level are numbered from b^level, so numbers
+    # are
     # unique.
     scrambled, weight, inverse = 0, 1, 1.0 / base
     width = base ** (places - 1)
@@ -505,7 +505,7 @@ def scramble_trees(keys: Array, bases: Array, points: Array, out: Array) -> None
 
 @kernel
 def _draw_triangle(k0: np.uint64, k1: np.uint64, number: int, base: int, out: Array) -> None:
-    # Lower triangular, 1 … b − 1 on the diagonal, 0 … b − 1 below it; out int64 (m, m): its columns
+    # Random lower triangular matrix, 1 … b − 1 on the diagonal; out int64 (m, m) has its columns
     for c in range(out.shape[0]):
         for row in range(c, out.shape[0]):
             least = 1 if c == row else 0
@@ -515,8 +515,8 @@ def _draw_triangle(k0: np.uint64, k1: np.uint64, number: int, base: int, out: Ar
 
 @kernel
 def _multiply(matrix: Array, base: int, v: int, out: Array) -> None:
-    # out (m,) += matrix times the digits of v, without reduction modulo the base. Zero digits, such
-    # as those below all points of a net, are skipped.
+    # Add the matrix times the digits of v to out (m,), without reduction modulo the base. Skip zero
+    # digits, such as all digits below the points of a net.
     inverse = 1.0 / base
     for c in range(out.size - 1, -1, -1):
         above = _quotient(v, inverse)
@@ -531,8 +531,8 @@ def _multiply(matrix: Array, base: int, v: int, out: Array) -> None:
 def mix_triangles(keys: Array, bases: Array, shift: bool, points: Array, out: Array) -> None:
     """Multiply the digits of points by random lower triangular matrices modulo prime bases.
 
-    With `shift`, a random digit is added in each place and a uniform number below the last, the
-    same for all points.
+    With `shift`, a random digit is added in each place, and a uniform number below the last place,
+    the same for all points.
     """
     for r in range(out.shape[0]):
         k0, k1 = keys[r, 0], keys[r, 1]

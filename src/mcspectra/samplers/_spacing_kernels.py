@@ -1,14 +1,15 @@
 """Numba kernels of samplers that keep points apart; arguments are not checked.
 
-There are three groups of kernels. Dart throwing uses a grid whose cells hold one point each
-(method: `samplers.poisson`). Buckets are cells over the first axes of the domain, each with a
-chain of its points; they give distances to points at arbitrary places. Selection by such distances
-gives darts, best candidates and largest empty disks.
+There are three groups of kernels. Dart throwing uses a grid whose cells contain at most one point
+(method: `samplers.poisson`). Buckets are cells over the first axes of the domain, each with a chain
+of its points; buckets give distances to points at arbitrary places. Selection by such distances
+yields darts, best candidates and largest empty disks.
 
-Legend: R realizations, n points, d dims; ``out`` float64 (R, n, d), ``keys`` uint64 (R, 2); `at`
-is the index of the next random number of a realization; with `wrap`, distances are on the torus.
-Buckets are a tuple (side, axes, head, chain): `side` cells along each of the first `axes` axes,
-head (cells,) the last point put into each cell, chain (n,) the point before it, −1 at the end.
+Notation: R realizations, n points, d dims; ``out`` float64 (R, n, d), ``keys`` uint64 (R, 2). `at`
+is the index of the next random number of a realization. With `wrap`, distances are on the torus.
+Buckets are a tuple (side, axes, head, chain): `side` is the number of cells along each of the first
+`axes` axes, head (cells,) is the last point put into each cell, and chain (n,) is the point put in
+before each point, −1 at the end.
 """
 
 from __future__ import annotations
@@ -32,12 +33,12 @@ __all__ = [
 
 _FINEST = 2**40
 _NOWHERE = 9.0  # coordinate that marks an empty cell, farther away than any radius
-_AXES = 3  # axes of buckets and grids; more axes would give mostly empty cells
-# Reach of a new point, in cells of about a quarter of the spacing: beyond any nearest distance
+_AXES = 3  # most axes of buckets and grids; with more axes, cells are mostly empty
+# Reach of a new point in cells, each about a quarter of the spacing: beyond any nearest distance
 _REACH = 7
-_ROUNDING = 1e-9  # fraction of a cell added to bounds against rounding
+_ROUNDING = 1e-9  # fraction of a cell added to bounds, because of rounding
 _FAR = 16.0  # squared distance larger than any in the domain, in up to 4 dims
-_SHARP = 1e-10  # tolerance of the center of a hole, relative to its distance
+_SHARP = 1e-10  # tolerance of the center of a hole, relative to the hole's radius
 
 
 @kernel
@@ -60,8 +61,8 @@ def add_to_buckets(i: int, x: Array, buckets: Any) -> None:
 
 @kernel
 def _shell_cell(x: Array, code: int, ring: int, buckets: Any, wrap: bool) -> int:
-    # Cell number `code` of the cube of cells within `ring` of x; −1 for cells inside the shell
-    # (already visited) and outside the domain.
+    # Return cell number `k` of the cube of cells within `ring` of x; −1 for cells outside the
+    # domain and for cells inside the shell, which were visited before.
     side, axes = buckets[0], buckets[1]
     cell, reach = 0, 0
     for j in range(axes):
@@ -81,8 +82,8 @@ def _shell_cell(x: Array, code: int, ring: int, buckets: Any, wrap: bool) -> int
 def _clearance(
     x: Array, points: Array, buckets: Any, wrap: bool, stop: float, most: float
 ) -> float:
-    # Squared distance from x to the nearest point, or `most` if that is smaller. The search ends as
-    # soon as a point is nearer than `stop` (squared), and returns its distance.
+    # Return the squared distance from x to the nearest point, or `most` if that is smaller. The
+    # search ends as soon as a point is nearer than `stop` (squared), and returns this distance.
     side, axes, head, chain = buckets
 
     # Distance from x to the nearest wall of its cell, in cells
@@ -116,7 +117,7 @@ def _clearance(
 
 @kernel
 def _home(x: Array, side: int, reach: int) -> int:
-    # Index of the cell of x in the padded grid.
+    # Return the index of the cell of x in the padded grid.
     index = 0
     for j in range(x.size):
         index = index * (side + 2 * reach) + min(int(x[j] * side), side - 1) + reach
@@ -125,7 +126,7 @@ def _home(x: Array, side: int, reach: int) -> int:
 
 @kernel
 def _is_covered(x: Array, half: float, home: int, radius: float, near: Array, grid: Array) -> bool:
-    # Whether the open disk around one of the points contains the whole box x ± half.
+    # Return whether the open disk around one of the points contains the whole box x ± half.
     limit = radius * radius
     for k in range(near.size):
         point = grid[home + near[k]]
@@ -158,7 +159,7 @@ def _place(x: Array, side: int, reach: int, wrap: bool, grid: Array) -> None:
 
 @kernel
 def throw_set(disks: Any, k0: Any, k1: Any, at: int, points: Array) -> tuple[int, int]:
-    """Throw darts until `points` (n, d) are placed or no further point fits.
+    """Throw darts until `points` (n, d) are placed, or no further point fits.
 
     Return the number of points and the index of the next random number. `disks`: see `poisson`.
     """
@@ -242,8 +243,8 @@ def throw_darts(
 
 @kernel
 def _lower_ceilings(x: Array, side: int, ceilings: Array) -> None:
-    # Lower the bounds of the cells around a new point at x. No place in a cell is farther from it
-    # than the cell's center plus half the diagonal. Cells beyond the reach keep their bounds.
+    # Lower the bounds of the cells around a new point at x. No place in a cell is farther from the
+    # point than the cell's center plus half the diagonal. Cells beyond the reach keep their bounds.
     dims = x.size
     half = 0.5 * np.sqrt(dims) + _ROUNDING
     reach = min(_REACH, side // 2)
@@ -274,14 +275,14 @@ def _grids(points: Array, placed: int, room: int) -> Any:
 
 @kernel
 def pick_candidates(keys: Array, candidates: int, out: Array) -> None:
-    """Fill out (R, n, d): point i is, of candidates·i places, the farthest from earlier points."""
+    """Fill out (R, n, d): of candidates·i places, point i is the farthest from earlier points."""
     count, n, dims = out.shape
     x = np.empty(dims)
     for r in range(count):
         points, at, room = out[r], 0, 1
         buckets, side, ceilings = _grids(points, 0, room)
         for i in range(n):
-            if i == room:  # rebuild with smaller cells
+            if i == room:  # rebuild the buckets with smaller cells
                 room *= 2
                 buckets, side, ceilings = _grids(points, i, room)
             best = -1.0
@@ -306,7 +307,7 @@ def pick_candidates(keys: Array, candidates: int, out: Array) -> None:
 
 @kernel
 def _push(heap: Array, size: int, row: Array) -> None:
-    # Put a row into the heap of `size` rows, the largest first column on top.
+    # Insert a row into the heap of `size` rows, whose top has the largest first column.
     i = size
     while i > 0 and heap[(i - 1) // 2, 0] < row[0]:
         heap[i] = heap[(i - 1) // 2]
@@ -332,7 +333,7 @@ def _pop(heap: Array, size: int, row: Array) -> None:
 
 @kernel
 def _set_bound(box: Array, points: Array, buckets: Any, wrap: bool) -> None:
-    # box (d + 2,): bound, half the side length, center.
+    # A box (d + 2,) has bound, half the side length, center.
     near = _clearance(box[2:], points, buckets, wrap, -1.0, _FAR)
     box[0] = np.sqrt(near) + box[1] * np.sqrt(box.size - 2)
 
@@ -341,9 +342,10 @@ def _set_bound(box: Array, points: Array, buckets: Any, wrap: bool) -> None:
 def fill_holes(points: Array, placed: int, wrap: bool) -> None:
     """Place the points (n, d) after the first `placed`, each as far as possible from all others.
 
-    The method is branch and bound, on the torus or in the cube. No place in a box is farther from
-    all points than its center is, plus half the diagonal. Boxes wait in a heap, the largest bound
-    on top. New points only lower bounds, so stale bounds are updated when their box is popped.
+    The method is branch and bound, on the torus or in the cube. The distance of a box's center from
+    all points, plus half the diagonal, bounds the distance of any place in the box. Boxes wait in a
+    heap, the largest bound on top. New points only lower bounds, so stale bounds are updated when
+    their box is popped.
     """
     n, dims = points.shape
     buckets = empty_buckets(n, dims, max(1, int(n ** (1.0 / dims))))

@@ -39,7 +39,7 @@ __all__ = [
 ]
 
 MAX_COUNT = 2**31
-"""Limits on points per realization and on numbers per `draw` of a sampler (16 GiB)."""
+"""Largest numbers of points per realization and of numbers per `draw` of a sampler (16 GiB)."""
 
 FIRST_STEP = 1 << 16
 """Label of the first randomization's stream; lower labels are free for the samplers."""
@@ -68,7 +68,7 @@ class Sampler(Component, ABC):
     dims
         Number of dimensions d.
     unbiased
-        Whether a point picked at random is uniform on [0,1)^d, so that estimates are unbiased.
+        Whether a point picked at random is uniform on [0,1)^d, so that estimates have no bias.
     fixed
         Whether all realizations are the same set.
     structure
@@ -78,12 +78,12 @@ class Sampler(Component, ABC):
     antithetic
         Whether points come in pairs that are reflected through the center of a cell.
     independent
-        Whether the realizations of a seed are independent of one another.
+        Whether the realizations of a seed are independent.
     min_dims, max_dims, max_count
-        Smallest and largest dims and largest count of a realization. Larger sets would take too
-        much time or memory. `other_dims` is the advice in the error message.
+        Smallest and largest number of dims, and largest number of points. Larger sets would take
+        too much time or memory. `other_dims` is the advice in the error message.
     scrambles
-        Number of built-in randomizations, such as the one of ``halton(scramble='owen')``.
+        Number of built-in randomizations, such as owen in ``halton(scramble='owen')``.
     """
 
     dims: int
@@ -117,11 +117,11 @@ class Sampler(Component, ABC):
 
     @property
     def powers_only(self) -> bool:
-        """Whether randomizations of digits preserve the set only at powers of the base."""
+        """Whether randomizations of digits preserve the set only if n is a power of the base."""
         return self.structure is Structure.STRATA
 
     def digit_strata(self, n: int, base: int) -> bool:
-        """Whether the sides of the strata of `n` points are powers of `base`, as `n` is."""
+        """Whether the sides of the strata of `n` points are powers of `base`, and `n` too."""
         del n, base
         return True
 
@@ -135,7 +135,7 @@ class Sampler(Component, ABC):
         realizations
             Number of realizations.
         rng
-            Seed in the sense of SPEC 7. Realization r of a seed does not depend on the call.
+            Seed in the sense of SPEC 7. Realization r of a seed is the same in every call.
         first
             Number of the first realization.
 
@@ -199,7 +199,7 @@ class Sampler(Component, ABC):
         return ()
 
     def as_chain(self, n: int) -> Sampler:  # noqa: ARG002
-        """Return the chain that this sampler abbreviates at n points, or the sampler itself."""
+        """Return the chain that this sampler abbreviates for n points, or the sampler itself."""
         return self
 
     @property
@@ -233,7 +233,7 @@ class Sampler(Component, ABC):
         )
 
     def nearest_count(self, n: int) -> int:
-        """Return the count nearest to `n` that this sampler can make (the lower one on a tie)."""
+        """Return the count nearest to `n` that this sampler can make (the lower count on a tie)."""
         count = min(as_integer("n", n, least=1, most=MAX_COUNT), self.max_count)
         options = [c for c in self._counts_near(count) if c is not None and c <= self.max_count]
         return min(options, key=lambda c: (abs(c - count), c))
@@ -265,7 +265,7 @@ class Sampler(Component, ABC):
         return n, n
 
     def _count_warning(self, n: int) -> str | None:
-        """Return a warning if `n` is an allowed but poor count, else None."""
+        """Return a warning if `n` points are allowed but not recommended, else None."""
         del n
         return None
 
@@ -333,13 +333,13 @@ class Randomization(Component, ABC):
     debiases: ClassVar[bool] = False
     """Whether every randomized point is uniform, whatever its law was before."""
     fixed: ClassVar[bool] = False
-    """Whether realizations that are identical remain identical."""
+    """Whether identical realizations remain identical."""
     pointwise: ClassVar[bool] = False
     """Whether each point moves independently of the others, so that sequences remain sequences."""
     independent: ClassVar[bool] = True
     """Whether the randomizations of different realizations are independent."""
     fits: ClassVar[Mapping[Structure, Structure]] = {s: s for s in Structure}
-    """Structure that remains of each allowed structure; samplers of others are refused."""
+    """Structure that remains, by allowed structure; samplers with other structures are refused."""
 
     @abstractmethod
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
@@ -350,7 +350,7 @@ class Randomization(Component, ABC):
         return Unknown(n=n, dims=law.dims, is_uniform=law.uniform or self.debiases)
 
     def count_inside(self, sampler: Sampler, n: int) -> int:  # noqa: ARG002
-        """Return the number of points of `sampler` from which `n` randomized points are made."""
+        """Return the number of points of `sampler` that yield `n` randomized points."""
         return n
 
     def fit(self, sampler: Sampler) -> Randomization:
@@ -387,11 +387,11 @@ class Randomization(Component, ABC):
         return sampler._counts_near(n)
 
     def max_count(self, sampler: Sampler) -> int:
-        """Return the largest count possible with `sampler`."""
+        """Return the largest count of randomized points with `sampler`."""
         return sampler.max_count
 
     def count_warning(self, sampler: Sampler, n: int) -> str | None:
-        """Return a warning if `n` is an allowed but poor count, else None."""
+        """Return a warning if `n` points are allowed but not recommended, else None."""
         return sampler._count_warning(n)
 
 
@@ -448,7 +448,7 @@ class Randomized(Sampler):
 
     @property
     def powers_only(self) -> bool:
-        """Same as for the inner sampler, as long as the chain keeps part of its structure."""
+        """Same as for the inner sampler if the chain keeps part of the inner structure."""
         return self.base.powers_only and self.structure in (Structure.STRATA, Structure.DIGITS)
 
     def digit_strata(self, n: int, base: int) -> bool:
@@ -476,7 +476,7 @@ class Randomized(Sampler):
 def repeated(points: Array, count: int) -> Array:
     """Repeat the points (n, d) `count` times: float64 (count, n, d).
 
-    Unlike `numpy.tile`, this copies without the interpreter lock, so threads run in parallel.
+    Unlike `numpy.tile`, this function releases the interpreter lock, so threads run in parallel.
     """
     out = np.empty((count, *points.shape))
     out[...] = points

@@ -3,16 +3,17 @@
 Void and cluster fills the cells of a fine grid, always at the emptiest place. Low-discrepancy blue
 noise moves the points of a blue-noise set within their cells to a low-discrepancy set.
 
-Legend of the kernels: a ``pattern`` bool (s, s) on the torus has ones at the points. ``energy``
+Notation of the kernels: a ``pattern`` bool (s, s) on the torus has ones at the points. ``energy``
 float64 (s, s) is the sum of Gaussians around the ones. ``weights`` (2·reach + 1,) is one Gaussian
-along an axis. ``heads`` int64 (2, s) holds two columns for each row: of the one with the highest
-energy (tightest cluster), and of the zero with the lowest energy (largest void); −1 if the row has
-no such cell. A ``grid`` is the tuple of pattern, energy and heads; cell (i, j) has the number
-i·s + j. Other ``points`` float64 (s, s, 2) have one point in each of s × s cells, in units of
-cells: the point of cell (i, j) is in [i, i+1) × [j, j+1), on the torus.
+along an axis. ``heads`` int64 (2, s) holds two columns for each row: the column of the one with the
+highest energy (tightest cluster), and the column of the zero with the lowest energy (largest void);
+−1 if the row has no such cell. A ``grid`` is the tuple of pattern, energy and heads; cell (i, j)
+has the number i·s + j. Other ``points`` float64 (s, s, 2) have one point in each of s × s cells, in
+units of cells: the point of cell (i, j) is in [i, i+1) × [j, j+1), on the torus.
 
-The width of the Gaussian is 1.5 cells, as in Ulichney's paper. It grows with the spacing of the
-ones if that exceeds three cells, because a Gaussian must reach the next point to locate it.
+The width of the Gaussian is 1.5 cells, as in Ulichney's paper. If the spacing of the ones exceeds
+three cells, the width grows with the spacing, because a Gaussian must reach the next point to
+locate it.
 """
 
 from __future__ import annotations
@@ -37,18 +38,18 @@ __all__ = ["LowDiscrepancyBlueNoise", "VoidAndCluster", "dither_mask", "snap_in_
 _MOST_SIDE = 2048
 _ONES = 0.1  # fraction of ones in the first pattern of a mask, Ulichney (1993)
 _SIGMA = 1.5  # width of the Gaussian in cells, Ulichney (1993)
-_SIGMA_PER_SPACING = 0.47  # width per spacing: 1.5 cells at Ulichney's one point in ten cells
+_SIGMA_PER_SPACING = 0.47  # width per spacing: 1.5 cells for one point in ten cells, as Ulichney
 _WIDTHS = 6.0  # radius at which the Gaussian is cut off, in widths; it is 1.5e-8 there
-_CLEAR = 1e-9  # smallest gain of energy above rounding; makes relaxation terminate
+_CLEAR = 1e-9  # smallest gain of energy above rounding; ensures that relaxation ends
 _CLUSTER, _VOID = 0, 1
 _REPELLING = 0.5  # width in cells of the Gaussians by which points repel each other
 _REACH = 2  # number of cells on either side whose points contribute to the energy
 _REPORTS = 10
-_LAST_STEP = 0.05  # size of the last random steps, in cells
+_LAST_STEP = 0.05  # size of random steps at the end, in cells
 
 
 def dither_mask(size: int, keys: Array) -> Array:
-    """Make a blue-noise dither mask, all ranks on a torus of size × size cells.
+    """Make a blue-noise dither mask: the ranks of size × size cells on a torus.
 
     Parameters
     ----------
@@ -90,7 +91,7 @@ class VoidAndCluster(PlaneSampler, OptimisedSampler):
     Attributes
     ----------
     cells
-        Number of grid cells per point, from 4 to 256; with more cells the grid shows less.
+        Number of grid cells per point, from 4 to 256; more cells make the grid less visible.
     sets
         Largest number of different sets; None for a new set per realization. See
         `OptimisedSampler`.
@@ -109,7 +110,7 @@ class VoidAndCluster(PlaneSampler, OptimisedSampler):
         rounds = 0
         while not _relax(grid, weights, n):
             rounds += 1
-            report(1.0 - 0.5 ** (rounds / 4))  # the number of further rounds is unknown
+            report(1.0 - 0.5 ** (rounds / 4))  # how many further rounds follow is unknown
         order, points = np.empty(n, np.int64), np.empty((n, 2))
         _rank_ones(grid, order)
         _jitter_cells(keys[0], keys[1], order, side, points)
@@ -131,7 +132,7 @@ def _spread(cell: Any, sign: float, weights: Array, energy: Array) -> None:
 
 @kernel
 def _find_heads(i: int, pattern: Array, energy: Array, heads: Array) -> None:
-    # Find the heads of row i.
+    # Find the heads of row i (see the notation above).
     high, low = -np.inf, np.inf
     heads[_CLUSTER, i] = heads[_VOID, i] = -1
     for j in range(pattern.shape[0]):
@@ -214,13 +215,13 @@ def _relax(grid: Any, weights: Array, steps: int) -> bool:
 
 @kernel
 def _rank_ones(grid: Any, order: Array) -> None:
-    # Clear the pattern, tightest cluster first; order (ones,) are its cells, the first cleared
+    # Clear the pattern, tightest cluster first; write its cells to order (ones,), the first cleared
     # last.
     weights, again = _start(grid), order.size // 2
     for rank in range(order.size - 1, -1, -1):
         order[rank] = _head(_CLUSTER, grid)
         _flip(order[rank], grid, weights)
-        if rank == again and rank > 0:  # the spacing has grown
+        if rank == again and rank > 0:  # the spacing of the remaining ones has grown
             weights, again = _start(grid), again // 2
 
 
@@ -232,14 +233,14 @@ def _rank_all(grid: Any, order: Array) -> None:
     first = pattern.copy()
     _rank_ones(grid, order[:ones])
 
-    # Set cells until half of them are ones, largest void first
+    # Set cells to one, largest void first, until half of the cells are ones
     filled = first, energy, heads
     weights = _start(filled)
     for rank in range(ones, half):
         order[rank] = _head(_VOID, filled)
         _flip(order[rank], filled, weights)
 
-    # Above half, the zeros are the minority; their tightest cluster comes next
+    # Above half, zeros are the minority; set the tightest cluster of zeros next
     rest = order[half:]
     pattern[:] = ~first
     _rank_ones(grid, rest)
@@ -248,8 +249,8 @@ def _rank_all(grid: Any, order: Array) -> None:
 
 @kernel
 def _jitter_cells(k0: np.uint64, k1: np.uint64, cells: Array, side: int, out: Array) -> None:
-    # Uniform points in cells (n,) after one random translation by whole cells; out (n, 2).
-    number = side * side  # lower indices shuffled the first pattern
+    # Fill out (n, 2) with uniform points in cells (n,), translated by random whole cells.
+    number = side * side  # the first pattern used the lower indices
     down, across = _mix_below(k0, k1, number, side), _mix_below(k0, k1, number + 1, side)
     for p in range(cells.size):
         number += 2
@@ -279,10 +280,10 @@ class LowDiscrepancyBlueNoise(PlaneSampler, OptimisedSampler):
 
     Notes
     -----
-    The set has one point in each cell, and one in each n-th of either axis. Other intervals of area
-    1/n contain one point if they are 2^j cells long with 2^j ≥ chunk, and a 2^j-th of a cell wide;
-    chunk = 2 makes a (0,2)-net. The points are uniform over cells and along each axis, but slightly
-    less so within cells. Add shift for unbiased means.
+    The set has one point in each cell, and one in each n-th of either axis. It also has one point
+    in each interval of area 1/n that is 2^j cells long, with 2^j ≥ chunk, and a 2^j-th of a cell
+    wide; chunk = 2 makes a (0,2)-net. The points are uniform over cells and along each axis, but
+    slightly less so within cells. Add shift for unbiased means.
 
     The blue-noise set is a jittered set, relaxed within its cells until Gaussians of half a cell's
     width around the points overlap least. It is computed for every realization; the authors keep a
@@ -326,14 +327,14 @@ class LowDiscrepancyBlueNoise(PlaneSampler, OptimisedSampler):
 
 @kernel
 def _energy(i: int, j: int, x: float, y: float, points: Array) -> float:
-    # Energy of the point of cell (i, j) if it were at (x, y).
+    # Return the energy of the point of cell (i, j) if this point were at (x, y).
     side, total = points.shape[0], 0.0
     reach = min(_REACH, (side - 1) // 2)
     for u in range(i - reach, i + reach + 1):
         for v in range(j - reach, j + reach + 1):
             if u != i or v != j:
                 other = points[u % side, v % side]
-                # Subtract whole cells, because other cells may lie across the border
+                # Subtract whole cells, because neighbors may lie across the border
                 dx = other[0] - u % side + u - x
                 dy = other[1] - v % side + v - y
                 total += np.exp(-(dx * dx + dy * dy) / (2 * _REPELLING * _REPELLING))
@@ -342,7 +343,7 @@ def _energy(i: int, j: int, x: float, y: float, points: Array) -> float:
 
 @kernel
 def _relax_in_cells(k0: np.uint64, k1: np.uint64, number: int, step: float, points: Array) -> None:
-    # Move each point by up to `step` if this lowers its energy and it stays in its cell.
+    # Move each point by up to `step` if this lowers its energy and keeps it in its cell.
     side = points.shape[0]
     for i in range(side):
         for j in range(side):
@@ -358,19 +359,20 @@ def _relax_in_cells(k0: np.uint64, k1: np.uint64, number: int, step: float, poin
 
 @kernel
 def _snap_line(low: int, chunk: int, line: int, positions: Array, out: Array) -> None:
-    # Assign one of the s intervals of a line's width to each of its cells, whose points are at
-    # `positions` (s,) across it; out (s,) intervals. The digits of `low` shift van der Corput's.
+    # Assign one of the s intervals of a line's width to each cell of the line. `positions` (s,) are
+    # the points of the cells across the line; out (s,) has the intervals. The digits of `low` shift
+    # those of a van der Corput sequence.
     side, digits = positions.size, 0
     while chunk << digits < side:
         digits += 1
     for block in range(side // chunk):
-        # Low digits, common to the chunk: its number with reversed digits, shifted
+        # Low digits, common to the chunk: the chunk's number with reversed and shifted digits
         mine = 0
         for k in range(digits):
             mine |= ((block >> k) & 1) << (digits - 1 - k)
         mine ^= low & ((1 << digits) - 1)
 
-        # High digits: the rank within the chunk
+        # High digits: the rank of the point within the chunk
         start = block * chunk
         for rank, index in enumerate(np.argsort(positions[start : start + chunk])):
             out[start + index] = line * side + ((rank << digits) | mine)
@@ -382,9 +384,10 @@ def snap_in_chunks(
 ) -> None:
     """Move points to a low-discrepancy set, keeping their order in chunks; out (s, s, 2).
 
-    The s cells of each column, and likewise of each row, divide the s intervals of their width
-    among them. Within a chunk, intervals follow the order of the points. Chunks follow the van der
-    Corput sequence with randomly shifted digits. A point is random within its interval.
+    The s cells of each column divide the s intervals of the column's width among themselves;
+    likewise the cells of each row. Within a chunk, intervals follow the order of the points. Chunks
+    follow the van der Corput sequence with randomly shifted digits. A point is random within its
+    interval.
     """
     side = points.shape[0]
     for line in range(side):

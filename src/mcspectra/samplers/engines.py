@@ -32,7 +32,7 @@ from mcspectra.samplers.external import OneByOne, qualified_name
 
 __all__ = ["QmcpySampler", "ScipySampler", "is_engine", "is_generator"]
 
-_RANDOMNESS = ("rng", "seed")  # names of the argument; `seed` before scipy 1.15
+_RANDOMNESS = ("rng", "seed")  # names of the generator argument; `seed` before scipy 1.15
 _SET_ELSEWHERE = ("dimension", "replications", "seed")  # arguments that this class sets
 _UNBIASED = ("Halton", "LatinHypercube", "Sobol")  # scrambled engines of scipy with uniform points
 _UNIFORM = ("TRUE", "SHIFT", "DS", "LMS DS", "DP", "LMS DP", "NUS")  # values of QMCPy's `randomize`
@@ -54,12 +54,12 @@ class ScipySampler(OneByOne):
     scramble
         The engine's argument of that name; with None the engine uses its default.
     options
-        Further arguments of the engine, e.g. ``{'strength': 2}``.
+        Further arguments of the engine, such as ``{'strength': 2}``.
 
     Notes
     -----
     Scrambled Sobol, Halton and LatinHypercube engines without `optimization` count as unbiased;
-    all other engines do not.
+    other engines do not.
     """
 
     name: ClassVar[str] = "scipy"
@@ -98,8 +98,8 @@ class ScipySampler(OneByOne):
         Parameters
         ----------
         engine
-            An instance serves only for its class and arguments; its generator and its position in
-            the sequence are ignored.
+            For an instance, only its class and arguments are used; its generator and its position
+            in the sequence are ignored.
         arguments
             Arguments of a class: ``d`` (or ``dims``), ``scramble``, ...
 
@@ -126,7 +126,7 @@ class ScipySampler(OneByOne):
 
     @property
     def unbiased(self) -> bool:  # type: ignore[override]
-        """Whether every point is known to be uniform."""
+        """Whether every point is guaranteed to be uniform."""
         plain = self.options.get("optimization") is None
         return plain and self.scramble is not False and self.engine in _UNBIASED
 
@@ -247,23 +247,25 @@ class QmcpySampler(OneByOne):
     """A generator of QMCPy, created for each realization with its own seed.
 
     Dims and counts are limited by the generator's ``d_limit`` and ``n_limit``. Counts are powers of
-    two if its order is the radical inverse. Other refusals occur when points are drawn.
+    two if the order of the generator is the radical inverse. Other errors occur when points are
+    drawn.
 
     Attributes
     ----------
     generator
-        Name of a class in `qmcpy`, the class, or an instance. An instance serves only as a
-        pattern; fresh copies are made with QMCPy's own ``spawn``.
+        Name of a class in `qmcpy`, the class, or an instance. Instances are only patterns; QMCPy's
+        own ``spawn`` makes fresh copies.
     dims
         Number of dims, the generator's ``dimension``.
     options
-        Further arguments of the class, e.g. ``{'randomize': 'NUS'}``.
+        Further arguments of the class, such as ``{'randomize': 'NUS'}``.
 
     Notes
     -----
-    QMCPy keeps up to 63 binary digits; a coordinate that rounds up to 1.0 becomes the largest
-    double below 1, and larger ones are errors. Points count as uniform for QMCPy's own classes
-    if ``randomize`` is a shift, a digital shift, a digital permutation or nested scrambling.
+    QMCPy keeps up to 63 binary digits. A coordinate that rounds up to 1.0 is replaced by the
+    largest double below 1; larger coordinates are errors. Points count as uniform for QMCPy's own
+    classes if ``randomize`` is a shift, a digital shift, a digital permutation or nested
+    scrambling.
 
     References
     ----------
@@ -324,7 +326,7 @@ class QmcpySampler(OneByOne):
 
     @property
     def unbiased(self) -> bool:  # type: ignore[override]
-        """Whether every point is known to be uniform."""
+        """Whether every point is guaranteed to be uniform."""
         made = type(self._pattern)
         randomize = str(getattr(self._pattern, "randomize", "")).upper()
         known = made.__module__.startswith("qmcpy.") and randomize in _UNIFORM
@@ -332,7 +334,7 @@ class QmcpySampler(OneByOne):
 
     @property
     def max_count(self) -> int:  # type: ignore[override]
-        """Limit of the generator."""
+        """Largest number of points that the generator allows."""
         limit = self._pattern.n_limit
         return MAX_COUNT if limit > MAX_COUNT else int(limit)
 
@@ -361,13 +363,13 @@ class QmcpySampler(OneByOne):
                     "alone."
                 )
             try:
-                return source._spawn(seed, source.d)  # same as its own ``spawn``
+                return source._spawn(seed, source.d)  # same as QMCPy's own ``spawn``
             except Exception as error:
                 raise ParameterError(
                     f"This {name} cannot be copied: {reason_of(error, 200)}."
                 ) from error
         cls = _generator_classes()[source] if isinstance(source, str) else source
-        # Turn off its many warnings unless they are requested
+        # Turn off QMCPy's many warnings unless the user requests them
         given = {"dimension": self.dims, "replications": None, "seed": seed, "warn": False}
         own = {key: given[key] for key in inspect.signature(cls).parameters if key in given}
         try:
@@ -394,7 +396,7 @@ class QmcpySampler(OneByOne):
 
 
 def is_generator(source: object) -> bool:
-    """Return whether this is a QMCPy generator or its class; none exists before its import."""
+    """Return whether this is a QMCPy generator or its class; none exists before QMCPy's import."""
     return _is_of(source, getattr(sys.modules.get("qmcpy"), "AbstractDiscreteDistribution", None))
 
 

@@ -62,17 +62,17 @@ __all__ = [
 _PLACEHOLDER = re.compile(r"\{(\w*)\}")
 _PLACEHOLDERS = ("n", "seed", "dims")
 _COORDINATE_BYTES = 64  # most bytes of a printed number and its separator
-_SEED_BITS = 31  # bits of a seed; programs read it as int
+_SEED_BITS = 31  # number of bits of a seed; programs read the seed as int
 
 # Recognition of nets and lattices among given sets
 _NET_BASES = (2, 3, 5)
-_LEAST_CELLS, _LEAST_CELLS_OF_FEW = 8, 16  # fewest balanced elementary intervals of a shape
+_LEAST_CELLS, _LEAST_CELLS_OF_FEW = 8, 16  # least number of balanced elementary intervals
 _FEW = 64  # sets with fewer points than this need more intervals
 _MOST_WORK = 2**26  # largest product of points and interval shapes; about a second
-_WORD = 53  # bits of a coordinate
-_OFF_LATTICE = 0.01  # tolerance of a lattice in units of 1/n, for rounded coordinates
+_WORD = 53  # number of bits of a coordinate
+_OFF_LATTICE = 0.01  # rounding tolerance of coordinates of a lattice, in units of 1/n
 
-# Code of samplers made from Python classes, and of studies that are allowed to run it
+# Code that specs may name because a Python class or the trust of a study allows it
 _own: set[str] = set()
 
 
@@ -85,13 +85,13 @@ def _as_label(name: str, given: object) -> str:
 
 
 class PointSets(dict[int, Array]):
-    """Sets grouped by their number of points, (R, n, d) each, and their laws."""
+    """Sets grouped by number of points, (R, n, d) each, and the laws of the sets."""
 
     @cached_property
     def laws(self) -> dict[int, Law]:
         """The recognized law of the sets of each count.
 
-        A smaller set counts as a net if its quality t is no worse than that of the largest set.
+        A smaller set counts as a net if its quality t is no worse than the t of the largest set.
         """
         found: dict[int, Law] = {}
         largest: tuple[int, int] | None = None
@@ -117,7 +117,7 @@ class PointSets(dict[int, Array]):
 class GivenPoints(Sampler):
     """Given points: realization r is set r of an array or of point-set files.
 
-    It is an error to draw more realizations than there are sets, or a count that no set has. With a
+    It is an error to draw more realizations than sets exist, or a count that no set has. With a
     randomization that makes every point uniform (shift, digital-shift, owen), sets are used
     repeatedly with fresh randomness. One set then suffices for any number of realizations.
 
@@ -125,21 +125,22 @@ class GivenPoints(Sampler):
     ----------
     path
         File, files or folder (.dat, .bin, .npz, .npy, .csv) with the sets, in order of names
-        (numbers in names count by value). ``*`` and ``?`` match any characters of a file name, and
+        (numbers in names are sorted by value). ``*`` and ``?`` match any characters of a file name,
+        and
         ``{n}`` matches the number of points, which is then checked, as in ``sets/n{n}_*.dat``.
-        If `points` are given, `path` is only their name.
+        If `points` are given, `path` is only a name for them.
     points
-        The sets, shape (R, n, d) or (n, d), in [0,1). They are copied and read-only. If there are
-        several counts, these are the sets with the fewest points.
+        The sets, shape (R, n, d) or (n, d), in [0,1). They are copied and read-only. If the sets
+        have several counts, `points` has the sets with the fewest points.
     cycle
-        Whether realization r is set r mod R. Without a randomization this repeats data: a
-        variance then describes R sets, however many are drawn.
+        Whether realization r is set r mod R. Without a randomization this repeats data: a variance
+        is then that of R sets, however many are drawn.
     dims
-        Number of coordinates, by default that of the sets; a given number must agree with it.
+        Number of coordinates. By default it is that of the sets; a given number must agree.
     name_
         Label in pictures and tables: ``name=`` in a spec.
     sets
-        All sets by their number of points, (R, n, d) each. Digital nets in base 2, 3 or 5 and
+        All sets by number of points, (R, n, d) each. Digital nets in base 2, 3 or 5 and
         lattices are recognized, for predictions and for randomizations of digits.
     digest
         First 12 digits of the SHA-256 of shapes and coordinates.
@@ -260,11 +261,11 @@ class GivenPoints(Sampler):
 def net_quality(points: Array, like: tuple[int, int] | None = None) -> tuple[int, int] | None:
     """Return base and quality t of a digital net in base 2, 3 or 5; None for other sets (n, d).
 
-    A set of b^m points is a (t, m, d)-net if each elementary interval of volume b^(t − m) holds b^t
-    points. Every set is a net for t = m. A set counts as a net if m − t is at least 3 in base 2
-    (4 below 64 points) and 2 in bases 3 and 5. Alternatively, it has the base of the larger net
-    `like` of the same file, and a t that is no worse. Blue noise of 16 points or more does not
-    count: at most one of 200 sets did in tests.
+    A set of b^m points is a (t, m, d)-net if each elementary interval of volume b^(t − m) contains
+    b^t points. Every set is a net for t = m. A set counts as a net if m − t is at least 3 in base 2
+    (4 below 64 points) or 2 in bases 3 and 5. Alternatively, it counts if it has the base of the
+    larger net `like` of the same file, and a t that is no worse. Blue noise of 16 points or more
+    does not count: in tests, at most one of 200 such sets did.
     """
     n, dims = points.shape
     for base in _NET_BASES if like is None else (like[0],):
@@ -285,7 +286,7 @@ def net_quality(points: Array, like: tuple[int, int] | None = None) -> tuple[int
 
 
 def recognized(points: Array, bases: tuple[int, ...] | None) -> Fixed:
-    """Return the law of one given set (n, d), which is a net in these bases if they are given.
+    """Return the law of one given set (n, d), a net in the given bases if there are any.
 
     The set is digital if its digits form a group, and a lattice if its differences form a group on
     the torus.
@@ -299,7 +300,7 @@ def recognized(points: Array, bases: tuple[int, ...] | None) -> Fixed:
         words ^= words[0]
         digital = _is_group(words, np.bitwise_xor, lambda row, _: np.stack([0 * row, row, 0 * row]))
 
-    # Test for a lattice: n times the differences are whole numbers, a group modulo n
+    # Test for a lattice: n times the differences must be whole numbers and a group modulo n
     steps = n * (points - points[0])
     even = n > 1 and bool((np.abs(steps - np.rint(steps)) <= _OFF_LATTICE).all())
     vector: tuple[int, ...] | None = None
@@ -337,7 +338,7 @@ def _is_group(
     known = np.unique(hashed(rows))
     if len(known) < count:
         return False
-    # Extend a subgroup by a missing row until it contains all rows
+    # Extend a subgroup by a missing row until the subgroup contains all rows
     group = np.zeros((1, dims), np.uint64)
     while len(group) < count:
         new = rows[~np.isin(hashed(rows), hashed(group))][0]
@@ -360,7 +361,7 @@ def _as_paths(given: object) -> tuple[str, ...]:
 
 
 def _read(paths: Sequence[str]) -> Iterator[tuple[str, Array]]:
-    """Yield the sets of all files in order, with file names; n is checked against the name."""
+    """Yield the sets of all files in order, with file names; check n against the name."""
     for file, n in (found for path in paths for found in matching_files(path)):
         for points in read_points(file):
             if n is not None and len(points) != n:
@@ -451,7 +452,7 @@ class _OfCode(OneByOne):
 
     @property
     def unbiased(self) -> bool:  # type: ignore[override]
-        """The declared value; False for a set that is always the same."""
+        """The declared value, or False for a set that is always the same."""
         return self.unbiased_ and not self.fixed
 
 
@@ -466,7 +467,7 @@ class FunctionSampler(_OfCode):
         The callable. All its randomness must come from the generator, which is fresh and
         reproducible for each realization. Threads may call it concurrently.
     dims
-        Number of coordinates of the points it returns.
+        Number of coordinates of the returned points.
     unbiased_
         Whether each of its points, taken alone, is uniform on [0,1)^d.
     """
@@ -484,7 +485,7 @@ class FunctionSampler(_OfCode):
 
     @property
     def spec(self) -> str:
-        """Name of the callable, which a spec string cannot describe."""
+        """Name of the callable, because no spec string can describe a callable."""
         return f"function({qualified_name(self.function)})"
 
     def make_one(self, n: int, stream: Stream, realization: int) -> object:
@@ -500,10 +501,10 @@ class PythonSampler(_OfCode):
     Attributes
     ----------
     function
-        ``module:function``; modules are searched on Python's path (PYTHONPATH). The function is
+        ``module:function``; modules are found on Python's path (PYTHONPATH). The function is
         called as in `FunctionSampler`.
     dims
-        Number of coordinates of the points it returns.
+        Number of coordinates of the returned points.
     unbiased_
         Whether each of its points, taken alone, is uniform on [0,1)^d: ``unbiased=`` in a spec.
     name_
@@ -546,10 +547,10 @@ class CommandSampler(_OfCode):
     run
         Program and arguments. ``{n}`` stands for the number of points, ``{dims}`` for the number
         of dims, and ``{seed}`` for a whole number from 0 to 2^31 − 1 that belongs to the
-        realization. No shell is involved. Without ``{seed}`` all realizations are one set, and
+        realization. No shell is used. Without ``{seed}`` all realizations are one set, and
         the program runs once per draw.
     dims
-        Number of coordinates that it prints per point, separated by blanks or commas.
+        Number of coordinates that the program prints per point, separated by blanks or commas.
     timeout
         Seconds after which the program is stopped.
     unbiased_
@@ -708,12 +709,12 @@ def allow_code(*names: str) -> None:
 
 
 def allow_own_code(name: str) -> None:
-    """Let specs run code that a class in Python or the `Trust` of a study already allows."""
+    """Allow specs to run code that a Python class or the `Trust` of a study already allows."""
     _own.add(name)
 
 
 def check_code(call: Call) -> None:
-    """Raise an error for a part of a spec that names code which this process may not run.
+    """Raise an error if a part of a spec names code that this process may not run.
 
     Raises
     ------
@@ -726,6 +727,6 @@ def check_code(call: Call) -> None:
 
 
 def qualified_name(thing: object) -> str:
-    """Return module and name of a class or function, without its address in memory."""
+    """Return module and name of a class or function, without an address in memory."""
     named = thing if hasattr(thing, "__qualname__") else type(thing)
     return thing if isinstance(thing, str) else f"{named.__module__}.{named.__qualname__}"

@@ -1,4 +1,4 @@
-"""Facts about a registered sampler, found by probing it: dims, counts, sources."""
+"""Facts about a registered sampler, found by trying it: dims, counts, sources."""
 
 from __future__ import annotations
 

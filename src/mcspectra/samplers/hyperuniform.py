@@ -2,8 +2,8 @@
 
 In a hyperuniform set, the power n⟨|S_m|²⟩ goes to 0 with the frequency |m|.
 
-Legend of the kernels: R realizations, n points, d dims, K frequencies. Complex numbers are stored
-as two real arrays. Inner loops then run over neighbors in memory without a running sum, so that
+Notation of the kernels: R realizations, n points, d dims, K frequencies. Complex numbers are stored
+as two real arrays, so that inner loops access neighbors in memory, without a running sum, and
 compilers vectorize them.
 """
 
@@ -39,11 +39,11 @@ __all__ = [
     "summed_power",
 ]
 
-_GOAL = 1e-22  # sum of powers that counts as zero; rounding gives 1e-28, random points 1
+_GOAL = 1e-22  # sum of powers that counts as zero; rounding is 1e-28, random points have 1
 _STARTS = 20
 _PAIRS = 2**20  # number of pairs of waves and frequencies compared at a time
-_BLOCK = 16  # basis vectors between two tests that drop rejected proposals
-_BATCH = 8  # proposals tested together, which read the basis once
+_BLOCK = 16  # number of basis vectors between two tests of the proposals
+_BATCH = 8  # number of proposals tested together, reading the basis once
 
 
 @final
@@ -86,11 +86,11 @@ class PerturbedLattice(GridSampler):
         return Stationary(n=n, dims=self.dims, power=lambda m: self._power(n, m))
 
     def _power(self, n: int, m: Array) -> Array:
-        """⟨|S_m|²⟩ at integer m, of shape (..., d); the common translation does not change it.
+        """⟨|S_m|²⟩ at integer m, of shape (..., d); a common translation does not change the power.
 
-        It is (1/n) Σ_r exp(−2πi m·r/s) exp(−4π² |m|² (width/s)² (1 − ρ(r))) over the positions r of
-        the grid. ρ is the correlation of displacements at distance r ([Gabrielli2004]_, Gaussian
-        case).
+        The power is (1/n) Σ_r exp(−2πi m·r/s) exp(−4π² |m|² (width/s)² (1 − ρ(r))) over the
+        positions r of the grid. ρ is the correlation of displacements at distance r
+        ([Gabrielli2004]_, Gaussian case).
         """
         sides = self._sides(n)
         if self.correlation == 0.0:
@@ -114,7 +114,7 @@ class PerturbedLattice(GridSampler):
         fill_normals(keys, self.dims, moves)
         field = moves.reshape(count, n, self.dims)
 
-        # Filter the white noise; the variance stays, the power becomes proportional to |k|^(−β)
+        # Filter the white noise: power becomes proportional to |k|^(−β), the variance is unchanged
         if self.correlation != 0.0 and n == 1:
             field = np.zeros_like(field)  # the only frequency of the field is 0
         elif self.correlation != 0.0:
@@ -171,9 +171,9 @@ class StealthyHyperuniform(OptimisedSampler):
 
     Notes
     -----
-    Limited-memory BFGS starts from independent uniform points and lowers Σ n|S_m|² over these
-    frequencies below 1e-22. Neither the start nor the sum prefers a position, so every point is
-    uniform.
+    Limited-memory BFGS starts from independent uniform points and lowers Σ n|S_m|² over the
+    constrained frequencies below 1e-22. Neither the start nor the sum prefers a position, so every
+    point is uniform.
 
     References
     ----------
@@ -181,7 +181,7 @@ class StealthyHyperuniform(OptimisedSampler):
     """
 
     max_dims: ClassVar[int | None] = 64
-    max_count: ClassVar[int] = 2**14  # work grows like n²
+    max_count: ClassVar[int] = 2**14  # work grows as n²
     dims: int = DEFAULT_DIMS
     stealthiness: float = real(0.4, above=0.0)
     iterations: int = whole(10_000, least=1, most=10**6)
@@ -194,7 +194,7 @@ class StealthyHyperuniform(OptimisedSampler):
             )
 
     def constrained(self, n: int) -> Array:
-        """Return the frequencies without power for `n` points: int64 (K, dims), one per ±m."""
+        """Return the constrained frequencies for `n` points: int64 (K, dims), one per ±m."""
         most = int(self.stealthiness * self.dims * (self.check_count(n) - 1))
         return half_shells(most, self.dims)
 
@@ -294,7 +294,7 @@ class Determinantal(Sampler):
     Points are drawn exactly, one after another (Hough et al., algorithm 18; Lavancier et al.,
     algorithm 1), each by rejection from uniform proposals. The process is stationary with pair
     density n² − |K(x, y)|² and n⟨|S_k|²⟩ = 1 − #{(m, m') in M × M: m − m' = k}/n. It is thus
-    hyperuniform like |k|: variances of smooth integrands fall like n^(−1−1/d).
+    hyperuniform with power ∝ |k|: variances of smooth integrands fall as n^(−1−1/d).
 
     References
     ----------
@@ -303,7 +303,7 @@ class Determinantal(Sampler):
 
     structure: ClassVar[Structure] = Structure.TORUS
     max_dims: ClassVar[int | None] = 64
-    max_count: ClassVar[int] = 2**12  # work grows like n³ log n, memory like n²
+    max_count: ClassVar[int] = 2**12  # work grows as n³ log n, memory as n²
     dims: int = DEFAULT_DIMS
 
     def frequencies(self, n: int) -> Array:
@@ -314,12 +314,12 @@ class Determinantal(Sampler):
         return Stationary(n=n, dims=self.dims, power=lambda m: self._power(n, m))
 
     def _power(self, n: int, m: Array) -> Array:
-        """⟨|S_m|²⟩ at integer m, (..., d): 1/n minus the share of waves that m maps to others."""
+        """⟨|S_m|²⟩ at integer m, (..., d): 1/n minus the share of waves that m maps onto waves."""
         waves = self.frequencies(n)
         flat = np.rint(m).reshape(-1, self.dims).astype(np.int64)
         rows, back = np.unique(flat, axis=0, return_inverse=True)
 
-        # Number each frequency by a sum over its coordinates; the numbers are distinct
+        # Give each frequency a distinct number: a sum over its coordinates
         factors = np.random.default_rng(n).integers(2**63, size=self.dims)
         numbers = np.sort(waves @ factors)
         pairs = np.zeros(len(rows))
@@ -339,7 +339,7 @@ class Determinantal(Sampler):
 
 @kernel
 def _add_block(re: Array, im: Array, vr: Array, vi: Array, cr: Array, ci: Array) -> float:
-    # Coefficients of a feature vector in one block of the basis, and the sum of their squares.
+    # Compute coefficients of a feature vector in one block of the basis, and their sum of squares.
     cr[:] = 0.0
     ci[:] = 0.0
     for k in range(re.size):
@@ -376,7 +376,7 @@ def _append(re: Array, im: Array, basis: tuple[Array, Array], i: int, cr: Array,
 @kernel
 def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], out: Array) -> None:
     # Draw one realization. Proposals that are untested when a point is found remain for later
-    # points, since the tests they passed remain valid.
+    # points, since the tests that they passed remain valid.
     n, dims = out.shape
     x, most, within = np.empty((_BATCH, dims)), np.empty(_BATCH), np.empty(_BATCH)
     re, im = np.empty((_BATCH, n)), np.empty((_BATCH, n))
@@ -397,7 +397,7 @@ def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], ou
                 re[p, k] = cos(2.0 * pi * phase)
                 im[p, k] = sin(2.0 * pi * phase)
 
-        # Project them onto the basis, and drop those that exceed their limits
+        # Project the proposals onto the basis, and drop proposals that exceed their limits
         within[:] = 0.0
         for block in range((i + _BLOCK - 1) // _BLOCK):
             vr, vi = basis[0][block], basis[1][block]
@@ -405,7 +405,7 @@ def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], ou
                 if within[p] < most[p]:
                     within[p] += _add_block(re[p], im[p], vr, vi, cr[p, block], ci[p, block])
 
-        # Accept the remaining ones in order; each extends the basis and the later projections
+        # Accept remaining proposals in order; each extends the basis and the later projections
         for p in range(_BATCH):
             if i == n or within[p] >= most[p]:
                 continue
@@ -424,9 +424,9 @@ def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], ou
 
 @kernel
 def _fill_determinantal(keys: Array, m: Array, out: Array) -> None:
-    # The projection process of the frequencies m (n, d); out (R, n, d). After i points, the density
-    # of the next point is ‖P φ(x)‖²/(n − i). φ(x) is the feature vector, and P projects out the
-    # feature vectors of the drawn points. ‖φ‖² = n bounds it.
+    # Draw from the projection process of the frequencies m (n, d); out (R, n, d). After i points,
+    # the density of the next point is ‖P φ(x)‖²/(n − i). φ(x) is the feature vector, and P projects
+    # out the feature vectors of the drawn points. The bound of the rejection is ‖φ‖² = n.
     n = out.shape[1]
     shape = ((n + _BLOCK - 1) // _BLOCK, n, _BLOCK)
     basis = np.empty(shape), np.empty(shape)
@@ -468,7 +468,7 @@ def half_shells(most: int, dims: int) -> Array:
     """
     found = nearest_frequencies(2 * most + 2, dims)
     norms = np.sum(found**2, axis=1)
-    inside = found[norms < norms[-1]]  # the last shell may be incomplete
+    inside = found[norms < norms[-1]]  # the last shell may be incomplete, so it is left out
     first = np.argmax(inside != 0, axis=1)
     half: Array = inside[inside[np.arange(len(inside)), first] > 0]
     return half

@@ -21,14 +21,14 @@ from mcspectra.samplers.law import Fixed, Law
 
 __all__ = ["Fibonacci", "Korobov", "Kronecker", "Rank1Lattice", "golden_steps"]
 
-_EVALUATIONS = 2**24  # kernel values per component; about 0.1 s
+_EVALUATIONS = 2**24  # largest number of kernel values per component; about 0.1 s
 _LEAST_CANDIDATES = 16
 _BITS = 64
 _S11, _UNIT = np.uint64(11), 2.0**-53
 
 
 class _Lattice(FixedSet):
-    """The points {k z / n}, k = 0 … n − 1, of a generating vector z."""
+    """Abstract lattice: the points {k z / n}, k = 0 … n − 1, of a generating vector z."""
 
     structure: ClassVar[Structure] = Structure.TORUS
 
@@ -38,7 +38,7 @@ class _Lattice(FixedSet):
 
     @abstractmethod
     def _vector(self, n: int) -> Sequence[int]:
-        """Make z for n points."""
+        """Return the generating vector z for n points."""
 
     def _law(self, n: int) -> Law:
         return Fixed(
@@ -53,7 +53,7 @@ class _Lattice(FixedSet):
 
 @kernel
 def _fill_lattice(vector: Array, out: Array) -> None:
-    # k z / n, k = 0 … n − 1, by adding z modulo n: vector int64 (d,), z_j < n; out (n, d)
+    # Fill out (n, d) with k z / n, k = 0 … n − 1, by adding z modulo n: vector int64 (d,), z_j < n
     n, dims = out.shape
     for j in range(dims):
         step, multiple = vector[j], 0
@@ -85,9 +85,9 @@ class Rank1Lattice(_Lattice):
 
         P_2 = −1 + (1/n) Σ_k Π_j (1 + γ_j 2π² B_2({k z_j/n})),   B_2(x) = x² − x + 1/6,
 
-    over the z_j ≤ n/2 coprime to n. It tries all of them if that takes at most 2^24 values of B_2
-    per component (n up to 5,792), else at least 16 evenly spaced ones. Vectors are kept in memory
-    by (n, d).
+    over the z_j ≤ n/2 coprime to n. The search tries all z_j if that takes at most 2^24 values of
+    B_2 per component (n up to 5,792), else at least 16 evenly spaced values of z_j. Vectors are
+    kept in memory by (n, d).
 
     References
     ----------
@@ -149,9 +149,9 @@ class Korobov(_Lattice):
     Notes
     -----
     The search minimizes P_2, as in `Rank1Lattice` but with equal weights γ_j = 1, over the a ≤ n/2
-    coprime to n (n − a gives the reflected lattice). It tries all of them if that takes at most
-    2^24 values of B_2 (n up to 4,096 in 2-D), else at least 16 evenly spaced ones. Generators are
-    kept in memory by (n, d).
+    coprime to n (n − a gives the reflected lattice). The search tries all a if that takes at most
+    2^24 values of B_2 (n up to 4,096 in 2-D), else at least 16 evenly spaced values of a.
+    Generators are kept in memory by (n, d).
 
     References
     ----------
@@ -194,7 +194,7 @@ def _bernoulli(n: int) -> Array:
 
 
 def _candidates(n: int, most: int) -> Array:
-    """Return numbers 1 … n/2 coprime to n, thinned evenly to `most`; n − z would repeat z."""
+    """Return numbers 1 … n/2 coprime to n, thinned evenly to `most`; n − z is equivalent to z."""
     z = np.arange(1, max(2, n // 2 + 1))
     z = z[np.gcd(z, n) == 1]
     spread = np.linspace(0, z.size - 1, min(max(_LEAST_CANDIDATES, most), z.size))
@@ -202,7 +202,7 @@ def _candidates(n: int, most: int) -> Array:
 
 
 def _first_least(errors: Sequence[float]) -> int:
-    """Return the first index of the smallest error up to rounding, in any order of summation."""
+    """Return the first index whose error is smallest up to rounding."""
     values = np.asarray(errors)
     tolerance = 1e-9 * float(np.abs(values).max())
     return int(np.flatnonzero(values <= values.min() + tolerance)[0])
@@ -231,7 +231,7 @@ class Fibonacci(PlaneSampler, _Lattice):
         return below, min(f for f in _FIBONACCI if f >= n)
 
 
-_FIBONACCI = [1, 2]  # up to the first number above the largest count
+_FIBONACCI = [1, 2]  # Fibonacci numbers up to the first above the largest count
 while _FIBONACCI[-1] <= MAX_COUNT:
     _FIBONACCI.append(_FIBONACCI[-1] + _FIBONACCI[-2])
 
@@ -251,9 +251,9 @@ class Kronecker(FixedSet):
 
     Notes
     -----
-    Multiples are added in whole numbers of 2^-64 modulo 1. This is exact, and differences of points
-    depend on differences of indices only. Simple fractions such as 0.5 put all points on few lines;
-    the sampler does not check that α is irrational.
+    Multiples are computed in integer units of 2^-64 modulo 1. This is exact, and differences of
+    points depend on differences of indices only. Simple fractions such as 0.5 put all points on few
+    lines; the sampler does not check that α is irrational.
 
     References
     ----------
@@ -301,7 +301,7 @@ class Kronecker(FixedSet):
 @lru_cache(maxsize=64)
 def golden_steps(dims: int) -> Array:
     """Return φ^(−1) … φ^(−d) in units of 2^-64, φ^(d+1) = φ + 1: uint64 (dims,), read-only."""
-    bits = _BITS + 32  # extra bits, since the error grows with the power
+    bits = _BITS + 32  # extra bits, since powers increase the error
     one = 1 << bits
 
     # Find 1/φ by bisection: x = 1/φ solves x^(d+1) + x^d = 1
@@ -327,7 +327,7 @@ def golden_steps(dims: int) -> Array:
 
 @kernel
 def _fill_kronecker(steps: Array, out: Array) -> None:
-    # 0, α, 2α, … modulo 1 = 2^64 units: steps uint64 (d,), out (n, d)
+    # Fill out (n, d) with 0, α, 2α, … modulo 1 = 2^64 units; steps uint64 (d,)
     n, dims = out.shape
     for j in range(dims):
         multiple = np.uint64(0)

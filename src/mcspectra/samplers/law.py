@@ -85,9 +85,9 @@ __all__ = [
 
 
 _MOST_TERMS = 2**32
-"""Largest number of terms of a sum over points and frequencies; they take about half a minute."""
+"""Largest number of terms of a sum over points and frequencies: about half a minute."""
 _MOST_COUNTS = 2**28
-"""Largest product of points and levels whose digits are compared; it takes about a minute."""
+"""Largest product of points and levels in comparisons of digits: about a minute."""
 _TERMS_AT_ONCE = 2**22
 """Number of terms held in memory at a time: 64 MB of complex numbers."""
 
@@ -112,7 +112,7 @@ class Law(ABC):
     n, dims
         Number of points and of coordinates.
     source
-        The sampler that has this law; used to draw points.
+        The sampler that has this law and draws its points.
     fixed
         Whether all realizations are the same set.
     uniform
@@ -155,17 +155,17 @@ class Independent(Law):
 
 
 class Motif(ABC):
-    """The points in one cell of `Strata`, in units of cells.
+    """Abstract motif: the points in one cell of `Strata`, in units of cells.
 
     Attributes
     ----------
     size
         Number of points.
     wraps
-        Whether points may leave their cell and are then wrapped around the torus. Transforms are
-        valid at integer frequencies only in this case.
+        Whether points may leave their cell and are then wrapped around the torus. If so, transforms
+        are valid only at integer frequencies.
     uniform
-        Whether a point of the motif is uniform in its cell, or on the torus if it wraps.
+        Whether a point of the motif is uniform in its cell, or on the torus if points wrap.
     """
 
     size: ClassVar[int] = 1
@@ -174,7 +174,7 @@ class Motif(ABC):
 
     @abstractmethod
     def mean(self, a: Array) -> Array:
-        """⟨M(a)⟩, where M(a) is the mean of exp(−2πi a·ξ) over the points ξ, and a is (..., d)."""
+        """Return ⟨M(a)⟩ at a (..., d); M(a) is the mean of exp(−2πi a·ξ) over the points ξ."""
 
     @abstractmethod
     def second(self, a: Array, b: Array) -> Array:
@@ -190,11 +190,11 @@ class _Point(Motif):
         """Transform of each coordinate."""
 
     def mean(self, a: Array) -> Array:
-        """Product of the transforms of the axes."""
+        """Return the product of the transforms of the axes."""
         return np.asarray(np.prod(self.axis(a), axis=-1))
 
     def second(self, a: Array, b: Array) -> Array:
-        """Transform at the difference of the frequencies."""
+        """Return the transform at the difference of the frequencies."""
         return self.mean(a - b)
 
 
@@ -204,7 +204,7 @@ class UniformPoint(_Point):
     """A uniform point of the cell."""
 
     def axis(self, a: Array) -> Array:
-        """χ(a) = sinc(πa) exp(−iπa)."""
+        """Return χ(a) = sinc(πa) exp(−iπa)."""
         return np.asarray(np.sinc(a) * np.exp(-1j * np.pi * np.remainder(a, 2.0)))
 
 
@@ -226,7 +226,7 @@ class BoxPoint(_Point):
         return self.width >= 1.0 and self.width.is_integer()
 
     def axis(self, a: Array) -> Array:
-        """exp(−iπa) sinc(π width a)."""
+        """Return exp(−iπa) sinc(π width a)."""
         return np.asarray(_center(a) * np.sinc(self.width * a))
 
 
@@ -240,7 +240,7 @@ class GaussianPoint(_Point):
     uniform: ClassVar[bool] = False  # type: ignore[misc]
 
     def axis(self, a: Array) -> Array:
-        """exp(−iπa) exp(−2π² width² a²)."""
+        """Return exp(−iπa) exp(−2π² width² a²)."""
         return np.asarray(_center(a) * np.exp(-2.0 * (np.pi * self.width * a) ** 2))
 
 
@@ -252,17 +252,17 @@ class AntitheticPair(Motif):
     size: ClassVar[int] = 2
 
     def mean(self, a: Array) -> Array:
-        """Transform of one uniform point."""
+        """Return the transform of one uniform point."""
         return UniformPoint().mean(a)
 
     def second(self, a: Array, b: Array) -> Array:
-        """M(a) = exp(−iπ Σ a) cos(2π a·η), η uniform in the centered cell."""
+        """Return the moment; M(a) = exp(−iπ Σ a) cos(2π a·η), η uniform in the centered cell."""
         mean = 0.5 * (np.prod(np.sinc(a - b), axis=-1) + np.prod(np.sinc(a + b), axis=-1))
         return np.asarray(np.prod(_center(a - b), axis=-1) * mean)
 
 
 def _center(a: Array) -> Array:
-    """Transform of the center of a cell, for each coordinate."""
+    """Return the transform of the center of a cell, for each coordinate."""
     return np.asarray(np.exp(-1j * np.pi * np.remainder(a, 2.0)))
 
 
@@ -301,7 +301,7 @@ one stratum (same), or uniform in two different parts of one stratum (mates)."""
 @final
 @dataclass(frozen=True)
 class PairPattern:
-    """A group of ordered pairs of points, as a share of all n² pairs.
+    """A group of ordered pairs of points with the same relation on each axis.
 
     Attributes
     ----------
@@ -325,7 +325,7 @@ class PairedAxes(Law):
     strata
         Number of strata of each axis.
     parts
-        Number of parts of each stratum; each part holds at most one point.
+        Number of parts of each stratum; each part contains at most one point.
     patterns
         Groups of the pairs of different points.
     base
@@ -339,7 +339,7 @@ class PairedAxes(Law):
 
     @property
     def latin(self) -> bool:
-        """Whether any two points lie in different strata, of n, on every axis."""
+        """Whether each of n strata on every axis contains one point."""
         return self.strata == (self.n,) * self.dims
 
 
@@ -354,8 +354,8 @@ def paired_axes_of_array(s: int, dims: int, *, shared_out: bool) -> PairedAxes:
     """Return the law of an orthogonal array of strength 2 with s² points and random level names.
 
     Of the s²(s² − 1) ordered pairs of different points, s²(s − 1) agree on each axis, and no pair
-    agrees on two. With `shared_out`, the s points of a level lie in different s-ths of it; without,
-    they are independent.
+    agrees on two. With `shared_out`, a level's stratum has s parts with one of its s points in
+    each; otherwise these points are independent.
     """
     if dims == 1 and shared_out:
         return latin_hypercube(s * s, 1)
@@ -384,19 +384,19 @@ class Fixed(Law):
     Attributes
     ----------
     bases
-        Base of the digits of each coordinate if the set fills elementary intervals evenly; None if
+        Base of the digits of each coordinate if the set fills elementary intervals evenly. None if
         the set is not a digital construction.
     vector
         Generating vector z of a rank-1 lattice {k z / n}; None for other sets.
     sides, corner
         Number of grid cells along each axis, and the position of the point in its cell, in units of
-        cells; None for other sets.
+        cells. None for sets that are not grids.
     even
         Whether the evenness of the set depends only on differences of points on the torus, as for
-        lattices and Kronecker points; then translations preserve it.
+        lattices and Kronecker points. Translations then preserve the evenness.
     digital
-        Whether the digits of the points form a group under addition without carry; then all points
-        have the same relation to the others.
+        Whether the digits of the points form a group under addition without carry. If so, each
+        point has the same relation to all other points.
     columns
         Columns of the generator matrices of a digital net in base 2, as 32-bit numbers with the
         first digit highest, uint64 (dims, log2 n); None if they are unknown.
@@ -424,7 +424,7 @@ class Fixed(Law):
         return np.asarray(self.draw(Stream.from_rng(self.seed), 0, 1)[0])
 
     def agreements(self, bases: Sequence[int], levels: int) -> Array:
-        """Return how many points share their first digits with a point, itself included.
+        """Return the mean number of points with the first digits of a point, including itself.
 
         Entry (l_1, …, l_d) of the array (levels + 1, …) is a mean over the points: the number of
         points whose coordinate j has the same first l_j digits in base j, for all j.
@@ -447,7 +447,7 @@ class Fixed(Law):
                 found[at] = np.sum(np.bincount(cells).astype(float) ** 2) / self.n
                 return
             for level in range(levels + 1):
-                # First digits as whole numbers; a k/b^level that was rounded down counts as k
+                # First digits as whole numbers; k/b^level counts as k even if rounded down
                 base, scale = bases[axis], float(bases[axis] ** level)
                 nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-50
                 digits = np.floor(points[:, axis] * scale + nudge)
@@ -469,7 +469,7 @@ class Stationary(Law):
     power
         ⟨|S_m|²⟩ at integer m of shape (..., d) in closed form; None if it can only be measured.
     sets
-        Number of different sets that exist; None if every realization is a new set.
+        Number of different sets; None if every realization is a new set.
     """
 
     stationary: ClassVar[bool] = True
@@ -558,7 +558,7 @@ class Unknown(Law):
     is_uniform
         Whether the sampler declares that every point is uniform.
     sets
-        Number of different sets that exist; None if every realization is a new set.
+        Number of different sets; None if every realization is a new set.
     strata
         Number of strata of each axis that hold one point each; None if it is unknown.
     bases
@@ -596,7 +596,7 @@ class Shifted(Law):
 
 @dataclass(frozen=True, kw_only=True)
 class _Image(Law):
-    """The law of a mapped set, which is fixed or uniform if the set is."""
+    """The law of a mapped set; it is fixed or uniform if the original set is."""
 
     inner: Law
 
@@ -628,9 +628,9 @@ class Moved(_Image):
 
 
 Scramble: TypeAlias = Literal["digital-shift", "permutation", "linear", "nested"]
-"""Kind of randomization of digits; each kind contains the kinds before it. A digital shift adds one
-random digit to each place. A permutation permutes the digits of each place. Linear: a random lower
-triangular matrix and a shift. Nested: permutations that depend on all higher digits."""
+"""Kind of randomization of digits; each kind includes the kinds before. A digital shift adds one
+random digit to each place. A permutation permutes the digits of each place. A linear scramble is a
+random lower triangular matrix and a shift. Nested permutations depend on all higher digits."""
 
 _SCRAMBLES: tuple[Scramble, ...] = ("digital-shift", "permutation", "linear", "nested")
 
@@ -650,8 +650,8 @@ class Scrambled(Law):
     bases
         Base of the digits of each coordinate.
     shifts
-        Whether every point becomes uniform. Matrices alone do not achieve this: they fix the
-        origin.
+        Whether every point becomes uniform. Matrices alone do not make points uniform: they map the
+        origin to itself.
     """
 
     inner: Law
@@ -666,19 +666,19 @@ class Scrambled(Law):
 
     @property
     def nested_pairs(self) -> bool:
-        """Whether pairs of points have the law of nested scrambling."""
+        """Whether pairs of points have the same law as after nested scrambling."""
         return self.kind in ("linear", "nested") and self.shifts
 
     @property
     def xor(self) -> bool:
-        """Whether one digital shift in base 2 moves all points."""
+        """Whether the scramble is one digital shift in base 2 (XOR) of all points."""
         return self.kind in ("digital-shift", "permutation") and set(self.bases) == {2}
 
 
 @final
 @dataclass(frozen=True, kw_only=True)
 class Folded(_Image):
-    """u → 1 − |2u − 1| of every coordinate: equal to the inner law with a folded integrand."""
+    """Map u → 1 − |2u − 1| of every coordinate: equivalent to folding the integrand."""
 
 
 @final
@@ -699,7 +699,7 @@ class Mirrored(_Image):
 
     @property
     def fixed(self) -> bool:  # type: ignore[override]
-        """Whether all realizations are the same set: only a fixed set with uniform reflections."""
+        """Whether all realizations are the same set, as for uniform reflections of a fixed set."""
         return self.mode == "uniform" and self.inner.fixed
 
 
@@ -726,9 +726,9 @@ def moved(law: Law, by: Sequence[float]) -> Law:
 def scrambled(law: Law, kind: Scramble, bases: Sequence[int], *, shifts: bool = True) -> Law:
     """Return the law after the digits in the given bases are randomized.
 
-    Strata keep their law if their sides are powers of the base, and so do strata of axes: cells map
-    to cells, in which points are already uniform. Samplers refuse scrambles that break their
-    strata.
+    If the sides of strata (also of single axes) are powers of the base, the law does not change:
+    cells map to cells, in which points are already uniform. Samplers refuse scrambles that break
+    their strata.
     """
     digits = tuple(map(int, bases))
     if isinstance(law, Scrambled) and law.bases == digits:
@@ -742,7 +742,7 @@ def scrambled(law: Law, kind: Scramble, bases: Sequence[int], *, shifts: bool = 
 
 
 def as_scrambled(law: Law) -> Law:
-    """Return the law of an orthogonal array with shared-out levels as that of a scrambled net.
+    """Convert the law of an orthogonal array with shared-out levels to that of a scrambled net.
 
     The second digits are permuted within each first digit [Tang1993]_, so the digits of one
     realization describe all realizations. Other laws are returned unchanged.
@@ -757,7 +757,7 @@ def as_scrambled(law: Law) -> Law:
 
 
 def unmoved(law: Law) -> tuple[Law, Array]:
-    """Return the law without its last translations, and the sum of the fixed ones, (dims,)."""
+    """Return the law without its last translations, and the sum of the fixed ones among them."""
     by = np.zeros(law.dims)
     while isinstance(law, Moved | Shifted):
         if isinstance(law, Moved):
@@ -774,7 +774,7 @@ def leaf_of(law: Law) -> Law:
 
 
 def bases_to_scramble(laws: Sequence[Law]) -> tuple[int, ...] | None:
-    """Return bases in which sets of all these laws are nets, so that scrambling suits them best.
+    """Return bases in which sets of all these laws are nets, so that scrambling is the best choice.
 
     The result is None for lattices, which scrambling breaks, and for sets that are not nets; a
     shift suits both. A set of a few points can be both a net and a lattice; the other sets then
@@ -815,11 +815,11 @@ def mean_of_terms(n: int, nu: Array, terms: Callable[[Array], Array]) -> Array:
 
 
 def independent_sets(law: Law) -> int | None:
-    """Return the number of truly independent sets, or None if every realization is a new set.
+    """Return the number of different sets, or None if every realization is a new set.
 
-    Randomizations make new realizations from few sets, but power spectra, distances of points and
-    variances depend on the sets only. Standard errors therefore follow this number. Realization r
-    uses set r modulo the number.
+    A randomization makes new realizations from a few sets. However, power spectra, distances of
+    points and variances depend on the sets only, so standard errors must be based on the number of
+    sets. If there are K sets, realization r uses set r modulo K.
     """
     match law:
         case Stationary() | Choice() | Unknown():

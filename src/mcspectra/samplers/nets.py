@@ -32,7 +32,7 @@ __all__ = ["DigitalNet", "Faure", "LarcherPillichshammer", "Niederreiter", "Sobo
 
 _BITS = 32
 _TERNARY_DIGITS = 20  # digits in base 3; 3^20 exceeds the largest count
-_MAX_DEGREE = 13  # largest degree of Niederreiter's polynomials; 1,377 are irreducible
+_MAX_DEGREE = 13  # largest degree of Niederreiter's polynomials: 1,377 dims
 _NO_MATRICES = (
     "matrices is not a list of matrices; give each matrix as a list of rows of "
     "digits, or as a list of whole numbers, one for each column."
@@ -46,7 +46,7 @@ class _BinaryNet(FixedSet):
 
     @abstractmethod
     def direction_numbers(self, n: int) -> Array:
-        """Return the columns of the matrices for n points: uint32 (dims, 32); 2^31 means ½."""
+        """Return columns of matrices for n points: uint32 (dims, 32), where 2^31 means ½."""
 
     def _law(self, n: int) -> Law:
         count = n.bit_length() - 1
@@ -88,16 +88,16 @@ class Sobol(_BinaryNet):
 
     Notes
     -----
-    The order is natural: dimension 0 is the van der Corput sequence of the index, not of its Gray
-    code. Counts that are not powers of the base cause a `NotPowerOfTwoWarning`, because such sets
-    are not balanced in elementary intervals.
+    The order is natural: dimension 0 is the van der Corput sequence of the index, not of the
+    index's Gray code. Counts that are not powers of the base cause a `NotPowerOfTwoWarning`,
+    because such sets are not balanced in elementary intervals.
 
     A file has one line per dim with these entries: the number of the dim, the degree s of the
     polynomial, the polynomial a, and m_1 … m_s. Headings and text after ``#`` are ignored. In base
-    2, a holds the inner coefficients (as in Joe and Kuo's table). Degree 0 stands for van der
-    Corput's sequence, which is inserted first if the numbers begin at 2. In base 3, a holds all
-    coefficients as its digits, and m_k = m_(k−s) − Σ_j 3^j p_(s−j) m_(k−j), digit by digit modulo
-    3, where p_i is the coefficient of x^i.
+    2, a contains the inner coefficients (as in Joe and Kuo's table). Degree 0 is van der Corput's
+    sequence, which is inserted first if the numbers of the dims begin at 2. In base 3, the digits
+    of a are all coefficients, and m_k = m_(k−s) − Σ_j 3^j p_(s−j) m_(k−j), digit by digit modulo 3,
+    where p_i is the coefficient of x^i.
 
     References
     ----------
@@ -120,7 +120,7 @@ class Sobol(_BinaryNet):
 
     @property
     def digit_bases(self) -> tuple[int, ...]:
-        """The base of the table."""
+        """The base of the direction numbers."""
         return (self.base,) * self.dims
 
     def direction_numbers(self, n: int) -> Array:
@@ -153,7 +153,7 @@ def _sobol_directions() -> Array:
 
 
 def _binary_directions(polynomials: Array, initial: Array) -> Array:
-    """Return direction numbers from polynomials (d,) and first numbers (d, s): uint32 (d, 32)."""
+    """Return direction numbers, uint32 (d, 32), from polynomials (d,) and first numbers (d, s)."""
     out = np.zeros((len(polynomials), _BITS), np.uint32)
     _digital_kernels.direction_numbers(polynomials.astype(np.int64), initial.astype(np.int64), out)
     out.setflags(write=False)
@@ -161,7 +161,7 @@ def _binary_directions(polynomials: Array, initial: Array) -> Array:
 
 
 def _directions_of_file(path: str, base: int) -> Array:
-    """Return the direction numbers of a file, which is read again if it has changed."""
+    """Return the direction numbers of a file, which is read again after changes."""
     try:
         stamp = Path(path).stat().st_mtime_ns
     except (OSError, ValueError, TypeError):
@@ -212,7 +212,7 @@ def _read_directions(path: str, base: int, stamp: int) -> Array:
             initial[j, : len(first)] = first
         return _binary_directions(np.array([p for p, _ in table]), initial)
 
-    # Continue by the recurrence on digits, lowest first, and convert them to columns
+    # Continue by the recurrence on digits, lowest first, and convert the digits to columns
     out = np.zeros((len(table), digits, digits), np.int64)
     for j, (polynomial, first) in enumerate(table):
         degree = len(first)
@@ -245,7 +245,7 @@ class Niederreiter(_BinaryNet):
     x² + x + 1, …), of degree e_j. Row q·e_j + u of its matrix holds the coefficients of
     x^-1, x^-2, … in x^u / p^(q+1), u < e_j, in the order of Bratley, Fox and Niederreiter. The
     sequence has t = Σ (e_j − 1). A single axis of degree e > 1 is guaranteed to be balanced only at
-    n = 2^k with k divisible by e; scrambling does not change that.
+    n = 2^k with k divisible by e; scrambling does not change this condition.
 
     References
     ----------
@@ -270,7 +270,7 @@ def _niederreiter_directions(dims: int) -> Array:
     """Return direction numbers of the first `dims` irreducible polynomials: uint32 (dims, 32)."""
     out = np.zeros((dims, _BITS), np.uint32)
     for j, polynomial in enumerate(_irreducible()[:dims]):
-        # Row q·e + u: coefficients of x^-1 … x^-32 in x^u / p^(q+1), the first in bit 31
+        # Row q·e + u has the coefficients of x^-1 … x^-32 in x^u / p^(q+1), the first in bit 31
         degree = polynomial.bit_length() - 1
         rows: list[int] = []
         power = 1
@@ -278,7 +278,7 @@ def _niederreiter_directions(dims: int) -> Array:
             power = _times(power, polynomial)
             series = _quotient(1 << (_BITS + degree), power)  # x^-1 … x^-(32 + e)
             rows += [(series >> (degree - u)) & (2**_BITS - 1) for u in range(degree)]
-        for k in range(_BITS):  # column k of the matrix: bit 31 − k of each row
+        for k in range(_BITS):  # column k of the matrix is bit 31 − k of each row
             bits = [(row >> (_BITS - 1 - k)) & 1 for row in rows[:_BITS]]
             out[j, k] = int("".join(map(str, bits)), 2)
     out.setflags(write=False)
@@ -407,7 +407,7 @@ class Faure(_AnyBaseNet):
 
     @property
     def digit_bases(self) -> tuple[int, ...]:
-        """The same prime for all dims."""
+        """Bases of the dims: the same prime for all."""
         return (self.base or prime_from(self.dims),) * self.dims
 
     def generator_matrices(self, digits: int) -> Array:
@@ -440,28 +440,28 @@ class DigitalNet(_AnyBaseNet):
     """Digital net from given generator matrices, deterministic; randomize with owen or lms.
 
     The number of dims is at most the number of matrices. Matrices with m columns make at most b^m
-    points; sets can be balanced if n is a power of b.
+    points. Sets can be balanced if n is a power of b.
 
     Attributes
     ----------
     matrices
         One matrix per dim: a list of its rows of digits, or a list of its columns as whole numbers
-        whose highest digit belongs to the first row. Or the path of a text file.
+        whose highest digit belongs to the first row. Alternatively, the path of a text file.
     base
         The base b; a file that states its base overrides it.
     digits
         Number of rows of matrices given as columns: digits of each number, from highest to lowest;
         by default the number of columns.
     dims
-        By default the number of matrices; with a smaller number the last ones are ignored.
+        Number of dims. By default the number of matrices; if smaller, the last are ignored.
 
     Notes
     -----
     There are two formats of files. In the first, each of the first four lines has a number: base,
-    dims, largest n, digits. Text after it and lines that start with ``#`` are ignored. Then follow
-    the columns of one matrix per line, as whole numbers. LatNet Builder, the Magic Point Shop and
-    QMCPy use this format. The second, of MatBuilder, has only square matrices of digits, one below
-    the other, a row per line; give their base.
+    dims, largest n, digits. Text after the number and lines that start with ``#`` are ignored. Then
+    each line has the columns of one matrix, as whole numbers. LatNet Builder, the Magic Point Shop
+    and QMCPy use this format. The second format, of MatBuilder, has only square matrices of digits,
+    one below the other, with one row per line. For these files give the base.
 
     References
     ----------
@@ -489,12 +489,12 @@ class DigitalNet(_AnyBaseNet):
 
     @property
     def digit_bases(self) -> tuple[int, ...]:
-        """The base of the matrices; that of the file if it states one."""
+        """The base of the matrices, taken from the file if the file states a base."""
         return (self._net()[0],) * self.dims
 
     @property
     def max_count(self) -> int:  # type: ignore[override]
-        """b^m for matrices of m columns."""
+        """Largest number of points: b^m for matrices of m columns."""
         base, columns = self._net()
         return int(min(base ** columns.shape[1], MAX_COUNT))
 
@@ -573,7 +573,7 @@ def _matrix(j: int, matrix: tuple[Any, ...], base: int, digits: int | None) -> A
 def _net_of_file(path: str, given: int) -> tuple[int, Array]:
     """Return base and columns (d, m, rows) of a file of matrices; `given` is the default base."""
     with opened(path, "generator matrices") as (stream, size, name, _):
-        check_decoded_size(name, size, 128 * size)  # text of the digits and their integers
+        check_decoded_size(name, size, 128 * size)  # decoded text and integers
         lines = stream.read().decode().splitlines()
     kept = [line.partition("#")[0].split() for line in lines]
     kept = [words for words in kept if words]

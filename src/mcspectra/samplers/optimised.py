@@ -1,7 +1,7 @@
 """Base of samplers with optimized sets: a cache, progress reports, reuse of sets, and descent.
 
-`minimize` is limited-memory BFGS with reproducible bits [Nocedal1980]_. Linear algebra libraries
-may sum in another order with other numbers of threads or processors. Here every sum is NumPy's
+`minimize` is limited-memory BFGS with reproducible bits [Nocedal1980]_. With other numbers of
+threads or processors, linear algebra libraries may sum in another order. Here every sum is NumPy's
 own, so a set depends on its random numbers only (docs/decisions/0015).
 """
 
@@ -41,7 +41,7 @@ Report: TypeAlias = Callable[[float], None]
 """Function that is called at intervals with the fraction of the work done."""
 
 _CHILD = 1  # label of the stream that translates reused sets
-_MEMORY = 10  # stored pairs of steps and gradient changes; 5 to 20 are usual
+_MEMORY = 10  # number of stored pairs of step and gradient change; 5 to 20 are usual
 _DECREASE = 1e-4  # least decrease of an accepted step, relative to the slope
 _HALVINGS = 20
 _REPORTS = 50
@@ -56,8 +56,8 @@ class OptimisedSampler(Sampler, ABC):
     sets
         With None, every realization is a new set, made from its own random numbers. With K, only K
         sets are made, the same for every seed; realization r is set r mod K under a random
-        translation of the torus. Means and variances are still right on average. But they, and
-        standard errors of spectra, rest on K sets only.
+        translation of the torus. Means and variances are still right on average. However, the
+        sample has only K sets, also for standard errors of spectra.
     """
 
     costly: ClassVar[bool] = True
@@ -103,7 +103,7 @@ class OptimisedSampler(Sampler, ABC):
         return cached_array(self._key(n, keys), make)
 
     def _key(self, n: int, keys: Array) -> str:
-        """Return everything a set depends on as text: name, version, parameters, n, dims, keys."""
+        """Return all that determines a set as text: name, version, parameters, n, dims, keys."""
         names = sorted(field.name for field in fields(self) if field.name != "sets")
         values: dict[str, Any] = {name: _exact(getattr(self, name)) for name in names}
         words = ", ".join(f"{int(word):016x}" for word in keys)
@@ -112,7 +112,7 @@ class OptimisedSampler(Sampler, ABC):
 
 @lru_cache
 def _source(cls: type) -> str:
-    """Return name and digest of an external class's module, in case `version` was not updated."""
+    """Return name and digest of the module of an external class, which may not update `version`."""
     if cls.__module__.startswith("mcspectra."):
         return ""
     try:
@@ -125,7 +125,7 @@ def _source(cls: type) -> str:
 
 
 def _exact(value: object) -> object:
-    """Return a value whose `repr` is complete; that of a long array omits numbers."""
+    """Return a value whose `repr` is complete; the `repr` of a long array omits numbers."""
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
@@ -135,7 +135,7 @@ def random_points(keys: Array, n: int, dims: int) -> Array:
 
 
 def wrap(points: Array) -> Array:
-    """Return points modulo 1, all below 1."""
+    """Return points modulo 1, with all coordinates below 1."""
     inside = points - np.floor(points)
     inside[inside >= 1.0] = 0.0  # −1e-20 rounds to 1
     return inside
@@ -156,7 +156,7 @@ def minimize(
     Parameters
     ----------
     function
-        Value and gradient at an array of any shape; points (n, d) are not wrapped into [0,1).
+        Function that returns value and gradient at an array of any shape. Points are not wrapped.
     start
         The array at which the descent starts.
     iterations
@@ -168,7 +168,7 @@ def minimize(
     goal
         Value of `function` at which the descent ends.
     gain
-        The descent ends with a step whose gain, relative to the value or 1, is smaller.
+        The descent ends with a step of smaller gain, relative to the value or to 1.
     """
     x, (value, gradient) = start, function(start)
     memory: deque[tuple[Array, Array, float]] = deque(maxlen=_MEMORY)
@@ -178,7 +178,7 @@ def minimize(
         if value <= goal or not gradient.any():
             break
 
-        # Halve the step until the value falls by a fraction of the decrease that the slope predicts
+        # Halve the step until the value falls by a fraction of the decrease predicted by the slope
         direction = _direction(gradient, memory)
         slope = _dot(direction, gradient)
         length = longest / float(np.abs(direction).max())
@@ -191,7 +191,7 @@ def minimize(
             length /= 2
         else:
             if not memory:
-                break  # rounding prevents a gain even along the gradient
+                break  # because of rounding, even a gradient step gains nothing
             memory.clear()
             continue
 

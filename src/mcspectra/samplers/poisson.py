@@ -1,10 +1,10 @@
 """Random points that keep apart: Poisson disks, classic dart throwing, best candidates.
 
-Dart throwing is random sequential addition: a dart, uniform on the domain, becomes a point if it is
-at least r away from all earlier points. On the torus this law is invariant under translation, so
-every point is uniform. For "exact" Poisson disks, n determines r in advance and the dart throwing
-stops at the n-th point. A set that jams earlier (see `PoissonDisk.radius`) is discarded and
-restarted, which keeps the law translation-invariant.
+Dart throwing is random sequential addition: a dart, uniform on the domain, becomes a point if all
+earlier points are at least r away. On the torus this law is invariant under translation, so every
+point is uniform. For "exact" Poisson disks, n determines r in advance, and the dart throwing stops
+at the n-th point. A set that jams earlier (see `PoissonDisk.radius`) is discarded, and a new set is
+started, which keeps the law translation-invariant.
 
 Darts are thrown only where they can be accepted. A grid of cells of diagonal r (at most one point
 per cell) lists the cells that may have room. From time to time, the remaining cells are halved
@@ -13,10 +13,10 @@ still uniform on the uncovered region, so this changes the time but not the law.
 when no cell remains.
 
 For "maximal" sets, r is the smallest of an increasing sequence at which the darts jam with at most
-n points. The missing points, a few percent, go one by one into the largest empty disk. Its radius
-is the largest minimum distance that has room for one more point [Schloemer2011]_. Hence the n-th
-point is at least as far from the others as any place in the domain is from all n points: no further
-disk of the set's minimum distance fits.
+n points. The missing points, a few percent, are placed one by one at the center of the largest
+empty disk. The radius of this disk is the largest minimum distance that has room for one more point
+[Schloemer2011]_. Hence no place in the domain is farther from all n points than the n-th point is
+from the others: no further disk of the set's minimum distance fits.
 """
 
 from __future__ import annotations
@@ -42,25 +42,26 @@ from mcspectra.samplers.law import Law, Stationary, Unknown
 __all__ = ["DENSEST", "BestCandidate", "DartThrowing", "PoissonDisk", "densest_distance", "thrown"]
 
 Disks: TypeAlias = tuple[float, int, int, Array, bool, int]
-"""Radius, cells per axis, reach of a disk in cells, cells it can touch, torus?, darts per cell."""
+"""Radius, cells per axis, reach of a disk, touched cells, whether on torus, darts per cell."""
 
 Throw: TypeAlias = Callable[[Any, Any, int, Array], tuple[int, int]]
 """Function of the keys of a realization, the index of the next random number, and points (n, d) to
 fill; it returns the number of points placed and the index of the next random number."""
 
 DENSEST = (1.0, 2.0 / 3.0**0.5, 2.0**0.5, 2.0, 2.0 * 2.0**0.5, 8.0 / 3.0**0.5, 8.0, 16.0)
-"""n·r^d of the densest known packings of spheres of diameter r in 1 to 8 dims: line, hexagons, fcc,
-D4, D5, E6, E7, E8 [Conway, Sloane (1999), "Sphere Packings, Lattices and Groups", table 1.2]."""
+"""n·r^d of the densest known packings of n spheres of diameter r in 1 to 8 dims: line, hexagons,
+fcc, D4, D5, E6, E7, E8 [Conway, Sloane (1999), "Sphere Packings, Lattices and Groups", table
+1.2]."""
 
 _DEFAULT_RADIUS = (0.7, 0.75, 0.75, 0.75)
 """Slightly below the radius at which darts jam: 0.748, 0.777, 0.803, 0.806 [Torquato2006]_."""
 
 _FIRST_RADIUS = (0.755, 0.785, 0.81, 0.815)  # first radius tried for maximal sets
-_NEXT_RADIUS = 1.01  # ratio of successive radii: in 2-D, 2 % fewer points each
-_MOST_MAXIMAL = 3  # dims; 1000 points take 0.02 s in 2-D, 0.8 s in 3-D, a minute in 4-D
-_LEAST_RADIUS = 0.25  # smaller radii are like random points, with a large grid
+_NEXT_RADIUS = 1.01  # ratio of successive radii; each has 2 % fewer points in 2-D
+_MOST_MAXIMAL = 3  # largest number of dims: 1000 points take 0.8 s in 3-D, a minute in 4-D
+_LEAST_RADIUS = 0.25  # smallest radius; below, points are like random points
 _OFFSETS = 1  # label of the stream that translates maximal sets
-_TRIALS = 100_000  # misses in a row: less than 1/10,000 is then uncovered
+_TRIALS = 100_000  # number of misses in a row: then less than 1/10,000 is uncovered
 
 
 @final
@@ -71,17 +72,17 @@ class PoissonDisk(Sampler):
     Attributes
     ----------
     dims
-        1 to 4; maximal sets, 1 to 3.
+        Number of dims: 1 to 4; for maximal sets 1 to 3.
     boundary
         ``"toroidal"``: distances are on the torus. ``"bounded"``: distances are in the cube. Then
-        disks stick out of the domain, points near the boundary are more likely, and `unbiased` is
+        disks extend beyond the domain, points near the boundary are more likely, and `unbiased` is
         False.
     mode
         ``"exact"``: the minimum distance is the same for all sets, see `radius`. ``"maximal"``: no
         further disk fits into a set, and each set has its own minimum distance.
     radius_
-        Minimum distance in mode ``"exact"``, relative to that of the densest known packing of n
-        points [Lagae2008]_, 0.25 to 1. The default is 0.7 in 1-D and 0.75 above. This is near the
+        Minimum distance in mode ``"exact"``, relative to the distance in the densest known packing
+        of n points [Lagae2008]_, 0.25 to 1. The default is 0.7 in 1-D, else 0.75. This is near the
         limit of dart throwing, which jams on average at 0.748, 0.777, 0.803, 0.806 in 1 to 4 dims.
 
     References
@@ -91,7 +92,7 @@ class PoissonDisk(Sampler):
 
     structure: ClassVar[Structure] = Structure.TORUS
     max_dims: ClassVar[int | None] = 4
-    max_count: ClassVar[int] = 2**26  # grids of cells take many times the memory of the points
+    max_count: ClassVar[int] = 2**26  # grids of cells take much more memory than the points
     dims: int = DEFAULT_DIMS
     boundary: str = choice("toroidal", "bounded")
     mode: str = choice("exact", "maximal")
@@ -138,7 +139,7 @@ class PoissonDisk(Sampler):
         keys = stream.keys(first, count)
         if self.mode == "maximal":
             points = np.stack([self._maximal_set(n, each) for each in keys])
-            # Among few points some holes have equal size; the choice depends on their position
+            # With few points, some holes have equal size; the choice depends on their positions
             own = stream.child(_OFFSETS).uniforms(first, count, self.dims)
             return points if self.boundary == "bounded" else translated(points, own)
         attempts = 3 + 3000 // n  # a small set often jams at the default radius
@@ -160,7 +161,7 @@ class PoissonDisk(Sampler):
         """Return the data of the disks and of the grid of cells around them for the kernels."""
         side = max(1, int(np.ceil(self.dims**0.5 / radius)))
 
-        # Steps to the cells that a disk can touch, nearest first, in the grid padded by its reach
+        # Steps to the cells that a disk can touch, nearest first, in the padded grid
         reach = int(np.ceil(radius * side))
         offsets = np.array(list(product(range(-reach, reach + 1), repeat=self.dims)))
         gaps = np.maximum(np.abs(offsets) - 1, 0) / side
@@ -175,15 +176,15 @@ class PoissonDisk(Sampler):
 class DartThrowing(Sampler):
     """Random points, rejected if too close to an earlier one, until n are accepted (Cook).
 
-    The law equals that of `poisson-disk`, which is faster, but up to 8 dims are allowed. Distances
-    are on the torus. A set restarts after 100,000 rejected darts in a row.
+    The law is the same as for `poisson-disk`, which is faster. Here up to 8 dims are allowed.
+    Distances are on the torus. A set restarts after 100,000 rejected darts in a row.
 
     Attributes
     ----------
     dims
-        1 to 8.
+        Number of dims, 1 to 8.
     radius_
-        Minimum distance relative to that of the densest known packing of n points [Lagae2008]_,
+        Minimum distance relative to the densest known packing of n points [Lagae2008]_,
         above 0, at most 1. Dart throwing jams at about 0.75 in 1-D, 0.78 in 2-D and 0.8 above, and
         classic rejection becomes slow earlier.
 
@@ -207,9 +208,9 @@ class DartThrowing(Sampler):
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         radius = self.radius(n)
-        # Cells at least as large as a disk, so that it reaches only adjacent cells
+        # Cells at least as large as a disk, so that a disk reaches only adjacent cells
         side = max(1, min(int(1.0 / radius), int(n ** (1.0 / min(self.dims, 3)))))
-        attempts = 3 + 300 // n  # few points jam often, at random
+        attempts = 3 + 300 // n  # sets of few points often jam
         throw = partial(kernels.throw_darts, radius**2, side, _TRIALS)
         some = f" with {_TRIALS} darts; give a smaller radius."
         return thrown(throw, self, n, stream.keys(first, count), attempts, some)

@@ -1,13 +1,13 @@
 """Progressive multi-jittered sequences in the plane: stratified at every power of two points.
 
-A pass of a sequence doubles it. Before pass k, each of 2^k equal intervals along an axis has one
-point; pass k fills the free half of each interval. The assignment of new points to intervals
-determines the further stratification. The position within the half is random, so that the sequence
-is Owen-scrambled without digit permutations [Helmer2021]_.
+Each pass of a sequence doubles the number of points. Before pass k, each of 2^k equal intervals
+along an axis has one point; pass k fills the free half of each interval. The assignment of new
+points to intervals determines the further stratification. The position within the half is random,
+so that the sequence is Owen-scrambled without digit permutations [Helmer2021]_.
 
-Legend of the kernels: ``keys`` uint64 (R, 2) from `Stream.keys`; ``out`` float64 (R, n, 2). A
-coordinate is a word of 53 bits; its level-ℓ bit is worth 2^-(ℓ+1). Numbers 2i and 2i + 1 of a
-realization are the low bits of point i. Other random numbers have higher addresses.
+Notation of the kernels: ``keys`` uint64 (R, 2) from `Stream.keys`; ``out`` float64 (R, n, 2). A
+coordinate is a word of 53 bits; its level-ℓ bit is worth 2^-(ℓ+1). Random numbers 2i and 2i + 1 of
+a realization are the low bits of point i. Other random numbers have higher addresses.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from mcspectra.samplers.law import Choice, Fixed, Law, Unknown, is_power, scramb
 __all__ = ["PMJ", "PMJ02", "PMJ02BlueNoise", "pairings"]
 
 _PASSES = 31
-_SETS = 16  # number of sets of pmj that represent all sets in its law
+_SETS = 16  # number of sets that represent all sets in the law of pmj
 _ONE, _S11 = np.uint64(1), np.uint64(11)
 _EVEN_BITS = np.uint64(0x5555555555555555)
-_BITS = 5  # bits below the cell's that are chosen; finer bits matter little
+_BITS = 5  # number of chosen bits below the cell's; finer bits matter little
 _UNIT_53 = 2.0**-53
 _CHOICES, _SHUFFLES = 1 << 40, 1 << 41  # first addresses of other random numbers
 
@@ -61,13 +61,13 @@ class _PlaneSequence(PlaneSampler):
 class PMJ(_PlaneSequence):
     """Progressive multi-jittered sequence (2-D).
 
-    Any count. The first 2^k points have one in each interval of width 2^-k along either axis. If
-    2^k is a square 4^j, they also have one in each of 2^j × 2^j cells; if it is 2·4^j, two diagonal
-    points in each cell. Other counts cause a `NotPowerOfTwoWarning`.
+    Any count. The first 2^k points have one point in each interval of width 2^-k along either axis.
+    If 2^k is a square 4^j, there is also one point in each of 2^j × 2^j cells; if 2^k is 2·4^j,
+    there are two diagonal points in each cell. Other counts cause a `NotPowerOfTwoWarning`.
 
     Notes
     -----
-    A shuffle, not a search, assigns the free intervals.
+    Free intervals are assigned by a shuffle, without a search.
 
     References
     ----------
@@ -77,8 +77,8 @@ class PMJ(_PlaneSequence):
     sequence: ClassVar[bool] = True
 
     def _law(self, n: int) -> Law:
-        # Sets are Owen-scrambled by construction. Which digits agree is random; some sets represent
-        # all
+        # Sets are Owen-scrambled by construction. It is random which digits agree; a few sets
+        # represent all sets
         sets = (Fixed(n=n, dims=2, bases=(2, 2), seed=k).of(self) for k in range(_SETS))
         return Choice(n=n, dims=2, laws=tuple(scrambled(each, "nested", (2, 2)) for each in sets))
 
@@ -93,7 +93,7 @@ class PMJ(_PlaneSequence):
 class PMJ02(_PlaneSequence):
     """Progressive multi-jittered (0,2)-sequence (2-D).
 
-    Any count. The first 2^k points have one in each elementary interval of area 2^-k, of any shape.
+    Any count. The first 2^k points have one point in each elementary interval of area 2^-k.
     Other counts cause a `NotPowerOfTwoWarning`.
 
     Notes
@@ -110,7 +110,7 @@ class PMJ02(_PlaneSequence):
     sequence: ClassVar[bool] = True
 
     def _law(self, n: int) -> Law:
-        # Sobol' points, Owen-scrambled by construction: one set has the digits of all sets
+        # Sobol' points, Owen-scrambled by construction: the digits of one set represent all sets
         if not is_power(n, 2):
             return Unknown(n=n, dims=2)
         return scrambled(Fixed(n=n, dims=2, bases=(2, 2)).of(self), "nested", (2, 2))
@@ -132,14 +132,14 @@ class PMJ02BlueNoise(_PlaneSequence):
     Notes
     -----
     The random bits of pmj02 are chosen by descent. Pass by pass, from coarse to fine, the bits of a
-    whole strip of the square are flipped if that lowers the sum of distance^-8 on the torus. In the
-    whole set, the nearest two points are two to three times as far apart as in pmj02. Its first
-    points are also a (0,2)-sequence, but spread no better than in pmj02. The mean is unbiased up to
-    the width of the intervals, because these have one point each. A single point is not uniform:
-    over sixteenths of an axis its density varies by up to a tenth.
+    whole strip of the square are flipped if this lowers the sum of distance^-8 over pairs on the
+    torus. In the whole set, the nearest two points are two to three times as far apart as in pmj02.
+    The first points of a set are also a (0,2)-sequence, but spread no better than in pmj02. The
+    mean is unbiased up to the width of the intervals, because each interval has one point. A single
+    point is not uniform: over sixteenths of an axis its density varies by up to a tenth.
 
-    The papers choose the best of some candidates for each point in turn. But at that time the
-    choices are only as wide as the intervals; flipping strips avoids this.
+    The papers choose the best of some candidates for each point in turn. But at that time, the
+    choices are only as wide as the intervals. Flips of strips avoid this restriction.
 
     References
     ----------
@@ -166,15 +166,15 @@ def pairings() -> Array:
     x = y = 1
     for k in range(_PASSES):
         out[0, k], out[1, k] = x, y
-        x = x << 1 ^ x & ~even  # times t: b^m → b^m t, b^m t → b^(m+1) + b^m t
-        y = y << 1 ^ y & even  # times t + 1
+        x = x << 1 ^ x & ~even  # multiply by t: b^m → b^m t, b^m t → b^(m+1) + b^m t
+        y = y << 1 ^ y & even  # multiply by t + 1
     out.setflags(write=False)
     return out
 
 
 @kernel
 def _complete(k0: np.uint64, k1: np.uint64, number: int, high: Any, level: int) -> Any:
-    # Return the word with the bits of `high` down to that of `level`, and random bits below.
+    # Return the word with the bits of `high` down to bit `level`, and random bits below.
     low = (_ONE << np.uint64(52 - level)) - _ONE
     return (high & ~low) | ((mix_bits(k0, k1, number) >> _S11) & low)
 
@@ -184,7 +184,7 @@ def _free_intervals(
     k0: np.uint64, k1: np.uint64, level: int, words: Array, free: Array, starts: Array
 ) -> None:
     # List the intervals of width 2^-(level+1) that points 0 … 2^level − 1 leave free. The intervals
-    # of each of the equal columns are listed together, shuffled; starts (columns + 1,).
+    # in each of the equal columns are listed together and shuffled; starts (columns + 1,).
     size, columns = 1 << level, starts.size - 1
     width = 2 * size // columns
     taken = np.zeros(2 * size, np.bool_)
@@ -214,6 +214,7 @@ def _fill_pmj(keys: Array, out: Array) -> None:
         while 1 << level < n:
             # Choose column and row of the quarter of a cell for each point of the pass. The second
             # point of a cell is diagonal to its first; the third takes one of the other two
+            # quarters
             size, side = 1 << level, level // 2 + 1
             columns, cells, shift = 1 << side, 1 << (2 * side - 2), np.uint64(53 - side)
             to = np.empty((2, size), np.int64)
@@ -243,7 +244,7 @@ def _fill_pmj(keys: Array, out: Array) -> None:
 
 @kernel
 def _pair_energy(dx: float, dy: float) -> float:
-    # On the torus; at this power only the smallest distances matter.
+    # On the torus; at this high power, only the smallest distances matter.
     dx, dy = dx - np.rint(dx), dy - np.rint(dy)
     square = dx * dx + dy * dy
     return 1.0 / (square * square * square * square)
@@ -251,9 +252,9 @@ def _pair_energy(dx: float, dy: float) -> float:
 
 @kernel
 def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array) -> float:
-    # Decrease of the energy of point i by a flip of `bit` in all words of a strip. `members` is the
-    # number of the strip and the shift that numbers words; owner (columns, rows) has the point of
-    # each cell.
+    # Return the decrease of the energy of point i by a flip of `bit` in all words of a strip.
+    # `members` is the number of the strip and the shift that numbers words; owner (columns, rows)
+    # has the point of each cell.
     strip, shift = members
     columns, rows = owner.shape
     here = np.float64(words[axis, i]) * _UNIT_53
@@ -271,7 +272,7 @@ def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array)
             there = np.float64(word) * _UNIT_53
             far = np.float64(words[1 - axis, other]) * _UNIT_53 - across
             before = _pair_energy(there - here, far)
-            if word >> shift == strip:  # the other point moves as well and counts this pair again
+            if word >> shift == strip:  # the other point also moves
                 there = np.float64(word ^ bit) * _UNIT_53
                 gain += 0.5 * (before - _pair_energy(there - moved, far))
             else:
@@ -281,7 +282,7 @@ def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array)
 
 @kernel
 def _try_flips(axis: int, level: int, size: int, words: Array, owner: Array) -> None:
-    # Swap the halves of each strip of width 2^-level if the first `size` points gain from it.
+    # Swap the halves of each strip of width 2^-level if the energy of `size` points falls.
     order = np.empty(size, np.int64)
     shift = np.uint64(53 - level)
     bit = _ONE << np.uint64(52 - level)
@@ -311,7 +312,7 @@ def _fill_pmj02(keys: Array, xors: Array, sweeps: int, out: Array) -> None:
     for r in range(count):
         k0, k1 = keys[r, 0], keys[r, 1]
 
-        # A random bit for each pass: the axis along which the third quarter of a cell's points goes
+        # Random bit for each pass: the axis along which the third point of a cell is placed
         coins = mix_bits(k0, k1, _CHOICES) & _EVEN_BITS
         for j in range(2):
             words[j, 0] = mix_bits(k0, k1, j) >> _S11
@@ -319,7 +320,7 @@ def _fill_pmj02(keys: Array, xors: Array, sweeps: int, out: Array) -> None:
                 own[j, level] = np.int64(xors[j, level] ^ ((xors[j, level] >> _ONE) & coins))
 
         for level in range(passes):
-            # Each point goes to the other half of its partner's interval of width 2^-level
+            # Place each point in the other half of the interval of its partner, of width 2^-level
             size, half = 2 << level, _ONE << np.uint64(52 - level)
             for i in range(size >> 1, min(size, room)):
                 for j in range(2):
@@ -328,7 +329,7 @@ def _fill_pmj02(keys: Array, xors: Array, sweeps: int, out: Array) -> None:
             if not sweeps:
                 continue
 
-            # Flip bits below those that number the cells, with one point per cell
+            # Flip bits below the bits that number the cells, each with one point
             down = (level + 1) // 2
             across = level + 1 - down
             columns, rows = 1 << across, 1 << down

@@ -4,13 +4,14 @@ Method
 ------
 Dart throwing: a dart is accepted if, for each k from 1 to d, its distance from all earlier points
 is at least r_k in every projection on k of the d axes. Let g_1 ≤ … ≤ g_d be the sorted gaps of two
-points along the axes. Among projections on k axes, that on the k smallest gaps has the smallest
-distance. So d partial sums, g_1² + … + g_k² ≥ r_k², check all 2^d − 1 projections.
+points along the axes. Of all projections on k axes, the projection on the axes of the k smallest
+gaps has the smallest distance. So d conditions on partial sums, g_1² + … + g_k² ≥ r_k², check all
+2^d − 1 projections.
 
 The projections on single axes leave little room, but these axes are independent. Each coordinate is
 therefore drawn until it is free on its own axis, before the other projections are checked. This
-changes the time but not the law. On the torus the law is invariant under translation, so every
-point is uniform.
+saves time and does not change the law. On the torus the law is invariant under translation, so
+every point is uniform.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from mcspectra.samplers.poisson import densest_distance, thrown
 __all__ = ["ProjectiveBlueNoise"]
 
 _DEFAULT_RADIUS = (0.65, 0.6, 0.5, 0.4, 0.33, 0.25)
-_LEAST_RADIUS = 0.01  # smallest radius, which is also the size of the cells of an axis
+_LEAST_RADIUS = 0.01  # smallest radius; also the size of the cells of an axis
 _TRIALS = 10_000  # largest number of rejected darts in a row
 _DRAWS = 500  # largest number of draws of a coordinate before a dart is rejected
 
@@ -47,10 +48,10 @@ class ProjectiveBlueNoise(Sampler):
     ----------
     dims
         1 to 6.
-    radius_
-        Minimum distance in every projection on k axes, relative to that of the densest known
-        packing of n points in k dims; 0.01 to 1. The default is 0.65, 0.6, 0.5, 0.4, 0.33 and
-        0.25 in 1 to 6 dims, slightly below the largest at which darts place 1000 points.
+    Minimum distance in every projection on k axes, relative to the distance in the densest known
+    packing of n points in k dims; 0.01 to 1. The default is 0.65, 0.6, 0.5, 0.4, 0.33 and 0.25 in 1
+    to 6 dims, slightly below the largest value at which darts place 1000 points.
+        0.25 in 1 to 6 dims, slightly below the largest value at which darts place 1000 points.
 
     References
     ----------
@@ -59,7 +60,7 @@ class ProjectiveBlueNoise(Sampler):
 
     structure: ClassVar[Structure] = Structure.TORUS
     max_dims: ClassVar[int | None] = 6
-    max_count: ClassVar[int] = 2**12  # the time grows at least like n²
+    max_count: ClassVar[int] = 2**12  # the time grows at least as n²
     dims: int = DEFAULT_DIMS
     radius_: float | None = real(None, least=_LEAST_RADIUS, most=1.0)
 
@@ -74,7 +75,7 @@ class ProjectiveBlueNoise(Sampler):
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:
         limits = np.square(self.radii(n))
-        attempts = 3 + 100 // n  # with few points, random failures are frequent
+        attempts = 3 + 100 // n  # with few points, failures by chance are frequent
         throw, some = partial(_throw_set, limits), f" with {_TRIALS} darts; give a smaller radius."
         return thrown(throw, self, n, stream.keys(first, count), attempts, some)
 
@@ -83,9 +84,9 @@ class ProjectiveBlueNoise(Sampler):
 def _free_coordinate(
     k0: Any, k1: Any, at: int, radius: float, column: Array, cells: Array
 ) -> tuple[float, int]:
-    # Draw x until no point of the axis is nearer than `radius`; −1 if that fails. `cells` has the
-    # number of the point in each cell of the axis, −1 if there is none. A cell is at most as large
-    # as the radius, and larger than half of it.
+    # Draw x until no point of the axis is nearer than `radius`; return −1 if that fails. `cells`
+    # has the number of the point in each cell of the axis, −1 if there is none. A cell is at most
+    # as large as the radius, and larger than half the radius.
     side = cells.size
     for _ in range(_DRAWS):
         x = mix_uniform(k0, k1, at)

@@ -22,7 +22,7 @@ __all__ = ["Halton", "Hammersley", "RadicalInverses", "VanDerCorput"]
 
 
 class RadicalInverses(FixedSet):
-    """Radical inverses; ``scramble`` abbreviates a following permute or owen.
+    """Abstract sampler of radical inverses; ``scramble`` abbreviates ``| permute`` or ``| owen``.
 
     Attributes
     ----------
@@ -39,17 +39,17 @@ class RadicalInverses(FixedSet):
 
     @property
     def unbiased(self) -> bool:  # type: ignore[override]
-        """Whether digits are scrambled, which makes every point uniform."""
+        """Whether every point is uniform: true if digits are scrambled."""
         return self.scramble != "none"
 
     @property
     def fixed(self) -> bool:  # type: ignore[override]
-        """Whether digits are not scrambled."""
+        """Whether all realizations are the same set: true if digits are not scrambled."""
         return self.scramble == "none"
 
     @property
     def scrambles(self) -> int:  # type: ignore[override]
-        """Number of built-in randomizations; later ones use the streams after it."""
+        """Number of built-in randomizations; later randomizations use later streams."""
         return int(self.scramble != "none")
 
     def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
@@ -124,7 +124,7 @@ class VanDerCorput(RadicalInverses):
     base
         Base of the digits, at least 2.
     scramble
-        Same as for halton: ``"none"``, ``"permute"`` or ``"owen"``.
+        Scrambling, same as for halton: ``"none"``, ``"permute"`` or ``"owen"``.
 
     References
     ----------
@@ -140,7 +140,7 @@ class VanDerCorput(RadicalInverses):
 
     @property
     def digit_bases(self) -> tuple[int, ...]:
-        """The base of the digits."""
+        """Base of the digits of the only coordinate."""
         return (self.base,)
 
 
@@ -154,14 +154,15 @@ class Hammersley(RadicalInverses):
     Attributes
     ----------
     scramble
-        Same as for halton: ``"none"``, ``"permute"`` or ``"owen"``.
+        Scrambling, same as for halton: ``"none"``, ``"permute"`` or ``"owen"``.
 
     Notes
     -----
     The first coordinates i/n have distinct binary digits only for n = 2^m, and are then scrambled
-    in base 2. For other n, which ``| permute`` and ``| owen`` refuse, these coordinates keep their
-    order and only an offset below 1/n is random: one for all points (``"permute"``) or one for each
-    point (``"owen"``). In both cases each n-th of the first axis holds one point.
+    in base 2. For other n, ``| permute`` and ``| owen`` raise an error. With `scramble`, the
+    coordinates i/n then keep their order, and only an offset below 1/n is random: one for all
+    points (``"permute"``) or one for each point (``"owen"``). In both cases each interval [i/n,
+    (i+1)/n) of the first axis contains one point.
 
     References
     ----------
@@ -175,7 +176,7 @@ class Hammersley(RadicalInverses):
 
     @property
     def digit_bases(self) -> tuple[int, ...]:
-        """2 for the first coordinate, then the first primes."""
+        """Bases of the digits: 2 for the first coordinate, then the first primes."""
         return (2, *_primes(self.dims - 1))
 
     @property
@@ -190,7 +191,7 @@ class Hammersley(RadicalInverses):
         return out
 
     def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        """Draw the nested-scrambled points; i/n, n = 2^m, inverts the index with reversed bits."""
+        """Draw the nested-scrambled points; i/n with n = 2^m inverts the bit-reversed index."""
         reversed_ = (_inverses((2,), 0, n)[:, 0] * n).astype(np.int64)
         nths = _nested((2,), n, stream.child(0).keys(first, count))[:, reversed_]
         rest = _nested(self.digit_bases[1:], n, stream.keys(first, count))

@@ -1,7 +1,7 @@
 """Randomizations that move all points of a set: shifts, rotations, mirror images, pixels.
 
-A reflection is u → 1 − 2^-53 − u; 1 − u would leave [0,1) for u = 0. It maps multiples of 2^-53,
-which float64 points are, to such multiples one to one.
+A reflection is u → 1 − 2^-53 − u, because 1 − u would leave [0,1) for u = 0. It maps multiples of
+2^-53 to multiples of 2^-53 one to one; float64 points are such multiples.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from mcspectra.samplers.law import (
 
 __all__ = ["Decorrelate", "Mirror", "RandomRotation", "Shift", "StrataShift", "folded"]
 
-_MOST_IMAGED = 30  # largest dims of the uniform mode, which makes 2^d images
-_MASK_KEY = 0x3A5C  # arbitrary number: the mask is fixed, its place is random
-_FIRST_REACH = 0.6  # half-side of a window of area 1.44; it nearly always holds n + 1 points
-_REACH = 1.12  # half-side that always does: a disk of radius √5/2 holds two domains
+_MOST_IMAGED = 30  # largest number of dims of the uniform mode, which makes 2^d images
+_MASK_KEY = 0x3A5C  # arbitrary key: the mask is fixed, and its place is random
+_FIRST_REACH = 0.6  # half-side of a window of area 1.44, which nearly always has n + 1 points
+_REACH = 1.12  # half-side that always has: a disk of radius √5/2 contains two domains
 
 # Structures that remain. A translation of the torus moves strata and elementary intervals away
 # from the origin. A rotation preserves digits, but exchanges coordinates of different bases.
@@ -120,7 +120,7 @@ class StrataShift(Randomization):
         del stream, first
         _, n, dims = points.shape
         offsets = np.array([as_reals("offset", self.offset, dims)]) * n ** (-1.0 / dims) % 1.0
-        offsets[offsets >= 1.0] = 0.0  # the remainder of −1e-20 rounds to 1
+        offsets[offsets >= 1.0] = 0.0  # the remainder of −1e-20 modulo 1 rounds to 1
         return translated(points, offsets)
 
 
@@ -143,8 +143,9 @@ class RandomRotation(Randomization):
     -----
     A unit square that is rotated by any other angle and wrapped covers a part of the torus twice
     and leaves another part empty, hence the window. Inside the window, distances are preserved up
-    to its scale, 1 + O(n^-1/2) for random points. Across its seam, which the translation moves to a
-    random place, they are not. Because of the translation every point is exactly uniform.
+    to a scale of 1 + O(n^-1/2) for random points. Distances across the window's seam are not
+    preserved; the translation moves the seam to a random place. Because of the translation every
+    point is exactly uniform.
     """
 
     fits: ClassVar[Mapping[Structure, Structure]] = _TURNED
@@ -192,7 +193,7 @@ class RandomRotation(Randomization):
 
 @kernel
 def _turn(keys: Array, points: Array, out: Array) -> None:
-    # A random symmetry of the cube: coordinate j from axis order[j], reflected if its bit is set
+    # A random symmetry of the cube: coordinate j is axis order[j], reflected if its bit is set
     count, n, dims = points.shape
     order, flip = np.arange(dims), np.zeros(dims, np.bool_)
     for r in range(count):
@@ -211,7 +212,7 @@ def _turn(keys: Array, points: Array, out: Array) -> None:
 
 @kernel
 def _seen(points: Array, center: Array, turn: Array, reach: float, found: Array) -> int:
-    # Write rotated copies with max(|x|, |y|) ≤ reach from the center to found (25n, 3): x, y, norm
+    # Write rotations with max(|x|, |y|) ≤ reach around the center to found (25n, 3): x, y, norm
     size = 0
     for i in range(points.shape[0]):
         x0, y0 = points[i, 0] - center[0], points[i, 1] - center[1]
@@ -228,8 +229,8 @@ def _seen(points: Array, center: Array, turn: Array, reach: float, found: Array)
 
 @kernel
 def _clip_all(keys: Array, points: Array, out: Array) -> None:
-    # Points in the window whose edge passes through the (n + 1)-th nearest to its center; out (R,
-    # n, 2)
+    # Fill out (R, n, 2) with the points in the window whose edge passes through the (n + 1)-th
+    # nearest point to the window's center
     count, n, _ = points.shape
     found = np.empty((25 * n, 3))
     numbers = np.empty(5)
@@ -271,15 +272,15 @@ class Mirror(Randomization):
     Notes
     -----
     Reflected at its upper faces, an integrand f on [0,1)^d becomes g(k + x) = f(x reflected in the
-    coordinates with k_j = 1), k ∈ {0,1}^d. It is continuous across all faces and has period 2. A
-    sample x can be placed at k + x for one random image k, or for all images. Or the whole set can
-    be stretched over [0,2)^d. The result holds the arguments of f for each sample.
+    coordinates with k_j = 1), k ∈ {0,1}^d. g is continuous across all faces and has period 2. A
+    sample x can be placed at k + x for one random image k, or for all images. Alternatively, the
+    whole set can be stretched over [0,2)^d. The result contains the arguments of f for each sample.
 
     Uniform samples remain exactly uniform, and each half-open cell of a grid maps to the opposite
     cell.
 
     Random reflection and folding destroy strata, elementary intervals and differences. The uniform
-    mode preserves strata and intervals, with 2^d times as many points in each.
+    mode preserves strata and intervals, with 2^d times as many points in each stratum or interval.
 
     References
     ----------
@@ -392,13 +393,13 @@ class Decorrelate(Randomization):
 
     Notes
     -----
-    The realizations of one seed are the pixels of one image. They share a set, and with a mask
-    their shifts share one pattern. Variances over them are variances within an image, and do not
-    converge to variances over seeds.
+    The realizations of one seed are the pixels of one image. All pixels share a set, and with a
+    mask their shifts share one pattern. Variances over the pixels are variances within an image,
+    and do not converge to variances over seeds.
 
-    A mask holds one number per dim, which suffices for shift, and for digital-shift in base 2. In
-    one pixel every point is uniform with any mask. Over the width² pixels of a blue-noise mask, the
-    shifts of each dim occupy each width²-th of [0,1) once.
+    A mask has one number per dim, which suffices for shift, and for digital-shift in base 2. In one
+    pixel every point is uniform with any mask. In each dim, the shifts of the width² pixels of a
+    blue-noise mask lie in the width² equal intervals of [0,1), one in each.
 
     References
     ----------
@@ -455,7 +456,7 @@ class Decorrelate(Randomization):
         return self._step().fit(sampler).counts_near(sampler, n)
 
     def offsets(self, stream: Stream, first: int, count: int, dims: int) -> Array:
-        """Return the masks' shifts of pixels first … first + count − 1: float64 (count, dims)."""
+        """Return the masks' shifts for pixels first … first + count − 1: float64 (count, dims)."""
         pixels = np.arange(first, first + count)
         places = stream.child(0).uniforms(0, 1, 2 * dims)[0]
         if self.mask == "r2":
@@ -465,7 +466,7 @@ class Decorrelate(Randomization):
             sums = units + pixels.astype(np.uint64)[:, None] * golden_steps(dims)  # modulo 2^64
             return np.asarray((sums >> np.uint64(11)) * 2.0**-53)
 
-        # Ranks of the mask, shifted separately for each dim, and a random number within each rank
+        # Ranks of the mask, moved separately for each dim, plus a random number within each rank
         width, places = self.width, places.reshape(2, dims)
         columns = pixels[:, None] % width + (places[0] * width).astype(np.int64)
         rows = pixels[:, None] // width % width + (places[1] * width).astype(np.int64)

@@ -68,8 +68,8 @@ def sampler(spec: str | Sampler, dims: int | None = None) -> Sampler:
     Parameters
     ----------
     spec
-        A sampler, then any number of randomizations after ``|``. Everything that
-        `as_sampler` accepts is accepted as well.
+        A sampler, then any number of randomizations after ``|``. Everything that `as_sampler`
+        accepts is also accepted.
     dims
         Number of dims. With None the spec decides, or else the sampler's default (2).
 

@@ -38,22 +38,22 @@ __all__ = [
     "transport_cost",
 ]
 
-_NEWTON = 100  # largest number of steps; random points take about 10, a move 2 or 3
+_NEWTON = 100  # largest number of Newton steps; random points take 10, a move 2 or 3
 _BALANCED = 1e-3  # tolerance of areas while points move
-_EXACT = 1e-9  # tolerance of areas for the cost, whose error is its square
-_CLOSE = 1e-4  # acceptable error of areas if rounding interferes; cost error 1e-6
-# Most visits (see `kernels.Diagram`) for one transport cost, some seconds. 8192 random points take
+_EXACT = 1e-9  # tolerance of areas for the cost; the cost's error is its square
+_CLOSE = 1e-4  # tolerance of areas if rounding interferes; the cost's error is 1e-6
+# Most visits (see `kernels.Diagram`) for a transport cost: some seconds. 8192 random points take
 # 2^24 visits; points in a quarter of the square take more than 2^30.
 _MOST_WORK = 2**32
 _REPORTS = 50
 _CHUNK = 4096  # number of moves between reports of progress
-_CUTOFF = 6.0  # cutoff in σ: exp(−18) = 1.5e-8, as for the kernel's spectrum
+_CUTOFF = 6.0  # cutoff distance in σ: exp(−18) = 1.5e-8, as for the spectrum
 _SERIES_END = 6.0  # cutoff of the Fourier series in many dims: terms of e^(−½ 6²)
-_CELLS = 4  # cells along a cutoff distance
+_CELLS = 4  # number of cells along a cutoff distance
 
 
 class _CentroidSampler(PlaneSampler, OptimisedSampler):
-    """Points moved to the centroids of their cells until they are close to them."""
+    """Abstract sampler that moves points until they are close to the centroids of their cells."""
 
     other_dims: ClassVar[str] = "for other dims use gaussian-blue-noise"
     iterations: int
@@ -61,7 +61,7 @@ class _CentroidSampler(PlaneSampler, OptimisedSampler):
 
     @abstractmethod
     def _offsets(self, n: int) -> Callable[[Array], Array]:
-        """Return the function from `n` points to the offsets of their cells' centroids."""
+        """Return a function of `n` points that returns offsets to the centroids of cells."""
 
     def _optimize(self, n: int, keys: Array, report: Report) -> Array:
         start, offsets = random_points(keys, n, 2), self._offsets(n)
@@ -126,7 +126,7 @@ class Bnot(_CentroidSampler):
     Notes
     -----
     The start is random, and the method does not depend on the origin, so every point is uniform.
-    The paper also jitters regions that have become regular; here the descent ends before. An
+    The paper also jitters regions that have become regular; here the descent ends earlier. An
     earlier, discrete form of the method is capacity-constrained Voronoi tessellations
     [Balzer2009]_, which swap samples of the density between points.
 
@@ -155,7 +155,7 @@ def relax(
     tolerance: float,
     report: Report,
 ) -> Array:
-    """Move points by their `offsets` until these are small, at most `iterations` times."""
+    """Move points by the `offsets` until the offsets are small, at most `iterations` times."""
     for i in range(iterations):
         if i % max(1, iterations // _REPORTS) == 0:
             report(i / iterations)
@@ -171,8 +171,8 @@ def transport_cost(points: object) -> float:
 
     The cost is W₂², the smallest mean square distance on the torus over all equal partitions of the
     unit square. It is computed by sorting in 1-D, and by the power diagram with equal areas in 2-D.
-    n times the cost is 1/6 for a square grid. The lower bound, 0.1604 (5/(18√3)), is that of a
-    hexagonal grid.
+    n times the cost is 1/6 for a square grid. The lower bound is the cost of a hexagonal grid:
+    0.1604 (5/(18√3)).
 
     Parameters
     ----------
@@ -183,8 +183,8 @@ def transport_cost(points: object) -> float:
     ------
     DomainError
         If there are more than 2 dims or no points in [0,1), or if the points are so far from
-        uniform that Newton's method takes more than 100 steps, or some seconds. Random points take
-        10 steps.
+        uniform that Newton's method takes more than 100 steps, or longer than some seconds. Random
+        points take 10 steps.
 
     References
     ----------
@@ -201,7 +201,7 @@ def transport_cost(points: object) -> float:
         distances = np.sort(x[:, 0]) - (np.arange(n) + 0.5) / n
         return float(distances.var() + 1.0 / (12.0 * n * n))
 
-    sites, _, counts = distinct_points(x)  # equal points share a cell
+    sites, _, counts = distinct_points(x)  # equal points have one cell
     masses = counts / n
     weights, diagram = kernels.balance(
         sites, np.zeros(len(sites)), masses, _EXACT, _NEWTON, _MOST_WORK
@@ -212,7 +212,7 @@ def transport_cost(points: object) -> float:
             f"The transport cost was not found in {_NEWTON} Newton steps or some seconds: the "
             "points are too far from uniform; transform them to be nearly uniform, or give fewer."
         )
-    # Dual value: missing areas count at their weights, so that errors are of second order
+    # Dual value: missing areas count with their weights, so that errors are of second order
     return float(np.sum(diagram.moments) + np.sum(weights * lacking))
 
 
@@ -272,14 +272,14 @@ def near_energy(sigma: float, points: Array) -> tuple[float, Array]:
 
 @lru_cache(maxsize=4)
 def _neighbor_cells(sigma: float, dims: int) -> tuple[Array, Array]:
-    """Return the cells along each of 3 axes and the steps to neighbors: half of them, 0 first."""
+    """Return the number of cells along 3 axes, and steps to half of the neighbors, 0 first."""
     reach = _CUTOFF * sigma
     side = max(1, min(int(_CELLS / reach), 1024))
     steps = math.ceil(reach * side)
     axes = [range(-steps, steps + 1) if j < dims else range(1) for j in range(3)]
 
     def gap(offset: tuple[int, ...]) -> float:
-        """Return the least distance, in cells, between points of cells at this offset."""
+        """Return the smallest distance, in cells, between points of two cells with this offset."""
         return math.hypot(*(max(abs(step) - 1, 0) for step in offset))
 
     found = itertools.product(*axes)
@@ -309,8 +309,8 @@ class FarthestPoint(PlaneSampler, OptimisedSampler):
     dims
         2.
     sweeps
-        Largest number of moves of every point; fewer if no point moves. After 30 sweeps the
-        minimum distance is about 0.92 of that of the hexagonal packing.
+        Largest number of moves of every point; fewer if no point moves. After 30 sweeps the minimum
+        distance is about 0.92 times the distance in the hexagonal packing.
 
     References
     ----------
@@ -332,5 +332,5 @@ class FarthestPoint(PlaneSampler, OptimisedSampler):
                 kernels.move_points(start, stop, points, buckets, holes)
             if np.array_equal(points, before):
                 break
-        # Among few points some holes have equal size; the choice depends on their position
+        # With few points, some holes have equal size; which hole is used depends on its position
         return wrap(points + offset)

@@ -1,7 +1,7 @@
 """Randomizations of digits: they keep elementary intervals, and strata whose sides are powers.
 
-All act in the base of the sampler's digits (`digit_bases`): 2, or for instance the primes of
-halton or the base of faure.
+All of them act in the base of the sampler's digits (`digit_bases`): 2, or for instance the primes
+of halton or the base of faure.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def _as_base(name: str, base: object) -> Base:
 
 
 class _OfDigits(Randomization):
-    """A randomization of digits in its own `base`, else in that of the sampler, else in base 2."""
+    """A randomization of digits in the given `base`, else the sampler's base, else base 2."""
 
     pointwise: ClassVar[bool] = True
     fits: ClassVar[Mapping[Structure, Structure]] = {
@@ -47,7 +47,7 @@ class _OfDigits(Randomization):
     base: Base
 
     def fit(self, sampler: Sampler) -> Self:
-        """Adopt the bases of the sampler; raise an error for others and for strata that break."""
+        """Adopt the bases of the sampler; raise an error if `base` differs or strata break."""
         if sampler.antithetic and not self.keeps_pairs:
             raise ParameterError(
                 f"{self.name} would break the pairs of {sampler.spec}, whose points mirror "
@@ -93,7 +93,7 @@ class _OfDigits(Randomization):
         if not self._fill(keys, sampler, n, out):
             points = sampler.draw_stream(n, stream, first, 1 if sampler.fixed else count)
             if count == 1 and isinstance(sampler, FixedSet):
-                out = points  # this array is not shared
+                out = points  # no one else uses this array
             self._scramble(keys, np.array(self._bases(sampler.dims)), points, out)
         return out
 
@@ -109,7 +109,7 @@ class _OfDigits(Randomization):
         """Randomize the digits of points (R or 1, n, d) in the given bases."""
 
     def _fill(self, keys: Array, sampler: Sampler, n: int, out: Array) -> bool:  # noqa: ARG002
-        """Make the randomized points of `sampler`; return False if there is no kernel."""
+        """Make the randomized points of `sampler` directly; return False if no kernel can."""
         return False
 
     def _bases(self, dims: int) -> tuple[int, ...]:
@@ -135,7 +135,7 @@ def _powers_possible(sampler: Sampler, base: int, exponents: range) -> Iterator[
 
 
 class _OfPlaces(_OfDigits):
-    """One permutation (with `shift`, a sum) per digit of each coordinate for all points."""
+    """One permutation (with `shift`, a shift) per digit of each coordinate, for all points."""
 
     shift: ClassVar[bool] = False
 
@@ -146,7 +146,7 @@ class _OfPlaces(_OfDigits):
             kernels.permute_digits(keys, bases, self.shift, points, out)
 
     def law_of(self, law: Law, n: int) -> Law:  # noqa: ARG002
-        """Return the law; in base 2 a permutation of a digit is a digital shift."""
+        """Return the law; in base 2 a permutation is a digital shift."""
         bases = self._bases(law.dims)
         kind: Scramble = "digital-shift" if self.shift or set(bases) == {2} else "permutation"
         return scrambled(law, kind, bases)
@@ -172,7 +172,7 @@ class DigitalShift(_OfPlaces):
     Attributes
     ----------
     base
-        Base of the digits, one number or one per dim; by default that of the sampler, else 2.
+        Base of the digits, one number or one per dim; by default the sampler's base, else 2.
 
     References
     ----------
@@ -209,9 +209,9 @@ class Permute(_OfPlaces):
 class Owen(_OfDigits):
     """Owen's nested uniform scrambling: the permutation of a digit depends on all digits above it.
 
-    Digits are scrambled down to 2^-32 (32 bits in base 2); lower digits become independent
-    and uniform. It preserves the balance of nets in that base. Other sets keep little more than
-    their counts in the elementary intervals of each axis.
+    Digits are scrambled down to 2^-32 (32 bits in base 2); lower digits become independent and
+    uniform. Scrambling preserves the balance of nets in the same base. Other sets keep little more
+    than their counts in the elementary intervals of each axis.
 
     Attributes
     ----------
@@ -219,16 +219,17 @@ class Owen(_OfDigits):
         ``"nested"``: all permutations are independent, up to a 64-bit hash of the higher digits.
         ``"hash"``, in base 2 only, is about six times as fast. It scrambles all bits by a few
         multiplications in which lower bits of the reversed word change only higher ones. Points
-        are exactly uniform and nets stay nets. For pairs of points, on which variances depend,
-        the flips below the first different digit pass tests of independence. For many points
-        jointly they do not.
+        are exactly uniform and nets stay nets. Variances depend on pairs of points: for pairs, the
+        flips below the first different digit pass tests of independence. The joint flips of many
+        points fail these tests.
     base
         Same as for digital-shift.
 
     Notes
     -----
-    The hash is that of Laine and Karras, in the form and with the constants of Vegdahl (2021), with
-    a longer seed: two rounds, each with a random summand and a random odd factor, 126 random bits.
+    The hash is that of Laine and Karras, in the form and with the constants of Vegdahl (2021), but
+    with a longer seed: 126 random bits for two rounds, each with a random summand and a random odd
+    factor.
 
     Halton, hammersley and van-der-corput points are drawn from the top of their trees of digits.
     Each point derives from the earlier point with which it shares the most digits [Helmer2021]_.
@@ -256,7 +257,7 @@ class Owen(_OfDigits):
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
-        """Make scrambled radical inverses directly, with the `stream` that plain ones ignore."""
+        """Make scrambled radical inverses, with the `stream` that plain inverses ignore."""
         if self.method == "nested" and isinstance(sampler, RadicalInverses) and sampler.fixed:
             return sampler.draw_nested(n, stream, first, count)
         return _OfDigits.draw(self, sampler, n, stream, own, first, count)
@@ -275,13 +276,14 @@ class Lms(_OfDigits):
 
     The digits of each coordinate are multiplied by a random lower triangular matrix with nonzero
     diagonal, modulo the base, a prime. Nets stay nets. Pairs of points of a net have the same law
-    as with owen, hence the same variances, at less cost. Sets are fewer and more regular.
+    as with owen, hence variances are the same, at lower cost. There are fewer different sets, and
+    these are more regular.
 
     Attributes
     ----------
     shift
-        Whether a digital shift follows. Without it the origin does not move, and points are not
-        uniform.
+        Whether a digital shift follows. Without the shift the origin does not move, and points are
+        not uniform.
     base
         Same as for digital-shift.
 
@@ -300,7 +302,7 @@ class Lms(_OfDigits):
 
     @property
     def debiases(self) -> bool:  # type: ignore[override]
-        """Whether a shift makes every point uniform."""
+        """Whether every point is uniform: true if a shift follows."""
         return self.shift
 
     def fit(self, sampler: Sampler) -> Self:

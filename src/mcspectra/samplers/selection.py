@@ -19,12 +19,12 @@ from mcspectra.samplers.law import Fixed, Independent, Law
 
 __all__ = ["Shuffle", "Skip", "Subset"]
 
-_NUMBERS = 2**24  # numbers of larger sets in memory at a time: 128 MiB
+_NUMBERS = 2**24  # number of coordinates of whole sets in memory at a time: 128 MiB
 _PARTS: dict[Structure, Structure] = dict.fromkeys(Structure, Structure.NONE) | {
     Structure.UNKNOWN: Structure.UNKNOWN,
     Structure.TORUS: Structure.TORUS,
 }
-"""Structures of a part of the points: minimum distances remain, full strata do not."""
+"""Structures that a subset of the points keeps: minimum distances remain, full strata do not."""
 
 _MOST_MADE = 2**27
 """Largest number of coordinates of a set from which a part is taken: 1 GiB."""
@@ -38,16 +38,16 @@ class Subset(Randomization):
     Attributes
     ----------
     of
-        Number N of points of the whole set. The default is the smallest count ≥ n of the sampler;
-        then any n works with any sampler.
+        Number N of points of the whole set. By default it is the sampler's smallest count ≥ n, so
+        that any n is possible with any sampler.
     pick
-        ``"random"``: every n of the N points with the same probability. ``"run"``: n successive
-        points from a random start, continued cyclically.
+        ``"random"``: every subset of n of the N points has the same probability. ``"run"``: n
+        successive points from a random start, continued cyclically.
 
     Notes
     -----
-    Minimum distances remain. Strata and elementary intervals with one point each do not, unless
-    n = N.
+    Minimum distances remain. Strata and elementary intervals with one point each do not remain,
+    unless n = N.
 
     References
     ----------
@@ -63,7 +63,7 @@ class Subset(Randomization):
         if self.of is not None:
             _check_size(self, sampler, self.of)
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", NotPowerOfTwoWarning)  # a part is never balanced
+                warnings.simplefilter("ignore", NotPowerOfTwoWarning)  # a subset is never balanced
                 sampler.check_count(self.of)
         return Randomization.fit(self, sampler)
 
@@ -94,7 +94,7 @@ class Subset(Randomization):
         return _picked(sampler, size, pick, stream, first, np.empty((count, n, sampler.dims)))
 
     def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
-        """Return n itself if the whole set is large enough."""
+        """Return n as both nearest counts, if the whole set is large enough."""
         below, above = sampler._counts_near(n) if self.of is None else (self.of, self.of)
         if n <= above <= MAX_COUNT:
             return n, n
@@ -105,7 +105,7 @@ class Subset(Randomization):
         return self.of or sampler.max_count
 
     def count_warning(self, sampler: Sampler, n: int) -> str | None:
-        """Return the warning of `sampler` for the whole set, if all of it is taken."""
+        """Return the warning of `sampler` for the whole set, if all its points are taken."""
         return sampler._count_warning(n) if self.of is None else None
 
 
@@ -121,10 +121,11 @@ class Skip(Randomization):
 
     Notes
     -----
-    For sequences (sobol, halton, kronecker, random, …) and points from outside. Other sets are
-    refused, because without their first points they cover only a part of the domain. A run of b^m
-    points of a sequence in base b has the balance of a net only if `count` is a multiple of b^m.
-    Omitting only the origin destroys it. Skipped points are computed and discarded.
+    Allowed are sequences (sobol, halton, kronecker, random, …) and points from outside. Other sets
+    are refused, because without their first points they cover only a part of the domain. A run of
+    b^m points of a sequence in base b has the balance of a net only if `count` is a multiple of
+    b^m. If only the origin is omitted, the balance is lost. Skipped points are computed and
+    discarded.
 
     References
     ----------
@@ -146,7 +147,7 @@ class Skip(Randomization):
         return Randomization.fit(self, sampler)
 
     def law_of(self, law: Law, n: int) -> Law:
-        """Return the law; a run of a fixed sequence is also fixed."""
+        """Return the law; a run of a fixed sequence is a fixed set."""
         if isinstance(law, Independent):
             return Independent(n=n, dims=law.dims)
         if isinstance(law, Fixed):
@@ -186,7 +187,7 @@ class Skip(Randomization):
         return max(sampler.max_count - self.count, 0)
 
     def count_warning(self, sampler: Sampler, n: int) -> str | None:
-        """Return the warning of `sampler`, or one if the run does not begin at a multiple of n."""
+        """Return the warning of `sampler`, or that the run does not start at a multiple of n."""
         sentence = sampler._count_warning(n)
         if sentence is None and sampler.structure is Structure.DIGITS and self.count % n:
             return (
@@ -252,7 +253,7 @@ def _pick(keys: Array, run: bool, points: Array, out: Array) -> None:
         start = int(mix_uniform(k0, k1, 0) * size)
         taken = 0
         for i in range(size):
-            # Selection sampling: take a point with probability (still needed)/(still available)
+            # Selection sampling: take a point with probability (number needed)/(number left)
             if run:
                 if taken == n:
                     break
@@ -265,7 +266,7 @@ def _pick(keys: Array, run: bool, points: Array, out: Array) -> None:
 
 @kernel
 def _shuffle_points(keys: Array, out: Array) -> None:
-    # Fisher and Yates from the end, in place; the remainder has a bias below n/2^64
+    # Shuffle in place from the end (Fisher and Yates); the modulo bias is below n/2^64
     count, n, dims = out.shape
     for r in range(count):
         for i in range(n - 1, 0, -1):

@@ -16,7 +16,7 @@ from mcspectra.samplers.optimised import OptimisedSampler, random_points
 __all__ = ["SlicedOptimalTransport", "projected_quantiles"]
 
 _TABLE = 2049  # number of points of the table of a projected cube's distribution
-_NARROW = 1e-3  # components below this are ignored; quantiles change by at most 1e-7
+_NARROW = 1e-3  # smaller components are ignored; quantiles change by at most 1e-7
 
 
 @final
@@ -36,10 +36,10 @@ class SlicedOptimalTransport(OptimisedSampler):
     Notes
     -----
     On every direction θ, the k-th point in the order of θ·x moves toward the quantile (k − ½)/n of
-    the projected cube. The paper does so in the ball, and maps the ball to the cube. Here the
+    the projected cube. The paper uses a ball as target, and maps the ball to the cube. Here the
     target is the cube itself: its projection is a sum of d uniform numbers of widths |θ_j|. Points
     near the faces and corners of the cube are not quite uniform, so means are not exact. A `shift`
-    makes them exact, and so does a number of `sets`, which are translated.
+    makes means exact, and so does a number of `sets`, which are translated.
 
     References
     ----------
@@ -54,7 +54,7 @@ class SlicedOptimalTransport(OptimisedSampler):
 
     @property
     def unbiased(self) -> bool:  # type: ignore[override]
-        """Whether every point is uniform, which is true only if sets are translated."""
+        """Whether every point is uniform: true only if sets are translated."""
         return self.sets is not None
 
     def _optimize(self, n: int, keys: Array, report: Callable[[float], None]) -> Array:
@@ -62,14 +62,14 @@ class SlicedOptimalTransport(OptimisedSampler):
         normals = np.empty((1, self.directions * self.dims))
         for i in range(self.iterations):
             fill_normals(keys[None], used, normals)
-            used += normals.size + 1  # an odd number of normals uses one more uniform number
+            used += normals.size + 1  # an odd number of normals uses up an extra number
             directions = normals.reshape(self.directions, self.dims)
             directions = directions / np.sqrt(np.sum(directions**2, axis=1))[:, None]
 
             # Move points by the mean, over directions, of the moves to the quantiles
             move = np.zeros(points.shape)
             for direction in directions:
-                # NumPy's own sum: the same bits everywhere
+                # NumPy's own sum gives the same bits everywhere
                 place = np.sum((points - 0.5) * direction, axis=1)
                 order, delta = np.argsort(place, kind="stable"), np.empty(n)
                 delta[order] = projected_quantiles(direction, n) - place[order]
@@ -83,8 +83,8 @@ class SlicedOptimalTransport(OptimisedSampler):
 def projected_quantiles(direction: Array, n: int) -> Array:
     """Return the quantiles (k − ½)/n, k = 1 … n, of θ·(x − ½), x uniform in the cube.
 
-    The distribution starts as that of the widest component. Each further component replaces it by
-    its mean over an interval of that component's width.
+    The start is the distribution of the widest component. For each further component, it is
+    averaged over an interval of that component's width.
     """
     widths = np.sort(np.abs(direction))[::-1]
     end = widths.sum() / 2

@@ -32,17 +32,17 @@ __all__ = [
 ]
 
 Profile: TypeAlias = Callable[[Array], Array]
-"""A function of the distance from 0 with limit 1: power over ν, or pair correlation over r."""
+"""Function with limit 1 at infinity: power as a function of ν, or pair correlation of r."""
 
 _REACH = 2.0  # largest |m|/√n at which power is matched
-_PCF_REACH = 4.0  # same for pair correlations; resolves ⅛ of the mean distance
+_PCF_REACH = 4.0  # same for pair correlations; resolves 1/8 of the mean distance
 _TRIED = np.linspace(0.0, 6.0, 601)  # places at which transforms of targets are checked
-_LINE = np.linspace(0.0, 2 * _PCF_REACH, 1601)  # covers the corners of the square of frequencies
-_NEGATIVE = -1e-6  # values below this count as negative; quadrature errs by 1e-9
+_LINE = np.linspace(0.0, 2 * _PCF_REACH, 1601)  # reaches the corners of the square of frequencies
+_NEGATIVE = -1e-6  # values below this are negative; quadrature errors are 1e-9
 _LARGEST_STEP = 1 / math.sqrt(math.pi)
 _MOST_KNOTS, _LARGEST_PLACE = 200, 4.0
 _EPS = 1e-9  # tolerance of the non-uniform transforms
-_NODES = 48  # Gauss-Legendre nodes per piece; enough for J0 up to 2π·4·4
+_NODES = 48  # number of Gauss-Legendre nodes per piece; enough for J0 up to 2π·4·4
 
 
 class _MatchedSampler(PlaneSampler, OptimisedSampler):
@@ -84,8 +84,8 @@ class StepBlueNoise(_MatchedSampler):
     Attributes
     ----------
     cutoff
-        ν, in units of √n: mean power 0 for |m| < ν √n, 1 above. At most 1/√π = 0.564, since a
-        higher step would need a negative density of pairs.
+        ν, in units of √n: mean power is 0 for |m| < ν √n, and 1 above. ν is at most 1/√π = 0.564,
+        since a higher step would need a negative density of pairs.
     iterations
         Largest number of descent steps.
     sets
@@ -120,7 +120,7 @@ class TargetSpectrum(_MatchedSampler):
     frequencies
         |m|/√n of the knots, increasing, 0 to 4.
     power
-        n⟨|S_m|²⟩ at the knots; constant before the first knot, 1 after the last. The power is
+        n⟨|S_m|²⟩ at the knots; constant before the first knot, 1 after the last knot. The power is
         matched up to |m| = 2 √n.
     iterations
         Largest number of descent steps.
@@ -131,8 +131,9 @@ class TargetSpectrum(_MatchedSampler):
     -----
     The descent starts from independent uniform points and fits the mean power of rings of
     frequencies of width one. Single sets therefore follow the curve more closely than random
-    fluctuations would allow. A target whose pair correlation (the Hankel transform) is negative
-    somewhere does not exist, and is refused. `misfit` measures the remaining difference.
+    fluctuations would allow. If the pair correlation of the target (its Hankel transform) is
+    negative somewhere, no such sets exist, and the target is refused. `misfit` measures the
+    remaining difference.
 
     References
     ----------
@@ -163,10 +164,10 @@ class TargetPcf(_MatchedSampler):
     Attributes
     ----------
     distances
-        r√n at the knots, increasing, 0 to 4.
+        Distances of the knots, r√n: increasing, from 0 to 4.
     pcf
         Pair correlation at the knots, 1 for independent points; constant before the first knot,
-        1 after the last.
+        1 after the last knot.
     iterations
         Largest number of descent steps.
     sets
@@ -175,7 +176,7 @@ class TargetPcf(_MatchedSampler):
     Notes
     -----
     A Hankel transform converts the curve to radial power, which is matched up to |m| = 4 √n as in
-    `target-spectrum`. A curve whose power is negative somewhere is refused.
+    `target-spectrum`. A curve with negative power somewhere is refused.
 
     References
     ----------
@@ -222,7 +223,7 @@ def _least_transform(sampler: Any, places: str, values: str) -> tuple[float, flo
     return float(transform.min()), float(_TRIED[transform.argmin()])
 
 
-@lru_cache(maxsize=8)  # many small sets share a target
+@lru_cache(maxsize=8)  # one target serves many small sets
 def _power_of_pcf(distances: tuple[float, ...], pcf: tuple[float, ...]) -> Array:
     """Return the power of a pair correlation along `_LINE`."""
     return np.maximum(hankel(piecewise_linear(distances, pcf), np.array(distances), _LINE), 0.0)
@@ -240,8 +241,8 @@ def piecewise_linear(places: Any, values: Any) -> Profile:
 def hankel(profile: Profile, places: Array, at: Array) -> Array:
     """Return 1 + 2π ∫ (profile(t) − 1) J0(2π t s) t dt at every s of `at`.
 
-    It converts power to pair correlation and back: each is 1 plus the transform of the other minus
-    1. `places` are the knots of the profile, including its end.
+    The function converts power to pair correlation and back: each, minus 1, is the transform of the
+    other minus 1. `places` are the knots of the profile, including its end.
     """
     from scipy.special import j0
 
@@ -284,7 +285,7 @@ class RingLoss:
         self.ring = np.where(norm < most + 0.5, np.round(norm), 0).astype(np.int64)  # 0: outside
         self.sizes = np.maximum(np.bincount(self.ring.ravel()), 1)
         self.target = self._ring_means(target(norm / n**0.5))
-        plans = [(1, -1, 1), (2, 1, 2)]  # type, sign, number of transforms
+        plans = [(1, -1, 1), (2, 1, 2)]  # FINUFFT's type, sign and number of transforms
         self.plans: list[Any] = [
             finufft.Plan(
                 kind, norm.shape, n_trans=many, eps=_EPS, isign=sign, nthreads=1, showwarn=0

@@ -3,9 +3,9 @@
 The unit cube is divided into n cells of equal volume, s per side (n = s^d) unless other sides are
 given. Points come in row-major order of their cells, the last coordinate fastest.
 
-Legend of the kernels: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`;
-``out`` float64 (R, n, d). Random number i·d + j of a realization belongs to coordinate j of point
-i; numbers for shuffles follow.
+Notation of the kernels: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from
+`Stream.keys`; ``out`` float64 (R, n, d). Random number i·d + j of a realization belongs to
+coordinate j of point i; the numbers for shuffles come after these.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ __all__ = [
 ]
 
 _SLACK = 2.0**-52
-_MOST_WIDTH = 1000.0  # largest width in cells; float64 still wraps exactly
+_MOST_WIDTH = 1000.0  # largest width in cells; float64 wraps exactly up to this width
 
 
 @final
@@ -244,8 +244,8 @@ class BoxJitter(GridSampler):
     -----
     Every point is uniform if the boxes tile the torus, that is for whole widths of at least 1.
     Other widths leave gaps or overlaps at the same places of every cell; shift makes the points
-    uniform. Points that leave the domain at one end enter at the other. The default is chosen to
-    look different from jittered, and is not from a paper.
+    uniform. Points that leave the domain at one end enter at the other end. The default is chosen
+    to look different from jittered, and is not from a paper.
 
     References
     ----------
@@ -283,10 +283,10 @@ class GaussianJitter(GridSampler):
 
     Notes
     -----
-    A point is not uniform. Its density is 1 + 2 exp(−2π² width²) cos(2πsx) + … along each axis: it
-    varies by 58 % at width 0.25 and by 10^-8 at width 1. Shift makes it uniform. Points may leave
-    their cells; a point that leaves the domain enters at the other end. The default is about the
-    standard deviation of jittered, 0.29, and is not from a paper.
+    A point is not uniform. Its density along each axis is 1 + 2 exp(−2π² width²) cos(2πsx) + …,
+    which varies by 58 % at width 0.25 and by 10^-8 at width 1. Shift makes the point uniform.
+    Points may leave their cells; a point that leaves the domain enters at the other end. The
+    default is about the standard deviation of jittered, 0.29, and is not from a paper.
 
     References
     ----------
@@ -348,14 +348,14 @@ class AntitheticJittered(Sampler):
 
 @kernel
 def _fill_antithetic(keys: Array, corners: Array, side: float, out: Array) -> None:
-    # Corners (cells, d), out (R, cells, 2, d); `side` from `cell_side`.
+    # Fill pairs: corners (cells, d), out (R, cells, 2, d); `side` from `cell_side`.
     count, cells, _, dims = out.shape
     for r in range(count):
         for i in range(cells):
             for j in range(dims):
                 u = mix_uniform(keys[r, 0], keys[r, 1], i * dims + j)
                 out[r, i, 0, j] = corners[i, j] + side * u
-                # Reflect the number k/2^53 exactly, so that reflections are equally evenly spread
+                # Reflect the number k/2^53 exactly, so that reflections are as uniform
                 out[r, i, 1, j] = corners[i, j] + side * (BELOW_ONE - u)
 
 
@@ -368,8 +368,8 @@ class MultiJittered(PlaneSampler):
 
     Notes
     -----
-    The sub-strata of a column (or row) are shuffled independently of the other columns;
-    correlated-multi-jittered uses one shuffle for all of them.
+    The sub-strata of a column (or row) are shuffled independently of other columns (or rows);
+    correlated-multi-jittered uses one shuffle for all columns and one for all rows.
 
     References
     ----------
@@ -380,7 +380,7 @@ class MultiJittered(PlaneSampler):
     other_dims: ClassVar[str] = "for other dims use orthogonal-array, jittered or latin-hypercube"
 
     def _law(self, n: int) -> Law:
-        # Two points share one column, one row, or neither
+        # Two points have the same column, the same row, or neither
         columns = nearly_square(n)
         rows = n // columns
         c, r = 1.0 / columns, 1.0 / rows
@@ -423,12 +423,12 @@ class CorrelatedMultiJittered(PlaneSampler):
     Notes
     -----
     For counts n = a·b with a ≤ b ≤ 2a, the sampler takes the most nearly square a × b: each of the
-    a × b cells and each n-th of either axis holds one point. Other counts follow the memo's code:
-    a = ⌊√n⌋ columns and b = ⌈n/a⌉ rows of height a/n, of which the last is incomplete. Then each
-    n-th of the second axis holds one point, and each (a·b)-th of the first axis and each cell at
-    most one; digit scrambles need a full rectangle. Shuffles are true random permutations, whereas
-    the memo hashes indices. Points come in the order of their second coordinate; add shuffle for a
-    random order.
+    a × b cells and each of n intervals of either axis contains one point. Other counts follow the
+    memo's code: a = ⌊√n⌋ columns and b = ⌈n/a⌉ rows of height a/n, of which the last is incomplete.
+    Then each of n intervals of the second axis contains one point; each cell, and each of a·b
+    intervals of the first axis, contains at most one. Digit scrambles need a full rectangle.
+    Shuffles are true random permutations, whereas the memo hashes indices. Points come in the order
+    of their second coordinate; add shuffle for a random order.
 
     References
     ----------
@@ -457,7 +457,7 @@ class CorrelatedMultiJittered(PlaneSampler):
 
 @kernel
 def _fill_multi_jittered(keys: Array, columns: int, rows: int, side: float, out: Array) -> None:
-    # Point (i, j) is in column i and row j, and alone in its n-th of each axis.
+    # Point (i, j) is in column i and row j, and alone in one of n intervals of each axis.
     n = columns * rows
     down, across = np.empty(rows, np.int64), np.empty(columns, np.int64)
     for r in range(out.shape[0]):
@@ -481,7 +481,7 @@ def _fill_multi_jittered(keys: Array, columns: int, rows: int, side: float, out:
 def _fill_correlated(
     keys: Array, columns: int, rows: int, wide: float, high: float, out: Array
 ) -> None:
-    # One shuffle of the columns and one of the rows, for all points. Point p is in the p-th of the
+    # Use one shuffle of the columns and one of the rows, for all points. Point p is in stratum p of
     # n strata of the second axis, and so in row ⌊p / columns⌋; the last row may be incomplete.
     # `wide` and `high` are the sides of the strata of the two axes.
     n, slots = out.shape[1], columns * rows
@@ -508,9 +508,9 @@ class Hexagonal(PlaneSampler, FixedSet):
     -----
     The points form 2b rows of a points; every other row is moved by half a step. The set is
     deterministic. On a square torus no such array is exactly regular, because that needs b = a/√3.
-    The chosen b differs from it by at most ½. The ratio of the two distances between neighbors is
-    then 1.41, 1.12, 1.11, 1.12, 1.03 and 1.12 at the first six counts. It is at most 1.06 for n ≥
-    56 and 1.02 for n ≥ 780.
+    The chosen b differs from a/√3 by at most ½. The ratio of the two distances between neighbors is
+    then 1.41, 1.12, 1.11, 1.12, 1.03 and 1.12 at the first six counts. The ratio is at most 1.06
+    for n ≥ 56 and 1.02 for n ≥ 780.
 
     References
     ----------
@@ -543,7 +543,7 @@ def _hexagonal_count(across: int) -> int:
 
 def _largest_across(n: int) -> int:
     """Return the largest row length whose count is at most `n`, 0 if there is none."""
-    across = math.isqrt(n) + 2  # the count is at least a² for a > 1
+    across = math.isqrt(n) + 2  # for a > 1, a count is at least a²
     while across and _hexagonal_count(across) > n:
         across -= 1
     return across
@@ -564,7 +564,7 @@ def nearly_square(n: int) -> int:
     return int(found[0]) if found.size else 0
 
 
-@lru_cache(maxsize=2)  # analyses draw many blocks of one n
+@lru_cache(maxsize=2)  # analyses draw many blocks of the same n
 def corners(sides: tuple[int, ...]) -> Array:
     """Return the lower corners of the cells in row-major order: float64 (cells, d), read-only."""
     out = np.zeros((math.prod(sides), len(sides)))
@@ -606,18 +606,18 @@ def _moved_centers(sides: tuple[int, ...], displacements: Array) -> Array:
 class SharedCells(Sampler):
     """One of W sets of n cells, chosen at random; together they cover a grid of W n cells once.
 
-    A realization draws one offset, a uniform point of a cell. Each cell of its set uses this
-    offset, possibly reflected along some axes. Every point is uniform on [0,1)^d for any sets, so
-    estimates are unbiased. `design` makes such sets.
+    A realization draws one offset, a uniform point of a cell. Each cell of the realization's set
+    uses this offset, possibly reflected along some axes. Every point is uniform on [0,1)^d for any
+    sets, so estimates are unbiased. `design` makes such sets.
 
     Attributes
     ----------
     path
-        File .npz with an array ``cells`` of integers of shape (W, n, d). An entry is 1 + the number
+        File .npz with an array ``cells`` of integers of shape (W, n, d). An entry is 1 + the index
         of the cell along an axis, negative if the offset is reflected. The number of cells along an
-        axis is the largest of these numbers.
+        axis is the largest absolute value of an entry.
     dims
-        Number of coordinates, by default that of the file; a given number must agree with it.
+        Number of coordinates. By default it is that of the file; a given number must agree.
 
     Raises
     ------

@@ -1,6 +1,6 @@
 """Numba kernels of the spectra; arguments are not checked.
 
-Legend: r realizations, h flat index over the half spectrum, k points, j axes. The half spectrum
+Indices: realization r, flat index h over the half spectrum, point k, axis j. The half spectrum
 holds the frequencies up to and including 0 in C order; index M − 1 − h is the frequency −m_h.
 """
 
@@ -21,7 +21,7 @@ UNLABELLED = np.empty(0, np.int64)
 def crop_scaled(
     negative: Array, others: Array, rows: Array, row_factors: Array, factors: Array, out: Array
 ) -> None:
-    """Scale frequencies −K … −1 (F, K) and 0 … K (F, K + 1) of some rows: out (rows, 2K + 1)."""
+    """Scale rows of frequencies −K … −1 (F, K) and 0 … K (F, K + 1) into out (rows, 2K + 1)."""
     width = negative.shape[1]
     for r in range(rows.size):
         row, factor = rows[r], row_factors[r]
@@ -52,7 +52,7 @@ def power_sums(
 ) -> None:
     """Add |S|² and |S|⁴ of one set, or of the two sets of a pair, to total and squares (H,).
 
-    Also add |S|² to groups (sets, G) by label (H,); label (0,) means no groups.
+    Also add |S|² to groups (sets, G) by label (H,). An empty label (0,) means no groups.
     """
     last, grouped = packed.size - 1, label.size > 0
     for h in range(total.size):
@@ -85,7 +85,7 @@ def pair_mean(packed: Array, total: Array) -> None:
 
 @kernel
 def bin_weights(points: Array, weights: Array, size: int, out: Array) -> None:
-    """Add the weights (R, n) of points (R, n, d) to size^d equal cells; out (R, size^d), zeros."""
+    """Add the weights (R, n) of points (R, n, d) to size^d equal cells: zeros out (R, size^d)."""
     count, n, dims = points.shape
     for r in range(count):
         for k in range(n):

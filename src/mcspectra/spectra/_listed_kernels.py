@@ -1,9 +1,9 @@
 """Numba kernels of spectra at listed frequencies; arguments are not checked.
 
-Legend: k points, j axes, f frequencies, u factors. A frequency is a list of its nonzero axes in
-compressed rows; start (F+1,) indexes the entries. Points are stored axis by axis, (d, n), so that
-the innermost loops run over neighbors in memory. Loops process blocks of points that fit into the
-first-level cache.
+Indices: point k, axis j, frequency f, factor u. A frequency is stored as a list of its nonzero axes
+in compressed rows; start (F+1,) indexes the entries. Points are stored axis by axis, (d, n), so
+that the innermost loops access neighbors in memory. Loops process blocks of points that fit into
+the first-level cache.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from mcspectra.core.jit import kernel
 __all__ = ["phase_sum", "product_sum", "unit_phases"]
 
 _BLOCK = 256
-_ROUND = 1.5 * 2.0**52  # t + _ROUND − _ROUND rounds |t| < 2^51 without a call
-# Taylor coefficients of cos a in a², and of −sin a divided by a
+_ROUND = 1.5 * 2.0**52  # t + _ROUND − _ROUND rounds |t| < 2^51 without a function call
+# Taylor coefficients in a²: of cos a, and of (−sin a)/a
 _C = tuple((-1) ** i / math.factorial(2 * i) for i in range(9))
 _S = tuple(-((-1) ** i) / math.factorial(2 * i + 1) for i in range(8))
 
@@ -47,7 +47,7 @@ def unit_phases(turns: Array, real: Array, imag: Array) -> None:
 
 @kernel
 def _sum(values: Array) -> float:
-    """Sum by halves, with little rounding and vector instructions; `values` is overwritten."""
+    """Sum pairwise, with little rounding and vector instructions; overwrites `values`."""
     size = values.size
     while size > 8:
         odd = size & 1
@@ -78,7 +78,7 @@ def phase_sum(
                 x = points[axes[e], low : low + size]
                 for k in range(size):
                     t = values[e] * x[k]
-                    # Remove whole turns axis by axis, to lose less to rounding
+                    # Remove whole turns axis by axis, to reduce rounding errors
                     turns[k] += t - ((t + _ROUND) - _ROUND)
             unit_phases(turns[:size], real, imag)
             for k in range(size):

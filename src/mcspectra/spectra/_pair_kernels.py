@@ -1,7 +1,7 @@
 """Numba kernels of pair correlations; arguments are not checked.
 
-Legend: d axes, n points, N ≥ n points with copies; bins of width 1/`per_unit`; `most` is the number
-of bins, and also the bin of larger distances.
+Notation: d axes; n points; N ≥ n points including copies; bins of width 1/`per_unit`. `most` is the
+number of bins, and also the index of the bin for larger distances.
 """
 
 from __future__ import annotations
@@ -12,11 +12,11 @@ from mcspectra.core.checks import Array
 from mcspectra.core.jit import kernel
 
 Work = tuple[Array, Array]
-"""Scratch space of one chunk of neighbors: squared distances, float64, and bins, int64."""
+"""Scratch space of one chunk of neighbors: float64 squared distances, and int64 bins."""
 
 __all__ = ["count_distances", "count_ordered_pairs"]
 
-_CHUNK = 512  # neighbors per chunk; 8 KiB of scratch space fit the first-level cache
+_CHUNK = 512  # number of neighbors per chunk; 8 KiB of scratch space fit the first-level cache
 
 
 @kernel
@@ -37,7 +37,7 @@ def _fill_bins(
     coordinates: Array, a: int, start: int, stop: int, wrap: bool, per_unit: float, most: int,
     work: Work,
 ) -> Array:  # fmt: skip
-    """Return the bins of the distances of point a to points start … stop − 1; `most` if larger.
+    """Return the bins of the distances of point a to points start … stop − 1; `most` beyond bins.
 
     Bins are unsigned, because numba tests every signed index for a negative value.
     """
@@ -78,7 +78,7 @@ def count_distances(
 
     coordinates (d, N), the first axis ascending: n points, followed by copies of the first points
     moved by one along this axis. `limit` is the largest difference along the first axis.
-    counts (4, bins + 1) must be summed; the last bin has larger distances.
+    counts (4, bins + 1): four partial counts, to be added; the last bin has larger distances.
     """
     total = coordinates.shape[1]
     work = _scratch()
@@ -88,7 +88,7 @@ def count_distances(
         x = coordinates[0, a]
         while end < total and coordinates[0, end] - x <= limit:
             if end >= n and coordinates[0, end] - x == limit:
-                break  # half way around, the pair is counted from the other side
+                break  # at exactly this distance, the other point counts the pair
             end += 1
         for start in range(a + 1, end, _CHUNK):
             stop = min(start + _CHUNK, end)

@@ -1,7 +1,7 @@
 """Orthonormal bases of functions on the unit cube, in which a variance is decomposed.
 
 With an orthonormal basis φ_m of L²([0,1]^d), f_m = ∫ f conj(φ_m) and S_m = Σ_k w_k conj(φ_m(x_k)).
-In any basis the estimate is Σ_m conj(f_m) S_m, and its variance is dc + power + cross
+In any basis, the estimate is Σ_m conj(f_m) S_m, and its variance is dc + power + cross
 (docs/theory.md). Bases differ in the size of the cross term, which measures how badly a basis fits
 the sampler's randomization, and in the rate of convergence of the sum over m:
 
@@ -14,7 +14,7 @@ walsh      (−1)^(Σ_i m_i x_{i+1}), m < 2K (Paley)       digital shifts, neste
 haar       1, 2^(j/2) ψ(2^j x − t), m = 2^j + t < 2K   jittered sets with 2^k strata per side
 =========  ==========================================  =====================================
 
-K is the half width: all four bases then have about (2K)^d functions with up to K oscillations. The
+K is the half width: all four bases have about (2K)^d functions with up to K oscillations. The
 dims of a product basis are transformed one after another. Walsh and Haar functions are constant in
 dyadic cells of side 1/2K. Points are counted in these cells and transformed by butterflies, exactly
 and in O(n + M log M).
@@ -50,17 +50,17 @@ __all__ = [
 ]
 
 Coefficients = Callable[[Array, "Array | None"], Array]
-"""Transform of points (R, n, d) with weights (R, n), or None for 1/n each: (R, stored)."""
+"""Function of points (R, n, d) and weights (R, n), None for 1/n each, to S (R, stored)."""
 
 
 @dataclass(frozen=True)
 class Basis(IndexGrid, ABC):
-    """Products over the axes of functions of one variable with up to `half_width` oscillations."""
+    """Basis of products of one-variable functions with up to `half_width` oscillations."""
 
     name: ClassVar[str] = ""
 
     def oscillations(self) -> Array:
-        """Least half width that includes each stored function, along each axis: (stored, dims)."""
+        """Smallest half width that includes each stored function, by axis: (stored, dims)."""
         flat = np.unravel_index(np.arange(self.stored), self.shape)
         return np.stack([self._axis_oscillations()[place] for place in flat], axis=-1)
 
@@ -70,21 +70,21 @@ class Basis(IndexGrid, ABC):
 
     @abstractmethod
     def transform(self, n: int, engine: str, eps: float) -> tuple[Coefficients, str]:
-        """Return a thread-safe transform of sets of n points, and the name of its engine."""
+        """Return a thread-safe transform for sets of n points, and the name of its engine."""
 
     @abstractmethod
     def integrand(self, f: Integrand) -> tuple[Array, str]:
-        """Return coefficients of f, (channels or 1, stored), and the way they were computed."""
+        """Return coefficients of f, (channels or 1, stored), and the name of the method."""
 
     @abstractmethod
     def _axis_oscillations(self) -> Array:
-        """Return the half width at which each index of an axis is included: int64 (N,)."""
+        """Return the smallest half width that includes each index of an axis: int64 (N,)."""
 
 
 @final
 @dataclass(frozen=True)
 class FourierBasis(Basis):
-    """Fourier basis: complex; coefficients of −m are conjugates of those of m and not stored."""
+    """Fourier basis: complex; coefficients of −m are conjugates and are not stored."""
 
     name: ClassVar[str] = "fourier"
     label: ClassVar[str] = FrequencyGrid.label
@@ -161,11 +161,11 @@ class _Dyadic(Basis):
 
     @property
     def side(self) -> int:
-        """2K, the number of indices 0 … 2K − 1 (1 for K = 0)."""
+        """Number of indices along an axis: 2K, or 1 for K = 0."""
         return max(1, 2 * self.half_width)
 
     def directions(self) -> Array:
-        """Oscillations along each axis; the index also encodes position or the form of jumps."""
+        """Number of oscillations along each axis; the index itself also encodes the position."""
         return self.oscillations()
 
     def transform(self, n: int, engine: str, eps: float) -> tuple[Coefficients, str]:
@@ -197,7 +197,7 @@ class _Dyadic(Basis):
         """Transform the weights of N cells along the last axis."""
 
     def _axis_oscillations(self) -> Array:
-        level = np.frexp(self.axis)[1] - 1  # index 0 has no level
+        level = np.frexp(self.axis)[1] - 1  # index 0 (the constant) has no level
         return np.where(self.axis > 0, 2 ** np.maximum(level, 0), 0)
 
 
@@ -219,12 +219,12 @@ class WalshBasis(_Dyadic):
 @final
 @dataclass(frozen=True)
 class HaarBasis(_Dyadic):
-    """Haar basis: index 2^j + t is the wavelet of level j in the t-th interval of length 2^-j."""
+    """Haar basis: index 2^j + t is the wavelet of level j in interval t of length 2^-j."""
 
     name: ClassVar[str] = "haar"
 
     def _along_last(self, values: Array) -> Array:
-        """Transform from the finest level to the constant."""
+        """Apply the Haar transform from the finest level to the constant."""
         parts: list[Array] = []
         size = values.shape[-1]
         while size > 1:
@@ -259,26 +259,26 @@ def make_basis(name: str, dims: int, half_width: int) -> Basis:
     Raises
     ------
     ParameterError
-        If the name is unknown, or the half width too large or not allowed for the basis.
+        If the name is unknown, or the half width is too large or not allowed for the basis.
     """
-    FrequencyGrid(dims, half_width)  # checks limits that all bases share
+    FrequencyGrid(dims, half_width)  # checks the limits that hold for all bases
     return _CLASSES[as_choice("basis", name, BASES)](dims, half_width)
 
 
 def fitting_basis(law: Law, half_width: int) -> str:
     """Return the name of a basis that fits the last randomization of a sampler.
 
-    Fourier fits shifts, and sets whose law is the same after any translation. Walsh fits
+    Fourier fits shifts, and sets whose law is invariant under translations. Walsh fits
     randomizations of binary digits, if the half width is a power of two. For mirrored points,
-    cosine fits if a shift came before. Otherwise Walsh fits, because reflections and folding
-    permute Walsh functions up to signs. In these cases there is no cross term, for strata if their
-    number per side is 2^k.
+    cosine fits if a shift came before; otherwise Walsh fits, because reflections and folding
+    permute Walsh functions up to signs. In all these cases the cross term vanishes (for strata only
+    if their number per side is 2^k).
 
-    In all other cases cosine is a compromise. For smooth functions, jittered sets leave little
-    cross term in it, and the sum over m converges fast because it has no boundary term. For
-    discontinuous functions the cross term is as large as in Fourier (a disk, n = 64: −0.40 of the
-    variance). Strata of 2^k per side leave no cross term in Haar and Walsh, but there sums of
-    smooth functions converge slowly.
+    In all other cases cosine is a compromise. For smooth functions and jittered sets its cross term
+    is small, and the sum over m converges fast because it has no boundary term. For discontinuous
+    functions the cross term is as large as in Fourier (a disk, n = 64: −0.40 of the variance). With
+    2^k strata per side, the cross term vanishes in Haar and Walsh, but for smooth functions their
+    sums converge slowly.
     """
     mirrored = False
     while isinstance(law, Folded | Mirrored | Moved):

@@ -7,7 +7,8 @@ C_ml diagonal.
 Method
 ------
 Three kinds of sets are covered. Notation: χ(ν) = sinc(πν) exp(−iπν) is the transform of the unit
-interval, and A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/s) that of a grid. All are products over the axes.
+interval, and A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/s) is the transform of a grid. Both are products
+over the axes.
 
 * Independent motifs, one in each of N cells. M(ν) is the mean of exp(−2πi ν·ξ) over the points of
   one motif, in units of cells. Then ⟨S_ν⟩ = A(ν) ⟨M(ν/s)⟩ and C_ml = (1/N) A(m − l) [⟨M(m/s) conj
@@ -77,15 +78,15 @@ __all__ = [
 ]
 
 _SCRAMBLED_BITS = 32
-"""Number of bits that are scrambled; lower bits are uniform and independent."""
+"""Number of bits that scrambles permute; lower bits are uniform and independent."""
 _MOST_PAIR_TERMS = 2**31
-"""Largest number of terms of sums over pairs of digits and frequencies; half a minute."""
+"""Largest number of terms of a sum over digits and frequencies; takes half a minute."""
 _TERMS_AT_ONCE = 2**22
 """Number of terms held in memory at a time: 64 MB of complex numbers."""
 
 # Constants of closed forms with a density
-_BLOCK = 2**20  # numbers processed at a time
-_MAX_STRATA_WORK = 2**31  # largest product of strata and pairs of frequencies; some minutes
+_BLOCK = 2**20  # number of values processed at a time
+_MAX_STRATA_WORK = 2**31  # largest number of strata × frequency pairs; minutes
 _ORDER = 16
 _CELLS = 64
 _HIGHEST = 2**16
@@ -103,16 +104,16 @@ def closed_form_power(
     Parameters
     ----------
     sampler, n
-        Sampler (or spec string) and number of points. Supported are random, jittered, regular
-        grids, lattices, Latin hypercubes, orthogonal arrays of strength 2, multi-jittered, jitters
-        around a grid, determinantal sets and nets, each also with shift.
+        Sampler (or spec string) and number of points. Supported samplers are random, jittered,
+        regular grids, lattices, Latin hypercubes, orthogonal arrays of strength 2, multi-jittered,
+        jitters around a grid, determinantal sets and nets. Each may be followed by shift.
     frequencies
         Real frequencies ν, shape (..., d), in cycles per unit. Only integers are allowed after a
         shift, and for sets that are wrapped around the torus.
     density
-        Importance density. Any density is allowed for random points. At integer frequencies, a
-        product over the axes is allowed for jittered, latin-hypercube and grids, alone or with
-        shift or strata-shift.
+        Importance density. Random points allow any density. At integer frequencies, jittered,
+        latin-hypercube and grids, alone or with shift or strata-shift, allow products over the
+        axes.
 
     Returns
     -------
@@ -162,7 +163,7 @@ def closed_form_covariance(
     sampler, n, density
         Same as for `closed_form_power`.
     frequencies, others
-        m and l, with shapes (..., d) that broadcast; only integers with a density.
+        Frequencies m and l, with shapes (..., d) that broadcast; only integers with a density.
 
     Returns
     -------
@@ -172,7 +173,7 @@ def closed_form_covariance(
     Raises
     ------
     NoClosedForm
-        If no closed form is known for this combination, or C_ml are infinite because ∫1/p diverges.
+        If no closed form is known for this combination, or C_ml is infinite because ∫1/p diverges.
 
     Examples
     --------
@@ -205,10 +206,10 @@ def closed_form_covariance(
 class SpectralMoments:
     """Exact moments of S_ν under a sampler's law."""
 
-    mean: Callable[[Array], Array]  # ⟨S_ν⟩ at frequencies (..., d): complex (...)
-    # C_ml at two arrays of frequencies of the same shape (..., d): complex (...)
+    mean: Callable[[Array], Array]  # function of frequencies (..., d) that returns ⟨S_ν⟩ (...)
+    # Function of two arrays of frequencies of equal shape (..., d) that returns C_ml: complex (...)
     covariance: Callable[[Array, Array], Array]
-    # Whether they are valid at integer frequencies only, because points wrap around the torus
+    # Whether the moments hold only at integer frequencies, because points wrap around the torus
     integer: bool = False
 
     def power(self, nu: Array) -> Array:
@@ -222,7 +223,7 @@ def moments_of(law: Law, name: str, *frequencies: Array) -> SpectralMoments:
     Raises
     ------
     NoClosedForm
-        If they are unknown; the message contains the sampler's `name`.
+        If the moments are unknown; the message contains the sampler's `name`.
     """
     moments = _moments(law)
     if moments is None:
@@ -235,8 +236,8 @@ def moments_of(law: Law, name: str, *frequencies: Array) -> SpectralMoments:
 def points_at(
     sampler: Sampler | str, frequencies: Any, density: Density | str | None = None
 ) -> tuple[Sampler, Density | None, Array]:
-    """Return the sampler (a spec gets the frequencies' dims), the density and the frequencies."""
-    # An empty list has no dims; `as_frequencies` reports it
+    """Convert specs to sampler and density, with the dims of the frequencies; check all."""
+    # An empty list has no dims; `as_frequencies` raises the error
     dims = np.shape(frequencies)[-1] or None if np.ndim(frequencies) else None
     drawn = getattr(density, "primary_dims", dims)
     source = as_sampler(sampler, None if isinstance(sampler, Sampler) else drawn)
@@ -339,7 +340,7 @@ def _(law: Moved) -> SpectralMoments | None:
 
 
 def _motifs(sides: tuple[int, ...], count: int, motif: Motif) -> SpectralMoments:
-    """Return moments of `count` independent motifs, distributed evenly over the cells."""
+    """Return moments of `count` independent motifs, the same number in each cell."""
     s = np.asarray(sides, float)
 
     def covariance(m: Array, other: Array) -> Array:
@@ -364,7 +365,7 @@ def _offset_grid(s: Array) -> SpectralMoments:
 
 
 def _stationary(power: Callable[[Array], Array]) -> SpectralMoments:
-    """Return moments at integers of a stationary set: unbiased and diagonal."""
+    """Return moments of a stationary set at integer frequencies: no bias, no covariances."""
 
     def covariance(m: Array, other: Array) -> Array:
         same = np.all(m == other, axis=-1)
@@ -382,7 +383,7 @@ def _(law: Fixed) -> SpectralMoments:
             corner = np.exp(-2j * np.pi * np.remainder(law.corner * nu / s, 1.0))
             return _product(_comb(nu, s) * corner)
         if law.vector is not None and np.array_equal(nu, np.rint(nu)):
-            # 1 where m·z ≡ 0 modulo n; residues are multiplied to avoid overflow
+            # S_ν is 1 where ν·z ≡ 0 modulo n; products of residues do not overflow
             n, vector = law.n, np.asarray(law.vector, np.int64)
             residues = np.rint(np.remainder(nu, n)).astype(np.int64) * (vector % n) % n
             return np.asarray((residues.sum(axis=-1) % n == 0) + 0j)
@@ -398,7 +399,7 @@ def _(law: Fixed) -> SpectralMoments:
 
 
 def _of_pairs(n: int, pairs: Callable[[Array, Array], Array]) -> SpectralMoments:
-    """Return moments of n uniform points, from (1/n²) Σ over pairs of different points."""
+    """Return moments of n uniform points, given (1/n²) Σ over pairs of different points."""
 
     def covariance(m: Array, other: Array) -> Array:
         second = _product(_interval(m - other)) / n + pairs(m, other)
@@ -418,11 +419,11 @@ def _same(m: Array, other: Array, s: int | Array) -> Array:
 def _apart(m: Array, other: Array, s: int | Array) -> Array:
     strata = np.asarray(s, float)
     difference = strata * _free(m, other) - _same(m, other, s)
-    return np.asarray(difference / np.maximum(strata - 1.0, 1.0))  # no such pair if s = 1
+    return np.asarray(difference / np.maximum(strata - 1.0, 1.0))  # one stratum has no such pair
 
 
 def _level_mates(m: Array, other: Array, s: int | Array, parts: int | Array | None = None) -> Array:
-    """Two points in one of s strata, in different parts of its `parts` (default s)."""
+    """Two points in the same one of s strata, in different ones of its `parts` (default s)."""
     return _comb(m - other, s) * _apart(m / s, other / s, s if parts is None else parts)
 
 
@@ -446,10 +447,10 @@ def _(law: Scrambled) -> SpectralMoments | None:
 
 
 def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> Array:
-    """Return (1/n²) Σ over pairs of different points after nested scrambling, by agreeing digits.
+    """Return (1/n²) Σ over pairs of different points after nested scrambling.
 
-    Two coordinates that agree in exactly a digits lie in one of b^a strata, in different parts of
-    its b parts, and are uniform in these [Owen1997]_.
+    Two coordinates whose first a digits agree, and no more, lie in the same one of b^a strata, in
+    different ones of its b parts. They are uniform in these parts [Owen1997]_.
     """
     n, levels = law.n, [_levels(law.points[:, j], b) for j, b in enumerate(bases)]
     most = max(levels)
@@ -474,7 +475,7 @@ def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> A
     for axis in range(law.dims - 1, -1, -1):
         b, row, column = bases[axis], flat[:, axis : axis + 1], far[:, axis : axis + 1]
         by_level = [_level_mates(row, column, b**a, b)[:, 0] for a in range(most)]
-        # Last entry: equal coordinates, which stay equal to the last scrambled digit
+        # Last entry: equal coordinates, whose scrambled digits all stay equal
         by_level.append(_same(row, column, b ** _scrambled_digits(b))[:, 0])
         total = np.einsum("...af,af->...f", total, np.array(by_level))
     return np.asarray(total.reshape(m.shape[:-1]))
@@ -485,7 +486,7 @@ def _scrambled_digits(base: int) -> int:
 
 
 def _levels(x: Array, base: int) -> int:
-    """Return the number of digits that distinguish all coordinates, at most those scrambled."""
+    """Return the number of digits that distinguishes all coordinates; scrambled digits at most."""
     most = _scrambled_digits(base)
     different = len(np.unique(x))
     for level in range(most):
@@ -495,12 +496,13 @@ def _levels(x: Array, base: int) -> int:
 
 
 def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, other: Array) -> Array:
-    """Return (1/n²) Σ over pairs of different points after a random change of each place of digits.
+    """Return (1/n²) Σ over pairs of different points if each digit is changed at random.
 
-    With `shifted` a random digit is added to each place, otherwise its digits are permuted at
-    random. The images of two digits depend on their difference, or on whether they are equal.
-    Places are independent, so each gives a factor, and digits below all places move by one uniform
-    number. If the digits form a group, the pairs with one point represent all pairs.
+    With `shifted` a random digit is added at each place; otherwise the digits of each place are
+    permuted at random. The images of two digits depend on their difference, or on whether they are
+    equal. Places are independent, so each place contributes a factor. The digits below all places
+    are shifted by one uniform number. If the digits form a group, the pairs with one point
+    represent all pairs.
     """
     n, dims, points = net.n, net.dims, net.points
     flat, far = (np.broadcast_to(a, m.shape).reshape(-1, dims) for a in (m, other))
@@ -513,7 +515,7 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
             Function("power_spectrum"),
             ", or ask for fewer.",
         )
-    # Factor of each place of each axis by the difference of its digits, (b, frequencies)
+    # Factors (b, frequencies) of each place of each axis, for each difference of two digits
     factors = list[list[Array]]()
     for axis, b in enumerate(bases):
         digit, own = np.arange(b), list[Array]()
@@ -533,8 +535,8 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
         factors.append(own)
 
     total = np.zeros(len(flat), complex)
-    # Digits of each axis, the highest first; the nudge corrects coordinates rounded down below a
-    # digit
+    # Digits of each axis, the highest first; the nudge corrects coordinates that were rounded to
+    # just below a multiple of b^-places
     digits = []
     for axis, b in enumerate(bases):
         nudge = 0.0 if b & (b - 1) == 0 else 2.0**-52
@@ -557,7 +559,7 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
 
 
 def _moved(moments: SpectralMoments, by: Array) -> SpectralMoments:
-    """Return moments after a fixed translation, at integer frequencies: phase factors."""
+    """Return moments after a fixed translation, which adds phases, at integer frequencies."""
 
     def phase(nu: Array) -> Array:
         return np.asarray(np.exp(-2j * np.pi * np.remainder((nu * by).sum(axis=-1), 1.0)))
@@ -577,7 +579,7 @@ def _interval(nu: Array) -> Array:
 def _comb(nu: Array, sides: Any) -> Array:
     """Return the transform of the grid {j/s}, A_s(ν), of each coordinate; its period is s."""
     s = np.asarray(sides, float)
-    rest = nu - s * np.rint(nu / s)  # within half a period the quotient is well defined
+    rest = nu - s * np.rint(nu / s)  # within half a period, the divisor is not 0
     return np.asarray(_interval(rest) / _interval(rest / s))
 
 
@@ -594,7 +596,7 @@ def _is_zero(m: Array) -> Array:
 
 
 def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: Density) -> Array:
-    """Return C_ml of importance-sampled points at integers m, l of one shape (..., d)."""
+    """Return C_ml of importance-sampled points at integers m and l of the same shape (..., d)."""
     zero = np.all(m == 0, axis=-1) & np.all(other == 0, axis=-1)
 
     # Remove the translations from the law
@@ -632,13 +634,13 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
             Function("variance_terms"),
             ".",
         )
-    # Strata of each axis at their positions, or at all offsets if a random shift follows
+    # Each axis: strata at their positions, or at all offsets if a random shift follows
     highest, pairs = _highest(m, other), np.ones(m.shape[:-1])
     for i, (p, s) in enumerate(zip(_factors(density), sides, strict=True)):
         rule = np.remainder(np.arange(s) / s + offset[i], 1.0), np.full(s, 1.0 / s)
         axis = _StrataAxis(p, s, *(_all_offsets(p, s, 1.0, highest) if shifted else rule))
         same = axis.mean_product(axis.of_stratum, m[..., i], other[..., i])
-        if latin:  # two different strata; a single one has no such pair
+        if latin:  # two different strata; if there is only one, no pair
             free = (m[..., i] == 0) & (other[..., i] == 0)
             same = (n * free - same) / max(n - 1, 1)
         pairs = pairs * same
@@ -650,7 +652,7 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
 @final
 @dataclass(frozen=True)
 class _StrataAxis:
-    """One axis with s strata or points: starts t of the strata, weights, and the 1-D density."""
+    """An axis with s strata or points: starts t of strata, weights of starts, and 1-D density."""
 
     density: Density
     sides: int
@@ -658,7 +660,7 @@ class _StrataAxis:
     weights: Array
 
     def mean_product(self, of: Callable[[Array], Array], m: Array, other: Array) -> Array:
-        """Mean of of(m) conj of(l) over the starts; each frequency is transformed once."""
+        """Return the weighted mean over the starts of `of` at m times its conjugate at `other`."""
         known, back = np.unique(np.stack([m, other]), return_inverse=True)
         row, column = back.reshape(2, -1)
         if float(self.starts.size) * max(row.size, known.size * self.sides) > _MAX_STRATA_WORK:
@@ -675,14 +677,14 @@ class _StrataAxis:
         return out.reshape(m.shape)
 
     def of_stratum(self, m: Array) -> Array:
-        """M_t(m): (frequencies, starts); strata beyond 1 continue at 0."""
+        """Return M_t(m), (frequencies, starts); strata that pass 1 continue at 0."""
         end = self.starts + 1.0 / self.sides
         over = np.maximum(end - 1.0, 0.0)
         first = _strips(m, self._warp(self.starts), self._warp(np.minimum(end, 1.0)))
         return np.asarray(self.sides * (first + _strips(m, np.zeros(1), self._warp(over))))
 
     def of_grid(self, m: Array) -> Array:
-        """A_δ(m) with the starts as offsets: (frequencies, offsets)."""
+        """Return A_δ(m), (frequencies, offsets), where the starts are the offsets."""
         total = np.zeros((m.size, self.starts.size), complex)
         for j in range(self.sides):
             x = self._warp(self.starts + j / self.sides)
@@ -690,7 +692,7 @@ class _StrataAxis:
         return total / self.sides
 
     def _warp(self, u: Array) -> Array:
-        """T(u), with T(1) = 1; u outside [0,1) by rounding is clipped."""
+        """Return T(u), with T(1) = 1; clip u that rounding moved outside [0,1)."""
         x = self.density.sample(np.clip(u, 0.0, 1.0)[:, None])[:, 0]
         return np.where(u <= 0.0, 0.0, np.where(u >= 1.0, 1.0, x))
 
@@ -704,7 +706,7 @@ def _strips(m: Array, low: Array, high: Array) -> Array:
 
 
 def _all_offsets(density: Density, sides: int, length: float, highest: int) -> tuple[Array, Array]:
-    """Return a quadrature rule over t in [0, length), split where strata end at breaks or 0."""
+    """Return a quadrature rule over t in [0, length), split where strata end at 0 or a break."""
     breaks = np.array([0.0, *density.breaks[0]])
     ends = np.concatenate([breaks, breaks - 1.0 / sides]) % 1.0 % length
     cells = max(_CELLS, 2 * highest)

@@ -42,7 +42,7 @@ def gain_coefficients(
     Parameters
     ----------
     sampler
-        Net or sequence in any base, or in one base per axis; with or without owen.
+        Net or sequence with one base for all axes or one per axis, with or without owen.
     n
         Number of points.
     levels
@@ -54,13 +54,13 @@ def gain_coefficients(
     Returns
     -------
     xarray.Dataset
-        ``gain`` on dims ``level0``, ``level1``, …, from 0. At level 0 of all axes, the mean, it is
-        0.
+        ``gain`` on dims ``level0``, ``level1``, …, each from 0. The gain of the mean (level 0 on
+        all axes) is 0.
 
     Raises
     ------
     NoClosedForm
-        If the sampler draws other points each time, so that its gains are random.
+        If the sampler draws different points each time, so that its gains are random.
     ParameterError
         If there are too many levels, points or dims to count.
 
@@ -91,7 +91,7 @@ def gain_coefficients(
 
 
 def gains_at(net: Fixed, bases: Sequence[int], levels: int) -> Array:
-    """Return the gains of a set that is scrambled in the given bases, (levels + 1, …).
+    """Return the gains (levels + 1, …) of a set that is scrambled in the given bases.
 
     Gains are differences of agreement counts along each axis. Raises the errors of
     `gain_coefficients`.
@@ -115,13 +115,13 @@ def nested_variances(
     integrand, levels
         f, or its spec string, and the largest level on each axis.
     max_evaluations
-        Most evaluations of a user's function; if more are needed, BudgetError is raised.
+        Maximum number of evaluations of a user's function; BudgetError if more are needed.
 
     Returns
     -------
     ndarray
         float64 (levels + 1, …), or (channels, levels + 1, …); 0 at level 0 of all axes. The sum is
-        the variance of f without finer levels.
+        the variance of f without its finer levels.
 
     Raises
     ------
@@ -208,7 +208,7 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
 
 
 def _net_inside(law: Law, name: str) -> tuple[Fixed, tuple[int, ...]]:
-    """Return the fixed set inside scrambles of its digits, and their bases."""
+    """Return the fixed set whose digits are scrambled, and the bases of the scrambles."""
     net = law.inner if isinstance(law, Scrambled) else law
     if not isinstance(net, Fixed):
         raise NoClosedForm(

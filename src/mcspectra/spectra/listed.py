@@ -1,22 +1,21 @@
 """Expected power at listed frequencies, real or integer, in any number of dims.
 
-Grids of frequencies are limited to a few dims; lists of them are not. Examples are slices along the
-axes, planes of two axes (the projections of a set), and the frequencies of one ANOVA subset.
-`power_at` takes any list. `axis_frequencies` and similar functions return such lists, float64
-(F, d), with only one of ν and −ν if a whole line contains both, since S_{−ν} = conj S_ν.
+Grids of frequencies are limited to a few dims; lists are not. Examples of lists are slices along
+the axes, planes of two axes (the projections of a set), and the frequencies of one ANOVA subset.
+`power_at` takes any list. `axis_frequencies` and similar functions return such lists, float64 (F,
+d). If a whole line contains both ν and −ν, only one is listed, since S_{−ν} = conj S_ν.
 
 Engines
 -------
 ``direct``
-    Sums of phases, n F of them, using only the nonzero components of a frequency.
-    If frequencies share components, their phases are products of tabulated factors. Exact to
-    rounding.
+    Sums of n F phases, from only the nonzero components of each frequency. If frequencies share
+    components, their phases are products of tabulated factors. Exact to rounding.
 ``nufft``
     FINUFFT's type 3 [Barnett2019]_, one to three dims, relative l2 error of about `eps`: O(n + F)
     with a large constant, plus a grid of the volume that the frequencies span.
 ``auto``
-    The faster of the two according to constants measured here; direct in three or more dims, where
-    type 3 has no advantage.
+    The engine that should be faster according to measured constants; direct in three or more dims,
+    where type 3 has no advantage.
 """
 
 from __future__ import annotations
@@ -69,14 +68,14 @@ __all__ = [
 ]
 
 Listed = Callable[[Array, Array], Array]
-"""Transform of one set: points (n, d) and weights (n,) to S (F,)."""
+"""Function of points (n, d) and weights (n,) of one set that returns S (F,)."""
 
 _ENGINES = ("auto", "nufft", "direct")
 _MAX_FACTORS = 4096
 """Largest number of factors in a table, which takes 4 KiB per factor."""
 
 MAX_LISTED = 2**27
-"""Largest number of coordinates in a list of frequencies, F times d: 1 GiB."""
+"""Largest number of coordinates (F times d) in a list of frequencies: 1 GiB."""
 
 
 def power_at(
@@ -189,7 +188,7 @@ def listed_transform(
         )
     if engine == "auto":
         engine = "direct"
-        if dims <= 2:  # nanoseconds, measured on one core of a 2024 server
+        if dims <= 2:  # in nanoseconds, measured on one core of a 2024 server
             volume = np.prod(2.5 * np.ptp(frequencies, axis=0) + 30.0)
             nufft = (n + len(frequencies)) * 200.0 * 10.0 ** (dims - 1) + 100.0 * volume
             engine = "nufft" if nufft < 10.0 * n * len(frequencies) else "direct"
@@ -199,14 +198,14 @@ def listed_transform(
 def _type_3(frequencies: Array, eps: float) -> Listed:
     dims = frequencies.shape[1]
     missing = [None] * (3 - dims)
-    # Accuracy reached with 1.25, measured: 2e-9 in one and two dims, 6e-8 in three
+    # Measured accuracy with oversampling 1.25: 2e-9 in one and two dims, 6e-8 in three
     upsampling = 1.25 if eps >= (1e-9 if dims < 3 else 1e-7) else 2.0
     targets = [*(np.ascontiguousarray(axis) for axis in frequencies.T), *missing]
 
     def transform(points: Array, weights: Array) -> Array:
         import finufft
 
-        # A plan per set costs little, and threads share nothing
+        # A plan for each set costs little, and no plan is shared by threads
         plan = finufft.Plan(
             3, dims, eps=eps, isign=-1, upsampfac=upsampling, nthreads=1, showwarn=0
         )
@@ -217,7 +216,7 @@ def _type_3(frequencies: Array, eps: float) -> Listed:
 
 
 def _direct(frequencies: Array) -> Listed:
-    """Return a transform with shared factors if they are few, else with a phase per frequency."""
+    """Return a transform by shared factors if these are few, else by a phase per frequency."""
     rows, axes = np.nonzero(frequencies)
     values = frequencies[rows, axes]
     start = np.searchsorted(rows, np.arange(len(frequencies) + 1))
@@ -256,7 +255,7 @@ def axis_frequencies(dims: int, half_width: int, *, step: float = 1.0) -> Array:
 def diagonal_frequencies(
     dims: int, half_width: int, *, signs: Sequence[int] | None = None, step: float = 1.0
 ) -> Array:
-    """Return frequencies step · t · signs, t = 1 … half_width; by default the main diagonal.
+    """Return frequencies step · t · signs for t = 1 … half_width; by default on the main diagonal.
 
     Parameters
     ----------
@@ -300,9 +299,9 @@ def plane_frequencies(
 def subset_frequencies(
     dims: int, axes: Sequence[int], half_width: int, *, step: float = 1.0
 ) -> Array:
-    """Return frequencies whose nonzero components are exactly `axes`, up to the half width.
+    """Return frequencies up to the half width that are nonzero on exactly the given axes.
 
-    They belong to the ANOVA term of these axes: (2 half_width)^|axes| frequencies.
+    These (2 half_width)^|axes| frequencies belong to the ANOVA term of the axes.
 
     Examples
     --------

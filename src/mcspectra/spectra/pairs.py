@@ -1,4 +1,4 @@
-"""Isotropic pair correlation g(r) of point sets: density of pairs at a distance, random = 1."""
+"""Isotropic pair correlation g(r) of point sets: density of pairs at distance r; 1 if random."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ __all__ = [
     "pair_correlation",
 ]
 
-_MOST_PAIRS = 2**36  # largest number of pairs; about a minute per realization
+_MOST_PAIRS = 2**36  # largest number of pairs; takes about a minute per realization
 
 
 def pair_correlation(
@@ -45,7 +45,7 @@ def pair_correlation(
     max_distance: float | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Estimate the pair correlation g(r): density of pairs at distance r, random = 1.
+    """Estimate the pair correlation g(r), the density of pairs at distance r; 1 for random points.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def pair_correlation(
         Seed (SPEC 7).
     boundary
         ``"toroidal"``: distances wrap around. ``"border"``, for sets that end at the border:
-        distances do not wrap, and only points at least r from the border count their pairs.
+        distances do not wrap, and pairs count only for points at least r from the border.
     max_distance
         Largest r, at most 1/2; by default 1/2, or 1/4 with the border correction.
     workers
@@ -70,8 +70,8 @@ def pair_correlation(
     xarray.Dataset
         ``pair_correlation``, ``pair_correlation_se`` on dim r (bin centers), and
         ``pair_correlation_ci``, the 95 % interval by Student's t of the logarithm (0 to 0 for bins
-        without pairs). If the sampler has fewer sets than realizations, errors and t follow the
-        number of sets.
+        without pairs). If the sampler has fewer sets than realizations, standard errors and t are
+        based on the number of sets.
 
     Notes
     -----
@@ -123,8 +123,7 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
                 Parameter("max_distance"),
                 " is 0.5; with the border correction give less: no point is that far inside.",
             )
-        # Memory for counts of four neighbors at a time, sums, edges and expected numbers of each
-        # bin
+        # Memory per bin: counts of four neighbors at a time, sums, edge and expected number
         return Need(cost=self._cost, memory=memory_of(self.n, source.dims) + 128 * self.bins)
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[MeanSums]:
@@ -196,7 +195,7 @@ def count_pairs(points: Array, edges: Array, *, wrap: bool) -> Array:
         count_ordered_pairs(coordinates, per_unit, limit, last, ordered)
         return ordered.astype(float)
     copies = coordinates[:, coordinates[0] <= limit]
-    copies = copies + np.eye(len(coordinates), 1)  # moved by one along the first axis
+    copies = copies + np.eye(len(coordinates), 1)  # shifted by one along the first axis
     counts = np.zeros((4, bins + 1), np.int64)
     count_distances(np.concatenate([coordinates, copies], axis=1), n, per_unit, limit, counts)
     return np.asarray(counts[:, :bins].sum(axis=0), float)
@@ -221,10 +220,10 @@ def closed_form_pair_correlation(sampler: Sampler | str, n: int, r: Any) -> Arra
 
     Notes
     -----
-    Two points of a jittered set are independent, except that they cannot share a cell. Two places
-    at offset h share a cell of sides 1/s_i with probability Π max(0, 1 − s_i |h_i|). An axis with
-    one cell contributes a factor of 1, also across the border of the torus. g is n/(n−1) times 1
-    minus the mean of this probability over directions.
+    Two points of a jittered set are independent, except that they cannot lie in one cell. Two
+    places at offset h lie in one cell of sides 1/s_i with probability Π max(0, 1 − s_i |h_i|). An
+    axis with one cell contributes a factor of 1, also across the border of the torus. g is n/(n−1)
+    times 1 minus the mean of this probability over directions.
 
     Examples
     --------
@@ -241,7 +240,7 @@ def closed_form_pair_correlation(sampler: Sampler | str, n: int, r: Any) -> Arra
         return np.ones(distance.shape)
     if isinstance(law, Strata) and law.jittered and law.dims <= 2:
         sides = law.sides
-        # On an axis with one cell, any two places share it
+        # On an axis with one cell, any two places lie in this cell
         a, *rest = ((0.0 if s == 1 else s) * distance for s in sides)
         shared = np.maximum(0.0, 1.0 - a)
         if rest:

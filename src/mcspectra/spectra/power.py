@@ -1,8 +1,8 @@
 """Expected power spectra of point sets, uniform or importance-sampled, by simulation.
 
 Power is summed by frequency, and over rings and wedges of frequencies, for each realization.
-Frequencies of one set are not independent: with a density they share the fluctuation of its
-weights. Errors of means over many frequencies are therefore computed from the means themselves.
+Frequencies of one set are not independent: with a density, the fluctuation of the weights affects
+all of them. Errors of means over many frequencies are therefore computed from the means themselves.
 """
 
 from __future__ import annotations
@@ -49,11 +49,11 @@ __all__ = [
 ]
 
 _BLOCKS = 8  # smallest number of blocks, shared by threads and machines
-_MOST_COORDINATES = 2**26  # largest number of coordinates of a set; half a GiB, more in transforms
+_MOST_COORDINATES = 2**26  # largest number of coordinates of a set; half a GiB
 _EPS = 1e-9  # tolerance of transforms in double precision
-_SINGLE_EPS = 1e-5, 1e-6  # tolerances of transforms in single precision, the cheaper first
+_SINGLE_EPS = 1e-5, 1e-6  # tolerances of transforms in single precision, cheapest first
 _MOST_ERROR = 0.02  # largest single-precision error of a ring mean, in standard errors
-_TRIED_FROM = 16  # number of realizations at which a trial of both precisions pays off
+_TRIED_FROM = 16  # fewest realizations for which a trial of both precisions pays
 
 MAX_WEDGES = 360
 """Largest number of directions into which a half turn is divided."""
@@ -89,7 +89,7 @@ def power_spectrum(
     realizations
         Number of realizations averaged; 2 or more for standard errors.
     mean
-        Whether to also return the complex mean ⟨S_m⟩, which is 0 at integer m ≠ 0 if unbiased.
+        Whether to also return the complex mean ⟨S_m⟩; without bias it is 0 at integer m ≠ 0.
     wedges
         In two dims, the number of directions with a mean power, at most 360.
     rng
@@ -98,9 +98,9 @@ def power_spectrum(
         See `mcspectra.spectra.transforms`.
     eps
         Relative accuracy of the transforms. By default it is 1e-5 or 1e-6 in single precision if
-        that is far below the statistical error, else 1e-9. The first two realizations decide: the
-        largest ratio over all rings of the error to the standard error must be less than 0.02
-        (attribute ``transform_error``). The attribute ``eps`` has the value that was used.
+        that is far below the statistical error, else 1e-9. The first two realizations decide: on
+        every ring the error must be less than 0.02 standard errors (the largest is the attribute
+        ``transform_error``). The attribute ``eps`` is the accuracy that was used.
     workers
         Number of threads; by default all processors. Results do not depend on it.
 
@@ -111,11 +111,11 @@ def power_spectrum(
         1/n, or ∫1/p / n with a density (attribute ``random_level`` over n).
 
         ``radial_power``, ``radial_power_se`` on dim radius: |m| in cycles per unit, rings of one
-        frequency step, without m = 0. Errors are from the ring means of the realizations, since
-        frequencies of one set are not independent. ``radial_power_ci`` is the 95 % interval by
-        Student's t of the logarithm, power · exp(±t se/power). t has realizations − 1 degrees of
+        frequency step, without m = 0. Errors are computed from the ring means of the realizations,
+        since frequencies of one set are not independent. ``radial_power_ci`` is the 95 % interval
+        by Student's t of the logarithm, power · exp(±t se/power). t has realizations − 1 degrees of
         freedom (attribute ``student_t``) and applies to ``power_se`` as well. If the sampler has
-        fewer sets than realizations, errors and t follow the number of sets.
+        fewer sets than realizations, errors and t are based on the number of sets.
 
         In two dims also ``wedge_power`` with ``_se`` and ``_ci``, see `wedge_means`. With `mean`
         also ``mean_coefficient`` (complex) and ``mean_coefficient_se`` on dims m0, m1, …
@@ -130,10 +130,11 @@ def power_spectrum(
 
     Notes
     -----
-    Power is ⟨|S_m|²⟩, as in the slides. Multiply by n for the convention of UTK, random = 1. The
-    cost is O(n log^d(1/eps) + M log M) for a pair of realizations with M frequencies. Memory does
-    not depend on the number of realizations. A thread takes at most 100 M bytes, and for its points
-    (and phases, in the direct engine) up to 64 MB or, if two sets are larger, 100 n d bytes.
+    Power is ⟨|S_m|²⟩, as in the slides. Multiply by n for the convention of UTK (1 for random
+    points). The cost is O(n log^d(1/eps) + M log M) for a pair of realizations with M frequencies.
+    Memory does not depend on the number of realizations: a thread takes at most 100 M bytes. Its
+    points (and phases, in the direct engine) take up to 64 MB, or 100 n d bytes if two sets are
+    larger.
 
     Examples
     --------
@@ -214,7 +215,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
         return Need(cost=self._cost(grid), memory=memory_of(self.n, dims, 1, grid.size))
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_SpectrumSums]:
-        """Return the reduction: sums over blocks of realizations; pairs share a transform."""
+        """Return the reduction: sums over blocks of realizations; two sets share a transform."""
         source, p = _warped(subject)
         grid = self._grid(source, p)
         polar = _PolarMeans.of(grid, self.wedges)
@@ -222,7 +223,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
 
         @functools.cache
         def chosen() -> tuple[Transform, float | None]:
-            """Cheapest transform that is accurate enough; its error in standard errors."""
+            """Return the cheapest accurate transform, and its error in standard errors."""
             if self.eps is not None or self.realizations < _TRIED_FROM:
                 return double, None
             singles = [
@@ -260,8 +261,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
             return sums
 
         def result(total: _SpectrumSums) -> xr.Dataset:
-            # Realizations that reuse a few sets under other translations have the power of these
-            # sets
+            # Realizations that are translations of a few sets have the power of these sets
             law = source.law(self.n)
             sets = independent_sets(law)
             count = self.realizations if sets is None else min(self.realizations, sets)
@@ -287,7 +287,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 found[name], found[f"{name}_se"] = ((dim,), mean), ((dim,), se)
                 found[f"{name}_ci"] = (dim, "bound"), log_mean_interval(mean, se, count)
             if self.mean:
-                # Translations give each realization its own coefficient
+                # Translations change the coefficient, so each realization counts
                 mean, mean_se = total.frequencies.coefficient(None if law.stationary else sets)
                 found["mean_coefficient"] = grid.names, grid.full(mean, conjugate=True)
                 found["mean_coefficient_se"] = grid.names, grid.full(mean_se)
@@ -398,7 +398,7 @@ class PowerSums:
 
     @staticmethod
     def zeros(size: int, mean: bool) -> PowerSums:
-        """Return sums over no realizations."""
+        """Return sums of zero, to which realizations are added."""
         return PowerSums(MeanSums.zeros(size), np.zeros(size, np.complex128) if mean else None)
 
     def take(self, s: Array) -> None:
@@ -431,7 +431,7 @@ class _SpectrumSums:
 class _PolarMeans:
     """Rings of one frequency step and, in two dims, wedges, over which power is averaged."""
 
-    # Cell of each frequency of the half grid, ring · (wedges + 1) + wedge: int64 (H,). One more
+    # Cell of each frequency of the half grid: ring · (wedges + 1) + wedge, int64 (H,). A further
     # cell holds m = 0 and frequencies beyond the rings. The last wedge is outside the circle of the
     # half width
     label: Array
@@ -439,7 +439,7 @@ class _PolarMeans:
     radius: Array  # mean |m|/step of each ring
 
     @staticmethod
-    @functools.lru_cache(maxsize=4)  # serves many samplers on one grid
+    @functools.lru_cache(maxsize=4)  # cached because many samplers use one grid
     def of(grid: FrequencyGrid, wedges: int) -> _PolarMeans:
         """Make the rings, and the wedges in two dims."""
         index = grid.indices()
@@ -470,7 +470,7 @@ class _PolarMeans:
         )
 
     def add(self, sums: MeanSums, power: Array) -> None:
-        """Add the means of sets, from power summed by label (sets, …); NaN for empty wedges."""
+        """Add the means of sets, given power (sets, …) summed by label; NaN for empty wedges."""
         for own in power[:, :-1].reshape(-1, *self.cells.shape):
             with np.errstate(invalid="ignore"):
                 rings = own.sum(axis=1) / self.cells.sum(axis=1)
@@ -481,12 +481,12 @@ class _PolarMeans:
 
 
 def wedge_labels(index: Array, wedges: int) -> Array:
-    """Return the wedge of each index (H, 2) in the half turn; wedge 0 is centered on axis m0."""
+    """Return the wedge of the half turn for each index (H, 2); wedge 0 is centered on axis m0."""
     turn = np.arctan2(index[:, 1], index[:, 0]) / np.pi
     return np.asarray(np.floor(turn * wedges + 0.5).astype(np.int64) % wedges)
 
 
 def wedge_angles(wedges: int) -> tuple[str, Array, dict[str, str]]:
-    """Return the centers of the wedges as a coordinate."""
+    """Return the angles of the wedge centers as a coordinate."""
     angle = np.arange(wedges) * 180.0 / wedges
     return "angle", angle, {"long_name": "direction", "units": "degrees"}

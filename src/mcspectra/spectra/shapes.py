@@ -1,4 +1,4 @@
-"""Shapes of a measured spectrum: rings, slices, wedges, its exponent, and the predicted variance.
+"""Shape of a measured spectrum: rings, slices, wedges and exponent; and the predicted variance.
 
 All functions take the dataset of `power_spectrum`. Standard errors are over realizations, of the
 means over rings and wedges of each realization.
@@ -47,14 +47,14 @@ __all__ = [
 
 _MAX_SLICE_DIMS = 4
 _LEVEL = 0.95
-# Largest excess of (spread over direction / mean)² over noise; 0.001 for jittered points
+# Largest (spread over directions / mean)² beyond noise if isotropic; 0.001 if jittered
 _ISOTROPIC = 0.1
 _CLASS_WEDGES = 8
 _SUSPECT = 3.0  # χ² per degree of freedom above which directions are compared
-_SAME = 1e-7  # relative standard errors of powers at rounding level
+_SAME = 1e-7  # relative standard errors of powers that are only rounding
 _UNRESOLVED = 0.5  # half-width of the exponent's interval above which it is unresolved
 _MISFIT = 10.0  # χ² per degree of freedom above which there is no power law
-# Rounding of small coefficients in single precision; at most 3e-8 for stratified sets
+# Rounding of small coefficients in single precision; measured at most 3e-8 (stratified sets)
 _SINGLE_ROUNDING = 1e-7
 
 
@@ -71,7 +71,7 @@ class _HalfSpectrum:
 
     @staticmethod
     def of(spectrum: Any) -> _HalfSpectrum:
-        """Check a result of `power_spectrum` and return its half."""
+        """Check that a dataset is from `power_spectrum` and return its half."""
         import xarray as xr
 
         if not isinstance(spectrum, xr.Dataset) or not {"power", "power_se"} <= set(spectrum):
@@ -108,7 +108,7 @@ class _HalfSpectrum:
         return np.asarray(np.linalg.norm(self.index, axis=1))
 
     def mean_by(self, label: Array, size: int) -> tuple[Array, Array, Array]:
-        """Return mean power, its standard error and the count for each label; −1 is ignored."""
+        """Return mean power, its standard error and the count for each label but −1."""
         used = label >= 0
         count = np.bincount(label[used], minlength=size)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -128,12 +128,12 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        On dim radius, rings of one frequency step: ``radial_power``; ``radial_power_se``, that of
-        the spectrum, or for a spectrum without it that of uncorrelated frequencies;
-        ``anisotropy``, the variance over direction divided by the mean² [Ulichney1988]_, and
-        ``anisotropy_db``, 10 log10 of it; ``anisotropy_noise_db``, its value from noise alone in an
-        isotropic spectrum (−10 log10 of the realizations for Gaussian S). NaN for rings with one
-        direction or without power.
+        On dim radius, rings of one frequency step. ``radial_power`` is the mean;
+        ``radial_power_se`` is the standard error from the spectrum or, if missing there, that of
+        uncorrelated frequencies. ``anisotropy`` is the variance over direction divided by the mean²
+        [Ulichney1988]_, and ``anisotropy_db`` is 10 log10 of the anisotropy.
+        ``anisotropy_noise_db`` is the value from noise alone in an isotropic spectrum (−10 log10 of
+        the realizations for Gaussian S). NaN for rings with one direction or without power.
 
     Examples
     --------
@@ -262,18 +262,18 @@ def low_frequency_exponent(
         Result of `power_spectrum` with at least two realizations. Between the integers ⟨S_ν⟩ is not
         0, so ``mean=True`` is needed there, and the fit is to ⟨|S_ν|²⟩ − |⟨S_ν⟩|².
     up_to
-        Largest |ν| of the fit; by default a quarter of n^(1/d), the mean frequency of the points,
-        but at least three lengths and at most the half width.
+        Largest |ν| of the fit. By default it is a quarter of n^(1/d), the mean frequency of the
+        points, but includes at least three lengths and is at most the half width.
     axis
-        Axis along which to fit. By default the fit is over all directions or, if they differ, over
-        the directions with the largest power at the lowest frequency.
+        Axis along which to fit. By default the fit is over all directions or, if directions differ,
+        over the directions with the largest power at the lowest frequency.
 
     Returns
     -------
     xarray.Dataset
         ``low_frequency_exponent``, its 95 % interval on dim bound, and ``exponent_fit_chi2``, the
-        lack of fit, χ² per degree of freedom. If that exceeds 1, the interval is widened by its
-        root. Attributes ``up_to``, ``lengths`` and ``directions`` describe the fit. The attribute
+        lack of fit, χ² per degree of freedom. If χ² exceeds 1, the interval is widened by √χ².
+        Attributes ``up_to``, ``lengths`` and ``directions`` describe the fit. The attribute
         ``reason`` explains why the exponent is NaN: some lengths have no power (as for a lattice),
         the power is the same in all realizations, or χ² per degree of freedom is above 10. It also
         explains if the exponent is unresolved because its interval is wider than ±0.5.
@@ -281,13 +281,14 @@ def low_frequency_exponent(
     Raises
     ------
     ParameterError
-        If there are no errors or fewer than three lengths, or no means between the integers.
+        If there are no errors, fewer than three lengths, or no means (needed between integers).
 
     Notes
     -----
-    Weighted least squares of log power on log |ν|. All frequencies of one length (and class of
-    directions) are averaged; the interval of one of k classes has level 1 − 0.05/k. The exponent
-    depends on the window: for 1 − sinc² of jittered points, b = 2 at 0 and 1.8 at n^(1/d)/4.
+    The method is weighted least squares of log power on log |ν|. The frequencies of one length (and
+    class of directions) are averaged. If there are k classes, the interval of each has level 1 −
+    0.05/k. The exponent depends on the window: for 1 − sinc² of jittered points, b is 2 at 0 and
+    1.8 at n^(1/d)/4.
 
     Examples
     --------
@@ -298,7 +299,7 @@ def low_frequency_exponent(
     """
     half = _HalfSpectrum.of(spectrum)
     grid = half.grid
-    # Between the integers, subtract the power of the mean
+    # Between the integers, subtract the power of the mean coefficient
     if grid.step != round(grid.step):
         if "mean_coefficient" not in spectrum:
             raise ParameterError(
@@ -306,11 +307,11 @@ def low_frequency_exponent(
                 "power is not that of fluctuations alone: use power_spectrum(…, mean=True)."
             )
         mean = grid.pick(spectrum["mean_coefficient"].to_numpy())[:-1]
-        # ddof = 1: the sample mean contains 1/R of the fluctuation itself
+        # The sample mean contains 1/R of the fluctuation, so divide by R − 1
         bessel = 1.0 / (1.0 - 1.0 / float(half.attrs.get("realizations", math.inf)))
         half = replace(half, power=np.maximum(half.power - np.abs(mean) ** 2, 0.0) * bessel)
 
-    # Label the frequencies by their lengths, ascending; −1 if excluded
+    # Label the frequencies by length in ascending order; −1 if excluded
     square = (half.index**2).sum(axis=1)
     wanted = square <= grid.half_width**2
     if axis is not None:
@@ -337,7 +338,7 @@ def low_frequency_exponent(
     lengths = lengths[lengths <= window * (1 + 1e-9)]
     label[label >= len(lengths)] = -1
 
-    # Fit lengths that have power
+    # Fit the lengths at which the power is above rounding
     power, se, _ = half.mean_by(label, len(lengths))
     if np.isnan(se).any():
         raise ParameterError(
@@ -347,7 +348,7 @@ def low_frequency_exponent(
     approximate = spectrum.attrs.get("engine") == "nufft"
     least = 10 * spectrum.attrs.get("eps", 0.0) if approximate else 0.0
     if "transform_error" in spectrum.attrs:
-        # Single precision was chosen, whose errors are small only at frequencies with power
+        # Errors of the chosen single precision are small only where the power is large
         least = _SINGLE_ROUNDING
     empty = int(np.count_nonzero(power <= max(least, 1e-14) ** 2))
     reason = None
@@ -389,7 +390,7 @@ def low_frequency_exponent(
 @final
 @dataclass(frozen=True)
 class _LowFrequencyFit:
-    """Slope, log power at the lowest frequency, interval, lack of fit, and fitted directions."""
+    """Fit: slope, log power at the lowest frequency, interval, lack of fit, and directions."""
 
     slope: float
     level: float
@@ -403,16 +404,16 @@ def _over_directions(half: _HalfSpectrum, label: Array, lengths: Array) -> _LowF
     """Fit all directions if they agree, else the class with the largest low-frequency power."""
     whole = _fit_class(half, label, lengths, "all", 1)
     assert whole is not None
-    # Relative variance over direction beyond noise; mean over lengths with several directions
+    # Relative variance over direction beyond noise, averaged over lengths with several directions
     mean, _, count = half.mean_by(label, len(lengths))
     several = (label >= 0) & (count[label] > 1)
     own, k = mean[label[several]], count[label[several]]
     spread = (half.power[several] - own) ** 2 * k / (k - 1)
     excess = float(np.mean((spread - half.se[several] ** 2) / own**2)) if several.any() else 0.0
-    # Few lengths have several directions, as (3, 4) and (5, 0), but unequal ones do not fit a line
+    # Few lengths have several directions, like (3, 4) and (5, 0); else unequal powers misfit a line
     if half.grid.dims == 1 or (excess <= _ISOTROPIC and whole.chi2 <= _SUSPECT):
         return whole
-    # Classify the frequencies by the axes that they involve and, for both axes of two, by wedges
+    # Classify frequencies by their nonzero axes and, in 2-D if both are nonzero, by wedges
     involved, place = np.unique(half.index != 0, axis=0, return_inverse=True)
     texts = [" and ".join(f"m{i}" for i in np.flatnonzero(row)) for row in involved]
     names = np.array(texts, dtype=object)[place.ravel()]
@@ -433,7 +434,7 @@ def _over_directions(half: _HalfSpectrum, label: Array, lengths: Array) -> _LowF
 def _fit_class(
     half: _HalfSpectrum, label: Array, lengths: Array, name: str, classes: int
 ) -> _LowFrequencyFit | None:
-    """Fit the lengths of one class; None if fewer than three lengths exist or one has no power."""
+    """Fit the lengths of one class; None if there are fewer than three, or one has no power."""
     from scipy.special import stdtrit
 
     power, se, count = half.mean_by(label, len(lengths))
@@ -450,7 +451,7 @@ def _fit_class(
 
 
 def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
-    """Predict a variance as Σ_{ν≠0} |f_ν|² ⟨|S_ν|²⟩ Δν^d, the homogenized formula.
+    """Predict a variance by the homogenized formula Σ_{ν≠0} |f_ν|² ⟨|S_ν|²⟩ Δν^d.
 
     Parameters
     ----------
@@ -462,15 +463,15 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
     Returns
     -------
     float
-        Exact up to the truncation of the grid, for randomly shifted sets at *integer* frequencies
-        (``frequency_step=1``). Between the integers ⟨S_ν⟩ is not 0. The sum then counts the bias of
-        a finite window as variance, and stops falling with n below it, as the paper's slides show
-        [Singh2019]_.
+        The variance, exact up to the truncation of the grid, for randomly shifted sets at *integer*
+        frequencies (``frequency_step=1``). Between the integers ⟨S_ν⟩ is not 0. The sum then
+        includes the bias of a finite window, and stops falling with n below this bias, as the
+        paper's slides show [Singh2019]_.
 
     Raises
     ------
     ParameterError
-        If it is not a spectrum, is one of points with a density, or coefficients do not fit it.
+        If `spectrum` is not a spectrum of uniform points, or the coefficients do not fit its grid.
 
     Warns
     ------
@@ -501,7 +502,7 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
             f"{grid.shape}, one for each frequency."
         )
     # Warn if the points are not stationary; a spec of given points does not determine this.
-    # Between the integers the sum is not the variance anyway (see Returns)
+    # Between the integers the sum is not the variance (see Returns)
     try:
         source = None if spec is None else as_sampler(spec, grid.dims)
     except (ParameterError, FileFormatError):

@@ -4,17 +4,18 @@ Engines
 -------
 ``nufft``
     Type-1 non-uniform FFT. FINUFFT [Barnett2019]_ spreads points onto a grid 1.25 times as fine
-    along each axis (twice as fine for many points per frequency), with one reused plan per Python
-    thread, and SciPy transforms the grid. The relative l2 error is 1e-9; ``eps=1e-12`` takes a grid
-    twice as fine and 2.3 times as long (512²). Single precision halves the time. Its errors are at
-    best 1e-6 of the peak, or 1e-5 on a grid 1.12 times as fine, which takes a fifth less time;
-    coordinates are rounded to 2^-25. Real frequencies on a grid of step s are integer frequencies
-    of the coordinates s·x. Two realizations share a transform: weights w of the first plus i times
-    w of the second, separated by Hermitian symmetry. Cost O(n log^d(1/eps) + M log M) per pair.
-    Four dims are 3-D transforms for each frequency of the first axis, one realization at a time.
+    along each axis (twice as fine if there are many points per frequency), with one reused plan per
+    Python thread, and SciPy transforms the grid. The relative l2 error is 1e-9. With ``eps=1e-12``
+    the grid is twice as fine, and the transform takes 2.3 times as long (512²). Single precision
+    halves the time: its error is at best 1e-6 of the peak, or 1e-5 on a grid 1.12 times as fine,
+    which takes a fifth less time. Coordinates are then rounded to 2^-25. Real frequencies on a grid
+    of step s are integer frequencies of the coordinates s·x. Two realizations share a transform
+    with complex weights: the weights of the first plus i times the weights of the second; Hermitian
+    symmetry separates the two. Cost O(n log^d(1/eps) + M log M) per pair. In four dims there is a
+    3-D transform for each frequency of the first axis, one realization at a time.
 ``direct``
     Separable direct summation by matrix products, exact to rounding. It is the reference, and the
-    faster engine for a handful of points. Cost O(n M).
+    faster engine for few points. Cost O(n M).
 ``auto``
     Direct if n M < 4000 (where arithmetic takes about a microsecond less than a plan call), in four
     dims below about a thousand points, and in more than four dims; else NUFFT.
@@ -50,11 +51,11 @@ __all__ = [
 
 ENGINES = ("auto", "nufft", "direct")
 _DIRECT_BELOW = 4000
-_DIRECT_NUMBERS = 2**22  # numbers of phases held at a time: 64 MiB
-_SPARSE = 1 / 16  # points per frequency below which spreading in parts is faster
+_DIRECT_NUMBERS = 2**22  # number of phases held at a time: 64 MiB
+_SPARSE = 1 / 16  # points per frequency below which it is faster to spread in parts
 _SPREAD_POINTS = 1024
-_CELL_COST = 50.0  # cost of a transform per cell, in spread cells, measured on one core
-_LEAST_FINE = 32  # least cells of the fine grid per axis; kernels are narrower
+_CELL_COST = 50.0  # cost of transforming a cell relative to spreading to a cell; measured
+_LEAST_FINE = 32  # least number of cells of the fine grid per axis; kernels are narrower
 
 MAX_FREQUENCIES = 2**27
 """Largest number of frequencies of one grid: 2 GiB of complex128."""
@@ -62,7 +63,7 @@ MAX_FREQUENCIES = 2**27
 
 @dataclass(frozen=True)
 class IndexGrid:
-    """Multi-indices m of coefficients, equally many along each axis, in C order.
+    """Multi-indices m of coefficients in C order, with the same number along each axis.
 
     Attributes
     ----------
@@ -75,13 +76,13 @@ class IndexGrid:
     label: ClassVar[str] = "index of the basis function"
     units: ClassVar[str] = "1"
     hermitian: ClassVar[bool] = False
-    """Whether indices run from −K, and coefficients of −m are the conjugates of those of m.
+    """Whether indices run from −K, and coefficient −m is the conjugate of coefficient m.
 
     Then only the first half is stored, up to and including m = 0."""
 
     @property
     def side(self) -> int:
-        """N, the number of indices along one axis."""
+        """Number N of indices along one axis."""
         return 2 * self.half_width + 1
 
     @property
@@ -96,12 +97,12 @@ class IndexGrid:
 
     @property
     def size(self) -> int:
-        """M, the number of indices."""
+        """Number M of indices."""
         return int(self.side**self.dims)
 
     @property
     def stored(self) -> int:
-        """Number of stored coefficients; all, unless symmetry determines half of them."""
+        """Number of stored coefficients: all, or half of them if symmetry determines the rest."""
         return (self.size + 1) // 2 if self.hermitian else self.size
 
     @property
@@ -140,11 +141,11 @@ class IndexGrid:
         return stored.reshape(*stored.shape[:-1], *self.shape)
 
     def pick(self, full: Array) -> Array:
-        """Return stored values (stored, ...) of a whole array (*shape, ...); inverts `full`."""
+        """Return the stored values (stored, ...) of a whole array (*shape, ...); inverts `full`."""
         return full.reshape(self.size, *full.shape[self.dims :])[: self.stored]
 
     def whole(self) -> tuple[Array, Array]:
-        """Return, for every index in C order, its stored position, and whether it is conjugate."""
+        """Return for every index, in C order, its stored position and whether it is a conjugate."""
         place = np.arange(self.size)
         return np.where(place < self.stored, place, self.size - 1 - place), place >= self.stored
 
@@ -228,7 +229,7 @@ class Transform:
                 Parameter("engine", "direct"),
                 ".",
             )
-        if engine == "auto":  # from times measured on one core
+        if engine == "auto":  # derived from times measured on one core
             slab = float(grid.size // grid.shape[0])
             pays = n * grid.size < _DIRECT_BELOW
             if grid.dims > 3:
@@ -241,7 +242,7 @@ class Transform:
         self._sparse = density < _SPARSE
         self._packs = engine == "nufft" and grid.dims <= 3
         self.single = single and self._packs
-        # A finer grid is more accurate, takes longer to transform and less time to spread on: in
+        # A finer grid is more accurate; its transform takes longer and its spreading less time: in
         # double precision its kernels have 11 cells per side instead of 15
         spreading = 0.0 if self.single else density * (15.0**dims - 11.0**dims)
         finer = self.eps < 1e-9 or spreading > _CELL_COST * (2.0**dims - 1.25**dims)
@@ -307,9 +308,9 @@ class Transform:
             mean[-1] = mean_at_zero
 
     def _packed(self, points: Array, weights: Array | None) -> Iterator[tuple[Array, bool]]:
-        """Yield transforms of pairs of sets, S1 + i S2 on the full grid, flat, and of a single set.
+        """Yield flat transforms S1 + i S2 of pairs of sets on the full grid, or S1 of a last set.
 
-        Each array is valid until the next is requested. For a single set at least the half grid is
+        Each array is valid until the next is requested. For a single set at least half the grid is
         filled.
         """
         sets, n, dims = points.shape
@@ -335,7 +336,7 @@ class Transform:
         return self._execute(strengths, self._local.out)
 
     def _slabs(self, points: Array, strengths: Array) -> Array:
-        """Transform in four dims: phases of the first axis for each m0 ≤ 0, then the other axes."""
+        """Transform in four dims: apply the phases of each m0 ≤ 0, then transform other axes."""
         grid = self.grid
         self._set_points(points[:, 1:])
         out = np.empty((grid.half_width + 1, *grid.shape[1:]), np.complex128)
@@ -378,7 +379,7 @@ class Transform:
 
     @functools.cached_property
     def _fine(self) -> tuple[int, ...]:
-        """Shape of the fine grid, for all dims or, in four dims, the last three."""
+        """Shape of the fine grid: all dims, or in four dims the last three."""
         from scipy.fft import next_fast_len
 
         side = max(math.ceil(self._oversampling * self.grid.shape[0]), _LEAST_FINE)
@@ -386,11 +387,11 @@ class Transform:
 
     @functools.cached_property
     def _unspread(self) -> tuple[Array, Array, Array]:
-        """Rows of the fine grid with the frequencies, and factors that undo the spreading."""
+        """Rows of the fine grid that hold the frequencies, and factors that undo the spreading."""
         dims, side = len(self._fine), self._fine[0]
         # The kernel along the last axis also depends on the number of axes. The other axes are as
-        # short as possible, and odd if this axis is. Transforms are divided by products of its
-        # coefficients
+        # short as possible, and odd if the last axis is odd. Transforms are divided by products of
+        # this kernel's coefficients
         plan = self._new_plan((_LEAST_FINE + side % 2,) * (dims - 1) + (side,))
         origin = np.zeros((dims, 1), np.zeros(0, self._number).real.dtype)
         plan.setpts(*origin)
@@ -408,8 +409,8 @@ class Transform:
         """Return a plan that spreads onto a fine grid."""
         import finufft
 
-        # With spread_sort=2 FINUFFT decides by the density of points. Few points are spread by
-        # parts of the fine grid that fit into the cache (0: all at once).
+        # With spread_sort=2, FINUFFT decides by the density of points whether to sort. Few points
+        # are spread in parts of the fine grid that fit into the cache (0: all at once).
         return finufft.Plan(
             1,
             shape,
@@ -425,9 +426,9 @@ class Transform:
         )
 
     def _direct(self, points: Array, weights: Array) -> Array:
-        """Separable sum: a matrix product of phases along the first axes with those of the rest.
+        """Sum directly: multiply the phases of the first axes with the phases of the other axes.
 
-        Axes are divided evenly, so that in four dims the factors have n (2K+1)² numbers. Blocks of
+        Axes are divided evenly, so that in four dims each factor has n (2K+1)² numbers. Blocks of
         points keep the factors below `_DIRECT_NUMBERS`.
         """
         grid = self.grid

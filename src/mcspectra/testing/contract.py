@@ -46,17 +46,17 @@ __all__ = [
 ]
 
 _FALSE_ALARM = 1e-6
-_SPREADS = 7.0  # allowed standard errors; false alarm 7e-8 per number (Student's t, 31 degrees)
-_SAME = 1e-9  # allowed relative rounding between one point and a batch, and of integrals
-_REALIZATIONS, _CELLS = 640, 35  # realizations and cells for the uniformity test of samplers
+_SPREADS = 7.0  # largest deviation in standard errors; false alarm 7e-8 (Student's t, 31 degrees)
+_SAME = 1e-9  # largest relative rounding between one point and a batch, and of integrals
+_REALIZATIONS, _CELLS = 640, 35  # numbers of realizations and cells of the uniformity test
 _SAMPLES = 20_000
-_SIDES = {1: 64, 2: 8}  # cells along each axis in which samples are counted, by dims
-_LEAST = 5.0  # smallest expected number of samples in a cell; χ² is not accurate below
+_SIDES = {1: 64, 2: 8}  # by dims: number of cells along each axis in which samples are counted
+_LEAST = 5.0  # smallest expected number of samples in a cell; with fewer, χ² is inaccurate
 _RECIPROCAL = 1e-3
 _ROUNDING = 1e-12
-_REMAINDER = 3.5  # error of a quadrature over its last difference, if differences shrink by √½
+_REMAINDER = 3.5  # ratio of a quadrature's error to its last difference, if these shrink by √½
 _QUADRATURE_DIMS = 3
-_MISSED = 20.0  # largest expected number of points in a region without points: probability e^-20
+_MISSED = 20.0  # expected points in a region that may contain none: probability e^-20
 _FREQUENCIES = ((1,), (-3,), (0, 2), (1, -1), (4, 7), (2, 1, 0), (0, -1, 3))
 _SEED = 7
 _NEED_SECONDS = 0.1  # time limit of `need`, which studies call for every estimator and sampler
@@ -82,7 +82,7 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
     BrokenContract
         If the points are not float64 of shape (R, n, dims) in [0,1); if a realization depends on
         the call that draws it; if a fixed set varies; if a count returned by `nearest_count` cannot
-        be drawn; or if the sampler is declared unbiased, but its points are not uniform over all
+        be drawn; or if a sampler that is declared unbiased has points that are not uniform over all
         realizations (false alarm: 1e-6).
 
     Examples
@@ -105,7 +105,7 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
         low, high = float(points.min()), float(points.max())
         demand(low >= 0.0 and high < 1.0, who, f"gives points from {low} to {high}, not in [0,1)")
 
-        # Realizations are the same in any call; a fixed set has only one realization
+        # Realizations are the same in any call; all realizations of a fixed set are equal
         whole = source.draw(n, realizations=6, rng=7)
         for first, count in ((0, 1), (1, 3), (5, 1)):
             part = source.draw(n, realizations=count, rng=7, first=first)
@@ -117,9 +117,10 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
             continue
 
         # Compare mean counts of points in cells with n / cells: 35 cells per axis, and 5 × 7 cells
-        # per pair of neighboring axes, since few samplers have such strata. The error of each mean
-        # comes from the spread over realizations, which includes any dependence within a set. It is
-        # at least the error of one point in one realization, for cells that are always or never hit
+        # per pair of neighboring axes, since few samplers have strata of these sizes. The error of
+        # each mean is estimated from the spread over realizations, which includes dependence within
+        # a set. It is at least the error of one point in one realization, for cells with a constant
+        # count
         from scipy.stats import norm
 
         points = source.draw(n, realizations=_REALIZATIONS, rng=20)
@@ -162,8 +163,8 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
 
     Notes
     -----
-    In 1-D and 2-D, samples are counted in cells (Pearson's χ²) in addition to `Density.check`. Its
-    documentation lists the errors found in more dims.
+    In 1-D and 2-D, samples are counted in cells (Pearson's χ²) in addition to `Density.check`. The
+    documentation of `Density.check` lists the errors that are found in more dims.
 
     Examples
     --------
@@ -197,7 +198,7 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
     zero = ~(given.pdf(x) > 0.0)
     demand(not zero.any(), who, f"gives the sample {x[zero][:1].tolist()} of density 0")
 
-    # Count samples of pseudo-random points in cells (Pearson's χ²); cells without mass stay empty
+    # Count samples in cells (Pearson's χ²); cells without mass must stay empty
     if given.dims <= 2:
         from scipy.stats import chi2
 
@@ -220,7 +221,7 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
             "cells)",
         )
 
-    # A closed form of ∫1/p is at least 1 (Jensen), and agrees with points if both are finite
+    # ∫1/p must be at least 1 (Jensen), and agree with means over points if both are finite
     if type(given).reciprocal_integral is Density.reciprocal_integral:
         return
     found = called(who, "reciprocal_integral", given.reciprocal_integral)
@@ -359,20 +360,20 @@ class _Restricted(Integrand):
 
 
 def _compare(f: Integrand, what: str, claimed: Array, x: Array, factors: Array) -> None:
-    """Compare claimed values (..., k) with means of values × factors (sets, points, k)."""
+    """Compare closed forms (..., k) with means of values × factors (sets, points, k)."""
     values = called(f.spec, "its values", f, x)
     products = values[..., None] * (factors[..., None, :] if f.channels else factors)
     mean, error = mean_and_error(products)
     rounding = _ROUNDING * (1.0 + float(np.abs(values).max()))
     allowed = _SPREADS * error + rounding
     places = f.landmarks()
-    if not values.any() and len(places):  # no point hit the region of the largest values
+    if not values.any() and len(places):  # no point lies in the region of the largest values
         largest = float(np.abs(f(places)).max())
         allowed = allowed + largest * _MISSED / values.shape[0] / values.shape[1]
     off = ~(np.abs(claimed - mean) <= allowed)
     if not off.any():
         return
-    # Points may miss a small region, so compare with a quadrature of the values
+    # Points may miss a small region, so also compare with a quadrature of the values
     agree = False
     if factors.shape[-1] == 1 and f.dims <= _QUADRATURE_DIMS:
         seen = f if isinstance(f, _Restricted) else _Restricted(f, (0.0,) * f.dims, (1.0,) * f.dims)
@@ -394,7 +395,7 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
     ----------
     analysis
         The analysis with options that are quick to compute. It should have more than one block, so
-        that merging is checked as well.
+        that merging is also checked.
     estimator, sampler
         Estimator or integrand (default: `gaussian` in two dims) and sampler on which the analysis
         is run, or their specs; lists for analyses that take lists.
@@ -443,7 +444,7 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
     spent = time.process_time() - start
     demand(spent < _NEED_SECONDS, who, f"takes {spent:.2g} s in need")
 
-    # Compute its result twice
+    # Compute the result twice
     first, again = (pack(_computed(clean, subject, who, size)) for size in (0, _SIZE))
     demand(first == again, who, "gives different results in chunks, or for the same seed")
 
@@ -482,9 +483,9 @@ def demand(holds: bool, who: str, sentence: str) -> None:
 
 
 def called(who: str, what: str, function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function; an exception becomes a BrokenContract that names `what`."""
+    """Call a function; convert an exception to a BrokenContract that names `what`."""
     try:
-        with np.errstate(all="ignore"):  # values that are not finite are checked later
+        with np.errstate(all="ignore"):  # later checks find values that are not finite
             return function(*arguments)
     except BrokenContract:
         raise

@@ -1,8 +1,8 @@
 """Hypothesis strategies: random samplers, densities, integrands, counts and point sets.
 
-Samplers are drawn from all registered names, including other packages, unless they are costly or
-need parameters. Densities and integrands have random parameters. This module needs Hypothesis:
-``pip install mcspectra[testing]``.
+Samplers are drawn from all registered names, including those of other packages, unless they are
+costly or need parameters. Densities and integrands have random parameters. This module needs
+Hypothesis: ``pip install mcspectra[testing]``.
 """
 
 from __future__ import annotations
@@ -85,7 +85,7 @@ def integrands(*, dims: int = 2) -> SearchStrategy[Integrand]:
 
 
 def counts(given: Sampler | str, *, most: int = 256) -> SearchStrategy[int]:
-    """Strategy for numbers of points up to `most` that a sampler can make without a warning.
+    """Strategy for numbers of points up to `most` that a sampler can draw without a warning.
 
     Raises
     ------
@@ -94,7 +94,7 @@ def counts(given: Sampler | str, *, most: int = 256) -> SearchStrategy[int]:
     """
     source = as_sampler(given)
     largest = as_integer("most", most, least=1, most=2**20)
-    # Try a subset if there are very many counts
+    # If there are very many counts, try only a subset
     near = {source.nearest_count(k) for k in range(1, largest + 1, max(1, largest // 4096))}
     possible = []
     for n in sorted(n for n in near if n <= largest):
@@ -111,9 +111,9 @@ def counts(given: Sampler | str, *, most: int = 256) -> SearchStrategy[int]:
 
 
 def point_sets(*, dims: int = 2, most: int = 64, stacked: bool = False) -> SearchStrategy[Any]:
-    """Strategy for point sets in [0,1)^dims: float64, (n, dims), or (R, n, dims) if `stacked`.
+    """Strategy for float64 point sets in [0,1)^dims: (n, dims), or (R, n, dims) if `stacked`.
 
-    Coordinates repeat, equal 0 and lie close to 1 more often than in random points.
+    Coordinates repeat, are 0, or are close to 1 more often than in random points.
     """
     d = as_integer("dims", dims, least=1, most=MAX_DIMS)
     largest = as_integer("most", most, least=1, most=2**16)
@@ -130,14 +130,14 @@ def _names(dims: int) -> tuple[str, ...]:
     for name in (n for n in SAMPLERS if n not in _FOREIGN):
         with contextlib.suppress(McspectraError):
             if not SAMPLERS.load(name).costly:
-                sampler(name, dims)  # raises if parameters are missing or `dims` is not possible
+                sampler(name, dims)  # raises if parameters are missing or `dims` is wrong
                 found.append(name)
     return tuple(found)
 
 
 @st.composite
 def _sampler_specs(draw: Any, dims: int) -> str:
-    """Draw a sampler and up to two randomizations; those that do not fit are skipped."""
+    """Draw a sampler and up to two randomizations; skip randomizations that do not fit."""
     made = sampler(draw(st.sampled_from(_names(dims))), dims)
     steps = st.lists(st.sampled_from(_POINTWISE), max_size=_MOST_STEPS, unique=True)
     for step in draw(steps):
@@ -149,7 +149,7 @@ def _sampler_specs(draw: Any, dims: int) -> str:
 
 
 def _number(low: float, high: float) -> SearchStrategy[float]:
-    """Strategy for floats with few digits, so that specs are short and failures readable."""
+    """Strategy for floats with few digits, so that specs are short and easy to read."""
     return st.integers(0, 64).map(lambda k: low + (high - low) * k / 64)
 
 
