@@ -62,14 +62,14 @@ GivenAxes: TypeAlias = "Axes | Iterable[Axes] | np.ndarray[Any, Any] | None"
 FORMATS = (".svg", ".png", ".pdf", ".pgf")
 """Extensions of files that `write` accepts."""
 
-_NARROW, _WIDE = 4.9, 7.4  # figure widths in inches: up to two columns; more columns or wide plots
-_LEAST_SIDE, _LARGEST_SQUARE = 2.3, 3.4  # inches: smallest panel of several, largest square panel
+_NARROW, _WIDE = 4.9, 7.4  # inches: width for one or two columns, width for more
+_LEAST_SIDE, _LARGEST_SQUARE = 2.3, 3.4  # inches: least width, largest square panel
 _LABEL, _SMALL = 8.5, 7.5  # font sizes in points
-_LETTER = 0.062  # mean width of a letter of a small text, inches
-_TITLE_LETTER = 0.075  # mean width of a letter of a title, inches
+_LETTER = 0.062  # mean width in inches of a letter in a small text
+_TITLE_LETTER = 0.075  # mean width in inches of a letter in a title
 _DPI, _PDF_DPI = 120, 200  # resolution of PNG files, and of rasterized parts of a PDF
 _MOST_VECTORS = 5000  # largest number of points drawn as vectors; more make files large and slow
-_COLORS = 256  # colors of a PNG: a third of the size without visible difference for flat colors
+_COLORS = 256  # number of colors of a PNG; makes the file three times smaller
 _MOST_PIXELS = 2**15  # largest side of an image in pixels; half of Matplotlib's own limit
 _TICKS: dict[str, Any] = {
     "which": "both",
@@ -372,7 +372,7 @@ def _new_figure(plot: Plot, pyplot: bool) -> tuple[Figure, list[Axes]]:
 
 def _exact_figure(plot: Plot, shape: tuple[int, ...], pyplot: bool) -> tuple[Figure, list[Axes]]:
     """Create a figure whose PNG shows each image pixel as a square of whole pixels."""
-    least, gap, strip = 240, 12, 25  # pixels: smallest panel, gap between panels, title
+    least, gap, strip = 240, 12, 25  # pixels: least side, gap between panels, title
     height, width, _ = shape
     zoom, columns = max(1, -(-least // width)), min(plot.columns, len(plot.panels))
     foot = gap + 16 * max(panel.x.label.count("\n") + 1 for panel in plot.panels)

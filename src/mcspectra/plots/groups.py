@@ -46,7 +46,7 @@ Data: TypeAlias = "xr.Dataset | Group"
 Styles: TypeAlias = Mapping[str, LineStyle]
 """Style of each sampler."""
 
-# Variables of a curve; a result whose curves have variants is split
+# Variables of a curve. A result with several variants of a curve is split by variant
 _CURVE = {
     "n",
     "variance",
@@ -181,7 +181,7 @@ def numbers(values: Array | Iterable[float], digits: int = 4) -> list[str]:
 
 
 def not_finite(values: Array | float, data: xr.Dataset | None = None) -> str:
-    """Return a text for values that are all not finite; infinite values mean that ∫1/p diverges.
+    """Return a text for values without finite numbers; infinity means that ∫1/p diverges.
 
     If `data` is given, infinite terms or ∫1/p in it also count for values that are NaN.
     """

@@ -87,7 +87,7 @@ def path_tables(tree: xr.DataTree) -> dict[str, html.Table]:
         columns = [found[v].values for v in ("anova_share", "total_share", "truncation_share")]
         columns[0] = columns[0][: len(names)]
         shown = list(zip(names, *columns, strict=True))
-        if kind == "decision":  # the cumulative share needs the order of the numbers
+        if kind == "decision":  # the cumulative share depends on the order of the numbers
             shown = [(name, alone, total, np.nan) for name, alone, total, _ in shown]
         for name, *shares in shown:
             if not np.nan_to_num(shares[:2]).any():
@@ -133,8 +133,8 @@ def path_answer(tree: xr.DataTree) -> str:
 def _advised(tree: xr.DataTree, *kinds: str) -> tuple[xr.Dataset, xr.Dataset]:
     """Return the best significant change, or else the path as given, and its reference.
 
-    Only changes of `kinds` count, if any are named. The reference is random numbers if they were
-    tried, or else the path as given.
+    With `kinds`, other kinds of changes are ignored. The reference is the path with random numbers
+    if it was measured, or else the path as given.
     """
     found = tree["remedies"].to_dataset()
     given = found.sel(remedy="as given")

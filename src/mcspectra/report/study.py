@@ -339,7 +339,7 @@ def _summary(
 
 
 def _stored(names: Iterable[str]) -> dict[str, str]:
-    """Map names in the store to full names; of long names with equal beginnings only the first."""
+    """Map names in the store to full names; long names that begin alike give only the first."""
     given = list(names)
     found: dict[str, str] = {}
     for key, name in zip(html.anchors(given), given, strict=True):

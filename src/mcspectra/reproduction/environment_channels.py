@@ -1,4 +1,4 @@
-"""Environment maps: sampling by luminance leaves jumps, sampling by the own channel does not."""
+"""Environment maps: sampling each channel by its own values leaves no jumps."""
 
 from __future__ import annotations
 
