@@ -62,14 +62,17 @@ GivenAxes: TypeAlias = "Axes | Iterable[Axes] | np.ndarray[Any, Any] | None"
 FORMATS = (".svg", ".png", ".pdf", ".pgf")
 """Extensions of files that `write` accepts."""
 
-_NARROW, _WIDE = 4.9, 7.4  # inches: width for one or two columns, width for more
-_LEAST_SIDE, _LARGEST_SQUARE = 2.3, 3.4  # inches: least width, largest square panel
+# Figure widths in inches: for one or two columns of panels, and for more columns or wide plots
+_NARROW, _WIDE = 4.9, 7.4
+# Inches: smallest side of one panel of several, largest side of a square panel
+_LEAST_SIDE, _LARGEST_SQUARE = 2.3, 3.4
 _LABEL, _SMALL = 8.5, 7.5  # font sizes in points
 _LETTER = 0.062  # mean width in inches of a letter in a small text
 _TITLE_LETTER = 0.075  # mean width in inches of a letter in a title
 _DPI, _PDF_DPI = 120, 200  # resolution of PNG files, and of rasterized parts of a PDF
 _MOST_VECTORS = 5000  # largest number of points drawn as vectors; more make files large and slow
-_COLORS = 256  # number of colors of a PNG; makes the file three times smaller
+# Number of colors of a PNG: its file is three times smaller, and flat colors look the same
+_COLORS = 256
 _MOST_PIXELS = 2**15  # largest side of an image in pixels; half of Matplotlib's own limit
 _TICKS: dict[str, Any] = {
     "which": "both",

@@ -1,4 +1,4 @@
-"""Environment maps: sampling each channel by its own values leaves no jumps."""
+"""Environment maps: sampling by luminance leaves jumps; a density per channel leaves none."""
 
 from __future__ import annotations
 

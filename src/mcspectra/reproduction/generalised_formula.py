@@ -40,7 +40,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     variances = {name: float(mcs.exact_variance(by_density, name, N)) for name in weighted}
     integral = float(np.squeeze(mcs.integrand(BELL, 1).integral))
 
-    # Compute the exact second and third terms of jittered points on f(x) = x
+    # Compute the exact second and third terms of jittered points on f(x) = x, up to the half width
     _, *exact = split(_exact_matrix(mcs.integrand(LINE, 1), "jittered", None, HALF_WIDTH))
 
     # Extrapolate the terms to all frequencies; the tails are proportional to 1/K

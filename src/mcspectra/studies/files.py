@@ -550,7 +550,7 @@ def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] 
             raise ConfigError(f"{where}the key {shown(name)} is missing.")
     try:
         return msgspec.convert(clean, kind)
-    except msgspec.ValidationError as error:  # Types of other packages
+    except msgspec.ValidationError as error:  # An option may have a type of another package
         raise ConfigError(f"{where}{error}.") from None
 
 

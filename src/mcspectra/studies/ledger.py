@@ -837,7 +837,8 @@ class Ledger:
                 copy.execute("BEGIN")
                 for statement in _COPIED:
                     copy.execute(statement)
-                # Read pages in use first. Other pages have deleted rows, which only results use
+                # Read pages in use first. On free pages, ignore task states and failures: a run
+                # deletes them
                 for wanted in (True, False):
                     for used, rowid, values in leaves.rows():
                         columns = len(values)
