@@ -82,7 +82,7 @@ _TICKS: dict[str, Any] = {
     "color": GRAY,
     "labelcolor": INK,
 }
-_LINEAR = 0.45  # value that gives each side of the linear part half a decade, see `Axis`
+_LINEAR = 0.45  # each side of the linear part of an axis takes half a decade
 _SIDES = {
     "right": ((4, 0), "left", "center"),
     "left": ((-4, 0), "right", "center"),
@@ -431,7 +431,7 @@ def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
         _finish_axis(axes, which, axis)
     room = axes.get_window_extent().width / axes.figure.dpi
     if panel.title:
-        # A fixed y, since the search for a free one takes longer than the rest of the layout
+        # Fix y, because the search for a free place takes longer than the rest of the layout
         letters = max(int(room / _TITLE_LETTER), 12)
         lines = textwrap.wrap(panel.title, letters, break_long_words=False)
         fits = len(lines) < 3 and max(map(len, lines)) <= letters

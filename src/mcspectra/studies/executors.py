@@ -419,7 +419,7 @@ class Dask:
         except OSError as error:
             if future.status == "error":
                 return Outcome(task=pending.task, error=explain(error))
-            return self._resubmit(pending)  # the connection broke while the result was fetched
+            return self._resubmit(pending)  # connection broke while fetching
         except Exception as error:  # noqa: BLE001 - dask may raise anything
             return Outcome(task=pending.task, error=explain(error))
         if (
@@ -544,7 +544,7 @@ def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
     if sys.platform == "linux":
         # Fork workers from a process that has imported the common packages once
         configuration["distributed.worker.multiprocessing-method"] = "forkserver"
-    # The configuration stays while the cluster lives, because it starts replacement workers later
+    # Keep the configuration while the cluster lives: the cluster starts replacement workers later
     opened.enter_context(dask.config.set(configuration))
     if sys.platform == "linux":
         context: Any = utils
@@ -558,7 +558,7 @@ def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
             host=options.host,
             dashboard_address=f"{options.host}:{options.dashboard}",
             memory_limit=0,  # The plan was already compared with the machine's memory
-            env=dict(os.environ),  # The current environment, not that of an earlier cluster
+            env=dict(os.environ),  # Not the environment of an earlier cluster
             silence_logs=logging.CRITICAL,
         )
         opened.callback(cluster.close, timeout=_CLOSING)

@@ -78,7 +78,7 @@ FORMATS = (".csv", ".zarr")
 """Extensions of the files that results can be exported to."""
 
 MOST_STORED = 2000
-"""Maximum number of cells with a store and a report: each cell takes 28 files and 8 ms."""
+"""Maximum number of cells for a store or a report: each cell takes 28 files and 8 ms."""
 
 _FIRST = ("estimator", "sampler", "analysis", "n")
 _LAST = ("variable", "value", "low", "high", "se", "unit")
