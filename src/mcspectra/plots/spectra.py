@@ -308,7 +308,7 @@ def cross_matrix(group: Group, _: Styles) -> Plot:
                 "The cross matrix is drawn only for one-dimensional results of one technique; use "
                 "the kind contributions or bands."
             )
-        # Crop around dc to the size that a panel can show, or start at dc without negative m
+        # Crop the matrix around dc to the size of a panel. Without negative m, keep the lowest m
         m = matrix["m"].values
         start = max(m.size - _MOST_ENTRIES, 0) // 2 if m[0] < 0 else 0
         inside: Any = slice(start, m.size - start if m[0] < 0 else _MOST_ENTRIES)

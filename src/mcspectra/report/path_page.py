@@ -24,7 +24,7 @@ __all__ = [
     "write_path",
 ]
 
-_TOGETHER = 0.3  # smallest share of the variance in interactions that is reported
+_TOGETHER = 0.3  # interactions with a smaller share of the variance are not reported
 _SHOWN = 0.005  # smallest share of the variance that is named
 _CHARGED = ("order", "roulette", "selection")  # kinds of changes that change the cost of a path
 _ABOUT_CHARGED = (

@@ -511,7 +511,7 @@ def _figures(
                 continue
             if (
                 kind == "prediction" and analysis == "convergence"
-            ):  # the convergence plot shows predictions as crosses
+            ):  # convergence has predictions as crosses
                 continue
             plot = kinds.describe(kind, data, styles)
             if kind == "anything":

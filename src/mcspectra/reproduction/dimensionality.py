@@ -51,7 +51,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     except mcs.McspectraError as refusal:
         answer = str(refusal)
 
-    # Compare the sum of the maps without |f_m|² C_mm with the third term, relative to the second
+    # The maps minus |f_m|² C_mm must sum to the third term: errors relative to the second term
     errors = [
         abs(float((data["contribution"] - data["power_contribution"]).sum() - data["cross_term"]))
         / float(data["power_term"])

@@ -53,7 +53,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         "third term is 1/(6N³) − 1/(6N²)": 1 / (6 * N**3) - 1 / (6 * N**2),
     }
 
-    # Conjugate either S in the closed form of random importance samples, with the bell as f
+    # Sum the third term twice, with either factor S conjugated, for random importance samples
     f = mcs.integrand(BELL, 1)
     mirrored = mcs.Integrand.from_function(lambda x: f(1.0 - x), dims=1, integral=f.integral)
     matrix = _exact_matrix(f, "random", DENSITY, 128)

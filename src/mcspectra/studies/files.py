@@ -428,8 +428,8 @@ def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[Names, Names]]:
     Returns
     -------
     dict
-        For each first part (estimator or scene): the second parts (its samplers) and the third
-        parts (its analyses with their companions).
+        By first part of a path (an estimator or a scene): the second parts (its samplers) and
+        the third parts (its analyses with their companions).
     """
     found, slugs = dict[str, tuple[Names, Names]](), Slugs()
     known: dict[tuple[str, ...], Names] = {}
@@ -710,7 +710,7 @@ def expand_grids(table: dict[str, Any], source: str = "study") -> dict[str, Any]
 def _expanded(table: Mapping[str, Any]) -> dict[str, Any]:
     """Expand the grids of a study."""
     shared = _grid_values(table.get("grid"), "grid")
-    all_used, counts = set[str](), Counter[str]()  # Used placeholders; entries per list of tables
+    all_used, counts = set[str](), Counter[str]()  # Placeholders in use; counts of entries
 
     def repeated(
         given: Any, more: Mapping[str, Any], key: str, place: str

@@ -224,8 +224,7 @@ class StudyTally(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     done, size, digest
-        Finished cells: their number, the bytes of their results, and the exclusive or of their
-        digests.
+        Number of finished cells, bytes of their results, and exclusive or of their digests.
     started, finished
         Time when the study began and when its last cell finished: UTC, ISO 8601.
     hosts
@@ -943,7 +942,7 @@ class Ledger:
                 if not any(text for _, text in self._texts("note", name, table)):
                     self.damaged[f"note of the {name}"] = _DAMAGE
 
-        # Results with sound digests; results whose digests are lost are decided by the tally
+        # Yield results with sound digests. The tally decides on results whose digests are lost
         left, unproven = int(self.tally.digest, 16), list[tuple[str, int, bytes]]()
         made = 0
         for place, path in enumerate(paths):

@@ -101,10 +101,10 @@ class StudyCell:
     subject
         The estimator and sampler; without an estimator for a scene or after an `error`.
     need
-        Cost for scheduling and progress, and memory.
+        Cost of the cell (for scheduling and progress), and its memory.
     error
-        Reason why the cell fails before it begins, for example because its integrand raises at the
-        first points; None if it can be tried.
+        Reason why the cell fails before it begins; None if it can be tried. For example, its
+        integrand raises an error at the first points.
     inputs
         Names of the files that the cell depends on: keys of the plan's `inputs`.
     """
