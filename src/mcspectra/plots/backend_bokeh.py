@@ -292,7 +292,7 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
                 mode = {"mode": "center"} if mark.step else {}
                 line = {"line_color": color, **_stroke(mark), **mode}
                 found.append(_Layer("step" if mark.step else "line", xy, line))
-            if mark.hover:  # on invisible dots, since steps have no items for tooltips
+            if mark.hover:  # tooltips need invisible dots: steps have no items
                 unseen = {"size": 9, "fill_alpha": 0, "line_alpha": 0}
                 found.append(_Layer("scatter", xy, unseen, mark.hover))
             return found
@@ -416,7 +416,7 @@ def _band(mark: Line, panel: Panel) -> dict[str, Any]:
 
 
 def _ends(axis: Axis, low: Any, high: Any) -> tuple[Array, Array]:
-    """Return positions of the ends of intervals; a log axis clips 0 to its low end."""
+    """Return positions of the ends of intervals; on a log axis, 0 becomes its low end."""
     low = np.asarray(low, dtype=float)
     if axis.kind == "log" and axis.low is not None:
         low = np.where(low <= 0, axis.low, low)

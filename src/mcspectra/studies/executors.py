@@ -429,7 +429,7 @@ class Dask:
             workers = [each for of in holders for each in of]
 
             def restart() -> None:
-                with contextlib.suppress(Exception):  # The worker may have no nanny, or may be gone
+                with contextlib.suppress(Exception):  # The worker may be gone
                     self._client.restart_workers(workers, timeout=60, raise_for_error=False)
 
             threading.Thread(target=restart, daemon=True).start()

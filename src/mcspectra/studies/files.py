@@ -352,7 +352,7 @@ def study_of(table: Mapping[str, Any], source: str = "study") -> StudyConfig:
                 )
             if id(samplers) not in seen and len(set(samplers)) < len(samplers):
                 raise ConfigError(f"{shown(entry.name)} lists a sampler twice.")
-            seen.add(id(samplers))  # Most entries share one list
+            seen.add(id(samplers))  # Most entries share one list, checked once
         for estimator in config.estimators:
             for complaint in _complaints(estimator):
                 raise ConfigError(f"the estimator {shown(estimator.name)} {complaint}")

@@ -358,8 +358,8 @@ class Ledger:
         Parameters
         ----------
         outdated
-            Paths of cells to compute again because their input files changed. Without any, changed
-            files are an error.
+            Paths of cells to compute again because their input files changed. If the list is empty,
+            changed files are an error.
 
         Raises
         ------

@@ -152,7 +152,7 @@ def analyse_pixel(
     channel
         ``"luminance"``, 0, 1 or 2.
     dims
-        2; or 3 to let a third coordinate choose a light or a lobe of the BSDF.
+        2, or 3 if a third coordinate chooses a light or a lobe of the BSDF.
     samplers
         Samplers or their spec strings, all different.
     counts, realizations, budget

@@ -187,7 +187,7 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
 def _opened(
     source: str | Path, select: str | None, *, whole: bool = True
 ) -> tuple[dict[str, Any], dict[str, xr.Dataset]]:
-    """Return root attributes and cells; a single path omits ``study`` unless `whole`."""
+    """Return root attributes and cells. For a single path, omit ``study`` unless `whole`."""
     register_accessor()
     ledger = _ledger(source, select)
     if ledger is None:

@@ -32,10 +32,10 @@ _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _PLACEHOLDER = {"type": "string", "pattern": r"^\{[A-Za-z_][A-Za-z0-9_]*\}$"}
 _NO_TEXT = ("integer", "number", "boolean")
 _NO_PLACEHOLDER = ("grid", "seed", "time_limit")  # Keys with a single value per study
-# Example values in the template for options where a number of points would be wrong
+# Example values in the template for options that are not numbers of points
 _EXAMPLES = {"target_error": ("0.01",), "budget": ("4096",)}
 _TEMPLATE = Path(__file__).with_name("template.toml")
-_OTHERS = "# {other analyses}\n"  # Line of the template replaced by the analyses not shown there
+_OTHERS = "# {other analyses}\n"  # This line is replaced by the analyses that the template lacks
 
 
 def study_schema() -> dict[str, Any]:
