@@ -91,7 +91,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 )
                 for name, each in weighted.items()
             ),
-            # For points uniform in boxes about centers of strata, ⟨S_m⟩ at m = kN is (−1)^k sinc(πkw)
+            # For points uniform in boxes about the centers of strata, ⟨S_m⟩ at m = kN is
+            # (−1)^k sinc(π k w)
             Claim(
                 f"Points in the middle halves of {N} strata have ⟨S_m⟩ = −sinc(π/2) at m = {N}.",
                 Measured.mean(boxes[:, N].real),
