@@ -60,7 +60,7 @@ from mcspectra.plots.text import shorten
 
 __all__ = ["Drawn", "draw", "packed", "script"]
 
-_INK = "#767676"  # contrast of 4.5 with white and of 3.9 with a dark page
+_INK = "#767676"  # gray with contrast 4.5 on white pages and 3.9 on dark pages
 _GRID = "rgba(128, 128, 128, 0.25)"
 _SEEN = {
     INK: _INK,
@@ -77,7 +77,7 @@ _MARKERS = {
     "v": "inverted_triangle",
     "P": "plus",
     "X": "x",
-    "|": "dash",  # horizontal; rotated when drawn
+    "|": "dash",  # Bokeh's dash is horizontal and is rotated when drawn
 }
 _DASHES = {"-": "solid", "--": "dashed", ":": "dotted", "-.": "dashdot"}
 _SIDES = {
@@ -151,7 +151,7 @@ class Drawn:
                 self._sources += [each.data_source for each in drawn]
                 if label := getattr(mark, "label", ""):
                     entries.setdefault(label, {}).setdefault(k, []).extend(drawn)
-        # Add color bars, or below a figure the names of a scale's colors
+        # Add color bars. For a scale of names, add a legend of its colors below the figure
         self._bars: list[Any] = []
         for scale, k in _bars(plot).items():
             frame = self._figures[k]
@@ -292,7 +292,7 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
                 mode = {"mode": "center"} if mark.step else {}
                 line = {"line_color": color, **_stroke(mark), **mode}
                 found.append(_Layer("step" if mark.step else "line", xy, line))
-            if mark.hover:  # on invisible dots, since steps have no items for tooltips
+            if mark.hover:  # tooltips need invisible dots: steps have no items
                 unseen = {"size": 9, "fill_alpha": 0, "line_alpha": 0}
                 found.append(_Layer("scatter", xy, unseen, mark.hover))
             return found
@@ -416,7 +416,7 @@ def _band(mark: Line, panel: Panel) -> dict[str, Any]:
 
 
 def _ends(axis: Axis, low: Any, high: Any) -> tuple[Array, Array]:
-    """Return positions of the ends of intervals; a log axis clips 0 to its low end."""
+    """Return positions of the ends of intervals; on a log axis, 0 becomes its low end."""
     low = np.asarray(low, dtype=float)
     if axis.kind == "log" and axis.low is not None:
         low = np.where(low <= 0, axis.low, low)
@@ -469,7 +469,7 @@ def _compact(values: Array) -> Array:
     return np.ascontiguousarray(rounded, dtype=np.float32)
 
 
-# Parts that an update keeps: figures, legends, color bars
+# Figures, legends and color bars, which an update of the plot keeps
 
 
 def _options(plot: Plot, k: int) -> dict[str, Any]:
@@ -544,7 +544,7 @@ def _figure(panel: Panel, options: dict[str, Any]) -> Any:
 
 
 def _texts(panel: Panel) -> dict[str, dict[float, str]]:
-    """Return the texts at the far end of bars as ticks of an axis on the right or above."""
+    """Return ticks with the texts of bars, for a second axis on the right or at the top."""
     found: dict[str, dict[float, str]] = {}
     for mark in panel.marks:
         if isinstance(mark, BarChart) and mark.texts:

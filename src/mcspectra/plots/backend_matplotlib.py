@@ -62,14 +62,17 @@ GivenAxes: TypeAlias = "Axes | Iterable[Axes] | np.ndarray[Any, Any] | None"
 FORMATS = (".svg", ".png", ".pdf", ".pgf")
 """Extensions of files that `write` accepts."""
 
-_NARROW, _WIDE = 4.9, 7.4  # figure widths in inches: up to two columns; more columns or wide plots
-_LEAST_SIDE, _LARGEST_SQUARE = 2.3, 3.4  # inches: smallest panel of several, largest square panel
+# Figure widths in inches: for one or two columns of panels, and for more columns or wide plots
+_NARROW, _WIDE = 4.9, 7.4
+# Inches: smallest side of one panel of several, largest side of a square panel
+_LEAST_SIDE, _LARGEST_SQUARE = 2.3, 3.4
 _LABEL, _SMALL = 8.5, 7.5  # font sizes in points
-_LETTER = 0.062  # mean width of a letter of a small text, inches
-_TITLE_LETTER = 0.075  # mean width of a letter of a title, inches
+_LETTER = 0.062  # mean width in inches of a letter in a small text
+_TITLE_LETTER = 0.075  # mean width in inches of a letter in a title
 _DPI, _PDF_DPI = 120, 200  # resolution of PNG files, and of rasterized parts of a PDF
 _MOST_VECTORS = 5000  # largest number of points drawn as vectors; more make files large and slow
-_COLORS = 256  # colors of a PNG: a third of the size without visible difference for flat colors
+# Number of colors of a PNG: its file is three times smaller, and flat colors look the same
+_COLORS = 256
 _MOST_PIXELS = 2**15  # largest side of an image in pixels; half of Matplotlib's own limit
 _TICKS: dict[str, Any] = {
     "which": "both",
@@ -79,7 +82,7 @@ _TICKS: dict[str, Any] = {
     "color": GRAY,
     "labelcolor": INK,
 }
-_LINEAR = 0.45  # value that gives each side of the linear part half a decade, see `Axis`
+_LINEAR = 0.45  # each side of the linear part of an axis takes half a decade
 _SIDES = {
     "right": ((4, 0), "left", "center"),
     "left": ((-4, 0), "right", "center"),
@@ -372,7 +375,7 @@ def _new_figure(plot: Plot, pyplot: bool) -> tuple[Figure, list[Axes]]:
 
 def _exact_figure(plot: Plot, shape: tuple[int, ...], pyplot: bool) -> tuple[Figure, list[Axes]]:
     """Create a figure whose PNG shows each image pixel as a square of whole pixels."""
-    least, gap, strip = 240, 12, 25  # pixels: smallest panel, gap between panels, title
+    least, gap, strip = 240, 12, 25  # pixels: least side, gap between panels, title
     height, width, _ = shape
     zoom, columns = max(1, -(-least // width)), min(plot.columns, len(plot.panels))
     foot = gap + 16 * max(panel.x.label.count("\n") + 1 for panel in plot.panels)
@@ -428,7 +431,7 @@ def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
         _finish_axis(axes, which, axis)
     room = axes.get_window_extent().width / axes.figure.dpi
     if panel.title:
-        # A fixed y, since the search for a free one takes longer than the rest of the layout
+        # Fix y, because the search for a free place takes longer than the rest of the layout
         letters = max(int(room / _TITLE_LETTER), 12)
         lines = textwrap.wrap(panel.title, letters, break_long_words=False)
         fits = len(lines) < 3 and max(map(len, lines)) <= letters

@@ -46,7 +46,7 @@ Data: TypeAlias = "xr.Dataset | Group"
 Styles: TypeAlias = Mapping[str, LineStyle]
 """Style of each sampler."""
 
-# Variables of a curve; a result whose curves have variants is split
+# Variables of a curve. A result with several variants of a curve is split by variant
 _CURVE = {
     "n",
     "variance",
@@ -181,9 +181,9 @@ def numbers(values: Array | Iterable[float], digits: int = 4) -> list[str]:
 
 
 def not_finite(values: Array | float, data: xr.Dataset | None = None) -> str:
-    """Return a text for values that are all not finite; infinite values mean that ∫1/p diverges.
+    """Return a text for values without finite numbers; infinity means that ∫1/p diverges.
 
-    If `data` is given, infinite terms or ∫1/p in it also count for values that are NaN.
+    If `data` has infinite terms or an infinite ∫1/p, NaN values count as infinite.
     """
     known = [] if data is None else [data[t].values for t in ("dc_term", "power_term") if t in data]
     level = 0.0 if data is None else float(data.attrs.get("random_level", 0.0))
@@ -227,8 +227,8 @@ def labelled(stored: xr.Dataset) -> xr.Dataset:
         for key, value in stored.attrs.items()
         if str(key).startswith("labels_")
     }
-    # Labels of a dim have its name. Other labels, such as verdicts, belong to the dim of their
-    # size; with size 2 they must not be assigned to the dim "bound"
+    # Labels of a dim have the name of the dim. Other labels, such as verdicts, belong to the dim
+    # of equal size; two labels must not be assigned to the dim "bound"
     dims = sorted(map(str, stored.dims), key=lambda dim: dim != "bound")
     own: dict[tuple[int, ...], Any] = {
         texts[dim].shape: dim for dim in dims if dim in texts and dim != "bound"

@@ -48,14 +48,14 @@ STRATEGIES = {
 }
 """Names of the strategies in maps and images."""
 
-_MIDDLE = 0.18  # displayed radiance of the geometric mean [Reinhard2002]_
+_MIDDLE = 0.18  # displayed value of the geometric mean radiance [Reinhard2002]_
 _SPREAD = (1.0, 99.0)  # percentiles at the ends of a color scale; outlier pixels are clipped
 _DECADES, _LIGHT_DECADES = 6, 4  # largest range of a map and of radiance, in decades
 _LARGEST_RATIO = 8.0  # largest end of a color scale of ratios
 _RATIOS = (0.125, 0.25, 0.5, 0.8, 1.0, 1.25, 2.0, 4.0, 8.0)
 _MOST_STOPS = 64.0
 _DARKEST = 1e-3  # smallest relative power that is shown
-_SMOOTHED = ("rate", "rate_se", "bottleneck")  # quantities that are averaged over windows
+_SMOOTHED = ("rate", "rate_se", "bottleneck")  # averaged over windows of pixels
 
 
 def _image_map(
@@ -159,8 +159,8 @@ def _rates(values: Array) -> Scale:
     """Return the scale of exponents."""
     found = values[np.isfinite(values)]
     low, high = np.percentile(found, _SPREAD) if found.size else (-2.0, -1.0)
-    # At least −2 … −1 (smooth to random), or noise would look like structure. Not much wider:
-    # rates outside come from variances with few realizations.
+    # The scale covers at least −2 … −1 (smooth to random), or noise would look like structure.
+    # It is not much wider, because rates beyond come from variances with few realizations.
     low, high = max(min(low, -2.0), -3.0), min(max(high, -1.0), -0.5)
     return Scale(label="exponent of variance", low=float(low), high=float(high))
 
@@ -181,7 +181,7 @@ def _ratios(label: str) -> Callable[[Array], Scale]:
 
 
 def _which(values: Array) -> Scale:
-    """Return the scale for the choice between two techniques, or undecided."""
+    """Return the color scale of the better technique of two; one color means undecided."""
     del values
     names, colors = ("undecided", "light", "BSDF"), ("#FFFFFF", *PALETTE[:2])
     return Scale(kind="names", names=names, colors=colors, low=-1.0)
@@ -199,7 +199,7 @@ def _shares(values: Array) -> Scale:
 def _choice(
     group: Group, styles: Styles, *, variable: str, of: str, none: str, caption: str
 ) -> Plot:
-    """Map the chosen bounce, decision or sampler of each pixel, or none."""
+    """Map the chosen bounce, decision or sampler of each pixel; some pixels have no choice."""
     data = next(iter(group.values()))
     labels: list[Any] = list(group) if of == "sampler" else data[of].values.tolist()
     names = (none, *(bounce_name(v) if of == "bounce" else str(v) for v in labels))

@@ -135,7 +135,7 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
     if dims == 2:
         scale = Scale(high=2.0, beyond=True)
         panels.append(frequency_map("n · power, 0 to 2", data, power, scale, "power"))
-    # The radial mean, on axes wide enough that noise at the level of random points stays small
+    # Draw the radial mean. The axis is so wide that noise about the level of random points is small
     radius, mean = (
         data["radius"].values / n ** (1 / dims),
         np.maximum(n * data["radial_power"].values, 1e-8),
@@ -154,7 +154,7 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
         )
     )
     if dims <= 2:
-        # Power along the axes (which reflects 1-D projections) and along the diagonal
+        # Draw the power along the axes, which reflects 1-D projections, and along the diagonal
         at = np.arange(1, half + 1)
         steps = {"": (1,)} if dims == 1 else _SECTIONS
         sections: list[Mark] = [

@@ -30,10 +30,10 @@ __all__ = [
 ]
 
 _LINEAR_SPAN = 30.0  # largest ratio of largest to smallest value for a linear scale
-_NEAR_ZERO = 0.5  # decades that each side of the linear part of a signed scale takes
+_NEAR_ZERO = 0.5  # size in decades of each half of the linear part of a signed scale
 _APART = 0.6  # smallest distance of ticks from 0 on a signed scale, in decades
 _SEEN = 0.1  # fraction of the threshold below which a value cannot be distinguished from 0
-_SHORT = 1.6  # decades below which powers of ten alone are too few ticks
+_SHORT = 1.6  # range in decades below which ticks at powers of ten are too few
 _MOST_DECADES = 6  # largest number of decades between the largest value and the threshold
 _NOTHING = 1e-9  # fraction of the largest value below which an array is ignored
 

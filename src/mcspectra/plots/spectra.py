@@ -59,7 +59,7 @@ __all__ = [
     "spectrum",
 ]
 
-_FLOOR = 1e-4  # smallest power that is shown; a set with less has practically no noise
+_FLOOR = 1e-4  # smallest power that is shown; a smaller power means practically no noise
 _LINEAR_TOP = 12.0  # largest power that is shown on a linear axis
 _MOST_NUMBERS, _MOST_NAMES = 7, 13  # largest number of band numbers and names along an axis
 _MOST_ENTRIES = 257  # largest number of entries per side of a matrix that is drawn
@@ -308,7 +308,7 @@ def cross_matrix(group: Group, _: Styles) -> Plot:
                 "The cross matrix is drawn only for one-dimensional results of one technique; use "
                 "the kind contributions or bands."
             )
-        # Crop around dc to the size that a panel can show, or start at dc without negative m
+        # Crop the matrix around dc to the size of a panel. Without negative m, keep the lowest m
         m = matrix["m"].values
         start = max(m.size - _MOST_ENTRIES, 0) // 2 if m[0] < 0 else 0
         inside: Any = slice(start, m.size - start if m[0] < 0 else _MOST_ENTRIES)
@@ -411,7 +411,7 @@ def chains(group: Group, styles: Styles) -> Plot:
 
     If there are many quantities, those with the fewest effective draws are shown.
     """
-    # One curve per quantity and result
+    # Draw one curve per quantity and result
     single: dict[str, xr.Dataset] = {}
     for name, each in group.items():
         own = name if len(group) > 1 else ""
@@ -606,7 +606,7 @@ def _pair_words(data: xr.Dataset) -> str:
 
 
 def _peak_words(data: xr.Dataset) -> str:
-    """Describe the largest contribution and its frequency; of equal ±m, take the later one."""
+    """Describe the largest contribution and its frequency; of two equal at ±m, the later."""
     values = data["contribution"]
     if not np.isfinite(values.values).any():
         return not_finite(values.values, data)

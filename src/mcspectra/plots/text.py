@@ -29,7 +29,7 @@ MISSING = "–"
 """Text for a missing number; tables give the reason."""
 
 NEGLIGIBLE = 1e-9
-"""Fraction of the largest term below which a term is rounding error of the transform."""
+"""A term below this fraction of the largest term is a rounding error of the transform."""
 
 LATEX_TEXT = str.maketrans({
     **{c: f"\\{c}" for c in "&%$#_{}"},

@@ -76,7 +76,7 @@ _TERMS = {
     "predicted_variance": "sum: predicted",
     "measured_variance": "measured",
 }
-_PARTS = 3  # number of terms before their sum: dc, power and cross
+_PARTS = 3  # number of terms (dc, power and cross) that are drawn before their sum
 _LEAST_SHOWN = 1e-3  # smallest lower end of an interval that is drawn, as a fraction of the value
 _WIDE = 1.25  # ratio of the ends above which the interval of a planned n is shown
 _LINEAR_TOP = 4.0  # largest captured share that is shown on a linear axis
@@ -641,7 +641,7 @@ def _curve_panels(
 
 
 def _curve(data: xr.Dataset, style: LineStyle, name: str, *, joined: bool = False) -> list[Mark]:
-    """Return points with whiskers and the fitted line, or (`joined`) a line through the points."""
+    """Return points with whiskers and the fitted line; with `joined`, a line through the points."""
     used = usable_counts(data)
     n, variance = data["n"].values[used].astype(float), data["variance"].values[used]
     ends, text = data["variance_ci"].values[used], _rate_text(data)

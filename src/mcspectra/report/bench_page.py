@@ -46,7 +46,7 @@ BENCH_FILES = (".html", ".pdf", ".csv", ".tex", ".pgf")
 
 _HEADS = QUALITY_HEADS | {"generalized_l2_discrepancy": "Generalized L2 discrepancy"}
 _ROWS = 44  # lines of text on a PDF sheet
-_ABREAST = 6  # largest number of samplers that become columns; more become rows
+_ABREAST = 6  # up to 6 samplers become columns; more samplers become rows
 _IN_OVERLAY = 10  # largest number of samplers in one plot
 _MOST_AXES = 10
 _CURVES = ["points_made", "variance", "variance_ci", "rate", "rate_ci", "rank", "rank_ci"]

@@ -32,10 +32,12 @@ __all__ = [
 
 _COLUMNS = ("Samples per pixel", "Frames", "Variance", "95 %", "σ / mean", "FLIP")
 _LOW = 0.125  # upper limit of the low frequencies, cycles per pixel
-_BLUE, _RED = 0.8, 1.25  # relative low-frequency power below and above which noise is not white
-_UNSURE = 0.5  # relative error of that power above which no statement is made
+# Noise is not white if its relative power at low frequencies is below 0.8 or above 1.25
+_BLUE, _RED = 0.8, 1.25
+_UNSURE = 0.5  # relative error of a power above which no statement is made
 _ALIKE = 0.1  # smallest correlation of neighbors that is reported
-_SURE = 2.24  # standard errors; the larger of two correlations of white noise exceeds them in 5 %
+# Standard errors that the larger of two correlations of white noise exceeds in 5 % of cases
+_SURE = 2.24
 _HEAVY = 0.5  # tail index above which the variance is infinite
 _CARRIED = 0.05  # smallest share of the variance in fireflies that is reported
 

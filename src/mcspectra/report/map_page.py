@@ -36,7 +36,7 @@ _COLUMNS = {
 }
 
 
-_TOLD = 0.005  # smallest share that a sentence names
+_TOLD = 0.005  # smallest share of the variance that a sentence names
 _METHODS = {
     "strata": "quadrature within the strata",
     "random": "∫g²",
@@ -224,8 +224,8 @@ def _layers(name: str, data: xr.DataArray) -> Iterator[tuple[str, Array]]:
 def map_summary(result: xr.Dataset) -> dict[str, Any]:
     """Return medians over pixels by strategy, shares of pixels, and the provenance.
 
-    With several samplers, keys of strategies are "STRATEGY, SAMPLER", and all other entries except
-    the best sampler describe the first sampler.
+    With several samplers, strategies have keys "STRATEGY, SAMPLER". Apart from these and the best
+    sampler, all entries describe the first sampler.
     """
     whole, several, parts = result, "sampler" in result.dims, list(along(result, "sampler"))
     strategies = {
@@ -311,7 +311,7 @@ def _named(strategy: str) -> str:
 def _answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
     """Return the strategy that has the least variance at most pixels, for equal total samples.
 
-    MIS is best where its gain over the better single strategy exceeds 1; n of MIS is 2 n samples.
+    MIS is best where its gain over the better single strategy exceeds 1. At n, MIS has 2 n samples.
     """
     names = ("light", "bsdf")
     singles = np.stack([last["variance"].sel(strategy=name).values for name in names])

@@ -24,7 +24,7 @@ __all__ = [
     "write_path",
 ]
 
-_TOGETHER = 0.3  # smallest share of the variance in interactions that is reported
+_TOGETHER = 0.3  # interactions with a smaller share of the variance are not reported
 _SHOWN = 0.005  # smallest share of the variance that is named
 _CHARGED = ("order", "roulette", "selection")  # kinds of changes that change the cost of a path
 _ABOUT_CHARGED = (
@@ -87,7 +87,7 @@ def path_tables(tree: xr.DataTree) -> dict[str, html.Table]:
         columns = [found[v].values for v in ("anova_share", "total_share", "truncation_share")]
         columns[0] = columns[0][: len(names)]
         shown = list(zip(names, *columns, strict=True))
-        if kind == "decision":  # the cumulative share needs the order of the numbers
+        if kind == "decision":  # the cumulative share depends on the order of the numbers
             shown = [(name, alone, total, np.nan) for name, alone, total, _ in shown]
         for name, *shares in shown:
             if not np.nan_to_num(shares[:2]).any():
@@ -133,8 +133,8 @@ def path_answer(tree: xr.DataTree) -> str:
 def _advised(tree: xr.DataTree, *kinds: str) -> tuple[xr.Dataset, xr.Dataset]:
     """Return the best significant change, or else the path as given, and its reference.
 
-    Only changes of `kinds` count, if any are named. The reference is random numbers if they were
-    tried, or else the path as given.
+    With `kinds`, other kinds of changes are ignored. The reference is the path with random numbers
+    if it was measured, or else the path as given.
     """
     found = tree["remedies"].to_dataset()
     given = found.sel(remedy="as given")

@@ -172,7 +172,7 @@ def pixel_rows(tree: xr.DataTree) -> list[SummaryRow]:
 
 
 def term_rows(tree: xr.DataTree) -> list[SummaryRow]:
-    """Return one row per strategy and basis of the terms; `sampler` holds "strategy; basis"."""
+    """Return a row for each strategy and basis of the terms, with `sampler` "strategy; basis"."""
     rows: list[SummaryRow] = []
     for strategy, views in tree["terms"].children.items():
         seen: dict[str, xr.DataTree] = {}
@@ -378,7 +378,7 @@ def _sections(tree: xr.DataTree) -> Iterator[tuple[str, tuple[html.Block, ...]]]
     if "pictures" in tree.children:
         group = {}
         for name, node in tree["pictures"].children.items():
-            strategy, _, technique = name.partition("-")  # balance-bsdf is a share of MIS
+            strategy, _, technique = name.partition("-")  # "balance-bsdf" is a part of MIS
             title = (
                 f"{STRATEGY_NAMES[technique]} share, {strategy}"
                 if technique

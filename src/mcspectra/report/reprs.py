@@ -36,7 +36,7 @@ _BLUE = "#0072B2"
 # Five colors of viridis (van der Walt, Smith 2015), equally spaced in lightness. Colors in between
 # are interpolated linearly.
 _VIRIDIS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
-_CLIPPED = 0.5  # percentage of values clipped at either end of the color range, for poles
+_CLIPPED = 0.5  # percentage of values clipped at each end, because of poles
 _POINTS = 64
 _MOST_NUMBERS = 2**16  # largest number of coordinates (n · dims) of a set that is drawn
 _CELLS = {1: 192, 2: 48}  # cells along each axis of an image, by dims

@@ -120,8 +120,8 @@ class Card:
     spec
         Spec of the sampler that the images and the spectrum show.
     randomized
-        Spec of the sampler whose rates were measured, since a fixed set is randomized first. Empty
-        without rates.
+        Spec of the sampler whose rates were measured: a fixed set is randomized before. Empty if
+        no rates were measured.
     points
         One realization, (n, dims).
     projected

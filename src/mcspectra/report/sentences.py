@@ -30,12 +30,13 @@ __all__ = [
 ]
 
 _DOMINANT = 0.9  # share of dc + power above which the dc term is named
-_AWAY = 4.0  # standard errors between two means above which they differ
+_AWAY = 4.0  # two means differ if they are more than 4 standard errors apart
 _LENGTH = "|\u2060m|\u2060"  # word joiners prevent a line break after a bar
 _CLOSE = 0.1  # prediction and measurement agree up to this relative difference
-# Factor on the 95 % interval of a rate: 3 standard errors, since a page makes dozens of statements
+# Factor that widens the 95 % interval of a rate to 3 standard errors, because a page makes dozens
+# of statements
 _RATE_MARGIN = 1.5
-_SURE = 0.2  # largest half-interval of a rate that is said to be the rate of random sampling
+_SURE = 0.2  # half width of a rate's interval up to which it may be called random
 _REMEDY_WORDS = ("diagnosis", "answer")
 _TERMS = {
     "dc": "weights: p does not follow f",
@@ -243,7 +244,8 @@ def bottleneck(row: SummaryRow, terms: xr.Dataset | None = None, technique: str 
     half = _median_frequency(row, terms) if largest == "power" and terms is not None else None
     if half is None or row.terms_n is None or terms is None:
         return _TERMS[largest]
-    # Strata of n points have width n^(-1/d): a quarter of that frequency is coarse for all samplers
+    # Strata of n points have width n^(-1/d) and frequency n^(1/d). A quarter of this frequency is
+    # coarse for all samplers
     dims = sum(str(dim).startswith("m") and str(dim)[1:].isdigit() for dim in terms.dims)
     if half <= 0.25 * row.terms_n ** (1.0 / max(dims, 1)):
         return f"coarse shape ({_LENGTH}\u00a0≤\u00a0{half:.2g})"

@@ -339,7 +339,7 @@ def _summary(
 
 
 def _stored(names: Iterable[str]) -> dict[str, str]:
-    """Map names in the store to full names; of long names with equal beginnings only the first."""
+    """Map names in the store to full names; long names that begin alike give only the first."""
     given = list(names)
     found: dict[str, str] = {}
     for key, name in zip(html.anchors(given), given, strict=True):
@@ -511,7 +511,7 @@ def _figures(
                 continue
             if (
                 kind == "prediction" and analysis == "convergence"
-            ):  # the convergence plot shows predictions as crosses
+            ):  # convergence has predictions as crosses
                 continue
             plot = kinds.describe(kind, data, styles)
             if kind == "anything":

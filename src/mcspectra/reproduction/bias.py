@@ -42,7 +42,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     }
     found = biases["middle halves of strata"][N]
 
-    # Sum Σ_{m ≠ 0} conj(f_m) ⟨S_m⟩: only multiples of N contribute, imaginary parts of ±m cancel
+    # Sum conj(f_m) ⟨S_m⟩ over m ≠ 0. Only multiples of N contribute, and the imaginary parts of m
+    # and −m cancel
     k = np.arange(1, 20_001)
     coefficients = 1 / (2 * (np.pi * k * N) ** 2)
     total = float((2 * coefficients * (-1.0) ** k * np.sinc(WIDTH * k)).sum())
@@ -90,7 +91,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 )
                 for name, each in weighted.items()
             ),
-            # Points are uniform in boxes about the centers of strata: (−1)^k sinc(π k w) at m = kN
+            # For points uniform in boxes about the centers of strata, ⟨S_m⟩ at m = kN is
+            # (−1)^k sinc(π k w)
             Claim(
                 f"Points in the middle halves of {N} strata have ⟨S_m⟩ = −sinc(π/2) at m = {N}.",
                 Measured.mean(boxes[:, N].real),

@@ -73,12 +73,13 @@ class Claim:
     statement
         A sentence that names the source of the expectation: theory, a closed form or quadrature.
     measured
-        Measured value: with an interval, a number without sampling error, words, or None if
-        nothing could be measured.
+        Measured value: a number with an interval, a number without sampling error, or words; None
+        if nothing could be measured.
     expected
         Expected value. It agrees if its distance from the verdict interval is at most `tolerance`.
     tolerance
-        Allowed error of the theory, for instance for a limit not reached; `note` gives the reason.
+        Allowed error of the theory; `note` gives the reason. For example, n may be too small for a
+        limit.
     digits
         Number of digits of the expected value that are shown.
     above, below

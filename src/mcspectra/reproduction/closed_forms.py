@@ -100,7 +100,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 "N³ times the power of jittered points at m = 1 tends to π²/3, so the variance "
                 "falls as N⁻³: relative difference at N = 1024.",
                 low / (np.pi**2 / 3) - 1.0,
-                # 1 − sinc²(x) = x²/3 − 2x⁴/45 …: relative error 2 (π/N)²/15 = 1.3e-6, plus rounding
+                # 1 − sinc²(x) is x²/3 − 2x⁴/45 …, so the relative error is 2 (π/N)²/15 = 1.3e-6
                 at_most=1e-5,
             ),
             Claim(

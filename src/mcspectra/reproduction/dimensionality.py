@@ -21,8 +21,10 @@ __all__ = ["exhibit"]
 
 SAMPLERS = ("random", "jittered", "latin-hypercube")
 BELL = "gaussian(center=0.35, width=0.25)"
-SMALL = {1: (64, 24), 2: (64, 7)}  # points and half width by dims, for matrices that fit in memory
-RUNS = {1: (64, 256), 2: (64, 48), 3: (64, 8), 4: (81, 4)}  # points and half width by dims
+# Numbers of points and half widths by dims, for matrices that fit in memory
+SMALL = {1: (64, 24), 2: (64, 7)}
+# Numbers of points and half widths by dims, for maps and bands
+RUNS = {1: (64, 256), 2: (64, 48), 3: (64, 8), 4: (81, 4)}
 _WORDS = {1: "one dim", 2: "two dims", 3: "three dims", 4: "four dims"}
 _BYTES = 16  # bytes per complex number
 
@@ -49,7 +51,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     except mcs.McspectraError as refusal:
         answer = str(refusal)
 
-    # Compare the sum of the maps without |f_m|² C_mm with the third term, relative to the second
+    # The maps minus |f_m|² C_mm must sum to the third term: errors relative to the second term
     errors = [
         abs(float((data["contribution"] - data["power_contribution"]).sum() - data["cross_term"]))
         / float(data["power_term"])

@@ -1,4 +1,4 @@
-"""Environment maps: sampling by luminance leaves jumps, sampling by the own channel does not."""
+"""Environment maps: sampling by luminance leaves jumps; a density per channel leaves none."""
 
 from __future__ import annotations
 

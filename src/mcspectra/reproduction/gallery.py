@@ -396,7 +396,7 @@ def _write_pdf(path: Path, entries: Sequence[Entry]) -> None:
                     _add_figure(pdf, plot)
         partial.replace(path)
     finally:
-        partial.unlink(missing_ok=True)  # remains only after an interruption
+        partial.unlink(missing_ok=True)  # exists only after an interruption
 
 
 def _lines(entry: Entry) -> Iterator[tuple[str, str]]:

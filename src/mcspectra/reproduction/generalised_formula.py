@@ -40,7 +40,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     variances = {name: float(mcs.exact_variance(by_density, name, N)) for name in weighted}
     integral = float(np.squeeze(mcs.integrand(BELL, 1).integral))
 
-    # Compute the exact second and third terms of jittered points on f(x) = x, same half width
+    # Compute the exact second and third terms of jittered points on f(x) = x, up to the half width
     _, *exact = split(_exact_matrix(mcs.integrand(LINE, 1), "jittered", None, HALF_WIDTH))
 
     # Extrapolate the terms to all frequencies; the tails are proportional to 1/K
@@ -53,7 +53,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         "third term is 1/(6N³) − 1/(6N²)": 1 / (6 * N**3) - 1 / (6 * N**2),
     }
 
-    # Conjugate either S in the closed form of random importance samples, with the bell as f
+    # Sum the third term twice, with either factor S conjugated, for random importance samples
     f = mcs.integrand(BELL, 1)
     mirrored = mcs.Integrand.from_function(lambda x: f(1.0 - x), dims=1, integral=f.integral)
     matrix = _exact_matrix(f, "random", DENSITY, 128)

@@ -68,7 +68,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     powers = [[np.abs(each.values) ** 2 for each in pair] for pair in pairs.values()]
     c0, c1 = (number(N * float(each.covariance[0].real)) for each in (before, after))
 
-    # Subtract the shift of the first point on the torus
+    # On the torus, all points must move by the same shift as the first point
     plain, moved = _drawn("jittered", 100, seed)
     moves = (moved - plain) % 1.0
     apart = (moves - moves[:, :1] + 0.5) % 1.0 - 0.5

@@ -19,7 +19,7 @@ __all__ = ["exhibit"]
 COUNTS = (16, 64, 256, 1024)
 SAMPLERS = ("jittered", "jittered | shift")
 _NETS = ("sobol | owen", "sobol | owen | shift")
-_HALF_WIDTH = 384  # the disk's power beyond adds 2e-7 to N · variance, which is 1e-2
+_HALF_WIDTH = 384  # higher frequencies of the disk add 2e-7 to N · variance = 1e-2
 
 
 @final

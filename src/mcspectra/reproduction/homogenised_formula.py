@@ -121,7 +121,7 @@ def share(data: xr.Dataset) -> Measured:
 
 
 def _closed_sum(n: int) -> Claim:
-    """Compare closed forms for f = x, |f_m|² = 1/(4π²m²), with a bound for the tail of the sum."""
+    """Compare closed forms for f = x with |f_m|² = 1/(4π²m²); bound the tail of the sum."""
     m = np.arange(1.0, 2**16 + 1)
     power = mcs.closed_form_power("jittered", n, m[:, None])
     total = 2 * float((power / (4 * np.pi**2 * m**2)).sum())

@@ -111,7 +111,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             *dc,
             _rate(1),
             _rate(0),
-            # N random points of p: 1/N + (1 − 1/N) |p_m|², p_m = i s/(2πm) of a linear density
+            # The power of N random points is 1/N + (1 − 1/N) |p_m|²; a linear density of slope s
+            # has p_m = i s/(2πm)
             Claim(
                 "Without the weights 1/p the spectrum tends to the spectrum of the density: "
                 "⟨|S_m|²⟩ → |p_m|² at m = (1, 0).",

@@ -17,7 +17,7 @@ from mcspectra.reproduction.panels import plot_of, term_panel
 __all__ = ["exhibit"]
 
 N = 16
-_FEW, _MANY = 4, 64  # small and large half width; an integrand with one cycle needs only 1
+_FEW, _MANY = 4, 64  # half widths; an integrand with one cycle needs only 1
 
 
 @final

@@ -1,9 +1,10 @@
 """Mirroring of the integrand and of the samples, which prevents the harm of homogenization.
 
-Mirror-uniform places each of n/4 points at four images. This samples h, the mean of f over the four
-images, at n/4 points. Mirror-random chooses one image at random, which adds 1/n of the variance of
-f among the images. h = q(x) q(y) is continuous on the torus. With shifted strata of side 1/s its
-variance is the sum Σ |h_m|² (1 − Π_i sinc²(πm_i/s)) / n over integer m ≠ 0, a product over axes.
+Mirror-uniform places each of n/4 points at four images: it samples h at n/4 points, where h is the
+mean of f over the four images.
+Mirror-random chooses one image at random, which adds 1/n of the variance of f among the images.
+The mean h = q(x) q(y) is continuous on the torus. With shifted strata of side 1/s the variance for
+h is the sum Σ |h_m|² (1 − Π_i sinc²(πm_i/s)) / n over integer m ≠ 0, a product over axes.
 """
 
 from __future__ import annotations

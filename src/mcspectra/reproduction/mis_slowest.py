@@ -129,7 +129,7 @@ def toy_curves(realizations: int, seed: int) -> dict[str, xr.Dataset]:
 
 
 def exact(technique: int) -> Array:
-    """Return 1/(12n³) for f = x, or {an}(1 − {an})/n² for 1[x < a]."""
+    """Return 1/(12n³) for f = x; for 1[x < a], s(1 − s)/n² with the fractional part s of a n."""
     n = np.array(_COUNTS, float)
     part = _AT * n % 1.0
     return np.asarray(1 / (12 * n**3) if technique == 0 else part * (1 - part) / n**2)

@@ -48,7 +48,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     bar = mcs.integrand(BAR, 1).fourier(m)
     turned = bar * np.exp(2j * np.pi * m[:, 0] * 0.3 / N)
 
-    # Average over equally spaced offsets, exact for all m − l except multiples of 64 strata
+    # Average over equally spaced offsets: exact unless m − l is a multiple of 64 times the strata
     values = [_third(bar, _matrix(displaced(k / 64))[1]) for k in range(64)]
 
     # Predict the variance of two functions with equal power spectra, and compute it by quadrature
@@ -198,7 +198,7 @@ def exact_curve(offset: float) -> Array:
     """Return the exact variances of bar + cosine by quadrature on both sides of each cut."""
     node, weight = np.polynomial.legendre.leggauss(8)
     node, weight = (node + 1) / 2, weight / 2
-    # The cut is at the fraction 1 − offset of a stratum
+    # The edge cuts a stratum at the fraction 1 − offset of its length
     t = np.concatenate([node * (1 - offset), 1 - offset + node * offset])
     w = np.concatenate([weight * (1 - offset), weight * offset])
     found = []

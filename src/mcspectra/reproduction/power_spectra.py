@@ -94,7 +94,8 @@ def _speckle(what: str, spectrum: xr.Dataset, realizations: int) -> Claim:
         f"of 1/√R (R = {realizations}).",
         Measured.normal(float(power.std(ddof=1) / power.mean()), se),
         expected=realizations**-0.5,
-        # |S_m|² is exponential only for N → ∞, and powers are correlated: relative effects of 1/N
+        # Both assumptions hold for N → ∞: |S_m|² is exponential, and powers are independent. For
+        # finite N the relative error is about 1/N
         tolerance=1.0 / N * realizations**-0.5,
         note="Relative tolerance 1/N: powers of N points are exponential up to this error.",
     )
@@ -121,7 +122,7 @@ def _exponent(name: str, spectrum: xr.Dataset, expected: float) -> Claim:
             mcs.spectra.low_frequency_exponent(spectrum, up_to=3.0), "low_frequency_exponent"
         ),
         expected=expected,
-        # d log(1 − sinc²(πν/s)) / d log ν = 2 − 4/15 (πν/s)² …, s = 16, ν ≤ 3
+        # The slope d log(1 − sinc²(πν/s)) / d log ν is 2 − 4/15 (πν/s)² …; here s = 16, ν ≤ 3
         tolerance=0.1 if expected else 0.0,
         note="Tolerance 0.1: the exponent of 1 − sinc² changes by this much up to |m| = 3."
         if expected

@@ -26,7 +26,7 @@ __all__ = ["exhibit"]
 
 COUNTS = (16, 64, 256, 1024)
 NAMES = {"f": "f(x) = x", "g": "g(x) = (1 − cos 2πx)/2"}
-# Name to the spec that is used for measured variances
+# Spec of each sampler whose variances are measured
 SAMPLERS = {
     "random": "random",
     "jittered": "jittered | shift",

@@ -92,7 +92,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 "Strata deformed to have a border at 1/3 restore the rate −2: rate of the exact "
                 f"variances from N = {counts[0]} to {counts[1]}, minus −2.",
                 slope(counts, np.array(known)) + 2.0,
-                # The number s/3 of strata is rounded: relative change 1/s² of the variance, s = 16
+                # Rounding the number s/3 of strata changes the variance by a fraction 1/s²; s = 16
                 at_most=1 / 256,
             ),
             Claim(

@@ -67,7 +67,7 @@ def estimate_study(plan: StudyPlan, *, probe_seconds: float = 10.0) -> list[Cell
     plan
         The plan of a study.
     probe_seconds
-        Approximate time for all trial runs in seconds; 0 makes none.
+        Approximate time for all trial runs in seconds; with 0 there are no trial runs.
 
     Returns
     -------
@@ -112,7 +112,7 @@ def estimate_study(plan: StudyPlan, *, probe_seconds: float = 10.0) -> list[Cell
         seconds, storage = tried.get(cell.path, guess)
         if seconds > target and name not in cut:
             cut[name] = False
-            with contextlib.suppress(Exception):  # The run fails at the same place, as one task
+            with contextlib.suppress(Exception):  # The study fails at the same place
                 steps = steps_of(cell.analysis, cell.subject, Stream.from_rng(seed))
                 cut[name] = sum(each.blocks for each in next(steps)) > 1
         estimates.append(

@@ -256,10 +256,11 @@ class Dask:
     """Compute tasks on the workers of a dask cluster.
 
     The scheduler resubmits the tasks of a worker that dies. This class resubmits tasks that were
-    lost when the connection to the scheduler broke and came back. A dying worker also loses tasks
-    that did not kill it. Tasks that the scheduler gives up are therefore tried again, one at a
-    time. At most two tasks per worker thread are submitted at once, including results that were
-    not fetched yet, so memory does not grow with the study.
+    lost when the connection to the scheduler broke and came back.
+    A dying worker also loses tasks that did not cause its death. Tasks that the scheduler gives up
+    are therefore tried again, one at a time.
+    At most two tasks per worker thread are submitted at once, so memory does not grow with the
+    study. A task counts as submitted until its result is fetched.
 
     Parameters
     ----------
@@ -300,7 +301,7 @@ class Dask:
 
     @property
     def workers(self) -> int:
-        """Number of worker threads; 1 if there are none, so that a task waits for the first one."""
+        """Number of worker threads; without workers 1, so that one task waits for a worker."""
         now = time.monotonic()
         if now - self._threads[1] >= _FRESH and self._ready:
             with contextlib.suppress(OSError):
@@ -418,7 +419,7 @@ class Dask:
         except OSError as error:
             if future.status == "error":
                 return Outcome(task=pending.task, error=explain(error))
-            return self._resubmit(pending)  # the connection broke while the result was fetched
+            return self._resubmit(pending)  # connection broke while fetching
         except Exception as error:  # noqa: BLE001 - dask may raise anything
             return Outcome(task=pending.task, error=explain(error))
         if (
@@ -428,7 +429,7 @@ class Dask:
             workers = [each for of in holders for each in of]
 
             def restart() -> None:
-                with contextlib.suppress(Exception):  # The worker may have no nanny, or may be gone
+                with contextlib.suppress(Exception):  # The worker may be gone
                     self._client.restart_workers(workers, timeout=60, raise_for_error=False)
 
             threading.Thread(target=restart, daemon=True).start()
@@ -528,13 +529,13 @@ def _greet_scheduler(address: str, patience: float) -> None:
 
 
 def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
-    """Start processes of one thread each; dead ones are replaced, and `opened` closes all."""
+    """Start processes of one thread each; replace dead processes. `opened` closes all of them."""
     import dask
     import distributed
     from distributed import utils
 
     # Workers use as many BLAS threads as this process: dask's default of 1 would change last
-    # digits. A slow worker is waited for: by default dask gives up its nanny after 15 s.
+    # digits. Wait for slow workers: by default dask gives up a worker's nanny after 15 s.
     configuration: dict[str, Any] = {
         "distributed.nanny.pre-spawn-environ": {"MALLOC_TRIM_THRESHOLD_": 65536},
         "distributed.deploy.lost-worker-timeout": _LONGEST_LIMIT,
@@ -543,7 +544,7 @@ def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
     if sys.platform == "linux":
         # Fork workers from a process that has imported the common packages once
         configuration["distributed.worker.multiprocessing-method"] = "forkserver"
-    # The configuration stays while the cluster lives, because it starts replacement workers later
+    # Keep the configuration while the cluster lives: the cluster starts replacement workers later
     opened.enter_context(dask.config.set(configuration))
     if sys.platform == "linux":
         context: Any = utils
@@ -557,7 +558,7 @@ def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
             host=options.host,
             dashboard_address=f"{options.host}:{options.dashboard}",
             memory_limit=0,  # The plan was already compared with the machine's memory
-            env=dict(os.environ),  # The current environment, not that of an earlier cluster
+            env=dict(os.environ),  # Not the environment of an earlier cluster
             silence_logs=logging.CRITICAL,
         )
         opened.callback(cluster.close, timeout=_CLOSING)
@@ -567,8 +568,8 @@ def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
 def _muted(opened: contextlib.ExitStack) -> dict[logging.Handler, int]:
     """Keep dask's log off the terminal: this package reports problems in its own messages.
 
-    `opened` restores the log levels that remain in the returned mapping. After an interruption it
-    restores none: dask keeps closing, and logging, until the process ends.
+    `opened` restores the log levels that remain in the returned mapping. After an interruption
+    it restores no level, because dask logs until the process ends.
     """
     levels = {each: each.level for each in logging.getLogger("distributed").handlers}
 
@@ -585,7 +586,7 @@ def _muted(opened: contextlib.ExitStack) -> dict[logging.Handler, int]:
 
 @contextlib.contextmanager
 def deaf() -> Iterator[None]:
-    """Make processes and threads started in this context ignore Ctrl-C, which stops the command."""
+    """Make processes and threads that start in this context ignore Ctrl-C."""
     if not hasattr(signal, "pthread_sigmask"):  # on Windows
         yield
         return

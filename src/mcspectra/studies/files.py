@@ -72,7 +72,8 @@ _MOST_TEXT = 10**8  # Maximum number of characters that a grid may generate in o
 _LARGEST_FILE = 4 * 2**20
 _RESERVED_SLUGS = frozenset({"zarr.json", "c"})
 _SINGLE = ("seed", "time_limit")  # Keys with a single value per study
-# A dotted key of 64 parts: the time of tomllib grows with their square, to hours for 10⁶ parts
+# Dotted keys have at most 64 parts: the time of tomllib grows with the square of this number.
+# A key of 10⁶ parts takes hours.
 _DOTTED = re.compile(
     r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}""", re.ASCII
 )
@@ -234,7 +235,7 @@ def analysis_tables() -> dict[str, type[Analysis]]:
 
 
 def _names() -> frozenset[str]:
-    """Return names of analyses that may be keys of a study; none may hide a key of the study."""
+    """Return names of analyses that may be keys of a study: they differ from its other keys."""
     own = {*StudyConfig.__struct_fields__, *EstimatorConfig.__struct_fields__}
     return frozenset(n for n in ANALYSES if _TABLE_NAME.fullmatch(n) and n not in own)
 
@@ -351,7 +352,7 @@ def study_of(table: Mapping[str, Any], source: str = "study") -> StudyConfig:
                 )
             if id(samplers) not in seen and len(set(samplers)) < len(samplers):
                 raise ConfigError(f"{shown(entry.name)} lists a sampler twice.")
-            seen.add(id(samplers))  # Most entries share one list
+            seen.add(id(samplers))  # Most entries share one list, checked once
         for estimator in config.estimators:
             for complaint in _complaints(estimator):
                 raise ConfigError(f"the estimator {shown(estimator.name)} {complaint}")
@@ -427,8 +428,8 @@ def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[Names, Names]]:
     Returns
     -------
     dict
-        For each first part (estimator or scene): the second parts (its samplers) and the third
-        parts (its analyses with their companions).
+        By first part of a path (an estimator or a scene): the second parts (its samplers) and
+        the third parts (its analyses with their companions).
     """
     found, slugs = dict[str, tuple[Names, Names]](), Slugs()
     known: dict[tuple[str, ...], Names] = {}
@@ -456,7 +457,7 @@ def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[Names, Names]]:
     return found
 
 
-# Types: each table becomes its struct.
+# Check the types of values: each table becomes a struct.
 
 
 @final
@@ -549,7 +550,7 @@ def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] 
             raise ConfigError(f"{where}the key {shown(name)} is missing.")
     try:
         return msgspec.convert(clean, kind)
-    except msgspec.ValidationError as error:  # Option types of other packages
+    except msgspec.ValidationError as error:  # An option may have a type of another package
         raise ConfigError(f"{where}{error}.") from None
 
 
@@ -585,7 +586,7 @@ def _complaints(e: EstimatorConfig) -> Iterator[str]:
     if e.sets is not None and (not several or e.one_sample):
         yield "has sets, which belong to several techniques; leave it out."
 
-    # Choice of one technique
+    # Options that choose one technique of several
     if e.one_sample and e.densities is None:
         yield "has one_sample but no densities to choose from; give densities."
     if not e.one_sample and (e.probabilities is not None or e.selection is not None):
@@ -709,14 +710,14 @@ def expand_grids(table: dict[str, Any], source: str = "study") -> dict[str, Any]
 def _expanded(table: Mapping[str, Any]) -> dict[str, Any]:
     """Expand the grids of a study."""
     shared = _grid_values(table.get("grid"), "grid")
-    all_used, counts = set[str](), Counter[str]()  # Used placeholders; entries per list of tables
+    all_used, counts = set[str](), Counter[str]()  # Placeholders in use; counts of entries
 
     def repeated(
         given: Any, more: Mapping[str, Any], key: str, place: str
     ) -> Iterator[dict[str, Any]]:
         """Repeat an estimator or map over the placeholders outside its list of samplers."""
         if not isinstance(given, dict):
-            yield given  # Wrong type: the type check reports it
+            yield given  # The type check reports a wrong type
             return
         entry = {**more, **given}
         own = _grid_values(entry.get("grid"), f"{place}.grid")

@@ -224,8 +224,7 @@ class StudyTally(msgspec.Struct, frozen=True, kw_only=True):
     Attributes
     ----------
     done, size, digest
-        Finished cells: their number, the bytes of their results, and the exclusive or of their
-        digests.
+        Number of finished cells, bytes of their results, and exclusive or of their digests.
     started, finished
         Time when the study began and when its last cell finished: UTC, ISO 8601.
     hosts
@@ -359,8 +358,8 @@ class Ledger:
         Parameters
         ----------
         outdated
-            Paths of cells to compute again because their input files changed. Without any, changed
-            files are an error.
+            Paths of cells to compute again because their input files changed. If the list is empty,
+            changed files are an error.
 
         Raises
         ------
@@ -563,7 +562,7 @@ class Ledger:
         with self._guard:
             for path in paths:
                 self._tell(_Change(path, _forgetting(path)))
-            self.commit()  # Before the schedule reads their states
+            self.commit()  # The schedule reads their states later
 
     def commit(self) -> None:
         """Write all pending changes, or none of them."""
@@ -588,7 +587,7 @@ class Ledger:
         if paths is None or _plan_digest(paths) != self._header.plan:
             paths = self._listed_anyway() if self._salvaged else self.paths
         elif not self._salvaged:
-            _ = self.paths  # Checks the list against the tally
+            _ = self.paths  # Compares the list of paths with the tally
         return self._surveyed(paths)
 
     def close(self) -> None:
@@ -751,7 +750,7 @@ class Ledger:
         notes.append(self._text("config", "", config))
         first = _Change("", itertools.chain(tables, cells, notes))
         with _writing(self._file):
-            _remove_partial(partial)  # Left by a run that was killed
+            _remove_partial(partial)  # A killed run leaves this file
             try:
                 with contextlib.closing(_connected(partial, "rwc")) as new:
                     new.execute(f"PRAGMA page_size = {_PAGE}")
@@ -837,7 +836,8 @@ class Ledger:
                 copy.execute("BEGIN")
                 for statement in _COPIED:
                     copy.execute(statement)
-                # Pages in use come first; deleted rows are valid for results only
+                # Read pages in use first. On free pages, ignore task states and failures: a run
+                # deletes them
                 for wanted in (True, False):
                     for used, rowid, values in leaves.rows():
                         columns = len(values)
@@ -877,7 +877,7 @@ class Ledger:
         done: dict[str, None] = {}
         digests, found = bytearray(), ("", "")
         with self._guard:
-            self._rows("BEGIN")  # Prevents a commit between the reads
+            self._rows("BEGIN")  # No commit may come between the reads
             try:
                 self.tally = self._noted_tally()
                 for path, digest in self._each("SELECT path, digest FROM cells ORDER BY place"):
@@ -942,7 +942,7 @@ class Ledger:
                 if not any(text for _, text in self._texts("note", name, table)):
                     self.damaged[f"note of the {name}"] = _DAMAGE
 
-        # Results with sound digests; results whose digests are lost are decided by the tally
+        # Yield results with sound digests. The tally decides on results whose digests are lost
         left, unproven = int(self.tally.digest, 16), list[tuple[str, int, bytes]]()
         made = 0
         for place, path in enumerate(paths):
@@ -1210,14 +1210,14 @@ def _locked(folder: Path) -> sqlite3.Connection:
         trouble = lock_damage(folder)
         if trouble is not None:
             raise StoreError(f"{str(folder / _LOCK_NAME)!r} cannot be locked: {trouble}.")
-        lock = _connected(folder / _LOCK_NAME, "rwc", 1.0)  # `is_held` holds it for a moment
+        lock = _connected(folder / _LOCK_NAME, "rwc", 1.0)  # `is_held` locks briefly
         try:
             lock.execute("BEGIN EXCLUSIVE")
         except sqlite3.Error as error:
             lock.close()
             if getattr(error, "sqlite_errorname", "") != "SQLITE_BUSY":
                 raise
-            # Name the process with the lock; wait a moment until it has noted itself
+            # Name the process with the lock; wait a moment until that process is noted
             end, holder = time.monotonic() + _NOTE_SECONDS, None
             while holder is None and time.monotonic() < end:
                 with contextlib.suppress(StoreError), Ledger.read(folder) as ledger:

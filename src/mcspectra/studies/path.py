@@ -61,7 +61,8 @@ PATH_SAMPLERS = ("random", "latin-hypercube", "rank1-lattice | shift", "sobol | 
 """Samplers compared by default: those that support any count in any number of dims."""
 
 _EFFORTS = {
-    # Counts, realizations, realizations of the ANOVA, paths for the shares of lights, predictions
+    # Each effort sets the counts n, the number of realizations, the number for the ANOVA, the
+    # number of paths for the shares of lights, and whether variances are predicted
     "quick": ((16, 64, 256, 1024), 200, 10_000, 2**14, False),
     "full": ((16, 64, 256, 1024, 4096), 1000, 100_000, 2**17, True),
 }
@@ -328,11 +329,11 @@ def path_remedies(
     stream
         Random numbers shared by all changes; the same as in `mcspectra.convergence` with its seed.
     samplers, ends
-        Other samplers to try; and numbers of first coordinates that keep QMC points, while the
-        others get random numbers.
+        Other samplers to try; and numbers of leading coordinates that keep QMC points. The
+        remaining coordinates get random numbers.
     axes
-        Coordinates in decreasing order of importance, and the number of paths that found this
-        order.
+        Coordinates in decreasing order of importance, and the number of paths from which this
+        order was found.
     lights
         Result of `shares_by_light`, if known.
 
@@ -380,7 +381,8 @@ def path_remedies(
 
     attempt("given", "as given", "change nothing")
 
-    # Samplers; random numbers in the last coordinates; best coordinates for the largest shares
+    # Try other samplers, random numbers in the last coordinates, and another order of
+    # coordinates: the best coordinates of the points for the largest shares of the variance
     for spec in dict.fromkeys(samplers):
         if spec != sampler.spec:
             attempt("sampler", spec, f"sample with {spec}", spec=spec)
@@ -396,7 +398,7 @@ def path_remedies(
         change = "assign the first coordinates of the points to the largest shares of the variance"
         attempt("order", "coordinates by share", change, lambda: ordered, pilot=axes[1])
 
-    # Roulette, lights, and the integrator's own heuristic
+    # Try changes of roulette, of the selection of lights, and of the integrator's heuristic
     try:
         for name, change, integrator in _other_roulettes(f):
             attempt("roulette", name, change, partial(replace, f, integrator=integrator, dims=None))

@@ -71,7 +71,7 @@ _HEURISTICS = ("balance", "power")
 _TECHNIQUES = ("light", "bsdf")
 _BASES = ("auto", "fourier")
 _QUICK_REMEDIES = ("unshifted", "mirrored", "sampler", "heuristic", "techniques")
-_ROUNDING = 1e-5  # Largest rounding step relative to the largest |g|: 100 roundings of float32
+_ROUNDING = 1e-5  # Largest rounding step of float32 relative to the largest |g|
 _MOST_SAMPLES = 2**22
 _LEAST_BUDGET = 8  # Smallest budget in evaluations of two techniques
 _FEWEST = 100  # Smallest number of realizations for remedies
@@ -152,7 +152,7 @@ def analyse_pixel(
     channel
         ``"luminance"``, 0, 1 or 2.
     dims
-        2; or 3 to let a third coordinate choose a light or a lobe of the BSDF.
+        2, or 3 if a third coordinate chooses a light or a lobe of the BSDF.
     samplers
         Samplers or their spec strings, all different.
     counts, realizations, budget
@@ -344,7 +344,7 @@ def check_compared(
 
 
 def _without_rounding(picture: xr.Dataset) -> xr.Dataset:
-    """Remove jumps of float32 rounding size from a picture: they are not discontinuities of g."""
+    """Remove jumps from a picture that come from float32 rounding, not from discontinuities."""
     kept, floor = picture.copy(), _ROUNDING * float(np.abs(picture["primary_value"]).max())
     for name in ("primary_jump", "face_jump"):
         kept[name] = (

@@ -69,13 +69,14 @@ __all__ = [
 MOST_EVALUATIONS = 10**15
 """Maximum number of evaluations of a study without --force: half a year on a hundred cores."""
 
-# Planning time in seconds: per spec, per estimator with densities, per density in several dims or
-# in one (1-D warps are searched for gaps), per pair of estimator and sampler, per cell, and per
-# count or other list item of an analysis.
+# Planning time in seconds per spec, per estimator with densities, per density in several dims,
+# and per density in one dim, whose warp is searched for gaps
 _SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 5e-4, 2e-3
+# Planning time in seconds per pair of estimator and sampler, per cell, and per list item (such as
+# a count) of an analysis
 _PAIR, _CELL, _COUNT = 3e-6, 2.5e-5, 3e-6
 NOTED_SECONDS = 5.0
-"""Planning time in seconds above which it is announced, so that a silent wait alarms nobody."""
+"""Planning time in seconds above which a message announces the wait."""
 
 MOST_SECONDS = 120.0
 """Maximum planning time in seconds without --force: five million analyses, whose cells take 3 GB.
@@ -100,10 +101,10 @@ class StudyCell:
     subject
         The estimator and sampler; without an estimator for a scene or after an `error`.
     need
-        Cost for scheduling and progress, and memory.
+        Cost of the cell (for scheduling and progress), and its memory.
     error
-        Reason why the cell fails before it begins, for example because its integrand raises at the
-        first points; None if it can be tried.
+        Reason why the cell fails before it begins; None if it can be tried. For example, its
+        integrand raises an error at the first points.
     inputs
         Names of the files that the cell depends on: keys of the plan's `inputs`.
     """
@@ -311,7 +312,7 @@ class _Planner:
             if id(table) not in self._vetted:  # Tables live as long as the study, so ids are unique
                 analysis, inputs = self.vetting.options(table)
                 vetted = [(name, analysis, inputs)]
-                for other in analysis.companions:  # They get the options in common
+                for other in analysis.companions:  # Companions get the shared options
                     kind = ANALYSES.load(other)
                     shared = {*kind.__struct_fields__} & {*analysis.__struct_fields__}
                     made = kind(**{key: getattr(analysis, key) for key in shared})

@@ -78,7 +78,7 @@ FORMATS = (".csv", ".zarr")
 """Extensions of the files that results can be exported to."""
 
 MOST_STORED = 2000
-"""Maximum number of cells with a store and a report: each cell takes 28 files and 8 ms."""
+"""Maximum number of cells for a store or a report: each cell takes 28 files and 8 ms."""
 
 _FIRST = ("estimator", "sampler", "analysis", "n")
 _LAST = ("variable", "value", "low", "high", "se", "unit")
@@ -187,7 +187,7 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
 def _opened(
     source: str | Path, select: str | None, *, whole: bool = True
 ) -> tuple[dict[str, Any], dict[str, xr.Dataset]]:
-    """Return root attributes and cells; a single path omits ``study`` unless `whole`."""
+    """Return root attributes and cells. For a single path, omit ``study`` unless `whole`."""
     register_accessor()
     ledger = _ledger(source, select)
     if ledger is None:

@@ -36,10 +36,11 @@ Work = tuple[StudyTask, Callable[[], Any]]
 
 _TARGET = 1.0  # Target duration of a chunk in seconds
 _OF_LIMIT = 0.2  # Largest duration of a chunk as a fraction of the time limit
-# Seconds of a cell's work between two recordings: a kill loses at most these, but recording is slow
+# Seconds of a cell's work between two recordings. A kill loses at most this much work; recording
+# more often is slow
 _RECORDED_AFTER = 1.0
-_INSTANT = 1e-9  # Shortest measured duration in seconds; shorter ones are rounded up to it
-# An interrupt in this thread comes from the user; these exceptions come from user code.
+_INSTANT = 1e-9  # Shortest duration in seconds; shorter durations are rounded up
+# Exceptions of user code. KeyboardInterrupt is absent: in this thread it comes from the user.
 _FAILURES = (Exception, SystemExit, asyncio.CancelledError)
 
 
@@ -52,7 +53,7 @@ def task_seconds(limit: float | None) -> float:
 class PartialRun(Generic[State]):
     """A reduction in progress: its merged, requested and remaining chunks.
 
-    Chunks may arrive in any order; two halves of a node are merged at once.
+    Chunks may arrive in any order. The two halves of a node merge as soon as both have arrived.
     """
 
     def __init__(self, reduction: Reduction[State]) -> None:
@@ -60,7 +61,7 @@ class PartialRun(Generic[State]):
         self._tree: MergeTree[State] = MergeTree()
         self._gaps: deque[Chunk] = deque([(0, reduction.blocks)])
         self._missing = reduction.blocks
-        self._fresh: set[int] = set()  # First blocks of nodes that are not recorded
+        self._fresh: set[int] = set()  # First block of each node that is not recorded
 
     @property
     def complete(self) -> bool:
@@ -68,7 +69,7 @@ class PartialRun(Generic[State]):
         return self._missing == 0
 
     def restore(self, found: Iterable[Chunk], load: Callable[[Chunk], State | None]) -> None:
-        """Reuse stored chunks that tile the range; a chunk is skipped if `load` returns None."""
+        """Reuse stored chunks that do not overlap; skip a chunk if `load` returns None."""
         self._gaps.clear()
         position = 0
         # Aligned chunks are nested or disjoint; take the largest chunk of each nest.
@@ -173,7 +174,7 @@ class _Active:
         return all(part.complete for part in self._parts.values())
 
     def next_work(self, size: Callable[[float], int]) -> Work | None:
-        """Return a chunk of the costliest open reduction; `size` maps block cost to a count."""
+        """Return a chunk of the costliest open reduction; `size` maps block cost to block count."""
         path = self.cell.path
         if self._whole:
             self._whole = False
@@ -261,7 +262,8 @@ class Schedule:
     ledger
         Ledger with the chunks of earlier runs; chunks that took long are recorded there.
     seconds
-        Target duration of a task in seconds; 2^k blocks come within √2 of it, unless one is longer.
+        Target duration of a task in seconds. A task has 2^k blocks and takes the target time up to
+        a factor of √2, unless a single block takes longer.
     """
 
     def __init__(
@@ -302,7 +304,7 @@ class Schedule:
         if outcome.error is not None:
             self._settle(Settled(active.cell, error=outcome.error))
             return
-        # Average the pace with more weight on later tasks: the first may include compilation
+        # Average the pace with more weight on later tasks: the first task may include compilation
         if outcome.task.cost > 0.0:
             pace = max(outcome.seconds, _INSTANT) / outcome.task.cost
             kind = type(active.cell.analysis).__name__

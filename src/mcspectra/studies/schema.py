@@ -32,10 +32,10 @@ _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _PLACEHOLDER = {"type": "string", "pattern": r"^\{[A-Za-z_][A-Za-z0-9_]*\}$"}
 _NO_TEXT = ("integer", "number", "boolean")
 _NO_PLACEHOLDER = ("grid", "seed", "time_limit")  # Keys with a single value per study
-# Example values in the template for options where a number of points would be wrong
+# Example values in the template for options that are not numbers of points
 _EXAMPLES = {"target_error": ("0.01",), "budget": ("4096",)}
 _TEMPLATE = Path(__file__).with_name("template.toml")
-_OTHERS = "# {other analyses}\n"  # Line of the template replaced by the analyses not shown there
+_OTHERS = "# {other analyses}\n"  # This line is replaced by the analyses that the template lacks
 
 
 def study_schema() -> dict[str, Any]:
@@ -75,7 +75,8 @@ def _tables() -> dict[str, tuple[str, dict[str, Any]]]:
             if option.choices and "anyOf" not in table["properties"][option.name]:
                 table["properties"][option.name] |= {"type": "string", "enum": option.choices}
 
-    # Put analyses at the top and in estimators; scene analyses are lists of entries
+    # Tables of analyses may stand at the top of a study and in an estimator. An analysis of scenes
+    # is a list of entries instead
     scene = _public(components[names[-1]])
     study, estimator = _public(found[""][1]), _public(found["estimators"][1])
     study["properties"]["estimators"]["items"] = {"$ref": f"#/$defs/{names[1]}"}
@@ -109,7 +110,7 @@ def _or_placeholder(value: dict[str, Any]) -> dict[str, Any]:
         listed = isinstance(items, dict)
         choices += [{**each, "items": _or_placeholder(items)} if listed else each]
         tables = listed and "$ref" in items
-        # Numbers, choices, Booleans and lists of values
+        # A placeholder may stand for a number, a choice, a Boolean or a list
         taken |= "enum" in each or (each.get("type") in (*_NO_TEXT, "array") and not tables)
     return {**about, "anyOf": [*choices, _PLACEHOLDER]} if taken else value
 

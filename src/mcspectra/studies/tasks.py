@@ -45,7 +45,7 @@ __all__ = [
     "timed",
 ]
 
-_PLANS = 2  # Plans kept in a process: the running one, and one that has just ended
+_PLANS = 2  # Plans kept in a process: one of the current study, one of the last
 _REDUCTIONS = 32  # Reductions kept in a process; few are in use at once
 _HELD = 2.0  # Seconds beyond the time limit after which a blocked worker process is ended
 
@@ -115,7 +115,7 @@ def timed(task: StudyTask, compute: Callable[[], Any]) -> Outcome:
     state, error = None, None
     try:
         state = compute()
-    # An interrupt of the run reaches only the main thread; one raised here is user code's.
+    # Ctrl-C reaches only the main thread. A KeyboardInterrupt here was raised by user code.
     except BaseException as raised:  # noqa: BLE001 - user code may raise anything
         error = explain(raised)
     seconds = time.perf_counter() - start

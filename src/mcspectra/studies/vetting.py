@@ -100,7 +100,7 @@ class Vetting:
         files: dict[Path, str] = {}
         match first.name, first.arguments:
             case "command", {"run": str(run)}:
-                with suppress(ValueError):  # Not a valid command: the sampler refuses it later
+                with suppress(ValueError):  # The sampler refuses a bad command later
                     program, *others = shlex.split(run)
                     if "/" in program:
                         file = (self._folder / program).absolute()
@@ -182,7 +182,7 @@ class Vetting:
     def _file(self, path: str, files: dict[Path, str], *, scene: bool = False) -> Path:
         """Resolve a path from the folder, and follow links to check where the file is.
 
-        A study may not look around on the disk of the person who runs it.
+        A study must not explore the disk of the person who runs it.
         """
         if "\0" in path or path.startswith("~"):  # ~ is a home folder
             raise ConfigError(f"{shown(path)} is not a file name; write it without ~.")
