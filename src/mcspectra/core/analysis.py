@@ -589,7 +589,7 @@ class MergeTree(Generic[State]):
         self._next += blocks
 
     def put(self, chunk: Chunk, state: State) -> int:
-        """Add the state of any chunk; return the first block of the node that contains the chunk."""
+        """Add the state of any chunk; return the first block of the node that contains it."""
         first, count = chunk
         while count & (count - 1) == 0 and self.nodes.get(first ^ count, (0,))[0] == count:
             _, other = self.nodes.pop(first ^ count)

@@ -120,7 +120,7 @@ def parse(text: str) -> Call:
 
 
 def short_spec(text: str) -> str:
-    """Return a short spec for figures: ``name=`` replaces its part, and files lose their folders."""
+    """Return a short spec for figures: ``name=`` replaces its part, files lose their folders."""
     try:
         parts = zip(parse_chain(text), _split(text), strict=True)
         return " | ".join(
