@@ -68,7 +68,7 @@ def rectangle(
 
 
 def diffuse(reflectance: float | Sequence[float], *, both_sides: bool = False) -> dict[str, Any]:
-    """Return a Lambertian BSDF, gray or with an RGB color; its back is black unless `both_sides`."""
+    """Return a Lambertian BSDF, gray or with an RGB color; black behind unless `both_sides`."""
     value = reflectance if isinstance(reflectance, float) else list(reflectance)
     bsdf: dict[str, Any] = {"type": "diffuse", "reflectance": {"type": "rgb", "value": value}}
     return {"type": "twosided", "bsdf": bsdf} if both_sides else bsdf

@@ -542,9 +542,9 @@ class _Grid:
         whole, *parts = map(self._of_grid, (grid, *coarse))
         if self.power is None:
             return whole, _error_of_mean(parts)
-        # The powers of m and −m are the same number, so that their errors add up. Errors of others
         # The powers of m and −m are the same number, so that their errors add up. The errors of
         # other pairs do not add up.
+        doubled = np.sqrt(2.0 * _sum(self.power_se**2, _energy(grid) ** 2))
         return whole, np.hypot(_error_of_mean(parts), doubled)
 
     def mean(self, values: Array) -> tuple[Array, Array]:
