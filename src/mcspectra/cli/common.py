@@ -130,7 +130,7 @@ def out(help: str, **further: Any) -> Declaration:
 
 
 def group(make: Callable[[Any], Any], *options: Declaration) -> Declaration:
-    """Declare options in a group that `make` adds to the parser."""
+    """Declare the options of a group; `make` adds the group to the parser."""
 
     def declare(parser: Any) -> None:
         added = make(parser)

@@ -94,7 +94,7 @@ def table_of_anything(result: xr.Dataset) -> VerbOutput:
 
 
 def _title(result: xr.Dataset) -> str:
-    """Return the estimator with the sampler, and n."""
+    """Return a text with the specs of the estimator and the sampler, and n."""
     known = result.attrs
     names = [str(known[key]) for key in ("estimator", "sampler") if key in known]
     counts = f",  n = {known['n']}" if "n" in known else ""

@@ -513,11 +513,11 @@ def _group(
     every, loss = _unbiased(every / every[0, 0], count)
     measured, curve = rings.mean(power), np.maximum(rings.mean(np.fft.rfft2(every).real), 0.0)
     half *= np.divide(curve, measured, out=np.ones_like(curve), where=measured > 0)
-    # The two deviations of two frames are each other's negatives, without spread. Use at least
+    # With two frames, one deviation is the negative of the other, without spread. Use at least
     # the spread of normal noise: the mean of (R − 1) exponentials per conjugate pair
     independent = (count - 1) * loss**2
     half = np.maximum(half, CONFIDENCE_Z * measured * np.sqrt(2.0 / (rings.sizes * independent)))
-    # Squared correlations include squared errors, each the true sum / (pixels · (R − 1) · loss²)
+    # A squared correlation includes a squared error, the true sum / (pixels · (R − 1) · loss²)
     alike = max(1.0, float((every**2).sum()) / (1.0 + 1.0 / independent))
     near, repeat, repeated = _lags(every, alike / (varied.sum() * independent))
     pair, relation = _related(sample, alike)
