@@ -21,7 +21,7 @@ from mcspectra.plots.description import Plot
 __all__ = ["Board"]
 
 _FRESH: Any = {"opacity": "1", "filter": "none"}
-_FRAMES = {False: 216, True: 100}  # Size of a panel in pixels: single set-up, two set-ups
+_FRAMES = {False: 216, True: 100}  # Width of a panel in pixels, for one set-up and for two set-ups
 _STALE: Any = {"opacity": "0.35", "filter": "grayscale(1)"}
 
 
@@ -47,7 +47,7 @@ class Board:
     later
         Schedules a function without arguments in the page's thread, holding the page's lock.
     on_update
-        Called in the job's thread: with an empty text before its first part is shown, or with a
+        Called in the job's thread: with an empty text before the first part is shown, or with a
         sentence if nothing can be computed.
     on_shown
         Called in the page's thread after a part was shown or the job has ended; with True if

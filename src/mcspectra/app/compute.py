@@ -1,8 +1,9 @@
 """Compute the datasets of a set-up in rounds with more and more realizations, until canceled.
 
-Round r repeats all work with four times the realizations of round r − 1, which costs a third more
-in total. The last round has the same bits as the program of "Copy as Python". Estimators are
-cached, so that their integrands keep computed coefficients.
+Each round repeats all work with four times the realizations of the round before. All earlier
+rounds together therefore add a third to the work of the last round. The last round has the same
+bits as the program of "Copy as Python". Estimators are cached, so that their integrands keep
+computed coefficients.
 """
 
 from __future__ import annotations
@@ -51,10 +52,10 @@ __all__ = [
 ]
 
 UPDATE_KINDS = ("points", "integrand", "spectrum", "convergence", "terms", "predict")
-"""Parts that every round computes, in this order; points, integrand and predictions only once."""
+"""Parts in the order of computation; only the first round has points, integrand, predictions."""
 
 MOST_AT_ONCE = 2
-"""Parts that all pages compute at once: each uses all processors, and a second fills gaps."""
+"""Maximum number of parts that all pages compute at once; the second part fills idle times."""
 
 _PATIENCE = 0.2  # Seconds between checks whether a waiting job was canceled
 _INTEGRAND = ("integrand", "density", "dims", "mirror", "channel", "smoothing")
@@ -65,7 +66,7 @@ _OWN = {  # Fields of the set-up that a part depends on
 
 _FIRST_ROUND, _GROWTH = 16, 4
 _LONGEST_ROUND = 30.0  # Longest expected duration of a round in seconds; longer ones are not begun
-_KEPT = 64  # Cached datasets of about 1 MB each
+_KEPT = 64  # Maximum number of cached datasets, of about 1 MB each
 _GRID = {1: 1024, 2: 128}  # Grid points per axis for plots of the integrand, by dims
 _FILTERS = threading.Lock()  # Warning filters belong to the process, not to a thread
 
@@ -84,7 +85,6 @@ class Update:
     realizations
         Number of realizations of this value.
     fraction
-        Share of the job's work that is done, 0 to 1.
         Share of the job's work that is done, 0 to 1.
     """
 
@@ -123,7 +123,7 @@ def compute(kind: str, setup: ExplorerSetup, realizations: int) -> xr.Dataset:
 def _computed(kind: str, setup: ExplorerSetup) -> xr.Dataset:
     parts = make_parts(setup)
     if kind == "integrand":
-        # Tabulate f, p and f/p on the unit square; for techniques f/p, where x is in primary space
+        # Tabulate f, p and f/p on the unit square; for techniques only f/p, with x in primary space
         dims, f = parts.sampler.dims, parts.estimator.domain_integrand
         size = _GRID[dims]
         middles = (np.arange(size) + 0.5) / size
@@ -183,7 +183,7 @@ class Job:
     -----
     Jobs of all pages take turns, so that `MOST_AT_ONCE` parts are computed at once. `cancel`
     returns at once. The running analysis stops at its next progress report, after a block of
-    realizations, and no other analysis begins.
+    realizations, and no further analysis begins.
     """
 
     def __init__(
@@ -203,7 +203,7 @@ class Job:
         return self
 
     def cancel(self) -> None:
-        """Stop the running analysis and begin no other."""
+        """Stop the running analysis; no further analysis begins."""
         self._cancelled.set()
 
     def join(self, timeout: float | None = None) -> None:
@@ -250,7 +250,7 @@ class Job:
         planned = list(rounds(self.setup))
         spent, last = 0.0, 0
         for number, count in enumerate(planned):
-            # The first round includes loading and compilation, so it does not predict later ones
+            # The first round includes loading and compilation, so it does not predict later rounds
             expected = spent * count / last if number > 1 else 0.0
             if expected > _LONGEST_ROUND:
                 return (
@@ -274,7 +274,7 @@ class Job:
 @final
 @dataclass(frozen=True)
 class EstimatorParts:
-    """Density, estimator, sampler and space of a set-up; `notes` holds the warnings about it."""
+    """Density, estimator, sampler and space of a set-up; `notes` holds warnings about it."""
 
     density: Density | None
     estimator: AbstractEstimator
@@ -383,7 +383,7 @@ def analyses_of(setup: ExplorerSetup) -> dict[str, Analysis]:
         name: kind(**{o.name: given[o.name] for o in options_of(kind) if o.name in given})
         for name, kind in ANALYSES.items()
     }
-    # Also predict at the n of the terms
+    # Also predict the variance at the n of the terms
     made["predict"] = Prediction(counts=tuple(sorted({*given["counts"], setup.n})))
     return made
 

@@ -81,7 +81,7 @@ class Controls:
     on_scene
         Called when the user opens Veach's scene.
     later
-        Schedules a function in the page's thread, after all events that arrived together.
+        Schedules a function in the page's thread, after all events of the same message.
     """
 
     def __init__(
@@ -100,7 +100,7 @@ class Controls:
         self._on_change, self._on_error, self._later = on_change, on_error, later
         self._filling = self._refused = False
         self._density_sliders: Any = Column(sizing_mode="stretch_width")
-        # Choices in addition to the specs
+        # Choices of the menus in addition to specs
         make, density, integrand = self._make, self._named("density"), self._named("integrand")
         steps = CheckboxGroup(labels=_STEPS, stylesheets=[self._sheet])
         self._watch(steps, "active", self._choose_sampler)
@@ -132,7 +132,7 @@ class Controls:
         for name, option in OPTIONS.items():
             label = name.replace("_", " ").capitalize()
             free = option.required or option.default is None
-            if option.choices and option.choices != ("auto",):  # "auto" also allows numbers
+            if option.choices and option.choices != ("auto",):  # "auto" options also accept numbers
                 choices = [
                     *([("", "by default")] if free else []),
                     *((c, c) for c in option.choices),
@@ -200,7 +200,7 @@ class Controls:
         return widget
 
     def _watch(self, widget: Any, name: str, act: Callable[[Any], object]) -> None:
-        """Call `act` with entries by the user, but not with changes by `_fill`."""
+        """Call `act` with entries of the user, but not with changes that `_fill` makes."""
         widget.sizing_mode = "stretch_width"
 
         def heard(attribute: str, old: Any, new: Any) -> None:
@@ -271,7 +271,7 @@ class Controls:
                 w[name].value = setup.text(name)
             for name in _PARTS:
                 w[name].value = getattr(setup, name)
-            # Sliders for the parameters of the density; they are replaced for another density
+            # Sliders for the parameters of the density; another density gets new sliders
             call = parse(self.setup.density)
             ranges = _SLIDERS.get(call.name, ())
             sliders = self._density_sliders
@@ -300,7 +300,7 @@ def _offered(registry: Any) -> list[str]:
 
 
 def _nearest(text: str, dims: int, n: int) -> int:
-    """Return the supported count nearest to n; n itself for an invalid sampler."""
+    """Return the supported count nearest to n; return n itself for an invalid sampler."""
     try:
         return min(sampler(text, dims).nearest_count(n), MOST_POINTS)
     except Exception:  # noqa: BLE001 - the job reports the error of the sampler

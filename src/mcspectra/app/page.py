@@ -125,7 +125,7 @@ class Explorer:
             button = Button(label=f"Copy as {name}", width=140, stylesheets=[self._sheet])
             button.js_on_click(CustomJS(args={"text": area}, code=_COPY))
             texts.children.append(Column(children=[button, area], sizing_mode="stretch_width"))
-        # Separate roots: a changed text does not move the figures
+        # Use separate roots, so that a changed text does not move the figures
         self.roots: dict[str, Any] = {
             "side": Column(children=[self._compare, self._sides], sizing_mode="stretch_width"),
             "head": Column(
@@ -140,7 +140,7 @@ class Explorer:
 
     def start(self) -> None:
         """Start computing when a browser shows the page; a request alone computes nothing."""
-        if not self._started:  # The event comes again when a browser reconnects
+        if not self._started:  # The event is repeated when a browser reconnects
             self._started = True
             for side, setup in self.state.setups():
                 self._boards[side].run(setup)
@@ -238,7 +238,7 @@ class Explorer:
         self.roots["head"].tags = [self.state.query()]
 
     def _write_texts(self, refused: str) -> None:
-        """Write the exports, using cached parts; this may run in a job's thread."""
+        """Write the exports from cached parts; a job's thread may call this method."""
         try:
             texts = (
                 (f"# {refused}",) * 2 if refused else (as_python(self.state), as_toml(self.state))
@@ -283,7 +283,7 @@ def _row(side: str, setup: ExplorerSetup, board: Board) -> str:
     terms, curve = board.latest.get("terms"), board.latest.get("convergence")
     missing = "…" if board.busy else "–"
 
-    # Show the variance measured and predicted at the n of the terms, as in a report's summary
+    # Show the measured and the predicted variance at the n of the terms, as a report's summary does
     parts = {k: v for k, v in board.latest.items() if k in ("terms", "predict")}
     ratio = missing
     if len(parts) == 2:

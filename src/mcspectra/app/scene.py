@@ -1,4 +1,4 @@
-"""The picture of Veach's scene on the page: a click, or two numbers, choose a pixel."""
+"""The picture of Veach's scene on the page: a click or two numbers choose a pixel."""
 
 from __future__ import annotations
 

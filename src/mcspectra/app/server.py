@@ -1,4 +1,4 @@
-"""The explorer's server, which answers only this machine and only its own pages.
+"""The explorer's server, which answers only requests of this machine and of its own pages.
 
 It listens on the loopback interface. This excludes other machines, but not pages of other hosts in
 the user's browser: they may send requests here, or point their domain name to 127.0.0.1. Every
@@ -42,7 +42,7 @@ _HEADERS = {
     "Cross-Origin-Opener-Policy": "same-origin",
     "X-Content-Type-Options": "nosniff",
 }
-_MOST_SENT = 64 * 2**20  # Largest message in bytes: pictures arrive as text
+_MOST_SENT = 64 * 2**20  # Maximum size of a message in bytes; pictures arrive as text
 
 
 @final
@@ -66,10 +66,10 @@ class Guard(routing.Router):
         self._sessions = sessions
         self._hosts = {f"{name}:{port}" for name in (ADDRESS, "localhost")}
         self._origins = {f"http://{host}" for host in self._hosts}
-        # Requested pages that are not open yet; a request is dropped with its connection
+        # Requests for pages that are not open yet; a request is dropped when its connection closes
         self._awaited: weakref.WeakSet[httputil.HTTPServerRequest] = weakref.WeakSet()
         application.add_transform(_Headers)
-        # Called at the end of each request; it replaces the log line on the terminal
+        # Called at the end of each request instead of printing a log line
         application.settings["log_function"] = self._ended
         others: dict[str, Any] = {"transforms": [_Headers], "log_function": self._ended}
         self._refusal = web.Application([(".*", _Refusal)], **others)
@@ -102,7 +102,7 @@ class Guard(routing.Router):
             return False
         if request.path.endswith(
             "/autoload.js"
-        ):  # This script would give pages of other sites a session
+        ):  # This script would give a session to pages of other sites
             return False
         is_page = request.path == "/" and request.method in ("GET", "HEAD")
         sites = headers.get_list("Sec-Fetch-Site")
@@ -240,7 +240,7 @@ def _is_own_error(record: logging.LogRecord) -> bool:
 
 
 def _warm_up() -> None:
-    """Load and compile code for the first page while the browser loads it: it halves the wait."""
+    """Load and compile code while the browser loads the first page, which halves the wait."""
     from mcspectra.app.compute import UPDATE_KINDS, compute
     from mcspectra.app.state import ExplorerSetup
 

@@ -134,7 +134,7 @@ def chain(base: str, steps: Sequence[str], text: str) -> str:
 
 
 def changed(text: str, key: str, value: float | str) -> str:
-    """Return the spec with one changed parameter."""
+    """Return the spec with a new value of one parameter."""
     call = parse(text)
     return str(Call(call.name, {**call.arguments, key: value}))
 

@@ -47,7 +47,7 @@ ANALYSES = {
 _KNOWN = {
     option.name: option
     for name, kind in ANALYSES.items()
-    if name != "predict"  # Its half width and realizations belong to methods that are not shown
+    if name != "predict"  # Its half width and realizations serve methods that are not shown
     for option in options_of(kind)
 }
 
@@ -104,7 +104,7 @@ class ExplorerSetup:
     smoothing
         Width of the ramps that replace edges; 0 for no ramps.
     realizations
-        Number of realizations at which refinement ends.
+        Number of realizations of the last round of refinement.
     seed
         Seed of all draws.
 
@@ -220,7 +220,7 @@ OPTIONS = {
 class ExplorerState:
     """State of the explorer: set-up A, an optional set-up B, and the theme.
 
-    The default theme is that of the browser.
+    The default theme is the browser's theme.
 
     Examples
     --------
@@ -255,7 +255,7 @@ class ExplorerState:
         if self.b is not None:
             own = self.b.differences() or {
                 "n": str(self.b.n)
-            }  # At least one key shows that B exists
+            }  # At least one key of B shows that B exists
             pairs += [(_PREFIX + key, text) for key, text in own.items()]
         if self.theme != THEMES[0]:
             pairs.append(("theme", self.theme))

@@ -6,7 +6,7 @@ sampler. The options of `mcspectra.core.options.options_of` follow. `mcspectra.c
 result.
 
 Several analyses may share a verb; ``--split`` chooses one. The parser then has the options of this
-analysis, and refuses options of the others by name.
+analysis, and rejects options of the other analyses by name.
 """
 
 from __future__ import annotations
@@ -137,7 +137,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
             option("--sampler SPEC", about, repeated=repeated, required=required),
         ]
     else:
-        # An analysis of point sets uses all given sets, unless their number is an option
+        # An analysis of point sets uses all given sets, unless an option sets their number
         all_sets = any(each.name == "realizations" for each in own)
         declarations = [
             option("SAMPLER", "sampler spec; - reads point sets from standard input"),
@@ -249,7 +249,7 @@ def _subject(
     if options.mirror is not None:
         estimator = Mirrored(estimator, as_choice("--mirror", options.mirror, MIRRORINGS))
 
-    # Combine it with its samplers
+    # Combine the estimator with its samplers
     given = default_sampler if options.sampler is None else options.sampler
     texts = given if isinstance(given, list) else [str(given)]
     samplers = [read_sampler(text, estimator.dims) for text in texts]
@@ -334,9 +334,9 @@ def declared(
     given
         The option of the analysis.
     default_note
-        Text after the default in the help.
+        Text that follows the default in the help.
     flags
-        Flags of the option; by default all of its flags.
+        Flags to declare; by default all flags of the option.
     refuse
         Function that raises an error, for an option that belongs to another split.
     """
@@ -360,7 +360,7 @@ def declared(
     def read(name: str, text: str) -> Any:
         if not listed:
             return given.read(text, name)
-        # Names have no commas and may be listed; other texts are given one by one
+        # Names have no commas and may be separated by commas; other texts are given one by one
         texts = text.split(",") if given.item_choices else [text]
         return given.check(tuple(each.strip() for each in texts), name)
 

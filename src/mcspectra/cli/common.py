@@ -130,7 +130,7 @@ def out(help: str, **further: Any) -> Declaration:
 
 
 def group(make: Callable[[Any], Any], *options: Declaration) -> Declaration:
-    """Declare options in a group that `make` adds to the parser."""
+    """Declare the options of a group; `make` adds the group to the parser."""
 
     def declare(parser: Any) -> None:
         added = make(parser)
@@ -142,7 +142,7 @@ def group(make: Callable[[Any], Any], *options: Declaration) -> Declaration:
 
 @final
 class Verb(NamedTuple):
-    """A verb of the command line: its help text, its options and its function."""
+    """A verb of the command line: help text, options and function."""
 
     text: str
     options: tuple[Declaration, ...]
@@ -161,7 +161,7 @@ def whole(least: int = 1, most: int | None = None) -> Callable[[str, str], int]:
 
 
 def wholes(form: str = "", least: int = 1) -> Callable[[str, str], list[int]]:
-    """Return a parser of whole numbers with commas; `form`, such as W,H, fixes their count."""
+    """Return a parser of whole numbers with commas; `form`, such as W,H, sets the count."""
 
     def read(name: str, text: str) -> list[int]:
         parts = text.split(",")
@@ -228,7 +228,7 @@ def read_sampler(text: str, dims: int | None) -> Sampler:
 
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], words: int = 2) -> str:
-    """Align columns two blanks apart: the first `words` columns left, all others right."""
+    """Align columns with gaps of two blanks: the first `words` columns left, all others right."""
     table = [[printable(cell) for cell in row] for row in (header, *rows)]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines = []

@@ -71,8 +71,8 @@ def design_(options: argparse.Namespace) -> VerbOutput:
     """Search for a sampler or a density with small variance, and measure the gain.
 
     A sampler is searched for a class of integrands. The table compares its mean variance with usual
-    samplers, over other integrands of the class. If a usual sampler has less variance, it is saved
-    instead. Ctrl-C ends the search and keeps the best sampler found.
+    samplers, over other integrands of the class. If a usual sampler has less variance, that sampler
+    is saved instead. Ctrl-C ends the search and keeps the best sampler found.
 
     A density is learned for one integrand and one sampler. The table compares the variances with
     and without it, at points that were not used for learning. If the density does not lower the
@@ -113,7 +113,7 @@ def _sampler(options: argparse.Namespace, path: str | None) -> tuple[str, dict[s
         )
     ]
     rows[0][0] = "this design"
-    # Save the rival if it is better with 95 % confidence and unbiased
+    # Save the rival sampler if it is unbiased and better with 95 % confidence
     spec, saved = sampler.spec, ""
     if low > 1.0:
         rival = mcs.sampler(found.attrs["best_rival"], sampler.dims)
@@ -148,7 +148,7 @@ def _sampler(options: argparse.Namespace, path: str | None) -> tuple[str, dict[s
 
 
 def _density(options: argparse.Namespace, path: str | None) -> tuple[str, dict[str, Any]]:
-    """Learn a density, write it to the file, and measure the variances with and without it."""
+    """Learn a density, write it to the file, and measure the variances with it and without it."""
     n, seed = options.n, options.seed or 0
     sampler = options.sampler or "sobol | owen"
     f = mcs.integrand(options.objective, dims=options.dims)

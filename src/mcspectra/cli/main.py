@@ -113,7 +113,7 @@ _NOW = {
 _FAILED_RUNS = ("CellFailed", "ClusterLost", "StorageError")
 """Errors that are not caused by the input."""
 
-_LONGEST = 1000  # Maximum length in characters of an unexpected error's message
+_LONGEST = 1000  # Maximum length of an unexpected error's message in characters
 _LONGEST_USAGE = 250  # Maximum length in characters of an error of the argument parser
 
 _BEFORE = {"--json": 0, "--quiet": 0, "--debug": 0, "--seed": 1, "--allow-code": 1}
@@ -159,7 +159,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"mcspectra: {said}.", file=sys.stderr)
         tasks = (each.name == "mcspectra-tasks" for each in threading.enumerate())
         if arguments is None and any(tasks):
-            # Running native code would keep the process alive for a minute, or abort it
+            # Native code that still runs would keep the process alive for a minute, or abort it
             sys.stderr.flush()
             os._exit(130)
         return 130
@@ -209,7 +209,7 @@ def _dispatch(given: list[str]) -> int:
     verb: Verb
     if module == "analysis":
         analyses = _ANALYSES.get(name, ())
-        if len(analyses) != 1:  # Other packages may add verbs and splits
+        if len(analyses) != 1:  # Other packages may add verbs and values of --split
             analyses = (*analyses, *_outside_analyses(name))
         if not analyses and name in _NOW:
             raise UnknownName(f"The verb {shown(name)} is now 'mcspectra {_NOW[name]}'.")
@@ -330,7 +330,7 @@ def _outside_analyses(word: str) -> list[str]:
     Raises
     ------
     SpecError
-        If the analysis is left out for a reason of `_outside_verbs`.
+        If `_outside_verbs` leaves out the analysis; the message gives the reason.
     MissingDependency
         If this is the name of an analysis that cannot be loaded.
     """
@@ -349,10 +349,10 @@ def _outside_analyses(word: str) -> list[str]:
 
 
 def _outside_verbs() -> tuple[dict[str, list[str]], dict[str, str]]:
-    """Return verbs of other packages' analyses with their names, and left-out names with reasons.
+    """Return verbs of other packages with their analyses' names, and left-out names with reasons.
 
     An analysis is left out if its verb and split, or its function, belong to another analysis; this
-    package has priority. Analyses that cannot be loaded appear in neither: `mcspectra list
+    package has priority. Analyses that cannot be loaded appear in neither part: `mcspectra list
     analyses` gives the reason.
     """
     if not entry_points(group="mcspectra.analyses"):

@@ -82,7 +82,7 @@ def reproduce_(options: argparse.Namespace) -> VerbOutput:
                 why = f": {finding.note}" if finding.note else ""
                 print(f"  does not agree: {finding.statement}{why}", flush=True)
 
-    # Store the command that makes the same gallery, without the folder
+    # Store the command that makes the same gallery, without the folder's name
     seed = options.seed or 0
     words = ["mcspectra", "reproduce", *options.figures, *(["--quick"] if options.quick else [])]
     made = reproduce(

@@ -62,7 +62,7 @@ def _profile(options: argparse.Namespace) -> VerbOutput:
 
 
 def _of_draws(options: argparse.Namespace, files: list[str]) -> VerbOutput:
-    """Analyze Markov chains: errors of their means, frequencies that cause them, and problems."""
+    """Analyze Markov chains: errors of means, frequencies that cause these errors, and problems."""
     from mcspectra.measure.chains import chain_error
     from mcspectra.report.result_files import check_result_file, write_result_file
 
@@ -102,7 +102,7 @@ def _of_draws(options: argparse.Namespace, files: list[str]) -> VerbOutput:
     plain = result.drop_dims("band") if several else result
     names, said = (np.atleast_1d(result[key].values) for key in ("cause", "evidence"))
     lines = [f"{result.attrs['chains']} × {result.attrs['draws']} draws"]
-    if not np.isnan(result["mcse"]).all():  # Otherwise no chain moves: print sentences only
+    if not np.isnan(result["mcse"]).all():  # If all are NaN, no chain moves: print sentences
         lines.append(table_of_anything(plain).text)
     for k, name in enumerate(names):
         start = f"{result['quantity'].values[k]}: " if several else ""

@@ -77,7 +77,7 @@ def list_(options: argparse.Namespace) -> VerbOutput:
             row = {"name": name, "summary": f"not available: {reason}", "parameters": []}
         rows.append(row)
 
-    # Show each summary, its parameters, and its verb or its dims, counts and sources
+    # Show each entry: summary, parameters, and the verb, or dims, counts and sources
     widest, lines = max(len(row["name"]) for row in rows), []
     for row in rows:
         lines.append(f"{row['name'].ljust(widest)}  {row['summary']}")
@@ -154,7 +154,7 @@ def points_(options: argparse.Namespace) -> VerbOutput:
 
         source: Any = sampler if density is None else points
         count, n, _ = points.shape
-        with one_sentence_warnings(quiet=True):  # Already shown while drawing
+        with one_sentence_warnings(quiet=True):  # These warnings were already shown while drawing
             figures = summarize(quality_figures(source, n, realizations=count, rng=seed))
         rows: list[list[str]] = []
         missing: list[str] = []
@@ -263,7 +263,7 @@ def bench_(options: argparse.Namespace) -> VerbOutput:
     given = given_of(options, "counts", "dims", "realizations")
     bench = mcs.sampler_bench(specs, **given, rng=seed)
 
-    # Measure cards only for pages, at the largest count; the bench already has the rates
+    # Measure samplers only for pages, at the largest count; the bench already has the rates
     cards = []
     if any(is_folder(file) or file.endswith(".html") for file in options.out):
         spectra = min(200, options.realizations or 200)

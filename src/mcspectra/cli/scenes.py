@@ -212,7 +212,7 @@ def render_(options: argparse.Namespace) -> VerbOutput:
 
 
 def _samples(told: Mapping[Any, Any]) -> int:
-    """Return the samples of a pixel in all images; MIS counts both techniques."""
+    """Return the samples of a pixel in all images; for MIS, of both techniques."""
     return int(told["spp"] * told["realizations"] * (2 if told["strategy"] == "mis" else 1))
 
 
@@ -377,7 +377,7 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
 
         check_page_packages("render,report")
 
-    # Pass only the given options, so that the function sets the defaults
+    # Pass only the given options; the function has defaults for the others
     passed = ("light", "channel", "dims", "samplers", "counts", "realizations", "budget")
     asked = {
         "remedies": not options.no_remedies,
@@ -498,7 +498,7 @@ def map_(options: argparse.Namespace) -> VerbOutput:
         for k, (each, part) in enumerate(zip(samplers, parts, strict=True))
     )
     study = StudyConfig(title=f"Map of {options.scene}", seed=options.seed or 0, scenes=entries)
-    trust = process_trust().widened(folders=(Path(Path.cwd().anchor),))  # The user chose the files
+    trust = process_trust().widened(folders=(Path(Path.cwd().anchor),))  # The user named the files
     folder = options.out or "out/map"
     run_study(study, folder, resume=options.resume, workers=options.workers, trust=trust)
     tree = open_results(folder)
@@ -587,5 +587,5 @@ def _show(result: xr.Dataset, address: str) -> None:
                 tev.create_image(title, width, height, channels)
                 tev.update_image(title, values, channel_names=channels)
     except OSError as error:
-        tev.__exit__(None, None, None)  # Closes the socket that could not be connected
+        tev.__exit__(None, None, None)  # Closes the socket whose connection failed
         raise ParameterError(f"No tev answers at {address}: {error.strerror or error}.") from None

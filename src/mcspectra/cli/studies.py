@@ -172,7 +172,7 @@ def run_(options: argparse.Namespace) -> VerbOutput:
         rows = summarize(open_results(target))
     page = write_report(target) if reported else None
     data = {"report": page, "rows": [msgspec.to_builtins(row) for row in rows]}
-    # Show the first columns of the report's first table: rates, variances, predictions
+    # Show the first columns of the report's first table: rates, variances and predictions
     summary = summary_table(rows)
     shown = page_table(columns_of(summary, summary.columns[:5]))
     if "unresolved" in shown:

@@ -28,7 +28,7 @@ __all__ = ["VIEWS", "View", "data_of", "remedies_table", "table_of_anything"]
 _WIDTH = 100
 _CERTAIN = 2e-6  # Relative width below which an interval is not printed
 _ROUNDING = 1e-14  # Share of the variance below which a sum of canceling terms is rounding error
-_MANY = 10_000  # Size of a variable above which --json leaves it out
+_MANY = 10_000  # Maximum number of values of a variable in --json; larger variables are left out
 
 
 View = Callable[["xr.Dataset"], VerbOutput]
@@ -54,7 +54,7 @@ def _shown(*parts: str, **data: Any) -> VerbOutput:
 
 
 def _columns(result: xr.Dataset, *names: str) -> Iterator[tuple[Any, ...]]:
-    """Iterate over the values of variables of one shape, place by place."""
+    """Iterate over the entries of variables of equal shape: yield the values of each entry."""
     return zip(*(result[name].values.ravel() for name in names), strict=True)
 
 
@@ -94,7 +94,7 @@ def table_of_anything(result: xr.Dataset) -> VerbOutput:
 
 
 def _title(result: xr.Dataset) -> str:
-    """Return the estimator with the sampler, and n."""
+    """Return a text with the specs of the estimator and the sampler, and n."""
     known = result.attrs
     names = [str(known[key]) for key in ("estimator", "sampler") if key in known]
     counts = f",  n = {known['n']}" if "n" in known else ""
@@ -117,7 +117,7 @@ def _cell(value: Any) -> str:
 
 
 def _value(result: xr.Dataset, name: str, place: tuple[int, ...]) -> str:
-    """Format a number; an unresolved rate as this word."""
+    """Format a number; an unresolved rate becomes ``unresolved``."""
     if name.endswith("rate") and f"{name}_ci" in result:
         low, high = result[f"{name}_ci"].values[place]
         if high - low > 0 and not is_resolved(low, high):

@@ -2,8 +2,8 @@
 
 A decimal number w/10^k with at most 19 digits and k ≤ 22 is divided in twice the precision of a
 float64: w and 10^k are exact, and so is the remainder of the first quotient. The sum of both
-quotients is correctly rounded unless it lies within about 2^-40 of the midpoint of two float64. The
-caller reads these rare numbers and all other numbers.
+quotients is correctly rounded unless it lies within about 2^-40 of the midpoint of two neighboring
+float64 numbers. The caller reads these rare numbers and all numbers of other forms.
 """
 
 from __future__ import annotations
@@ -55,25 +55,25 @@ def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[i
     text
         uint8, whole lines.
     values
-        float64, the numbers in order.
+        float64, the numbers in the order of the text.
     runs
-        int64 (K, 4), runs of lines without a comment: number of the first line with numbers, from
-        0; index of its first value and after its last value; numbers per line. A comment before the
-        run fills a row with widths of 0.
+        int64 (K, 4), one row for each run of lines without a comment: number of its first line with
+        numbers, from 0; index of its first value; index after its last value; numbers per line.
+        A comment before the run fills a row with widths of 0.
     hard
-        int64 (N, 3): index of a value that the caller has to read, its first byte, and the byte
-        after it.
+        int64 (N, 3), one row for each value that the caller has to read: index of the value, its
+        first byte, and the byte after it.
 
     Returns
     -------
     lines, values, runs, hard
-        Numbers of entries; lines is −1 if the text is not made of numbers in equal lines, comments
-        and printable ASCII.
+        Numbers of entries of the outputs. lines is −1 if the text is not made of lines with equally
+        many numbers, comments and printable ASCII.
     """
     bad = (-1, 0, 0, 0)
     line = count = used = left = 0
-    width = 0  # numbers per line of the open run; 0 without an open run
-    on_line = 0  # numbers on this line
+    width = 0  # numbers per line of the current run; 0 if there is no run
+    on_line = 0  # count of numbers read from this line
     i, size = 0, text.size
     while i < size:
         byte = text[i]

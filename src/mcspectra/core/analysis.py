@@ -6,13 +6,15 @@ command line, the explorer, the registered variables of results and the docs der
 `ANALYSES` finds analyses by name, also those of other packages (entry points
 ``mcspectra.analyses``).
 
-All analyses are computed in one way. A `Reduction` cuts realizations into atomic blocks. Their
-number and limits depend only on the size of the problem. Each block gives a state, and states merge
-in a fixed binary tree over the blocks (`MergeTree`). The result is therefore the same bits whether
-one thread computes all blocks or many machines compute *chunks* of them. A chunk is an aligned run
-of 2^k blocks, which is a node of that tree. An analysis whose later draws depend on earlier
-results, for example because it stops at a precision, is a generator. It yields lists of reductions,
-is sent their merged states, and returns its dataset.
+All analyses are computed in one way. A `Reduction` cuts realizations into atomic blocks. The
+number and limits of the blocks depend only on the size of the problem. Each block gives a state.
+States merge in a fixed binary tree over the blocks (`MergeTree`). The bits of the result are
+therefore the same whether one thread computes all blocks or many machines compute *chunks* of
+blocks. A chunk is an aligned run of 2^k blocks, which is a node of that tree.
+
+An analysis is a generator if its later draws depend on earlier results, for example because it
+stops at a precision. The generator yields lists of reductions, is sent the merged states, and
+returns the dataset of the analysis.
 """
 
 from __future__ import annotations
@@ -88,7 +90,7 @@ _TAKEN = frozenset(
         "workers",
     }
 )
-_TAKEN_BY_SUBJECTS = frozenset(  # names that options of scene analyses may still use
+_TAKEN_BY_SUBJECTS = frozenset(  # option names that are reserved, except for analyses of scenes
     {"density", "dims", "estimator", "heuristic", "integrand", "mirror", "plus", "shares"}
 )
 
@@ -115,8 +117,8 @@ class Subject:
     sampler
         The sampler; a list if the analysis takes `several`.
     density
-        Importance density of the points, for analyses of point sets; by default the estimator's,
-        if it has a single one.
+        Importance density of the points, for analyses of point sets. The default is the
+        estimator's density, if it has a single one.
     """
 
     estimator: Any
@@ -137,16 +139,16 @@ class Subject:
 @final
 @dataclass(frozen=True, kw_only=True, slots=True)
 class Need:
-    """Resources that an analysis needs.
+    """Resources that an analysis needs: work, memory and evaluations.
 
     Attributes
     ----------
     cost
         Work in arbitrary units, about proportional to time, such as evaluations of the integrand.
     memory
-        Most bytes of memory in addition to the program itself.
+        Maximum number of bytes of memory, without the program itself.
     evaluations
-        Least number of evaluations of the integrand.
+        Minimum number of evaluations of the integrand.
     """
 
     cost: float = 1.0
@@ -162,24 +164,26 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     Attributes
     ----------
     function
-        Name of its public function in `mcspectra`, dotted if the function is in a package; empty
-        without a public function.
+        Name of the analysis's public function in `mcspectra`, dotted if the function is in a
+        package; empty without a public function.
     verb
-        Its command on the command line; empty without a command.
+        Command of the analysis on the command line; empty without a command.
     split
-        Value of ``--split`` that chooses it, if several analyses share the command.
+        Value of ``--split`` that chooses this analysis, if several analyses share the command.
     about
-        Its subject: an estimator with a sampler, a sampler with an optional density, or a scene.
+        Subject of the analysis: an estimator with a sampler, a sampler with an optional density,
+        or a scene.
     several
-        Subjects that may be lists: ``"estimator"``, ``"sampler"``, or both.
+        Parts of the subject that may be lists: ``"estimator"``, ``"sampler"``, or both.
     variables
-        Names of its variables in `mcspectra.core.results.VARIABLES`, and its own `Variable`s.
+        Names of the result's variables in `mcspectra.core.results.VARIABLES`, and additional
+        `Variable`s.
     provenance
-        Attributes of its result: ``estimator`` and ``sampler`` hold their spec strings,
-        ``stream_key`` the key of the stream, and option names the values of the options.
+        Attributes of the result: ``estimator`` and ``sampler`` hold their spec strings,
+        ``stream_key`` holds the key of the stream, and option names hold the values of the options.
     companions
-        Analyses that a study computes together with it from the same table, such as points of a
-        spectrum.
+        Analyses that a study computes together with this one from the same table, such as points
+        of a spectrum.
     """
 
     function: ClassVar[str] = ""
@@ -195,7 +199,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         """Return the cost and memory of the analysis of a subject, and reject impossible requests.
 
         The options were already checked (`mcspectra.core.options.checked`). This method checks them
-        against the subject, for example counts that the sampler cannot make or too many dims.
+        against the subject, such as point counts that the sampler cannot make, or too many dims.
 
         Raises
         ------
@@ -261,14 +265,14 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 class Counted(Analysis, frozen=True, kw_only=True):
     """An analysis that evaluates an integrand and counts the evaluations of a user's function.
 
-    The attribute ``evaluations`` of the result is their number if the integrand is a Python
-    function.
+    If the integrand is a Python function, the attribute ``evaluations`` of the result is the number
+    of evaluations.
     """
 
     max_evaluations: Evaluations = None
 
     def limit(self, subject: Subject) -> int | None:  # noqa: ARG002
-        """Return the most evaluations of a subject's functions; by default `max_evaluations`."""
+        """Return the maximum number of evaluations of a function; by default `max_evaluations`."""
         return self.max_evaluations
 
 
@@ -330,7 +334,7 @@ class Reduction(Generic[State]):
     ----------
     kind
         Type of the states: a record (`mcspectra.core.records`), a list of records, an array, a dict
-        a dict of arrays, or a dataset.
+        of arrays, or a dataset.
     block
         Function that returns the state of the atomic block with a given number.
     blocks
@@ -338,7 +342,7 @@ class Reduction(Generic[State]):
     cost
         Work of all blocks, in the units of `Need.cost`.
     key
-        A name that is unique within the analysis; stored states are found by it.
+        Name that is unique within the analysis; it identifies stored states.
     result
         Function that makes the dataset from the state of all blocks; None if a generator makes it.
     """
@@ -365,7 +369,7 @@ def whole(function: Callable[[], xr.Dataset], cost: float = 1.0) -> Reduction[xr
 
 
 def needed(analysis: Analysis, subject: Subject) -> Need:
-    """Return the resources that an analysis needs.
+    """Return the resources that an analysis of a subject needs.
 
     Raises
     ------
@@ -417,7 +421,7 @@ def _said(analysis: Analysis) -> str | Function:
 
 
 def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
-    """Return the steps of an analysis; a single reduction is one step.
+    """Return the steps of an analysis; a single reduction becomes one step.
 
     Raises
     ------
@@ -479,7 +483,7 @@ def _single(reduction: Reduction[State], name: str) -> Steps:
 
 
 def finished(analysis: Analysis, result: xr.Dataset, rng: RngLike = None) -> xr.Dataset:
-    """Check a result against the variables that its analysis declares; return it with its seed.
+    """Check a result against the variables that its analysis declares; return it with the seed.
 
     If `rng` is an integer, the attribute ``seed`` records it, so that the result can be reproduced.
     Integers of at least 2^63 are recorded as text.
@@ -523,7 +527,7 @@ def compute(
         check_memory(needed(clean, subject).memory, _said(clean))
 
         def states_of(step: list[Reduction[Any]]) -> Iterator[Any]:
-            # Merge the states of all blocks; report the fraction of the step's cost that is done
+            # Merge the states of all blocks; report the finished fraction of the step's cost
             total, before = max(sum(each.cost for each in step), 1e-300), 0.0
             for each in step:
                 tree: MergeTree[Any] = MergeTree()
@@ -543,7 +547,7 @@ def compute(
 
 
 def driven(steps: Steps, states_of: Callable[[list[Reduction[Any]]], Iterable[Any]]) -> xr.Dataset:
-    """Return the result of steps; `states_of` gives the merged states of a step's reductions."""
+    """Return an analysis's result; `states_of` gives the merged states of a step's reductions."""
     states: list[Any] | None = None
     try:
         while True:
@@ -563,7 +567,7 @@ def compute_chunk(reduction: Reduction[State], chunk: Chunk) -> State:
 
 
 class MergeTree(Generic[State]):
-    """Merges states of blocks like a binary counter: neighbors of equal size merge first.
+    """Merges states of blocks like a binary counter: neighboring nodes of equal size merge first.
 
     At the end, the remaining nodes merge from the right. The tree depends only on the number of
     blocks, not on the chunks or their order. If chunks come in order, it holds only log₂(blocks)
@@ -572,7 +576,7 @@ class MergeTree(Generic[State]):
     Attributes
     ----------
     nodes
-        Number of blocks and state of each merged node, by its first block.
+        Number of blocks and state of each merged node, by the number of its first block.
     """
 
     def __init__(self) -> None:
@@ -613,7 +617,7 @@ def chunks(blocks: int, size: int) -> Iterator[Chunk]:
 def in_step(
     parts: Sequence[Generator[Reduction[Any], State, Result]],
 ) -> Generator[list[Reduction[Any]], list[State], list[Result]]:
-    """Drive several generators together; each step has the next reduction of each generator.
+    """Drive several generators together; each step computes the next reduction of each generator.
 
     Returns the results of the generators in their order.
     """

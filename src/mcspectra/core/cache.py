@@ -54,7 +54,7 @@ def cached_array(key: str, make: Callable[[], Array]) -> Array:
     key
         Everything the array depends on, including the version of the method.
     make
-        Function that computes the array if there is no valid entry.
+        Function that computes the array if the cache has no valid entry.
 
     Raises
     ------
@@ -64,7 +64,8 @@ def cached_array(key: str, make: Callable[[], Array]) -> Array:
     Warns
     -----
     CacheWarning
-        If an entry is damaged (it is computed again), or the folder cannot be written (once).
+        If an entry is damaged (its array is computed again), or once if the folder cannot be
+        written.
     """
     if not (isinstance(key, str) and callable(make)):  # type: ignore[redundant-expr]
         raise ParameterError(
@@ -89,7 +90,7 @@ def cached_array(key: str, make: Callable[[], Array]) -> Array:
     if time.perf_counter() - start <= _WORTH_KEEPING:
         return made
 
-    # Store a slow result atomically: other processes read a whole entry or nothing
+    # Store a slow result atomically: other processes read either a whole entry or nothing
     packed = pack({key: np.asarray(made, np.float64)})
     part = file.with_suffix(f".{os.getpid()}-{time.monotonic_ns()}.part")
     try:
@@ -106,7 +107,7 @@ def cached_array(key: str, make: Callable[[], Array]) -> Array:
 
 @lru_cache
 def _drop_oldest(folder: Path) -> None:
-    """Delete the oldest entries above the limit; runs once per process, at its first new entry."""
+    """Delete the oldest entries above the limit; runs once per process, at the first new entry."""
     total = 0
     for _, size, entry in sorted(_entries(folder), reverse=True):
         total += size

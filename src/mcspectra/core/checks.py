@@ -45,7 +45,7 @@ MAX_DIMS = 1024
 _LONGEST_NAME, _LONGEST_PATH = 255, 4096
 
 MAX_FREQUENCY = 2.0**40
-"""Largest frequency: there, phases m·x of 53-bit points keep 13 bits."""
+"""Largest frequency m: phases m·x of 53-bit points keep 13 bits at this frequency."""
 
 
 def is_path(value: object) -> bool:
@@ -109,7 +109,7 @@ def as_real(
 ) -> float:
     """Return `value` as a finite float within the given limits.
 
-    It must be greater than `above`, at least `least`, at most `most` and less than `below`.
+    The value must be greater than `above`, at least `least`, at most `most` and less than `below`.
     """
     rules = [f"greater than {above:g}"] if above is not None else []
     rules += [f"at least {least:g}"] if least is not None else []

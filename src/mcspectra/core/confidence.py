@@ -32,9 +32,9 @@ def student_t(count: int) -> float:
 def log_mean_interval(mean: Array, se: Array, count: int) -> Array:
     """95 % interval of a mean of nonnegative values, shape (..., 2), on a logarithmic scale.
 
-    Student's t is applied to the logarithm of the mean. For 4 realizations of |S|² of a Gaussian S,
-    which is exponentially distributed, it covers 93 %. There mean ± t·se covers 88 %, and the
-    normal quantile 78 %.
+    Student's t is applied to the logarithm of the mean. Example: 4 realizations of |S|² of a
+    Gaussian S, which is exponentially distributed. The interval covers 93 %, the interval
+    mean ± t·se covers 88 %, and the interval with the normal quantile covers 78 %.
     """
     relative = np.divide(se, mean, out=np.array(se), where=mean > 0)
     factor = np.exp(student_t(count) * relative)

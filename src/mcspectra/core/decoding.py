@@ -26,9 +26,9 @@ __all__ = ["check_decoded_size", "known_path", "opened", "path_to_write", "read_
 
 _MOST_BYTES = 2**31
 _MOST_RATIO = 64  # largest number of bytes of memory for each byte of a file
-# bytes that are allowed for any file: an uncompressed image of 3840 x 2160 pixels
+# Bytes of memory that any file may take: an uncompressed image of 3840 x 2160 pixels
 _ALWAYS_READ = 2**28
-_NPY_HEADER = 2**14  # bytes; NumPy itself rejects headers of more than 10,000 characters
+_NPY_HEADER = 2**14  # largest header of a .npy file in bytes; NumPy itself allows 10,000 characters
 
 
 def known_path(path: object, what: str, extensions: Sequence[str] = ()) -> Path:
@@ -95,7 +95,7 @@ def opened(
         raise FileFormatError(f"There is no file {file}; give the path of {what}.") from None
     except Exception as error:  # noqa: BLE001 - parsers raise any error for a broken file
         said = f"it is truncated, damaged or of another format ({reason_of(error, 200)})"
-        # the message of the operating system, if there is one
+        # message of the operating system, if it gives one
         reason = getattr(error, "strerror", None) or said
         raise FileFormatError(f"{file} cannot be read as {what}: {reason}.") from None
 
@@ -119,7 +119,7 @@ def check_decoded_size(name: object, size: int, decoded: float) -> None:
 def read_npy(stream: IO[bytes], size: int, name: str, held: int | None = None) -> Array:
     """Return the array of a .npy stream of a file of `size` bytes.
 
-    `held` is the number of bytes in the stream, if it is not the whole file.
+    `held` is the number of bytes in the stream, if the stream is only a part of the file.
 
     Raises
     ------
@@ -138,7 +138,7 @@ def read_npy(stream: IO[bytes], size: int, name: str, held: int | None = None) -
             f"{name} announces an array of shape {shape}, {count * dtype.itemsize} bytes, but has "
             f"{held}."
         )
-    # The array, a float64 copy if the type differs, and two masks
+    # Peak memory: the array, a float64 copy if its type differs, and two masks
     check_decoded_size(name, size, count * (dtype.itemsize + 8 * (dtype != np.float64) + 2))
     stream.seek(0)
     return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
@@ -166,7 +166,7 @@ def read_npz(
                 f"array to {array!r}."
             )
         member = archive.getinfo(f"{array}.npy")
-        # other methods decompress without a size limit
+        # other compression methods have no size limit
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise FileFormatError(f"{name} is not compressed as NumPy does; use savez_compressed.")
         with archive.open(member) as content:

@@ -6,9 +6,9 @@ a browser or a spreadsheet would run. The package applies `printable` to errors 
 they are created, to tables and answers when they are printed, and to pages and figures when they
 are drawn.
 
-Drawing needs the modules of `mcspectra.report`, a higher layer. They are named as text here and
-imported when something is displayed for the first time, as a registry does with its classes. So no
-module imports from a higher layer, and nothing is loaded before it is displayed.
+Drawing needs the modules of `mcspectra.report`, a higher layer. Here they are named as text and
+imported when something is displayed for the first time, as a registry does with its classes.
+Therefore no module imports from a higher layer, and nothing is loaded before it is displayed.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _BEGINS_FORMULA = ("=", "+", "-", "@", "\t", "\r", "＝", "＋", "－", "＠")
 _CUT = " … "
 
 QUOTED = 80
-"""Most characters of a quoted text in a message."""
+"""Maximum number of characters of a quoted text in a message."""
 
 _PICTURES = "mcspectra.report.reprs"
 _RESULTS = "mcspectra.report.accessor"
@@ -130,8 +130,8 @@ def escape_html(text: object) -> str:
 def csv_cell(value: object) -> object:
     """Return a spreadsheet cell; text that would run as a formula is prefixed with ``'``.
 
-    Such a text begins with ``=``, ``+``, ``-``, ``@`` or a tab and is not a number. Numbers and
-    None are returned unchanged; text is `printable`.
+    Text that would run begins with ``=``, ``+``, ``-``, ``@`` or a tab and is not a number.
+    Numbers and None are returned unchanged; text is `printable`.
     """
     if not isinstance(value, str):
         return value

@@ -2,9 +2,9 @@
 
 Conventions
 -----------
-x_0 is the azimuth φ = 2π x_0 and x_1 the polar angle θ = π x_1, from +z in the first row to −z in
-the last: ω = (sin θ cos φ, sin θ sin φ, cos θ). A solid angle is dω = sin θ dθ dφ = 2π² sin(π x_1)
-dx.
+x_0 is the azimuth φ = 2π x_0. x_1 is the polar angle θ = π x_1, from +z in the first row to −z in
+the last row: ω = (sin θ cos φ, sin θ sin φ, cos θ). A solid angle is
+dω = sin θ dθ dφ = 2π² sin(π x_1) dx.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def synthetic_sky(height: int = 32, width: int = 64) -> Array:
     Returns
     -------
     ndarray
-        Linear radiance (height, width, 3), positive everywhere, evaluated at pixel centers. It is
-        for tests and examples, not a physical sky model.
+        Linear radiance (height, width, 3), positive everywhere, evaluated at pixel centers. The sky
+        is meant for tests and examples; it is not a physical model.
     """
     rows = as_integer("height", height, least=1, most=2**14)
     columns = as_integer("width", width, least=1, most=2**14)
@@ -72,7 +72,7 @@ def directions(x: Array) -> Array:
 def row_solid_angles(height: int) -> Array:
     """Return the fraction of the sphere that each of `height` rows covers, (height,), sum 1.
 
-    ½ (cos θ_j − cos θ_{j+1}) = sin θ sin(π/2h) at the row's center θ: exact, and without
+    ½ (cos θ_j − cos θ_{j+1}) = sin θ sin(π/2h) at the row's center θ: exact, without
     cancellation.
     """
     height = as_integer("height", height, least=1)

@@ -89,7 +89,7 @@ class Parameter:
 @final
 @dataclass(frozen=True, slots=True)
 class Function:
-    """A public function in a message, by its name in `mcspectra`."""
+    """A public function of `mcspectra` in a message; `name` is its name there."""
 
     name: str
 
@@ -133,7 +133,7 @@ class DomainError(ParameterError):
 
 
 class CountError(ParameterError):
-    """A sampler cannot make this number of points; `nearest` holds the nearest allowed counts."""
+    """A sampler cannot make this number of points; `nearest` holds the nearest possible counts."""
 
     def __init__(self, message: Part, nearest: tuple[int, ...] = ()) -> None:
         super().__init__(message)
@@ -189,7 +189,7 @@ class MissingDependency(McspectraError, ImportError):
 
 
 MEASURE_IT: tuple[Part, ...] = (Function("convergence"), " or ", Function("variance_terms"))
-"""Functions that measure a variance without a closed form, as parts of a sentence."""
+"""Parts of a sentence: the functions that measure a variance that has no closed form."""
 
 
 class CorrelatedFrequenciesWarning(UserWarning):
@@ -221,7 +221,7 @@ class InfiniteVarianceWarning(UserWarning):
 
 
 class PreasymptoticWarning(UserWarning):
-    """A fitted exponent still changes over the range of the fit: it is not yet the limit."""
+    """A fitted exponent still changes over the range of the fit and has not reached its limit."""
 
 
 class UndefinedRatioWarning(UserWarning):
@@ -251,9 +251,9 @@ class NoGainWarning(UserWarning):
 def close_match_hint(
     given: str, allowed: Iterable[str], command: str = ""
 ) -> tuple[str, tuple[str, ...]]:
-    """Return `` Did you mean 'x'?`` (or all names if there are few), and the close matches.
+    """Return `` Did you mean 'x'?`` (or all names if they are few), and the close names.
 
-    `command` prints all names; messages mention it if there are many.
+    `command` prints all names; messages mention this command if there are many names.
     """
     names = sorted(allowed)
     close = tuple(difflib.get_close_matches(given, names, n=3, cutoff=0.5))
@@ -266,7 +266,7 @@ def close_match_hint(
 
 
 def point_in_words(point: Iterable[float]) -> str:
-    """Return ``(0.1, 0.25)``; a long point is cut to its first coordinates and their number."""
+    """Return ``(0.1, 0.25)``; of a long point, the first coordinates and the total number."""
     coordinates = [f"{float(c):.6g}" for c in point]
     more = len(coordinates) - _COORDINATES
     shown = ", ".join(coordinates[:_COORDINATES])
@@ -290,7 +290,7 @@ def reason_of(error: BaseException, most: int = 1000) -> str:
 def writing(
     path: str | PathLike[str], kind: type[McspectraError] = FileFormatError
 ) -> Iterator[None]:
-    """Convert an OSError while a file is written to an error of this class with one sentence.
+    """Convert an OSError that writing a file raises to an error of this class with one sentence.
 
     If the disk is full or fails, the error is a StorageError, because the user's input is not the
     cause.

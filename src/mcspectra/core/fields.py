@@ -1,7 +1,7 @@
 """Fields of frozen dataclasses that check and convert their values.
 
 A class declares ``strength: int = whole(1, least=1, most=2)``. `check_fields`, called once when an
-instance is created, replaces the given value by the checked one. `mcspectra.core.spec.Component`
+instance is created, replaces the given value by the checked value. `mcspectra.core.spec.Component`
 does this for samplers, densities, integrands and the like. None stays None if it is the default.
 """
 
@@ -38,12 +38,12 @@ def whole(
 
 
 def real(default: float | Any | None = dataclasses.MISSING, **limits: float) -> Any:
-    """Declare a field for finite floats within the limits of `core.checks.as_real`."""
+    """Declare a field of finite floats within the limits of `core.checks.as_real`."""
     return checked(lambda name, given: as_real(name, given, **limits), default)
 
 
 def choice(*allowed: str, default: str | None = None) -> Any:
-    """Declare a field for one of several words; the first is the default."""
+    """Declare a field that holds one of several words; the first word is the default."""
     return checked(lambda name, given: as_choice(name, given, allowed), default or allowed[0])
 
 

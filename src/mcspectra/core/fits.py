@@ -7,20 +7,20 @@ by √χ². If the lack of fit is significant (`LACK_OF_FIT`), the standard erro
 scatter. The scatter is then estimated from the counts: the factor is √χ² times Student's t with the
 degrees of freedom of the fit (one for three counts).
 
-Curves bend at small n because of lower-order terms. A *window* is a number of the largest counts.
-``"auto"`` takes the largest window of at least three counts without significant lack of fit
-(`LACK_OF_FIT`) or curvature (`CURVATURE`). The test of curvature has one degree of freedom, so it
-detects bends that χ² spreads over all degrees. An accepted window may still be bent by as much as
-the noise hides. Its interval therefore uses the scatter even for χ² below 1, if that is wider.
-``"auto"`` is not the default because it loses precision for a straight line.
+Curves bend at small n because of lower-order terms. A *window* is the number of largest counts that
+a fit uses. ``"auto"`` takes the largest window of at least three counts without significant lack of
+fit (`LACK_OF_FIT`) or curvature (`CURVATURE`). The test of curvature has one degree of freedom, so
+it detects bends that χ² spreads over all degrees. An accepted window may still be bent by an amount
+that the noise hides. Its interval therefore uses the scatter even for χ² below 1, if the scatter
+makes it wider. ``"auto"`` is not the default because it loses precision for a straight line.
 
 In simulations with relative errors of 6 % (500 realizations) and counts 4, 16, … 1024, the
-intervals of ``"auto"`` hold the asymptotic rate in 98 % of the cases for a straight line. They hold
-it in 97 % for a disk of radius 0.27 off the center with jittered points. They hold it in 86 % for a
-Gaussian with jittered and shifted points, whose exact slope is −1.42 … −1.50 over these counts: no
-test can detect that bend. A curve that bends up to its last count is not extrapolated, such as that
-of a disk centered on the strata (−1.39 between the last two counts). Exact variances at the same
-counts are better evidence.
+intervals of ``"auto"`` hold the asymptotic rate in 98 % of the cases for a straight line. For a
+disk of radius 0.27 off the center with jittered points, they hold it in 97 % of the cases. For a
+Gaussian with jittered and shifted points, they hold it in 86 %: the exact slope is −1.42 … −1.50
+over these counts, and no test can detect that bend. A curve that bends up to its last count, such
+as the curve of a disk centered on the strata (−1.39 between the last two counts), is not
+extrapolated. Exact variances at the same counts are better evidence.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ class LineFit:
     slope
         Slope of the line.
     centre, level
-        Weighted means of x and y. The line passes through them, and their errors are independent of
+        Weighted means of x and y. The line passes through this point. Its errors are independent of
         the error of the slope.
     spread
         Σ w (x − center)²: the inverse variance of the slope if the weights are inverse variances.
@@ -93,7 +93,7 @@ class LineFit:
     chi2: float
 
     def at(self, x: Array | float, slope: float | None = None) -> Array:
-        """Return values of the line at x; `slope` replaces its slope about the same center."""
+        """Return values of the line at x; `slope` replaces the fitted slope about the center."""
         return np.asarray(self.level + (self.slope if slope is None else slope) * (x - self.centre))
 
 
@@ -123,8 +123,8 @@ class LineFits:
     """Many lines log V = level + rate · (log n − center), fitted by `line_fits`: arrays (S, …).
 
     The center is the weighted mean of log n, where the errors of level and rate are independent. A
-    rate is NaN if fewer than two values were fitted, or if `known` is false for the line. chi2 is
-    the lack of fit per degree of freedom, NaN for two values.
+    rate is NaN if it was fitted to fewer than two values, or if `known` is false for the line. The
+    field chi2 is the lack of fit per degree of freedom, NaN for two values.
     """
 
     rate: Array
@@ -183,7 +183,7 @@ def line_fits(x: Array, y: Array, weight: Array, known: Array) -> LineFits:
 
 
 def _over_values(values: Array) -> Array:
-    """Sum over the second axis one by one: the order is the same for any number of lines."""
+    """Sum over the second axis term by term, in the same order for any number of lines."""
     return np.asarray(functools.reduce(np.add, np.moveaxis(values, 1, 0)))
 
 
@@ -214,7 +214,7 @@ def is_resolved(low: float, high: float) -> bool:
 
 
 def check_window(fit_last: int | str | None, counts: int) -> None:
-    """Raise ParameterError if a window has more counts than there are."""
+    """Raise ParameterError if a window has more counts than the data."""
     if isinstance(fit_last, int) and fit_last > counts:
         raise ParameterError(
             Parameter("fit_last"), f" is {fit_last}; give at most {counts}, the number of counts."
@@ -232,7 +232,7 @@ def fit_rate(
         Counts, variances and their relative standard errors. Variances below `floor` are rounding
         noise and are ignored. All have shape (N,).
     window
-        Number of the last counts to fit; None fits all. ``"auto"`` takes the largest window of
+        Number of largest counts to fit; None fits all. ``"auto"`` takes the largest window of
         three or more counts without significant χ² (`LACK_OF_FIT`) or curvature (`CURVATURE`), or
         the last three counts without such a window.
     """
@@ -274,7 +274,7 @@ def fit_rates(
 
 
 def _line(x: Array, y: Array, se: Array, *, chosen: bool = False) -> RateFit:
-    """Weighted least squares of y against x; a window `chosen` by its data uses the scatter."""
+    """Weighted least squares of y against x; a window `chosen` from the data uses the scatter."""
     if len(x) < 2:
         return RateFit()
     fit = line_fit(x, y, se**-2.0)
@@ -291,7 +291,7 @@ def widening(degrees: int, chi2: float) -> float:
 
 
 def _quantile(degrees: int, chi2: float, *, chosen: bool) -> float:
-    """Half-interval of the slope, in units of its standard error from the errors alone."""
+    """Half-interval of the slope, in units of the standard error that the errors alone give."""
     if not degrees:
         return CONFIDENCE_Z
     from scipy.special import chdtrc, stdtrit

@@ -10,9 +10,9 @@ from mcspectra.core.errors import ParameterError
 __all__ = ["as_vector", "check_light", "norm", "triangle_angle"]
 
 _LARGEST = 1e9
-# sine of the angle between edges, and edge over distance, below which a light has no area
+# Limit below which a light has no area: sine of the angle between edges, edge over distance
 _FLAT = 1e-9
-# smallest height above the plane of a light, relative to the largest distance to it
+# Smallest height of a point above the plane of a light, relative to the largest distance to it
 _GRAZING = 1e-6
 
 
@@ -50,11 +50,11 @@ def check_light(what: str, corner: Array, edge0: Array, edge1: Array) -> float:
     Parameters
     ----------
     what
-        Name of the light in messages.
+        Name of the light for error messages.
     corner
         One corner, relative to the lit point.
     edge0, edge1
-        Edges from this corner.
+        The two edges from this corner.
 
     Raises
     ------

@@ -3,12 +3,12 @@
 Conventions
 -----------
 Pixel (row i, column j) of an image of h rows and w columns covers the points x with
-``j/w <= x[..., 0] < (j+1)/w`` and ``i/h <= x[..., 1] < (i+1)/h``: x[..., 0] runs to the right along
-the width, x[..., 1] runs *down* from the top row, like film coordinates.
+``j/w <= x[..., 0] < (j+1)/w`` and ``i/h <= x[..., 1] < (i+1)/h``. The coordinate x[..., 0] runs to
+the right; x[..., 1] runs *down* from the top row, as film coordinates do.
 
 Radiometry needs linear values. PNG and JPEG files hold values encoded by the sRGB transfer function
-(IEC 61966-2-1). `read_image` undoes it unless ``linear=True``, for files that hold other data. EXR
-and NumPy files are linear already and are never changed.
+(IEC 61966-2-1). `read_image` decodes them; ``linear=True`` keeps the values of files with other
+data. EXR and NumPy files are linear already and are never changed.
 """
 
 from __future__ import annotations
@@ -83,16 +83,16 @@ def read_image(
 
         * PNG, JPEG: gray gives 1 channel, color 3. Alpha is dropped, not multiplied in. Values run
           from 0 to 1. Pillow reads 16-bit color PNG with 8 bits (gray keeps its 16).
-        * EXR: the R, G, B of the first layer that has them (the unnamed layer first), else the
-          first Y, in the data window.
+        * EXR: the R, G, B of the first layer that has these channels (the unnamed layer first),
+          otherwise the first Y; pixels of the data window.
         * PFM: 1 or 3 channels, unchanged.
         * ``.npy``, ``.npz``: shape (height, width) or (height, width, channels), values unchanged.
-          In ``.npz`` the array called ``image``, or the only one.
+          From ``.npz``, the array called ``image`` or the only array.
     linear
         Whether to use the values of PNG and JPEG unchanged, without undoing the sRGB transfer
         function.
     layer
-        Layer of an EXR file to read: its R, G, B, its Y, or its only channel.
+        Layer of an EXR file to read: its R, G, B, or its Y, or its only channel.
     finite
         Whether to reject pixels that are NaN or infinite.
 
@@ -197,7 +197,7 @@ def _read_pillow(stream: IO[bytes], size: int, name: str, linear: bool) -> Array
     """Return values in [0,1] of PNG and JPEG, (height, width, 1 or 3)."""
     image = _pillow_head(stream)
     mode, (width, height) = image.mode, image.size
-    # Memory: Pillow's picture, a converted copy, a channel and its bytes, the float64 channels
+    # Peak memory: Pillow's picture, a converted copy, a channel and its bytes, the float64 channels
     channels = 3 if mode == "P" else len(image.getbands())
     check_decoded_size(name, size, width * height * (8 + 8 * channels))
     if mode not in ("L", "LA", "RGB", "RGBA") and not mode.startswith("I"):
@@ -272,8 +272,8 @@ def exr_layer(path: str | PathLike[str]) -> str:
 def _exr_file(name: str, *, header_only: bool) -> Any:
     """Open an EXR file and suppress the lines that OpenEXR prints for a broken one.
 
-    OpenEXR prints them to standard output, where results go, partly through Python, and with the
-    raw name of the file. Lines that other threads print during this time are printed afterwards.
+    OpenEXR prints these lines, partly through Python, to standard output, where results go. They
+    hold the raw name of the file. Lines of other threads during this time are printed afterwards.
     """
     OpenEXR = load_openexr()
 
@@ -286,7 +286,7 @@ def _exr_file(name: str, *, header_only: bool) -> Any:
         for descriptor in (1, 2):
             try:
                 saved = os.dup(descriptor)
-            except OSError:  # standard output is closed: nothing is printed
+            except OSError:  # standard output is closed, so nothing can be printed
                 continue
             held = stack.enter_context(tempfile.TemporaryFile())
             os.dup2(held.fileno(), descriptor)
@@ -313,7 +313,7 @@ def _put_back(descriptor: int, saved: int, held: IO[bytes], name: str) -> None:
 
 
 def _exr_head(name: str) -> tuple[set[str], int, int]:
-    """Return channels, bytes of their values and pixels of the largest part, from the header."""
+    """Return from the header: channel names, bytes of all values, pixels of the largest part."""
     OpenEXR = load_openexr()
     head = _exr_file(name, header_only=True)
     listed: set[str] = set()
@@ -344,7 +344,7 @@ def _read_exr(name: str, size: int, layer: str | None) -> Array:
 
 
 def _picture_channels(name: str, listed: set[str], layer: str | None) -> list[str]:
-    """Return R, G, B, else Y, of the first layer that has them; the unnamed layer comes first."""
+    """Return R, G, B, or else Y, of the first layer that has them; the unnamed one comes first."""
     layers = sorted({channel.rpartition(".")[0] for channel in listed})
     if layer is not None and layer not in (*layers, *listed):
         raise FileFormatError(
@@ -356,7 +356,7 @@ def _picture_channels(name: str, listed: set[str], layer: str | None) -> list[st
         for cs in ("RGB", "Y")
         for each in (layers if layer is None else [layer])
     ]
-    if layer is not None:  # a channel with this name, else the only channel of the layer
+    if layer is not None:  # the channel of this name, or the layer's only channel
         own = [c for c in listed if c.rpartition(".")[0] == layer]
         offers += [[layer], own[:1] if len(own) == 1 else [""]]
     names = next((offer for offer in offers if listed.issuperset(offer)), None)
@@ -385,7 +385,7 @@ class Rings:
         across = np.fft.rfftfreq(width)
         distance = np.hypot(np.fft.fftfreq(height)[:, None], across)
         self._ring = np.minimum((distance * 2 * count).astype(int), count).ravel()
-        # These columns also represent their mirror images
+        # These columns also represent the frequencies of opposite sign
         both = np.where((across > 0) & (across < 0.5), 2.0, 1.0)
         self._weight = np.broadcast_to(both, distance.shape)
         sizes = np.bincount(self._ring, self._weight.ravel(), count + 1)
@@ -393,6 +393,6 @@ class Rings:
         self.radius = (np.arange(count) + 0.5) / (2 * count)
 
     def mean(self, power: Array) -> Array:
-        """Return the mean over each ring."""
+        """Return the mean power over each ring of frequencies."""
         sums = np.bincount(self._ring, (power * self._weight).ravel(), self.sizes.size + 1)
         return np.asarray(sums[:-1] / self.sizes)

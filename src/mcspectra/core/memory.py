@@ -9,13 +9,13 @@ from mcspectra.core.errors import ConfigError, Function
 __all__ = ["available_memory", "check_memory", "memory_of", "shown_bytes"]
 
 _COPIES = 4  # copies of the points: as drawn, warped, with their values and weights
-_GRIDS = 8  # number of complex arrays over the frequencies: transform, sums, squares, coefficients
-_NUMBERS = 2**21  # numbers in a block of realizations (core.parallel)
+_GRIDS = 8  # complex arrays over the frequencies: transform, sums, squares, coefficients
+_NUMBERS = 2**21  # float64 numbers in a block of realizations (see core.parallel)
 _BASE = 2**20
 
 
 def memory_of(n: int, dims: int, techniques: int = 1, frequencies: int = 0) -> int:
-    """Return the most bytes that an analysis of n points uses in addition to the program itself.
+    """Return the maximum number of bytes that an analysis of n points uses, without the program.
 
     Parameters
     ----------

@@ -1,8 +1,9 @@
 """Options of analyses: declared once as annotations of a struct; this module reads and checks them.
 
-The annotation of a field (`msgspec.Meta`) holds the meaning and the limits of its option, and the
-field its default. Python's functions, study files, the command line, the explorer and the docs
-derive their interfaces from it. Each passes a value to `Option.check` or a text to `Option.read`.
+The annotation of a field (`msgspec.Meta`) holds the meaning and the limits of its option. The
+field holds the option's default. Python's functions, study files, the command line, the explorer
+and the docs derive their interfaces from the fields. Each interface passes a value to
+`Option.check` or a text to `Option.read`.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ __all__ = [
 # Larger limits only keep numbers within 64 bits, and messages leave them out
 _NO_LIMIT = 2**31
 _LISTS = (inspect.VarTupleType, inspect.TupleType)
-_SORTS: Mapping[type, Any] = {  # Python types that fit a type, whatever its limits
+_SORTS: Mapping[type, Any] = {  # Python types that fit each type of an option, whatever the limits
     **dict.fromkeys((inspect.IntType, inspect.FloatType), (int, float, np.number)),
     **dict.fromkeys((inspect.StrType, inspect.LiteralType), str),
     **dict.fromkeys(_LISTS, (Sequence, np.ndarray)),
@@ -159,12 +160,12 @@ class Option:
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """Allowed texts; empty if any text is allowed, or none."""
+        """Allowed texts of the option; empty if any text is allowed, or no text."""
         return _words(_kinds(self.kind)) or tuple(self.extra.get("choices", ()))
 
     @property
     def item_choices(self) -> tuple[str, ...]:
-        """Allowed texts of list items; empty if any text is allowed, or it is not a list."""
+        """Allowed texts of list items; empty if any text is allowed, or this is not a list."""
         return _words(self._items)
 
     @property
@@ -180,7 +181,7 @@ class Option:
 
     @property
     def _items(self) -> list[inspect.Type]:
-        """The plain types of the items, if the option may be a list."""
+        """Types of the items without limits, if the option may be a list."""
         lists = [each for each in _kinds(self.kind) if isinstance(each, _LISTS)]
         return [item for each in lists for item in _kinds(_item(each))]
 
@@ -237,7 +238,7 @@ def options_of(struct: Any) -> tuple[Option, ...]:
     for field in kind.fields:
         about, extra = _annotation(field.type)
         given = field.default
-        if field.default_factory is not msgspec.NODEFAULT:  # for example a new list
+        if field.default_factory is not msgspec.NODEFAULT:  # such as a new list
             given = field.default_factory()
         found.append(Option(field.name, field.type, given, about, extra))
     return tuple(found)
@@ -279,7 +280,7 @@ def _annotation(kind: inspect.Type) -> tuple[str, dict[str, Any]]:
 
 
 def _kinds(kind: inspect.Type) -> list[inspect.Type]:
-    """Return the plain types of a union or an annotated type."""
+    """Return the types of a union or an annotated type, without annotations."""
     if isinstance(kind, inspect.Metadata):
         return _kinds(kind.type)
     if isinstance(kind, inspect.UnionType):

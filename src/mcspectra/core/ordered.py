@@ -2,7 +2,7 @@
 
 BLAS splits large sums by the number of its threads, which changes the last digits of results.
 Products here use `numpy.einsum` without `optimize`, which never calls BLAS. It runs at a quarter of
-the speed of BLAS, but takes far less time than points and transforms. Factorizations use
+the speed of BLAS, but takes far less time than the points and the transforms. Factorizations use
 Householder reflections; docs/decisions/0015 compares them with NumPy's.
 """
 

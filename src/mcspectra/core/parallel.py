@@ -30,12 +30,12 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 Block = tuple[int, int]
-"""First realization and number of realizations."""
+"""First realization of a block, and number of its realizations."""
 
 MAX_REALIZATIONS = 10**9
 """Largest number of realizations of one analysis."""
 
-# about 16 MiB of float64 per block: larger than any cache, far below the memory of a machine
+# Numbers in a block: 16 MiB of float64, more than any cache, far below a machine's memory
 _BLOCK_NUMBERS = 2**21
 _SLICE_NUMBERS = 2**19  # numbers in a slice: 4 MiB, one or two milliseconds of work
 
@@ -73,8 +73,8 @@ def realization_blocks(
 ) -> RealizationBlocks:
     """Split realizations into blocks of about `_BLOCK_NUMBERS` numbers.
 
-    The size of a block is a multiple of `multiple`. There are at least `least` blocks if there are
-    enough realizations for `multiple` in each.
+    The size of a block is a multiple of `multiple`. There are at least `least` blocks if each of
+    them can have `multiple` realizations.
     """
     size = max(1, _BLOCK_NUMBERS // max(1, numbers_each) // multiple) * multiple
     size = min(size, max(1, realizations // least // multiple) * multiple)
@@ -84,10 +84,11 @@ def realization_blocks(
 def slices(block: Block, numbers_each: int) -> Iterator[Block]:
     """Split a block into slices of about `_SLICE_NUMBERS` numbers.
 
-    Slices limit memory and stay in a shared cache. Slices that fit a second-level cache are no
-    faster in one thread. Threads that take Python's lock between ufuncs wait for it, 0.1 ms each
-    time while an idle processor wakes. With two threads, the parallel efficiency was 0.39, 0.77,
-    0.87 and 0.87 for slices of 2^16, 2^18, 2^19 and 2^20 numbers. Two processes reach 0.91 to 0.95.
+    Slices limit memory and stay in a shared cache. In one thread, smaller slices that fit a
+    second-level cache are no faster. With several threads they are slower: threads wait for
+    Python's lock between ufuncs, 0.1 ms each time while an idle processor wakes. With two threads,
+    the parallel efficiency was 0.39, 0.77, 0.87 and 0.87 for slices of 2^16, 2^18, 2^19 and 2^20
+    numbers. Two processes reach 0.91 to 0.95.
     """
     size = max(1, _SLICE_NUMBERS // max(1, numbers_each))
     start, stop = block[0], block[0] + block[1]
@@ -97,7 +98,7 @@ def slices(block: Block, numbers_each: int) -> Iterator[Block]:
 def map_in_order(
     function: Callable[[Item], Result], items: Iterable[Item], workers: int
 ) -> Iterator[Result]:
-    """Yield ``function(item)`` in order, computed by `workers` threads a few results ahead."""
+    """Yield ``function(item)`` in order, computed a few results ahead by `workers` threads."""
     if workers == 1:
         yield from map(function, items)
         return

@@ -53,16 +53,14 @@ __all__ = [
 EXTENSIONS = (".dat", ".bin", ".npz", ".npy", ".csv")
 """Extensions of files that `read_points` and `write_points` support."""
 
-# bytes that a set counts in addition to its coordinates, because many tiny sets also take long
+# Bytes that a set counts as memory besides its coordinates: many tiny sets also take time
 _SET_BYTES = 4096
 
 # UTK text and comma-separated values
 _LONGEST_LINE = 2**22  # largest number of bytes in a line
 _BLOCK = 2**20
-_COMPILED = (
-    2**18
-)  # bytes; Python reads less in a fraction of the time that the kernel takes to compile
-# bytes that a number in a text takes: as read, in its set, and in the order of sets
+_COMPILED = 2**18  # bytes; Python reads a shorter text faster than the kernel compiles
+# Bytes that a number of a text takes: 8 as read, 8 in its set, 8 in the order of sets
 _VALUE_BYTES = 24
 
 # UTK binary
@@ -114,7 +112,7 @@ def read_points(path: str | PathLike[str]) -> list[Array]:
 
 
 def matching_files(path: str | PathLike[str]) -> list[tuple[Path, int | None]]:
-    """Return the files that a path stands for, sorted by name; numbers in names sort by value.
+    """Return the files of a path, sorted by name; numbers in names sort by value.
 
     Parameters
     ----------
@@ -186,7 +184,7 @@ def write_points(
 
 
 def parse_dat(text: str, name: str) -> list[Array]:
-    """Read UTK text like `read_points`; `name` is the name of its source in messages."""
+    """Read UTK text like `read_points`; `name` is the name of the text's source in messages."""
     if not isinstance(text, str):
         raise FileFormatError(f"{name} is {type(text).__name__}, not text; give lines of numbers.")
     data = text.encode(errors="surrogatepass")  # the decoder rejects surrogates
@@ -267,13 +265,13 @@ def _lines_of(points: Array, blank: str, start: str = "") -> str:
 
 def _read_dat(stream: IO[bytes], size: int, name: str) -> list[Array]:
     def rows() -> Iterator[tuple[int, list[str] | Array | None]]:
-        before = at = 0  # numbers of lines and of bytes
+        before = at = 0  # numbers of lines and of bytes before the current block
         for chunk in _chunks(stream, size, name):
             if size >= _COMPILED and (found := _numbers(chunk)) is not None:
                 lines, runs = found
                 for line, points in runs:
                     yield before + line, points
-            else:  # messages quote these texts
+            else:  # messages quote the texts of these lines
                 texts = _decoded(chunk, at, name)
                 lines = len(texts)
                 for number, text in enumerate(texts, before + 1):
@@ -289,7 +287,7 @@ def _numbers(chunk: bytes) -> tuple[int, list[tuple[int, Array | None]]] | None:
     """Read lines that hold only numbers; return None if any other line is among them.
 
     Returns the number of lines, and a pair for each run of lines between comments: the number of
-    its first line, from 1, and its points. The points of a comment are None.
+    its first line, from 1, and its points. A comment has None instead of points.
     """
     from mcspectra.core._text_kernels import parse_lines
 
@@ -324,7 +322,7 @@ def _read_csv(stream: IO[bytes], size: int, name: str) -> list[Array]:
             if at_top and ";" in line:
                 separator = ";"
             fields = (line if separator == "," else line.replace(",", ".")).split(separator)
-            # otherwise the line can hold only numbers
+            # Otherwise the line can hold only numbers
             if at_top or column is not None or '"' in line:
                 fields = [field.strip().strip('"') for field in fields]
             if not (fields[0] or any(map(str.strip, fields))):
@@ -405,7 +403,7 @@ def _chunks(stream: IO[bytes], size: int, name: str) -> Iterator[bytes]:
     stream.seek(0)
     rest = b""
     for data in itertools.chain(iter(lambda: stream.read(_BLOCK), b""), [b""]):
-        # All complete lines; at the end of the file the rest
+        # Take all complete lines; at the end of the file, take the rest
         whole, end, rest = (rest + data).rpartition(b"\n") if data else (rest, b"\n", b"")
         if whole or (end and data):
             yield whole + end
@@ -469,7 +467,7 @@ def _number(text: str) -> float | None:
 
 
 def _split(points: Array, set_of_row: Array) -> list[Array]:
-    """Split rows into sets; `set_of_row` holds the index of each row's set, from 0."""
+    """Split points into sets; `set_of_row` holds the index of the set of each point, from 0."""
     order = np.argsort(set_of_row, kind="stable")
     return np.split(points[order], np.cumsum(np.bincount(set_of_row))[:-1])
 
@@ -501,13 +499,13 @@ def _read_bin(stream: IO[bytes], size: int, name: str) -> Array:
             f"{announced}, that is {count * dtype.itemsize} bytes after the header, but has "
             f"{size - _HEADER_BYTES}."
         )
-    # copies of integers: in the byte order of this machine, and shifted
+    # Memory for two copies of integers: in the byte order of this machine, and shifted
     copies = 1 if dtype.kind == "f" else 3
     check_decoded_size(name, size, count * (copies * dtype.itemsize + 17) + shape[0] * _SET_BYTES)
     values = np.fromfile(stream, dtype, count).reshape(shape)
-    if dtype.kind != "f":  # integers are fractions of their range (UTK's integer nets fill it)
+    if dtype.kind != "f":  # integers become fractions of their type's range (UTK)
         bits = 8 * dtype.itemsize - (dtype.kind == "i")
-        # drop bits that a double cannot hold, otherwise 2^64 - 1 becomes 1.0
+        # Drop bits that a double cannot hold; otherwise 2^64 - 1 would become 1.0
         spare = max(0, bits - 53)
         shifted = values.astype(dtype.newbyteorder("=")) >> spare
         values = np.ldexp(shifted.astype(np.float64), spare - bits)

@@ -21,7 +21,7 @@ from mcspectra.core.errors import ParameterError
 __all__ = ["Listener", "ProgressBars", "listening", "progress_bars", "report"]
 
 Listener: TypeAlias = Callable[[str, float], object]
-"""A function of the name of the work and the finished fraction, 0 to 1; called from any thread."""
+"""Function of the name of the work and its finished fraction, 0 to 1; any thread may call it."""
 
 _listeners: list[Listener] = []
 
@@ -29,7 +29,7 @@ _AFTER = 0.5  # seconds; shorter work shows no bar
 _BETWEEN = 0.1  # seconds between two updates of the bar
 _BETWEEN_LINES = 10.0  # seconds between two lines, if there is no terminal to draw in
 _LONGEST = 80  # largest number of characters of a line of progress
-# seconds without a report after which work counts as abandoned, for example after an exception
+# Work without a report for this number of seconds counts as abandoned, as after an exception
 _FORGOTTEN = 30.0
 
 
@@ -93,7 +93,7 @@ def report(what: str, fraction: float) -> None:
 
 
 def _somebody_waits() -> bool:
-    """Whether this is a notebook, IPython, or Python's prompt."""
+    """Whether this process is a notebook, IPython, or Python's prompt."""
     if hasattr(sys, "ps1"):
         return True
     # IPython is checked only if it has been imported; its own process always imports it.
@@ -104,13 +104,13 @@ def _somebody_waits() -> bool:
 
 @final
 class ProgressBars:
-    """A listener that draws a bar of the running work and lists the other running parts next to it.
+    """A listener that draws a bar for one running work and lists all other running work next to it.
 
     Parameters
     ----------
     closes
-        Whether `close` is called at the end. If it is not, the bar stays after an exception, and
-        its work is dropped after a time.
+        Whether `close` is called at the end of the work. Otherwise the bar stays after an
+        exception, and its work is dropped after a time.
     """
 
     def __init__(self, *, closes: bool = False) -> None:
@@ -118,7 +118,7 @@ class ProgressBars:
         # start, time of the last report, fraction
         self._under_way: dict[str, tuple[float, float, float]] = {}
         self._told_at = time.monotonic()
-        self._bar: Any = None  # the bar of rich while one is shown
+        self._bar: Any = None  # progress bar of the package rich; None if no bar is shown
         self._lock = threading.Lock()
 
     def __call__(self, what: str, fraction: float) -> None:
@@ -158,7 +158,7 @@ class ProgressBars:
             self._bar = None
 
     def _draw(self, shown: dict[str, float]) -> None:
-        """Draw a bar of the work that began first; only this function imports rich."""
+        """Draw a bar for the work that began first; only this function imports rich."""
         from rich.console import Console
         from rich.markup import escape
         from rich.progress import Progress, TextColumn

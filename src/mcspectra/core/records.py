@@ -36,20 +36,20 @@ __all__ = [
 
 @final
 class Join:
-    """Arrays are concatenated along an axis."""
+    """Merge rule: arrays are concatenated along an axis."""
 
     def __init__(self, axis: int = 0) -> None:
         self.axis = axis
 
 
 SUM: TypeAlias = Annotated[Array, "sum"]
-"""Arrays are added, in the memory of the left one."""
+"""Merge rule: arrays are added, in the memory of the left array."""
 
 JOIN: TypeAlias = Annotated[Array, Join(0)]
-"""Arrays are concatenated along their first axis."""
+"""Merge rule: arrays are concatenated along their first axis."""
 
 SAME: TypeAlias = Annotated[Array, "same"]
-"""Arrays are equal in all blocks."""
+"""Merge rule: arrays are equal in all blocks, and one of them is kept."""
 
 
 @final
@@ -68,13 +68,13 @@ class MeanSums:
 
     @staticmethod
     def zeros(size: int) -> MeanSums:
-        """Return the sums of no realizations, for arrays (size,)."""
+        """Return empty sums, all 0, for arrays of shape (size,)."""
         return MeanSums(np.zeros(size), np.zeros(size), 0)
 
     def mean_and_error(self, sets: int | None = None) -> tuple[Array, Array]:
         """Return the mean over realizations and its standard error, NaN for a single realization.
 
-        If `sets` is given, the realizations repeat that number of distinct sets equally often.
+        If `sets` is given, the realizations repeat `sets` distinct sets equally often.
         """
         mean, count = self.total / self.count, self.count
         independent = count if sets is None else min(count, sets)
@@ -140,7 +140,7 @@ def pack(state: Any) -> bytes:
     arrays: list[Array] = []
 
     def plain(value: Any) -> Any:
-        """Replace arrays by their places in `arrays`, and datasets by names and places."""
+        """Replace each array by its index in `arrays`, and each dataset by names and indices."""
         if isinstance(value, np.ndarray):
             if value.dtype.kind not in "biufcU":
                 raise TypeError(

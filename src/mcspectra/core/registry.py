@@ -27,7 +27,7 @@ DEFAULT_DIMS = 2
 
 
 class Registry(Mapping[str, str]):
-    """Names of one kind of component.
+    """Registry of the names of one kind of component.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ class Registry(Mapping[str, str]):
         """
         cls = self.load(call.name)
         allowed = inspect.signature(cls).parameters
-        # The field of the parameter radius is radius_ if the plain name is already used
+        # The field of a parameter such as radius is radius_ if the plain name is already used
         arguments = {
             f"{key}_" if f"{key}_" in allowed else key: value
             for key, value in call.arguments.items()

@@ -43,8 +43,8 @@ class Variable(NamedTuple):
     meaning, units
         Values of the attributes ``long_name`` and ``units``.
     dims
-        Its dims in order. ``m`` stands for m0, m1, …; a dim that ends in ``?`` is optional. The
-        dims estimator, sampler and channel may be added. None if the dims vary.
+        Dims of the variable in order. ``m`` stands for m0, m1, …; a dim that ends in ``?`` is
+        optional. The dims estimator, sampler and channel may be added. None if the dims vary.
     kind
         Types of numbers, as NumPy's letters: ``f`` floats, ``i`` integers, ``c`` complex, ``b``
         booleans.
@@ -305,7 +305,7 @@ def dataset(
 
 
 def attributes_of(**provenance: Any) -> dict[str, str | int | float]:
-    """Convert attributes to types that every storage format holds; drop those that are None.
+    """Convert attributes to types that every storage format holds; drop attributes that are None.
 
     These types are 64-bit numbers, strings and JSON text.
     """

@@ -21,18 +21,18 @@ from mcspectra.core.fields import check_fields
 __all__ = ["Call", "Component", "format_call", "kebab_case", "parse", "parse_chain", "short_spec"]
 
 _NAME = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)*")
-_CAPITALS = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")  # a boundary between words in a class name
+_CAPITALS = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")  # boundary between words of a class name
 _WORD = re.compile(r"[A-Za-z_][\w.-]*")
 _NO_NUMBERS = ("nan", "inf", "infinity")
-# components whose first value, which is code, needs no name
+# Components whose first value is code, which needs no parameter name
 _FIRST = {"command": "run", "python": "function"}
 _MAX_LENGTH = 20_000
 _FOLDERS = re.compile(
     r"""(?:\w+=)?(['"])[^'"]*/(?=[^'"/]+\1)"""
-)  # the folders in a file name, with the name of its parameter
+)  # the folders of a file name, with the name of the parameter
 _MARK = re.compile(
     r"""'(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|['"()\[\]{}|]""", re.DOTALL
-)  # a quoted text counts as one mark
+)  # a quoted text is one token
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Component:
 
     name: ClassVar[str] = _NameOfClass()  # type: ignore[assignment]
     costly: ClassVar[bool] = False
-    """Whether a first picture would take seconds, so that notebooks show no picture."""
+    """Whether drawing the component would take seconds; notebooks then show no picture."""
 
     def __post_init__(self) -> None:
         check_fields(self)

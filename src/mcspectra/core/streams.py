@@ -11,8 +11,8 @@ realization is a keyed 64-bit mix,
 
     x = (i xor k0) M1;  x ^= x >> 32;  x = (x + k1) M2;  x ^= x >> 29;  x *= M3;  x ^= x >> 32
 
-with the multipliers of SplitMix64 [Steele2014]_. k0 enters before and k1 after the first non-linear
-step, so that one stream is a shifted or permuted copy of another only if k1 also agrees. Philox
+with the multipliers of SplitMix64 [Steele2014]_. k0 enters before the first non-linear step and k1
+after it, so that one stream is a shifted or permuted copy of another only if k1 also agrees. Philox
 alone would be sufficient, but it takes 1.8 ns per double at 7 rounds. The mix takes 1.3 ns and
 NumPy's PCG64 3.7 ns (one core, AVX-512, 2^17 doubles). `tests/core/test_streams.py` tests the
 statistics: moments, χ², serial correlation, and collisions across realizations, indices and seeds.
@@ -32,7 +32,7 @@ from mcspectra.core.jit import kernel
 
 __all__ = ["RngLike", "Stream", "golden_vector", "mix_bits", "mix_uniform", "uniforms"]
 
-_SEED_BITS = 4096  # bits of a seed; results hold it as text, and Python writes at most 4300 digits
+_SEED_BITS = 4096  # largest size of a seed in bits: Python writes at most 4300 digits as text
 
 RngLike: TypeAlias = "int | np.random.Generator | np.random.SeedSequence | None"
 

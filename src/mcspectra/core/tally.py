@@ -26,13 +26,13 @@ _lock = threading.Lock()
 @final
 @dataclass
 class EvaluationTally:
-    """Number of evaluations of a computation, and its limit; None for no limit."""
+    """Number of evaluations of a computation, and their limit `most`; None for no limit."""
 
     what: str | Function
     most: int | None = None
     outer: EvaluationTally | None = None
     made: int = 0
-    # number of evaluations that would have exceeded the limit; 0 without such an attempt
+    # Number of rejected evaluations, which would have exceeded the limit
     refused: int = 0
 
     def foresee(self, evaluations: int) -> None:
@@ -73,7 +73,7 @@ def spend(evaluations: int) -> None:
     Raises
     ------
     BudgetError
-        If a tally does not allow them; then no tally counts them.
+        If a tally does not allow these evaluations; then no tally counts them.
     """
     with _lock:
         tally = _innermost.get()

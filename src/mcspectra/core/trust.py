@@ -1,8 +1,8 @@
 """Access to files and code from untrusted text: one policy for studies, specs and the explorer.
 
-Text is data: a spec is parsed, never evaluated. But it may name code to run and files to read. A
-`Trust` allows the code that the caller names, and files in folders that the caller names, after
-links are resolved. A study can also read its own folder. The process has one Trust,
+Text is data: a spec is parsed, never evaluated. But a spec may name code to run and files to read.
+A `Trust` allows the code that the caller names, and files in folders that the caller names; links
+are resolved first. A study can also read its own folder. The process has one Trust,
 `process_trust`. The options ``--allow-code`` and ``--allow-path`` and
 `mcspectra.samplers.allow_code` extend it.
 """
@@ -50,13 +50,13 @@ FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 _NAMED = re.compile(
     rf"{FUNCTION.pattern}|.*[/{{].*", re.DOTALL
-)  # alternatives: a command, or the path of a program
+)  # two forms: a command, or the path of a program
 
 
 @final
 @dataclass(frozen=True)
 class Trust:
-    """Files and code that untrusted text may use; by default none.
+    """Files and code that untrusted text may use; by default no files and no code.
 
     Parameters
     ----------
@@ -129,7 +129,7 @@ class Trust:
         try:
             place = Path(path).resolve()
             return any(place.is_relative_to(root.resolve()) for root in self.folders)
-        # the links form a loop, or the value is not a path
+        # The links form a loop, or the value is not a path
         except (OSError, RuntimeError, ValueError):
             return False
 
@@ -148,7 +148,7 @@ class Trust:
         named
             Name in the scene.
         where
-            Element and file that name it.
+            XML element and file in which the name occurs.
 
         Raises
         ------
@@ -163,7 +163,7 @@ class Trust:
             )
 
     def check_scene_spec(self, text: str, where: str) -> None:
-        """Raise an error if a spec in a scene names files or code, also in a spec inside it.
+        """Raise an error if a spec in a scene names files or code, even in a nested spec.
 
         Raises
         ------

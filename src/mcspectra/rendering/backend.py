@@ -60,7 +60,7 @@ _OLDEST_LLVM = 19
 _PROBE_SECONDS = 120.0
 _INSTALL = "install it with: pip install 'mcspectra[render]'"
 _SYSTEM_FOLDERS = {
-    # platform: folder, file pattern
+    # platform: folder of libraries, file pattern
     "Linux": (
         ("/usr/lib", "*/libLLVM*.so*"),
         ("/usr/lib", "llvm*/lib/libLLVM*.so*"),
@@ -79,7 +79,7 @@ import mitsuba as mi, os
 mi.file_resolver().clear()
 mi.file_resolver().append(os.path.dirname(mi.__file__))
 """  # Mitsuba would search the current folder first, which may be untrusted
-# These features failed with unsuitable versions: minimum, ray tracing and a rough conductor.
+# Test features that failed with unsuitable LLVM versions: minimum, rays, a rough conductor.
 _PROBE = f"""{_OWN_PLUGINS}
 mi.set_variant({VARIANT!r})
 import drjit as dr
@@ -113,8 +113,8 @@ class Verdict:
         Path of libLLVM.
     works
         Whether the variant compiled and ran a kernel with it.
-    Reason of the failure; empty if the library works.
-        Why not, empty if it works.
+    reason
+        Reason of the failure; empty if the library works.
     version
         Version of LLVM if it works, e.g. ``19.1.7``.
     """
@@ -152,7 +152,7 @@ def load_mitsuba() -> Any:
 
 
 def find_library(*, fresh: bool = False) -> tuple[Verdict | None, list[Verdict]]:
-    """Return the first working libLLVM, if any, and the verdicts on the libraries before it.
+    """Return the first working libLLVM, if any, and the verdicts on the libraries tested before it.
 
     Parameters
     ----------
@@ -203,7 +203,7 @@ def import_mitsuba() -> Any:
     """Return the module `mitsuba` with the library that `load_mitsuba` needs, without a variant.
 
     Dr.Jit searches libLLVM when it is imported, for any variant. A program that imports it in
-    another way first may load a library that ends the process later.
+    another way before may load a library that aborts the process later.
 
     Raises
     ------
@@ -342,7 +342,7 @@ def _verdict(library: str, fresh: bool) -> Verdict:
 
 
 def _fingerprint(library: str) -> str:
-    """Hash all that a verdict depends on; also the host, as clusters share home folders."""
+    """Hash everything that a verdict depends on, and the host, as clusters share home folders."""
     try:
         status = Path(library).stat()
         size, modified = status.st_size, status.st_mtime_ns
@@ -354,7 +354,7 @@ def _fingerprint(library: str) -> str:
 
 
 def _probe(library: str) -> tuple[Verdict, bool]:
-    """Test `library` in a subprocess; the second value is whether to store the verdict."""
+    """Test `library` in a subprocess; return the verdict, and whether to store it."""
     if not Path(library).is_file():
         return Verdict(library, False, "there is no such file"), False
     try:

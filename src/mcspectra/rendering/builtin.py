@@ -23,7 +23,7 @@ _Scene = TypeVar("_Scene", bound=Callable[..., dict[str, Any]])
 
 
 def named_points(**points: Point) -> Callable[[_Scene], _Scene]:
-    """Name world points of a scene; `named_pixels` finds their pixels."""
+    """Add names of world points to a scene; `named_pixels` finds their pixels."""
 
     def keep(scene: _Scene) -> _Scene:
         scene.named_points = points  # type: ignore[attr-defined]
@@ -56,9 +56,9 @@ def perspective(
 def rectangle(
     center: Sequence[float], across: Sequence[float], along: Sequence[float]
 ) -> dict[str, Any]:
-    """Return a parallelogram center ± across ± along that faces across × along.
+    """Return a parallelogram: corners center ± across ± along, normal across × along.
 
-    `across` and `along` are half its sides and perpendicular to each other.
+    `across` and `along` are half of its sides, and perpendicular to each other.
     """
     normal = np.cross(across, along)
     columns = [across, along, normal / np.linalg.norm(normal), center]
@@ -68,7 +68,7 @@ def rectangle(
 
 
 def diffuse(reflectance: float | Sequence[float], *, both_sides: bool = False) -> dict[str, Any]:
-    """Return a Lambertian BSDF, gray or of an RGB color; black from behind unless `both_sides`."""
+    """Return a Lambertian BSDF, gray or with an RGB color; black behind unless `both_sides`."""
     value = reflectance if isinstance(reflectance, float) else list(reflectance)
     bsdf: dict[str, Any] = {"type": "diffuse", "reflectance": {"type": "rgb", "value": value}}
     return {"type": "twosided", "bsdf": bsdf} if both_sides else bsdf
@@ -135,7 +135,7 @@ def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[s
         profile = np.asarray(t * t * (3.0 - 2.0 * t))
         values = _RADIANCE * np.outer(profile, profile).astype(np.float32)
         bitmap = load_mitsuba().Bitmap(np.repeat(values[..., None], 3, axis=2))
-        # Raw: radiance is linear and must not be decoded; clamp: no wrapping at the borders.
+        # Raw: radiance is linear and not to be decoded. Clamp: borders do not wrap around.
         radiance = {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "clamp"}
     angle = np.deg2rad(_OCCLUDER_DEGREES)
     across = _OCCLUDER_HALF_SIDE * np.array([np.cos(angle), 0.0, -np.sin(angle)])
@@ -194,8 +194,8 @@ def penumbra(*, width: int = 384, height: int = 256) -> dict[str, Any]:
 
     Notes
     -----
-    From the named pixel ``lit`` the whole light is visible. ``ball`` and ``rod`` lie in the
-    penumbra of the ball and of the rod, ``both`` in both penumbras, and ``blades`` in those of
+    The whole light is visible from the named pixel ``lit``. ``ball`` lies in the penumbra of the
+    ball, ``rod`` in the penumbra of the rod, ``both`` in both penumbras, and ``blades`` in those of
     blade-0 and blade-1.
     """
     light = rectangle((0, _LIGHT_Y, 0), (_LIGHT_HALF_SIDE, 0, 0), (0, 0, _LIGHT_HALF_SIDE))
@@ -226,7 +226,7 @@ def penumbra(*, width: int = 384, height: int = 256) -> dict[str, Any]:
 _MAP_SIZE = (64, 128)
 _SKY_RADIUS = 0.8
 _MATERIALS: dict[str, tuple[float, dict[str, Any]]] = {
-    # name: x of the center, BSDF
+    # name of the sphere: x of its center, BSDF
     "diffuse": (-1.9, diffuse((0.25, 0.2, 0.15))),
     "plastic": (
         0.0,
@@ -290,7 +290,7 @@ def sky(*, width: int = 384, height: int = 256) -> dict[str, Any]:
 
 
 _SPHERES: dict[str, tuple[Point, float, float]] = {
-    # name: center, radius, radiance
+    # name of the sphere: center, radius, radiance
     "light-0": ((-3.75, 0.0, 0.0), 0.03333, 901.803),
     "light-1": ((-1.25, 0.0, 0.0), 0.1, 100.0),
     "light-2": ((1.25, 0.0, 0.0), 0.3, 11.1111),
@@ -298,7 +298,7 @@ _SPHERES: dict[str, tuple[Point, float, float]] = {
     "fill-light": ((10.0, 10.0, 4.0), 0.5, 800.0),
 }
 _PLATES: tuple[tuple[tuple[float, float], tuple[float, float], float], ...] = (
-    # (y, z) of the lower edge at the front, (y, z) of the edge at the back, GGX roughness
+    # for each plate: (y, z) of the front edge, (y, z) of the back edge, GGX roughness
     ((-2.70651, 0.25609), (-2.08375, -0.526323), 0.005),
     ((-3.28825, 1.36972), (-2.83856, 0.476536), 0.02),
     ((-3.73096, 2.70046), (-3.43378, 1.74564), 0.05),
@@ -306,9 +306,9 @@ _PLATES: tuple[tuple[tuple[float, float], tuple[float, float], float], ...] = (
 )
 _PLATE_HALF_WIDTH = 4.0
 _FLOOR_Y, _WALL_Z = -4.14615, -2.0
-# our choice: sizes larger than the camera's view
+# sizes of floor and wall, larger than the camera's view: our choice
 _HALF_WIDTH, _FRONT_Z, _WALL_TOP = 12.0, 15.0, 12.0
-_GRAY = 0.4  # our choice: reflectance of floor and wall
+_GRAY = 0.4  # reflectance of floor and wall: our choice
 
 
 def _on_plate(i: int, x: float) -> Point:
@@ -348,9 +348,9 @@ def veach(
         If a light is unknown, the list of lights is empty, or the film has no pixels.
 
     Notes
+    -----
     Positions, radii, radiances, roughness and camera come from [Veach1997]_ and from the scene
     files that several renderers publish. Copper plates and gray floor and wall are our choice.
-    several renderers publish. The plates are copper, floor and wall are gray: our choice.
     """
     allowed: Any = tuple(_SPHERES)
     given: Any = (lights,) if isinstance(lights, str) else allowed if lights is None else lights

@@ -115,16 +115,16 @@ def write_exr(path: str | PathLike[str], layers: Mapping[str, Array], *, comment
         File name that ends in ``.exr``.
     layers
         Arrays (height, width) or (height, width, 3) by name, all of the same size. Channels are
-        called ``name.R`` and so on, or ``name.Y``; without the dot for the unnamed layer.
+        called ``name.R`` and so on, or ``name.Y``; channels of the unnamed layer have no prefix.
     comment
         Text for the file's header.
 
     Raises
     ------
-    If the file cannot be written.
-        The file cannot be written.
-    If there are no layers, or their shapes are invalid or differ.
-        No layers, or layers of other or different shapes.
+    FileFormatError
+        If the file cannot be written.
+    ParameterError
+        If there are no layers, or their shapes are invalid or differ.
     """
     OpenEXR = load_openexr()
     file = check_image_path(path, (".exr",))
@@ -177,7 +177,7 @@ def write_png(path: str | PathLike[str], image: Array, *, exposure: float = 0.0)
 
 
 def encode_srgb(linear: Array) -> Array:
-    """Return values in [0,1] after the sRGB transfer function (IEC 61966-2-1); clips to [0,1]."""
+    """Clip values to [0,1], and apply the sRGB transfer function (IEC 61966-2-1)."""
     clipped = np.clip(linear, 0.0, 1.0)
     return np.where(clipped <= 0.0031308, 12.92 * clipped, 1.055 * clipped ** (1 / 2.4) - 0.055)
 

@@ -46,20 +46,20 @@ Frames = str | PathLike[str] | Sequence[str | PathLike[str]]
 
 _MOST_SPP = 2**40
 _REACH = 8  # largest lag in pixels, to either side, for which correlations are listed
-_FILTER = 2  # pixels that a reconstruction filter may correlate
-_SAMPLE = 2**14  # pixels by which frames are compared with one another
+_FILTER = 2  # lag in pixels at which a reconstruction filter may correlate errors
+_SAMPLE = 2**14  # number of pixels at which frames are compared with each other
 _TAIL = 64  # number of extreme deviations of a frame that are kept, as many as `Moments` uses
 _TABLE = 4001  # number of tabulated correlations
-_SIGNIFICANCE = 0.05  # significance level for all pixels, frames or lags together
+_SIGNIFICANCE = 0.05  # significance level of a test of all pixels, frames or lags together
 _OUTLIER = 1e-3  # significance level of Grubbs' test at each pixel
-_RELATED = 0.1  # correlation of two frames that matters, whatever its significance
-_REPEATED = 0.05  # correlation of distant pixels that matters
-_LEAST_GRUBBS = 5  # least number of frames for Grubbs' test
-# Share of one frame's error at one pixel in all squares above which no upper limit is given
+_RELATED = 0.1  # smallest correlation of two frames to report, whatever its significance
+_REPEATED = 0.05  # smallest correlation of distant pixels to report
+_LEAST_GRUBBS = 5  # minimum number of frames for Grubbs' test
+# If one error of one frame has a larger share of all squares, no upper limit is given
 _ONE_SQUARE = 0.05
-# Widest window, in pixels, that averages rates, and the standard error at which it stops growing
+# Largest window in pixels for averages of rates; standard error of rates that is small enough
 _WIDEST, _KNOWN_RATE = 15, 0.1
-_SLOWEST = -0.5  # rate with which a target is extrapolated
+_SLOWEST = -0.5  # slowest rate for the extrapolation to a target
 _SPP = re.compile(r"(?<![a-z0-9])(?:spp[_-]?(\d+)|(\d+)[_-]?spp)(?![a-z0-9])", re.IGNORECASE)
 
 
@@ -299,7 +299,7 @@ class _FrameReader:
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Group:
-    """Statistics of the frames of one number of samples; `told` is stored in attributes."""
+    """Statistics of the frames of one number of samples; `told` holds attributes of the result."""
 
     spp: int
     seconds: float | None
@@ -318,7 +318,7 @@ class _Group:
 
     @property
     def relative_rmse(self) -> Array:
-        """Median-unbiased σ / mean of one frame; NaN if the mean is not positive."""
+        """Median-unbiased estimate of σ / mean of one frame; NaN if the mean is not positive."""
         from scipy.special import chdtri
 
         # For normal noise, s² is more often below σ² than above it
@@ -328,7 +328,7 @@ class _Group:
         return np.asarray(s / positive)
 
     def within(self, pixels: Array, read: _FrameReader) -> _Group:
-        """Return the same statistics for pixels where both these and other frames have numbers."""
+        """Return the statistics of pixels where these frames and the other frames have numbers."""
         mean, m2 = (np.where(pixels, v, np.nan) for v in (self.moments.mean, self.moments.m2))
         means = [float(read.plane(file, None)[0][pixels].mean()) for file in self.files]
         return replace(self, moments=replace(self.moments, mean=mean, m2=m2), means=np.array(means))
@@ -340,7 +340,7 @@ class _Group:
 
     @property
     def picture_relative_se(self) -> float:
-        """Relative standard error: that of independent pixels times √Σρ² over all lags.
+        """Relative standard error: the error for independent pixels times √Σρ² over all lags.
 
         ρ is the correlation of the errors at a lag.
         """
@@ -349,7 +349,7 @@ class _Group:
 
     @property
     def picture_variance_ci(self) -> Array:
-        """Logarithmic interval; without an upper end if a few pixels dominate the variance."""
+        """Logarithmic interval; it has no upper end if a few pixels dominate the variance."""
         half = CONFIDENCE_Z * self.picture_relative_se
         low, high = self.picture_variance * np.exp([-half, half])
         return np.array([low, high if self.resolved else np.inf])
@@ -513,15 +513,15 @@ def _group(
     every, loss = _unbiased(every / every[0, 0], count)
     measured, curve = rings.mean(power), np.maximum(rings.mean(np.fft.rfft2(every).real), 0.0)
     half *= np.divide(curve, measured, out=np.ones_like(curve), where=measured > 0)
-    # With two frames, the deviations are each other's negatives, without spread. Use at least the
-    # spread of normal noise: the mean of (R − 1) exponentials per conjugate pair
+    # With two frames, one deviation is the negative of the other, without spread. Use at least
+    # the spread of normal noise: the mean of (R − 1) exponentials per conjugate pair
     independent = (count - 1) * loss**2
     half = np.maximum(half, CONFIDENCE_Z * measured * np.sqrt(2.0 / (rings.sizes * independent)))
-    # Their squares include squared errors, each the true sum / (pixels · (R − 1) · loss²)
+    # A squared correlation includes a squared error, the true sum / (pixels · (R − 1) · loss²)
     alike = max(1.0, float((every**2).sum()) / (1.0 + 1.0 / independent))
     near, repeat, repeated = _lags(every, alike / (varied.sum() * independent))
     pair, relation = _related(sample, alike)
-    # Count outliers above twice the mean, and the number expected from normal noise
+    # Count outliers above twice the mean, and compute the count expected from normal noise
     above, limit = high - moments.mean, _grubbs(count)
     outliers = (share > limit) & (above > np.maximum(moments.mean, moments.mean - low))
     expected = _OUTLIER / 2 * int((limit * moments.m2[varied] > moments.mean[varied] ** 2).sum())
@@ -586,7 +586,7 @@ def _unbiased(correlation: Array, count: int) -> tuple[Array, float]:
 
 
 def _lags(every: Array, variance: float) -> tuple[Array, list[int] | None, float]:
-    """Correlation at small lags, and the nearest far lag (y, x) with the largest one."""
+    """Correlation at small lags, and the nearest far lag (y, x) with the largest correlation."""
     height, width = every.shape
     down, right = np.rint(np.fft.fftfreq(height) * height), np.rint(np.fft.fftfreq(width) * width)
     near = [np.abs(lag) <= min(_REACH, (lag.size - 1) // 2) for lag in (down, right)]
@@ -604,7 +604,7 @@ def _lags(every: Array, variance: float) -> tuple[Array, list[int] | None, float
     rows, columns = np.nonzero(far >= 0.9 * largest)
     nearest = np.argmin(np.hypot(down[rows], right[columns]))
     lag = int(down[rows[nearest]]), int(right[columns[nearest]])
-    # The period may be smaller, among the near lags
+    # The period may be smaller: search the near lags
     for part in range(2, math.gcd(*lag) + 1):
         inner = lag[0] // part, lag[1] // part
         whole = math.gcd(*lag) % part == 0 and max(map(abs, inner)) > _FILTER
@@ -631,7 +631,7 @@ def _related(sample: Array, alike: float) -> tuple[tuple[int, int] | None, float
 
 
 def _grubbs(count: int) -> float:
-    """Largest share of one square among `count` normal values, by Grubbs' test [Grubbs1950]_."""
+    """Limit of one share in the squares of `count` normal values, by Grubbs' test [Grubbs1950]_."""
     if count < _LEAST_GRUBBS:
         return math.inf
     from scipy.special import stdtrit
@@ -641,7 +641,7 @@ def _grubbs(count: int) -> float:
 
 
 def _sidak(count: int) -> float:
-    """Normal quantile that `count` values together do not exceed with 95 % probability."""
+    """Quantile that the largest of `count` normal values does not exceed with 95 % probability."""
     from scipy.special import ndtri
 
     return -float(ndtri(-math.expm1(math.log1p(-_SIGNIFICANCE) / max(count, 1)) / 2))
@@ -700,7 +700,7 @@ def _compared(
     error = math.hypot(a.picture_relative_se, b.picture_relative_se)
     level = math.log(a.picture_variance / b.picture_variance)
     value, bounds = ratio(np.asarray(level), np.asarray(error))
-    # A variance without an upper end leaves the ratio unbounded on that side
+    # If the interval of a variance has no upper end, the ratio is unbounded on that side
     bounds = np.where([b.resolved, a.resolved], bounds, [0.0, np.inf])
     found: dict[str, tuple[tuple[str, ...], Any]] = {
         "difference": (("y", "x"), a.moments.mean - b.moments.mean),

@@ -39,7 +39,7 @@ from mcspectra.samplers import Sampler, as_sampler
 __all__ = ["CHANNELS", "compare_strategies", "reference", "render"]
 
 CHANNELS = ("R", "G", "B")
-_TILE_LANES = 2**19  # samples of a tile: 32 MiB of float64 points in 8 dims
+_TILE_LANES = 2**19  # number of samples of a tile: 32 MiB of float64 points in 8 dims
 _MOST_SAMPLES = 2**20  # limit of samples per pixel in one image
 _MOST_PIXELS = 2**26  # limit of pixels: 5 GiB of moments
 
@@ -81,8 +81,8 @@ def render(
     crop
         x, y, width and height of a part of the film, in pixels; by default the whole film.
     film
-        ``"sampled"``: positions in the pixel are also sampled, with a box filter. ``"center"``:
-        rays pass through the pixel's center.
+        ``"sampled"``: rays pass through positions in the pixel that are also sampled, with a box
+        filter. ``"center"``: rays pass through the pixel's center.
     light
         Index or name of the only light to use.
     heuristic
@@ -90,7 +90,7 @@ def render(
     rng
         Seed in the sense of SPEC 7.
     workers
-        Threads that draw points while others render; they do not change the result.
+        Number of threads that draw points while other points render. It does not change the result.
 
     Returns
     -------
@@ -155,7 +155,7 @@ def render(
     finished, threads = 0, available_workers(workers)
     for images, evaluate in map_in_order(draw, blocks, threads if net is None else 1):
         means = evaluate()
-        if realizations == 1:  # skipping this saves a third of the time of an image with 4 samples
+        if realizations == 1:  # without a variance, an image with 4 samples takes a third less time
             found = Moments(1, means, *[np.zeros(())] * 3)
         else:
             found = Moments.of(means.reshape(len(images), -1, len(CHANNELS)))

@@ -26,7 +26,7 @@ from mcspectra.samplers.scrambles import Owen
 
 __all__ = ["Net", "NetPoints", "Pads", "net_of", "scramble_key"]
 
-# Numbers in the table of permutations: 256 KiB, unless this gives too few permutations
+# Size of the table of permutations: 256 KiB; more if it would hold too few permutations
 _ORDER_NUMBERS = 2**16
 _FEWEST_ORDERS = 16
 _FIRST_STEP = 1 << 16  # label of the stream of a sampler's first randomization
@@ -67,7 +67,7 @@ def net_words(module: Any, net: Net, count: int, index: Any) -> list[Any]:
     words = []
     for columns in net.direction_numbers(count):
         if all(int(column) << k == 2**31 for k, column in enumerate(columns[:bits])):
-            words.append(index)  # van der Corput's points
+            words.append(index)  # points of van der Corput's sequence
             continue
         word = module.UInt32(0)
         for mask, column in zip(chosen, columns[:bits], strict=True):
@@ -105,7 +105,7 @@ def _halves(module: Any, bits: Any) -> tuple[Any, Any]:
 
 
 def _unit(module: Any, word: Any) -> Any:
-    """Return the number in [0,1) of a word whose lowest bit stands for ½."""
+    """Return the number in [0,1) that a word encodes; its lowest bit stands for ½."""
     import drjit
 
     return module.Float(drjit.brev(word) >> 8) * 2.0**-24
@@ -114,7 +114,7 @@ def _unit(module: Any, word: Any) -> Any:
 @final
 @dataclass(frozen=True)
 class NetPoints:
-    """Points 0 … count−1 of scrambled nets: for each stream, the realizations with these numbers.
+    """Points 0 … count−1 of scrambled nets: realizations with given numbers of each stream.
 
     They are the points of ``owen(method='hash')``, rounded down to float32. Streams are given by
     their keys, uint64 (S,), and numbers are uint32 (R,).
@@ -131,7 +131,7 @@ class NetPoints:
         return len(self.streams) * len(self.numbers), self.count, self.net.dims
 
     def lanes(self, module: Any, row: Any) -> Callable[[Any], list[Any]]:
-        """Return a function from the index of a point to its coordinates, for lanes of sets."""
+        """Return a function from the index of a point to its coordinates, a lane for each set."""
         import drjit
 
         stream = row // drjit.opaque(module.UInt32, len(self.numbers))
@@ -178,7 +178,7 @@ class Pads:
         self._orders, self._last = module.UInt32(orders.ravel()), len(orders) - 1
 
     def following(self, request: Any) -> Any:
-        """Return the number of the next request."""
+        """Return the number of the next request for random numbers."""
         return request + 1
 
     def draw(self, dims: int, pixel: Any, request: Any, index: Any, _: Any = True) -> list[Any]:

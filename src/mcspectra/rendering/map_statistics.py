@@ -37,7 +37,7 @@ __all__ = [
 
 UNDECIDED = -1.0
 
-# Multiple of the float32 rounding unit below which a variance is rounding of Mitsuba's values
+# A variance below this multiple of float32's rounding unit is rounding error of Mitsuba
 _ULPS = 4.0
 
 
@@ -46,9 +46,9 @@ def fit_lines(
 ) -> LineFits:
     """Fit all lines at once to variances, their relative errors and the means, (S, N, …).
 
-    Variances at rounding level of float32 are ignored. Zeros and variances with a relative standard
-    error above `largest_se` are also ignored: they come from very few realizations that hit a rare
-    event, and most often they are far too small.
+    Variances at rounding level of float32 are ignored, as are zeros and variances with a relative
+    standard error above `largest_se`: these come from very few realizations that hit a rare event,
+    and most of them are far too small.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         floor = (_ULPS * np.finfo(np.float32).eps * mean) ** 2
@@ -56,7 +56,7 @@ def fit_lines(
         weight = np.where(used, relative_se**-2.0, 0.0)
         y = np.where(used, np.log(variance), 0.0)
         x = np.log(ns.astype(float)).reshape(1, -1, *[1] * (variance.ndim - 2))
-        # Ignored before a used variance: n was too small to hit the rare event.
+        # A variance ignored at smaller n than a used one: n was too small to hit the rare event
         missed = np.maximum.accumulate(used[:, ::-1], axis=1)[:, ::-1] & ~used
         return line_fits(x, y, weight, known=np.asarray(~missed.any(axis=1)))
 
@@ -64,9 +64,9 @@ def fit_lines(
 def smooth(rate: Array, rate_se: Array, window: int, independent: bool) -> tuple[Array, Array]:
     """Average rates (S, y, x) over window × window pixels, weighted by their precision.
 
-    Pixels without a rate are ignored and stay without one. With `independent` pixels, which have
+    Pixels without a rate are ignored and stay without a rate. If pixels are `independent`, with
     their own points, standard errors fall with the number of pixels. Otherwise the mean standard
-    error is used. It is correct for errors that are equal everywhere, and too large for others.
+    error is used, which is correct for errors that are equal everywhere, and else too large.
     """
     if window == 1:
         return rate, rate_se
@@ -92,7 +92,7 @@ def ratio(log_ratio: Array, se: Array) -> tuple[Array, Array]:
 
 
 def slowest(rate: Array, rate_se: Array) -> Array:
-    """Technique of two (2, y, x) with the slower rate, by the interval of the difference.
+    """Which of two techniques (2, y, x) has the slower rate, by the interval of the difference.
 
     The techniques must have their own points, so that the squares of the standard errors add up. A
     test for separate intervals would need 1.4 times the difference at equal errors.
@@ -101,14 +101,14 @@ def slowest(rate: Array, rate_se: Array) -> Array:
 
 
 def dominant(variance: Array, relative_se: Array) -> Array:
-    """Technique of two (2, y, x) with the larger variance, by the interval of the ratio."""
+    """Which of two techniques (2, y, x) has the larger variance, by the interval of the ratio."""
     with np.errstate(invalid="ignore", divide="ignore"):
         log_ratio = np.log(variance[0]) - np.log(variance[1])
         return _larger(log_ratio, relative_se, np.isnan(log_ratio))
 
 
 def least(variance: Array, relative_se: Array) -> Array:
-    """Sampler of S (S, …) with the least variance, by the intervals of its ratios to others.
+    """Index of the sampler with the least variance (S, …), by intervals of its ratios to others.
 
     Undecided if one interval contains 1; NaN if a sampler has no positive variance.
     """
@@ -160,7 +160,7 @@ def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, A
         known = np.where((whole > floor) & (error <= 0.5 * whole), whole, np.nan)
 
     def shared(own: Array) -> tuple[Array, Array]:
-        """Return means of (R, G, P) as shares, and half-intervals by the delta method."""
+        """Return means of parts (R, G, P) as shares, and half-intervals by the delta method."""
         share = own.mean(axis=0) / known
         squares = (own - share * every[:, None]) ** 2
         total, fourth = squares.sum(axis=0), (squares**2).sum(axis=0)
@@ -184,11 +184,11 @@ def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, A
 
 
 def gain(single: LineFits, mis: LineFits, total: float, missed: Array) -> tuple[Array, Array]:
-    """Variance of the best single strategy over that of MIS at `total` samples in all.
+    """Variance of the best single strategy over the variance of MIS, each with `total` samples.
 
-    A strategy that `missed` light is excluded, because its variance is too small.
+    A strategy that `missed` light is excluded, because its estimated variance is too small.
 
-    Both variances come from the fitted lines, for MIS at half as many samples of each technique.
+    Both variances come from the fitted lines, for MIS at half of the samples for each technique.
     The standard error treats them as independent. They share points, which makes it too large
     rather than too small.
     """

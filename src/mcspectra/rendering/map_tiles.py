@@ -26,8 +26,8 @@ power without a closed form adds its own error.
 levels l. The parts σ²_l of g vary with l_j digits of coordinate j. They come from means over blocks
 of a grid with a random point in each cell.
 
-Grids of half the resolution give the standard error of the last three. Other samplers are not
-predicted, because these formulas ignore terms between frequencies.
+The last three predictions take their standard errors from grids of half the resolution. Other
+samplers are not predicted, because these formulas ignore terms between frequencies.
 
 No prediction detects a light that is so rare that no sample hits it. If one technique hit more
 light than another (`surely`), the prediction of the other includes the missed light as a part of
@@ -100,7 +100,7 @@ _TABLE_NUMBERS = 2**23  # limit of numbers in one table of points: 64 MiB
 _KEPT_NUMBERS = 2**24  # limit of numbers in all tables that are kept for the next tile
 _PREDICTED_VALUES = 2**21  # limit of integrand values computed at once
 _CHAIN_VALUES = 2**20  # limit of path values in chains computed at once
-# labels of the streams for the prediction's samples and for chains
+# labels of two random streams: samples of predictions, and chains
 _PREDICTION, _CHAIN = 0x9D1C7, 0xC4A17
 
 
@@ -369,7 +369,6 @@ class Receivers:
 
         Samples u are (R, n, dims), equal for all pixels, or (R, P, n, dims). If there are 3 dims,
         the third selects a light or a lobe. Values that are not finite raise a ParameterError.
-        selects a light or a lobe. Values that are not finite are a ParameterError.
         """
         with LOCK:
             sums = self._sums(technique, u)
@@ -382,10 +381,10 @@ class Receivers:
         return self.estimates(technique, u[:, None, :])
 
     def chooses_lobe(self) -> bool:
-        """Whether a BSDF needs a third random number, which two dims cannot provide."""
+        """Whether a BSDF needs a third random number, which points in two dims do not have."""
         import drjit
 
-        tries = 8  # number of tested directions at every point
+        tries = 8  # number of directions tested at every point
         with LOCK:
             mitsuba = load_mitsuba()
             lane = drjit.arange(mitsuba.UInt32, len(self) * tries)
@@ -402,7 +401,7 @@ class Receivers:
         at = follow_camera(scene, film)
         specular = mitsuba.has_flag(at.bsdf().flags(), mitsuba.BSDFFlags.Delta)
         status = drjit.select(specular, mitsuba.Int32(SPECULAR), RECEIVER)
-        status[at.emitter(scene) != None] = SHINES  # `is not` would not compare lane by lane
+        status[at.emitter(scene) != None] = SHINES  # "is not" would not compare lane by lane
         status[~at.is_valid()] = NOTHING
         drjit.make_opaque(at)
         return np.broadcast_to(np.asarray(status.numpy()), len(pixels)).astype(np.int8), at
@@ -437,11 +436,11 @@ class Receivers:
 
 
 _REPEATS = 2  # predictions per stratum, for their standard error
-# Approximate number of cells of all strata, to hit small lights; a stratum has at least 2 per axis
+# Approximate number of cells in all strata; many cells hit small lights. At least 2 per axis
 _CELLS = 4096
 _GRIDS = {2: 64, 3: 16}  # number of midpoints along each axis by dims, an even number
 _POWER_REALIZATIONS = 1024
-_SURE = 3.0  # number of standard errors below an estimate
+_SURE = 3.0  # distance of a lower bound from its estimate in standard errors
 
 
 def surely(prediction: Prediction, values: Array) -> Array:
@@ -490,7 +489,7 @@ def prediction_for(sampler: Sampler, n: int, stream: Stream) -> Prediction | Non
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Strata:
-    """Strata in the order of samples: (repeat, pair, stratum, cell)."""
+    """Numbers of the strata in the order of samples: (repeat, pair, stratum, cell)."""
 
     count: int
     samples: Array = field(repr=False)
@@ -519,7 +518,7 @@ class _Strata:
         return predicted, se * _student(squares)
 
     def mean(self, values: Array) -> tuple[Array, Array]:
-        """Integral, and its error from the samples of each cell."""
+        """Integral, and its standard error from the samples of each cell."""
         cells = values.reshape(2 * _REPEATS, -1, values.shape[-1])
         variance = cells.var(axis=0, ddof=1).sum(axis=0) / len(cells)
         return values.mean(axis=0), np.sqrt(variance) / cells.shape[1]
@@ -543,8 +542,8 @@ class _Grid:
         whole, *parts = map(self._of_grid, (grid, *coarse))
         if self.power is None:
             return whole, _error_of_mean(parts)
-        # The powers of m and −m are the same number: their errors add up. The errors of other pairs
-        # do not.
+        # The powers of m and −m are the same number, so that their errors add up. The errors of
+        # other pairs do not add up.
         doubled = np.sqrt(2.0 * _sum(self.power_se**2, _energy(grid) ** 2))
         return whole, np.hypot(_error_of_mean(parts), doubled)
 

@@ -53,9 +53,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Map", "compared", "missed", "variance_map"]
 
-_MOST_NUMBERS = 2**27  # limit of numbers in a result: 1 GiB
+_MOST_NUMBERS = 2**27  # maximum number of values in a result: 1 GiB
 _LONGEST_SIDE = 65_536
-_FILM = (256, 256)  # assumed film size before the scene is read
+_FILM = (256, 256)  # film size that is assumed before the scene is read
 
 _DIMS = {
     "variance": ("strategy", "n", "y", "x"),
@@ -284,7 +284,7 @@ class Map(Analysis, frozen=True, kw_only=True):
     def of_samplers(self, subjects: Sequence[Subject]) -> list[Map]:
         """Return the map of each sampler; only the first map measures shares.
 
-        Rejects samplers that cannot be compared, and other errors that are known before the work.
+        Rejects samplers that cannot be compared, and other invalid options, before the work begins.
         """
         counts: dict[str, tuple[int, ...]] = {}
         for subject in subjects:
@@ -409,7 +409,7 @@ def variance_map(
     light, heuristic, channel
         Same as in `Pixel`; one channel at a time.
     dims
-        2, the default, or 3: then the third coordinate chooses a light, or a lobe of the BSDF. With
+        2, the default, or 3: with 3, the third coordinate chooses a light or a BSDF lobe. With
         an integrator same as in `PathPixel`: by default all that paths through 256 of the pixels
         use.
     integrator
@@ -524,7 +524,7 @@ def _threads(workers: int | None) -> Iterator[None]:
 
 
 _LARGEST_PREDICTED_SE = 0.5  # largest relative standard error of a reported prediction
-_SURE_LEVEL = 0.99865  # one-sided level: three standard errors of a normal mean
+_SURE_LEVEL = 0.99865  # one-sided confidence level of three standard errors of a normal mean
 _SHARES = ("mis-light", "mis-bsdf")
 _SINGLE = ("light", "bsdf")
 
@@ -536,7 +536,7 @@ def labelled(
     maps: Maps,
     smoothing: int,
 ) -> xr.Dataset:
-    """Make the dataset of a map from the arrays (…, y, x) of all tiles."""
+    """Make the dataset of a map from arrays (…, y, x), which hold all tiles."""
     x0, y0, width, height = window
     lighting, tracer = measurement.lighting, measurement.tracer
     variance, relative_se = maps.variance, maps.relative_se
@@ -630,10 +630,10 @@ def compared(maps: Sequence[xr.Dataset]) -> xr.Dataset:
 
 
 def missed(row: dict[str, int], mean: Array, se: Array, realizations: int) -> Array:
-    """Whether a strategy (S, y, x) significantly missed light that another hit, by Student's t.
+    """Whether a strategy (S, y, x) significantly missed light that another strategy hit (t-test).
 
-    The variance of such a strategy lacks the missed part. The parts of MIS have means of their own
-    and are never marked.
+    The variance of such a strategy lacks the missed part. The two parts of MIS estimate different
+    integrals and are never marked.
     """
     from scipy.special import stdtrit
 
@@ -648,8 +648,8 @@ def missed(row: dict[str, int], mean: Array, se: Array, realizations: int) -> Ar
 def _predicted(maps: Maps, largest_se: float, missed: Array) -> dict[str, Array]:
     """Predicted over measured variance at the largest count, with an interval from both errors.
 
-    NaN if either comes from very few samples that hit a rare event, or from none: such variances
-    are most often far too small, and so are their errors.
+    NaN if the measurement or the prediction comes from very few samples that hit a rare event, or
+    from no such samples: these variances and their errors are most often far too small.
     """
     predicted, measured = maps.predicted, maps.variance[:, -1]
     with np.errstate(invalid="ignore", divide="ignore"):

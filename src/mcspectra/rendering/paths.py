@@ -9,19 +9,20 @@ come first, as in Mitsuba's own loop. The sampler advances for each request, eve
 need the number, so that a column has the same meaning for all paths. Numbers of bounces that a path
 does not reach do not affect it.
 
-A dry run with the loop evaluated, not recorded, finds D and the bounce of each number, because
-Dr.Jit evaluates the count of numbers between two iterations of the loop. The decision that a number
-controls is known if the requests of a bounce match those of an integrator of Mitsuba; otherwise
-requests are numbered. Mitsuba selects a light by stretching the first coordinate of its point, so
+A dry run with the loop evaluated, not recorded, finds D and the bounce of each number: Dr.Jit
+evaluates the counter of numbers between two iterations of the loop. If the requests of a bounce
+match an integrator of Mitsuba, the decision that each number controls is known; otherwise requests
+are numbered. Mitsuba selects a light by stretching the first coordinate of its point, so that the
+choices of the light and of the point are one decision.
 that both are one decision.
 
-Numbers beyond D, of rare paths or because fewer dims were requested, are hashed from the last two
+Rare paths, and fewer requested dims, need numbers beyond D. These are hashed from the last two
 coordinates. The integrand remains a function of u, and these dims are random for any points.
 
 Integrators return the radiance of all lights together. The choice of paths does not depend on the
-emission, so that the radiance is linear in it path by path. With all lights but one dimmed to
-2^-30, the radiance is the part of that light. No light is turned off, because its texture chooses
-the points on a textured light.
+emission, so that the radiance of each path is linear in the emission. With all lights but one
+dimmed to 2^-30, the radiance is the part of that light. No light is turned off, because the
+texture of a light chooses the points on the light.
 """
 
 from __future__ import annotations
@@ -80,20 +81,20 @@ __all__ = [
 SCENE_INTEGRATOR = "scene"
 """Name of the integrator that the scene itself contains."""
 
-# number of dry paths, and of pixels along each side of a window
+# Number of paths in a dry run; number of pixels along each side of a window
 _DRY_LANES, _DRY_PIXELS = 2**14, 16
 _PAIR = ("x", "y")
 _MOST_DIMS = 64  # default limit of dims, because analyses by axes support no more
-# limits of one kernel: numbers in its table (128 MiB) and lanes
+# Limits of one kernel: numbers in its table (128 MiB), and number of lanes
 _TABLE_NUMBERS, _LANES = 2**25, 2**20
-_DIMMED = 2.0**-30  # factor for other lights: exact in float32, and negligible
+_DIMMED = 2.0**-30  # factor that dims all other lights: exact in float32, and negligible
 _EMITTED = r"(\w+_)?scale|(radiance|intensity|irradiance)\.(.+\.)?(value|data)"
 _PATH = ((2, "light"), (1, "lobe"), (2, "direction"), (1, "roulette"))
 _ORDERS = {
-    # class: requests of one bounce, with the count of numbers and their decisions
+    # Class of the integrator: for each request of a bounce, its count of numbers and its decision
     "PathIntegrator": (_PATH,),
     "PRBIntegrator": (_PATH,),
-    # compilers differ in the order in which they evaluate arguments
+    # Two orders, because compilers evaluate the arguments of a call in different orders
     "DirectIntegrator": (_PATH[:3], (_PATH[0], _PATH[2], _PATH[1])),
 }
 
@@ -191,12 +192,12 @@ class PathPixel(MitsubaIntegrand):
 
     @property
     def dimensions(self) -> tuple[Dimension, ...]:
-        """Use of each coordinate; coordinates beyond the longest dry path have an unknown use."""
+        """Use of each coordinate; the use of coordinates beyond the longest dry path is unknown."""
         return self._tracer.dimensions(((self.x, self.y),), self.dims)
 
     @property
     def numbers_per_path(self) -> float:
-        """Mean count of numbers per path after the camera's; each iteration uses equally many."""
+        """Mean count of a path's numbers, without the camera's; it is the same per iteration."""
         return self._tracer.dry_run(((self.x, self.y),))[1]
 
     @property
@@ -254,7 +255,7 @@ def window_dimensions(
 ) -> tuple[Dimension, ...]:
     """Use of each coordinate of paths through a window (x0, y0, width, height).
 
-    By default as many as paths through 256 pixels, spread evenly over the window, use, at most 64.
+    The default number is that of paths through 256 pixels spread over the window, at most 64.
     """
     x0, y0, width, height = window
     xs = np.unique(x0 + np.linspace(0, width - 1, _DRY_PIXELS).astype(int)).tolist()
@@ -263,7 +264,7 @@ def window_dimensions(
 
 
 def in_dims(sampler: Sampler, dims: int) -> Sampler:
-    """Return the sampler in other dims; its scrambles use the bases of the new coordinates."""
+    """Return the sampler in other dims; it scrambles new coordinates in their own bases."""
     made = as_sampler(sampler.plain.spec, dims)
     for step in sampler.randomizations:
         own: Any = step
@@ -282,7 +283,7 @@ class Tracer:
     integrator: str
     channel: str | int
     size: tuple[int, int]
-    # Probabilities of the lights, and the only undimmed light; None keeps the scene's choice
+    # Probabilities of the lights (None: the scene's own), and the only undimmed light (None: all)
     selection: tuple[float, ...] | None = None
     light: int | None = None
 
@@ -291,7 +292,7 @@ class Tracer:
     ) -> tuple[Dimension, ...]:
         """Use of each coordinate of random paths through these pixels; `dims` is their number.
 
-        By default as many as the paths use, at most 64; the use of later coordinates is unknown.
+        The default is the number that the paths use, at most 64; the use of later ones is unknown.
         """
         found = self.dry_run(pixels)[0]
         count = min(len(found), _MOST_DIMS) if dims is None else dims
@@ -388,7 +389,7 @@ class Tracer:
         if isinstance(integrator, mitsuba.ad.integrators.common.ADIntegrator):
             import drjit
 
-            # Mitsuba's differentiable integrators sample in a mode
+            # Mitsuba's differentiable integrators need a mode as an argument
             found = integrator.sample(
                 mode=drjit.ADMode.Primal,
                 scene=loaded,
@@ -465,7 +466,7 @@ class _Numbers:
         self._seeds = mitsuba.sample_tea_32(*seeds)
 
     def __call__(self, k: Any, active: Any) -> Any:
-        """Return coordinate k, or the hashed number that replaces it beyond the last."""
+        """Return coordinate k, or beyond the last coordinate a hashed number."""
         import drjit
 
         mitsuba = load_mitsuba()
@@ -484,7 +485,7 @@ def _sampler_class() -> Any:
     mitsuba = load_mitsuba()
 
     class Coordinates(mitsuba.Sampler):  # type: ignore[misc,name-defined]
-        """Returns numbers in order; `requests` holds their sizes and each iteration's start."""
+        """Returns numbers in order; records the requests' sizes and the start of each iteration."""
 
         def __init__(self, numbers: _Numbers) -> None:
             super().__init__(mitsuba.Properties())
@@ -555,7 +556,7 @@ def _dry_run(
         if began and turns[-1]:
             turns.append([])
         turns[-1].append(number)
-    # paths skip requests: they have no common order
+    # Paths that skip requests have no common order
     if len(decided) + sum(map(sum, turns)) != asked:
         rest = range(1, asked - len(decided) + 1)
         unknown = (Dimension(1, f"request {k}") for k in rest)

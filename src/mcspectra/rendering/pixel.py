@@ -7,9 +7,9 @@ The camera ray through the pixel's center fixes one surface point. Its direct il
 direction that belongs to u in [0,1)²: ``light`` samples a light, ``bsdf`` the BSDF, ``environment``
 one of our densities (`skies`). ``mis-light`` and ``mis-bsdf`` weight these by a heuristic
 [VeachGuibas1995]_ for equal numbers of samples, so that their sum, with independent points, is
-multiple importance sampling. `pixel_mis` has all heuristics, any counts and any techniques. These
-share directions but no warp: each has its own unit cube, there is no domain view, and densities are
-per steradian. Light that reaches the camera directly is excluded.
+multiple importance sampling. `pixel_mis` has all heuristics, any counts and any techniques. The
+techniques share directions but no warp: each technique has its own unit cube, there is no domain
+view, and densities are per steradian. Light that reaches the camera directly is excluded.
 
 Mitsuba computes in float32: values carry relative errors of about 1e-7, and averages are taken in
 float64. Use a single light for a clean experiment. With all lights, Mitsuba selects one
@@ -113,7 +113,7 @@ ENVIRONMENT = "environment"
 
 
 class MitsubaIntegrand(Integrand):
-    """Mitsuba's values of one channel or all, whose integral is estimated by a mean of points."""
+    """Mitsuba's values of one or all channels; the integral is estimated by a mean over points."""
 
     costly: ClassVar[bool] = True
     stock_samplers: ClassVar[tuple[str, ...]] = (
@@ -160,7 +160,7 @@ class Pixel(MitsubaIntegrand):
     channel
         ``"luminance"`` (Rec. 709), 0, 1 or 2 for red, green or blue, or ``"rgb"`` for all three.
     dims
-        2; or 3, with a third coordinate that chooses a light, or a lobe of the BSDF; or 4 or 5, the
+        2; or 3, whose third coordinate chooses a light, or a lobe of the BSDF; or 4 or 5, the
         same after two coordinates for the position in the pixel.
     density
         For ``"environment"``: a `Density` in 2 dims over the square of latitude and longitude, or
@@ -351,7 +351,7 @@ class PixelView:
         """Same as `draws`, in one kernel."""
         import drjit
 
-        # Evaluate f/p, the densities of light and BSDF, and directions that other techniques need
+        # Evaluate f/p, the densities of light and BSDF, and the directions that skies need
         mitsuba, scene, count = load_mitsuba(), load_scene(self.scene), len(u)
         hit = primary_hit(scene, self.x, self.y)
         if self.on_film:
@@ -509,12 +509,12 @@ SOURCE = "mean of 16 Owen-scrambled sets of 2^17 Sobol' points"
 
 _POINTS, _SETS = 2**17, 16
 _SEED = 20_170_623
-# relative rounding of values, which their spread does not show
+# relative rounding error of values, which does not change their spread
 _SINGLE = float(np.finfo(np.float32).eps)
 
 
 def mean_of_points(integrand: Integrand) -> Estimate:
-    """∫ g, (C,), with C = 1 for a scalar, and its largest standard error over the channels."""
+    """∫ g, (C,), with C = 1 for a scalar, and the largest standard error of a channel."""
     sampler, stream = as_sampler("sobol | owen", integrand.dims), Stream.from_rng(_SEED)
     drawn = (sampler.draw_stream(_POINTS, stream, k, 1)[0] for k in range(_SETS))
     means = np.stack([integrand(u).reshape(_POINTS, -1).mean(axis=0) for u in drawn])
@@ -535,7 +535,7 @@ class PixelMIS(AbstractEstimator):
     heuristic
         Spec of the heuristic.
     shares
-        Counts of the techniques, times the factors of a heuristic that uses f.
+        Sample counts of the techniques, times the factors of a heuristic that uses f.
     control
         α_t (T,) or (T, 3) if the weights have a control variate (``optimal``), otherwise None.
     """
@@ -592,7 +592,7 @@ class PixelMIS(AbstractEstimator):
         return self.view.draws(self._bound[technique], u, self._bound)
 
     def with_heuristic(self, heuristic: str) -> PixelMIS:
-        """Return the same techniques, counts and sets with the heuristic of this spec."""
+        """Return the estimator with the same techniques, counts and sets, but this heuristic."""
         return PixelMIS(
             self.view, self.techniques, heuristic=heuristic, counts=self.counts, sets=self.sets
         )
@@ -617,7 +617,7 @@ class PixelMIS(AbstractEstimator):
         if self.control is None:
             return scale(draws.values, own * over)
         left = scale(draws.values, own) - draws.pdfs.T @ self.control
-        # A lost sample, for example below the surface, is not a sample of p_t: it adds nothing.
+        # A lost sample, for example below the surface, is not a sample of p_t and adds nothing.
         sampled = own > 0.0 if left.ndim == 1 else (own > 0.0)[:, None]
         return np.where(sampled, self.control[technique] + scale(left, over), 0.0)
 
@@ -653,7 +653,7 @@ class _Weighted(MitsubaIntegrand):
 @final
 @dataclass(frozen=True, eq=False)
 class _PixelPilot(Pilot):
-    """A pilot whose points are rows of T densities and the channels of f."""
+    """Pilot samples, one per row: T densities followed by the channels of f."""
 
     estimator: PixelMIS
     shares: Array

@@ -114,7 +114,7 @@ class _Options:
         return _Options(*(properties.get(name, value) for name, value in vars(default).items()))
 
     def sets(self, count: int) -> PaddedSets:
-        """Return checked sets of `count` points."""
+        """Return the checked point sets, each of `count` points."""
         most = self.samples_per_pass
         if most < 0 or (most and count % most):
             raise ParameterError(
@@ -130,7 +130,7 @@ class _Options:
 
 @functools.cache
 def _plugin_class(variant: str) -> Any:
-    """Derive a class from a variant's `Sampler` and register it; its data is in `state`."""
+    """Derive a class from a variant's `Sampler` and register it; `state` holds the data."""
     mitsuba = import_mitsuba()
     if variant.startswith("llvm"):
         before = mitsuba.variant()
@@ -168,7 +168,7 @@ def _plugin_class(variant: str) -> Any:
             self.per_pass = samples_per_wavefront
 
         def seed(self, seed: Any, wavefront_size: int = _UNKNOWN) -> None:
-            # the base class also calls this method, if Python called the base class
+            # If Python calls the base class, the base class also calls this method
             if self.seeding:
                 super().seed(seed, wavefront_size)
                 return
@@ -227,7 +227,7 @@ def _seeded(state: LaneState | PixelState | None) -> LaneState | PixelState:
 
 
 _TAKEN = ("coordinate", "single_offset", "pair_offset")
-_REQUESTS = 4  # sets that belong to one pixel alone: film, light, BSDF and one more
+_REQUESTS = 4  # number of sets that belong to a single pixel: film, light, BSDF and one more
 _MOST_REQUESTS = 2**16  # largest number of requests of a pixel in scalar variants
 
 
@@ -293,7 +293,7 @@ class PixelState:
 def seed_lanes(
     module: Any, sets: PaddedSets, stream: Stream, wavefront_size: int, per_pass: int
 ) -> LaneState | None:
-    """Return the state of a wavefront; None for size 1, which renderers use to release memory."""
+    """Return the state of a wavefront; None for size 1, by which renderers release memory."""
     pixels, rest = divmod(wavefront_size, per_pass)
     if rest:
         return None
@@ -357,7 +357,7 @@ class _TablePads:
         return self._wrapped(offset + self._stride)
 
     def draw(self, dims: int, pixel: Any, offset: Any, index: Any, active: Any) -> list[Any]:
-        """Return the numbers of requests with this offset."""
+        """Return the random numbers of the requests with this offset."""
         number = self._wrapped(pixel % self._sets[dims].size + offset)
         return self._sets[dims].draw(dims, number, 0, index, active)
 
@@ -438,10 +438,10 @@ class LaneState:
 
 
 MOST_SAMPLES = 2**16
-"""Most samples per pixel: with the fewest sets, a table then has its largest size."""
+"""Maximum samples per pixel, for which the fewest sets fill a table of the largest size."""
 
-_MOST_NUMBERS = 2**27  # limit of numbers in one table: 512 MiB
-_FEWEST_SETS = 509  # a prime number; later requests of one pixel use its first sets again
+_MOST_NUMBERS = 2**27  # maximum number of values in one table: 512 MiB
+_FEWEST_SETS = 509  # prime number of sets; further requests of a pixel reuse its first sets
 _BLOCK_NUMBERS = 2**19  # numbers drawn at once: 4 MiB of float64
 _GOLDEN = (5**0.5 - 1) / 2
 
@@ -503,7 +503,7 @@ class PaddedSets:
         try:
             single = as_sampler(self.spec, 1)
             single.check_count(count)
-        except ParameterError:  # single requests then use the first coordinate of pairs
+        except ParameterError:  # requests of one number then use the first coordinate of pairs
             single = pair
         settle(self, _samplers=(single, pair, joint))
 

@@ -35,8 +35,8 @@ _SEEDS = 2**32
 class MitsubaSampler(Sampler):
     """One of Mitsuba 3's samplers, drawn dimension by dimension like an integrator.
 
-    It has 1 to 1024 dims: pairs are drawn by ``next_2d``, the last one of an odd number by
-    ``next_1d``. Counts are those that Mitsuba does not round: any for ``independent``, s² for
+    It has 1 to 1024 dims: pairs of dims are drawn by ``next_2d``, and the last dim of an odd number
+    by ``next_1d``. Counts are those that Mitsuba does not round: any for ``independent``, s² for
     ``stratified``, s², s(s + 1) and s(s + 2) for ``multijitter``, squares of primes for
     ``orthogonal``, powers of 4 from 4 for ``ldsampler``; at most 2^20.
 
@@ -52,8 +52,8 @@ class MitsubaSampler(Sampler):
     Notes
     -----
     Points are float32 numbers; a coordinate that Mitsuba rounded up to 1 becomes the largest
-    float32 below 1. Its seeds have 32 bits: realizations 2^32 apart are equal. Every point is a
-    call of Mitsuba, some hundred thousand points per second.
+    float32 below 1. Seeds have 32 bits, so that realizations 2^32 apart are equal. Every point is
+    a call of Mitsuba; some hundred thousand points are drawn per second.
 
     References
     ----------
@@ -89,7 +89,7 @@ class MitsubaSampler(Sampler):
         options = {} if self.jitter else {"jitter": False}
         with LOCK:
             parser = import_mitsuba().parser
-            # this registers the classes of its objects
+            # Importing Mitsuba's module registers the classes of its objects
             importlib.import_module("mitsuba.scalar_rgb")
             config = parser.ParserConfig("scalar_rgb")
             state = parser.parse_dict(config, {"type": self.sampler, "sample_count": n, **options})
@@ -190,8 +190,9 @@ def from_mitsuba(source: Any, dims: int = DEFAULT_DIMS) -> MitsubaObject:
 
     Notes
     -----
-    Every realization has its own seed, so that it does not depend on the number drawn at once. In
-    vectorized variants it is one wavefront of n lanes and takes some milliseconds.
+    Every realization has its own seed, so that it does not depend on how many realizations are
+    drawn at once. In vectorized variants, a realization is one wavefront of n lanes and takes some
+    milliseconds.
     """
     return MitsubaObject(source=source, dims=dims)
 

@@ -173,7 +173,7 @@ def warn_missed(scene: Scene, strategy: str, light: int | str | None = None) -> 
 
 
 def delta_light(emitter: Any) -> bool:
-    """Whether an emitter shines from a point or in one direction only."""
+    """Whether an emitter shines only from one point or only in one direction."""
     return bool(int(emitter.flags()) & int(load_mitsuba().EmitterFlags.Delta))
 
 
@@ -266,7 +266,7 @@ def _environment(scene: Scene, light: int | str | None) -> list[str]:
 
     for emitter in chosen:
         parameters = load_mitsuba().traverse(emitter) if emitter.is_environment() else {}
-        if "to_world" in parameters:  # a uniform environment may be scaled
+        if "to_world" in parameters:  # a uniform environment has no direction and may be scaled
             try:
                 rotation_of(emitter)
             except ParameterError as error:

@@ -112,7 +112,7 @@ def as_scene(scene: object) -> str | Path | DictScene:
 
 
 def scene_name(scene: Scene) -> str:
-    """Return the name of a scene in messages, quoted: its name, path, or ``'dict'``."""
+    """Return the quoted text that names a scene in messages: its name, path, or ``'dict'``."""
     return repr(str(as_scene(scene)))
 
 
@@ -265,7 +265,7 @@ def render_file(
                 camera.film().write(str(target))
             return np.array(image, dtype=np.float64)
         except (RuntimeError, TypeError) as error:
-            if isinstance(error.__cause__, McspectraError):  # our sampler raised the error
+            if isinstance(error.__cause__, McspectraError):  # one of our samplers raised the error
                 raise error.__cause__ from None
             reason = mitsuba_reason(error)
             raise FileFormatError(f"Mitsuba cannot render {shown(named)}: {reason}.") from None
@@ -318,7 +318,7 @@ def integrator_plugin(spec: str) -> dict[str, Any]:
         raise ParameterError(f"The integrator {shown(spec)} cannot be read: {error}") from None
     if reach_of(found) is not None:
         raise ParameterError(f"The integrator {shown(spec)} names a file or code; remove it.")
-    _copied(found)  # this makes the same check as for a dictionary
+    _copied(found)  # Copying makes the same checks as for a scene dictionary
     return found
 
 
@@ -431,7 +431,7 @@ def emitter_names(scene: Scene) -> list[str]:
 
 @functools.lru_cache(maxsize=16)
 def _built(request: str | Path | DictScene, _state: Hashable = None) -> Any:
-    """Build the scene of a name, of a file in this state, or of a dictionary."""
+    """Build a scene from a name, from a file in this state, or from a dictionary."""
     mitsuba, name = load_mitsuba(), str(request)
     load: Any = mitsuba.load_file
     source: Any = name
@@ -528,7 +528,7 @@ class DictScene:
         return "dict"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return DictScene, (self._copy,)  # addresses differ in another process
+        return DictScene, (self._copy,)  # object addresses differ in another process
 
 
 def _copied(value: Any, depth: int = 0) -> Any:
@@ -571,7 +571,7 @@ def _key(value: Any) -> Hashable:
     readable = hasattr(holder, "__array__") or hasattr(holder, "__array_interface__")
     numbers = np.asarray(holder if readable else None)
     if numbers.dtype == object:
-        return "object", id(value)  # the scene holds the object, so that its address is not reused
+        return "object", id(value)  # the scene keeps the object alive, so its address stays unique
     digest = hashlib.sha256(np.ascontiguousarray(numbers).tobytes()).hexdigest()
     return type(value).__name__, numbers.shape, str(numbers.dtype), digest
 
@@ -591,10 +591,10 @@ MOST_ELEMENTS = 2**21
 MOST_XML = 2**26
 """Largest size of an XML file in bytes: a million elements take about 32 MB."""
 
-_LONGEST_REASON = 300  # largest number of characters of Mitsuba's message
+_LONGEST_REASON = 300  # maximum length of Mitsuba's message in characters
 _INCLUDES = 16  # levels of includes; Mitsuba allows at most 15
-_MOST_NAMES = 64  # largest number of values of one text with parameters
-# largest number of passes over all names; each follows one more include or default
+_MOST_NAMES = 64  # maximum number of values of one text with parameters
+# Maximum number of passes over all names; each pass follows one more include or default
 _MOST_ROUNDS = 64
 _LONGEST_PATH = 4096  # largest number of characters of a path in Linux; a longer text is not a file
 _LONGEST_PARAMETER, _LONGEST_TEXT = 64, 2**20  # characters of a parameter's name, and of its values
@@ -709,7 +709,7 @@ def referenced_files(
                     around = tuple(folders | {file.parent: None})
                     if trust is not None and tag == "string":
                         trust.check_scene_spec(name, where)
-                        for ending in ("eta", "k"):  # Mitsuba searches materials in these files
+                        for ending in ("eta", "k"):  # Mitsuba looks for a material in these files
                             places(f"data/ior/{name}.{ending}.spd", around, where)
                     if tag == "path":
                         for folder in (*around, here):
@@ -812,7 +812,7 @@ def _elements(file: Path, data: bytes) -> _SceneFile:
         value = attributes.get("value", "")
         name = attributes.get("filename") or (value if tag in ("string", "path") else "")
         if found.depth > DEEPEST or found.elements > MOST_ELEMENTS:
-            return  # the limit is exceeded; counting continues for the message
+            return  # The limit is exceeded; the elements are still counted for the message
         # After a default that ends in a backslash, a text also contains the escape
         if any("\\$" in each for each in attributes.values()) or (
             tag == "default" and "\\" in value
@@ -947,10 +947,9 @@ def _states(files: Iterable[Path]) -> State:
 def what_fails(scene: Any) -> tuple[str, RuntimeError] | None:
     """Return the first material or light that cannot be evaluated, and the error; otherwise None.
 
-    A virtual call of Dr.Jit traces every BSDF in the process, whatever scene it belongs to. If the
-    evaluation of one fails, all other scenes fail as well. So each is called once, alone, before a
-    scene is used; calls that are only traced take microseconds. Hold `backend.LOCK` around the
-    call.
+    A virtual call of Dr.Jit traces every BSDF in the process, of all scenes. If one BSDF cannot be
+    evaluated, all other scenes fail as well. So before a scene is used, each BSDF and each light is
+    called once, alone; calls that are only traced take microseconds. Hold `backend.LOCK` around the
     """
     import drjit
 

@@ -32,7 +32,7 @@ _SMALLEST_SINE = 1e-12  # limit at the poles, where a density per steradian is u
 @final
 @dataclass(frozen=True, eq=False)
 class Sky:
-    """A density of directions toward an environment; `rotation` is its frame in the world."""
+    """A density of directions toward an environment; `rotation` maps its frame to the world."""
 
     density: Density
     rotation: Array
@@ -114,7 +114,7 @@ def sky_pixels(scene: Scene, rows: int = _ROWS) -> Array:
 def sky_technique(scene: Scene, density: Density | str | None, channel: str | int) -> Sky:
     """Bind a density in two dims, or that of a spec, to the environment of a scene.
 
-    A spec of ``environment`` without a path means the scene's own environment, `sky_pixels`. With
+    A spec ``environment`` without a path means the scene's own environment, `sky_pixels`. With
     None, this environment is bilinear, by `channel` (by luminance for ``"rgb"``).
     """
     if density is None:
@@ -128,7 +128,7 @@ def sky_technique(scene: Scene, density: Density | str | None, channel: str | in
 def _sky(loaded: Any, name: str, density: Density | str) -> Sky:
     made = as_density(density, 2) if isinstance(density, str) else density
     if isinstance(density, str) and isinstance(made, EnvironmentDensity):
-        # An environment map is the scene's unless the spec names another
+        # Use the scene's environment map, unless the spec names another map
         given = parse(density).arguments
         if not {"path", "values"} & set(given):
             made = EnvironmentDensity(values=_pixels(loaded.environment(), _ROWS), **given)
@@ -156,7 +156,7 @@ def _pixels(emitter: Any, rows: int) -> Array:
 
 
 def rotation_of(emitter: Any) -> Array:
-    """Return the frame of an emitter in the world, (3, 3); a scaled one is a ParameterError."""
+    """Return the frame of an emitter in the world, (3, 3); a scaled frame is a ParameterError."""
     matrix = np.asarray(emitter.world_transform().matrix, np.float64).reshape(4, 4)[:3, :3]
     if not np.allclose(matrix.T @ matrix, np.eye(3), atol=_ORTHONORMAL):
         raise ParameterError(

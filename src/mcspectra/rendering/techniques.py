@@ -50,9 +50,9 @@ POWERS = {"balance": 1, "power": 2}
 """Exponents β of heuristics, by name."""
 
 Techniques = tuple[Any, Any, Any]
-"""Value f/p, own density, density of the other technique."""
+"""Value f/p, density of the technique, density of the other technique."""
 
-_SCENES, _PIXELS = 4, 256  # number of scenes whose hits are kept, and of pixels in each
+_SCENES, _PIXELS = 4, 256  # number of scenes whose hits are cached, and number of pixels in each
 _PROBES = 16  # tested positions along each side of a pixel in `check_film_receivers`
 
 
@@ -98,7 +98,7 @@ def hits_of(scene: Any) -> Callable[[int, int], Hit]:
 def _primary_hit(scene: Any, x: int, y: int) -> Hit:
     import drjit
 
-    # Opaque: position and point become data, so that all pixels share compiled kernels.
+    # Opaque values are data, not constants, so that all pixels share compiled kernels.
     position = load_mitsuba().Point2f(*_on_film(scene, x, y))
     drjit.make_opaque(position)
     interaction = follow_camera(scene, position)
@@ -112,7 +112,7 @@ def _primary_hit(scene: Any, x: int, y: int) -> Hit:
 
 
 def film_hits(scene: Any, x: int, y: int, film: Array) -> Hit:
-    """Follow a ray through each position (M, 2) in [0,1)² of a pixel, and the lens's center.
+    """Follow a ray through each position (M, 2) in [0,1)² of a pixel and the center of the lens.
 
     A float32 resolves positions to 2⁻²⁴ of the whole film.
     """
@@ -251,7 +251,7 @@ def lane_sums(
 
     mitsuba = load_mitsuba()
     real: Any = drjit.float64_array_t(mitsuba.Float)
-    # Opaque: constants in the kernel would cause a new compilation for each number.
+    # Opaque values are data: constants in a kernel would need a new compilation for each value.
     end, at = drjit.opaque(mitsuba.UInt32, count), values(drjit.arange(mitsuba.UInt32, lanes))
 
     def add(k: Any, *sums: Any) -> tuple[Any, ...]:
@@ -286,7 +286,7 @@ def pixel_sums(
 
 
 def chosen_channel(color: Any, channel: str | int) -> Any:
-    """Return the luminance of a color, or a channel by its index."""
+    """Return the luminance of a color, or the channel with this index."""
     return load_mitsuba().luminance(color) if channel == "luminance" else color[channel]
 
 
@@ -329,7 +329,7 @@ def sample_light(
     value *= weight
     useful = active & (sample.pdf > 0.0) & drjit.any(value != 0.0)
     visible = useful & ~hit.scene.ray_test(at.spawn_ray_to(sample.p), useful)
-    # BSDF sampling never hits a light that is a delta function: its density there is 0.
+    # BSDF sampling never hits a light that is a delta function: the BSDF's density there is 0.
     other = drjit.select(sample.delta, 0.0, bsdf_pdf)
     return drjit.select(visible, value, 0.0), sample.pdf, other
 

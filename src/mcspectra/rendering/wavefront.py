@@ -8,7 +8,7 @@ the memory, for any number of pixels and of samples per pixel.
 
 The columns of u are, in this order: two for the position in the pixel, if it is sampled; then two
 for the direction, or three if the third selects a light or a lobe of the BSDF. The strategy ``mis``
-adds up both techniques at the same surface point, so it has such a block for the light and then one
+adds up both techniques at the same surface point: it has a block of columns for the light, then one
 for the BSDF.
 """
 
@@ -53,8 +53,8 @@ FILMS = ("center", "sampled")
 CHUNK_SAMPLES = 2**20
 """Samples in one kernel: some 200 MiB of Dr.Jit's memory; larger kernels are not faster."""
 
-_LOOP_SAMPLES = 16  # most samples that a lane runs over; more would leave too few lanes
-_MOST_VALUES = 2**26  # limit of lanes whose values are returned individually: 768 MiB of float32
+_LOOP_SAMPLES = 16  # maximum number of samples of a lane; more would leave too few lanes
+_MOST_VALUES = 2**26  # maximum number of samples that are returned one by one: 768 MiB of float32
 
 
 class Wavefront:
@@ -105,7 +105,7 @@ class Wavefront:
             self._request, self._scene = scene, load_scene(scene)
             check_media(scene)
             self.width, self.height = film_size(scene)
-            # Passed as data: division by a constant in a kernel would round differently
+            # Pass the size as data: division by a constant in a kernel would round differently
             sides = (float(side) for side in (self.width, self.height))
             self._size = [drjit.opaque(load_mitsuba().Float, side) for side in sides]
             self._emitter = None if light is None else find_emitter(scene, light)
@@ -187,7 +187,7 @@ class Wavefront:
         return out
 
     def net_means(self, strategy: str, pixels: Array, points: NetPoints) -> Array:
-        """Same as `means` for points computed by the kernel, one set per pixel; without checks."""
+        """Same as `means` without checks, for points computed by the kernel, one set per pixel."""
         sums = self._sums(strategy, pixels, points)
         sums /= points.count
         return sums
@@ -238,7 +238,7 @@ class Wavefront:
         return sums
 
     def _parts(self, strategy: str, pixels: Array, points: Array | NetPoints, each: int) -> Array:
-        """Sums over `each` consecutive samples per lane: float64 (P, n / each, 3)."""
+        """Sums over `each` consecutive samples in each lane: float64 (P, n / each, 3)."""
         import drjit
 
         mitsuba, count, at_center = load_mitsuba(), points.shape[-2], self.film == "center"
