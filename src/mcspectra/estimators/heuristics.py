@@ -116,7 +116,7 @@ HEURISTICS = Registry(
 
 
 class Pilot(ABC):
-    """Interface to f and all p_t at sampled points, for heuristics that use f.
+    """Access to f and all p_t at sampled points, for heuristics that use f.
 
     Points are rows of an array that only the pilot interprets: points of a shared domain, or
     records of a renderer's path.

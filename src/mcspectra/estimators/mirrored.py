@@ -26,7 +26,7 @@ from mcspectra.samplers.randomizations import folded
 __all__ = ["MIRRORINGS", "FoldedIntegrand", "Mirrored", "SymmetrizedIntegrand"]
 
 MIRRORINGS = ("integrand", "random", "uniform")
-_MOST_DIMS = 12  # One average over reflections takes 2^d values of the integrand
+_MOST_DIMS = 12  # Averaging over all reflections takes 2^d values of the integrand
 
 
 @final

@@ -41,7 +41,7 @@ __all__ = [
 ]
 
 _LEAST, _POINTS = 2**12, 2**16
-_LARGE = 0.1  # Share of the second moment above which a note is given
+_LARGE = 0.1  # Share of the second moment above which the result has a note
 
 
 @final
@@ -198,7 +198,7 @@ def growing_interval(
 
 @lru_cache(maxsize=256)
 def _growing_quantile(exponent: float, count: int, settings: TailSettings) -> float:
-    """Return how many standard errors the mean of `count` values u^−κ can be too small."""
+    """Return by how many standard errors the mean of `count` values u^−κ can be too small."""
     rng = np.random.default_rng((count, round(1000.0 * (exponent + 1.0))))
     u = rng.random((max(1000, min(settings.samples, 10_000_000 // count)), count))
     x = -np.log(u) if exponent == 0.0 else (u**-exponent - 1.0) / exponent

@@ -72,7 +72,7 @@ __all__ = [
 Breaks = tuple[tuple[float, ...], ...]
 """Positions along each axis."""
 
-_MOST_COEFFICIENTS = 2**26  # 1 GiB of complex numbers
+_MOST_COEFFICIENTS = 2**26  # Largest number of coefficients: 1 GiB of complex numbers
 _EXACT_BLOCK = 2**20
 _KEPT = 4
 _ADAPTIVE_DIMS = 5
@@ -203,7 +203,7 @@ class Integrand(Component, ABC):
                 "points of the unit cube."
             )
         if type(self).is_black_box is Integrand.is_black_box and self.is_black_box:
-            # A class of another package; functions count their own calls
+            # Count calls only for classes of other packages; functions count their own calls
             spend(points.size // self.dims)
         return self._evaluate(points)
 

@@ -90,7 +90,7 @@ class Calls:
     skips
         Whether values are NaN where f fails.
     first_skipped
-        The first of these points (d,), or None.
+        The first point at which f failed, (d,), or None.
 
     Raises
     ------

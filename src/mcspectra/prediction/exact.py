@@ -103,7 +103,7 @@ EXACT_TOLERANCE = 1e-6
 class ExactSettings:
     """Settings for the agreement of quadratures, and for the cells of curves along axes.
 
-    "Insensitive" means that half and twice the value change no variance by more than 1e-9 in twelve
+    "Insensitive": half or double the value changes no variance by more than 1e-9 in twelve
     cases. The cases are sums and products with jumps, kinks and poles, a wave, a disk and a ridge,
     at n = 64 and 1024.
     """

@@ -261,6 +261,6 @@ def _errors(known: Array, points: Array, shifts: Array) -> Array:
         return np.asarray(found.real)
     phases = np.exp(-1j * places[..., None] * (np.arange(known.shape[1]) - known.shape[1] // 2))
     terms = np.conj(known) * shared
-    for phase in phases:  # Sum over the first remaining axis
+    for phase in phases:  # Sum over the first remaining axis of frequencies
         terms = np.einsum("pm,pm...->p...", phase, terms)
     return np.asarray(terms.real)

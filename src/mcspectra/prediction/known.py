@@ -53,7 +53,7 @@ class Predicted:
     tail
         Part of `variance` that represents the rest, in the same units.
     method
-        Name of the method in `METHODS`, filled in by the loop over the methods.
+        Name of the method, as in `METHODS`, filled in by the loop over the methods.
     poles
         Whether `error` covers poles of g beyond tables and points.
     """

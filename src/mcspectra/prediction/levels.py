@@ -121,7 +121,7 @@ def of_levels(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
     known
         g, and the tables made for other counts and samplers.
     stream
-        Not used, because nothing is random.
+        Not used, because this method draws no random numbers.
 
     Raises
     ------
@@ -186,7 +186,7 @@ def _scrambled(net: Fixed, bases: tuple[int, ...], known: Known) -> Predicted:
         first = first or (parts, *spread)
         at = tuple(np.indices([level + 1 for level in cells]))
         new = ~counted[at]
-        new[origin] = False  # The mean has no gain
+        new[origin] = False  # Level 0, the mean, has no gain
         ends = tuple(np.minimum(axis, side - 1) for axis, side in zip(at, gains.shape, strict=True))
         plain = plain + parts[:, new].sum(axis=1)
         weighed = weighed + (gains[ends][..., None] * parts)[:, new].sum(axis=1)
@@ -224,7 +224,7 @@ def _tables(wanted: Array, bases: Sequence[int], least: int, most: int) -> Itera
     left = [levels for levels in left if math.prod(map(pow, bases, levels)) <= most]
     found = [first]
     while left := [v for v in left if any(map(int.__gt__, v, found[-1]))]:
-        # Take the longest first, and among equals the one with most cells
+        # Take the longest table first, and among equally long tables the one with most cells
         found.append(grown(max(left, key=lambda v: (max(v), sum(v)))))
         yield found[-1]
 
@@ -293,7 +293,7 @@ def _cell_moments(
     varies = varies + np.sqrt(np.maximum(squares[-1] - fine**2, 0.0))
     rough = (varies / np.maximum(varies.max(axis=tuple(range(dims))), 1e-300)).sum(axis=-1)
     limit = _SETTINGS.rough * rough.mean()
-    edges = (0.0, *((1e-9, 1.0 - 1e-9) if dims <= 2 else ()))  # Warps have their poles there
+    edges = (0.0, *((1e-9, 1.0 - 1e-9) if dims <= 2 else ()))  # Warps have their poles at 0 and 1
     for axis, breaks in enumerate(g.breaks):
         place = (np.array([*edges, *breaks]) - offset[axis]) % 1.0 * sides[axis]
         cut = place[np.abs(place - np.rint(place)) > 1e-12]

@@ -135,7 +135,7 @@ class QuadratureSettings:
 @final
 @dataclass(frozen=True, kw_only=True)
 class AutoSettings:
-    """Required widths of intervals, and counts at which limits of rates are sought.
+    """Required widths of intervals, and counts that show the limits of rates.
 
     Attributes
     ----------
@@ -659,7 +659,7 @@ _LIMIT = "limit"
 
 
 def tried(name: str, law: Law, known: Known) -> list[Method]:
-    """Return the methods with a name for one technique, in their order of trust."""
+    """Return the methods of this name for one technique, the most trusted first."""
     usable = [method for method in METHODS if method.predict is not None]
     if name == "auto":
         return [method for method in usable if method.applies(law, known)]
@@ -1175,7 +1175,7 @@ class Predictor:
                     predicted(source.law(n * c), each, stream.child(t), name)
                     for t, (c, each) in places
                 ]
-            # Compute the weights of their shares
+            # Compute the weights of the techniques' energy shares
             squares = [np.ones(len(parts[0].variance))]
             if len(parts) > 1:
                 squares = [each.square[0] for each in known]
@@ -1241,7 +1241,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
 
     Return the first prediction whose interval is narrow enough, else the narrowest.
     """
-    if law.n == 1 and law.uniform:  # A single point is a random point
+    if law.n == 1 and law.uniform:  # A set of a single point is a random point
         law = Independent(n=1, dims=law.dims)
     law = as_scrambled(law)
     if name == _LIMIT and isinstance(law, Shifted) and isinstance(law.inner, Strata):
@@ -1252,7 +1252,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
         spread = student_t(len(parts)) * values.std(axis=0, ddof=1) / math.sqrt(len(parts))
         error = np.hypot(np.mean([part.error for part in parts], axis=0), spread)
         return replace(parts[0], variance=values.mean(axis=0), error=error)
-    if known.constant:  # One of several techniques
+    if known.constant:  # The law belongs to one of several techniques
         none = 0.0 * known.square[0]
         used = name if name in NAMES else NAMES[0]
         return Predicted(none, none, "the same at all points", method=used)
@@ -1289,7 +1289,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
 
 
 def _of_the_set_inside(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
-    """Predict a set before it was folded or mirrored, with another integrand.
+    """Predict the variance for the set before folding or mirroring, with another integrand.
 
     See `mcspectra.prediction.exact`.
     """
@@ -1328,13 +1328,13 @@ def _within(counts: Sequence[int], points: int) -> ExtrapolationSettings:
 
 
 def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:
-    """Return one count before a single one, the counts, and two beyond; 0 where there is none."""
+    """Return counts with one count before a single count, and two beyond the last; 0 if missing."""
     last = counts[-1]
     half = sampler.nearest_count(max(1, last // 2)) if len(counts) == 1 else last
     ahead, leaf = [_AUTO.ahead * last], leaf_of(sampler.law(last))
     if (
         isinstance(leaf, Strata) and leaf.jittered
-    ):  # One table with the cells of all counts makes strata cheap
+    ):  # Strata are cheap, because one table holds the cells of all counts
         top = sampler.dims * (_AUTO.most_ahead // sampler.dims)
         ahead = [2 ** (top - max(sampler.dims, 2)), 2**top]
     beyond = [sampler.nearest_count(n) for n in ahead if n <= 2**_AUTO.most_ahead]

@@ -52,7 +52,7 @@ __all__ = [
 ]
 
 DECAYS = {"jump": 1.0, "kink": 3.0, "smooth": math.inf}
-"""γ − d for a jump of the values or of first derivatives across a hypersurface, or for none."""
+"""γ − d for a jump of values, a jump of first derivatives (across a hypersurface), or no jump."""
 
 
 @final

@@ -40,7 +40,7 @@ __all__ = ["PiecewiseCurve", "PiecewiseSettings", "Separable", "separated"]
 class PiecewiseSettings:
     """Settings for curves of functions of one axis, and for the test of sums and products.
 
-    "Insensitive" means that half and twice the value change no variance by more than 1e-10 in the
+    "Insensitive": half or double the value changes no variance by more than 1e-10 in the
     twelve cases of `mcspectra.prediction.exact.ExactSettings`.
     """
 
@@ -84,7 +84,7 @@ class PiecewiseSettings:
     lines: int = 16
     # Relative rounding error of g in the test of a sum or product. Insensitive.
     same: float = 1e-7
-    # A value that more than this fraction of points share is a constant beside a product, such as
+    # A value that more than this fraction of points share is a constant added to a product, such as
     # the 0 of an indicator. Insensitive.
     common: float = 0.1
 

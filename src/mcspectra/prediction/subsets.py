@@ -23,7 +23,7 @@ whose leading singular vectors are the basis of h_ri; least squares over scrambl
 after another; the residual on another net; ∫g² with Student's t. g_i is the fit's g_i plus the mean
 deviation of the profiles from the fit.
 
-Strata of a grid need no model: with x and x' in the same stratum, Var = E (g(x) − g(x'))² / 2n. In
+Strata of a grid need no fit: with x and x' in the same stratum, Var = E (g(x) − g(x'))² / 2n. In
 Latin hypercubes all pairs have one law: different ones of n strata on each axis [Stein1987]_.
 """
 
@@ -288,7 +288,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
             tail, half = joint + either - more, joint_half / n + either
         value = ones[0] + more + tail
         drawn = half_interval(sets) if len(sets) > 1 else 0.0
-        # Error of peaks that few points hit
+        # Add the error due to peaks that few points hit
         seen = p.half / p.variance if p.variance > 0.0 else 0.0
         rough = any(len(axis.knots) > 2 for axis in p.axes)
         rough |= pairs.leaves_cells and 32 * n > SUBSET_SETTINGS.finest
@@ -513,7 +513,7 @@ def all_parts(known: Known) -> list[AnovaModel]:
     mean = values.mean(axis=(0, 1))
     squares = ((values - mean) ** 2).mean(axis=1)
     energy, half = squares.mean(axis=0), half_interval(squares)
-    if d <= SUBSET_SETTINGS.few_dims:  # A quadrature resolves poles better
+    if d <= SUBSET_SETTINGS.few_dims:  # Use ∫g² of a quadrature, which resolves poles better
         square, error = known.square
         error = np.hypot(error, 2.0 * np.abs(mean) * half_interval(values.mean(axis=1)))
         better = error < half

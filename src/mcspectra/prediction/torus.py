@@ -142,7 +142,7 @@ class DrawnSettings:
 
     Attributes
     ----------
-        Number of sets that give all frequencies, largest number of sets, and total number of
+        Number of sets transformed at all frequencies, largest number of sets, and total number of
         points, which limits the work at large n. Half and twice as many change the variance by less
         than 0.8 %.
     slow, slow_points
@@ -278,9 +278,9 @@ class Region:
     energy
         |g_m|², doubled where −m is not in the region: (channels or 1, *grid).
     table
-        The same from a coarser table; None if coefficients are exact.
+        Energies from a coarser table; None if coefficients are exact.
     near
-        Whether drawn sets use it.
+        Whether drawn sets use this region.
     """
 
     vectors: Array
@@ -658,7 +658,7 @@ def _drawn(
     lawful = isotropic and len(np.unique(np.rint(length[inside] ** 2 * n))) >= _DRAWN.least_lengths
     core = replace(low, energy=np.where(inside, low.energy, 0.0) if lawful else 0.0 * low.energy)
     sums, low_sum, count = [np.zeros(r.shape) for r in regions], np.zeros(low.shape), 0
-    # Values of the core, of the other low frequencies, and of all other frequencies
+    # Powers in the core, at the other low frequencies, and at all other frequencies
     values: tuple[list[Array], ...] = ([], [], [])
     while True:
         for x in (

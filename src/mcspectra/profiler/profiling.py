@@ -81,7 +81,7 @@ class ProfileSettings:
     least_budget: int = 256
     # Columns of the text of a cause: one line of a usual terminal or page.
     width: int = 100
-    # Points of each net to which changes are fitted: with 20 nets 1280 evaluations. Half or twice
+    # Points of each net to which changes are fitted: 20 nets take 1280 evaluations. Half or twice
     # as many gave the same advice in 12 profiles of 8192 evaluations (2 seeds of six functions);
     # the RMSE after one fitted change differed by a factor of 2.4.
     fitted_points: int = 64
@@ -255,7 +255,7 @@ class Profile:
 
     @property
     def not_tried(self) -> tuple[str, ...]:
-        """Names of other set-ups, with the reason."""
+        """Names of set-ups that were not compared, with the reason."""
         return self.answer.not_tried
 
     @property
@@ -775,7 +775,7 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     third = 0.0 if strata else (dims - 1) / (3.0 * math.log(curve.counts[-1]))
     rate = -1.0 - _EXPONENTS[first] / (dims if strata else 1) + 2.0 * third
     if first == "axis-parallel-jump":
-        # The variance is a sawtooth about a line, whose level the last teeth give
+        # The variance is a sawtooth about a line; its last teeth give the level of the line
         error = math.hypot(curve.rate_se, _SETTINGS.teeth_error)
         teeth = np.log(curve.variance) - curve.rate * np.log(curve.counts / curve.counts[-1])
         level = float(np.mean(teeth[-_SETTINGS.teeth :]) - teeth[-1])
