@@ -209,7 +209,7 @@ def _growing_quantile(exponent: float, count: int, settings: TailSettings) -> fl
 def few_note(values: Array, settings: TailSettings = TAIL_SETTINGS) -> str | None:
     """Return a sentence if half of the variance of values (N,) comes from a few of them."""
     squares = (values - values.mean()) ** 2
-    if len(values) < settings.least * settings.part:  # Too few values to show a tail
+    if len(values) < settings.least * settings.part:  # These are too few values to show a tail
         return None
     largest = np.partition(squares, 1 - settings.few)[1 - settings.few :]
     if not 2.0 * largest.sum() > squares.sum() > 0.0:

@@ -360,7 +360,7 @@ def adaptive_integral(
     biased = ~better_known & (_SIGMAS * np.abs(shift) > 2.0 * spread)
     total = np.where(better_known, total + shift, total)
     error = np.where(better_known, spread, np.where(biased, error + np.abs(shift) + spread, error))
-    error += _SIGMAS * _INTEGRAL_TOLERANCE * scale  # Jumps in cells of negligible weight
+    error += _SIGMAS * _INTEGRAL_TOLERANCE * scale  # Ignore jumps in cells of negligible weight
     error += _FOUND * sum(map(len, breaks)) * np.ptp(probed, axis=0)
     if not surprises.any():
         return Estimate(total, float(error.max()), method)
@@ -422,7 +422,7 @@ def search_breaks(
         low, high, first = t[rows, chosen], t[rows, chosen + 1], step[rows, chosen]
         y_low, y_high = y[rows, chosen], y[rows, chosen + 1]
 
-        # Cut them down to the jump that remains
+        # Bisect these steps down to the jump that remains
         for _ in range(_CUTS):
             middle = low + _CUT * (high - low)
             y = at(middle)

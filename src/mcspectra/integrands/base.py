@@ -70,13 +70,13 @@ __all__ = [
 ]
 
 Breaks = tuple[tuple[float, ...], ...]
-"""Positions along each axis."""
+"""Positions of breaks along each axis."""
 
 _MOST_COEFFICIENTS = 2**26  # Largest number of coefficients: 1 GiB of complex numbers
 _EXACT_BLOCK = 2**20
 _KEPT = 4
 _ADAPTIVE_DIMS = 5
-_PROBE = (4, 7)  # Two axes, so that functions of a single list of points are detected
+_PROBE = (4, 7)  # Points with two leading axes detect functions that accept only lists
 
 
 def any_dims() -> Any:

@@ -117,7 +117,7 @@ class ExactSettings:
     # Relative error below which an error message suggests a larger tolerance.
     offered: float = 0.5
     # Factor by which the second attempt raises the orders, and largest error, in tolerances, for
-    # which it is made. Half and twice the first change the ridge by 1e-5 and 8e-10.
+    # which it is made. Half or double the factor changes the ridge by 1e-5 or 8e-10.
     finer: int = 4
     hope: float = 10.0
     # Least number of dims and least tolerance for fits by sums of products, whose curves have
@@ -131,8 +131,8 @@ class ExactSettings:
     # Relative rounding error of ∫g², and of sums along an axis.
     rounding: float = 4e-15
     exact: float = 1e-9
-    # Largest number of cells of an axis. Half changes the variance of halton | shift at n = 1024 by
-    # 2e-4, twice by 5e-5. The second value limits the time: pairs of points times dims.
+    # Largest number of cells of an axis. Half this value changes the variance of halton | shift at
+    # n = 1024 by 2e-4, twice by 5e-5. The second value limits the time: pairs of points times dims.
     most_cells: int = 2**18
     most_pairs: float = 2.0**32
     # Quadrature nodes per cell, and fewer nodes for more than 2^14 cells. With 3 instead of 6 a sum
@@ -263,7 +263,7 @@ def estimated_variance(
                 raise
             found = by_axes.variance, by_axes.error
         total = total + np.stack(found)
-    if not total[0].any():  # One technique of several may be constant
+    if not total[0].any():  # g of one technique of several may be constant
         said = [constant(given.primary_integrand(t)) for t in range(len(given.counts))]
         if all(said):
             raise NoClosedForm(f"{said[0]}.")

@@ -178,8 +178,8 @@ class TableSettings:
     ----------
     cells
         Number of cells along each axis, by number of dims: about a million cells in 2-D and 3-D.
-        Half and twice as many change the variance by less than 1 %, and half intervals by 0.6 % if
-        g jumps.
+        Half or double this number changes the variance by less than 1 %, and half intervals by 0.6
+        % if g jumps.
     probe
         Number of random points at which the table is compared with g. The mean square difference
         has a relative standard error of about 1/256 if it is not heavy-tailed. Insensitive between
@@ -229,8 +229,8 @@ class ExtrapolationSettings:
         Realizations of each small count, which give variances to √(2/2000) = 3 %.
     near_sets, near_points
         Least number of realizations of a count close to n, and of their points; the larger
-        requirement holds. Half and twice as many change variances by less than 4 %, well within
-        intervals of 14 to 60 %.
+        requirement holds. Half or double this number changes variances by less than 4 %, well
+        within intervals of 14 to 60 %.
     most_factor
         Largest factor of the reported error of an extrapolation, so that exponentials stay finite.
         Insensitive between 15 and 60.
@@ -257,8 +257,9 @@ class EvaluationLimits:
         Default for the most evaluations: a second for a function that takes 4 µs per point. Ends of
         intervals are then variances times or over 1.5 at measured counts, and 2 at 4,096.
     predictions
-        Least number of evaluations, for each technique, with which methods predict. For smooth
-        functions and jumps in 1-D to 4-D with four samplers they need 1.2 to 13 million.
+        Least number of evaluations, for each technique, at which methods other than measurements
+        are used. For smooth functions and jumps in 1-D to 4-D with four samplers these need 1.2
+        to 13 million.
     sets, least_sets
         Realizations of each count above which larger counts are measured as well, and least number
         of realizations. Their variances have standard errors of 14 % and 35 %.
@@ -370,7 +371,7 @@ def of_table(law: Law, known: Known, stream: Stream, settings: TableSettings = _
 def of_measurements(
     law: Law, known: Known, stream: Stream, settings: ExtrapolationSettings = _EXTRAPOLATION
 ) -> Predicted:
-    """Extrapolate the variances of the sampler's small sets."""
+    """Extrapolate from the variances of small sets of the sampler."""
     if not isinstance(law.source, Sampler):
         raise NoClosedForm("These points have no sampler.")
     return extrapolated(Estimator(known.g), law.source, law.n, known, stream, settings)
@@ -1148,7 +1149,7 @@ class Predictor:
                     estimator, sampler, n, known[0], stream, self.measured[sampler.spec]
                 )
                 high = found.variance + found.error
-                low = found.variance**2 / high  # The same distance on a logarithmic scale
+                low = found.variance**2 / high  # As far on a logarithmic scale
                 if reason:
                     high = np.full_like(high, math.inf)
                 return Cells.row(
@@ -1222,7 +1223,7 @@ class Predictor:
         return doubt(points[0] if len(points) == 1 else None, flat[most])
 
     def slowest(self, sampler: Sampler, counts: Sequence[int]) -> Slowest:
-        """Return the theoretical rate at large n, of the slowest technique."""
+        """Return the theoretical rate at large n: that of the slowest technique."""
         source, found = self.estimator.randomized(sampler), []
         if self.measured is not None:
             return Slowest()
@@ -1252,7 +1253,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
         spread = student_t(len(parts)) * values.std(axis=0, ddof=1) / math.sqrt(len(parts))
         error = np.hypot(np.mean([part.error for part in parts], axis=0), spread)
         return replace(parts[0], variance=values.mean(axis=0), error=error)
-    if known.constant:  # The law belongs to one of several techniques
+    if known.constant:  # g is constant for one of several techniques
         none = 0.0 * known.square[0]
         used = name if name in NAMES else NAMES[0]
         return Predicted(none, none, "the same at all points", method=used)

@@ -103,8 +103,8 @@ class JumpSettings:
         Largest number of dims of the search; in more dims boxes are not cut at jumps either.
     lines, places
         Number of lines along each axis, and of points on each line. 16,384 evaluations per axis
-        find a jump along a curve that one line in ten crosses with probability 0.97. Insensitive to
-        half and twice both.
+        find a jump along a curve that one line in ten crosses with probability 0.97. Half or double
+        both values changes nothing.
     largest
         Number of the largest steps of each line that are bisected. A line crosses few jumps, and
         one of them on one line is enough. Insensitive between 2 and 8.
@@ -114,7 +114,7 @@ class JumpSettings:
         jump.
     beside
         Distance from a break at which g is evaluated on both sides. Detected breaks are accurate to
-        2^-46, and a slope of 500 root mean squares changes g by at most `least` across it.
+        2^-46, and a slope of 500 times the root mean square changes g by at most `least` across it.
         Insensitive between 1e-9 and 1e-5.
     least
         Smallest step that is a jump, relative to the root mean square of g. A jump of 1e-4 adds
@@ -156,8 +156,8 @@ class LimitSettings:
         Largest difference of the local slopes within these octaves. Insensitive between 0.2 and
         0.4. With 0.1, one limit of 64 is not found.
     leaves
-        Distance of the last slope from an exponent above which slopes that move away from the
-        exponent exclude it as limit. Insensitive between 0.025 and 0.1.
+        Least distance of the last slope from an exponent at which the exponent is excluded as limit
+        if slopes move away from it. Insensitive between 0.025 and 0.1.
     still
         Largest change of three slopes that have reached a limit that is not in the list of theory,
         such as −1 − (1 − 2a)/d next to a pole t^-a. Insensitive between 0.005 and 0.02.

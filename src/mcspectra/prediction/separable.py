@@ -360,7 +360,7 @@ class Separable:
             c.doubt / max(m**2 + s, 1e-300)
             for c, m, s in zip(self.curves, means, squares, strict=True)
         ]
-        value = 0.0  # Added axis by axis, so that nothing cancels
+        value = 0.0  # Variances are added axis by axis, so that nothing cancels
         for done in range(len(means)):
             rest = math.prod((means[:done] ** 2).tolist())
             value += (
@@ -458,7 +458,7 @@ def _separated(g: Integrand, channel: int) -> Separable | None:
         if not (np.abs(of_tested - constant - made) <= _SETTINGS.same * size).all():
             continue
 
-        # Compute the curves; the first axis carries the scale of g
+        # Compute the curves; the curve of the first axis contains the scale of g
         curves = []
         for axis in range(d):
             curve = PiecewiseCurve.along(line(z, axis, constant, origin, product), cut.breaks[axis])

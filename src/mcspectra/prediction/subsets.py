@@ -16,7 +16,7 @@ torus. Subsets v of one axis are exact. For the other subsets g is fitted by a s
 
 contains all subsets at once. μ are the means of the h, and k the covariances that remain between
 them under the randomization. The part of g outside the fit is treated as white noise, /n. The
-interval allows for zero and twice this part, and for a correlation of one half with the fit.
+interval covers a part between zero and twice this size, and a correlation of ½ with the fit.
 
 All quantities come from g at points of this module: profiles g(·, z) along each axis for many z,
 whose leading singular vectors are the basis of h_ri; least squares over scrambled nets, one axis
@@ -100,58 +100,62 @@ class SubsetSettings:
         Largest number of dims in which quadrature computes ∫g² better than nets, and few products
         suffice.
     replicates, replicate
-        Number of scrambled nets for ∫g², and of their points. Half and twice change smooth cases by
-        less than 0.005 %.
+        Number of scrambled nets for ∫g², and of their points. Half or double this value changes
+        smooth cases by less than 0.005 %.
     strata
         Number of pairs within strata of each replicate. A total of 131,072 gives a half interval of
         0.8 % for normal differences.
     profile_work
-        Total evaluations of profiles along all axes. Half and twice change the ball only.
+        Total evaluations of profiles along all axes. Half or double this value changes the ball
+        only.
     nodes
-        Number of nodes of a profile along an axis. Half changes the kink by 0.1 %; twice changes
-        the ball only.
+        Number of nodes of a profile along an axis. Half this value changes the kink by 0.1 %;
+        double changes the ball only.
     groups
-        Number of independent groups of profiles, whose spread is the error. Half and twice change
-        the ball only.
+        Number of independent groups of profiles, whose spread is the error. Half or double this
+        value changes the ball only.
     fitted
-        Number of replicates for the fit; one more tests it. Half and twice change the ball only.
+        Number of replicates for the fit; one more tests it. Half or double this value changes the
+        ball only.
     basis, negligible
-        Largest number of functions of an axis, and energy that is neglected. Half and twice change
-        the ball only.
+        Largest number of functions of an axis, and energy that is neglected. Half or double this
+        value changes the ball only.
     rank, few_rank
         Largest number of products, also in few dims, where only functions with jumps across axes
         need this method; more products would not resolve these. Three products give the ball an
         interval of 86 %, twelve 53 %; the others do not change.
     sweeps, settled
         Largest number of sweeps of a fit, and ratio of successive residuals above which it has
-        settled. Half and twice as many sweeps change nothing; ratios of 0.95 and 0.995 change the
-        ball only.
+        settled. Half or double this number of sweeps changes nothing; ratios of 0.95 and 0.995
+        change the ball only.
     block
         Number of points of a block of the least squares, small enough that libraries do not start
         threads.
     ridge
-        Ridge of the least squares, relative to the mean of the diagonal. Half and twice change
-        variances by less than 5e-7.
+        Ridge of the least squares, relative to the mean of the diagonal. Half or double this value
+        changes variances by less than 5e-7.
     good
-        Sufficiently small residual energy, relative to the variance. Insensitive to half and twice.
+        Sufficiently small residual energy, relative to the variance. Insensitive to half or double
+        this value.
     stands_out
         Factor by which the change of a profile between two nodes must exceed its neighbors at a
-        jump, and the change of its slope at a kink. Half and twice change the ball only.
+        jump, and the change of its slope at a kink. Half or double this value changes the ball
+        only.
     halvings
         Bisections of a jump: steps of 1/128 become 2^-47. Insensitive between 20 and 80.
     shared
         Fraction of the mean square of steps that the step of the mean profile has at a jump shared
         by profiles. Insensitive between 0.05 and 0.2.
     bent
-        Change of the slope at a kink, as a fraction of the largest slope. Half and twice change
-        variances by less than 0.005 %.
+        Change of the slope at a kink, as a fraction of the largest slope. Half or double this value
+        changes variances by less than 0.005 %.
     cells
         Number of cells along an axis for the energy of the fit, in which means of smooth pieces are
         exact. Insensitive between 2^11 and 2^13.
     fine, finest
         Number of cells along an axis for single axes, where g is smooth and where it jumps. Latin
-        hypercubes and lattices leave the variance within cells. Half and twice change variances by
-        less than 0.01 %.
+        hypercubes and lattices leave the variance within cells. Half or double this value changes
+        variances by less than 0.01 %.
     start
         Spread of the initial coefficients of a new product, whose constant is 1.
     adds_up
@@ -282,7 +286,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
         )
         joint, joint_half = min(p.joint, of_whole, key=lambda each: each[1])
         if pairs.latin and joint_half < p.residual:
-            # Their weight is 1 within strata and n/(n − 1) between them
+            # The weight of interactions is 1 within strata and n/(n − 1) between strata
             joint = max(joint, 0.0) / n
             either = 0.5 * joint / max(n - 1.0, 1.0)
             tail, half = joint + either - more, joint_half / n + either
@@ -342,7 +346,7 @@ class Curves:
 @final
 @dataclass(frozen=True)
 class AnovaModel:
-    """Fitted parts of one channel of g; arrays are at the nodes of the axes."""
+    """Fitted parts of one channel of g; arrays hold values at the nodes of the axes."""
 
     variance: float
     half: float  # Half of its 95 % interval
@@ -806,7 +810,7 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
     levels = tuple(math.ceil(math.log(max(n, SUBSET_SETTINGS.digits), b) - 1e-9) for b in bases)
     codes = np.zeros((*x.shape, max(levels)), np.int64)
     for axis, (b, most) in enumerate(zip(bases, levels, strict=True)):
-        # Coordinates rounded down to just below a digit count as that digit
+        # Rounding may move a coordinate to just below a digit; it then counts as that digit
         whole = np.floor(x[..., axis] * b**most + (0.0 if b & (b - 1) == 0 else 1e-9))
         for level in range(most):
             codes[..., axis, level] = whole // b ** (most - 1 - level) % b

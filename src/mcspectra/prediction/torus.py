@@ -90,12 +90,12 @@ class TorusSettings:
         Ranges by number of dims, for exact coefficients and for coefficients from a table of g.
         Exact ones cost a few operations each; a table has `nodes` per wavelength of the box.
     nodes
-        Number of nodes of the finer table per wavelength of the highest frequency. Half changes
-        variances by 0.4 % if g jumps and multiplies the error by 4 to 30; twice changes them by 0.1
-        %.
+        Number of nodes of the finer table per wavelength of the highest frequency. Half this value
+        changes variances by 0.4 % if g jumps and multiplies the error by 4 to 30; double changes
+        them by 0.1 %.
     least_nodes
-        Least number of nodes along each axis, by number of dims. Half and twice change variances by
-        less than 0.2 %.
+        Least number of nodes along each axis, by number of dims. Half or double this value changes
+        variances by less than 0.2 %.
     block
         Number of frequencies in memory whose power has a closed form. It has no effect on the
         result.
@@ -103,8 +103,8 @@ class TorusSettings:
         Relative error of transforms, far below that of the sums.
     shells
         Number of shells of the box, each √2 wide, whose power tests whether the tail is white. They
-        begin at an eighth of the half width. Half and twice change no variance, and errors by
-        factors of 0.5 to 3.
+        begin at an eighth of the half width. Half or double this value changes no variance, and
+        errors by factors of 0.5 to 3.
     vague
         Error of ∫g² in many dims, relative to the variance, above which other methods are better.
         ∫g² is then a mean over 2^20 points, and sums of products find its error themselves.
@@ -143,8 +143,8 @@ class DrawnSettings:
     Attributes
     ----------
         Number of sets transformed at all frequencies, largest number of sets, and total number of
-        points, which limits the work at large n. Half and twice as many change the variance by less
-        than 0.8 %.
+        points, which limits the work at large n. Half or double this number changes the variance by
+        less than 0.8 %.
     slow, slow_points
         Largest `max_count` of slow samplers, which optimize their points, and total number of their
         points. They draw half as many first sets, which are cached for other integrands.
@@ -153,19 +153,19 @@ class DrawnSettings:
         reached with `most_sets`; twice changes the variance by 1.9 %.
     low
         Half width of the frequencies at which all sets are transformed. They hold the energy of
-        smooth functions. Half and twice change the variance by less than 0.5 %.
+        smooth functions. Half or double this value changes the variance by less than 0.5 %.
     length, least_lengths
         Largest |m| n^(-1/d) at which power follows a smooth law of the length, and least number of
-        different lengths in such a fit. The first peak of stochastic sets lies at 1. Half and twice
-        of either change the variance by less than 0.1 %.
+        different lengths in such a fit. The first peak of stochastic sets lies at 1. Half or double
+        either value changes the variance by less than 0.1 %.
     agrees
         Difference in standard errors within which the law and the measured power must agree.
         Insensitive between 1 and 4.
     steps
         Number of Newton steps of the fit, which then has converged. Insensitive between 6 and 24.
     least_box, box
-        Half width of the box of a homogeneous set: least value, and in units of n^(1/d). Half and
-        twice change the variance by less than 0.3 %; half a box triples the error.
+        Half width of the box of a homogeneous set: least value, and in units of n^(1/d). Half or
+        double this value changes the variance by less than 0.3 %; half a box triples the error.
     """
 
     least_sets: int = 16
@@ -194,11 +194,11 @@ class DualSettings:
     Attributes
     ----------
     frequencies
-        Number of frequencies of the dual lattice in a box. Half and twice change the variance by
-        less than 0.04 %.
+        Number of frequencies of the dual lattice in a box. Half or double this value changes the
+        variance by less than 0.04 %.
     periods, strip
-        Ends of strips in units of n, and number of frequencies of the dual lattice in them. Half
-        and twice change the variance by less than 0.03 %.
+        Ends of strips in units of n, and number of frequencies of the dual lattice in them. Half or
+        double this value changes the variance by less than 0.03 %.
     jump
         Largest ratio of the energy of an octave to that of the octave before: one half if g jumps
         along curves, less elsewhere. A lower limit would cut the tail of jumps; a limit of one
@@ -227,8 +227,8 @@ class MovesSettings:
     ----------
     offsets, least_offsets, evaluations
         Number of offsets, evaluations of g that limit it at large n, and number of offsets below
-        which the method raises because intervals exceed 35 %. Half and twice as many offsets change
-        variances by less than 1.2 %, within intervals of 1 to 3 %.
+        which the method raises because intervals exceed 35 %. Half or double this number of offsets
+        changes variances by less than 1.2 %, within intervals of 1 to 3 %.
     block
         Evaluations per call. It has no effect on the result.
     spreads
@@ -305,7 +305,7 @@ class Region:
         return _listed(self.vectors, self.low, self.high)
 
     def power_of(self, points: Array) -> Array:
-        """Return |S_m|² of one set (n, d), on the grid."""
+        """Return |S_m|² of one point set (n, d) at all frequencies of the grid."""
         import finufft
 
         y = np.remainder(points @ self.vectors.T.astype(float), 1.0)
