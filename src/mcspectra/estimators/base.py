@@ -69,7 +69,7 @@ class AbstractEstimator(ABC):
         return f"{type(self).__name__}({self.spec})"
 
     def _repr_html_(self) -> str | None:
-        """Pictures and the main figures, for notebooks."""
+        """Picture and main numbers of the estimator, for notebooks."""
         return html_of(self)
 
     @property

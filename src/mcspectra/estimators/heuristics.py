@@ -364,7 +364,7 @@ class _Piloted(Heuristic):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Optimal(_Piloted):
-    """The weights of least variance of random points; they may be negative [Kondapaneni2019]_.
+    """Weights with the least variance for random points; may be negative [Kondapaneni2019]_.
 
     With q = Σ n_t p_t, they are w_t = α_t p_t/f + (n_t p_t/q)(1 − Σ_s α_s p_s/f), with A α = b,
     A_st = ∫ p_s p_t/q and b_t = ∫ f p_t/q. Then w_t f/p_t is

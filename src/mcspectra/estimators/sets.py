@@ -28,7 +28,7 @@ __all__ = ["SETS", "check_sets", "draw_sets", "set_sizes"]
 
 SETS = ("independent", "shared", "joint")
 
-_TECHNIQUE = 1 << 20  # Stream labels of the second and later techniques
+_TECHNIQUE = 1 << 20  # Labels of random streams of the second and later techniques
 _DEAL = (1 << 20) - 1  # Stream label for the choice of points of a joint set
 
 

@@ -19,7 +19,7 @@ __all__ = ["RectangleLight"]
 Vector = tuple[float, float, float]
 
 _CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-# Relative distance of an occluder's plane from the origin below which it hides nothing
+# Relative height of an occluder's plane over the origin below which the occluder hides nothing
 _FLAT = 1e-12
 
 

@@ -287,7 +287,7 @@ def of_integrand(
     """
     g, lines = looked_at(g), False
     if not (in_closed_form(g) or g.costly):
-        # Lines resolve poles and waves that cells do not, at a small part of the cost
+        # Lines resolve poles and waves that cells do not resolve, at a small part of the cost
         lines = bool(beyond_points(g).any()) or (most >= MOST_EVALUATIONS and g.dims > 1)
         if lines and separated(g):
             with contextlib.suppress(NoClosedForm):
@@ -542,7 +542,7 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
         if curve.square == 0.0:
             continue
         if isinstance(law, Scrambled) and law.nested_pairs:
-            # Gains of the projection, down to digits in which all coordinates differ
+            # Gains of the projection, up to the digits in which all coordinates differ
             base, level, agree, gains = law.bases[axis], 0, float(n), [0.0]
             while agree > 1.0 and base ** (level + 1) <= _SETTINGS.most_cells:
                 level += 1
@@ -791,7 +791,7 @@ def _latin(law: Law, g: Integrand, rule: Rule, *, shifted: bool) -> tuple[Array,
     """
     n = law.n
     fine, nodes, weights = (n,) * g.dims, np.zeros((1, g.dims)), np.ones(1)
-    if shifted:  # A mean over all cells is smooth
+    if shifted:  # A mean over all cells is a smooth function
         nodes, weights = offset_rule(g, fine, rule.order // 2 + 2)
     one = float(len(nodes) * rule.each(g))
     # In 1-D and 2-D there are more pieces than cells, because cells next to 0 and 1 are cut

@@ -155,7 +155,7 @@ class Known:
 
     @property
     def costly(self) -> bool:
-        """Whether evaluations are so slow that only few methods are worthwhile."""
+        """Whether evaluations are so slow that only a few methods are worthwhile."""
         return self.given.costly
 
     @cached_property

@@ -60,8 +60,8 @@ class LevelsSettings:
         variances by less than 0.1 %, within the intervals.
     long, most_cells
         Number of cells of a table that is longer along some axes: up to `long` n Π b_j, which
-        covers the digits of n and one more, and at most `most_cells`. Insensitive to half or double
-        this value each.
+        covers the digits of n and one more, and at most `most_cells`. Half or double
+        either value changes nothing.
     more
         Number of digits beyond those of n for which gains are computed. All coordinates usually
         differ there. Insensitive between 1 and 6.
@@ -234,7 +234,7 @@ def _table(
 ) -> tuple[Array, Array, Array]:
     """Return energies of g over cells, by a coarse and a fine rule (Q = 2) or exactly (Q = 1).
 
-    The parts are σ²_l, (Q, levels + 1 of each axis, channels), with the square of the mean at level
+    Energies are σ²_l, (Q, levels + 1 of each axis, channels), with the square of the mean at level
     0. The mean variance within cells, (Q, channels), and twice its standard error follow.
     """
     sides = tuple(map(pow, bases, levels))

@@ -468,7 +468,7 @@ class Method:
         Prediction for a whole estimator, if the method is requested by name and does not work
         technique by technique.
     realized
-        Whether it uses realizations of the estimates, which methods share.
+        Whether the method uses realizations of the estimates; methods share realizations.
     """
 
     name: str
@@ -728,7 +728,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
     def limit(self, subject: Subject) -> int | None:
         """Return the most evaluations of functions.
 
-        By default there is no limit for known integrands, nor for a method requested by name.
+        By default there is no limit for known integrands or for methods requested by name.
         """
         chosen = self.method in ("auto", "extrapolated")
         if self.max_evaluations is None and chosen and subject.estimator.is_black_box:
@@ -1140,7 +1140,7 @@ class Predictor:
                 raise NoClosedForm(f"a deterministic sampler {NO_VARIANCE}")
             known, stream = self._known, self._stream
             if self.measured is not None:
-                if name == _LIMIT:  # A measurement has no limit of rates
+                if name == _LIMIT:  # A measurement does not give the limit of rates
                     raise NoClosedForm("a measurement does not extend beyond the requested counts")
                 reason, lost = known[0].once("doubt", self._doubted) or ("", False)
                 if lost:
@@ -1149,7 +1149,8 @@ class Predictor:
                     estimator, sampler, n, known[0], stream, self.measured[sampler.spec]
                 )
                 high = found.variance + found.error
-                low = found.variance**2 / high  # As far on a logarithmic scale
+                # The lower end has the same distance on a logarithmic scale
+                low = found.variance**2 / high
                 if reason:
                     high = np.full_like(high, math.inf)
                 return Cells.row(

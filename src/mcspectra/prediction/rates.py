@@ -150,8 +150,8 @@ class LimitSettings:
         Number of octaves at the end of a curve whose slope estimates the limit. Insensitive between
         2 and 4. With 8 the limits of 4 curves of scrambled nets, which bend late, are not found.
     near
-        Distance of that slope from a theoretical exponent below which the exponent is the limit, at
-        most 0.4/d because exponents are 1/d apart. Insensitive between 0.1 and 0.4.
+        Distance of the slope from a theoretical exponent within which the exponent is the limit:
+        at most 0.4/d because exponents are 1/d apart. Insensitive between 0.1 and 0.4.
     agree
         Largest difference of the local slopes within these octaves. Insensitive between 0.2 and
         0.4. With 0.1, one limit of 64 is not found.

@@ -379,7 +379,7 @@ class Separable:
 
 
 def separated(g: Integrand) -> tuple[Separable, ...] | None:
-    """Return g as sums or products of functions of one axis, by channel, or None."""
+    """Return g as a sum or product of functions of one axis for each channel, or None."""
     cache = g._cache
     if cache.separable is None:
         found = None

@@ -76,7 +76,7 @@ __all__ = [
 
 _LEAST_DIMS = 2
 _OWN = Stream.from_rng(0x5B5E75)
-"""Random numbers of points that no sampler shares."""
+"""Label of the random numbers of this module's points, which no sampler uses."""
 TORUS = 1 << 15
 """Number of distinct differences on the torus, for sets that are not lattices."""
 _GRADED = 0.25 ** np.arange(6.0, 0.0, -1.0)
@@ -579,7 +579,7 @@ def all_parts(known: Known) -> list[AnovaModel]:
         mean = along.mean(axis=(0, 1))
         slopes = np.diff(mean, axis=0)
         bend = np.abs(np.diff(slopes, axis=0)).max(axis=-1)
-        both = bend[1:-2] + bend[2:-1]  # Of the four nodes around each interval
+        both = bend[1:-2] + bend[2:-1]  # Use the four nodes around each interval
         sharp = both > SUBSET_SETTINGS.stands_out * np.maximum(bend[:-3], bend[3:])
         for k in np.flatnonzero(
             sharp & (both > SUBSET_SETTINGS.bent * np.abs(slopes).max())

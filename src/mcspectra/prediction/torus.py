@@ -253,7 +253,7 @@ _DIAGONALS = {
     2: ((1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1)),
     3: ((1, 1, 0), (1, -1, 0), (1, 0, 1), (1, 0, -1), (0, 1, 1), (0, 1, -1)),
 }
-"""Directions with the energy of jumps along diagonals."""
+"""Directions of diagonals, which hold the energy of jumps along diagonals."""
 _NORMAL = 1.96
 """Half of a 95 % interval in standard errors."""
 _ROUNDING = 4e-15
@@ -514,7 +514,7 @@ def _of_dual(points: Array, known: Known) -> Predicted:
         ratio = np.minimum(last / np.maximum(before, 1e-300), _DUALS.jump)
         return energy.sum(axis=0), last * ratio / (1.0 - ratio)
 
-    # A box, and strips along the axes, whose octaves are extrapolated separately
+    # Sum over a box and over strips along the axes, and extrapolate their octaves separately
     width = int(0.5 * (_DUALS.frequencies * n) ** (1.0 / dims))
     end = _DUALS.periods * n
     narrow = min(width, int(0.5 * (_DUALS.strip * n / end) ** (1.0 / max(1, dims - 1))))

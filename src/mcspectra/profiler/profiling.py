@@ -639,7 +639,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     # Use random points as the reference if the given sampler is fixed or was not measured
     fixed = any(cause.name in {"deterministic-set", "correlated-replicates"} for cause in causes)
     if any(cause.name == "deterministic-set" for cause in causes):
-        curves.pop(given.spec, None)  # the curve of random points has no error
+        curves.pop(given.spec, None)  # the curve of a fixed set has no error
     reference = "random" if fixed or given.spec not in curves else given.spec
     usable = {name: c for name, c in curves.items() if name == reference or name != given.spec}
     found, changed = list[_FoundSampler](), list[str]()
