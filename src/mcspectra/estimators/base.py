@@ -151,7 +151,7 @@ class AbstractEstimator(ABC):
 
     @property
     def pilot_evaluations(self) -> int:
-        """Evaluations that a pilot took before any sample."""
+        """Number of evaluations that a pilot used before the first sample."""
         return 0
 
     def primary_integrand(self, technique: int = 0) -> Integrand:

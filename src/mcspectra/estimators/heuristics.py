@@ -79,7 +79,7 @@ class Heuristic(Component, ABC):
 
     @property
     def pilot_evaluations(self) -> int:
-        """Evaluations of f at the points of a pilot; 0 if weights do not depend on f."""
+        """Number of evaluations of f by a pilot; 0 if weights do not depend on f."""
         return 0
 
     def fit(
@@ -254,7 +254,7 @@ class Combination:
 
     def offset(self, x: Array) -> Array:
         """Return Σ_t α_t p_t at points x (..., d): (...) or (..., channels)."""
-        assert self.control is not None  # Called only with a control variate
+        assert self.control is not None  # This function is called only with a control variate
         pdfs = np.stack([p.pdf(x) for p in self.densities], axis=-1)
         return np.asarray(pdfs @ self.control)
 

@@ -703,7 +703,7 @@ def _probe(function: Callable[[Any], Any], dims: int) -> int:
 def _works_on_one_point(function: Callable[[Any], Any], point: Array) -> bool:
     """Return whether a function that fails on arrays takes a point, or a number in 1-D."""
     for x in (point, float(point[0])):
-        with contextlib.suppress(Exception):  # The first failure is reported
+        with contextlib.suppress(Exception):  # Only the first failure is reported
             if np.ndim(function(x)) <= 1:
                 return True
     return False

@@ -69,7 +69,7 @@ _ROUNDING = 4e-15
 @final
 @dataclass(frozen=True, kw_only=True)
 class CheckSettings:
-    """Limits of the checks.
+    """Limits of the methods that check a prediction.
 
     Attributes
     ----------

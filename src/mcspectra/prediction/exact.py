@@ -108,7 +108,7 @@ class ExactSettings:
     at n = 64 and 1024.
     """
 
-    # Error accepted at any tolerance, as a fraction of ∫g²/n. Insensitive.
+    # Largest error that every tolerance accepts, as a fraction of ∫g²/n. Insensitive.
     negligible: float = 1e-9
     # Factor by which the difference between two orders bounds the error of the higher order. At a
     # jump both orders have errors of about the same size. With half of it the second attempt for a

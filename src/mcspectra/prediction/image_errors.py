@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 __all__ = ["ImageErrorSettings", "image_error_spectrum"]
 
 _LOW = 0.125
-"""Cycles per pixel below which the eye does not blur noise away."""
+"""Spatial frequency, in cycles per pixel, below which the eye does not blur noise away."""
 
 
 @final

@@ -158,7 +158,7 @@ def _factor(relation: Relation, part: str, strata: int, parts: int) -> float:
 
 
 def _weight(law: PairedAxes, along: Sequence[str]) -> float:
-    """Return λ of these parts along the first axes and means along the others; 0 for fewer axes."""
+    """Return λ of parts along the first axes and means along all others; 0 for fewer axes."""
     s, m, missing = law.strata[0], law.parts[0], law.dims - len(along)
     if missing < 0:
         return 0.0

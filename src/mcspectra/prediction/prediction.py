@@ -421,7 +421,7 @@ def extrapolated(
             "variance."
         )
 
-    # The scatter about the line is at least the error of the measurements
+    # Assume that the scatter about the line is at least the error of the measurements
     from scipy.special import stdtrit
 
     x = np.log([float(count) for count, _ in found])
@@ -814,7 +814,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         predictor = Predictor(estimator, stream, measured, self.limit(subject) or 0)
         own, other = (Stream.from_rng(np.random.SeedSequence([stream.key, k])) for k in (0, 1))
 
-        # Counts of a sampler; with auto, more counts for rates and their limit; 0 stands for no
+        # Counts of a sampler; with auto also counts for rates and their limit; 0 stands for no
         # count
         counts = [_places(s, self.counts) if auto else [0, *self.counts, 0, 0] for s in samplers]
         wanted = [(s, name, n) for s, each in enumerate(counts) for name in names for n in each]

@@ -44,7 +44,7 @@ class PiecewiseSettings:
     twelve cases of `mcspectra.prediction.exact.ExactSettings`.
     """
 
-    # Legendre coefficients of each piece, and pieces of an axis at first. Insensitive.
+    # Number of Legendre coefficients of a piece, and of initial pieces of an axis. Insensitive.
     order: int = 16
     pieces: int = 32
     # The last coefficients of a settled piece, as a fraction of the largest. Insensitive.
@@ -78,9 +78,9 @@ class PiecewiseSettings:
     step: float = 1e-6
     # Width next to a pole, on its other side, in which pieces belong to the pole. Insensitive.
     gap: float = 2.0**-40
-    # Points of the probe among which a product finds its largest value. Insensitive.
+    # Number of probe points among which a product finds its largest value. Insensitive.
     candidates: int = 2**10
-    # Points of the first test, and as many points with large values. Insensitive.
+    # Number of points of the first test, and of points with large values. Insensitive.
     lines: int = 16
     # Relative rounding error of g in the test of a sum or product. Insensitive.
     same: float = 1e-7

@@ -76,11 +76,11 @@ __all__ = [
 
 _LEAST_DIMS = 2
 _OWN = Stream.from_rng(0x5B5E75)
-"""Label of the random numbers of this module's points, which no sampler uses."""
+"""Stream of random numbers for the points of this module. Samplers never use this stream."""
 TORUS = 1 << 15
 """Number of distinct differences on the torus, for sets that are not lattices."""
 _GRADED = 0.25 ** np.arange(6.0, 0.0, -1.0)
-"""Additional nodes of profiles next to 0 and 1, in first steps, because warps have poles there."""
+"""Additional nodes next to 0 and 1, as fractions of the first step; warps have poles there."""
 
 
 @final
@@ -307,7 +307,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
 @final
 @dataclass(frozen=True)
 class Curves:
-    """Partition of an axis: ends of its smooth pieces, and nodes between them."""
+    """Partition of an axis: ends of its smooth pieces, and the nodes between these ends."""
 
     knots: Array
     nodes: Array
@@ -361,7 +361,7 @@ class AnovaModel:
 @final
 @dataclass(frozen=True)
 class _Pairs:
-    """Quantity of each axis that the covariance of the values at two points depends on.
+    """Quantity of each axis that determines the covariance of the values at two points.
 
     For digits, it is the number of common leading digits in `bases`, at most `levels`. For xor and
     torus, it is the difference of two multiples of 1/bases, digit by digit or on the torus.

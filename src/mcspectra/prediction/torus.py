@@ -106,7 +106,7 @@ class TorusSettings:
         begin at an eighth of the half width. Half or double this value changes no variance, and
         errors by factors of 0.5 to 3.
     vague
-        Error of ∫g² in many dims, relative to the variance, above which other methods are better.
+        Error of ∫g² in many dims, relative to the variance, above which this method raises.
         ∫g² is then a mean over 2^20 points, and sums of products find its error themselves.
     """
 
@@ -152,7 +152,7 @@ class DrawnSettings:
         Half interval, relative to the variance, above which more sets are drawn. Half is not
         reached with `most_sets`; twice changes the variance by 1.9 %.
     low
-        Half width of the frequencies at which all sets are transformed. They hold the energy of
+        Half width of the frequencies at which all sets are transformed. These hold the energy of
         smooth functions. Half or double this value changes the variance by less than 0.5 %.
     length, least_lengths
         Largest |m| n^(-1/d) at which power follows a smooth law of the length, and least number of
@@ -261,9 +261,9 @@ _ROUNDING = 4e-15
 _RELATIVE = 1e-9
 """Relative error of sums whose terms do not cancel."""
 _OFFSET_STREAM = 0x0FF5E7
-"""Label of the random numbers of the offsets."""
+"""Label of the stream of random numbers for offsets."""
 _BITS = 2.0**53
-"""Inverse of the spacing of coordinates."""
+"""Inverse of the smallest spacing of coordinates."""
 
 
 @final

@@ -88,7 +88,7 @@ class ProfileSettings:
     # Largest ratio of effective to all draws of a chain at which dependence is reported as a cause.
     # The upper end of its interval is compared, and standard errors at this ratio are 20 % larger.
     dependent: float = 0.7
-    # Least points of each net at which a change is measured. With 8, two of 12 profiles did not
+    # Least number of points of each net to measure a change. With 8, two of 12 profiles did not
     # measure the preintegration of a jump along an axis.
     least_checked: int = 4
     # Largest number of counts at which a sampler is measured, in octaves: B/2, B/4, …, B/32 of its
@@ -129,7 +129,7 @@ class ProfileSettings:
     # Largest number of dims in which pairs in strata are measured instead of folded lattices, whose
     # rate is −4: pairs have −5 in 1-D and −3 in 2-D.
     paired_dims: int = 1
-    # Points of a density's sampler that are tested to lie in the unit cube.
+    # Number of points of a density's sampler that are tested to lie in the unit cube.
     tested_points: int = 64
 
 
@@ -155,7 +155,7 @@ _EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}
 
 @final
 class Profiling(Analysis, frozen=True, kw_only=True):
-    """The noise of an estimator: its size, its causes, and the best remedy."""
+    """Profile of the noise of an estimator: its size, its causes, and the best remedy."""
 
     function = "profile"
     verb = "profile"
@@ -751,7 +751,7 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     for cause in causes:
         if cause.name in {"border-growth", "heavy-tail"} and "exponent" in cause.evidence:
             return replace(curve, rate=max(curve.rate, -2.0 * (1.0 - cause.evidence["exponent"])))
-    # Small sets give no rate for larger sets that resolve the waves
+    # Small sets do not show the rate of larger sets, which resolve the waves
     waves = names.get("high-frequency")
     resolved_by = math.inf if waves is None else waves.evidence["resolved_by"]
     if name != "random" and max(curve.counts, default=math.inf) < resolved_by <= points:
