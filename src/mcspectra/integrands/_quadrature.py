@@ -360,7 +360,8 @@ def adaptive_integral(
     biased = ~better_known & (_SIGMAS * np.abs(shift) > 2.0 * spread)
     total = np.where(better_known, total + shift, total)
     error = np.where(better_known, spread, np.where(biased, error + np.abs(shift) + spread, error))
-    error += _SIGMAS * _INTEGRAL_TOLERANCE * scale  # Jumps in tiny cells
+    # Add the error of jumps in cells of negligible weight
+    error += _SIGMAS * _INTEGRAL_TOLERANCE * scale
     error += _FOUND * sum(map(len, breaks)) * np.ptp(probed, axis=0)
     if not surprises.any():
         return Estimate(total, float(error.max()), method)

@@ -147,7 +147,7 @@ class ExactSettings:
     # as a fraction of ∫h²/n. Insensitive.
     rounded_mean: float = 1e-15
     rounded_variance: float = 1e-15
-    # Points evaluated at a time. It has no effect on the result.
+    # Number of points evaluated at a time. It has no effect on the result.
     at_once: int = 2**20
     # Variance within cells, as a fraction of ∫h², below which it is rounding. Insensitive.
     nothing: float = 1e-12
@@ -193,7 +193,7 @@ def exact_variance(
         products of functions of one axis may be used, if its 95 % interval is within the tolerance:
         for latin-hypercube, nets with owen, sets with shift.
     max_evaluations
-        Most evaluations of a user's function; more raise BudgetError.
+        Maximum number of evaluations of a user's function; more raise BudgetError.
 
     Returns
     -------

@@ -101,7 +101,7 @@ def image_error_spectrum(
         Number of independent images, at least 2, each with its own shared set and position of the
         mask.
     max_evaluations
-        Most evaluations of a user's function; more raise BudgetError.
+        Maximum number of evaluations of a user's function; more raise BudgetError.
 
     Returns
     -------

@@ -76,7 +76,7 @@ class LevelsSettings:
         such a cell relative to the mean cell. Half or double either value changes nothing. A jump
         cuts some hundred of 65,536 cells in 2-D and some thousand of 32,768 in 3-D.
     block
-        Evaluations per call, 16 MB in 2-D. It has no effect on the result.
+        Number of evaluations per call, 16 MB in 2-D. It has no effect on the result.
     clear, doubt
         Part of ∫g² that tables miss, in units of its error, above which it is added; and the
         uncertainty of its weight. This part lies at poles within one cell, with a gain between 0

@@ -185,7 +185,7 @@ class TableSettings:
         has a relative standard error of about 1/256 if it is not heavy-tailed. Insensitive between
         2^15 and 2^17.
     block
-        Points per call, 1 MB in 2-D. It has no effect on the result.
+        Number of points per call, 1 MB in 2-D. It has no effect on the result.
     points
         Total number of points of all sets, which limits the work at large n. Above n = 420 there
         are fewer sets than `most_sets`.
@@ -726,7 +726,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         return any(method.realized for method in METHODS if method.name in self._names)
 
     def limit(self, subject: Subject) -> int | None:
-        """Return the most evaluations of functions.
+        """Return the maximum number of evaluations of functions.
 
         By default there is no limit for known integrands or for methods requested by name.
         """

@@ -481,7 +481,7 @@ def integrand_decay(
         512 in 1-D, which finds a jump anywhere to ±0.06, and 64 in more dims. Jumps along the axes
         can have larger errors there; see the interval of `fitted_decay`.
     max_evaluations
-        Most evaluations of a user's function; more raise BudgetError.
+        Maximum number of evaluations of a user's function; more raise BudgetError.
 
     Returns
     -------

@@ -318,7 +318,7 @@ class PiecewiseCurve:
 @final
 @dataclass(frozen=True)
 class Separable:
-    """c + Σ_i h_i(x_i) or c + Π_i h_i(x_i), of one channel.
+    """The function c + Σ_i h_i(x_i) or c + Π_i h_i(x_i), of one channel.
 
     Attributes
     ----------

@@ -230,7 +230,7 @@ class MovesSettings:
         which the method raises because intervals exceed 35 %. Half or double this number of offsets
         changes variances by less than 1.2 %, within intervals of 1 to 3 %.
     block
-        Evaluations per call. It has no effect on the result.
+        Number of evaluations per call. It has no effect on the result.
     spreads
         Number of successive parts of the offsets whose variances give the standard error. With 8
         and 32 parts half intervals are between those of 16 and 1.6 times as much.
@@ -495,7 +495,7 @@ def _of_dual(points: Array, known: Known) -> Predicted:
     g, (n, dims) = known.g, points.shape
 
     def listed(axis: int, low: list[int], high: list[int]) -> Array:
-        """Return vectors of the dual lattice between bounds, `axis` first: int64 (F, d)."""
+        """Return vectors of the dual lattice within bounds, `axis` first: int64 (F, d)."""
         basis = lattice_basis(np.roll(points, -axis, axis=1))
         assert basis is not None
         dual, m = _dual(basis, n), np.zeros((1, dims), np.int64)

@@ -76,7 +76,7 @@ __all__ = ["Profile", "ProfileSettings", "Profiling", "profile"]
 class ProfileSettings:
     """Settings of a profile."""
 
-    # Least budget in evaluations. Twenty nets of four points take 80, which must fit into 40 % of
+    # Least budget, in evaluations. Twenty nets of four points take 80, which must fit into 40 % of
     # the budget if the given sampler is also measured.
     least_budget: int = 256
     # Columns of the text of a cause: one line of a usual terminal or page.
