@@ -155,7 +155,7 @@ _EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}
 
 @final
 class Profiling(Analysis, frozen=True, kw_only=True):
-    """Profile of the noise of an estimator: its size, its causes, and the best remedy."""
+    """The noise of an estimator: its size, its causes, and the best remedy."""
 
     function = "profile"
     verb = "profile"
