@@ -69,7 +69,7 @@ class AbstractEstimator(ABC):
         return f"{type(self).__name__}({self.spec})"
 
     def _repr_html_(self) -> str | None:
-        """Pictures and the main figures, for notebooks."""
+        """Picture and main numbers of the estimator, for notebooks."""
         return html_of(self)
 
     @property
@@ -151,7 +151,7 @@ class AbstractEstimator(ABC):
 
     @property
     def pilot_evaluations(self) -> int:
-        """Evaluations that a pilot took before any sample."""
+        """Number of evaluations that a pilot used before the first sample."""
         return 0
 
     def primary_integrand(self, technique: int = 0) -> Integrand:

@@ -97,7 +97,7 @@ class ChannelSampling(DomainEstimator):
         return
 
     def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:
-        """Draw a set for each channel, or one set for all."""
+        """Draw a point set for each channel, or one point set for all channels."""
         if self.sets == "independent":
             return super().draw(sampler, n, stream, first, count)
         return [sampler.draw_stream(n, stream, first, count)] * len(self.densities)

@@ -79,7 +79,7 @@ class Heuristic(Component, ABC):
 
     @property
     def pilot_evaluations(self) -> int:
-        """Evaluations of f at the points of a pilot; 0 if weights do not depend on f."""
+        """Number of evaluations of f by a pilot; 0 if weights do not depend on f."""
         return 0
 
     def fit(
@@ -116,7 +116,7 @@ HEURISTICS = Registry(
 
 
 class Pilot(ABC):
-    """Interface to f and all p_t at sampled points, for heuristics that use f.
+    """Access to f and all p_t at sampled points, for heuristics that use f.
 
     Points are rows of an array that only the pilot interprets: points of a shared domain, or
     records of a renderer's path.
@@ -254,7 +254,7 @@ class Combination:
 
     def offset(self, x: Array) -> Array:
         """Return Σ_t α_t p_t at points x (..., d): (...) or (..., channels)."""
-        assert self.control is not None  # Called only with a control variate
+        assert self.control is not None  # This function is called only with a control variate
         pdfs = np.stack([p.pdf(x) for p in self.densities], axis=-1)
         return np.asarray(pdfs @ self.control)
 
@@ -364,7 +364,7 @@ class _Piloted(Heuristic):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Optimal(_Piloted):
-    """The weights of least variance of random points; they may be negative [Kondapaneni2019]_.
+    """Weights with the least variance for random points; may be negative [Kondapaneni2019]_.
 
     With q = Σ n_t p_t, they are w_t = α_t p_t/f + (n_t p_t/q)(1 − Σ_s α_s p_s/f), with A α = b,
     A_st = ∫ p_s p_t/q and b_t = ∫ f p_t/q. Then w_t f/p_t is

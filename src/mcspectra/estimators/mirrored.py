@@ -26,7 +26,7 @@ from mcspectra.samplers.randomizations import folded
 __all__ = ["MIRRORINGS", "FoldedIntegrand", "Mirrored", "SymmetrizedIntegrand"]
 
 MIRRORINGS = ("integrand", "random", "uniform")
-_MOST_DIMS = 12  # One average over reflections takes 2^d values of the integrand
+_MOST_DIMS = 12  # Averaging over all reflections takes 2^d values of the integrand
 
 
 @final
@@ -190,7 +190,7 @@ class FoldedIntegrand(Derived):
             high = np.where(above, 1.0 - np.clip(lo, 0.5, 1.0), np.clip(hi, 0.0, 0.5))
             share = ((high - low) / (hi - lo)).prod(axis=-1)
             share = share[..., None] if self.channels else share
-            empty = ~(high > low)  # An empty part has the share 0, so any box will do
+            empty = ~(high > low)  # An empty part has the share 0, so its box has no effect
             found = self.integrand.box_moments(
                 np.where(empty, 0.0, 2.0 * low), np.where(empty, 1.0, 2.0 * high)
             )

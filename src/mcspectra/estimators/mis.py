@@ -74,7 +74,7 @@ class Combined(DomainEstimator):
     combination: Combination
 
     def _take(self, integrand: Integrand | str, densities: Any, dims: int | None) -> None:
-        """Set f and the p_t, given as objects or specs; they must have equal dims and cover f."""
+        """Set f and the p_t, given as objects or specs, of equal dims; the p_t must cover f."""
         parts = densities if isinstance(densities, list | tuple) else ()
         self.integrand = as_integrand(integrand, known_dims(dims, integrand, *parts))
         self.densities = as_densities(densities, self.integrand.dims)

@@ -32,9 +32,9 @@ _PRIOR = 20
 _LEAST = 10  # Least number of values that can show a tail
 # Number of smallest and of largest values that are kept and that a tail index is fitted to
 _TAIL = 64
-_LEAST_TAIL = 300  # Least number of values for which these are a tail
-_CLUMPS = 4.0  # Kurtosis up to which far values do not count as a tail
-_LEAST_POINTS = 3000  # Least number of points whose 256 farthest are a tail
+_LEAST_TAIL = 300  # Least number of values whose smallest or largest values count as a tail
+_CLUMPS = 4.0  # Largest kurtosis at which extreme values do not count as a tail
+_LEAST_POINTS = 3000  # Least number of points whose 256 farthest values count as a tail
 # Largest share of the variance beyond all values, by the number of farthest values that the tail is
 # fitted to. Bounded values have a small share
 _BEYOND = {16: 0.005, 64: 0.02, 256: 0.15}
@@ -58,7 +58,7 @@ _TAIL_ENDS = (
     (0.084, 0.122, 0.188, 0.302, 0.534, 1.114),
     (0.048, 0.073, 0.122, 0.216, 0.415, 0.945),
 )
-_GROUPS = 32  # Most groups of stored sets for the jackknife
+_GROUPS = 32  # Maximum number of groups of stored sets for the jackknife
 
 
 @final

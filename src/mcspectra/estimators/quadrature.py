@@ -51,7 +51,7 @@ __all__ = [
 ]
 
 MOST_EVALUATIONS = 2.0**26
-"""Most evaluations of an integrand in a quadrature; more is an error."""
+"""Maximum number of evaluations of an integrand in a quadrature; more raise an error."""
 
 DIVERGES = 0.4995
 """Exponent of g above which ∫g² is taken as infinite: ½ minus the error of slopes."""
@@ -63,13 +63,13 @@ _ORDERS = ((12, 20), (6, 10), (4, 6))
 _MANY = 400
 # Least number of panels of the whole axis in integrals over offsets of few strata
 _LEAST_PANELS = 32
-# Cells per level: enough for curves of jumps, in an eighth of the time
+# Number of cells per level: enough to resolve jumps along curves, in an eighth of the time
 _FEW_CELLS = 2**13
 # Error as a fraction of √∫g² below which a mean resolves all of g
 _SAME = 1e-9
 # Relative error of ∫g² above which g has jumps that boxes did not resolve
 _RESOLVED = 1e-10
-_CENTER = 2**10  # Points for the mean that is subtracted before g is squared
+_CENTER = 2**10  # Number of points for the mean that is subtracted before g is squared
 # Multiple of the largest value at the probe that g² exceeds next to a pole
 _POLE = 2.0
 # Relative error above which there may be a pole, so that all levels are computed

@@ -28,7 +28,7 @@ __all__ = ["SETS", "check_sets", "draw_sets", "set_sizes"]
 
 SETS = ("independent", "shared", "joint")
 
-_TECHNIQUE = 1 << 20  # Stream labels of the second and later techniques
+_TECHNIQUE = 1 << 20  # Labels of random streams of the second and later techniques
 _DEAL = (1 << 20) - 1  # Stream label for the choice of points of a joint set
 
 
@@ -77,7 +77,7 @@ def draw_sets(
     if sampler.sequence:
         return np.split(drawn[0], np.cumsum([n * c for c in counts])[:-1], axis=1)
 
-    # Deal each group of Σ counts consecutive points to the techniques
+    # Distribute each group of Σ counts consecutive points to the techniques
     total, group = n * sum(counts), sum(counts)
     keys = stream.child(_DEAL).uniforms(first, count, total).reshape(count, n, group)
     order = np.argsort(keys, axis=2)[..., None]

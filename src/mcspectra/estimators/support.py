@@ -32,7 +32,7 @@ __all__ = ["check_support", "probe_points", "uncovered"]
 
 _PROBES = 4096
 _CELLS = 8192
-_NEAR = (2.0**-4, 2.0**-8, 2.0**-12)  # At smaller distances steep powers underflow to 0
+_NEAR = (2.0**-4, 2.0**-8, 2.0**-12)  # Closer to 0, steep powers underflow to 0
 _FACES = 512
 _MOST_CORNERS = 4  # dims
 _BESIDE = 2.0**-30
@@ -94,7 +94,7 @@ def uncovered(integrand: Integrand, densities: Sequence[Density]) -> Array:
 
 
 def probe_points(dims: int, count: int = _PROBES) -> Array:
-    """Return points (count, dims) off all grid lines, from square roots of primes."""
+    """Return points (count, dims) that avoid all grid lines, from square roots of primes."""
     primes = np.array([2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59, 61, 67, 71])
     steps = np.sqrt(np.resize(primes, dims) + np.arange(dims) // primes.size)
     return np.asarray((0.5 + np.arange(1, count + 1)[:, None] * steps) % 1.0)

@@ -41,7 +41,7 @@ __all__ = [
 ]
 
 _LEAST, _POINTS = 2**12, 2**16
-_LARGE = 0.1  # Share of the second moment above which a note is given
+_LARGE = 0.1  # Share of the second moment above which the result has a note
 
 
 @final
@@ -198,7 +198,7 @@ def growing_interval(
 
 @lru_cache(maxsize=256)
 def _growing_quantile(exponent: float, count: int, settings: TailSettings) -> float:
-    """Return how many standard errors the mean of `count` values u^−κ can be too small."""
+    """Return by how many standard errors the mean of `count` values u^−κ can be too small."""
     rng = np.random.default_rng((count, round(1000.0 * (exponent + 1.0))))
     u = rng.random((max(1000, min(settings.samples, 10_000_000 // count)), count))
     x = -np.log(u) if exponent == 0.0 else (u**-exponent - 1.0) / exponent
@@ -209,7 +209,7 @@ def _growing_quantile(exponent: float, count: int, settings: TailSettings) -> fl
 def few_note(values: Array, settings: TailSettings = TAIL_SETTINGS) -> str | None:
     """Return a sentence if half of the variance of values (N,) comes from a few of them."""
     squares = (values - values.mean()) ** 2
-    if len(values) < settings.least * settings.part:  # Too few values to show a tail
+    if len(values) < settings.least * settings.part:  # These are too few values to show a tail
         return None
     largest = np.partition(squares, 1 - settings.few)[1 - settings.few :]
     if not 2.0 * largest.sum() > squares.sum() > 0.0:

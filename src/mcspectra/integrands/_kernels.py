@@ -1,4 +1,4 @@
-"""Numba kernels of the integrands; they take arrays and check nothing."""
+"""Numba kernels of the integrands; these take arrays and do not check arguments."""
 
 from __future__ import annotations
 

@@ -47,18 +47,18 @@ __all__ = [
 # Nodes per cell: at 4 nodes per wavelength, 16 give 1e-10; at 8 they give rounding accuracy
 _ORDER = 16
 _LEAST_NODES = {1: 256, 2: 256, 3: 64, 4: 32}
-_BUDGET = 2**22  # Most evaluations of a refined grid
-_LIMIT = 2**24  # Most evaluations of a first grid; more is an error
+_BUDGET = 2**22  # Maximum number of evaluations of a refined grid
+_LIMIT = 2**24  # Maximum number of evaluations of a first grid; more raise an error
 _FOURIER_TOLERANCE = 1e-10
 _BLOCK = 2**18  # Number of points evaluated at once
-_CACHED = 2**17  # Most numbers in a block that stays in the processor's cache
+_CACHED = 2**17  # Maximum number of floats in a block that stays in the processor's cache
 
 _PRODUCT_NODES = {1: 512, 2: 512, 3: 64, 4: 32}  # Nodes per axis for other product bases
 # Nodes per axis of a cell, for bases that are constant in cells
 _CELL_NODES = {1: 64, 2: 16, 3: 4, 4: 2}
 _CELLS = {1: 32, 2: 8, 3: 4, 4: 2, 5: 2}
 _CELL_ORDER = {1: 16, 2: 8, 3: 6, 4: 5, 5: 4}
-_INTEGRAL_BUDGET = 2**21  # Most evaluations of an integral on boxes
+_INTEGRAL_BUDGET = 2**21  # Maximum number of evaluations of an integral on boxes
 _INTEGRAL_TOLERANCE = 1e-12
 _LATTICE_POINTS = 2**20
 PROBE = 2**17
@@ -81,7 +81,7 @@ _LINE, _END = 2**14, 2.0**-40  # Number of steps of a line, and position of its 
 _CANDIDATES = 16  # Number of the largest steps of a line that are searched for jumps
 # Number of cuts of a step, down to 2^-46, and their position, which is not a dyadic fraction
 _CUTS, _CUT = 34, 0.4871
-# Peaks of a line, halvings around each, and growth that indicates a pole
+# Number of peaks of a line, halvings around each peak, and growth that indicates a pole
 _PEAKS, _CLIMBS, _GROWN = 4, 24, 4.0
 _STAYS = 0.5  # Fraction of the first step that must remain at a jump
 # Offset of the second line, and distance from the jump at which lines are compared
@@ -360,7 +360,8 @@ def adaptive_integral(
     biased = ~better_known & (_SIGMAS * np.abs(shift) > 2.0 * spread)
     total = np.where(better_known, total + shift, total)
     error = np.where(better_known, spread, np.where(biased, error + np.abs(shift) + spread, error))
-    error += _SIGMAS * _INTEGRAL_TOLERANCE * scale  # Jumps in cells of negligible weight
+    # Add the error of jumps in cells of negligible weight
+    error += _SIGMAS * _INTEGRAL_TOLERANCE * scale
     error += _FOUND * sum(map(len, breaks)) * np.ptp(probed, axis=0)
     if not surprises.any():
         return Estimate(total, float(error.max()), method)
@@ -400,7 +401,7 @@ def search_breaks(
     spread = np.where(seen.std(axis=0) > 0.0, seen.std(axis=0), np.inf)
     lines = points[np.unique([0, 1, *seen.argmin(axis=0), *seen.argmax(axis=0)])]
     rows, steps = np.arange(len(lines))[:, None], (np.arange(_LINE) + math.sqrt(0.5)) / _LINE
-    # Whether it is a peak, minus its height, axis, position
+    # Tuples: whether the break is a peak, minus its height, its axis, its position
     found: list[tuple[bool, float, int, float]] = []
     for axis in range(dims):
 
@@ -422,7 +423,7 @@ def search_breaks(
         low, high, first = t[rows, chosen], t[rows, chosen + 1], step[rows, chosen]
         y_low, y_high = y[rows, chosen], y[rows, chosen + 1]
 
-        # Cut them down to the jump that remains
+        # Bisect these steps down to the jump that remains
         for _ in range(_CUTS):
             middle = low + _CUT * (high - low)
             y = at(middle)

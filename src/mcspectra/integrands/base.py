@@ -70,13 +70,13 @@ __all__ = [
 ]
 
 Breaks = tuple[tuple[float, ...], ...]
-"""Positions along each axis."""
+"""Positions of breaks along each axis."""
 
-_MOST_COEFFICIENTS = 2**26  # 1 GiB of complex numbers
+_MOST_COEFFICIENTS = 2**26  # Largest number of coefficients: 1 GiB of complex numbers
 _EXACT_BLOCK = 2**20
 _KEPT = 4
 _ADAPTIVE_DIMS = 5
-_PROBE = (4, 7)  # Two axes, so that functions of a single list of points are detected
+_PROBE = (4, 7)  # Points with two leading axes detect functions that accept only lists
 
 
 def any_dims() -> Any:
@@ -203,7 +203,7 @@ class Integrand(Component, ABC):
                 "points of the unit cube."
             )
         if type(self).is_black_box is Integrand.is_black_box and self.is_black_box:
-            # A class of another package; functions count their own calls
+            # Count calls only for classes of other packages; functions count their own calls
             spend(points.size // self.dims)
         return self._evaluate(points)
 
@@ -703,7 +703,7 @@ def _probe(function: Callable[[Any], Any], dims: int) -> int:
 def _works_on_one_point(function: Callable[[Any], Any], point: Array) -> bool:
     """Return whether a function that fails on arrays takes a point, or a number in 1-D."""
     for x in (point, float(point[0])):
-        with contextlib.suppress(Exception):  # The first failure is reported
+        with contextlib.suppress(Exception):  # Only the first failure is reported
             if np.ndim(function(x)) <= 1:
                 return True
     return False

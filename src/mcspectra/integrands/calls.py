@@ -46,11 +46,11 @@ from mcspectra.integrands.base import FunctionIntegrand, Integrand
 
 __all__ = ["Calls"]
 
-# Points per call of a vectorized function, and single calls that are stored together
+# Number of points per call of a vectorized function, and of single calls stored together
 _BLOCK, _FEW = 128, 8
 _SAME = 1e-9  # Relative difference up to which a cached value agrees with the function's value
 
-_integrand: Integrand  # Integrand of a worker process
+_integrand: Integrand  # Integrand that a worker process evaluates
 
 
 @final
@@ -90,7 +90,7 @@ class Calls:
     skips
         Whether values are NaN where f fails.
     first_skipped
-        The first of these points (d,), or None.
+        The first point at which f failed, (d,), or None.
 
     Raises
     ------

@@ -25,12 +25,12 @@ from mcspectra.integrands.base import Breaks, Integrand, any_dims
 
 __all__ = ["Formula"]
 
-MOST_PARTS = 300  # Most numbers, names, operators and calls in a formula
+MOST_PARTS = 300  # Maximum number of numbers, names, operators and calls in a formula
 _MARK = re.compile(r"\w+|[^\w\s]")
-# Most words and signs: a call has a name, brackets, commas and an exponent
+# Maximum number of tokens: a call has a name, brackets, commas and an exponent
 _MOST_MARKS = 6 * MOST_PARTS
 _PROBES = 4
-# Most levels of the tree: reading and evaluation recurse with three frames per level
+# Maximum depth of the tree: reading and evaluation recurse with three frames per level
 _MOST_DEPTH = 100
 
 Evaluation: TypeAlias = Callable[[Array], Any]
@@ -122,7 +122,7 @@ class Formula(Integrand):
 
 @lru_cache(64)
 def _compiled(text: str, dims: int) -> tuple[Evaluation, Breaks]:
-    """Read a formula; return its evaluation and the places where coordinates meet numbers."""
+    """Read a formula; return its function and the numbers that coordinates are compared to."""
     # Python's parser needs stack for every mark; a million marks may end the process
     marks = sum(1 for _ in itertools.islice(_MARK.finditer(text), _MOST_MARKS + 1))
     if marks > _MOST_MARKS:

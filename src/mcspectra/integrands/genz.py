@@ -26,7 +26,7 @@ __all__ = [
     "GenzProductPeak",
 ]
 
-# Ends of log s. The right end is added to log d; beyond it e^−s is negligible
+# Range of log s. The right end is added to log d; beyond this end e^−s is negligible
 _LEFT, _RIGHT = -40.0, 5.0
 
 

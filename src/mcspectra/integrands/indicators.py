@@ -29,7 +29,7 @@ from mcspectra.integrands.base import (
 
 __all__ = ["Disk", "HalfSpace", "SmoothedStep", "Step"]
 
-_CYCLES, _ORDER = 8, 32  # Panels of 8 cycles of a wave, which 32 Gauss nodes integrate to rounding
+_CYCLES, _ORDER = 8, 32  # Cycles of a wave in a panel, and Gauss nodes of the panel
 _BLOCK = 2**22  # Complex numbers in one block of a sum over nodes: 64 MiB
 _CONDITION = 1e-10  # Largest relative rounding error that inclusion and exclusion may cause
 

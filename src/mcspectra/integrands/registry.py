@@ -47,7 +47,7 @@ def integrand(spec: str, dims: int | None = None) -> Integrand:
     Raises
     ------
     SpecError
-        If the spec cannot be read; `UnknownName` if the name is not registered.
+        If the spec cannot be parsed; `UnknownName` if the name is not registered.
     ParameterError
         If a parameter is unknown, missing or out of range, or the numbers of dims disagree.
     """

@@ -132,7 +132,7 @@ class EdgeSmoothed(Integrand):
 
     @property
     def fourier_source(self) -> str:
-        """Source for the edge, with quadrature over its positions."""
+        """Method of the edge's coefficients, and quadrature over positions of the edge."""
         if self.edge._fourier(np.zeros((1, self.dims))) is None:
             return super().fourier_source
         return f"{self.edge.fourier_source}, averaged over edges by Gauss-Legendre quadrature"
@@ -220,7 +220,7 @@ class BoxSmoothed(Derived):
     @property
     def _known(self) -> bool:
         """Whether f has closed-form means over boxes."""
-        few = self.dims <= 6  # A box may have 3^d parts
+        few = self.dims <= 6  # Reflections may divide a box into 3^d parts
         unit = np.zeros((1, self.dims)), np.ones((1, self.dims))
         return few and self.integrand.box_moments(*unit) is not None
 
@@ -258,6 +258,6 @@ class BoxSmoothed(Derived):
             found = self.integrand.box_moments(
                 np.where(empty, 0.0, start), np.where(empty, 1.0, stop)
             )
-            assert found is not None  # Because `_known` is true
+            assert found is not None  # Always known, because `_known` is true
             total = total + (share[..., None] if self.channels else share) * found[0]
         return np.asarray(total)

@@ -69,7 +69,7 @@ _ROUNDING = 4e-15
 @final
 @dataclass(frozen=True, kw_only=True)
 class CheckSettings:
-    """Limits of the checks.
+    """Limits of the methods that check a prediction.
 
     Attributes
     ----------
@@ -245,7 +245,7 @@ def _share(estimator: AbstractEstimator, f: Array) -> Any:
 
 
 def _certain(method: str, variance: Array, how: str, share: Any) -> Cells:
-    """Return a row of a method that samples nothing."""
+    """Return the row of a method that draws no samples."""
     return Cells.row(method, how, variance, variance, variance, share=share, channels=len(variance))
 
 
@@ -266,7 +266,7 @@ def of_pairs(
     estimator.check_independent()
     source, realizations = estimator.randomized(sampler), asked.realizations
 
-    # Check whether pairs are known, or may be counted
+    # Check whether the law of pairs is known, or pairs may be counted
     law = source.law(n)
     jittered = isinstance(law, Strata) and law.jittered
     exact = jittered or isinstance(law, Independent)

@@ -103,12 +103,12 @@ EXACT_TOLERANCE = 1e-6
 class ExactSettings:
     """Settings for the agreement of quadratures, and for the cells of curves along axes.
 
-    "Insensitive" means that half and twice the value change no variance by more than 1e-9 in twelve
+    "Insensitive": half or double the value changes no variance by more than 1e-9 in twelve
     cases. The cases are sums and products with jumps, kinks and poles, a wave, a disk and a ridge,
     at n = 64 and 1024.
     """
 
-    # Error accepted at any tolerance, as a fraction of ∫g²/n. Insensitive.
+    # Largest error that every tolerance accepts, as a fraction of ∫g²/n. Insensitive.
     negligible: float = 1e-9
     # Factor by which the difference between two orders bounds the error of the higher order. At a
     # jump both orders have errors of about the same size. With half of it the second attempt for a
@@ -117,7 +117,7 @@ class ExactSettings:
     # Relative error below which an error message suggests a larger tolerance.
     offered: float = 0.5
     # Factor by which the second attempt raises the orders, and largest error, in tolerances, for
-    # which it is made. Half and twice the first change the ridge by 1e-5 and 8e-10.
+    # which it is made. Half or double the factor changes the ridge by 1e-5 or 8e-10.
     finer: int = 4
     hope: float = 10.0
     # Least number of dims and least tolerance for fits by sums of products, whose curves have
@@ -131,8 +131,8 @@ class ExactSettings:
     # Relative rounding error of ∫g², and of sums along an axis.
     rounding: float = 4e-15
     exact: float = 1e-9
-    # Largest number of cells of an axis. Half changes the variance of halton | shift at n = 1024 by
-    # 2e-4, twice by 5e-5. The second value limits the time: pairs of points times dims.
+    # Largest number of cells of an axis. Half this value changes the variance of halton | shift at
+    # n = 1024 by 2e-4, twice by 5e-5. The second value limits the time: pairs of points times dims.
     most_cells: int = 2**18
     most_pairs: float = 2.0**32
     # Quadrature nodes per cell, and fewer nodes for more than 2^14 cells. With 3 instead of 6 a sum
@@ -147,7 +147,7 @@ class ExactSettings:
     # as a fraction of ∫h²/n. Insensitive.
     rounded_mean: float = 1e-15
     rounded_variance: float = 1e-15
-    # Points evaluated at a time. It has no effect on the result.
+    # Number of points evaluated at a time. It has no effect on the result.
     at_once: int = 2**20
     # Variance within cells, as a fraction of ∫h², below which it is rounding. Insensitive.
     nothing: float = 1e-12
@@ -193,7 +193,7 @@ def exact_variance(
         products of functions of one axis may be used, if its 95 % interval is within the tolerance:
         for latin-hypercube, nets with owen, sets with shift.
     max_evaluations
-        Most evaluations of a user's function; more raise BudgetError.
+        Maximum number of evaluations of a user's function; more raise BudgetError.
 
     Returns
     -------
@@ -263,7 +263,7 @@ def estimated_variance(
                 raise
             found = by_axes.variance, by_axes.error
         total = total + np.stack(found)
-    if not total[0].any():  # One technique of several may be constant
+    if not total[0].any():  # g of one technique of several may be constant
         said = [constant(given.primary_integrand(t)) for t in range(len(given.counts))]
         if all(said):
             raise NoClosedForm(f"{said[0]}.")
@@ -287,7 +287,7 @@ def of_integrand(
     """
     g, lines = looked_at(g), False
     if not (in_closed_form(g) or g.costly):
-        # Lines resolve poles and waves that cells do not, at a small part of the cost
+        # Lines resolve poles and waves that cells do not resolve, at a small part of the cost
         lines = bool(beyond_points(g).any()) or (most >= MOST_EVALUATIONS and g.dims > 1)
         if lines and separated(g):
             with contextlib.suppress(NoClosedForm):
@@ -542,7 +542,7 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
         if curve.square == 0.0:
             continue
         if isinstance(law, Scrambled) and law.nested_pairs:
-            # Gains of the projection, down to digits in which all coordinates differ
+            # Gains of the projection, up to the digits in which all coordinates differ
             base, level, agree, gains = law.bases[axis], 0, float(n), [0.0]
             while agree > 1.0 and base ** (level + 1) <= _SETTINGS.most_cells:
                 level += 1
@@ -791,7 +791,7 @@ def _latin(law: Law, g: Integrand, rule: Rule, *, shifted: bool) -> tuple[Array,
     """
     n = law.n
     fine, nodes, weights = (n,) * g.dims, np.zeros((1, g.dims)), np.ones(1)
-    if shifted:  # A mean over all cells is smooth
+    if shifted:  # A mean over all cells is a smooth function
         nodes, weights = offset_rule(g, fine, rule.order // 2 + 2)
     one = float(len(nodes) * rule.each(g))
     # In 1-D and 2-D there are more pieces than cells, because cells next to 0 and 1 are cut

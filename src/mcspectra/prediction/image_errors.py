@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 __all__ = ["ImageErrorSettings", "image_error_spectrum"]
 
 _LOW = 0.125
-"""Cycles per pixel below which the eye does not blur noise away."""
+"""Spatial frequency, in cycles per pixel, below which the eye does not blur noise away."""
 
 
 @final
@@ -101,7 +101,7 @@ def image_error_spectrum(
         Number of independent images, at least 2, each with its own shared set and position of the
         mask.
     max_evaluations
-        Most evaluations of a user's function; more raise BudgetError.
+        Maximum number of evaluations of a user's function; more raise BudgetError.
 
     Returns
     -------
@@ -261,6 +261,6 @@ def _errors(known: Array, points: Array, shifts: Array) -> Array:
         return np.asarray(found.real)
     phases = np.exp(-1j * places[..., None] * (np.arange(known.shape[1]) - known.shape[1] // 2))
     terms = np.conj(known) * shared
-    for phase in phases:  # Sum over the first remaining axis
+    for phase in phases:  # Sum over the first remaining axis of frequencies
         terms = np.einsum("pm,pm...->p...", phase, terms)
     return np.asarray(terms.real)

@@ -53,7 +53,7 @@ class Predicted:
     tail
         Part of `variance` that represents the rest, in the same units.
     method
-        Name of the method in `METHODS`, filled in by the loop over the methods.
+        Name of the method, as in `METHODS`, filled in by the loop over the methods.
     poles
         Whether `error` covers poles of g beyond tables and points.
     """
@@ -155,7 +155,7 @@ class Known:
 
     @property
     def costly(self) -> bool:
-        """Whether evaluations are so slow that only few methods are worthwhile."""
+        """Whether evaluations are so slow that only a few methods are worthwhile."""
         return self.given.costly
 
     @cached_property

@@ -56,12 +56,12 @@ class LevelsSettings:
     most_dims
         Largest number of dims: in 4-D, 32,768 cells would have 13 per side.
     cells
-        Number of cells of the first table, by number of dims. Half and twice as many change
+        Number of cells of the first table, by number of dims. Half or double this number changes
         variances by less than 0.1 %, within the intervals.
     long, most_cells
         Number of cells of a table that is longer along some axes: up to `long` n Π b_j, which
-        covers the digits of n and one more, and at most `most_cells`. Insensitive to half and twice
-        each.
+        covers the digits of n and one more, and at most `most_cells`. Half or double
+        either value changes nothing.
     more
         Number of digits beyond those of n for which gains are computed. All coordinates usually
         differ there. Insensitive between 1 and 6.
@@ -69,22 +69,22 @@ class LevelsSettings:
         Orders of the coarse and the fine Gauss-Legendre rule in each cell, by number of dims. The
         error is their difference.
     parts
-        Number of parts along each axis of a cell with a jump, by number of dims. Half as many
-        change variances by up to 0.13 % and twice as many by 0.05 %, within the intervals.
+        Number of parts along each axis of a cell with a jump, by number of dims. Half this number
+        changes variances by up to 0.13 % and double by 0.05 %, within the intervals.
     most_rough, rough
         Largest number of cells that are divided, by number of dims, and least variation of g in
-        such a cell relative to the mean cell. Both are insensitive to half and twice. A jump cuts
-        some hundred of 65,536 cells in 2-D and some thousand of 32,768 in 3-D.
+        such a cell relative to the mean cell. Half or double either value changes nothing. A jump
+        cuts some hundred of 65,536 cells in 2-D and some thousand of 32,768 in 3-D.
     block
-        Evaluations per call, 16 MB in 2-D. It has no effect on the result.
+        Number of evaluations per call, 16 MB in 2-D. It has no effect on the result.
     clear, doubt
         Part of ∫g² that tables miss, in units of its error, above which it is added; and the
         uncertainty of its weight. This part lies at poles within one cell, with a gain between 0
         and about 1. Half of `clear` adds some noise, 0.015 % of a variance; twice changes nothing.
     most_error, noise
         Largest half interval relative to the variance, unless it is below `noise` times ∫g²; above
-        it the method raises, because other methods have errors below a fifth. Both are insensitive
-        to half and twice.
+        it the method raises, because other methods have errors below a fifth. Half or double either
+        value changes nothing.
     """
 
     most_dims: int = 3
@@ -121,7 +121,7 @@ def of_levels(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
     known
         g, and the tables made for other counts and samplers.
     stream
-        Not used, because nothing is random.
+        Not used, because this method draws no random numbers.
 
     Raises
     ------
@@ -186,13 +186,13 @@ def _scrambled(net: Fixed, bases: tuple[int, ...], known: Known) -> Predicted:
         first = first or (parts, *spread)
         at = tuple(np.indices([level + 1 for level in cells]))
         new = ~counted[at]
-        new[origin] = False  # The mean has no gain
+        new[origin] = False  # Level 0, the mean, has no gain
         ends = tuple(np.minimum(axis, side - 1) for axis, side in zip(at, gains.shape, strict=True))
         plain = plain + parts[:, new].sum(axis=1)
         weighed = weighed + (gains[ends][..., None] * parts)[:, new].sum(axis=1)
         counted[at] = True
 
-    # The rest has weight 1 if no level is missing
+    # The variance within cells has weight 1 if no level is missing
     assert first is not None
     parts, within, off = first
     inside = parts.reshape(len(within), -1, within.shape[1]).sum(axis=1)
@@ -224,7 +224,7 @@ def _tables(wanted: Array, bases: Sequence[int], least: int, most: int) -> Itera
     left = [levels for levels in left if math.prod(map(pow, bases, levels)) <= most]
     found = [first]
     while left := [v for v in left if any(map(int.__gt__, v, found[-1]))]:
-        # Take the longest first, and among equals the one with most cells
+        # Take the longest table first, and among equally long tables the one with most cells
         found.append(grown(max(left, key=lambda v: (max(v), sum(v)))))
         yield found[-1]
 
@@ -232,9 +232,9 @@ def _tables(wanted: Array, bases: Sequence[int], least: int, most: int) -> Itera
 def _table(
     g: Integrand, bases: Sequence[int], levels: Levels, *, whole: bool
 ) -> tuple[Array, Array, Array]:
-    """Return parts of g over cells, by a coarse and a fine rule (Q = 2) or exactly (Q = 1).
+    """Return energies of g over cells, by a coarse and a fine rule (Q = 2) or exactly (Q = 1).
 
-    The parts are σ²_l, (Q, levels + 1 of each axis, channels), with the square of the mean at level
+    Energies are σ²_l, (Q, levels + 1 of each axis, channels), with the square of the mean at level
     0. The mean variance within cells, (Q, channels), and twice its standard error follow.
     """
     sides = tuple(map(pow, bases, levels))
@@ -293,7 +293,7 @@ def _cell_moments(
     varies = varies + np.sqrt(np.maximum(squares[-1] - fine**2, 0.0))
     rough = (varies / np.maximum(varies.max(axis=tuple(range(dims))), 1e-300)).sum(axis=-1)
     limit = _SETTINGS.rough * rough.mean()
-    edges = (0.0, *((1e-9, 1.0 - 1e-9) if dims <= 2 else ()))  # Warps have their poles there
+    edges = (0.0, *((1e-9, 1.0 - 1e-9) if dims <= 2 else ()))  # Warps have their poles at 0 and 1
     for axis, breaks in enumerate(g.breaks):
         place = (np.array([*edges, *breaks]) - offset[axis]) % 1.0 * sides[axis]
         cut = place[np.abs(place - np.rint(place)) > 1e-12]

@@ -57,9 +57,9 @@ class PairedSettings:
     Attributes
     ----------
     pairs
-        Number of pairs in each replicate for the entries of `_MULTIPLES`. Half and twice as many
-        change the variances of a Gaussian, a ball and a kink in 4-D with orthogonal-array | shift
-        at n = 289 by less than 0.5 %. Their half intervals are 0.9, 2.1 and 0.5 %.
+        Number of pairs in each replicate for the entries of `_MULTIPLES`. Half or double this
+        number changes the variances of a Gaussian, a ball and a kink in 4-D with orthogonal-array |
+        shift at n = 289 by less than 0.5 %. Their half intervals are 0.9, 2.1 and 0.5 %.
     replicates
         Number of scrambled nets of pairs. Their spread gives the interval, with 15 degrees of
         freedom.
@@ -158,7 +158,7 @@ def _factor(relation: Relation, part: str, strata: int, parts: int) -> float:
 
 
 def _weight(law: PairedAxes, along: Sequence[str]) -> float:
-    """Return λ of these parts along the first axes and means along the others; 0 for fewer axes."""
+    """Return λ of parts along the first axes and means along all others; 0 for fewer axes."""
     s, m, missing = law.strata[0], law.parts[0], law.dims - len(along)
     if missing < 0:
         return 0.0

@@ -135,7 +135,7 @@ class QuadratureSettings:
 @final
 @dataclass(frozen=True, kw_only=True)
 class AutoSettings:
-    """Required widths of intervals, and counts at which limits of rates are sought.
+    """Required widths of intervals, and counts that show the limits of rates.
 
     Attributes
     ----------
@@ -178,14 +178,14 @@ class TableSettings:
     ----------
     cells
         Number of cells along each axis, by number of dims: about a million cells in 2-D and 3-D.
-        Half and twice as many change the variance by less than 1 %, and half intervals by 0.6 % if
-        g jumps.
+        Half or double this number changes the variance by less than 1 %, and half intervals by 0.6
+        % if g jumps.
     probe
         Number of random points at which the table is compared with g. The mean square difference
         has a relative standard error of about 1/256 if it is not heavy-tailed. Insensitive between
         2^15 and 2^17.
     block
-        Points per call, 1 MB in 2-D. It has no effect on the result.
+        Number of points per call, 1 MB in 2-D. It has no effect on the result.
     points
         Total number of points of all sets, which limits the work at large n. Above n = 420 there
         are fewer sets than `most_sets`.
@@ -229,8 +229,8 @@ class ExtrapolationSettings:
         Realizations of each small count, which give variances to √(2/2000) = 3 %.
     near_sets, near_points
         Least number of realizations of a count close to n, and of their points; the larger
-        requirement holds. Half and twice as many change variances by less than 4 %, well within
-        intervals of 14 to 60 %.
+        requirement holds. Half or double this number changes variances by less than 4 %, well
+        within intervals of 14 to 60 %.
     most_factor
         Largest factor of the reported error of an extrapolation, so that exponentials stay finite.
         Insensitive between 15 and 60.
@@ -257,8 +257,9 @@ class EvaluationLimits:
         Default for the most evaluations: a second for a function that takes 4 µs per point. Ends of
         intervals are then variances times or over 1.5 at measured counts, and 2 at 4,096.
     predictions
-        Least number of evaluations, for each technique, with which methods predict. For smooth
-        functions and jumps in 1-D to 4-D with four samplers they need 1.2 to 13 million.
+        Least number of evaluations, for each technique, at which methods other than measurements
+        are used. For smooth functions and jumps in 1-D to 4-D with four samplers these need 1.2
+        to 13 million.
     sets, least_sets
         Realizations of each count above which larger counts are measured as well, and least number
         of realizations. Their variances have standard errors of 14 % and 35 %.
@@ -370,7 +371,7 @@ def of_table(law: Law, known: Known, stream: Stream, settings: TableSettings = _
 def of_measurements(
     law: Law, known: Known, stream: Stream, settings: ExtrapolationSettings = _EXTRAPOLATION
 ) -> Predicted:
-    """Extrapolate the variances of the sampler's small sets."""
+    """Extrapolate from the variances of small sets of the sampler."""
     if not isinstance(law.source, Sampler):
         raise NoClosedForm("These points have no sampler.")
     return extrapolated(Estimator(known.g), law.source, law.n, known, stream, settings)
@@ -420,7 +421,7 @@ def extrapolated(
             "variance."
         )
 
-    # The scatter about the line is at least the error of the measurements
+    # Assume that the scatter about the line is at least the error of the measurements
     from scipy.special import stdtrit
 
     x = np.log([float(count) for count, _ in found])
@@ -467,7 +468,7 @@ class Method:
         Prediction for a whole estimator, if the method is requested by name and does not work
         technique by technique.
     realized
-        Whether it uses realizations of the estimates, which methods share.
+        Whether the method uses realizations of the estimates; methods share realizations.
     """
 
     name: str
@@ -659,7 +660,7 @@ _LIMIT = "limit"
 
 
 def tried(name: str, law: Law, known: Known) -> list[Method]:
-    """Return the methods with a name for one technique, in their order of trust."""
+    """Return the methods of this name for one technique, the most trusted first."""
     usable = [method for method in METHODS if method.predict is not None]
     if name == "auto":
         return [method for method in usable if method.applies(law, known)]
@@ -725,9 +726,9 @@ class Prediction(Counted, frozen=True, kw_only=True):
         return any(method.realized for method in METHODS if method.name in self._names)
 
     def limit(self, subject: Subject) -> int | None:
-        """Return the most evaluations of functions.
+        """Return the maximum number of evaluations of functions.
 
-        By default there is no limit for known integrands, nor for a method requested by name.
+        By default there is no limit for known integrands or for methods requested by name.
         """
         chosen = self.method in ("auto", "extrapolated")
         if self.max_evaluations is None and chosen and subject.estimator.is_black_box:
@@ -813,7 +814,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         predictor = Predictor(estimator, stream, measured, self.limit(subject) or 0)
         own, other = (Stream.from_rng(np.random.SeedSequence([stream.key, k])) for k in (0, 1))
 
-        # Counts of a sampler; with auto, more counts for rates and their limit; 0 stands for no
+        # Counts of a sampler; with auto also counts for rates and their limit; 0 stands for no
         # count
         counts = [_places(s, self.counts) if auto else [0, *self.counts, 0, 0] for s in samplers]
         wanted = [(s, name, n) for s, each in enumerate(counts) for name in names for n in each]
@@ -1139,7 +1140,7 @@ class Predictor:
                 raise NoClosedForm(f"a deterministic sampler {NO_VARIANCE}")
             known, stream = self._known, self._stream
             if self.measured is not None:
-                if name == _LIMIT:  # A measurement has no limit of rates
+                if name == _LIMIT:  # A measurement does not give the limit of rates
                     raise NoClosedForm("a measurement does not extend beyond the requested counts")
                 reason, lost = known[0].once("doubt", self._doubted) or ("", False)
                 if lost:
@@ -1148,7 +1149,8 @@ class Predictor:
                     estimator, sampler, n, known[0], stream, self.measured[sampler.spec]
                 )
                 high = found.variance + found.error
-                low = found.variance**2 / high  # The same distance on a logarithmic scale
+                # The lower end has the same distance on a logarithmic scale
+                low = found.variance**2 / high
                 if reason:
                     high = np.full_like(high, math.inf)
                 return Cells.row(
@@ -1175,7 +1177,7 @@ class Predictor:
                     predicted(source.law(n * c), each, stream.child(t), name)
                     for t, (c, each) in places
                 ]
-            # Compute the weights of their shares
+            # Compute the weights of the techniques' energy shares
             squares = [np.ones(len(parts[0].variance))]
             if len(parts) > 1:
                 squares = [each.square[0] for each in known]
@@ -1222,7 +1224,7 @@ class Predictor:
         return doubt(points[0] if len(points) == 1 else None, flat[most])
 
     def slowest(self, sampler: Sampler, counts: Sequence[int]) -> Slowest:
-        """Return the theoretical rate at large n, of the slowest technique."""
+        """Return the theoretical rate at large n: that of the slowest technique."""
         source, found = self.estimator.randomized(sampler), []
         if self.measured is not None:
             return Slowest()
@@ -1241,7 +1243,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
 
     Return the first prediction whose interval is narrow enough, else the narrowest.
     """
-    if law.n == 1 and law.uniform:  # A single point is a random point
+    if law.n == 1 and law.uniform:  # A set of a single point is a random point
         law = Independent(n=1, dims=law.dims)
     law = as_scrambled(law)
     if name == _LIMIT and isinstance(law, Shifted) and isinstance(law.inner, Strata):
@@ -1252,7 +1254,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
         spread = student_t(len(parts)) * values.std(axis=0, ddof=1) / math.sqrt(len(parts))
         error = np.hypot(np.mean([part.error for part in parts], axis=0), spread)
         return replace(parts[0], variance=values.mean(axis=0), error=error)
-    if known.constant:  # One of several techniques
+    if known.constant:  # g is constant for one of several techniques
         none = 0.0 * known.square[0]
         used = name if name in NAMES else NAMES[0]
         return Predicted(none, none, "the same at all points", method=used)
@@ -1289,7 +1291,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
 
 
 def _of_the_set_inside(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
-    """Predict a set before it was folded or mirrored, with another integrand.
+    """Predict the variance for the set before folding or mirroring, with another integrand.
 
     See `mcspectra.prediction.exact`.
     """
@@ -1328,13 +1330,13 @@ def _within(counts: Sequence[int], points: int) -> ExtrapolationSettings:
 
 
 def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:
-    """Return one count before a single one, the counts, and two beyond; 0 where there is none."""
+    """Return counts with one count before a single count, and two beyond the last; 0 if missing."""
     last = counts[-1]
     half = sampler.nearest_count(max(1, last // 2)) if len(counts) == 1 else last
     ahead, leaf = [_AUTO.ahead * last], leaf_of(sampler.law(last))
     if (
         isinstance(leaf, Strata) and leaf.jittered
-    ):  # One table with the cells of all counts makes strata cheap
+    ):  # Strata are cheap, because one table holds the cells of all counts
         top = sampler.dims * (_AUTO.most_ahead // sampler.dims)
         ahead = [2 ** (top - max(sampler.dims, 2)), 2**top]
     beyond = [sampler.nearest_count(n) for n in ahead if n <= 2**_AUTO.most_ahead]

@@ -52,7 +52,7 @@ __all__ = [
 ]
 
 DECAYS = {"jump": 1.0, "kink": 3.0, "smooth": math.inf}
-"""γ − d for a jump of the values or of first derivatives across a hypersurface, or for none."""
+"""γ − d for a jump of values, a jump of first derivatives (across a hypersurface), or no jump."""
 
 
 @final
@@ -103,8 +103,8 @@ class JumpSettings:
         Largest number of dims of the search; in more dims boxes are not cut at jumps either.
     lines, places
         Number of lines along each axis, and of points on each line. 16,384 evaluations per axis
-        find a jump along a curve that one line in ten crosses with probability 0.97. Insensitive to
-        half and twice both.
+        find a jump along a curve that one line in ten crosses with probability 0.97. Half or double
+        both values changes nothing.
     largest
         Number of the largest steps of each line that are bisected. A line crosses few jumps, and
         one of them on one line is enough. Insensitive between 2 and 8.
@@ -114,7 +114,7 @@ class JumpSettings:
         jump.
     beside
         Distance from a break at which g is evaluated on both sides. Detected breaks are accurate to
-        2^-46, and a slope of 500 root mean squares changes g by at most `least` across it.
+        2^-46, and a slope of 500 times the root mean square changes g by at most `least` across it.
         Insensitive between 1e-9 and 1e-5.
     least
         Smallest step that is a jump, relative to the root mean square of g. A jump of 1e-4 adds
@@ -150,14 +150,14 @@ class LimitSettings:
         Number of octaves at the end of a curve whose slope estimates the limit. Insensitive between
         2 and 4. With 8 the limits of 4 curves of scrambled nets, which bend late, are not found.
     near
-        Distance of that slope from a theoretical exponent below which the exponent is the limit, at
-        most 0.4/d because exponents are 1/d apart. Insensitive between 0.1 and 0.4.
+        Distance of the slope from a theoretical exponent within which the exponent is the limit:
+        at most 0.4/d because exponents are 1/d apart. Insensitive between 0.1 and 0.4.
     agree
         Largest difference of the local slopes within these octaves. Insensitive between 0.2 and
         0.4. With 0.1, one limit of 64 is not found.
     leaves
-        Distance of the last slope from an exponent above which slopes that move away from the
-        exponent exclude it as limit. Insensitive between 0.025 and 0.1.
+        Least distance of the last slope from an exponent at which the exponent is excluded as limit
+        if slopes move away from it. Insensitive between 0.025 and 0.1.
     still
         Largest change of three slopes that have reached a limit that is not in the list of theory,
         such as −1 − (1 − 2a)/d next to a pole t^-a. Insensitive between 0.005 and 0.02.
@@ -481,7 +481,7 @@ def integrand_decay(
         512 in 1-D, which finds a jump anywhere to ±0.06, and 64 in more dims. Jumps along the axes
         can have larger errors there; see the interval of `fitted_decay`.
     max_evaluations
-        Most evaluations of a user's function; more raise BudgetError.
+        Maximum number of evaluations of a user's function; more raise BudgetError.
 
     Returns
     -------

@@ -40,11 +40,11 @@ __all__ = ["PiecewiseCurve", "PiecewiseSettings", "Separable", "separated"]
 class PiecewiseSettings:
     """Settings for curves of functions of one axis, and for the test of sums and products.
 
-    "Insensitive" means that half and twice the value change no variance by more than 1e-10 in the
+    "Insensitive": half or double the value changes no variance by more than 1e-10 in the
     twelve cases of `mcspectra.prediction.exact.ExactSettings`.
     """
 
-    # Legendre coefficients of each piece, and pieces of an axis at first. Insensitive.
+    # Number of Legendre coefficients of a piece, and of initial pieces of an axis. Insensitive.
     order: int = 16
     pieces: int = 32
     # The last coefficients of a settled piece, as a fraction of the largest. Insensitive.
@@ -78,13 +78,13 @@ class PiecewiseSettings:
     step: float = 1e-6
     # Width next to a pole, on its other side, in which pieces belong to the pole. Insensitive.
     gap: float = 2.0**-40
-    # Points of the probe among which a product finds its largest value. Insensitive.
+    # Number of probe points among which a product finds its largest value. Insensitive.
     candidates: int = 2**10
-    # Points of the first test, and as many points with large values. Insensitive.
+    # Number of points of the first test, and of points with large values. Insensitive.
     lines: int = 16
     # Relative rounding error of g in the test of a sum or product. Insensitive.
     same: float = 1e-7
-    # A value that more than this fraction of points share is a constant beside a product, such as
+    # A value that more than this fraction of points share is a constant added to a product, such as
     # the 0 of an indicator. Insensitive.
     common: float = 0.1
 
@@ -318,7 +318,7 @@ class PiecewiseCurve:
 @final
 @dataclass(frozen=True)
 class Separable:
-    """c + Σ_i h_i(x_i) or c + Π_i h_i(x_i), of one channel.
+    """The function c + Σ_i h_i(x_i) or c + Π_i h_i(x_i), of one channel.
 
     Attributes
     ----------
@@ -360,7 +360,7 @@ class Separable:
             c.doubt / max(m**2 + s, 1e-300)
             for c, m, s in zip(self.curves, means, squares, strict=True)
         ]
-        value = 0.0  # Added axis by axis, so that nothing cancels
+        value = 0.0  # Variances are added axis by axis, so that nothing cancels
         for done in range(len(means)):
             rest = math.prod((means[:done] ** 2).tolist())
             value += (
@@ -379,7 +379,7 @@ class Separable:
 
 
 def separated(g: Integrand) -> tuple[Separable, ...] | None:
-    """Return g as sums or products of functions of one axis, by channel, or None."""
+    """Return g as a sum or product of functions of one axis for each channel, or None."""
     cache = g._cache
     if cache.separable is None:
         found = None
@@ -458,7 +458,7 @@ def _separated(g: Integrand, channel: int) -> Separable | None:
         if not (np.abs(of_tested - constant - made) <= _SETTINGS.same * size).all():
             continue
 
-        # Compute the curves; the first axis carries the scale of g
+        # Compute the curves; the curve of the first axis contains the scale of g
         curves = []
         for axis in range(d):
             curve = PiecewiseCurve.along(line(z, axis, constant, origin, product), cut.breaks[axis])

@@ -16,14 +16,14 @@ torus. Subsets v of one axis are exact. For the other subsets g is fitted by a s
 
 contains all subsets at once. μ are the means of the h, and k the covariances that remain between
 them under the randomization. The part of g outside the fit is treated as white noise, /n. The
-interval allows for zero and twice this part, and for a correlation of one half with the fit.
+interval covers a part between zero and twice this size, and a correlation of ½ with the fit.
 
 All quantities come from g at points of this module: profiles g(·, z) along each axis for many z,
 whose leading singular vectors are the basis of h_ri; least squares over scrambled nets, one axis
 after another; the residual on another net; ∫g² with Student's t. g_i is the fit's g_i plus the mean
 deviation of the profiles from the fit.
 
-Strata of a grid need no model: with x and x' in the same stratum, Var = E (g(x) − g(x'))² / 2n. In
+Strata of a grid need no fit: with x and x' in the same stratum, Var = E (g(x) − g(x'))² / 2n. In
 Latin hypercubes all pairs have one law: different ones of n strata on each axis [Stein1987]_.
 """
 
@@ -76,11 +76,11 @@ __all__ = [
 
 _LEAST_DIMS = 2
 _OWN = Stream.from_rng(0x5B5E75)
-"""Random numbers of points that no sampler shares."""
+"""Stream of random numbers for the points of this module. Samplers never use this stream."""
 TORUS = 1 << 15
 """Number of distinct differences on the torus, for sets that are not lattices."""
 _GRADED = 0.25 ** np.arange(6.0, 0.0, -1.0)
-"""Additional nodes of profiles next to 0 and 1, in first steps, because warps have poles there."""
+"""Additional nodes next to 0 and 1, as fractions of the first step; warps have poles there."""
 
 
 @final
@@ -100,58 +100,62 @@ class SubsetSettings:
         Largest number of dims in which quadrature computes ∫g² better than nets, and few products
         suffice.
     replicates, replicate
-        Number of scrambled nets for ∫g², and of their points. Half and twice change smooth cases by
-        less than 0.005 %.
+        Number of scrambled nets for ∫g², and of their points. Half or double this value changes
+        smooth cases by less than 0.005 %.
     strata
         Number of pairs within strata of each replicate. A total of 131,072 gives a half interval of
         0.8 % for normal differences.
     profile_work
-        Total evaluations of profiles along all axes. Half and twice change the ball only.
+        Total evaluations of profiles along all axes. Half or double this value changes the ball
+        only.
     nodes
-        Number of nodes of a profile along an axis. Half changes the kink by 0.1 %; twice changes
-        the ball only.
+        Number of nodes of a profile along an axis. Half this value changes the kink by 0.1 %;
+        double changes the ball only.
     groups
-        Number of independent groups of profiles, whose spread is the error. Half and twice change
-        the ball only.
+        Number of independent groups of profiles, whose spread is the error. Half or double this
+        value changes the ball only.
     fitted
-        Number of replicates for the fit; one more tests it. Half and twice change the ball only.
+        Number of replicates for the fit; one more tests it. Half or double this value changes the
+        ball only.
     basis, negligible
-        Largest number of functions of an axis, and energy that is neglected. Half and twice change
-        the ball only.
+        Largest number of functions of an axis, and energy that is neglected. Half or double this
+        value changes the ball only.
     rank, few_rank
         Largest number of products, also in few dims, where only functions with jumps across axes
         need this method; more products would not resolve these. Three products give the ball an
         interval of 86 %, twelve 53 %; the others do not change.
     sweeps, settled
         Largest number of sweeps of a fit, and ratio of successive residuals above which it has
-        settled. Half and twice as many sweeps change nothing; ratios of 0.95 and 0.995 change the
-        ball only.
+        settled. Half or double this number of sweeps changes nothing; ratios of 0.95 and 0.995
+        change the ball only.
     block
         Number of points of a block of the least squares, small enough that libraries do not start
         threads.
     ridge
-        Ridge of the least squares, relative to the mean of the diagonal. Half and twice change
-        variances by less than 5e-7.
+        Ridge of the least squares, relative to the mean of the diagonal. Half or double this value
+        changes variances by less than 5e-7.
     good
-        Sufficiently small residual energy, relative to the variance. Insensitive to half and twice.
+        Sufficiently small residual energy, relative to the variance. Insensitive to half or double
+        this value.
     stands_out
         Factor by which the change of a profile between two nodes must exceed its neighbors at a
-        jump, and the change of its slope at a kink. Half and twice change the ball only.
+        jump, and the change of its slope at a kink. Half or double this value changes the ball
+        only.
     halvings
         Bisections of a jump: steps of 1/128 become 2^-47. Insensitive between 20 and 80.
     shared
         Fraction of the mean square of steps that the step of the mean profile has at a jump shared
         by profiles. Insensitive between 0.05 and 0.2.
     bent
-        Change of the slope at a kink, as a fraction of the largest slope. Half and twice change
-        variances by less than 0.005 %.
+        Change of the slope at a kink, as a fraction of the largest slope. Half or double this value
+        changes variances by less than 0.005 %.
     cells
         Number of cells along an axis for the energy of the fit, in which means of smooth pieces are
         exact. Insensitive between 2^11 and 2^13.
     fine, finest
         Number of cells along an axis for single axes, where g is smooth and where it jumps. Latin
-        hypercubes and lattices leave the variance within cells. Half and twice change variances by
-        less than 0.01 %.
+        hypercubes and lattices leave the variance within cells. Half or double this value changes
+        variances by less than 0.01 %.
     start
         Spread of the initial coefficients of a new product, whose constant is 1.
     adds_up
@@ -282,13 +286,13 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
         )
         joint, joint_half = min(p.joint, of_whole, key=lambda each: each[1])
         if pairs.latin and joint_half < p.residual:
-            # Their weight is 1 within strata and n/(n − 1) between them
+            # The weight of interactions is 1 within strata and n/(n − 1) between strata
             joint = max(joint, 0.0) / n
             either = 0.5 * joint / max(n - 1.0, 1.0)
             tail, half = joint + either - more, joint_half / n + either
         value = ones[0] + more + tail
         drawn = half_interval(sets) if len(sets) > 1 else 0.0
-        # Error of peaks that few points hit
+        # Add the error due to peaks that few points hit
         seen = p.half / p.variance if p.variance > 0.0 else 0.0
         rough = any(len(axis.knots) > 2 for axis in p.axes)
         rough |= pairs.leaves_cells and 32 * n > SUBSET_SETTINGS.finest
@@ -303,7 +307,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
 @final
 @dataclass(frozen=True)
 class Curves:
-    """Partition of an axis: ends of its smooth pieces, and nodes between them."""
+    """Partition of an axis: ends of its smooth pieces, and the nodes between these ends."""
 
     knots: Array
     nodes: Array
@@ -342,7 +346,7 @@ class Curves:
 @final
 @dataclass(frozen=True)
 class AnovaModel:
-    """Fitted parts of one channel of g; arrays are at the nodes of the axes."""
+    """Fitted parts of one channel of g; arrays hold values at the nodes of the axes."""
 
     variance: float
     half: float  # Half of its 95 % interval
@@ -357,7 +361,7 @@ class AnovaModel:
 @final
 @dataclass(frozen=True)
 class _Pairs:
-    """Quantity of each axis that the covariance of the values at two points depends on.
+    """Quantity of each axis that determines the covariance of the values at two points.
 
     For digits, it is the number of common leading digits in `bases`, at most `levels`. For xor and
     torus, it is the difference of two multiples of 1/bases, digit by digit or on the torus.
@@ -513,7 +517,7 @@ def all_parts(known: Known) -> list[AnovaModel]:
     mean = values.mean(axis=(0, 1))
     squares = ((values - mean) ** 2).mean(axis=1)
     energy, half = squares.mean(axis=0), half_interval(squares)
-    if d <= SUBSET_SETTINGS.few_dims:  # A quadrature resolves poles better
+    if d <= SUBSET_SETTINGS.few_dims:  # Use ∫g² of a quadrature, which resolves poles better
         square, error = known.square
         error = np.hypot(error, 2.0 * np.abs(mean) * half_interval(values.mean(axis=1)))
         better = error < half
@@ -575,7 +579,7 @@ def all_parts(known: Known) -> list[AnovaModel]:
         mean = along.mean(axis=(0, 1))
         slopes = np.diff(mean, axis=0)
         bend = np.abs(np.diff(slopes, axis=0)).max(axis=-1)
-        both = bend[1:-2] + bend[2:-1]  # Of the four nodes around each interval
+        both = bend[1:-2] + bend[2:-1]  # Use the four nodes around each interval
         sharp = both > SUBSET_SETTINGS.stands_out * np.maximum(bend[:-3], bend[3:])
         for k in np.flatnonzero(
             sharp & (both > SUBSET_SETTINGS.bent * np.abs(slopes).max())
@@ -806,7 +810,7 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
     levels = tuple(math.ceil(math.log(max(n, SUBSET_SETTINGS.digits), b) - 1e-9) for b in bases)
     codes = np.zeros((*x.shape, max(levels)), np.int64)
     for axis, (b, most) in enumerate(zip(bases, levels, strict=True)):
-        # Coordinates rounded down to just below a digit count as that digit
+        # Rounding may move a coordinate to just below a digit; it then counts as that digit
         whole = np.floor(x[..., axis] * b**most + (0.0 if b & (b - 1) == 0 else 1e-9))
         for level in range(most):
             codes[..., axis, level] = whole // b ** (most - 1 - level) % b

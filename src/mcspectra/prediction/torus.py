@@ -90,12 +90,12 @@ class TorusSettings:
         Ranges by number of dims, for exact coefficients and for coefficients from a table of g.
         Exact ones cost a few operations each; a table has `nodes` per wavelength of the box.
     nodes
-        Number of nodes of the finer table per wavelength of the highest frequency. Half changes
-        variances by 0.4 % if g jumps and multiplies the error by 4 to 30; twice changes them by 0.1
-        %.
+        Number of nodes of the finer table per wavelength of the highest frequency. Half this value
+        changes variances by 0.4 % if g jumps and multiplies the error by 4 to 30; double changes
+        them by 0.1 %.
     least_nodes
-        Least number of nodes along each axis, by number of dims. Half and twice change variances by
-        less than 0.2 %.
+        Least number of nodes along each axis, by number of dims. Half or double this value changes
+        variances by less than 0.2 %.
     block
         Number of frequencies in memory whose power has a closed form. It has no effect on the
         result.
@@ -103,10 +103,10 @@ class TorusSettings:
         Relative error of transforms, far below that of the sums.
     shells
         Number of shells of the box, each √2 wide, whose power tests whether the tail is white. They
-        begin at an eighth of the half width. Half and twice change no variance, and errors by
-        factors of 0.5 to 3.
+        begin at an eighth of the half width. Half or double this value changes no variance, and
+        errors by factors of 0.5 to 3.
     vague
-        Error of ∫g² in many dims, relative to the variance, above which other methods are better.
+        Error of ∫g² in many dims, relative to the variance, above which this method raises.
         ∫g² is then a mean over 2^20 points, and sums of products find its error themselves.
     """
 
@@ -142,9 +142,9 @@ class DrawnSettings:
 
     Attributes
     ----------
-        Number of sets that give all frequencies, largest number of sets, and total number of
-        points, which limits the work at large n. Half and twice as many change the variance by less
-        than 0.8 %.
+        Number of sets transformed at all frequencies, largest number of sets, and total number of
+        points, which limits the work at large n. Half or double this number changes the variance by
+        less than 0.8 %.
     slow, slow_points
         Largest `max_count` of slow samplers, which optimize their points, and total number of their
         points. They draw half as many first sets, which are cached for other integrands.
@@ -152,20 +152,20 @@ class DrawnSettings:
         Half interval, relative to the variance, above which more sets are drawn. Half is not
         reached with `most_sets`; twice changes the variance by 1.9 %.
     low
-        Half width of the frequencies at which all sets are transformed. They hold the energy of
-        smooth functions. Half and twice change the variance by less than 0.5 %.
+        Half width of the frequencies at which all sets are transformed. These hold the energy of
+        smooth functions. Half or double this value changes the variance by less than 0.5 %.
     length, least_lengths
         Largest |m| n^(-1/d) at which power follows a smooth law of the length, and least number of
-        different lengths in such a fit. The first peak of stochastic sets lies at 1. Half and twice
-        of either change the variance by less than 0.1 %.
+        different lengths in such a fit. The first peak of stochastic sets lies at 1. Half or double
+        either value changes the variance by less than 0.1 %.
     agrees
         Difference in standard errors within which the law and the measured power must agree.
         Insensitive between 1 and 4.
     steps
         Number of Newton steps of the fit, which then has converged. Insensitive between 6 and 24.
     least_box, box
-        Half width of the box of a homogeneous set: least value, and in units of n^(1/d). Half and
-        twice change the variance by less than 0.3 %; half a box triples the error.
+        Half width of the box of a homogeneous set: least value, and in units of n^(1/d). Half or
+        double this value changes the variance by less than 0.3 %; half a box triples the error.
     """
 
     least_sets: int = 16
@@ -194,11 +194,11 @@ class DualSettings:
     Attributes
     ----------
     frequencies
-        Number of frequencies of the dual lattice in a box. Half and twice change the variance by
-        less than 0.04 %.
+        Number of frequencies of the dual lattice in a box. Half or double this value changes the
+        variance by less than 0.04 %.
     periods, strip
-        Ends of strips in units of n, and number of frequencies of the dual lattice in them. Half
-        and twice change the variance by less than 0.03 %.
+        Ends of strips in units of n, and number of frequencies of the dual lattice in them. Half or
+        double this value changes the variance by less than 0.03 %.
     jump
         Largest ratio of the energy of an octave to that of the octave before: one half if g jumps
         along curves, less elsewhere. A lower limit would cut the tail of jumps; a limit of one
@@ -227,10 +227,10 @@ class MovesSettings:
     ----------
     offsets, least_offsets, evaluations
         Number of offsets, evaluations of g that limit it at large n, and number of offsets below
-        which the method raises because intervals exceed 35 %. Half and twice as many offsets change
-        variances by less than 1.2 %, within intervals of 1 to 3 %.
+        which the method raises because intervals exceed 35 %. Half or double this number of offsets
+        changes variances by less than 1.2 %, within intervals of 1 to 3 %.
     block
-        Evaluations per call. It has no effect on the result.
+        Number of evaluations per call. It has no effect on the result.
     spreads
         Number of successive parts of the offsets whose variances give the standard error. With 8
         and 32 parts half intervals are between those of 16 and 1.6 times as much.
@@ -253,7 +253,7 @@ _DIAGONALS = {
     2: ((1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1)),
     3: ((1, 1, 0), (1, -1, 0), (1, 0, 1), (1, 0, -1), (0, 1, 1), (0, 1, -1)),
 }
-"""Directions with the energy of jumps along diagonals."""
+"""Directions of diagonals, which hold the energy of jumps along diagonals."""
 _NORMAL = 1.96
 """Half of a 95 % interval in standard errors."""
 _ROUNDING = 4e-15
@@ -261,9 +261,9 @@ _ROUNDING = 4e-15
 _RELATIVE = 1e-9
 """Relative error of sums whose terms do not cancel."""
 _OFFSET_STREAM = 0x0FF5E7
-"""Label of the random numbers of the offsets."""
+"""Label of the stream of random numbers for offsets."""
 _BITS = 2.0**53
-"""Inverse of the spacing of coordinates."""
+"""Inverse of the smallest spacing of coordinates."""
 
 
 @final
@@ -278,9 +278,9 @@ class Region:
     energy
         |g_m|², doubled where −m is not in the region: (channels or 1, *grid).
     table
-        The same from a coarser table; None if coefficients are exact.
+        Energies from a coarser table; None if coefficients are exact.
     near
-        Whether drawn sets use it.
+        Whether drawn sets use this region.
     """
 
     vectors: Array
@@ -305,7 +305,7 @@ class Region:
         return _listed(self.vectors, self.low, self.high)
 
     def power_of(self, points: Array) -> Array:
-        """Return |S_m|² of one set (n, d), on the grid."""
+        """Return |S_m|² of one point set (n, d) at all frequencies of the grid."""
         import finufft
 
         y = np.remainder(points @ self.vectors.T.astype(float), 1.0)
@@ -495,7 +495,7 @@ def _of_dual(points: Array, known: Known) -> Predicted:
     g, (n, dims) = known.g, points.shape
 
     def listed(axis: int, low: list[int], high: list[int]) -> Array:
-        """Return vectors of the dual lattice between bounds, `axis` first: int64 (F, d)."""
+        """Return vectors of the dual lattice within bounds, `axis` first: int64 (F, d)."""
         basis = lattice_basis(np.roll(points, -axis, axis=1))
         assert basis is not None
         dual, m = _dual(basis, n), np.zeros((1, dims), np.int64)
@@ -514,7 +514,7 @@ def _of_dual(points: Array, known: Known) -> Predicted:
         ratio = np.minimum(last / np.maximum(before, 1e-300), _DUALS.jump)
         return energy.sum(axis=0), last * ratio / (1.0 - ratio)
 
-    # A box, and strips along the axes, whose octaves are extrapolated separately
+    # Sum over a box and over strips along the axes, and extrapolate their octaves separately
     width = int(0.5 * (_DUALS.frequencies * n) ** (1.0 / dims))
     end = _DUALS.periods * n
     narrow = min(width, int(0.5 * (_DUALS.strip * n / end) ** (1.0 / max(1, dims - 1))))
@@ -658,7 +658,7 @@ def _drawn(
     lawful = isotropic and len(np.unique(np.rint(length[inside] ** 2 * n))) >= _DRAWN.least_lengths
     core = replace(low, energy=np.where(inside, low.energy, 0.0) if lawful else 0.0 * low.energy)
     sums, low_sum, count = [np.zeros(r.shape) for r in regions], np.zeros(low.shape), 0
-    # Values of the core, of the other low frequencies, and of all other frequencies
+    # Powers in the core, at the other low frequencies, and at all other frequencies
     values: tuple[list[Array], ...] = ([], [], [])
     while True:
         for x in (

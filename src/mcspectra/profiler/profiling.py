@@ -76,19 +76,19 @@ __all__ = ["Profile", "ProfileSettings", "Profiling", "profile"]
 class ProfileSettings:
     """Settings of a profile."""
 
-    # Least budget in evaluations. Twenty nets of four points take 80, which must fit into 40 % of
+    # Least budget, in evaluations. Twenty nets of four points take 80, which must fit into 40 % of
     # the budget if the given sampler is also measured.
     least_budget: int = 256
     # Columns of the text of a cause: one line of a usual terminal or page.
     width: int = 100
-    # Points of each net to which changes are fitted: with 20 nets 1280 evaluations. Half or twice
-    # as many gave the same advice in 12 profiles of 8192 evaluations (2 seeds of six functions);
-    # the RMSE after one fitted change differed by a factor of 2.4.
+    # Points of each net to which changes are fitted: 20 nets take 1280 evaluations. Half or double
+    # this number gave the same advice in 12 profiles of 8192 evaluations (2 seeds of six
+    # functions); the RMSE after one fitted change differed by a factor of 2.4.
     fitted_points: int = 64
     # Largest ratio of effective to all draws of a chain at which dependence is reported as a cause.
     # The upper end of its interval is compared, and standard errors at this ratio are 20 % larger.
     dependent: float = 0.7
-    # Least points of each net at which a change is measured. With 8, two of 12 profiles did not
+    # Least number of points of each net to measure a change. With 8, two of 12 profiles did not
     # measure the preintegration of a jump along an axis.
     least_checked: int = 4
     # Largest number of counts at which a sampler is measured, in octaves: B/2, B/4, …, B/32 of its
@@ -100,8 +100,8 @@ class ProfileSettings:
     # RMSE of 12 profiles changed by 14 % at most, and by 1 % in the median.
     theory_error: float = 0.08
     # Standard error of a slope over few octaves at a jump along an axis. Ends of strata fall
-    # anywhere next to the jump, and the curve is a
-    # sawtooth. With 0.25 or 1 the RMSE of 12 profiles changed by 6 % at most.
+    # anywhere next to the jump, and the curve is a sawtooth. With 0.25 or 1 the RMSE of 12 profiles
+    # changed by 6 % at most.
     teeth_error: float = 0.5
     # Number of last counts of a sawtooth whose mean is its level, and standard deviation of the log
     # variance about it: that of p(1 − p) for a uniform share p of the stratum of the jump, √(4 −
@@ -124,13 +124,12 @@ class ProfileSettings:
     # rates of lattices change with n.
     lattice_sets: int = 10
     # Standard deviation of the log variance of lattices about its line, because each count has
-    # another vector: 1.3 for smooth functions in 4 to 6
-    # dims, and 0.6 in 2 and 3 dims.
+    # another vector: 1.3 for smooth functions in 4 to 6 dims, and 0.6 in 2 and 3 dims.
     lattice_scatter: float = 1.3
     # Largest number of dims in which pairs in strata are measured instead of folded lattices, whose
     # rate is −4: pairs have −5 in 1-D and −3 in 2-D.
     paired_dims: int = 1
-    # Points of a density's sampler that are tested to lie in the unit cube.
+    # Number of points of a density's sampler that are tested to lie in the unit cube.
     tested_points: int = 64
 
 
@@ -139,7 +138,7 @@ _PAIRS, _LATTICE = "antithetic-jittered", "rank1-lattice | shift"
 _FOLDED = f"{_LATTICE} | mirror(mode='fold')"
 # Causes that concern the sets of a sampler, not g
 _OF_SETS = {"deterministic-set", "few-realizations", "correlated-replicates"}
-# Causes with which lattices are tried as well as with a smooth g
+# Causes at which lattices are tried, as they are for a smooth g
 _GAINED = {
     "kink",
     "cusp",
@@ -255,7 +254,7 @@ class Profile:
 
     @property
     def not_tried(self) -> tuple[str, ...]:
-        """Names of other set-ups, with the reason."""
+        """Names of set-ups that were not compared, with the reason."""
         return self.answer.not_tried
 
     @property
@@ -263,7 +262,7 @@ class Profile:
         """All results, as lines of text."""
         low, high = self.interval
         found = [
-            # The causes follow with their sentences
+            # The causes follow, each with its sentence
             str(self.answer).replace(f" {self.causes[0].sentence}", "", 1),
             "",
             f"integral   {_shown(self.integral, low, high)}",
@@ -640,7 +639,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     # Use random points as the reference if the given sampler is fixed or was not measured
     fixed = any(cause.name in {"deterministic-set", "correlated-replicates"} for cause in causes)
     if any(cause.name == "deterministic-set" for cause in causes):
-        curves.pop(given.spec, None)  # its curve has no error
+        curves.pop(given.spec, None)  # the curve of a fixed set has no error
     reference = "random" if fixed or given.spec not in curves else given.spec
     usable = {name: c for name, c in curves.items() if name == reference or name != given.spec}
     found, changed = list[_FoundSampler](), list[str]()
@@ -692,7 +691,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
                 {"integral": mean},
             )
         causes, found, known = [cause], [], known and cause.name == "none"
-    if infinite:  # No sampler makes it finite
+    if infinite:  # No sampler makes the variance finite
         found = [each for each in found if each.candidate.setup.estimator is not estimator]
     results = _results(
         Setup(
@@ -752,7 +751,7 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     for cause in causes:
         if cause.name in {"border-growth", "heavy-tail"} and "exponent" in cause.evidence:
             return replace(curve, rate=max(curve.rate, -2.0 * (1.0 - cause.evidence["exponent"])))
-    # Small sets give no rate for larger sets that resolve the waves
+    # Small sets do not show the rate of larger sets, which resolve the waves
     waves = names.get("high-frequency")
     resolved_by = math.inf if waves is None else waves.evidence["resolved_by"]
     if name != "random" and max(curve.counts, default=math.inf) < resolved_by <= points:
@@ -775,7 +774,7 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     third = 0.0 if strata else (dims - 1) / (3.0 * math.log(curve.counts[-1]))
     rate = -1.0 - _EXPONENTS[first] / (dims if strata else 1) + 2.0 * third
     if first == "axis-parallel-jump":
-        # The variance is a sawtooth about a line, whose level the last teeth give
+        # The variance is a sawtooth about a line; its last teeth give the level of the line
         error = math.hypot(curve.rate_se, _SETTINGS.teeth_error)
         teeth = np.log(curve.variance) - curve.rate * np.log(curve.counts / curve.counts[-1])
         level = float(np.mean(teeth[-_SETTINGS.teeth :]) - teeth[-1])
