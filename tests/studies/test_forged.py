@@ -285,7 +285,7 @@ def test_a_cell_outside_the_study_is_refused(place, honest, name):
     forged_ledger(place, honest, {PATHS[1]: name})
     for verb in ("open", "report", ".csv"):
         with pytest.raises(
-            StoreError, match="which its study does not have|list of cells: it is not"
+            StoreError, match="which its study does not have|list of cells: it was changed"
         ):
             VERBS[verb](place)
     assert "list of cells" in study_status(place, verify=True).damaged

@@ -103,7 +103,7 @@ def test_the_verb_prints_writes_and_refuses(tmp_path, capsys, tree, monkeypatch)
     assert printed["answer"].startswith(f"Use sobol | owen with {first['remedy']}: RMSE")
     change = first["change"][:1].upper() + first["change"][1:]
     assert printed["sentences"]["remedies"].startswith(
-        f"With sobol | owen as given: {change}: RMSE"
+        f"Compared with sobol | owen as given: {change}: RMSE"
     )
     assert printed["sentences"]["sampler"].startswith("With sobol | owen the variance at n = 256")
     assert printed["remedies"]["answer"] in printed["sentences"]["remedies"]
