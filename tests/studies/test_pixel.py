@@ -261,7 +261,7 @@ def test_a_camera_with_a_lens_is_mentioned(tree):
     assert "camera" not in dict(about_pixel(tree))
     changed = tree.copy()
     changed.attrs = tree.attrs | {"camera": "center of the lens"}
-    assert dict(about_pixel(changed))["camera"] == "its ray starts at the center of the lens"
+    assert dict(about_pixel(changed))["camera"] == "the ray starts at the center of the lens"
 
 
 def test_sentences_name_jumps_bottleneck_and_remedy(tree):
@@ -293,9 +293,7 @@ def test_an_unresolved_steepest_rate_is_not_a_finding(tree):
     ends = curves["rate"] + xr.DataArray([-2.68, 2.68], dims="bound")
     wide["convergence"] = xr.DataTree(curves.assign(rate_ci=ends.transpose(..., "bound")))
     said = dict(pixel_sentences(wide))["fastest"]
-    assert said.startswith(
-        "No rate is known: each is not resolved: use more realizations or larger"
-    )
+    assert said.startswith("The rates are not resolved: use more realizations or larger counts")
     assert "±" not in said
 
 

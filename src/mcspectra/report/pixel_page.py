@@ -277,7 +277,7 @@ def _fastest(rows: list[SummaryRow]) -> str:
         f"{least.estimator} with {least.sampler}."
     )
     if not fitted:
-        return f"No rate is resolved: each is {UNRESOLVED}. {text}"
+        return f"The rates are {UNRESOLVED}. {text}"
     best = min(fitted, key=lambda row: row.rate or 0.0)
     shown = rate(best.rate, best.rate_low, best.rate_high)
     return f"The steepest rate is {shown}: {best.estimator} with {best.sampler}. {text}"
