@@ -355,7 +355,9 @@ def test_the_answer_as_text_and_as_data():
     assert json.loads(json.dumps(found.to_dict()))["answer"]["causes"][0]["name"] == "interior-jump"
     assert "<table>" in found._repr_html_()
     data = found.dataset
-    assert set(data["sampler"].values) == {"random", "jittered", "latin-hypercube", "sobol | owen"}
+    names = {"random", "jittered", "latin-hypercube", "sobol | owen"}
+    assert {*data["sampler"].values} - names <= {"rank1-lattice | shift | mirror(mode='fold')"}
+    assert names <= {*data["sampler"].values}
     assert json.loads(data.attrs["best"])["name"] == found.answer.best.name
 
 
@@ -453,10 +455,10 @@ def test_cached_values_are_not_computed_again(tmp_path):
             slow, dims=1, budget=512, vectorized=False, cache=tmp_path / "kept.sqlite"
         ).to_dict()
 
-    first = profiled()
+    first, as_text = profiled(), lambda found: json.dumps(found)  # NaN differs from itself
     # Eight values are requested twice. The cache returns seven; one call checks the function
     assert made == first["calls"] - 7
-    assert profiled() == first
+    assert as_text(profiled()) == as_text(first)
     assert made == first["calls"] - 7 + 1
 
 
@@ -492,7 +494,14 @@ def test_a_deterministic_set_is_compared_with_random():
     wave = mcs.profile(
         lambda x: np.cos(2 * np.pi * x.sum(axis=-1)), sampler="halton", dims=8, budget=8192
     )
-    assert str(wave.answer).startswith("No tested sampler or change is better than random.")
+    assert wave.answer.best.name == "rank1-lattice | shift"  # exact for single waves
+    noise = mcs.profile(
+        lambda x: np.modf(1e6 * np.abs(np.sin(1e5 * x.sum(axis=-1))))[0],
+        sampler="halton",
+        dims=8,
+        budget=8192,
+    )
+    assert str(noise.answer).startswith("No tested sampler or change is better than random.")
     assert mcs.profile(FUNCTIONS["pole"][1], dims=1).answer.changes is False
     assert mcs.profile(lambda x: np.ones(len(x)), dims=2).answer.changes is False
 
@@ -704,9 +713,10 @@ def test_an_offset_does_not_change_the_answer(offset):
 
     found = mcs.profile(bump, dims=2)
     assert found.answer.best.name == "sobol | owen"
-    assert found.answer.best.rmse == pytest.approx(
-        mcs.profile(lambda x: bump(x) - offset, dims=2).answer.best.rmse, rel=0.2
-    )
+    # The best of all may be a regression without the offset, which rounding hides with it
+    alone = mcs.profile(lambda x: bump(x) - offset, dims=2)
+    nets = [each.samplers["sobol | owen"].at(4096)[0] for each in (found, alone)]
+    assert nets[0] == pytest.approx(nets[1], rel=0.4)
     assert found.samplers["latin-hypercube"].at(4096)[0] > 0.0
     low, high = (float(end) for end in re.search(r"95 %: (\S+) to (\S+)\)", found.text).groups())
     assert high > low
@@ -884,10 +894,14 @@ def test_advice_for_draws_has_no_sampler():
 def test_a_folded_lattice_is_measured_if_it_may_be_better_than_nets(f, sampler):
     found = mcs.profile(f, dims=2, sampler=sampler, budget=4096)
     lattice = next(r for r in found.answer.results if "fold" in r.name)
-    # Few points do not determine how steep the curve is at more points, so the lower end is 0
-    assert lattice.rmse_ci[0] == 0.0
     truth = mcs.convergence(as_estimator(f, 2), lattice.setup.sampler, [4096], realizations=40)
-    assert math.sqrt(float(truth["variance"][0])) < lattice.rmse_ci[1]
+    if math.isnan(lattice.rmse):  # No set resolves the waves
+        assert lattice.verdict == "undecided"
+        assert found.causes[0].name == "high-frequency"
+    else:
+        # Few points do not show how steep the curve is at more points, so the end is open
+        assert lattice.rmse_ci[0] == 0.0
+        assert math.sqrt(float(truth["variance"][0])) < lattice.rmse_ci[1]
     assert found.calls <= 4096
 
 

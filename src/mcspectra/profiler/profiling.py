@@ -136,6 +136,7 @@ class ProfileSettings:
 _SETTINGS = ProfileSettings()
 _PAIRS, _LATTICE = "antithetic-jittered", "rank1-lattice | shift"
 _FOLDED = f"{_LATTICE} | mirror(mode='fold')"
+_RIVALS = {_LATTICE, _FOLDED, _PAIRS}
 # Causes that concern the sets of a sampler, not g
 _OF_SETS = {"deterministic-set", "few-realizations", "correlated-replicates"}
 # Causes at which lattices are tried, as they are for a smooth g
@@ -277,14 +278,25 @@ class Profile:
             return "\n".join(found)
         found.append(f"calls      {self.calls} of {self.budget}")
         found.append(f"samplers   RMSE at {self.budget} evaluations, rate of the variance")
-        for name, rmse, rate in self._rows():
-            found.append(f"  {name:<20} {rmse:>10}   {rate}")
+        rows = self._rows()
+        width = max([20, *(len(name) for name, *_ in rows)])
+        for name, rmse, rate in rows:
+            found.append(f"  {name:<{width}} {rmse:>10}   {rate}")
         found += [f"not tried  {reason}" for reason in self.not_tried]
         return "\n".join(found)
 
     def _rows(self) -> list[tuple[str, str, str]]:
+        # A rival is extrapolated, so that only the upper end of its RMSE says something
+        results = {result.name: result for result in self.answer.results}
+        ends = {name: results[name].rmse_ci for name in _RIVALS & {*results} & {*self.samplers}}
+        limits = {name: high for name, (low, high) in ends.items() if low == 0.0 < high}
+        order = {
+            name: limits.get(name, math.sqrt(curve.at(self.points)[0]))
+            for name, curve in self.samplers.items()
+        }
         rows = []
-        for name, curve in sorted(self.samplers.items(), key=lambda c: c[1].at(self.points)[0]):
+        for name in sorted(order, key=order.__getitem__):
+            curve = self.samplers[name]
             low, high = curve.rate_ci
             known = curve.rate_se == 0.0
             rate = f"{curve.rate:.2f}" + ("" if known else f" ({low:.2f} to {high:.2f})")
@@ -292,6 +304,7 @@ class Profile:
                 rate = "no error seen" if curve.vanishes <= self.points else "none"
             rmse = self._rmse(curve)
             shown = "not known" if math.isnan(rmse) else f"{rmse:.3g}"
+            shown = f"< {limits[name]:.2g}" if name in limits else shown
             rows.append((name, shown, rate.replace("-", "−")))
         return rows
 
@@ -647,7 +660,9 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         # The sampler of least variance, and a change of the estimator that answers a cause
         if len(usable[reference].counts) > 0:  # Otherwise there is no variance to lower
             found = _samplers(Setup(estimator, given), usable, reference, points)
-        base = min(usable.values(), key=lambda each: _bound(each, points))
+        trusted = [each for name, each in usable.items() if name not in _RIVALS]
+        trusted += [usable[name] for name in _RIVALS & {*usable} if _is_known(usable[name], points)]
+        base = min(trusted, key=lambda each: _bound(each, points))
         made, changed, cost = _improved(
             evidence, causes, offers, base, budget, budget - calls, stream.child(98)
         )
@@ -755,7 +770,8 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     waves = names.get("high-frequency")
     resolved_by = math.inf if waves is None else waves.evidence["resolved_by"]
     if name != "random" and max(curve.counts, default=math.inf) < resolved_by <= points:
-        return replace(curve, rate=math.nan, rate_se=math.nan)
+        vanishes = math.inf if name in _RIVALS else curve.vanishes
+        return replace(curve, rate=math.nan, rate_se=math.nan, vanishes=vanishes)
     first = _shape(causes)
     if name in {_LATTICE, _FOLDED} and math.isfinite(curve.rate):
         # The variance n^−4 (log n)^(2d − 2) of smooth functions, with two thirds of the logarithms.
@@ -878,6 +894,11 @@ class _FoundSampler:
     sure: bool = False  # Significantly better where both were measured
 
 
+def _is_known(curve: Curve, count: int) -> bool:
+    """Return whether a curve says how large the variance is at `count` points."""
+    return math.isfinite(curve.rate) or count >= curve.vanishes
+
+
 def _bound(curve: Curve, points: int) -> float:
     """Return the variance at `points` points, one standard error of its logarithm larger."""
     value, error = curve.at(points)
@@ -894,10 +915,9 @@ def _samplers(
     each = given.cost
     bounds = {name: _bound(curve, points) for name, curve in curves.items()}
     found = []
-    rivals = {_LATTICE, _FOLDED, _PAIRS}
     for name in sorted(bounds, key=bounds.__getitem__):
         worse = bounds[name] >= bounds[reference]
-        if name == reference or (worse and name not in rivals):
+        if name == reference or (worse and name not in _RIVALS):
             continue
         source, count, change = as_sampler(name, given.estimator.dims), points, f"use {name}"
         if source.nearest_count(points) != points:
@@ -907,7 +927,9 @@ def _samplers(
         curve = curves[name]
         variance, beyond = curve.at(count), count > curve.counts[-1:].sum()
         # Smooth functions have their rates at larger sets; analytic functions have no power of n
-        steepens = name in rivals and bool(beyond)
+        steepens = name in _RIVALS and bool(beyond)
+        if steepens and not _is_known(curve, count):
+            variance = math.nan, math.nan
         found.append(_FoundSampler(candidate, count, variance, curve.rate, curve.rate_ci, steepens))
     return found
 
@@ -964,9 +986,9 @@ def _results(
         gain_ci = (gain / half, gain * half)
         if each.steepens:
             ends, gain_ci = (0.0, ends[1]), (gain_ci[0], math.inf)
-        better = gain_ci[0] > 1.0
+        better = gain_ci[0] > 1.0 and not math.isnan(value)
         needs, needs_ci = needed(gain), (needed(gain_ci[0]), needed(gain_ci[1]))
-        if (not infinite and not known) or (each.sure and not better):
+        if (not infinite and not known) or (each.sure and not better) or math.isnan(value):
             nowhere = (math.nan, math.nan)
             better |= each.sure
             rmse, ends, gain, gain_ci, needs, needs_ci = (
