@@ -123,17 +123,17 @@ class CauseSettings:
     largest: float = 1e120
     # Least number of dims in which the mean dimension is estimated.
     # In 1 to 3 dims points fill the cube well enough for interactions of all axes.
-    # Insensitive between 4 and 8; with 2, one of 152 causes is wrong.
+    # Values between 4 and 8 give the same causes; with 2, one of 152 test cases has a wrong cause.
     many_dims: int = 4
     # Number of points for which the law of the sampler is determined.
     # The kind of law is the same for all n (tested with 32 and 128).
     law_at: int = 64
     # Error of a measured exponent of growth. The variance is infinite above ½, and counts
     # as infinite above 0.48. Measured exponents of poles are right to 0.02 in all of 18 cases.
-    # Insensitive between 0.01 and 0.04.
+    # Results hardly change for values between 0.01 and 0.04.
     exponent_error: float = 0.02
     # Error of the measured order of a pole inside the cube, if only lines show the pole.
-    # Insensitive between 0.04 and 0.16.
+    # Results hardly change for values between 0.04 and 0.16.
     bend_error: float = 0.08
     # Tail index above which the integral does not exist. The theoretical limit is 1; a pole
     # of order 1 is measured as 0.95 or more. This value affects only the sentence and the remedies.
@@ -154,12 +154,12 @@ class CauseSettings:
     few_values: float = 0.05
     very_few_values: float = 0.01
     # Number of different values, as a fraction of all evaluations,
-    # below which g is a step function. Insensitive between 0.025 and 0.1.
+    # below which g is a step function. Results hardly change for values between 0.025 and 0.1.
     few_different: float = 0.05
     # Least number of lines for the conclusion that there is no problem. With 4 lines, a feature
     # that half of all lines cross is missed with probability 1/16. Insensitive between 2 and 8.
     least_lines: int = 4
-    # Fraction of the lines with a jump on which a parallel line has the jump at the same place.
+    # Among lines with a jump: fraction for which a parallel line jumps at the same coordinate.
     # Above this fraction, jumps are parallel to axes. Insensitive between 0.35 and 0.7;
     # above 1, no jump is parallel to an axis.
     straight: float = 0.7
@@ -167,14 +167,14 @@ class CauseSettings:
     # above which g jumps. One line in 100 through a cusp of order ½ appears to be a jump by chance.
     jumps_of_cusps: float = 0.05
     # Fraction of the places along a line that are local extremes, above which g oscillates.
-    # The fraction is ⅔ for noise. Insensitive between 0.165 and 0.33;
+    # The fraction is ⅔ for noise. Results hardly change for values between 0.165 and 0.33;
     # with 0.66, the value of noise, four causes are wrong.
     turns: float = 0.33
     # Least number of waves along a line for an oscillation.
     # Smaller numbers are resolved by the 16 steps of a line. Insensitive between 3 and 12.
     waves: float = 6.0
     # Gain of nets over random points above which nets count as resolving g.
-    # Insensitive between 2 and 8.
+    # Results hardly change for values between 2 and 8.
     resolved: float = 4.0
     # Number of points that resolve a smooth function,
     # before multiplication by 2 for each axis with waves. Insensitive between 8 and 32.
@@ -183,7 +183,7 @@ class CauseSettings:
     # for additive functions, and 2 for functions of pairs of axes. Insensitive between 0.9 and 3.6.
     low_dimension: float = 1.8
     # Gain of nets over random points above which the number of dims is not a problem.
-    # Insensitive between 4 and 16.
+    # Results hardly change for values between 4 and 16.
     little_gain: float = 8.0
     # Mean squared difference between opposite faces, as a fraction of the variance of g,
     # above which a shift around the torus costs precision. Insensitive between 5e-4 and 2e-3.
@@ -206,7 +206,7 @@ class CauseSettings:
     # Distance between floating-point numbers above which rounding matters,
     # as a fraction of the spread of g: steps of 1 % of the spread change the variance by 1e-5.
     # Also the least variance along a line, as a fraction of the largest variance along a line.
-    # Insensitive between 0.005 and 0.02.
+    # Results hardly change for values between 0.005 and 0.02.
     coarse: float = 1e-2
     # Two limits of a technique's part of the variance. Above the first limit the technique
     # is the cause; above the second, it is the cause if its rate is also slower.

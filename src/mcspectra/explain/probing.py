@@ -62,7 +62,7 @@ class LineSettings:
     # find. With 6 halvings 29 of 152 causes are wrong; insensitive between 12 and 24.
     halvings: int = 12
     # Number of last halvings whose second differences give the exponent.
-    # Insensitive between 3 and 6; with 12 two of 152 causes are wrong.
+    # Results hardly change for values between 3 and 6; with 12 two of 152 causes are wrong.
     late: int = 6
     # Exponent below which the roughest place is a pole.
     # A jump has the exponent 0 and a pole r^−a has −a. Insensitive between −0.3 and −0.075.
@@ -90,11 +90,11 @@ class LineSettings:
     least_jump: float = 1e-4
     # Second difference that counts as rounding, as a fraction of the spread of g.
     # After 12 halvings, the second difference of a smooth g is about 1e-9 of the spread.
-    # Insensitive between 5e-10 and 2e-9.
+    # Results hardly change for values between 5e-10 and 2e-9.
     negligible: float = 1e-9
     # Second difference that counts as rounding, in units of the spacing
     # of floating-point numbers at the values of g. A sum of a thousand terms, in random order,
-    # is off by about √1000 = 32 spacings. Insensitive between 16 and 64.
+    # is off by about √1000 = 32 spacings. Results hardly change for values between 16 and 64.
     grains: float = 32.0
     # Ratio of the last gain to the gain before, above which growth continues to the end of the
     # line. The ratio is 2^−10 for a bounded function, 1 for ln t, and 2^(10a) for t^−a. Insensitive
@@ -106,7 +106,7 @@ class LineSettings:
     aside: float = 0.005
     # Number of groups of axes along which the roughest place of a chord is displaced in turn:
     # an edge normal to an axis moves with one group only. An edge oblique to two axes appears
-    # to be normal to an axis with probability 1/3, and with more axes less often.
+    # to be normal to an axis with probability 1/3. With more axes this probability is smaller.
     groups: int = 3
     # Distances from both ends at which g is evaluated on a line along an axis.
     # The last two distances have the ratio 2^10, so even t^−0.08 grows by 1.7 between them,
@@ -123,7 +123,7 @@ class LineSettings:
 
     @property
     def chord(self) -> int:
-        """Number of evaluations of any other line."""
+        """Number of evaluations on a line that is not parallel to an axis."""
         return self.steps + 2 * self.halvings + self.bisections + 2 * self.groups
 
 
@@ -151,33 +151,33 @@ class PoleSettings:
     group: int = 3
     # Ratio of the last gain to the gain before, below which the climb ends because g is bounded.
     # Near a smooth top the gains of three halvings fall to 4^−3, and for ln r the gains stay equal.
-    # Insensitive between 0.15 and 0.6.
+    # Results hardly change for values between 0.15 and 0.6.
     bounded: float = 0.3
     # Number of rays from the top, whose median exponent is used. Insensitive between 3 and 12.
     rays: int = 6
     # Weight of the last move in the ellipsoid of directions, from 0 to 1.
-    # Insensitive between 0.2 and 0.4; with 0.8 one of 18 poles is wrong.
+    # Results hardly change for values between 0.2 and 0.4; with 0.8 one of 18 poles is wrong.
     learning_rate: float = 0.4
     # Radii along the rays, in units of the last step, each 4 times the one before. The smallest
     # is 16, so that an error of the top by one step changes the distance by 6 % at most.
-    # Insensitive between half and double.
+    # Results hardly change for values between half and double.
     radii: tuple[float, ...] = (2.0**4, 2.0**6, 2.0**8, 2.0**10, 2.0**12)
-    # Number of these radii that are evaluated toward each face alone:
+    # Number of radii, the smallest ones, at which g is also evaluated toward each face alone:
     # three radii give one exponent for any additive constant.
     # With 2 radii, four of 152 causes are wrong; insensitive between 3 and 6.
     near: int = 3
     # Fraction of the rays on which g may rise outward; if more rays rise, the top is not a pole.
-    # Insensitive between 0.125 and 0.5.
+    # Results hardly change for values between 0.125 and 0.5.
     rising: float = 0.25
     # Distance from all faces but one at which growth toward that face alone is measured,
     # in units of the last step. This distance is half of the first step,
     # and 2^7 times the largest of the first three radii. Insensitive between 2^14 and 2^16.
     away: float = 2.0**15
     # Exponent above which a function grows toward one face alone.
-    # Insensitive between 0.025 and 0.1.
+    # Results hardly change for values between 0.025 and 0.1.
     alone: float = 0.05
     # Fraction of the largest eigenvalue of the quadratic form above which an eigenvalue counts
-    # for the codimension. Insensitive between 0.002 and 0.008.
+    # for the codimension. Results hardly change for values between 0.002 and 0.008.
     rank: float = 0.004
     # Factor by which the height must grow for a move to be accepted. Insensitive down to 0.5.
     # With 2, few moves are accepted, and 15 of 18 poles are missed.
@@ -185,12 +185,12 @@ class PoleSettings:
     # Number of the largest heights that are compared before a climb. Insensitive between 8 and 32.
     compared: int = 16
     # Relative difference between the largest and the last of these heights above
-    # which a climb starts. Insensitive between 0.05 and 0.2.
+    # which a climb starts. Results hardly change for values between 0.05 and 0.2.
     stands_out: float = 0.1
     # Exponent below which growth counts as logarithmic; exponents below the negative of this value
     # mean no pole. Measured exponents are right to 0.02
     # (`test_exponents_and_codimensions_of_poles_are_measured`).
-    # Insensitive between 0.01 and 0.04.
+    # Results hardly change for values between 0.01 and 0.04.
     least_exponent: float = 0.02
 
 

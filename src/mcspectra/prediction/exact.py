@@ -121,7 +121,7 @@ class ExactSettings:
     finer: int = 4
     hope: float = 10.0
     # Least number of dims and least tolerance for fits by sums of products, whose curves have
-    # relative errors of 2e-3. Insensitive.
+    # relative errors of 2e-3. Results hardly depend on this setting.
     many_dims: int = 4
     loose: float = 1e-3
     # Largest number of binary digits of a coordinate. It limits the cells of digital shifts.
@@ -144,7 +144,7 @@ class ExactSettings:
     # that octave. It changes intervals, not variances.
     white: float = 0.02
     # Rounding error of a mean over a set, as a fraction of √∫h², and of the variance of such means,
-    # as a fraction of ∫h²/n. Insensitive.
+    # as a fraction of ∫h²/n. Results hardly depend on this setting.
     rounded_mean: float = 1e-15
     rounded_variance: float = 1e-15
     # Number of points evaluated at a time. It has no effect on the result.
@@ -315,8 +315,8 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
     if isinstance(law, Independent):
         middle, first, second, error = moments(g)
         value = second - first**2
-        # Three standard errors of the integrals become 4.5, so that none of 1,000 functions exceeds
-        # them
+        # The error of the integrals is three standard errors. Widen it to 4.5 standard errors, so
+        # that none of 1,000 functions exceeds it
         error = 1.5 * error * (1.0 + 2.0 * np.abs(first)) + 4e-15 * (second + middle**2)
         if (error > tolerance * value).any() and np.isfinite(square).all():
             mean, off = np.atleast_1d(g.integral), integral_accuracy(g)[1]

@@ -233,7 +233,7 @@ class ExtrapolationSettings:
         within intervals of 14 to 60 %.
     most_factor
         Largest factor of the reported error of an extrapolation, so that exponentials stay finite.
-        Insensitive between 15 and 60.
+        Results hardly change for values between 15 and 60.
     """
 
     small: tuple[int, ...] = tuple(2**k for k in range(3, 9))
@@ -386,8 +386,8 @@ def extrapolated(
     settings: ExtrapolationSettings = _EXTRAPOLATION,
 ) -> Predicted:
     """Fit a line to log variances measured at the small counts closest to n, without n itself."""
-    # Counts around n that sets fill like n: powers of two, or steps of a power of two that divides
-    # n
+    # Counts near n at which sets are as regular as at n. If n is a power of two, they are powers of
+    # two. Otherwise they differ from n by multiples of a power of two that divides n
     step = min(n & -n, 1 << max(0, (n // settings.near).bit_length() - 1))
     near = [n + k * step for k in (-2, -1, 1, 2)]
     if n & (n - 1) == 0:
@@ -485,7 +485,7 @@ class Method:
 
 
 def _mirrored(law: Law) -> bool:
-    """Return whether the inner set, with another integrand, has the same variance."""
+    """Return whether the set before mirroring has the same variance with a changed integrand."""
     return isinstance(law, Folded | Mirrored) and not law.inner.fixed
 
 
@@ -1070,14 +1070,15 @@ def predict(
     with the nodes, and each interval is widened by the difference. f that is equal at all probe
     points has no prediction, unless its integral is known.
 
-    f is evaluated at nodes and on grids of predict itself. A shifted or scrambled fixed set is
-    moved by up to 8,192 random shifts or scrambles (`moves`). This is used for lattices with shift
-    and nets with digital-shift in 1 to 3 dims, and for all such sets if sums of products leave a
-    half interval over 3 %. Linear scrambles replace nested ones, whose pairs have the same law.
+    f is evaluated at quadrature nodes and on grids that `predict` chooses. A
+    shifted or scrambled fixed set is moved by up to 8,192 random shifts or scrambles (`moves`).
+    This is used for lattices with shift and nets with digital-shift in 1 to 3 dims, and for all
+    such sets if sums of products leave a half interval over 3 %. Linear scrambles replace nested ones, whose pairs have the same law.
     Samplers without known structure measure a `table` of f in 1 to 3 dims. In more dims, or for
     expensive f, `auto` evaluates f at their points (`extrapolated`): 2,000 realizations each of
-    small counts or, for cheap f, of counts close to n, never of n. The same is done if jumps and
-    kinks across many axes leave an interval wider than a fifth, and the narrower interval is used.
+    small counts or, for cheap f, of counts close to n, never of n. The same is done if jumps
+    and kinks across many axes leave an interval wider than a fifth of the predicted variance. Then
+    the narrower of the two intervals is used.
 
     Limits are known in theory for random points, −1, and for jumps of g in up to 5 dims. They are
     −1 − 1/d for strata of the cube and for jumps along curves. They are −2 for other sets at jumps
@@ -1125,7 +1126,7 @@ class Predictor:
         self._stream = stream
 
     def at(self, sampler: Sampler, n: int, name: str = "auto") -> Cells:
-        """Predict one count, summed over the techniques; NaN if no method applies.
+        """Predict the variance at n points, summed over the techniques; NaN if no method applies.
 
         The methods are those of `name`; see `tried`.
         """

@@ -74,11 +74,12 @@ class DecaySettings:
         For 12 test functions, those with jumps and kinks change by at most 0.9. A Gaussian of width
         0.1, whose kink at the border is still hidden, changes by 8.6.
     widths, width
-        Default half widths by number of dims, and in other dims. Ripples of 1-D spectra have few
-        frequencies per shell, so 1-D uses more; both take less than a second.
+        Default half widths by number of dims, and the default for all other numbers of dims.
+        Ripples of 1-D spectra have few frequencies per shell, so the half width is larger in 1-D.
+        Each half width takes less than a second.
     noise
         Rounding noise of |f_m|² relative to the largest; coefficients are accurate to 1e-13.
-        Insensitive between 1e-28 and 1e-24.
+        Results hardly change for values between 1e-28 and 1e-24.
     """
 
     octaves: int = 3
@@ -107,7 +108,7 @@ class JumpSettings:
         both values changes nothing.
     largest
         Number of the largest steps of each line that are bisected. A line crosses few jumps, and
-        one of them on one line is enough. Insensitive between 2 and 8.
+        one of them on one line is enough. Results hardly change for values between 2 and 8.
     halvings
         Number of bisections of such a step. 512 points and 30 halvings leave 2e-12, over which a
         slope of 1e7 changes g by less than `least`. With 15, a Gaussian of width 0.02 appears to
@@ -115,7 +116,7 @@ class JumpSettings:
     beside
         Distance from a break at which g is evaluated on both sides. Detected breaks are accurate to
         2^-46, and a slope of 500 times the root mean square changes g by at most `least` across it.
-        Insensitive between 1e-9 and 1e-5.
+        Results hardly change for values between 1e-9 and 1e-5.
     least
         Smallest step that is a jump, relative to the root mean square of g. A jump of 1e-4 adds
         1e-8 of the variance of random points, which no feasible count resolves. Insensitive between
@@ -157,7 +158,7 @@ class LimitSettings:
         0.4. With 0.1, one limit of 64 is not found.
     leaves
         Least distance of the last slope from an exponent at which the exponent is excluded as limit
-        if slopes move away from it. Insensitive between 0.025 and 0.1.
+        if slopes move away from it. Results hardly change for values between 0.025 and 0.1.
     still
         Largest change of three slopes that have reached a limit that is not in the list of theory,
         such as −1 − (1 − 2a)/d next to a pole t^-a. Insensitive between 0.005 and 0.02.
@@ -166,7 +167,7 @@ class LimitSettings:
         between 0.15 and 0.3.
     most_change
         Largest candidate change of the exponent at a bend; exponents lie between −1 and −5.
-        Insensitive between 4 and 8.
+        Results hardly change for values between 4 and 8.
     tried
         Number of candidate positions of a bend, and of candidate changes. Positions are 0.1 octaves
         apart over 10 octaves, the accuracy with which bends are known.

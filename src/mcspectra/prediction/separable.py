@@ -51,17 +51,18 @@ class PiecewiseSettings:
     settled: float = 1e-11
     # A piece that adds less than this fraction to ∫h² counts as settled. Insensitive.
     negligible: float = 1e-15
-    # Pieces narrower than this hold a kink or a jump. Insensitive.
+    # Pieces narrower than this hold a kink or a jump. Results hardly depend on this setting.
     kink: float = 2.0**-12
-    # The last coefficients next to a kink, as a fraction of √∫h². Insensitive.
+    # Largest size of the last coefficients next to a kink, as a fraction of √∫h².
+    # Results hardly depend on this setting.
     small: float = 1e-9
     # Rounding error of a node as a fraction of its coordinate: four units in the last place.
-    # Insensitive.
+    # Results hardly depend on this setting.
     rounded: float = 2.0**-51
     # Largest number of nodes of an axis, which limits the evaluations.
     most_nodes: int = 2**17
     # Pieces of this width are not halved again: the nodes would differ by rounding only.
-    # Insensitive.
+    # Results hardly depend on this setting.
     least: float = 2.0**-50
     least_at_0: float = 2.0**-64
     # log2 of 1/distance from a pole at 0, and from another pole, at which the exponent is fitted.
@@ -85,7 +86,7 @@ class PiecewiseSettings:
     # Relative rounding error of g in the test of a sum or product. Insensitive.
     same: float = 1e-7
     # A value that more than this fraction of points share is a constant added to a product, such as
-    # the 0 of an indicator. Insensitive.
+    # the 0 of an indicator. Results hardly depend on this setting.
     common: float = 0.1
 
 

@@ -145,13 +145,13 @@ class SubsetSettings:
         Bisections of a jump: steps of 1/128 become 2^-47. Insensitive between 20 and 80.
     shared
         Fraction of the mean square of steps that the step of the mean profile has at a jump shared
-        by profiles. Insensitive between 0.05 and 0.2.
+        by profiles. Results hardly change for values between 0.05 and 0.2.
     bent
         Change of the slope at a kink, as a fraction of the largest slope. Half or double this value
         changes variances by less than 0.005 %.
     cells
         Number of cells along an axis for the energy of the fit, in which means of smooth pieces are
-        exact. Insensitive between 2^11 and 2^13.
+        exact. Results hardly change for values between 2^11 and 2^13.
     fine, finest
         Number of cells along an axis for single axes, where g is smooth and where it jumps. Latin
         hypercubes and lattices leave the variance within cells. Half or double this value changes
@@ -159,8 +159,8 @@ class SubsetSettings:
     start
         Spread of the initial coefficients of a new product, whose constant is 1.
     adds_up
-        Factor for the part outside the fit, in the interval of sets that one offset moves: on
-        lattices the contributions of kinks add up. Random points have a factor of 1.
+        Factor by which the residual of the fit widens the interval if one random offset moves all
+        points. On lattices the contributions of kinks add up. For other sets the factor is 1.
     resolved
         Relative error of curves between their nodes, smooth and with jumps.
     most_work
@@ -810,7 +810,8 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
     levels = tuple(math.ceil(math.log(max(n, SUBSET_SETTINGS.digits), b) - 1e-9) for b in bases)
     codes = np.zeros((*x.shape, max(levels)), np.int64)
     for axis, (b, most) in enumerate(zip(bases, levels, strict=True)):
-        # Rounding may move a coordinate to just below a digit; it then counts as that digit
+        # Rounding may move a coordinate slightly below a multiple of b^−most. Add a small number,
+        # so that its digits are those of the multiple
         whole = np.floor(x[..., axis] * b**most + (0.0 if b & (b - 1) == 0 else 1e-9))
         for level in range(most):
             codes[..., axis, level] = whole // b ** (most - 1 - level) % b

@@ -160,7 +160,7 @@ class DrawnSettings:
         either value changes the variance by less than 0.1 %.
     agrees
         Difference in standard errors within which the law and the measured power must agree.
-        Insensitive between 1 and 4.
+        Results hardly change for values between 1 and 4.
     steps
         Number of Newton steps of the fit, which then has converged. Insensitive between 6 and 24.
     least_box, box
@@ -205,7 +205,7 @@ class DualSettings:
         would make it infinite.
     whole
         Rounding of n times differences of lattice points, which are multiples of 1/n; coordinates
-        are accurate to 2^-53. Insensitive between 5e-7 and 2e-6.
+        are accurate to 2^-53. Results hardly change for values between 5e-7 and 2e-6.
     """
 
     frequencies: int = 2**19
@@ -235,7 +235,7 @@ class MovesSettings:
         Number of successive parts of the offsets whose variances give the standard error. With 8
         and 32 parts half intervals are between those of 16 and 1.6 times as much.
     steps
-        Number of rounds of lattice reduction. Insensitive between 6 and 24.
+        Number of rounds of lattice reduction. Results hardly change for values between 6 and 24.
     """
 
     offsets: int = 2**13
@@ -604,7 +604,10 @@ def _scramble(law: Scrambled) -> Randomization:
 
 
 def moves_at_once(law: Law) -> bool:
-    """Return whether one random offset or scramble moves a fixed set of not too many points."""
+    """Return whether one random offset or scramble moves all points of a fixed set.
+
+    It is False if n is too large to evaluate g for enough offsets.
+    """
     if not isinstance(law, Shifted | Scrambled):
         return False
     if isinstance(law, Scrambled) and not law.shifts:
