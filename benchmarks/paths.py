@@ -137,10 +137,10 @@ def times() -> dict[str, list[float]]:
 
 
 def coverage() -> None:
-    """Print how often the interval of a bounce's share of variance is right.
+    """Print the coverage of the intervals of variance shares, for each bounce.
 
-    Each interval is from 400 trials. It is right if it contains the share that is measured with
-    100,000 chains. The fraction of right intervals is printed for each bounce.
+    The coverage is the fraction of 400 trials in which the interval contains the true share.
+    The true share is measured with 100,000 chains.
     """
     scene = sized(cornell(), (32, 32))
     pixels = np.array([(16, 16), (8, 25), (20, 28), (25, 12), (10, 20), (3, 15)])

@@ -75,7 +75,7 @@ class ChainSettings:
     cuts: int = 40
     most_left_out: float = 0.5
     # Fraction of consecutive equal draws above which a chain is stuck.
-    # Results hardly change for values between 0.05 and 0.1; 0.2 misses a run of 110 draws in 1,000.
+    # Values from 0.05 to 0.1 give the same results; 0.2 misses a run of 110 draws in 1,000.
     run: float = 0.1
     # Number of different values above which repeated draws are a fault.
     # A count or a flag repeats its values.
@@ -86,7 +86,7 @@ class ChainSettings:
     # 0.95 misses levels that are 8 standard deviations apart.
     two_levels: float = 0.85
     # Largest number of moves of each chain between the levels. With 20 moves the fraction of time
-    # on a level has an error of about 1/√20 = 22 %. Insensitive between 10 and 40.
+    # on a level has an error of about 1/√20 = 22 %. Values from 10 to 40 give the same results.
     switches: int = 20
     # Tail index above which a tail is heavy. The variance is infinite for tail indices of ½
     # and above, and an index from 2,000 draws has a standard error of about 0.1. A threshold

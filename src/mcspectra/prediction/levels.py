@@ -64,7 +64,7 @@ class LevelsSettings:
         either value changes nothing.
     more
         Number of digits beyond those of n for which gains are computed. All coordinates usually
-        differ there. Results hardly change for values between 1 and 6.
+        differ there. Values from 1 to 6 give the same results.
     orders
         Orders of the coarse and the fine Gauss-Legendre rule in each cell, by number of dims. The
         error is their difference.

@@ -274,8 +274,8 @@ def fitting_basis(law: Law, half_width: int) -> str:
     The Fourier basis fits shifts, and sets whose law is invariant under translations. The Walsh
     basis fits randomizations of binary digits, if the half width is a power of two. For mirrored
     points, the cosine basis fits if a shift came before. Otherwise the Walsh basis fits, because
-    reflections and folding permute Walsh functions up to signs. In all these cases the cross term vanishes (for strata only
-    if their number per side is 2^k).
+    reflections and folding permute Walsh functions up to signs. In all these cases the cross
+    term vanishes (for strata only if their number per side is 2^k).
 
     In all other cases cosine is a compromise. For smooth functions and jittered sets its cross term
     is small, and the sum over m converges fast because it has no boundary term. For discontinuous

@@ -622,7 +622,7 @@ class Ledger:
             self.commit()
 
     def _result(self, path: str, payload: bytes, digest: bytes, text: str) -> _Change:
-        """Return a change that stores the result and scalars of a cell and drops its task states."""
+        """Return a change that stores a cell's result and scalars and drops its task states."""
         put = (
             (_PUT_RESULT, (payload, path)),
             (_PUT_DIGEST, (digest, path)),
