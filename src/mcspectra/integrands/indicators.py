@@ -119,9 +119,9 @@ class SmoothedStep(Integrand):
         return _on_axis(self.dims, self.axis, *inside)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Return the integrals of f and f² over each box.
+        """Return the means of f and f² over each box.
 
-        f is 1 below the ramp, so this part adds its volume. Within the ramp f is linear.
+        f is 1 below the ramp, so this part adds its fraction of the box. Within the ramp f is linear.
         """
         start, stop = self._ramp
         low, high = lo[..., self.axis], hi[..., self.axis]
