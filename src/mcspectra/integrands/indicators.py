@@ -121,7 +121,8 @@ class SmoothedStep(Integrand):
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
         """Return the means of f and f² over each box.
 
-        f is 1 below the ramp, so this part adds its fraction of the box. Within the ramp f is linear.
+        f is 1 below the ramp, so this part adds its fraction of the box. Within the ramp
+        f is linear.
         """
         start, stop = self._ramp
         low, high = lo[..., self.axis], hi[..., self.axis]
