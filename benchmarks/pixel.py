@@ -39,7 +39,7 @@ def main() -> None:
 
 
 def raw_call(strategy: str, u: Array) -> Array:
-    """Return the values by Mitsuba at samples (M, 2)."""
+    """Return the values that Mitsuba computes at the random numbers `u` (M, 2)."""
     mitsuba = load_mitsuba()
     with LOCK:
         hit = primary_hit(load_scene(PLACE["scene"]), PLACE["x"], PLACE["y"])

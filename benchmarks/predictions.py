@@ -79,7 +79,7 @@ class Tail:
         return float(self.integral_to(np.array([1.0]))[0])
 
     def stratum_means(self, s: int, offset: float = 0.0) -> Array:
-        """Return means over s strata of the torus, of which the first starts at `offset` strata."""
+        """Return means over s equal strata of the torus; the first stratum starts at `offset`/s."""
         ends = (np.arange(s + 1) + offset % 1.0) / s
         whole = self.integral_to(np.minimum(ends, 1.0)) + self.integral_to(np.maximum(ends - 1, 0))
         return np.asarray(s * np.diff(whole))
@@ -415,7 +415,7 @@ class Tally:
     missed: float = 0.0
 
     def add(self, right: Array, near: Array, covered: Array, missed: Array) -> None:
-        """Count the right cells of (problems, N), and keep the largest miss in standard errors."""
+        """Count correct predictions, and keep the largest error in units of standard errors."""
         self.cells += right.size
         self.right += int(right.sum())
         self.near += int(near.sum())
@@ -514,7 +514,7 @@ def _call(problem: Any, sampler: str, n: int) -> str:
 
 
 def _methods(found: Any) -> Array:
-    """Return the names of the methods along n."""
+    """Return the name of the prediction method for each number of points n."""
     return np.asarray(found["method"].to_numpy())
 
 

@@ -61,7 +61,7 @@ POLES = (
 
 
 def all_cases() -> Iterator[tuple[mcs.Estimator, mcs.Sampler, tuple[str, ...]]]:
-    """Estimators with samplers, and with the causes that may come first."""
+    """Yield each test case: an estimator, a sampler, and the causes that are correct diagnoses."""
     from tests.profiler.test_profile import FUNCTIONS
 
     def shaped(case: Case) -> Any:

@@ -102,7 +102,7 @@ def _of_draws(options: argparse.Namespace, files: list[str]) -> VerbOutput:
     plain = result.drop_dims("band") if several else result
     names, said = (np.atleast_1d(result[key].values) for key in ("cause", "evidence"))
     lines = [f"{result.attrs['chains']} × {result.attrs['draws']} draws"]
-    if not np.isnan(result["mcse"]).all():  # If all are NaN, no chain moves: print sentences
+    if not np.isnan(result["mcse"]).all():  # If no chain moves, all errors are NaN: omit the table
         lines.append(table_of_anything(plain).text)
     for k, name in enumerate(names):
         start = f"{result['quantity'].values[k]}: " if several else ""

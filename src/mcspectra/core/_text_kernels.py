@@ -72,7 +72,7 @@ def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[i
     """
     bad = (-1, 0, 0, 0)
     line = count = used = left = 0
-    width = 0  # numbers per line of the current run; 0 if there is no run
+    width = 0  # numbers per line in the current run of lines; 0 before a run starts
     on_line = 0  # count of numbers read from this line
     i, size = 0, text.size
     while i < size:

@@ -1,4 +1,4 @@
-"""Checks and lengths of vectors and lights in space, and the solid angle of a triangle."""
+"""Checks of vectors and lights in 3-D space, their lengths, and the solid angle of a triangle."""
 
 from __future__ import annotations
 

@@ -15,7 +15,9 @@ _BASE = 2**20
 
 
 def memory_of(n: int, dims: int, techniques: int = 1, frequencies: int = 0) -> int:
-    """Return the maximum number of bytes that an analysis of n points uses, without the program.
+    """Return the maximum number of bytes that an analysis of n points allocates.
+
+    The memory of the program itself is not included.
 
     Parameters
     ----------

@@ -36,7 +36,10 @@ _EPS = float(np.finfo(float).eps)
 
 @dataclass(frozen=True, kw_only=True)
 class _Light(Density):
-    """Maps u_0, the share of solid angle up to s, and u_1, the share up to t on the line at s."""
+    """Density that maps u to coordinates (s, t) of a light.
+
+    u_0 is the fraction of the solid angle below s. u_1 is the fraction below t on the line at s.
+    """
 
     dims: int = field(default=2, init=False)
 
@@ -235,7 +238,11 @@ class SphericalTriangle(_Light):
         return angle / self.solid_angle, slope / self.solid_angle
 
     def _share_of_line(self, s: Array, t: Array) -> tuple[Array, Array]:
-        """Return (1 − cos of the line up to t)/(1 − cos of the whole line), and its slope in t."""
+        """Return the fraction of the line at s below t, and its derivative with respect to t.
+
+        The fraction is (1 − cos a)/(1 − cos b): the line from 0 to t spans the angle a, and the
+        whole line spans the angle b.
+        """
         point, whole = self._point(s, t), self._spread(self._opposite(s))
         return t * whole / self._spread(point), 0.5 * whole / norm(point) ** 3
 

@@ -276,9 +276,9 @@ def beyond_points(g: Integrand) -> Array:
     """Return the part of ∫g² next to poles beyond the probe's points, (channels or 1,).
 
     It is 0 without poles. A pole is assumed if g is `unbounded` on lines, or if its largest values
-    follow a power law: from rank 4 to 32 they fall about as much as from 32 to 256. The values of
-    bells fall by only an eighth as much. For values t^-a, ranks beyond k contribute k g_k² / (N (1
-    − 2a)) to ∫g².
+    follow a power law: from rank 4 to 32 they fall by about the same factor as from 32 to 256. For
+    bells the logarithm of the first factor is only an eighth of that of the second. For values
+    t^-a, ranks beyond k contribute k g_k² / (N (1 − 2a)) to ∫g².
     """
     none = np.zeros(max(1, g.channels))
     if g.costly or in_closed_form(g):
@@ -376,7 +376,7 @@ def stratum_moments(
 ) -> tuple[Array, Array]:
     """Return means of g and g² over strata displaced on the torus: (strata, channels or 1).
 
-    The Gauss-Legendre rule has this order, or one for each axis.
+    `order` is the order of the Gauss-Legendre rule, or a tuple with the order for each axis.
     """
 
     def cut(graded: tuple[float, ...]) -> list[tuple[Array, Array]]:

@@ -225,7 +225,7 @@ def few_note(values: Array, settings: TailSettings = TAIL_SETTINGS) -> str | Non
 def growth_note(
     growths: Sequence[BorderGrowth], settings: TailSettings = TAIL_SETTINGS
 ) -> str | None:
-    """Return a sentence if growth leaves f without a variance, or without an integral."""
+    """Return a warning if f grows so fast that its variance or its integral is infinite."""
     endless = [growth for growth in growths if growth.endless(settings)]
     if not endless:
         return None

@@ -81,8 +81,9 @@ Name: TypeAlias = Literal[
 class CauseSettings:
     """Fractions of a budget of evaluations, and thresholds above which causes are reported.
 
-    "Insensitive between a and b" means that the first cause is right with a and with b in all of
-    the 152 cases of ``python -m benchmarks settings``, as with the value of the setting itself.
+    "Values from a to b give the same results" means that the first cause is right with a and with b
+    in all of the 152 cases of ``python -m benchmarks settings``, as with the value of the setting
+    itself.
     """
 
     # Least number of scrambled nets.
@@ -93,19 +94,21 @@ class CauseSettings:
     # of this number. Nets then have 512 points or more, so that a curve has ten counts,
     # and additional nets improve the rate more than additional counts.
     more_from: int = 16384
-    # Fraction of the budget that is spent on lines and poles. Insensitive between 0.1 and 0.4.
+    # Fraction of the budget that is spent on lines and poles. Values from 0.1 to 0.4 give the same
+    # results.
     lines_share: float = 0.2
-    # Fraction of the budget that is left to check a change of the estimator. Insensitive between
-    # 0.075 and 0.15; with 0.3, which leaves less for nets, one of 152 causes is wrong.
+    # Fraction of the budget that is left to check a change of the estimator. Values from 0.075 to
+    # 0.15 give the same results; with 0.3, which leaves less for nets, one of 152 causes is wrong.
     check_share: float = 0.15
     # Fraction of the budget that is spent on the given sampler if nets cannot estimate
-    # its variance. The nets then get 40 % of the budget. Insensitive between 0.125 and 0.5.
+    # its variance. The nets then get 40 % of the budget. Values from 0.125 to 0.5 give the same
+    # results.
     given_share: float = 0.25
     # Largest fraction of the lines' evaluations that is spent on the search for a pole.
-    # Insensitive between 0.4 and 0.8; without any lines four of 152 causes are wrong.
+    # Values from 0.4 to 0.8 give the same results; without any lines four of 152 causes are wrong.
     pole_share: float = 0.8
-    # Fraction of the lines' evaluations that is spent on the mean dimension. Insensitive between
-    # 0.125 and 0.25; with 0.5, which leaves less for lines, four causes are wrong.
+    # Fraction of the lines' evaluations that is spent on the mean dimension. Values from 0.125 to
+    # 0.25 give the same results; with 0.5, which leaves less for lines, four causes are wrong.
     dimension_share: float = 0.25
     # Number of points whose values are evaluated twice to detect noise.
     # A function that is random at half of its points is detected with probability 1 − 2^−8 = 0.996.
@@ -115,7 +118,7 @@ class CauseSettings:
     # or of a few terms in float32, whose order changes, differ by less.
     same_value: float = 1e-6
     # Largest square of a deviation, in units of the variance,
-    # above which a pole is searched for in many dims. Insensitive between 150 and 600.
+    # above which a pole is searched for in many dims. Values from 150 to 600 give the same results.
     climbed: float = 300.0
     # Smallest and largest values of g whose squares, summed over any number of points,
     # are within the range of float64 from 1e-308 to 1e308.
@@ -123,70 +126,78 @@ class CauseSettings:
     largest: float = 1e120
     # Least number of dims in which the mean dimension is estimated.
     # In 1 to 3 dims points fill the cube well enough for interactions of all axes.
-    # Insensitive between 4 and 8; with 2, one of 152 causes is wrong.
+    # Values between 4 and 8 give the same causes; with 2, one of 152 test cases has a wrong cause.
     many_dims: int = 4
     # Number of points for which the law of the sampler is determined.
     # The kind of law is the same for all n (tested with 32 and 128).
     law_at: int = 64
     # Error of a measured exponent of growth. The variance is infinite above ½, and counts
     # as infinite above 0.48. Measured exponents of poles are right to 0.02 in all of 18 cases.
-    # Insensitive between 0.01 and 0.04.
+    # Values from 0.01 to 0.04 give the same results.
     exponent_error: float = 0.02
     # Error of the measured order of a pole inside the cube, if only lines show the pole.
-    # Insensitive between 0.04 and 0.16.
+    # Values from 0.04 to 0.16 give the same results.
     bend_error: float = 0.08
     # Tail index above which the integral does not exist. The theoretical limit is 1; a pole
     # of order 1 is measured as 0.95 or more. This value affects only the sentence and the remedies.
     no_integral: float = 0.95
     # Exponent of growth at the border above which it is a main cause; slower growth is listed after
-    # all other causes. With 0.04, two of 152 causes are wrong. Insensitive between 0.08 and 0.16.
+    # all other causes. With 0.04, two of 152 causes are wrong. Values from 0.08 to 0.16 give the
+    # same results.
     grows: float = 0.08
     # Kurtosis of the values of g above which a tail is heavy
     # if few values hold most of the variance. The kurtosis is 3 for normal,
-    # 9 for exponential and 114 for lognormal values with σ = 1. Insensitive between 15 and 60.
+    # 9 for exponential and 114 for lognormal values with σ = 1. Values from 15 to 60 give the same
+    # results.
     heavy_kurtosis: float = 30.0
     # Fraction of the sum of squares from a single value above which a tail is heavy.
-    # Insensitive between 0.1 and 0.4. The same fraction is used in `measure/blindness.py`.
+    # Values from 0.1 to 0.4 give the same results. The same fraction is used in
+    # `measure/blindness.py`.
     large_share: float = 0.2
     # Two limits of the fraction of values that hold nine tenths of the variance. A tail is heavy
-    # below the first limit, and is the main cause below the second limit. Insensitive between 0.025
-    # and 0.1, and between 0.005 and 0.01; with 0.02 two of 152 causes are wrong.
+    # below the first limit, and is the main cause below the second limit. Values from 0.025 to 0.1
+    # and from 0.005 to 0.01 give the same results; with 0.02 two of 152 causes are wrong.
     few_values: float = 0.05
     very_few_values: float = 0.01
     # Number of different values, as a fraction of all evaluations,
-    # below which g is a step function. Insensitive between 0.025 and 0.1.
+    # below which g is a step function. Values from 0.025 to 0.1 give the same results.
     few_different: float = 0.05
     # Least number of lines for the conclusion that there is no problem. With 4 lines, a feature
-    # that half of all lines cross is missed with probability 1/16. Insensitive between 2 and 8.
+    # that half of all lines cross is missed with probability 1/16. Values from 2 to 8 give the same
+    # results.
     least_lines: int = 4
-    # Fraction of the lines with a jump on which a parallel line has the jump at the same place.
-    # Above this fraction, jumps are parallel to axes. Insensitive between 0.35 and 0.7;
-    # above 1, no jump is parallel to an axis.
+    # Among lines with a jump: fraction for which a parallel line jumps at the same coordinate.
+    # Above this fraction, jumps are parallel to axes. Values from 0.35 to 0.7 give the same
+    # results; above 1, no jump is parallel to an axis.
     straight: float = 0.7
     # Number of lines through jumps, as a fraction of the number of lines through cusps,
     # above which g jumps. One line in 100 through a cusp of order ½ appears to be a jump by chance.
     jumps_of_cusps: float = 0.05
     # Fraction of the places along a line that are local extremes, above which g oscillates.
-    # The fraction is ⅔ for noise. Insensitive between 0.165 and 0.33;
-    # with 0.66, the value of noise, four causes are wrong.
+    # The fraction is ⅔ for noise. Values from 0.165 to 0.33 give the same results; with 0.66, the
+    # value of noise, four causes are wrong.
     turns: float = 0.33
     # Least number of waves along a line for an oscillation.
-    # Smaller numbers are resolved by the 16 steps of a line. Insensitive between 3 and 12.
+    # Smaller numbers are resolved by the 16 steps of a line. Values from 3 to 12 give the same
+    # results.
     waves: float = 6.0
     # Gain of nets over random points above which nets count as resolving g.
-    # Insensitive between 2 and 8.
+    # Values from 2 to 8 give the same results.
     resolved: float = 4.0
     # Number of points that resolve a smooth function,
-    # before multiplication by 2 for each axis with waves. Insensitive between 8 and 32.
+    # before multiplication by 2 for each axis with waves. Values from 8 to 32 give the same
+    # results.
     coarse_cube: float = 16.0
     # Mean dimension above which g varies with many axes at once. The mean dimension is 1
-    # for additive functions, and 2 for functions of pairs of axes. Insensitive between 0.9 and 3.6.
+    # for additive functions, and 2 for functions of pairs of axes. Values from 0.9 to 3.6 give the
+    # same results.
     low_dimension: float = 1.8
     # Gain of nets over random points above which the number of dims is not a problem.
-    # Insensitive between 4 and 16.
+    # Values from 4 to 16 give the same results.
     little_gain: float = 8.0
     # Mean squared difference between opposite faces, as a fraction of the variance of g,
-    # above which a shift around the torus costs precision. Insensitive between 5e-4 and 2e-3.
+    # above which a shift around the torus costs precision. Values from 5e-4 to 2e-3 give the same
+    # results.
     opposite: float = 1e-3
     # Number of points that measure the integral of a wrong density. A net of this size gives
     # the four digits of the sentence if 1/p is smooth. No decision depends on this number.
@@ -206,11 +217,12 @@ class CauseSettings:
     # Distance between floating-point numbers above which rounding matters,
     # as a fraction of the spread of g: steps of 1 % of the spread change the variance by 1e-5.
     # Also the least variance along a line, as a fraction of the largest variance along a line.
-    # Insensitive between 0.005 and 0.02.
+    # Values from 0.005 to 0.02 give the same results.
     coarse: float = 1e-2
     # Two limits of a technique's part of the variance. Above the first limit the technique
     # is the cause; above the second, it is the cause if its rate is also slower.
-    # Insensitive between 0.4 and 1.6 for the first, and between 0.25 and 1 for the second.
+    # Values from 0.4 to 1.6 for the first, and from 0.25 to 1 for the second, give the same
+    # results.
     dominant: float = 0.8
     largest_part: float = 0.5
     # Number of standard errors by which the rate of a technique must be slower than other rates,

@@ -54,21 +54,23 @@ class LineSettings:
     as in `CauseSettings`.
     """
 
-    # Number of equal steps of a line before steps are halved. Insensitive between 8 and 16;
-    # with 32 steps, which allow half as many lines, two of 152 causes are wrong.
+    # Number of equal steps of a line before steps are halved. Values from 8 to 16 give the same
+    # results; with 32 steps, which allow half as many lines, two of 152 causes are wrong.
     steps: int = 16
     # Number of halvings of the step around the roughest place. 2^−12 of a step is 1.5e-5
     # of the line: far above rounding, and far below the distance between features that 16 steps can
-    # find. With 6 halvings 29 of 152 causes are wrong; insensitive between 12 and 24.
+    # find. With 6 halvings 29 of 152 causes are wrong; values from 12 to 24 give the same results.
     halvings: int = 12
     # Number of last halvings whose second differences give the exponent.
-    # Insensitive between 3 and 6; with 12 two of 152 causes are wrong.
+    # Values from 3 to 6 give the same results; with 12 two of 152 causes are wrong.
     late: int = 6
     # Exponent below which the roughest place is a pole.
-    # A jump has the exponent 0 and a pole r^−a has −a. Insensitive between −0.3 and −0.075.
+    # A jump has the exponent 0 and a pole r^−a has −a. Values from −0.3 to −0.075 give the same
+    # results.
     pole: float = -0.15
     # Exponent below which the roughest place may be a jump. A jump has the exponent 0,
-    # or up to 0.3 next to a steep part, and a kink has 1. Insensitive between 0.2 and 0.8.
+    # or up to 0.3 next to a steep part, and a kink has 1. Values from 0.2 to 0.8 give the same
+    # results.
     jump: float = 0.4
     # Number of bisections of the last step of a line with a possible jump,
     # and fraction of the height that a jump keeps in the bisections.
@@ -86,31 +88,34 @@ class LineSettings:
     kink: float = 1.6
     # Smallest height of a jump, as a fraction of the spread of g.
     # A jump of 1e-4 of the spread has 1e-8 of the variance,
-    # too little to matter at any count of a profile. Insensitive between 5e-5 and 2e-4.
+    # too little to matter at any count of a profile. Values from 5e-5 to 2e-4 give the same
+    # results.
     least_jump: float = 1e-4
     # Second difference that counts as rounding, as a fraction of the spread of g.
     # After 12 halvings, the second difference of a smooth g is about 1e-9 of the spread.
-    # Insensitive between 5e-10 and 2e-9.
+    # Values from 5e-10 to 2e-9 give the same results.
     negligible: float = 1e-9
     # Second difference that counts as rounding, in units of the spacing
     # of floating-point numbers at the values of g. A sum of a thousand terms, in random order,
-    # is off by about √1000 = 32 spacings. Insensitive between 16 and 64.
+    # is off by about √1000 = 32 spacings. Values from 16 to 64 give the same results.
     grains: float = 32.0
     # Ratio of the last gain to the gain before, above which growth continues to the end of the
-    # line. The ratio is 2^−10 for a bounded function, 1 for ln t, and 2^(10a) for t^−a. Insensitive
-    # between 0.33 and 0.65; with 1.3 logarithmic growth is missed, and six of 152 causes are wrong.
+    # line. The ratio is 2^−10 for a bounded function, 1 for ln t, and 2^(10a) for t^−a. Values from
+    # 0.33 to 0.65 give the same results; with 1.3 logarithmic growth is missed, and six of 152
+    # causes are wrong.
     goes_on: float = 0.65
     # Largest distance to the parallel line that tests whether a discontinuity is normal
     # to the axis. On the parallel line an edge with a slope of 1 is moved by 0.0025 or more,
-    # a hundred times the last step of the halvings. Insensitive between 0.0025 and 0.01.
+    # a hundred times the last step of the halvings. Values from 0.0025 to 0.01 give the same
+    # results.
     aside: float = 0.005
     # Number of groups of axes along which the roughest place of a chord is displaced in turn:
     # an edge normal to an axis moves with one group only. An edge oblique to two axes appears
-    # to be normal to an axis with probability 1/3, and with more axes less often.
+    # to be normal to an axis with probability 1/3. With more axes this probability is smaller.
     groups: int = 3
     # Distances from both ends at which g is evaluated on a line along an axis.
     # The last two distances have the ratio 2^10, so even t^−0.08 grows by 1.7 between them,
-    # and 2^−40 is still exact next to 1. Insensitive between half and double values.
+    # and 2^−40 is still exact next to 1. Half and twice the value give the same results.
     ends: tuple[float, ...] = (2.0**-4, 2.0**-12, 2.0**-20, 2.0**-30, 2.0**-40)
     # Distance from an end of a line at which g must not fail;
     # samples of a few thousand points come as close.
@@ -123,7 +128,7 @@ class LineSettings:
 
     @property
     def chord(self) -> int:
-        """Number of evaluations of any other line."""
+        """Number of evaluations on a line that is not parallel to an axis."""
         return self.steps + 2 * self.halvings + self.bisections + 2 * self.groups
 
 
@@ -142,55 +147,60 @@ class PoleSettings:
 
     # Maximum number of halvings of the step of a climb. The largest radius of the rays (`radii`)
     # is then 1/16 of the first step, which is the distance between neighboring points.
-    # With 8 halvings 30 of 152 causes and 10 of 18 poles are wrong; insensitive between 16 and 32.
+    # With 8 halvings 30 of 152 causes and 10 of 18 poles are wrong; values from 16 to 32 give the
+    # same results.
     halvings: int = 16
-    # Largest number of moves with one step before the step is halved. Insensitive between 3 and 12.
+    # Largest number of moves with one step before the step is halved. Values from 3 to 12 give the
+    # same results.
     moves: int = 6
     # Number of halvings in a group: the climb is judged by the medians of its last three groups.
-    # With 2, one of 18 poles is wrong; insensitive between 3 and 6.
+    # With 2, one of 18 poles is wrong; values from 3 to 6 give the same results.
     group: int = 3
     # Ratio of the last gain to the gain before, below which the climb ends because g is bounded.
     # Near a smooth top the gains of three halvings fall to 4^−3, and for ln r the gains stay equal.
-    # Insensitive between 0.15 and 0.6.
+    # Values from 0.15 to 0.6 give the same results.
     bounded: float = 0.3
-    # Number of rays from the top, whose median exponent is used. Insensitive between 3 and 12.
+    # Number of rays from the top, whose median exponent is used. Values from 3 to 12 give the same
+    # results.
     rays: int = 6
     # Weight of the last move in the ellipsoid of directions, from 0 to 1.
-    # Insensitive between 0.2 and 0.4; with 0.8 one of 18 poles is wrong.
+    # Values from 0.2 to 0.4 give the same results; with 0.8 one of 18 poles is wrong.
     learning_rate: float = 0.4
     # Radii along the rays, in units of the last step, each 4 times the one before. The smallest
     # is 16, so that an error of the top by one step changes the distance by 6 % at most.
-    # Insensitive between half and double.
+    # Half and twice the value give the same results.
     radii: tuple[float, ...] = (2.0**4, 2.0**6, 2.0**8, 2.0**10, 2.0**12)
-    # Number of these radii that are evaluated toward each face alone:
+    # Number of radii, the smallest ones, at which g is also evaluated toward each face alone:
     # three radii give one exponent for any additive constant.
-    # With 2 radii, four of 152 causes are wrong; insensitive between 3 and 6.
+    # With 2 radii, four of 152 causes are wrong; values from 3 to 6 give the same results.
     near: int = 3
     # Fraction of the rays on which g may rise outward; if more rays rise, the top is not a pole.
-    # Insensitive between 0.125 and 0.5.
+    # Values from 0.125 to 0.5 give the same results.
     rising: float = 0.25
     # Distance from all faces but one at which growth toward that face alone is measured,
     # in units of the last step. This distance is half of the first step,
-    # and 2^7 times the largest of the first three radii. Insensitive between 2^14 and 2^16.
+    # and 2^7 times the largest of the first three radii. Values from 2^14 to 2^16 give the same
+    # results.
     away: float = 2.0**15
     # Exponent above which a function grows toward one face alone.
-    # Insensitive between 0.025 and 0.1.
+    # Values from 0.025 to 0.1 give the same results.
     alone: float = 0.05
     # Fraction of the largest eigenvalue of the quadratic form above which an eigenvalue counts
-    # for the codimension. Insensitive between 0.002 and 0.008.
+    # for the codimension. Values from 0.002 to 0.008 give the same results.
     rank: float = 0.004
-    # Factor by which the height must grow for a move to be accepted. Insensitive down to 0.5.
-    # With 2, few moves are accepted, and 15 of 18 poles are missed.
+    # Factor by which the height must grow for a move to be accepted. Values down to 0.5 give the
+    # same results. With 2, few moves are accepted, and 15 of 18 poles are missed.
     better: float = 1.005
-    # Number of the largest heights that are compared before a climb. Insensitive between 8 and 32.
+    # Number of the largest heights that are compared before a climb. Values from 8 to 32 give the
+    # same results.
     compared: int = 16
     # Relative difference between the largest and the last of these heights above
-    # which a climb starts. Insensitive between 0.05 and 0.2.
+    # which a climb starts. Values from 0.05 to 0.2 give the same results.
     stands_out: float = 0.1
     # Exponent below which growth counts as logarithmic; exponents below the negative of this value
     # mean no pole. Measured exponents are right to 0.02
     # (`test_exponents_and_codimensions_of_poles_are_measured`).
-    # Insensitive between 0.01 and 0.04.
+    # Values from 0.01 to 0.04 give the same results.
     least_exponent: float = 0.02
 
 

@@ -51,18 +51,18 @@ NETS = "sobol | owen"
 class CurveSettings:
     """Settings that estimate curves of variance from nets, and fit rates to them.
 
-    "Insensitive" refers to ``python -m benchmarks settings``, as in `CauseSettings`.
+    "The same results" refers to ``python -m benchmarks settings``, as in `CauseSettings`.
     Numbers for rates are those of ``python -m benchmarks settings --rates``:
     five functions with known rates, 50 times each.
     """
 
     # Number of slabs along an axis that replace the strata of a Latin hypercube.
-    # Insensitive between 16 and 64. For additive functions with n > 32 points the estimate
-    # is an upper bound, (n/32)² times too large.
+    # Values from 16 to 64 give the same results. For additive functions with n > 32 points the
+    # estimate is an upper bound, (n/32)² times too large.
     slabs: int = 32
-    # Largest number of dims in which the variance of jittered points is estimated;
-    # insensitive between 2 and 6. In 4 dims a net of 256 points, the most that 8,192 evaluations
-    # allow, has 4 cells along an axis, so the curve would have three counts.
+    # Largest number of dims in which the variance of jittered points is estimated.
+    # Values from 2 to 6 give the same results. In 4 dims a net of 256 points, the most that 8,192
+    # evaluations allow, has 4 cells along an axis, so the curve would have three counts.
     jittered_dims: int = 3
     # Number of last octaves over which the rate is constant.
     # With 2 octaves, intervals of rates are 1.4 times as wide and contain the rate as often.

@@ -96,7 +96,7 @@ def strata_shift_scan(
         Fractions of the side n^(-1/d) of a stratum: ascending numbers in [0, 1),
         the same along each axis; or the number of equally spaced offsets from 0.
         The default is 16 in 1-D, 8 in 2-D and 4 in more dims. A scan has at most 4096 offsets.
-        The same fraction of a side is another position in the domain for each n.
+        The side depends on n, so the position of an offset in the domain does too.
     method
         ``"exact"`` (`mcspectra.exact_variance`);
         ``"measured"``, with the same random numbers for all offsets;

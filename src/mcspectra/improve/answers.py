@@ -2,7 +2,7 @@
 
 A *candidate* is a changed estimator or sampler. Its *result* compares its error
 at a budget of evaluations with the given set-up. An *answer* contains the best candidate,
-or the given set-up if no candidate has an interval that excludes equality.
+or the given set-up if no candidate has an error that differs significantly from its error.
 `mcspectra.profile`, `mcspectra.remedies`, and studies of pixels and paths print an `Answer`.
 """
 

@@ -338,7 +338,7 @@ class _Seen:
         return minimize(loss, start, iterations=steps, longest=longest, gain=gain)
 
     def _entropy(self, logarithm: Array) -> tuple[float, Array]:
-        """Return the entropy, and the derivatives by log q at the points."""
+        """Return the entropy, and its derivatives with respect to log q at each point."""
         q = np.exp(logarithm)
         p = (1.0 - self.defensive) * q + self.defensive
         mass = float((self.rho * p).sum())

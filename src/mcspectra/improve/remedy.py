@@ -68,7 +68,7 @@ class RemedySettings:
 
 
 _SETTINGS = RemedySettings()
-# Stream label of searches; steps have the smaller labels
+# Label of the random stream of searches. The labels of the steps are smaller numbers
 _SEARCH = _SETTINGS.steps
 
 _DIMS: dict[str, tuple[str, ...]] = {

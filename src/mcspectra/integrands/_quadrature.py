@@ -542,7 +542,10 @@ def probe(dims: int, times: int = 1) -> Array:
 def _residuals(
     values: Array, seen: Array, points: Array, low: Array, size: Array, cell: Array
 ) -> Array:
-    """Return values `seen` (K, C) at points (K, d) minus polynomials through (N, q^d, C)."""
+    """Return residuals (K, C): `seen` at the points (K, d) minus polynomials.
+
+    The polynomial of each of the N cells interpolates the `values` (N, q^d, C) at its nodes.
+    """
     order = round(values.shape[1] ** (1.0 / points.shape[1]))
     legendre = np.polynomial.legendre.legvander
     inverse = np.linalg.inv(legendre(2.0 * gauss_rule(order)[0] - 1.0, order - 1))

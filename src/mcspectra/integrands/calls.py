@@ -211,7 +211,7 @@ class Calls:
         return values.reshape(points.shape[:-1])
 
     def skipped_in_words(self, least: float, most: float) -> str:
-        """Describe where f failed, and the values that an interval assumes there."""
+        """Describe where f failed, and the range of f that the interval assumes at these points."""
         assert self.first_skipped is not None
         return (
             f"{self.skipped} of {self._asked} evaluations failed and were skipped, the first at "

@@ -119,7 +119,11 @@ class SmoothedStep(Integrand):
         return _on_axis(self.dims, self.axis, *inside)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Add the part of each box below the ramp and the trapezoid within the ramp."""
+        """Return the means of f and f² over each box.
+
+        f is 1 below the ramp, so this part adds its fraction of the box. Within the ramp
+        f is linear.
+        """
         start, stop = self._ramp
         low, high = lo[..., self.axis], hi[..., self.axis]
         full, sloped = _overlap(low, high, 0.0, start), _overlap(low, high, start, stop)

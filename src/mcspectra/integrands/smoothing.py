@@ -126,7 +126,7 @@ class EdgeSmoothed(Integrand):
 
     @property
     def breaks(self) -> Breaks:
-        """Both ends of the ramp, if the edge itself is a break."""
+        """Breaks at both ends of the ramp; empty along axes where the edge has no breaks."""
         ends = [self._moved(t).breaks for t in (-0.5 * self.width, 0.5 * self.width)]
         return tuple(tuple(sorted({*a, *b})) for a, b in zip(*ends, strict=True))
 

@@ -43,7 +43,7 @@ class BlindnessSettings:
     # Exponent of a pole above which ∫g⁴ diverges:
     # the limit ¼ minus 5e-4, the error of fitted slopes.
     no_kurtosis: float = 0.2495
-    # Standard errors between the mean and the integral that exclude chance.
+    # Distance of the mean from the integral, in standard errors, that cannot be due to chance.
     # The normal probability is 6e-7, and remains small for the many counts of a study together.
     far: float = 5.0
 

@@ -65,15 +65,17 @@ class ChainSettings:
     # with 0.1 and 1.5 the fractions are 90 % and 89 %.
     settled: float = 0.2
     margin: float = 2.0
-    # Probability of a difference between the last two quarters of a chain below which the chain
-    # counts as drifting until its end. With 0.001, 4 of 50 linear drifts are reported as a burn-in.
+    # Significance level of the test whether the last two quarters of a chain differ. A chain with
+    # a smaller p-value counts as drifting until its end. With 0.001, 4 of 50
+    # linear drifts are reported as a burn-in.
     ends_alike: float = 0.05
-    # Candidate numbers of draws that are left out, as parts of a chain,
-    # and the largest fraction left out: the last half is the reference for the start.
+    # Number of candidates for the length of the burn-in, equally spaced along a chain,
+    # and the largest fraction of a chain that is left out: the last half is the
+    # reference for the start.
     cuts: int = 40
     most_left_out: float = 0.5
     # Fraction of consecutive equal draws above which a chain is stuck.
-    # Insensitive between 0.05 and 0.1; 0.2 misses a run of 110 draws in 1,000.
+    # Values from 0.05 to 0.1 give the same results; 0.2 misses a run of 110 draws in 1,000.
     run: float = 0.1
     # Number of different values above which repeated draws are a fault.
     # A count or a flag repeats its values.
@@ -84,7 +86,7 @@ class ChainSettings:
     # 0.95 misses levels that are 8 standard deviations apart.
     two_levels: float = 0.85
     # Largest number of moves of each chain between the levels. With 20 moves the fraction of time
-    # on a level has an error of about 1/√20 = 22 %. Insensitive between 10 and 40.
+    # on a level has an error of about 1/√20 = 22 %. Values from 10 to 40 give the same results.
     switches: int = 20
     # Tail index above which a tail is heavy. The variance is infinite for tail indices of ½
     # and above, and an index from 2,000 draws has a standard error of about 0.1. A threshold
@@ -262,7 +264,7 @@ def _quantities(draws: Any) -> tuple[list[str], Array]:
         raise ParameterError(
             "draws hold no variables; give variables with the dims chain and draw."
         )
-    if "" in parts:  # Arrays with several quantities have numbers as names
+    if "" in parts:  # The quantities of an array are named by their index
         names = [name.strip("[]") for name in names if name]
     return names, np.ascontiguousarray(np.concatenate(found))
 

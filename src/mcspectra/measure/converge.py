@@ -69,14 +69,14 @@ class StageSettings:
     """Lengths of the stages in a search for the number of realizations, and the size of blocks."""
 
     # Realizations of the first stage: the kurtosis of 100 normal estimates has a standard error
-    # of √(24/100) = 0.5. Insensitive between 50 and 200.
+    # of √(24/100) = 0.5. Values from 50 to 200 give the same results.
     first: int = 100
     # Least and largest factor by which a stage lengthens the sample.
     # A stage that is a quarter longer confirms the previous stage.
     # After a factor of 4 the kurtosis is twice as accurate, so the next length is better chosen.
     # With a least factor of 1.1, searches for 10 % end at an error of 10.3 %;
-    # with 1.25 they end at 9 %; 1.5 takes 30 % more realizations. The largest factor
-    # is insensitive between 2 and 8 (``python -m benchmarks settings --stages``).
+    # with 1.25 they end at 9 %; 1.5 takes 30 % more realizations. For the largest
+    # factor, values from 2 to 8 give the same results (`python -m benchmarks settings --stages`).
     step: float = 1.25
     leap: float = 4.0
     # Number of realizations without spread after which the search ends:

@@ -1,4 +1,4 @@
-"""Common parts of analyses: the body of the public functions, coordinates and sentences."""
+"""Common code of the public analysis functions: their body, coordinates and sentences."""
 
 from __future__ import annotations
 

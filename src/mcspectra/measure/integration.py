@@ -97,10 +97,10 @@ class IntegrationSettings:
     # The law states the kind of scramble, which is equal for all n.
     law_at: int = 64
     # Largest ratio of the size of a set to the size of the sets that measure the rate.
-    # Insensitive between 2 and 8: widths differ by 1 % on average.
+    # Values from 2 to 8 give the same results: widths differ by 1 % on average.
     pilot: int = 4
     # Number of prefixes of a replicate to which the rate is fitted, each half as long as the next.
-    # With 2 prefixes intervals are 6 % wider. Insensitive between 4 and 6.
+    # With 2 prefixes intervals are 6 % wider. Values from 4 to 6 give the same results.
     levels: int = 4
     # Factor by which the interval of the mean must be wider than that of the median before
     # the median is preferred. With 1, intervals of the median contain the integral in 90 instead

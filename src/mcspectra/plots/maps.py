@@ -156,7 +156,7 @@ def _logarithmic(label: str) -> Callable[[Array], Scale]:
 
 
 def _rates(values: Array) -> Scale:
-    """Return the scale of exponents."""
+    """Return the color scale of a map of convergence exponents."""
     found = values[np.isfinite(values)]
     low, high = np.percentile(found, _SPREAD) if found.size else (-2.0, -1.0)
     # The scale covers at least −2 … −1 (smooth to random), or noise would look like structure.

@@ -606,7 +606,10 @@ def _pair_words(data: xr.Dataset) -> str:
 
 
 def _peak_words(data: xr.Dataset) -> str:
-    """Describe the largest contribution and its frequency; of two equal at ±m, the later."""
+    """Describe the largest contribution and its frequency.
+
+    If the contributions at m and −m are equal, the frequency that comes later in the data is named.
+    """
     values = data["contribution"]
     if not np.isfinite(values.values).any():
         return not_finite(values.values, data)

@@ -149,7 +149,10 @@ def of_homogenized(
 
 
 def draws_power(estimator: AbstractEstimator, sampler: Sampler, n: int) -> bool:
-    """Return whether the homogenized formula applies, but its power has no closed form."""
+    """Return whether the homogenized formula needs power that is measured from drawn sets.
+
+    This is so if the formula applies, but the power of the sampler has no closed form.
+    """
     given = _of_one_technique(estimator)
     try:
         closed_form_power(sampler, n, np.ones((1, estimator.domain_dims)))

@@ -103,12 +103,13 @@ EXACT_TOLERANCE = 1e-6
 class ExactSettings:
     """Settings for the agreement of quadratures, and for the cells of curves along axes.
 
-    "Insensitive": half or double the value changes no variance by more than 1e-9 in twelve
-    cases. The cases are sums and products with jumps, kinks and poles, a wave, a disk and a ridge,
-    at n = 64 and 1024.
+    "The same results" means that no variance changes by more than 1e-9 in twelve cases. The cases
+    are sums and products with jumps, kinks and poles, a wave, a disk and a ridge, at n = 64 and
+    1024.
     """
 
-    # Largest error that every tolerance accepts, as a fraction of ∫g²/n. Insensitive.
+    # Largest error that every tolerance accepts, as a fraction of ∫g²/n. Half and twice the value
+    # give the same results.
     negligible: float = 1e-9
     # Factor by which the difference between two orders bounds the error of the higher order. At a
     # jump both orders have errors of about the same size. With half of it the second attempt for a
@@ -121,7 +122,7 @@ class ExactSettings:
     finer: int = 4
     hope: float = 10.0
     # Least number of dims and least tolerance for fits by sums of products, whose curves have
-    # relative errors of 2e-3. Insensitive.
+    # relative errors of 2e-3. Half and twice the value give the same results.
     many_dims: int = 4
     loose: float = 1e-3
     # Largest number of binary digits of a coordinate. It limits the cells of digital shifts.
@@ -144,16 +145,19 @@ class ExactSettings:
     # that octave. It changes intervals, not variances.
     white: float = 0.02
     # Rounding error of a mean over a set, as a fraction of √∫h², and of the variance of such means,
-    # as a fraction of ∫h²/n. Insensitive.
+    # as a fraction of ∫h²/n. Half and twice the value give the same results.
     rounded_mean: float = 1e-15
     rounded_variance: float = 1e-15
     # Number of points evaluated at a time. It has no effect on the result.
     at_once: int = 2**20
-    # Variance within cells, as a fraction of ∫h², below which it is rounding. Insensitive.
+    # Variance within cells, as a fraction of ∫h², below which it is rounding. Half and twice the
+    # value give the same results.
     nothing: float = 1e-12
-    # Number of octaves of offsets (factor 8) that resolve a cusp. Insensitive.
+    # Number of octaves of offsets (factor 8) that resolve a cusp. Half and twice the value give the
+    # same results.
     cusps: int = 10
-    # Distance from integers of n times the coordinates below which points are a grid. Insensitive.
+    # Distance from integers of n times the coordinates below which points are a grid. Half and
+    # twice the value give the same results.
     even: float = 1e-6
     # Relative error of a product's variance if points are rounded to cells of 2^-15. Smaller
     # tolerances raise.
@@ -315,8 +319,8 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
     if isinstance(law, Independent):
         middle, first, second, error = moments(g)
         value = second - first**2
-        # Three standard errors of the integrals become 4.5, so that none of 1,000 functions exceeds
-        # them
+        # The error of the integrals is three standard errors. Widen it to 4.5 standard errors, so
+        # that none of 1,000 functions exceeds it
         error = 1.5 * error * (1.0 + 2.0 * np.abs(first)) + 4e-15 * (second + middle**2)
         if (error > tolerance * value).any() and np.isfinite(square).all():
             mean, off = np.atleast_1d(g.integral), integral_accuracy(g)[1]

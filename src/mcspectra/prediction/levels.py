@@ -64,7 +64,7 @@ class LevelsSettings:
         either value changes nothing.
     more
         Number of digits beyond those of n for which gains are computed. All coordinates usually
-        differ there. Insensitive between 1 and 6.
+        differ there. Values from 1 to 6 give the same results.
     orders
         Orders of the coarse and the fine Gauss-Legendre rule in each cell, by number of dims. The
         error is their difference.
@@ -240,9 +240,9 @@ def _table(
     sides = tuple(map(pow, bases, levels))
     means, squares = _cell_moments(g, sides, np.zeros(g.dims), refined=whole)
 
-    # Squares of means and the variance within cells have opposite errors at jumps, which cancel. In
-    # long cells without the variance within, products of the two rules are used, whose errors are
-    # hardly correlated
+    # Squares of means and the variance within cells have opposite errors at jumps, which cancel. If
+    # cells are long and the variance within cells is not computed, multiply the results of the two
+    # rules, whose errors are hardly correlated
     pairs = ([(0, 0), (-1, -1)] if whole else [(-1, -1), (0, -1)])[: len(means)]
     halves = [0.5 * (means[a] + sign * means[b]) for a, b in pairs for sign in (1.0, -1.0)]
     sums, differences = (
@@ -324,7 +324,9 @@ def _cell_moments(
 def _strata(
     sides: tuple[int, ...], offset: Array, n: int, known: Known, how: str, *, whole: bool = True
 ) -> Predicted:
-    """Predict an independent value of g in each of n equal strata, or n values in one.
+    """Predict the variance of a mean of independent values of g, one in each of n equal strata.
+
+    With a single stratum, all n values are in it.
 
     `whole` states that g is the same for all n, so that computing ∫g² separately is worthwhile.
     """

@@ -288,7 +288,8 @@ def _energies(
         more[:, 1 + k] = many * (product[0] - product[1]).mean(axis=-1)
         if k == 0:
             more[:, 0] = (square[0] - square[1]).mean(axis=-1)
-    # Pairs that share parts share strata, and pairs that share three strata share two of them
+    # Subtract pairs that were counted twice. A pair with a common part also has a common stratum,
+    # and a pair with three common strata also has two
     more[:, 2] -= 2.0 * more[:, 1] if parts > 1 and d > 1 else 0.0
     more[:, 3] -= (d - 2) * more[:, 1] if d > 2 else 0.0
     return sums, more

@@ -121,7 +121,7 @@ class QuadratureSettings:
         rejects one more and 0.03 one less.
     evaluations
         Number of evaluations of g above which other methods come first: a sixteenth of those of
-        `exact_variance`. Insensitive between 2^20 and 2^24 for the same samplers.
+        `exact_variance`. Values from 2^20 to 2^24 give the same results for the same samplers.
     most_breaks
         Largest number of breaks of g for which strata with a random shift are integrated in several
         dims. Offsets are cut at each break along each axis, so their number grows with the power d.
@@ -182,8 +182,8 @@ class TableSettings:
         % if g jumps.
     probe
         Number of random points at which the table is compared with g. The mean square difference
-        has a relative standard error of about 1/256 if it is not heavy-tailed. Insensitive between
-        2^15 and 2^17.
+        has a relative standard error of about 1/256 if it is not heavy-tailed. Values from 2^15 to
+        2^17 give the same results.
     block
         Number of points per call, 1 MB in 2-D. It has no effect on the result.
     points
@@ -214,13 +214,14 @@ class ExtrapolationSettings:
     ----------
     small
         Small counts, whose measurements cost little. They are used if there are few counts close to
-        n. Insensitive to one more or less.
+        n. One more or one less gives the same results.
     largest
         Largest measured count of cheap f. Between 2^11 and 2^13 variances change by less than 1.5
         %.
     near
         Inverse of the largest distance between counts close to n, as a fraction of n. They then lie
-        within an eighth of n, and the line hardly extrapolates. Insensitive between 8 and 32.
+        within an eighth of n, and the line hardly extrapolates. Values from 8 to 32 give the same
+        results.
     fitted
         Number of counts closest to n that the line is fitted to. Three leave one degree of freedom,
         for which Student's t is 12.7; four leave two, with 4.3. Eight halve the interval for twice
@@ -233,7 +234,7 @@ class ExtrapolationSettings:
         within intervals of 14 to 60 %.
     most_factor
         Largest factor of the reported error of an extrapolation, so that exponentials stay finite.
-        Insensitive between 15 and 60.
+        Values from 15 to 60 give the same results.
     """
 
     small: tuple[int, ...] = tuple(2**k for k in range(3, 9))
@@ -386,8 +387,8 @@ def extrapolated(
     settings: ExtrapolationSettings = _EXTRAPOLATION,
 ) -> Predicted:
     """Fit a line to log variances measured at the small counts closest to n, without n itself."""
-    # Counts around n that sets fill like n: powers of two, or steps of a power of two that divides
-    # n
+    # Counts near n at which sets are as regular as at n. If n is a power of two, they are powers of
+    # two. Otherwise they differ from n by multiples of a power of two that divides n
     step = min(n & -n, 1 << max(0, (n // settings.near).bit_length() - 1))
     near = [n + k * step for k in (-2, -1, 1, 2)]
     if n & (n - 1) == 0:
@@ -485,7 +486,7 @@ class Method:
 
 
 def _mirrored(law: Law) -> bool:
-    """Return whether the inner set, with another integrand, has the same variance."""
+    """Return whether the set before mirroring has the same variance with a changed integrand."""
     return isinstance(law, Folded | Mirrored) and not law.inner.fixed
 
 
@@ -1070,14 +1071,15 @@ def predict(
     with the nodes, and each interval is widened by the difference. f that is equal at all probe
     points has no prediction, unless its integral is known.
 
-    f is evaluated at nodes and on grids of predict itself. A shifted or scrambled fixed set is
-    moved by up to 8,192 random shifts or scrambles (`moves`). This is used for lattices with shift
-    and nets with digital-shift in 1 to 3 dims, and for all such sets if sums of products leave a
-    half interval over 3 %. Linear scrambles replace nested ones, whose pairs have the same law.
-    Samplers without known structure measure a `table` of f in 1 to 3 dims. In more dims, or for
-    expensive f, `auto` evaluates f at their points (`extrapolated`): 2,000 realizations each of
-    small counts or, for cheap f, of counts close to n, never of n. The same is done if jumps and
-    kinks across many axes leave an interval wider than a fifth, and the narrower interval is used.
+    f is evaluated at quadrature nodes and on grids that `predict` chooses. A shifted or scrambled
+    fixed set is moved by up to 8,192 random shifts or scrambles (`moves`). This is used for
+    lattices with shift and nets with digital-shift in 1 to 3 dims, and for all such sets if sums of
+    products leave a half interval over 3 %. Linear scrambles replace nested ones, whose pairs have
+    the same law. For samplers without known structure, variances are measured on a `table` of f in
+    1 to 3 dims. In more dims, or for expensive f, `auto` evaluates f at the sampler's points
+    (`extrapolated`): 2,000 realizations each of small counts or, for cheap f, of counts close to n,
+    never of n. The same is done if jumps and kinks across many axes leave an interval wider than a
+    fifth of the predicted variance. Then the narrower of the two intervals is used.
 
     Limits are known in theory for random points, −1, and for jumps of g in up to 5 dims. They are
     −1 − 1/d for strata of the cube and for jumps along curves. They are −2 for other sets at jumps
@@ -1125,7 +1127,7 @@ class Predictor:
         self._stream = stream
 
     def at(self, sampler: Sampler, n: int, name: str = "auto") -> Cells:
-        """Predict one count, summed over the techniques; NaN if no method applies.
+        """Predict the variance at n points, summed over the techniques; NaN if no method applies.
 
         The methods are those of `name`; see `tried`.
         """

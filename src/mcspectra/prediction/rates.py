@@ -74,11 +74,12 @@ class DecaySettings:
         For 12 test functions, those with jumps and kinks change by at most 0.9. A Gaussian of width
         0.1, whose kink at the border is still hidden, changes by 8.6.
     widths, width
-        Default half widths by number of dims, and in other dims. Ripples of 1-D spectra have few
-        frequencies per shell, so 1-D uses more; both take less than a second.
+        Default half widths by number of dims, and the default for all other numbers of dims.
+        Ripples of 1-D spectra have few frequencies per shell, so the half width is larger in 1-D.
+        Each half width takes less than a second.
     noise
         Rounding noise of |f_m|² relative to the largest; coefficients are accurate to 1e-13.
-        Insensitive between 1e-28 and 1e-24.
+        Values from 1e-28 to 1e-24 give the same results.
     """
 
     octaves: int = 3
@@ -94,8 +95,8 @@ class DecaySettings:
 class JumpSettings:
     """Settings for the search for jumps along lines.
 
-    "Insensitive" means that the rates of 10 integrands in 1 to 4 dims were the same: with jumps
-    along and across the axes, kinks, a pole, and a narrow Gaussian.
+    "The same results" means that the rates of 10 integrands in 1 to 4 dims were the same: with
+    jumps along and across the axes, kinks, a pole, and a narrow Gaussian.
 
     Attributes
     ----------
@@ -107,7 +108,7 @@ class JumpSettings:
         both values changes nothing.
     largest
         Number of the largest steps of each line that are bisected. A line crosses few jumps, and
-        one of them on one line is enough. Insensitive between 2 and 8.
+        one of them on one line is enough. Values from 2 to 8 give the same results.
     halvings
         Number of bisections of such a step. 512 points and 30 halvings leave 2e-12, over which a
         slope of 1e7 changes g by less than `least`. With 15, a Gaussian of width 0.02 appears to
@@ -115,15 +116,15 @@ class JumpSettings:
     beside
         Distance from a break at which g is evaluated on both sides. Detected breaks are accurate to
         2^-46, and a slope of 500 times the root mean square changes g by at most `least` across it.
-        Insensitive between 1e-9 and 1e-5.
+        Values from 1e-9 to 1e-5 give the same results.
     least
         Smallest step that is a jump, relative to the root mean square of g. A jump of 1e-4 adds
-        1e-8 of the variance of random points, which no feasible count resolves. Insensitive between
-        1e-6 and 1e-2.
+        1e-8 of the variance of random points, which no feasible count resolves. Values from 1e-6 to
+        1e-2 give the same results.
     border
         Distance from the border of a stratum, in strata, within which a jump does not cut the
-        stratum. It covers rounding of n times a position up to n = 2^30. Insensitive between 1e-8
-        and 1e-4.
+        stratum. It covers rounding of n times a position up to n = 2^30. Values from 1e-8 to 1e-4
+        give the same results.
     """
 
     dims: int = 5
@@ -141,38 +142,40 @@ class JumpSettings:
 class LimitSettings:
     """Settings for the limit of the slopes of a predicted curve, and for its bend.
 
-    "Insensitive" means that limits and bends of 64 predicted curves were the same: 8 samplers and 8
-    integrands in 1 to 3 dims, at n = 16 to 1024.
+    "The same results" means that limits and bends of 64 predicted curves were the same: 8 samplers
+    and 8 integrands in 1 to 3 dims, at n = 16 to 1024.
 
     Attributes
     ----------
     late
-        Number of octaves at the end of a curve whose slope estimates the limit. Insensitive between
-        2 and 4. With 8 the limits of 4 curves of scrambled nets, which bend late, are not found.
+        Number of octaves at the end of a curve whose slope estimates the limit. Values from 2 to 4
+        give the same results. With 8 the limits of 4 curves of scrambled nets, which bend late, are
+        not found.
     near
         Distance of the slope from a theoretical exponent within which the exponent is the limit:
-        at most 0.4/d because exponents are 1/d apart. Insensitive between 0.1 and 0.4.
+        at most 0.4/d because exponents are 1/d apart. Values from 0.1 to 0.4 give the same results.
     agree
-        Largest difference of the local slopes within these octaves. Insensitive between 0.2 and
-        0.4. With 0.1, one limit of 64 is not found.
+        Largest difference of the local slopes within these octaves. Values from 0.2 to 0.4 give the
+        same results. With 0.1, one limit of 64 is not found.
     leaves
         Least distance of the last slope from an exponent at which the exponent is excluded as limit
-        if slopes move away from it. Insensitive between 0.025 and 0.1.
+        if slopes move away from it. Values from 0.025 to 0.1 give the same results.
     still
         Largest change of three slopes that have reached a limit that is not in the list of theory,
-        such as −1 − (1 − 2a)/d next to a pole t^-a. Insensitive between 0.005 and 0.02.
+        such as −1 − (1 − 2a)/d next to a pole t^-a. Values from 0.005 to 0.02 give the same
+        results.
     change
-        Difference between the first slope and the limit above which there is a bend. Insensitive
-        between 0.15 and 0.3.
+        Difference between the first slope and the limit above which there is a bend. Values from
+        0.15 to 0.3 give the same results.
     most_change
         Largest candidate change of the exponent at a bend; exponents lie between −1 and −5.
-        Insensitive between 4 and 8.
+        Values from 4 to 8 give the same results.
     tried
         Number of candidate positions of a bend, and of candidate changes. Positions are 0.1 octaves
         apart over 10 octaves, the accuracy with which bends are known.
     better
         Scatter about a curve that bends, relative to that about a line, below which there is a
-        bend. Insensitive between 0.125 and 0.25. With 0.5, one curve more bends.
+        bend. Values from 0.125 to 0.25 give the same results. With 0.5, one curve more bends.
     """
 
     late: int = 4

@@ -40,28 +40,33 @@ __all__ = ["PiecewiseCurve", "PiecewiseSettings", "Separable", "separated"]
 class PiecewiseSettings:
     """Settings for curves of functions of one axis, and for the test of sums and products.
 
-    "Insensitive": half or double the value changes no variance by more than 1e-10 in the
-    twelve cases of `mcspectra.prediction.exact.ExactSettings`.
+    "The same results" means that no variance changes by more than 1e-10 in the twelve cases of
+    `mcspectra.prediction.exact.ExactSettings`.
     """
 
-    # Number of Legendre coefficients of a piece, and of initial pieces of an axis. Insensitive.
+    # Number of Legendre coefficients of a piece, and of initial pieces of an axis. Half and twice
+    # the value give the same results.
     order: int = 16
     pieces: int = 32
-    # The last coefficients of a settled piece, as a fraction of the largest. Insensitive.
+    # The last coefficients of a settled piece, as a fraction of the largest. Half and twice the
+    # value give the same results.
     settled: float = 1e-11
-    # A piece that adds less than this fraction to ∫h² counts as settled. Insensitive.
+    # A piece that adds less than this fraction to ∫h² counts as settled. Half and twice the value
+    # give the same results.
     negligible: float = 1e-15
-    # Pieces narrower than this hold a kink or a jump. Insensitive.
+    # Pieces narrower than this hold a kink or a jump. Half and twice the value give the same
+    # results.
     kink: float = 2.0**-12
-    # The last coefficients next to a kink, as a fraction of √∫h². Insensitive.
+    # Largest size of the last coefficients next to a kink, as a fraction of √∫h².
+    # Half and twice the value give the same results.
     small: float = 1e-9
     # Rounding error of a node as a fraction of its coordinate: four units in the last place.
-    # Insensitive.
+    # Half and twice the value give the same results.
     rounded: float = 2.0**-51
     # Largest number of nodes of an axis, which limits the evaluations.
     most_nodes: int = 2**17
     # Pieces of this width are not halved again: the nodes would differ by rounding only.
-    # Insensitive.
+    # Half and twice the value give the same results.
     least: float = 2.0**-50
     least_at_0: float = 2.0**-64
     # log2 of 1/distance from a pole at 0, and from another pole, at which the exponent is fitted.
@@ -69,23 +74,29 @@ class PiecewiseSettings:
     # poles changes by less than 1e-6.
     near_0: tuple[int, ...] = (40, 45, 50, 55, 60)
     inside: tuple[int, ...] = (20, 23, 26, 29, 32)
-    # Smallest exponent of a pole. Polynomials follow weaker poles. Insensitive.
+    # Smallest exponent of a pole. Polynomials follow weaker poles. Half and twice the value give
+    # the same results.
     pole: float = 0.02
     # Relative error of the distances to a pole that is not at 0. It changes intervals, not
     # variances.
     place: float = 2.0**-16
-    # Smallest step toward a pole, as a fraction of the value. Insensitive.
+    # Smallest step toward a pole, as a fraction of the value. Half and twice the value give the
+    # same results.
     step: float = 1e-6
-    # Width next to a pole, on its other side, in which pieces belong to the pole. Insensitive.
+    # Width next to a pole, on its other side, in which pieces belong to the pole. Half and twice
+    # the value give the same results.
     gap: float = 2.0**-40
-    # Number of probe points among which a product finds its largest value. Insensitive.
+    # Number of probe points among which a product finds its largest value. Half and twice the value
+    # give the same results.
     candidates: int = 2**10
-    # Number of points of the first test, and of points with large values. Insensitive.
+    # Number of points of the first test, and of points with large values. Half and twice the value
+    # give the same results.
     lines: int = 16
-    # Relative rounding error of g in the test of a sum or product. Insensitive.
+    # Relative rounding error of g in the test of a sum or product. Half and twice the value give
+    # the same results.
     same: float = 1e-7
     # A value that more than this fraction of points share is a constant added to a product, such as
-    # the 0 of an indicator. Insensitive.
+    # the 0 of an indicator. Half and twice the value give the same results.
     common: float = 0.1
 
 

@@ -91,8 +91,8 @@ class SubsetSettings:
     Stated changes refer to six cases at n = 64 and 256: smooth functions, a ball in 4-D, a slab, a
     jump along a line and a kink, with latin-hypercube, sobol | owen, sobol | digital-shift and
     rank1-lattice | shift. The half interval of the ball is 63 %, the others are 0.2 to 1.3 %. "The
-    ball only" means a change of less than 8 % for the ball and none for the others. "Insensitive"
-    means changes of less than 1e-6.
+    ball only" means a change of less than 8 % for the ball and none for the others. "The
+    same results" means changes of less than 1e-6.
 
     Attributes
     ----------
@@ -135,23 +135,24 @@ class SubsetSettings:
         Ridge of the least squares, relative to the mean of the diagonal. Half or double this value
         changes variances by less than 5e-7.
     good
-        Sufficiently small residual energy, relative to the variance. Insensitive to half or double
-        this value.
+        Sufficiently small residual energy, relative to the variance. Half and twice the
+        value give the same results.
     stands_out
         Factor by which the change of a profile between two nodes must exceed its neighbors at a
         jump, and the change of its slope at a kink. Half or double this value changes the ball
         only.
     halvings
-        Bisections of a jump: steps of 1/128 become 2^-47. Insensitive between 20 and 80.
+        Bisections of a jump: steps of 1/128 become 2^-47. Values from 20 to 80 give the same
+        results.
     shared
         Fraction of the mean square of steps that the step of the mean profile has at a jump shared
-        by profiles. Insensitive between 0.05 and 0.2.
+        by profiles. Values from 0.05 to 0.2 give the same results.
     bent
         Change of the slope at a kink, as a fraction of the largest slope. Half or double this value
         changes variances by less than 0.005 %.
     cells
         Number of cells along an axis for the energy of the fit, in which means of smooth pieces are
-        exact. Insensitive between 2^11 and 2^13.
+        exact. Values from 2^11 to 2^13 give the same results.
     fine, finest
         Number of cells along an axis for single axes, where g is smooth and where it jumps. Latin
         hypercubes and lattices leave the variance within cells. Half or double this value changes
@@ -159,8 +160,8 @@ class SubsetSettings:
     start
         Spread of the initial coefficients of a new product, whose constant is 1.
     adds_up
-        Factor for the part outside the fit, in the interval of sets that one offset moves: on
-        lattices the contributions of kinks add up. Random points have a factor of 1.
+        Factor by which the residual of the fit widens the interval if one random offset moves all
+        points. On lattices the contributions of kinks add up. For other sets the factor is 1.
     resolved
         Relative error of curves between their nodes, smooth and with jumps.
     most_work
@@ -810,7 +811,8 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
     levels = tuple(math.ceil(math.log(max(n, SUBSET_SETTINGS.digits), b) - 1e-9) for b in bases)
     codes = np.zeros((*x.shape, max(levels)), np.int64)
     for axis, (b, most) in enumerate(zip(bases, levels, strict=True)):
-        # Rounding may move a coordinate to just below a digit; it then counts as that digit
+        # Rounding may move a coordinate slightly below a multiple of b^−most. Add a small number,
+        # so that its digits are those of the multiple
         whole = np.floor(x[..., axis] * b**most + (0.0 if b & (b - 1) == 0 else 1e-9))
         for level in range(most):
             codes[..., axis, level] = whole // b ** (most - 1 - level) % b

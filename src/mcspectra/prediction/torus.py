@@ -160,9 +160,10 @@ class DrawnSettings:
         either value changes the variance by less than 0.1 %.
     agrees
         Difference in standard errors within which the law and the measured power must agree.
-        Insensitive between 1 and 4.
+        Values from 1 to 4 give the same results.
     steps
-        Number of Newton steps of the fit, which then has converged. Insensitive between 6 and 24.
+        Number of Newton steps of the fit, which then has converged. Values from 6 to 24 give the
+        same results.
     least_box, box
         Half width of the box of a homogeneous set: least value, and in units of n^(1/d). Half or
         double this value changes the variance by less than 0.3 %; half a box triples the error.
@@ -205,7 +206,7 @@ class DualSettings:
         would make it infinite.
     whole
         Rounding of n times differences of lattice points, which are multiples of 1/n; coordinates
-        are accurate to 2^-53. Insensitive between 5e-7 and 2e-6.
+        are accurate to 2^-53. Values from 5e-7 to 2e-6 give the same results.
     """
 
     frequencies: int = 2**19
@@ -235,7 +236,7 @@ class MovesSettings:
         Number of successive parts of the offsets whose variances give the standard error. With 8
         and 32 parts half intervals are between those of 16 and 1.6 times as much.
     steps
-        Number of rounds of lattice reduction. Insensitive between 6 and 24.
+        Number of rounds of lattice reduction. Values from 6 to 24 give the same results.
     """
 
     offsets: int = 2**13
@@ -604,7 +605,10 @@ def _scramble(law: Scrambled) -> Randomization:
 
 
 def moves_at_once(law: Law) -> bool:
-    """Return whether one random offset or scramble moves a fixed set of not too many points."""
+    """Return whether one random offset or scramble moves all points of a fixed set.
+
+    It is False if n is too large to evaluate g for enough offsets.
+    """
     if not isinstance(law, Shifted | Scrambled):
         return False
     if isinstance(law, Scrambled) and not law.shifts:

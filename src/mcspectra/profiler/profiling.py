@@ -139,7 +139,7 @@ _FOLDED = f"{_LATTICE} | mirror(mode='fold')"
 _RIVALS = {_LATTICE, _FOLDED, _PAIRS}
 # Causes that concern the sets of a sampler, not g
 _OF_SETS = {"deterministic-set", "few-realizations", "correlated-replicates"}
-# Causes at which lattices are tried, as they are for a smooth g
+# Causes for which the profile tries lattices. It also tries them for smooth g
 _GAINED = {
     "kink",
     "cusp",
@@ -880,9 +880,9 @@ def _replicates(points: Sequence[Array], estimates: Array) -> Replicates:
 @final
 @dataclass(frozen=True)
 class _FoundSampler:
-    """A candidate with the count of points at the budget, and its variance there.
+    """A candidate sampler with its number of points n at the budget, and its variance at n.
 
-    `variance` has the error of its logarithm.
+    `variance` is a pair: the variance, and the error of its logarithm.
     """
 
     candidate: Candidate

@@ -114,7 +114,7 @@ def _unit(module: Any, word: Any) -> Any:
 @final
 @dataclass(frozen=True)
 class NetPoints:
-    """Points 0 … count−1 of scrambled nets: realizations with given numbers of each stream.
+    """Points 0 … count−1 of scrambled nets, for given realizations of each random stream.
 
     They are the points of ``owen(method='hash')``, rounded down to float32. Streams are given by
     their keys, uint64 (S,), and numbers are uint32 (R,).

@@ -527,7 +527,10 @@ class _Strata:
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Grid:
-    """Values on a midpoint grid, with the points' power or gains; random points by default."""
+    """Values on a midpoint grid, and the power or the gains of the points of the sampler.
+
+    Without power and gains, the points are random.
+    """
 
     method: str
     count: int
@@ -583,7 +586,9 @@ Prediction: TypeAlias = _Strata | _Grid
 
 
 def _student(squares: Array) -> Array:
-    """Quantile of Student's t over the normal quantile, for the sum of squares (J, P) over strata.
+    """Return the ratio of the quantile of Student's t to the normal quantile, for each pixel.
+
+    The variance of a pixel is the sum of its `squares` (J, P) over the J strata.
 
     If one stratum has nearly all of the sum, its standard error has one degree of freedom.
     """

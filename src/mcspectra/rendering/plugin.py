@@ -438,7 +438,7 @@ class LaneState:
 
 
 MOST_SAMPLES = 2**16
-"""Maximum samples per pixel, for which the fewest sets fill a table of the largest size."""
+"""Maximum samples per pixel: a table of the largest size then holds the fewest allowed sets."""
 
 _MOST_NUMBERS = 2**27  # maximum number of values in one table: 512 MiB
 _FEWEST_SETS = 509  # prime number of sets; further requests of a pixel reuse its first sets

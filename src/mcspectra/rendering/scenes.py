@@ -452,7 +452,7 @@ def _built(request: str | Path | DictScene, _state: Hashable = None) -> Any:
     if found is None:
         return scene
     part, reason = found[0], mitsuba_reason(found[1])
-    # Dr.Jit traces its materials with those of every other scene as long as they exist.
+    # Delete the scene: while its materials exist, Dr.Jit traces them for every other scene.
     del scene, found
     gc.collect()
     raise ParameterError(
@@ -660,7 +660,7 @@ def referenced_files(
 
     @functools.cache
     def places(name: str, where: tuple[Path, ...], named_in: str) -> list[Path]:
-        """Return the places of files with this name; with a trust, each must be inside."""
+        """Return the paths of files with this name; `trust`, if given, must allow each path."""
         beside = [place for folder in where if (place := _regular(folder / name, first))]
         if not beside and (elsewhere := _regular(here / name, first)):
             beside = [elsewhere]

@@ -114,7 +114,10 @@ def _against(found: dict[str, Any]) -> Iterator[str]:
 
 
 def _doubts(found: dict[str, Any]) -> Iterator[str]:
-    """Warn about the reliability of the numbers, for the largest sample count with a problem."""
+    """Yield warnings about unreliable numbers.
+
+    Each kind of problem is reported once, for the largest sample count at which it occurs.
+    """
     last = len(found["samples"]) - 1
     for k in range(last, -1, -1):
         if pair := found["related"][k]:

@@ -445,7 +445,7 @@ def _share(values: Array, label: int) -> float:
 
 
 def _sentences(summary: Mapping[str, Any]) -> Iterator[str]:
-    """Yield the parts of the scene that were not measured, and the shares of pixels in words."""
+    """Yield sentences: which parts of the scene were not measured, and fractions of pixels."""
     if summary.get("scene_note"):
         yield summary["scene_note"]
     if math.isfinite(summary.get("bottleneck", {}).get("bsdf", math.nan)):

@@ -204,7 +204,7 @@ def write_cards(
         cards.append(measure_card(spec, effort=effort, rng=rng))
     report("cards", 1.0)
     root = Path(folder)
-    # Write the numbers for programs
+    # Write the numbers to a machine-readable file
     numbers = [
         {
             "name": card.name,
@@ -353,7 +353,7 @@ def _card_plot(card: Card) -> Plot:
 
 
 def _card_facts(card: Card) -> list[tuple[str, str]]:
-    """Return the facts of a card as pairs of a name and a text."""
+    """Return the properties of a sampler for its card, as pairs (label, text)."""
     step = card.randomized.rpartition(" | ")[2]
     measured = f" (randomized by {step})" if card.randomized not in ("", card.spec) else ""
     rates = card.rates

@@ -227,7 +227,7 @@ def mean_and_error(values: Array) -> tuple[Array, Array]:
 
 
 def slope(counts: Sequence[int], variances: Array) -> float:
-    """Return the exponent of the variances in the counts, fitted with equal weights."""
+    """Return the slope of log variance against log count, fitted with equal weights."""
     return float(np.polyfit(np.log(counts), np.log(variances), 1)[0])
 
 
@@ -239,7 +239,7 @@ def rate_text(curve: xr.Dataset) -> str:
 def rate_claim(
     statement: str, curve: xr.Dataset, expected: float, tolerance: float = 0.0, note: str = ""
 ) -> Claim:
-    """Return a claim on the rate of one curve of `mcspectra.convergence`."""
+    """Return the claim that a curve of `mcspectra.convergence` has the expected rate."""
     shown = number(expected, 2)
     return Claim(
         statement,
@@ -273,7 +273,7 @@ def pixel_rate(statement: str, curve: xr.Dataset, expected: float) -> Claim:
 def normal_limit(count: int, freedom: int = 0) -> float:
     """Return the limit of the largest of `count` normal errors at the level of one finding.
 
-    With degrees of freedom, the errors are Student variables.
+    If the degrees of freedom are given, the errors follow Student's t distribution.
     """
     from scipy.special import ndtri, stdtrit
 

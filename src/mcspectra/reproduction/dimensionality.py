@@ -137,7 +137,10 @@ def bell_terms(
     *,
     matrix: bool = False,
 ) -> xr.Dataset:
-    """Return the terms of the bell with ANOVA bands; `size` is (number of points, half width)."""
+    """Return the variance terms of the Gaussian `BELL` for one sampler, with ANOVA bands.
+
+    `size` is (number of points, half width).
+    """
     n, half_width = size
     return mcs.variance_terms(
         mcs.integrand(BELL, dims),

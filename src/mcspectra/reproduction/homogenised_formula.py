@@ -103,7 +103,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def terms(name: str, realizations: int, seed: int) -> xr.Dataset:
-    """Return the terms for the bell."""
+    """Return the variance terms of the integrand `BELL` for one sampler."""
     return mcs.variance_terms(
         BELL, name, N, half_width=HALF_WIDTH, realizations=realizations, rng=seed
     )

@@ -53,14 +53,16 @@ class TermsCase:
         return mcs.Estimator(self.integrand, _density(self.amplitude) if self.amplitude else None)
 
     def terms(self, realizations: int, seed: int) -> xr.Dataset:
-        """Estimate the terms with the half width that the integrand needs."""
+        """Estimate the variance terms; discontinuous integrands get more frequencies."""
         wide = _MANY if self.function in ("line", "bar") else _FEW
         return mcs.variance_terms(
             self.estimator, self.sampler, N, half_width=wide, realizations=realizations, rng=seed
         )
 
     def exact_random(self) -> tuple[float, float, float]:
-        """Return the exact terms of random points, by midpoint sums of periodic functions.
+        """Return the exact variance terms for random points.
+
+        The integrals are midpoint sums of periodic functions.
 
         N times the terms are I² (∫1/p − 1), ∫1/p (∫f² − I²), and Cov(f², 1/p) for uniform x.
         """

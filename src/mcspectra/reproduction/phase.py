@@ -175,7 +175,10 @@ def bar_terms(offset: float, realizations: int, seed: int) -> xr.Dataset:
 
 
 def smooth() -> mcs.Integrand:
-    """Return bar + cosine; the cosine has variance even if edges at borders of strata do not."""
+    """Return the indicator of an interval plus a cosine.
+
+    Edges at borders of strata add no variance, but the cosine always adds variance.
+    """
 
     def f(x: Array) -> Array:
         return np.asarray((np.abs(x[..., 0] - 0.5) < 0.25) + np.cos(2 * np.pi * x[..., 0]))

@@ -333,7 +333,7 @@ class Randomization(Component, ABC):
     debiases: ClassVar[bool] = False
     """Whether every randomized point is uniform, whatever its law was before."""
     fixed: ClassVar[bool] = False
-    """Whether identical realizations remain identical."""
+    """Whether the realizations remain identical if all input realizations are identical."""
     pointwise: ClassVar[bool] = False
     """Whether each point moves independently of the others, so that sequences remain sequences."""
     independent: ClassVar[bool] = True

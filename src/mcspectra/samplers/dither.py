@@ -281,8 +281,8 @@ class LowDiscrepancyBlueNoise(PlaneSampler, OptimisedSampler):
     Notes
     -----
     The set has one point in each cell, and one in each n-th of either axis. It also has one point
-    in each interval of area 1/n that is 2^j cells long, with 2^j ≥ chunk, and a 2^j-th of a cell
-    wide; chunk = 2 makes a (0,2)-net. The points are uniform over cells and along each axis, but
+    in each interval that is 2^j cells long and 2^−j cells wide, for all 2^j ≥ chunk;
+    chunk = 2 makes a (0,2)-net. The points are uniform over cells and along each axis, but
     slightly less so within cells. Add shift for unbiased means.
 
     The blue-noise set is a jittered set, relaxed within its cells until Gaussians of half a cell's
@@ -359,8 +359,9 @@ def _relax_in_cells(k0: np.uint64, k1: np.uint64, number: int, step: float, poin
 
 @kernel
 def _snap_line(low: int, chunk: int, line: int, positions: Array, out: Array) -> None:
-    # Assign one of the s intervals of a line's width to each cell of the line. `positions` (s,) are
-    # the points of the cells across the line; out (s,) has the intervals. The digits of `low` shift
+    # Divide the width of a line of s cells into s intervals, and assign one interval to each cell.
+    # `positions` (s,) are the coordinates of the cells' points across the line. `out` (s,) gets
+    # the index of each cell's interval. The digits of `low` shift
     # those of a van der Corput sequence.
     side, digits = positions.size, 0
     while chunk << digits < side:

@@ -313,7 +313,7 @@ class Mirror(Randomization):
         return Mirrored(n=n, dims=law.dims, inner=law, mode=self.mode)  # type: ignore[arg-type]
 
     def count_inside(self, sampler: Sampler, n: int) -> int:
-        """Return the number of points that have n mirror images in the uniform mode."""
+        """Return the number of points before mirroring: the uniform mode makes n images of them."""
         return n // self._images(sampler)
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:

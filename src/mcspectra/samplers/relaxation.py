@@ -201,7 +201,7 @@ def transport_cost(points: object) -> float:
         distances = np.sort(x[:, 0]) - (np.arange(n) + 0.5) / n
         return float(distances.var() + 1.0 / (12.0 * n * n))
 
-    sites, _, counts = distinct_points(x)  # equal points have one cell
+    sites, _, counts = distinct_points(x)  # equal points share one cell
     masses = counts / n
     weights, diagram = kernels.balance(
         sites, np.zeros(len(sites)), masses, _EXACT, _NEWTON, _MOST_WORK

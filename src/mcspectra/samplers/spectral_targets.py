@@ -79,7 +79,7 @@ class _MatchedSampler(PlaneSampler, OptimisedSampler):
 @final
 @dataclass(frozen=True, kw_only=True)
 class StepBlueNoise(_MatchedSampler):
-    """Points without power below a cutoff frequency and flat power above it; 2-D.
+    """Points in 2-D with zero power below a cutoff frequency and constant power above it.
 
     Attributes
     ----------

@@ -50,7 +50,10 @@ __all__ = [
 ]
 
 Coefficients = Callable[[Array, "Array | None"], Array]
-"""Function of points (R, n, d) and weights (R, n), None for 1/n each, to S (R, stored)."""
+"""Function that returns the coefficients S (R, stored) of weighted points.
+
+Its arguments are points (R, n, d) and weights (R, n), or None if each weight is 1/n.
+"""
 
 
 @dataclass(frozen=True)
@@ -268,11 +271,11 @@ def make_basis(name: str, dims: int, half_width: int) -> Basis:
 def fitting_basis(law: Law, half_width: int) -> str:
     """Return the name of a basis that fits the last randomization of a sampler.
 
-    Fourier fits shifts, and sets whose law is invariant under translations. Walsh fits
-    randomizations of binary digits, if the half width is a power of two. For mirrored points,
-    cosine fits if a shift came before; otherwise Walsh fits, because reflections and folding
-    permute Walsh functions up to signs. In all these cases the cross term vanishes (for strata only
-    if their number per side is 2^k).
+    The Fourier basis fits shifts, and sets whose law is invariant under translations. The Walsh
+    basis fits randomizations of binary digits, if the half width is a power of two. For mirrored
+    points, the cosine basis fits if a shift came before. Otherwise the Walsh basis fits, because
+    reflections and folding permute Walsh functions up to signs. In all these cases the cross
+    term vanishes (for strata only if their number per side is 2^k).
 
     In all other cases cosine is a compromise. For smooth functions and jittered sets its cross term
     is small, and the sum over m converges fast because it has no boundary term. For discontinuous

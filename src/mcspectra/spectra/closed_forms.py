@@ -486,7 +486,10 @@ def _scrambled_digits(base: int) -> int:
 
 
 def _levels(x: Array, base: int) -> int:
-    """Return the number of digits that distinguishes all coordinates; scrambled digits at most."""
+    """Return the least number of digits that distinguishes all coordinates.
+
+    It is at most the number of scrambled digits.
+    """
     most = _scrambled_digits(base)
     different = len(np.unique(x))
     for level in range(most):
@@ -660,7 +663,7 @@ class _StrataAxis:
     weights: Array
 
     def mean_product(self, of: Callable[[Array], Array], m: Array, other: Array) -> Array:
-        """Return the weighted mean over the starts of `of` at m times its conjugate at `other`."""
+        """Return the weighted mean over the starts of `of(m)` times the conjugate `of(other)`*."""
         known, back = np.unique(np.stack([m, other]), return_inverse=True)
         row, column = back.reshape(2, -1)
         if float(self.starts.size) * max(row.size, known.size * self.sides) > _MAX_STRATA_WORK:

@@ -93,8 +93,8 @@ def gain_coefficients(
 def gains_at(net: Fixed, bases: Sequence[int], levels: int) -> Array:
     """Return the gains (levels + 1, …) of a set that is scrambled in the given bases.
 
-    Gains are differences of agreement counts along each axis. Raises the errors of
-    `gain_coefficients`.
+    The gains are computed from differences, along each axis, of the numbers of pairs that agree.
+    Raises the errors of `gain_coefficients`.
     """
     gains = net.agreements(bases, levels)
     for axis, base in enumerate(bases):

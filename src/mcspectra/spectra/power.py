@@ -398,7 +398,7 @@ class PowerSums:
 
     @staticmethod
     def zeros(size: int, mean: bool) -> PowerSums:
-        """Return sums of zero, to which realizations are added."""
+        """Return sums that are initialized to zero, before the first realization is added."""
         return PowerSums(MeanSums.zeros(size), np.zeros(size, np.complex128) if mean else None)
 
     def take(self, s: Array) -> None:

@@ -567,7 +567,7 @@ def _shown(value: Any) -> str:
 
 
 def _complaints(e: EstimatorConfig) -> Iterator[str]:
-    """Yield errors in the keys of an estimator, as the rest of a sentence."""
+    """Yield errors in the keys of an estimator; each text is the predicate of a sentence."""
     several = e.densities is not None or e.integrands is not None
     if (e.integrand is None) == (e.integrands is None):
         yield "needs either integrand or integrands."

@@ -622,7 +622,7 @@ class Ledger:
             self.commit()
 
     def _result(self, path: str, payload: bytes, digest: bytes, text: str) -> _Change:
-        """Return the change that stores a result and scalars and drops the cell's task states."""
+        """Return a change that stores a cell's result and scalars and drops its task states."""
         put = (
             (_PUT_RESULT, (payload, path)),
             (_PUT_DIGEST, (digest, path)),
@@ -1254,7 +1254,7 @@ def _writing(
     kind: type[StoreError] = StorageError,
     remedy: str = "",
 ) -> Iterator[None]:
-    """Turn an error that prevents writing into one sentence; by default advise on a ledger."""
+    """Turn an error of writing into one sentence; the default advice is about ledgers."""
     try:
         yield
     except (OSError, sqlite3.Error, MemoryError) as error:

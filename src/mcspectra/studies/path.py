@@ -243,7 +243,8 @@ def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | No
         The pixel.
     paths
         Number of random paths, each followed once per light. The first 1024 are the pilot that sets
-        the selection. As many other paths measure its gain.
+        the selection. The same number `paths` of new paths
+        measures the gain of the selection.
     stream
         Random numbers.
 

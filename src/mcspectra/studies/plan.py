@@ -312,7 +312,7 @@ class _Planner:
             if id(table) not in self._vetted:  # Tables live as long as the study, so ids are unique
                 analysis, inputs = self.vetting.options(table)
                 vetted = [(name, analysis, inputs)]
-                for other in analysis.companions:  # Companions get the shared options
+                for other in analysis.companions:  # Same options for each companion analysis
                     kind = ANALYSES.load(other)
                     shared = {*kind.__struct_fields__} & {*analysis.__struct_fields__}
                     made = kind(**{key: getattr(analysis, key) for key in shared})

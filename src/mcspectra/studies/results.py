@@ -117,8 +117,8 @@ class StudyStatus(msgspec.Struct, frozen=True, kw_only=True):
     done, missing
         Paths of finished and of missing cells.
     failed, damaged
-        Error or damage sentences by path of a cell. Damage of tasks and other parts is included;
-        their names contain blanks.
+        Sentences that describe errors or damage, by path of the cell. Damage of tasks and other
+        parts is included; their names contain blanks.
     recorded
         Number of task states of unfinished cells.
     results_bytes, ledger_bytes

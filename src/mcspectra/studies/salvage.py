@@ -29,7 +29,7 @@ class Leaves:
     Parameters
     ----------
     file
-        Path of the file. It is opened until `close` and not changed.
+        Path of the file. It stays open until `close` is called, and it is not changed.
     size
         Page size in bytes.
     """

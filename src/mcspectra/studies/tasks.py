@@ -94,7 +94,7 @@ class Outcome:
     payload
         The same as bytes, if another process computed it.
     error
-        Reason of a failure as one sentence; then `state` and `payload` are None.
+        Sentence why the task failed. If it failed, `state` and `payload` are None.
     seconds
         Run time of the task in seconds.
     host

@@ -88,7 +88,8 @@ class Vetting:
     def sampler(self, text: str) -> tuple[list[Call], Inputs]:
         """Parse the spec of a sampler as in `calls`; a sampler that runs code must be allowed.
 
-        Programs and modules of functions become inputs; a program's path starts in the folder.
+        Programs and modules of functions are recorded as inputs. Relative paths of programs are
+        relative to the folder of the study.
 
         Raises
         ------
@@ -218,7 +219,10 @@ class Vetting:
 
 
 def _sources(name: str, found: object) -> dict[Path, str]:
-    """Return the modules that a function was named in and defined in, without their imports."""
+    """Return the files of the modules that name and define a function.
+
+    Modules that these modules import are not included.
+    """
     module = name.partition(":")[0]
     modules = {module, str(getattr(found, "__module__", module))}
     sources = {each: getattr(sys.modules.get(each), "__file__", None) for each in modules}

@@ -419,7 +419,7 @@ def _ratio(above: Array, below: Array) -> tuple[float, float, float]:
 
 
 def _better_rival(goal: Objective, made: Sampler, n: int, stream: Stream) -> tuple[Sampler, str]:
-    """Return a rival with less variance than the design, and a sentence; else the design."""
+    """Return the design, or a standard sampler with less variance and a sentence about it."""
     realizations = _SETTINGS.check_realizations
     members = _SETTINGS.check_evaluations // (n * realizations)
     members = min(_SETTINGS.check_members, max(_SETTINGS.groups, members))

@@ -132,7 +132,7 @@ def _read(given: Any, dims: int | None) -> Objective:
         # Give each part the same share. A list of single integrands is the whole class
         if not given:
             raise ParameterError("The objective is an empty list; give one integrand at least.")
-        # Specs take the dims of the other parts
+        # Integrands given as text get the number of dims from the other integrands
         dims = dims or _read(min(given, key=lambda part: isinstance(part, str)), None).dims
         parts = [_read(part, dims) for part in given]
         if len(parts) == 1:

@@ -115,7 +115,8 @@ class SearchSettings:
     # Number of cells of the grid. The number of sets of n points is cells/n, at least 16.
     # The ratio of strata is 0.033, 0.031 and 0.033 for half, once and twice as many cells.
     cells: int = 2**16
-    # Number of features of the covariance, or n if n is larger, up to twice this setting.
+    # Number of features of the covariance. For more points than this, n features are used,
+    # but at most twice this setting.
     # The ratio of strata is 0.031 for half or twice as many features.
     features: int = 160
     # Number of exchanges of cells that are tried in a round. The ratio of strata is 0.035, 0.031
@@ -148,9 +149,11 @@ class SearchSettings:
 
 
 class Design(NamedTuple):
-    """A sampler from a search: expected variance, completed fraction of the search, and maker.
+    """A sampler that a search found.
 
-    `make` takes the path of a .npz file, and writes this file if the sampler needs a file.
+    `variance` is its expected variance, and `done` is the completed fraction of the search.
+    `make` returns the sampler. It takes the path of a .npz file, and writes
+    this file if the sampler needs a file.
     """
 
     variance: float
