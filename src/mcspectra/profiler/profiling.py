@@ -628,10 +628,11 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     rival, left = _rival(evidence, causes), budget - calls
     rival = rival if rival != given.spec else ""
     jumps, nets = _shape(causes) in _JUMPS, CAUSE_SETTINGS.nets
-    least = [_SETTINGS.least_checked * offer.setup.cost * nets for offer in offers]
     if jumps:
-        left -= next((n if n <= left // 2 else n // 2 for n in least if n // 2 <= left), 0)
-    elif any(n <= left // 2 for n in least):
+        left -= next(
+            (n * sets * o.setup.cost for o in offers for n, sets in [_paid(o, left)] if n), 0
+        )
+    elif any(_SETTINGS.least_checked * o.setup.cost * nets <= left // 2 for o in offers):
         left //= 2
     enough = _is_smooth(causes) or left >= 2 * _SETTINGS.lattice_sets * _SETTINGS.least_checked
     if rival and not enough:
@@ -1052,6 +1053,17 @@ def _offers(
     removes = first.get(shape, "-")
     offers.sort(key=lambda offer: (not offer.name.startswith(removes), offer.ratio))
     return offers
+
+
+def _paid(offer: Candidate, left: int) -> tuple[int, int]:
+    """Return the points and the nets with which `left` evaluations measure the removal of a jump.
+
+    Half of the nets are used if all of them would leave too few evaluations for another change.
+    """
+    nets, least = CAUSE_SETTINGS.nets, _SETTINGS.least_checked
+    nets = nets if left >= 2 * least * offer.setup.cost * nets else nets // 2
+    n = affordable_count(offer.setup, left // nets) or 0
+    return (n, nets) if n >= least else (0, nets)
 
 
 def _improved(
