@@ -226,7 +226,7 @@ def test_the_quick_start_quotes_the_captured_shares():
     words = re.sub(r"\s+", " ", page)
     (fourier,) = re.findall(r"still ([\d.]+) times the measured variance", words)
     (wide,) = re.findall(r"([\d.]+) times with a half width of 512", words)
-    (cosine,) = re.findall(r"basis is there at 64, with ([\d.]+\d)", words)
+    (cosine,) = re.findall(r"cosine basis, a half width of 64 gives ([\d.]+\d) times", words)
     code = re.findall(r"^(estimator|terms) = (.*)$", page, re.MULTILINE)
     names = {"mcs": mcs}
     for name, expression in code:
