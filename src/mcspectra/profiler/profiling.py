@@ -1083,6 +1083,7 @@ def _improved(
     """
     estimator, jumps = evidence.estimator, _shape(causes) in _JUMPS
     found, tried, calls, least = list[_FoundSampler](), list[str](), 0, _SETTINGS.least_checked
+    grows = any(cause.name in {"border-growth", "heavy-tail"} for cause in causes)
     for offer in offers:
         each, wanted = offer.setup.cost, CAUSE_SETTINGS.nets
         if jumps and not tried:  # half the nets if all of them would leave too few evaluations
@@ -1116,7 +1117,10 @@ def _improved(
         error = math.hypot(error, 0.5 * math.log(value / kept)) if value > 0.0 < kept else error
         after = math.sqrt(value * kept)
         sure = math.exp(-CONFIDENCE_Z * math.hypot(ours_se, other_se))
-        better = ours < other * sure and after < at_best
+        # Small sets underestimate a variance with unresolved tails, so the gain at the budget must
+        # exceed half of its error
+        doubt = math.exp(0.5 * error) if grows else 1.0
+        better = ours < other * sure and after * doubt < at_best
         own = replace(offer, change=f"{offer.change}, and sample with {NETS}")
         measured = (after, error)
         found.append(
