@@ -120,6 +120,11 @@ class ProfileSettings:
     # −1.5 or −3; the RMSE after one change differed by a factor of up to 1.9.
     few_points: int = 16
     steepest_rate: float = -2.0
+    # Number of errors of the log variance by which a change must be better at the budget if g grows
+    # at the border or has a heavy tail. In 112 profiles of 4096 evaluations (seven such functions
+    # with two samplers and eight seeds), 0 of 88 recommendations had a larger variance than the
+    # given set-up with 1, 1 of 99 with 0.5, and 5 of 109 with 0.
+    tail_errors: float = 1.0
     # Number of sets of a lattice at each count: fewer, because the remaining budget is small and
     # rates of lattices change with n.
     lattice_sets: int = 10
@@ -629,9 +634,8 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     rival = rival if rival != given.spec else ""
     jumps, nets = _shape(causes) in _JUMPS, CAUSE_SETTINGS.nets
     if jumps:
-        left -= next(
-            (n * sets * o.setup.cost for o in offers for n, sets in [_paid(o, left)] if n), 0
-        )
+        paid = ((offer, *_paid(offer, left, last=offer is offers[-1])) for offer in offers)
+        left -= next((n * sets * offer.setup.cost for offer, n, sets in paid if n), 0)
     elif any(_SETTINGS.least_checked * o.setup.cost * nets <= left // 2 for o in offers):
         left //= 2
     enough = _is_smooth(causes) or left >= 2 * _SETTINGS.lattice_sets * _SETTINGS.least_checked
@@ -1055,13 +1059,15 @@ def _offers(
     return offers
 
 
-def _paid(offer: Candidate, left: int) -> tuple[int, int]:
+def _paid(offer: Candidate, left: int, *, last: bool) -> tuple[int, int]:
     """Return the points and the nets with which `left` evaluations measure the removal of a jump.
 
-    Half of the nets are used if all of them would leave too few evaluations for another change.
+    Half of the nets are used if all of them would take too many evaluations, or would leave too
+    few for another change. The number of points is 0 if `left` is too small.
     """
     nets, least = CAUSE_SETTINGS.nets, _SETTINGS.least_checked
-    nets = nets if left >= 2 * least * offer.setup.cost * nets else nets // 2
+    changes = 1 if last else 2
+    nets = nets if left >= changes * least * offer.setup.cost * nets else nets // 2
     n = affordable_count(offer.setup, left // nets) or 0
     return (n, nets) if n >= least else (0, nets)
 
@@ -1086,11 +1092,11 @@ def _improved(
     grows = any(cause.name in {"border-growth", "heavy-tail"} for cause in causes)
     for offer in offers:
         each, wanted = offer.setup.cost, CAUSE_SETTINGS.nets
-        if jumps and not tried:  # half the nets if all of them would leave too few evaluations
-            others = 2 if offer is not offers[-1] else 1
-            wanted = wanted if left >= others * least * each * wanted else wanted // 2
-        n = affordable_count(offer.setup, (left - calls) // wanted)
-        if n is None or n < least:
+        if jumps and not tried:
+            n, wanted = _paid(offer, left, last=offer is offers[-1])
+        else:
+            n = affordable_count(offer.setup, (left - calls) // wanted) or 0
+        if n < least:
             continue
         tried.append(offer.name)
         calls += n * wanted * each
@@ -1117,9 +1123,8 @@ def _improved(
         error = math.hypot(error, 0.5 * math.log(value / kept)) if value > 0.0 < kept else error
         after = math.sqrt(value * kept)
         sure = math.exp(-CONFIDENCE_Z * math.hypot(ours_se, other_se))
-        # Small sets underestimate a variance with unresolved tails, so the gain at the budget must
-        # exceed half of its error
-        doubt = math.exp(0.5 * error) if grows else 1.0
+        # Small sets underestimate a variance with unresolved tails
+        doubt = math.exp(_SETTINGS.tail_errors * error) if grows else 1.0
         better = ours < other * sure and after * doubt < at_best
         own = replace(offer, change=f"{offer.change}, and sample with {NETS}")
         measured = (after, error)
