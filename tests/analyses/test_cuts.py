@@ -100,9 +100,13 @@ def test_cuts_and_threads_change_nothing(case, monkeypatch):
         sizes.append(len(blocks))
         return parallel.map_in_order(work, blocks, threads)
 
+    kind, needs = type(analysis), []
+    need = kind.need
+    monkeypatch.setattr(kind, "need", lambda *given: needs.append(given) or need(*given))
     monkeypatch.setattr(core_analysis, "map_in_order", counted)
     one, two = (compute(analysis, subject, 3, workers) for workers in (1, 2))
     assert max(sizes) >= 5
+    assert len(needs) == 2  # The need is computed once for each of the two
     xr.testing.assert_identical(one, two)
 
 

@@ -26,7 +26,6 @@ from mcspectra.core.analysis import (
     compute_chunk,
     finished,
     in_step,
-    steps_of,
     whole,
 )
 from mcspectra.core.errors import (
@@ -298,13 +297,11 @@ def test_the_state_of_an_indivisible_computation_is_its_dataset():
         variables: ClassVar = ("variance",)
 
         def reduction(self, subject, stream):
-            return whole(_small, cost=3.0)
+            return whole(_small)
 
     found = Whole().reduction(SUBJECT, Stream.from_rng(0))
-    assert (found.blocks, found.cost) == (1, 3.0)
+    assert found.blocks == 1
     xr.testing.assert_identical(compute(Whole(), SUBJECT, rng=1, workers=2), _small())
-    steps = steps_of(Whole(), SUBJECT, Stream.from_rng(0))
-    assert [each.cost for each in next(steps)] == [3.0]
 
 
 def test_the_seed_is_an_attribute_of_a_reproducible_result():

@@ -340,7 +340,7 @@ class Reduction(Generic[State]):
     blocks
         Number of atomic blocks.
     cost
-        Work of all blocks, in the units of `Need.cost`.
+        Work of all blocks relative to the other reductions of the step, for the progress bar.
     key
         Name that is unique within the analysis; it identifies stored states.
     result
@@ -359,13 +359,11 @@ Steps: TypeAlias = "Generator[list[Reduction[Any]], list[Any], xr.Dataset]"
 """Yields reductions of a step, receives their merged states in order, and returns the result."""
 
 
-def whole(function: Callable[[], xr.Dataset], cost: float = 1.0) -> Reduction[xr.Dataset]:
+def whole(function: Callable[[], xr.Dataset]) -> Reduction[xr.Dataset]:
     """Return an indivisible computation as a reduction of one block; its state is the dataset."""
     import xarray as xr
 
-    return Reduction(
-        kind=xr.Dataset, block=lambda _: function(), cost=cost, result=lambda state: state
-    )
+    return Reduction(kind=xr.Dataset, block=lambda _: function(), result=lambda state: state)
 
 
 def needed(analysis: Analysis, subject: Subject) -> Need:

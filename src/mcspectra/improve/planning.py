@@ -194,7 +194,7 @@ class Plan(Counted, frozen=True, kw_only=True):
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[xr.Dataset]:
         """Plan in one block, because each step of the search depends on the previous step."""
-        return whole(lambda: self._planned(subject, stream), self.need(subject).cost)
+        return whole(lambda: self._planned(subject, stream))
 
     def _planned(self, subject: Subject, stream: Stream) -> xr.Dataset:
         estimator, samplers = subject.estimator, subject.samplers

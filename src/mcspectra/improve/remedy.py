@@ -133,14 +133,17 @@ class Remedies(Counted, frozen=True, kw_only=True):
                 "of more counts."
             )
         tries = 1 + _SETTINGS.tries * len(self._kinds)
-        evaluations = self.realizations * given.cost * sum(counts)
-        if given.is_black_box:  # The diagnosis may take the same number of evaluations again
-            evaluations += self.budget * self.realizations
         return Need(
             cost=float(self.budget * self.realizations * tries) * ratio / (ratio - 1),
             memory=memory_of(self.budget, subject.estimator.dims) + 16 * tries * self.realizations,
-            evaluations=evaluations,
+            evaluations=self._evaluations(given),
         )
+
+    def _evaluations(self, given: Setup) -> int:
+        """Return the evaluations of the given set-up and of the diagnosis of a user's function."""
+        measured = given.cost * sum(_affordable(given, self.budget).values())
+        diagnosed = self.budget if given.is_black_box else 0
+        return self.realizations * (measured + diagnosed)
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Trials]:
         """Measure the given set-up, then the changes, one kind after another."""
@@ -150,7 +153,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         search = Budget(self.budget, self.realizations, stream.child(_SEARCH))
         # Divide the evaluations that the given set-up leaves equally among the kinds
         limit = self.max_evaluations
-        first = self.need(subject).evaluations
+        first = self._evaluations(given)
         share = None if limit is None else max(1, (limit - first) // len(self._kinds))
 
         def of_kind(index: int) -> _Trials:
@@ -202,7 +205,6 @@ class Remedies(Counted, frozen=True, kw_only=True):
             kind=_Trials,
             block=of_kind,
             blocks=1 + len(self._kinds),
-            cost=self.need(subject).cost,
             result=result,
         )
 

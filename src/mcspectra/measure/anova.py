@@ -401,8 +401,7 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
                 power=found.power,
             )
 
-        cost = self.need(subject).cost
-        return Reduction(kind=_Batches, block=batch, blocks=batches, cost=cost, result=result)
+        return Reduction(kind=_Batches, block=batch, blocks=batches, result=result)
 
 
 def anova_variances(

@@ -205,7 +205,6 @@ class Modes(Counted, frozen=True, kw_only=True):
                 kind=CovarianceProduct,
                 block=batch,
                 blocks=-(-len(blocks) // group),
-                cost=self.need(subject).cost / self.passes,
                 key=str(number),
             )
 

@@ -226,7 +226,6 @@ class Terms(Counted, frozen=True, kw_only=True):
             kind=list[TermSums],
             block=block,
             blocks=len(blocks),
-            cost=self.need(subject).cost,
             result=result,
         )
 

@@ -202,7 +202,7 @@ class Profiling(Analysis, frozen=True, kw_only=True):
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[xr.Dataset]:
         """Run in one block, because later steps depend on earlier results."""
-        return whole(lambda: _profiled(subject, self.budget, stream).dataset, self.budget)
+        return whole(lambda: _profiled(subject, self.budget, stream).dataset)
 
 
 @final

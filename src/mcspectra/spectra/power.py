@@ -343,7 +343,7 @@ class Points(_OfPointSets, frozen=True, kw_only=True):
                 {"axis": np.arange(source.dims)},
             )
 
-        return whole(points, self.n)
+        return whole(points)
 
 
 def _warped(subject: Subject) -> tuple[Sampler, Density | None]:
