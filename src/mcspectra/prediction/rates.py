@@ -69,7 +69,7 @@ class DecaySettings:
     ----------
     octaves
         Number of octaves of |m| at the end of the spectrum that the line is fitted to.
-        Two octaves give the same exponents to 0.15 for 12 test functions, with intervals twice as wide.
+        For 12 test functions, two octaves give the same exponents to 0.15 and double the intervals.
         With four, a Gaussian of width 0.1 appears to decay like |m|^-12 instead of |m|^-5.
     least_shells
         Least number of shells of half an octave in a fit. Fewer shells leave no scatter.
@@ -159,7 +159,7 @@ class LimitSettings:
     late
         Number of octaves at the end of a curve whose slope estimates the limit.
         Values from 2 to 4 give the same results.
-        With 8 octaves the limits of 4 curves of scrambled nets are not found, because they bend late.
+        With 8 octaves the limits of 4 curves of scrambled nets, which bend late, are not found.
     near
         A theoretical exponent closer to the slope than this is the limit.
         The distance is at most 0.4/d, because exponents are 1/d apart.
@@ -505,10 +505,10 @@ def integrand_decay(
     integrand
         f, or its spec string.
     half_width
-        K, at least 8. The slope is fitted over the last three octaves up to |m| = K.
+        The slope is fitted over the last three octaves up to |m| = K. K is at least 8.
         The default is 512 in 1-D and 64 in more dims.
         In 1-D this finds a jump anywhere to ±0.06.
-        In more dims, jumps along the axes can have larger errors; see the interval of `fitted_decay`.
+        In more dims, jumps along the axes can have larger errors; see `fitted_decay`.
     max_evaluations
         Maximum number of evaluations of a user's function. More evaluations raise BudgetError.
 
