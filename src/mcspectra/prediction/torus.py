@@ -113,7 +113,7 @@ class TorusSettings:
     shells
         Number of shells of the box, each √2 wide, whose power tests whether the tail is white.
         The shells begin at an eighth of the half width.
-        Halving or doubling this value changes no variance, and changes errors by factors of 0.5 to 3.
+        Halving or doubling this value changes no variance. Errors change by factors of 0.5 to 3.
     vague
         Error of ∫g² in many dims, relative to the variance, above which this method raises.
         In many dims ∫g² is a mean over 2^20 points. Sums of products compute their own error.
