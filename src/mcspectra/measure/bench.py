@@ -77,9 +77,10 @@ class BenchSettings:
     # Half widths of the spectra in 1, 2 and 3 dims, for 513, 16,641 and 68,921 frequencies.
     # Larger maps would not be printed in full. Spectra in more dims are omitted.
     half_widths: tuple[int, ...] = (256, 64, 20)
-    # Number of sets whose figures of quality are averaged. At 256 points in 2-D,
-    # single figures of scrambled nets differ by 1 to 5 %, and figures of random points by 11 to 27 %.
-    # Means of 8 sets are therefore accurate to 2 % and 10 %.
+    # Number of sets whose figures of quality are averaged.
+    # At 256 points in 2-D, single figures of scrambled nets differ by 1 to 5 %.
+    # Those of random points differ by 11 to 27 %.
+    # Means of 8 sets are therefore accurate to 2 % for nets and 10 % for random points.
     quality_sets: int = 8
     # Least number of sets for an interval of the pair correlation.
     # With 8 sets, Student's t makes the interval a fifth wider than a normal law.

@@ -108,7 +108,8 @@ def blindness(
         techniques = range(len(e.counts) if not e.is_black_box else 0)
         peaks = np.max([growth(e.primary_integrand(t)) for t in techniques], axis=0, initial=0.0)
         # n times the variance of random points, Σ_t (∫g_t² − (∫g_t)²)/counts[t].
-        # It is NaN without a closed form. If the variance may be infinite, ∫g² is computed by quadrature
+        # It is NaN without a closed form.
+        # If the variance may be infinite, ∫g² is computed by quadrature
         doubtful, of_random = bool((suspect & varies)[i].any()), np.zeros(max(1, e.channels))
         for t, count in enumerate(e.counts):
             g, unknown = e.primary_integrand(t), np.full(of_random.shape, np.nan)
