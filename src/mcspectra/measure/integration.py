@@ -211,9 +211,10 @@ def integrate(
     Raises
     ------
     ParameterError
-        If a value is out of range, the sampler is not random, or f has several channels or
-        techniques. The same holds if the budget is too small for eight replicates (eleven for a median),
-        or a median is requested without linear scrambles.
+        If a value is out of range, or the sampler is not random.
+        If f has channels or several techniques.
+        If the budget is too small for eight replicates, or for eleven replicates of a median.
+        If a median is requested without linear scrambles.
         `mcspectra.integrands.Calls` may also raise this error.
     ConfigError
         If the points and values of the budget exceed this machine's memory.
