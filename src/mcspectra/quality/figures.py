@@ -64,8 +64,8 @@ def quality_figures(
     figures
         Names from `FIGURES`. The default is all names. Figures of projections need at least 3 dims.
     realizations
-        Number of realizations. The default is 16, but 1 for a deterministic sampler,
-        and all sets of given points.
+        Number of realizations. The default is 16.
+        For a deterministic sampler it is 1. For given points it is the number of sets.
     rng
         Seed of the random numbers (SPEC 7).
     workers
