@@ -27,8 +27,8 @@ __all__ = [
 
 # Number of coefficients of a tile. The number is compiled into the kernels.
 # It has no effect on the sums.
-# The complex spectrum, coefficient, weight and two labels of a tile take 28 KiB
-# (512 · 56 bytes), which fits into a first cache of 32 KiB.
+# The arrays of a tile take 512 · 56 bytes = 28 KiB, which fits into a first cache of 32 KiB.
+# They are the complex spectrum and coefficient, the weight and two labels.
 _TILE = 512
 
 

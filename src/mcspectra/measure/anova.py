@@ -460,8 +460,8 @@ def anova_variances(
         and ``higher_order_share`` is its share.
         ``truncation_share(axes)`` is the share of the first axes.
 
-        ``effective_dimension_truncation`` and ``effective_dimension_superposition`` are the
-        effective dimensions. The latter is NaN if it exceeds `order`.
+        The effective dimensions are ``effective_dimension_truncation`` and
+        ``effective_dimension_superposition``. The latter is NaN if it exceeds `order`.
         ``mean_dimension`` is the mean of |u| weighted by c_u. ``variance`` is the whole variance.
 
         Standard errors of variances have names that end in ``_se``.

@@ -177,8 +177,8 @@ def sampler_bench(
         ``pictured_n`` is the count of the spectra.
 
         Values are NaN if a sampler does not allow the dims or the count.
-        The coordinate ``randomization`` names the randomization that was added to a sampler
-        for the measurement of variances. The attribute ``note`` also names it.
+        If a randomization was added for the measurement of variances,
+        the coordinate ``randomization`` and the attribute ``note`` name it.
 
     Raises
     ------

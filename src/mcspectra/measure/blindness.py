@@ -31,8 +31,8 @@ class BlindnessSettings:
     """Thresholds that detect estimates which missed the source of their variance."""
 
     # Share of one square in Σ (estimate − mean)² above which the tail is not resolved.
-    # In samples of 1,000 exponential numbers the largest square has 4 % (median),
-    # and 17 % once in a thousand samples. For normal numbers it has 1.2 and 2.4 %.
+    # For 1,000 exponential numbers, the median share of the largest square is 4 %.
+    # It exceeds 17 % in one of a thousand samples. For normal numbers it is 1.2 and 2.4 %.
     large_share: float = 0.2
     # Probability that the largest square of a few normal estimates exceeds its limit.
     # The limit is larger for fewer estimates.
@@ -84,7 +84,7 @@ def blindness(
     from scipy.special import gammainc, ndtr, stdtrit
 
     r = measured["realizations"]
-    # Tails get lighter with more points. A tail that is heavy at n is also heavy
+    # Tails get lighter with more points. If a tail is heavy at n, it is also heavy
     # at smaller counts, even if it was not observed there
     heavy, unresolved = (
         np.logical_or.accumulate(found[:, :, ::-1], axis=2)[:, :, ::-1]

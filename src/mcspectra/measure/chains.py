@@ -179,8 +179,9 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
     -----
     S(0) from an autoregression has a smaller error than two alternatives,
     and its interval has a coverage closer to 95 % (docs/theory.md, "Chains").
-    One alternative is the initial monotone sequence, which cannot resolve antithetic
-    or oscillating chains. The other is averages of the lowest frequencies.
+    One alternative is the initial monotone sequence.
+    It cannot resolve antithetic or oscillating chains.
+    The other alternative is averages of the lowest frequencies.
     The cost is O(n log n).
 
     Examples

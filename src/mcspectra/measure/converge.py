@@ -85,8 +85,8 @@ class StageSettings:
     step: float = 1.25
     leap: float = 4.0
     # Number of realizations without spread after which the search ends.
-    # An event with a probability of 3e-4 per realization occurs in 10,000 realizations with
-    # probability 95 %.
+    # If an event has probability 3e-4 per realization,
+    # it occurs in 10,000 realizations with probability 95 %.
     blank: int = 10_000
     # Divisor of the usual block length.
     # A thousand realizations of a thousand points then have two blocks for two threads.
@@ -422,10 +422,11 @@ def convergence(
         ``fit_chi2`` is the lack of fit per degree of freedom.
 
         A deterministic set has the variance 0 and no rate, which the attribute ``note`` reports.
-        The note also reports estimates that missed the source of their variance:
-        all estimates are equal, the tails are not resolved, or the mean is five standard errors
-        from the integral; ∫g² diverges or exceeds the value of random points;
-        or most of ∫g² lies where no sample falls (`mcspectra.estimators.tails`).
+        The note also reports estimates that missed the source of their variance.
+        The estimates may be all equal, or their tails may not be resolved.
+        Their mean may be five standard errors from the integral.
+        ∫g² may diverge, or exceed the value of random points.
+        Most of ∫g² may lie where no sample falls (`mcspectra.estimators.tails`).
 
         Tails are not resolved in three cases. One square may be a fifth or more of the variance.
         The tail index k̂ may belong to a variance that is hardly finite.
@@ -491,8 +492,8 @@ def realizations_needed(
     -------
     xarray.Dataset
         ``realizations_used`` is the number of realizations.
-        ``reached`` is 1 if the last stage confirmed the error. It is 0 if the maximum was
-        reached first, or the estimates had no spread.
+        ``reached`` is 1 if the last stage confirmed the error.
+        It is 0 if the maximum was reached first, or the estimates had no spread.
         ``variance`` has the interval ``variance_ci`` and the error ``variance_relative_se``.
         This error is NaN without spread. It is infinite if tails are not resolved,
         which the attribute ``note`` reports.

@@ -91,8 +91,9 @@ class IntegrationSettings:
     smooth functions in 2 and 4 dims, x^−½, a quarter disk and a kink.
     """
 
-    # Least number of replicates. For smooth functions, intervals of 16 replicates are
-    # 1.6 to 1.9 times as wide. Intervals of 4 replicates are as wide as intervals of 8 on average,
+    # Least number of replicates.
+    # For smooth functions, intervals of 16 replicates are 1.6 to 1.9 times as wide.
+    # Intervals of 4 replicates are as wide as intervals of 8 on average,
     # but miss events of probability 1/8 more often.
     least: int = 8
     # Least number of replicates of a median. It is odd, so that one replicate is the median.
@@ -198,9 +199,9 @@ def integrate(
         There are ``replicates`` replicates of ``n`` points each.
         ``rate`` is the rate of the variance that divides the budget, NaN if not measured.
 
-        The interval is infinite if all replicates are equal, or a few values hold most of the
-        variance. It is also infinite if f grows so fast toward a face of the cube that its variance
-        is infinite. The attribute ``note`` gives the reason.
+        The interval is infinite in three cases, and the attribute ``note`` gives the reason.
+        All replicates may be equal, or a few values may hold most of the variance.
+        The growth of f toward a face of the cube may make its variance infinite.
         Slower growth widens the interval on the side of the growth.
 
     Warns

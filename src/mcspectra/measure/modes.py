@@ -238,8 +238,7 @@ class Modes(Counted, frozen=True, kw_only=True):
         patterns = patterns.reshape(modes, techniques, *basis.shape)
         trace, size = float(diagonal.sum()), coordinates.size
         # Largest sample eigenvalue of a flat spectrum of the same trace [Marchenko1967]_.
-        # With D varying coordinates and R realizations, it is λ (1 + √(D/(R − 1)))²
-        # in the limit of large D and R
+        # With D varying coordinates and R realizations, it tends to λ (1 + √(D/(R − 1)))²
         least = _SETTINGS.rounding * diagonal.max(initial=0.0)
         varying = int(np.count_nonzero(diagonal > least))
         level = trace / varying if varying else 0.0
@@ -339,10 +338,11 @@ def covariance_modes(
         Sampling alone makes flat spectra steep,
         unless there are many more realizations than coefficients.
 
-        ``eigenvalue_residual(mode)`` bounds the numerical distance to an eigenvalue of the
-        sample covariance. ``eigenvalue_share(mode)`` is the share of the trace.
-        ``mode_contribution(mode)`` is the mode's own contribution to the variance of the
-        band-limited estimate.
+        ``eigenvalue_residual(mode)`` is a bound of the numerical error:
+        the distance to an eigenvalue of the sample covariance.
+        ``eigenvalue_share(mode)`` is the share of the trace.
+        The variance of the band-limited estimate has the part ``mode_contribution(mode)``
+        from each mode.
         ``mode_vector(mode, m0, …)`` has norm 1 over all frequencies.
         ``band_trace`` is the sum of all eigenvalues.
 
@@ -353,8 +353,8 @@ def covariance_modes(
 
     Notes
     -----
-    The analysis takes O(passes · R (n + M log M + M modes)) time for R realizations of n points
-    and M frequencies. It takes O(M modes) memory for each thread.
+    For R realizations of n points and M frequencies, the analysis takes
+    O(passes · R (n + M log M + M modes)) time and O(M modes) memory for each thread.
 
     Examples
     --------

@@ -258,10 +258,11 @@ def technique_terms(
     Returns
     -------
     xarray.Dataset
-        On technique and technique_other: ``technique_covariance`` holds the covariances of the
-        techniques' parts of the estimate. Their sum is ``measured_variance``.
-        ``technique_dc_term``, ``technique_power_term`` and ``technique_cross_term``
-        sum to ``predicted_variance``.
+        On technique and technique_other: ``technique_covariance`` is the covariance of
+        two techniques' parts of the estimate.
+        The sum of the covariances is ``measured_variance``.
+        ``technique_dc_term``, ``technique_power_term`` and ``technique_cross_term`` are terms,
+        whose sum is ``predicted_variance``.
         With at least 4 realizations, all four have standard errors ``_se`` by batch means.
 
         ``dc_term``, ``power_term`` and ``cross_term`` are the same as in `variance_terms`.
@@ -290,8 +291,8 @@ def technique_terms(
 
     Notes
     -----
-    The analysis takes O(R (n + T² M)) time and O(T² M) memory
-    for R realizations, T techniques and M frequencies.
+    For R realizations, T techniques and M frequencies,
+    the analysis takes O(R (n + T² M)) time and O(T² M) memory.
     The bottleneck compares the techniques' own variances.
     Correlations between techniques may cancel part of these variances.
 
@@ -452,8 +453,7 @@ def technique_rates(
     still = np.asarray((variance <= floor)[:, :, :-1].all(axis=0))
     choice = []
     for rates, intervals, own in zip(rate, interval, still, strict=True):
-        # Find the technique whose interval lies above the intervals
-        # of all other techniques that vary
+        # Among the techniques that vary, find the one whose interval lies above all others
         moving = np.flatnonzero(~own).tolist()
         slowest = max(
             moving, key=lambda t: np.nan_to_num(rates[t], nan=-math.inf), default=UNDECIDED

@@ -349,8 +349,8 @@ def variance_terms(
 
     Notes
     -----
-    The analysis takes O(R (n + M log M)) time and O(M + bands²) memory
-    for R realizations of n points and M frequencies.
+    For R realizations of n points and M frequencies,
+    the analysis takes O(R (n + M log M)) time and O(M + bands²) memory.
     95 % intervals follow from the kurtosis of the estimates.
     A truncated spectrum predicts part of the variance, which ``captured`` reports.
     `mcspectra.predict` predicts all of it.

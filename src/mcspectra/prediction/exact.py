@@ -4,8 +4,8 @@ The formulas for strata and for nested uniform scrambling are in docs/theory.md,
 in the sections "Exact variances of strata" and "Gains of scrambled nets".
 The strata may have a common offset. Further samplers:
 
-* Digital shift in base 2, for coordinates that are multiples of 2^-L. The shift has L random
-  bits and, below them, an offset δ that is uniform in a cell and the same for all points.
+* Digital shift in base 2, for coordinates that are multiples of 2^-L. The shift has L random bits.
+  Below them is an offset δ that is uniform in a cell and the same for all points.
   For given δ, the values of g on the grid have the Walsh spectrum ĝ_m(δ).
   The points have ŝ_m = (1/n) Σ_k wal_m(x_k).
   For digital nets |ŝ_m|² is 1 on the dual net and 0 elsewhere. Then
@@ -117,7 +117,7 @@ class ExactSettings:
     negligible: float = 1e-9
     # The error of the higher order is at most the difference of two orders times this factor.
     # At a jump both orders have errors of about the same size.
-    # Half the value skips the second attempt for a ridge.
+    # With half the value, the second attempt is skipped in the case of the ridge.
     safety: float = 3.0
     # An error message suggests a larger tolerance if the relative error is below this value.
     offered: float = 0.5
@@ -227,9 +227,9 @@ def exact_variance(
     ------
     NoClosedForm
         If the variance is not known for this sampler, or the quadrature does not converge.
-        It may not converge at discontinuities that are neither axis-aligned nor integrated in
-        closed form. The error is also raised if g is equal at all points of the probe and not
-        declared constant.
+        It may not converge at discontinuities that are not axis-aligned,
+        unless they are integrated in closed form.
+        If g is equal at all points of the probe, but not declared constant.
     ParameterError
         If `tolerance` is not a number from 1e-12 to 1.
 

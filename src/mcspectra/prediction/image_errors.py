@@ -188,8 +188,8 @@ def image_error_spectrum(
                 values = np.array([f(own).mean() for f, own in zip(functions, x, strict=True)])
             measured[k] = rings.mean(_power(values - integrals, width))
 
-        # Predict the images from coefficients without f_0. Double the half width until the rest
-        # of ∫f² is negligible in the weakest band
+        # Predict the images from coefficients without f_0.
+        # Double the half width until the rest of ∫f² is negligible in the weakest band
         whole = np.array([float(square_integral(f)[0][0] - f.integral**2) for f in functions])
         exact = all(f.fourier_source == "exact" for f in functions)
         reach, grows = half_width or _SETTINGS.half_width, half_width is None and exact

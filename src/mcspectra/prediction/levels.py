@@ -80,7 +80,7 @@ class LevelsSettings:
         Largest number of cells that are divided, by number of dims.
         Least variation of g in such a cell, relative to the mean cell.
         Halving or doubling either value changes nothing.
-        A jump cuts some hundred of 65,536 cells in 2-D and some thousand of 32,768 in 3-D.
+        A jump cuts a few hundred of 65,536 cells in 2-D, and a few thousand of 32,768 in 3-D.
     block
         Number of evaluations per call, 16 MB in 2-D. It has no effect on the result.
     clear, doubt
@@ -124,8 +124,8 @@ def of_levels(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
     Parameters
     ----------
     law
-        Law in 1 to 3 dims: fixed sets with nested or linear scrambling, or strata that are not
-        shifted at random.
+        Law in 1 to 3 dims of fixed sets with nested or linear scrambling.
+        It may also be the law of strata that are not shifted at random.
     known
         The integrand g, and the tables made for other counts and samplers.
     stream

@@ -1,7 +1,7 @@
 """Variances of orthogonal arrays, from the energies of an integrand between strata of its axes.
 
-Along each axis g is a sum of four parts. The first is its mean. The others are the means over
-strata (β), the means over parts of a stratum (δ), and the remainder within parts.
+Along each axis g is a sum of four parts: its mean, the means over strata (β),
+the means over parts of a stratum (δ), and the remainder within parts.
 `PairedAxes` describes the relation of two different points on an axis.
 Each relation multiplies the four parts by the following factors.
 Here s is the number of strata, and m the number of parts of each stratum:
@@ -20,9 +20,9 @@ The same holds for one δ if each stratum has one point per part.
 These energies add no variance [Owen1992]_.
 For more axes λ decreases with powers of 1/s.
 
-The fit of `mcspectra.prediction.subsets` is a sum of functions of single axes and of products
-of such functions. Its variance is known. The rest is estimated from random pairs of points
-that share strata of two or three axes.
+The fit of `mcspectra.prediction.subsets` adds functions of single axes and their products.
+The variance of the fit is known.
+The rest is estimated from random pairs of points that share strata of two or three axes.
 The estimate is the mean product of g without its single axes, minus the mean product of the fit.
 Energies of g minus the fit in more than three axes are not estimated and widen the interval.
 """
@@ -63,8 +63,8 @@ class PairedSettings:
     pairs
         Number of pairs in each replicate for the entries of `_MULTIPLES`.
         Halving or doubling it changes variances by less than 0.5 %.
-        This was measured for a Gaussian, a ball and a kink in 4-D, with orthogonal-array | shift
-        at n = 289. Their half intervals are 0.9, 2.1 and 0.5 %.
+        This was measured with orthogonal-array | shift in 4-D at n = 289.
+        The half intervals are 0.9 % for a Gaussian, 2.1 % for a ball and 0.5 % for a kink.
     replicates
         Number of scrambled nets of pairs. Their spread gives the interval.
         The interval has 15 degrees of freedom.

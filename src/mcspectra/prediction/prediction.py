@@ -1,10 +1,13 @@
 """Predictions: the variance at every n by the most trusted method, by one, or by all of them.
 
 `METHODS` lists the methods in their order of trust.
-Methods up to ``extrapolated`` work in primary space: each technique has its own integrand
-on the unit cube, and the variances of independent techniques add up.
-``auto`` tries the methods that apply. It returns the first prediction with a narrow enough
-interval, or else the prediction with the narrowest interval.
+Methods up to ``extrapolated`` work in primary space.
+There each technique has its own integrand on the unit cube,
+and the variances of independent techniques add up.
+
+``auto`` tries the methods that apply.
+It returns the first prediction with a narrow enough interval,
+or else the prediction with the narrowest interval.
 The last of these methods, ``extrapolated``, measures small sets of the sampler.
 The remaining methods check a prediction.
 """
@@ -271,8 +274,8 @@ class EvaluationLimits:
         The factor is 1.5 at measured counts, and 2 at n = 4,096.
     predictions
         Least number of evaluations per technique at which methods other than measurements are used.
-        These methods need 1.2 to 13 million evaluations for smooth functions and jumps in 1-D
-        to 4-D with four samplers.
+        These methods need 1.2 to 13 million evaluations.
+        This was measured for smooth functions and jumps in 1-D to 4-D with four samplers.
     sets, least_sets
         Number of realizations of each count above which larger counts are measured as well.
         The second value is the least number of realizations.
@@ -484,8 +487,8 @@ class Method:
     cost
         Approximate or largest number of evaluations of g, unless another count has made them.
     of_estimator
-        Function that predicts the variance of a whole estimator. It is used if the method is
-        requested by name and does not work technique by technique.
+        Function that predicts the variance of a whole estimator.
+        It is used for methods requested by name that do not work technique by technique.
     realized
         Whether the method uses realizations of the estimates. Methods share realizations.
     """
@@ -1071,8 +1074,9 @@ def predict(
         Methods that sum over frequencies use ∫f² instead; methods without terms have share 1.
         ``tail_variance(n)`` is the variance that represents the rest.
 
-        ``local_rate(n)`` is the slope from the count before. At the first count it is the slope
-        to the next count. Counts whose interval reaches 0 have no rates.
+        ``local_rate(n)`` is the slope from the count before.
+        At the first count it is the slope to the next count.
+        Counts whose interval reaches 0 have no rates.
         ``predicted_rate`` is the slope over all counts, fitted as in `convergence`.
         ``limit_rate`` is the exponent that rates tend to.
         ``bend_n`` is the n at which the earlier rate gives way to the limit.
@@ -1104,15 +1108,17 @@ def predict(
     f is evaluated at quadrature nodes and on grids that `predict` chooses.
     The method ``moves`` applies up to 8,192 random shifts or scrambles to a fixed set.
     It is used for lattices with shift and nets with digital-shift in 1 to 3 dims.
-    It is also used for all shifted or scrambled sets if sums of products leave a half interval
-    over 3 %. Linear scrambles replace nested scrambles, because their pairs have the same law.
+    If sums of products leave a half interval over 3 %, it is used for all such sets.
+    Linear scrambles replace nested scrambles, because their pairs have the same law.
 
-    For samplers without known structure, the method ``table`` measures variances on a table of f
-    in 1 to 3 dims. In more dims, or for expensive f, ``auto`` uses the method ``extrapolated``.
+    For samplers without known structure, in 1 to 3 dims, the method ``table`` is used.
+    It measures variances on a table of f.
+    In more dims, or for expensive f, ``auto`` uses the method ``extrapolated``.
     It evaluates f at 2,000 realizations of each small count.
     If f is cheap, counts close to n are used instead, but never n itself.
-    The same is done if jumps and kinks across many axes leave an interval wider than a fifth of
-    the predicted variance. Then the narrower of the two intervals is used.
+    The same is done if jumps and kinks across many axes leave a wide interval.
+    The limit is a fifth of the predicted variance.
+    Then the narrower of the two intervals is used.
 
     The limit of the rate is known in theory for random points, and for jumps in up to 5 dims.
     It is −1 for random points.
@@ -1161,8 +1167,8 @@ class Predictor:
     ) -> None:
         """Set up a predictor.
 
-        If `measured` is given, it holds settings by sampler. Variances are then measured, within
-        a limit of evaluations.
+        If `measured` is given, it holds settings by sampler.
+        Variances are then measured within a limit of evaluations.
         """
         self.estimator, self.measured, self._limit = estimator, measured, limit
         self._known = knowledge(estimator)

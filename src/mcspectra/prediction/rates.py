@@ -109,8 +109,8 @@ class JumpSettings:
         Largest number of dims of the search. In more dims, boxes are not cut at jumps either.
     lines, places
         Number of lines along each axis, and of points on each line.
-        The search takes 16,384 evaluations per axis. Suppose that one line in ten crosses a jump
-        along a curve. Then the search finds the jump with probability 0.97.
+        The search takes 16,384 evaluations per axis.
+        It finds a jump along a curve with probability 0.97 if one line in ten crosses the curve.
         Halving or doubling both values changes nothing.
     largest
         Number of the largest steps of each line that are bisected.
@@ -216,8 +216,8 @@ def predicted_rate(b: float, decay: float | str, dims: int) -> float:
     decay
         γ, for |f_m|² proportional to |m|^-γ when averaged over directions.
         It must exceed `dims` for a finite variance. `integrand_decay` measures it.
-        `fitted_decay` also gives its interval. If γ − d < b, the interval of the rate is that
-        interval divided by `dims`.
+        `fitted_decay` also gives the interval of γ.
+        If γ − d < b, dividing it by `dims` gives the interval of the rate.
         Alternatively give ``"jump"``, ``"kink"`` or ``"smooth"``, as in `DECAYS`.
         This is the worst discontinuity of the integrand on the torus.
     dims
@@ -398,9 +398,10 @@ def rates_of(
     tuple
         Rate: the slope of a line through the requested counts.
 
-        Limit: the bound of theory, if it is certain and the slope over the last four octaves is
-        no slower. Otherwise a nearby exponent of theory, if the slope hardly changes and there are
-        at most 3 dims. These exponents are −1 − k/d, −2 or −3.
+        Limit: the bound of theory, if it is certain and the last slope is no slower.
+        The last slope is over the last four octaves.
+        Otherwise, if this slope hardly changes, it is a nearby exponent of theory, in up to 3 dims.
+        These exponents are −1 − k/d, −2 or −3.
         The values of k mean white power (0), a jump (1), strata (2) or a kink (3).
         The exponent −3 may have a factor (log n)^(d − 1).
 
@@ -478,7 +479,7 @@ class DecayFit:
     bend
         Change of the local exponent from the first shell of the fit to the last, by a parabola.
     half_width
-        K: shells up to |m| = K are fitted.
+        Shells up to |m| = K are fitted, where K is this value.
     """
 
     decay: float

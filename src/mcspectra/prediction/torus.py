@@ -11,14 +11,14 @@ Outside C, P tends to 1/n.
 The error of the tail is the difference between P and 1/n at the border of the box,
 weighted by |g_m|².
 
-P may have a closed form. Otherwise it comes from one transform of a set that is shifted as a
-whole, or it is the mean over drawn sets.
+P may have a closed form. For a set that is shifted as a whole, P comes from one transform.
+Otherwise P is the mean over drawn sets.
 
 For lattices, P is 1 on the dual lattice and 0 elsewhere.
 Only the frequencies of the dual lattice are counted, n times as many as in a box.
 The remaining sum is extrapolated from the last shells.
-If coefficients are not known exactly, the mean over the lattice is a function of the offset
-within one lattice cell. Quadrature gives the variance of this function.
+If coefficients are not known exactly, the mean over the lattice is a function of an offset.
+The offset lies within one lattice cell. Quadrature gives the variance of this function.
 
 Homogeneous sets have the symmetries of the cube.
 Averaging |g_m|² over these symmetries is equivalent to averaging P.
@@ -152,8 +152,8 @@ class DrawnSettings:
     Attributes
     ----------
             least_sets, most_sets, points
-        Number of sets transformed at all frequencies, largest number of sets, and total number of
-        points. The total limits the work at large n.
+        Number of sets that are transformed at all frequencies, and largest number of sets.
+        The third value is the total number of points. It limits the work at large n.
         Halving or doubling these numbers changes the variance by less than 0.8 %.
     slow, slow_points
         Largest `max_count` of slow samplers, which optimize their points.
@@ -235,8 +235,8 @@ class DualSettings:
 class MovesSettings:
     """Settings for the offsets that move a set.
 
-    The stated changes were measured in three cases: a jump along a line with
-    rank1-lattice | shift, a ball in 4-D with kronecker | shift,
+    The stated changes were measured in three cases. They are
+    a jump along a line with rank1-lattice | shift, a ball in 4-D with kronecker | shift,
     and a smooth function with sobol | digital-shift.
 
     Attributes

@@ -31,8 +31,9 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
     Returns
     -------
     xarray.Dataset
-        The maps are as follows. ``stretch`` (u0, u1) is the largest singular value of ∂T/∂u in each
-        cell divided by the smallest. It is 1 in 1-D, and infinite where T is flat.
+        There are three maps over the cells.
+        ``stretch`` (u0, u1) is the largest singular value of ∂T/∂u divided by the smallest.
+        It is 1 in 1-D, and infinite where T is flat.
         ``jump`` (axis, u0, u1) is the jump of T between a cell and the next along each axis.
         It is 0 where T is continuous.
         ``warped`` (u0, u1, coordinate) is T at the cell centers.
