@@ -48,7 +48,7 @@ class ChainSettings:
     least_draws: int = 10
     # Chains count as correlated if the power of their mean deviates by more standard errors.
     # A normal law exceeds 5 standard errors with probability 6e-7.
-    # Half this value has 2 false alarms in 475 cases.
+    # Half this value gives 2 false alarms in 475 cases.
     # Twice this value misses all of 50 sets of chains with a common part of 0.3.
     score: float = 5.0
     # Probability that a test reports a fault of chains without faults.

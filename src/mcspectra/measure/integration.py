@@ -507,8 +507,8 @@ def _with_profile(
     low, high = profile.interval
     twice = 2.0 * low - profile.integral, 2.0 * high - profile.integral
     if found.alike and twice[0] <= value <= twice[1] and high - low < math.inf:
-        # f varied in the profile,
-        # but is constant to rounding at the points of the recommended sampler.
+        # f varied in the profile. At the points of the recommended sampler, f is constant
+        # except for rounding.
         # The value is within two half widths, about four standard errors, of the profile's mean
         away = math.sqrt(float(rounding_floor(np.array(value))))
         return value, (value - away, value + away), "all replicates are equal to rounding"

@@ -341,8 +341,8 @@ def covariance_modes(
         ``eigenvalue_residual(mode)`` is a bound of the numerical error:
         the distance to an eigenvalue of the sample covariance.
         ``eigenvalue_share(mode)`` is the share of the trace.
-        The variance of the band-limited estimate has the part ``mode_contribution(mode)``
-        from each mode.
+        ``mode_contribution(mode)`` is the mode's own part of the variance of the estimate,
+        where the estimate is limited to the bands.
         ``mode_vector(mode, m0, …)`` has norm 1 over all frequencies.
         ``band_trace`` is the sum of all eigenvalues.
 

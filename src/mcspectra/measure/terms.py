@@ -324,12 +324,12 @@ def variance_terms(
         A list of samplers adds a dim sampler, and several channels add a dim channel.
         Several techniques in primary space add a dim technique on maps.
 
-        The terms, ``contribution``, ``band_covariance`` and both matrices have standard errors
-        ``_se`` by batch means, if there are at least 4 realizations.
+        Standard errors ``_se`` come from batch means and need at least 4 realizations.
+        They exist for the terms, ``contribution``, ``band_covariance`` and both matrices.
         The attribute ``batches`` is the number of batches.
         95 % intervals use Student's t with one degree of freedom less.
-        The interval of ``captured`` is logarithmic. It is wider if few batches hold most of the
-        error.
+        The interval of ``captured`` is logarithmic.
+        It is wider if few batches hold most of the error.
 
         A set that is always the same has no variance, which the attribute ``note`` reports.
         The note also names estimates that missed the source of their variance (see `convergence`).

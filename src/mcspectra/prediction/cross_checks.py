@@ -11,8 +11,8 @@ The sum over pairs has the terms A(x_i − x_k), where A is the autocorrelation 
 A is tabulated on the torus and interpolated linearly.
 
 An average of A over directions, g(|h|), would be exact for isotropic sets only.
-For smooth integrands and Latin hypercubes with shift it overestimates the variance:
-by a factor of 1.7 to 3.7 at n = 16.
+For smooth integrands and shifted Latin hypercubes, this average overestimates the variance.
+The factor is 1.7 to 3.7 at n = 16.
 """
 
 from __future__ import annotations

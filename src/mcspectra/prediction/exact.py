@@ -2,7 +2,7 @@
 
 The formulas for strata and for nested uniform scrambling are in docs/theory.md,
 in the sections "Exact variances of strata" and "Gains of scrambled nets".
-The strata may have a common offset. Further samplers:
+Strata may have a common offset. Further samplers have these formulas:
 
 * Digital shift in base 2, for coordinates that are multiples of 2^-L. The shift has L random bits.
   Below them is an offset δ that is uniform in a cell and the same for all points.
@@ -112,7 +112,7 @@ class ExactSettings:
     They have n = 64 and 1024 points.
     """
 
-    # Largest error that every tolerance accepts, as a fraction of ∫g²/n.
+    # An error below this fraction of ∫g²/n is accepted for every tolerance.
     # Halving or doubling the value gives the same results.
     negligible: float = 1e-9
     # The error of the higher order is at most the difference of two orders times this factor.
@@ -123,7 +123,7 @@ class ExactSettings:
     offered: float = 0.5
     # Factor by which the second attempt raises the orders of the quadrature.
     # A second attempt is made if the error is at most `hope` times the tolerance.
-    # Half the factor changes the ridge by 1e-5, twice the factor by 8e-10.
+    # Half the factor changes the variance of the ridge by 1e-5, twice the factor by 8e-10.
     finer: int = 4
     hope: float = 10.0
     # Least number of dims, and least tolerance, for fits by sums of products.
@@ -297,7 +297,7 @@ def estimated_variance(
 def of_integrand(
     law: Law, g: Integrand, tolerance: float, most: float = MOST_EVALUATIONS
 ) -> tuple[Array, Array]:
-    """Return variance and a bound of its error, (channels or 1,). Rounding level gives 0.
+    """Return variance and a bound of its error, (channels or 1,). It is 0 at rounding level.
 
     The error is the difference between two orders plus the `blindness` of the higher order.
     For random points it is the error of ∫g². Orders are raised once if that would suffice.
@@ -339,8 +339,8 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
     if isinstance(law, Independent):
         middle, first, second, error = moments(g)
         value = second - first**2
-        # The error of the integrals is three standard errors. Widen it to 4.5 standard errors:
-        # then none of 1,000 functions exceeds it
+        # The error of the integrals is three standard errors. Widen it to 4.5 standard errors,
+        # because none of 1,000 functions exceeds this error
         error = 1.5 * error * (1.0 + 2.0 * np.abs(first)) + 4e-15 * (second + middle**2)
         if (error > tolerance * value).any() and np.isfinite(square).all():
             mean, off = np.atleast_1d(g.integral), integral_accuracy(g)[1]
@@ -361,7 +361,7 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
         try:
             high, unseen = _variance(law, g, Rule(times * fine, most, times * coarse))
             low = high
-            if not (cells and in_closed_form(g)):  # Closed-form moments of cells have no order
+            if not (cells and in_closed_form(g)):  # Closed-form moments need no order
                 low, _ = _variance(law, g, Rule(times * coarse, most))
         except NoClosedForm:
             if times == 1:
@@ -399,7 +399,7 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
 def _within(
     found: tuple[Array, Array], law: Law, g: Integrand, tolerance: float
 ) -> tuple[Array, Array]:
-    """Return the result if its error is within the tolerance; 0 at rounding level."""
+    """Return the result if its error is within the tolerance, or 0 at rounding level."""
     value, error = found
     if np.isinf(value).any():
         return value, np.where(np.isinf(value), 0.0, error)
@@ -547,7 +547,7 @@ def _over_offsets(curve: PiecewiseCurve, side: int, order: int) -> float:
 
 
 def _paired(curve: PiecewiseCurve, side: int) -> PiecewiseCurve:
-    """Return the mean of a curve at a point and at its reflection in its cell, centered."""
+    """Return the centered mean of a curve at a point and at the point's reflection in its cell."""
 
     def both(x: Array) -> Array:
         cell = np.minimum(np.floor(x * side), side - 1.0)
@@ -755,7 +755,7 @@ def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
             _, spread, unseen = strata(g, (1,) * g.dims, none, rule)
             return spread / n, unseen / n
 
-    # One point in each stratum, or a grid, with fixed or random offsets
+    # The set has one point in each stratum, or is a grid, with fixed or random offsets
     set_, offset = unmoved(law)
     shifted = isinstance(law, Shifted)
     if isinstance(set_, PairedAxes) and set_.latin and g.dims > 1 and not offset.any():
@@ -850,8 +850,8 @@ def _nested(net: Fixed, bases: tuple[int, ...], g: Integrand, rule: Rule) -> tup
     digits = []
     for axis, base in enumerate(bases):
         level, limit = 0, math.floor(_SETTINGS.most_bits / math.log2(base))
-        # Coordinates may be rounded down to just below a digit. They count as that digit,
-        # as in spectra.gain
+        # Coordinates may be rounded down to just below a digit. As in spectra.gain,
+        # such coordinates count as that digit
         x = points[:, axis] + (0.0 if base & (base - 1) == 0 else 2.0**-50)
         while len(np.unique(np.floor(x * base**level))) < n:
             level += 1

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 __all__ = ["ImageErrorSettings", "image_error_spectrum"]
 
 _LOW = 0.125
-"""Spatial frequency in cycles per pixel. The eye does not blur noise away below it."""
+"""Spatial frequency in cycles per pixel. The eye does not blur noise of lower frequencies."""
 
 
 @final
@@ -51,7 +51,7 @@ class ImageErrorSettings:
         Largest number of coefficients, or of points of one image: 256 MiB of complex numbers.
     half_width, lost, most_modes
         Initial half width. It is doubled until the frequencies capture the power of every band.
-        A band is captured if less than the fraction `lost` of its power lies beyond.
+        A band is captured if less than the fraction `lost` of its power has higher frequencies.
         Doubling stops at `most_modes` frequencies, which is half width 724 in 2-D and 63 in 3-D.
         One percent is less than the standard error of 16 images.
     beyond
@@ -110,8 +110,8 @@ def image_error_spectrum(
     xarray.Dataset
         A dataset on the dim radius, in cycles per pixel.
         ``predicted_power`` comes from coefficients of f and spectra of the sets.
-        ``measured_power`` comes from f at the points of the sets; its interval is
-        ``measured_power_ci``. Both powers have the units of f².
+        ``measured_power`` comes from f at the points of the sets.
+        Its interval is ``measured_power_ci``. Both powers have the units of f².
         White noise has the variance of a pixel at every frequency.
         ``tail_term`` is the part of the prediction beyond the half width.
         If that part is large, the attribute ``note`` reports it.

@@ -84,7 +84,7 @@ class LevelsSettings:
     block
         Number of evaluations per call, 16 MB in 2-D. It has no effect on the result.
     clear, doubt
-        The part of ∫g² that tables miss is added above this value, in units of its error.
+        The part of ∫g² that tables miss is added if it exceeds this number of its errors.
         The second value is the uncertainty of its weight.
         This part lies at poles within one cell, and has a gain between 0 and about 1.
         Half of `clear` adds noise of 0.015 % of a variance; twice the value changes nothing.
@@ -284,7 +284,7 @@ def _cell_moments(
     if in_closed_form(g):
         mean, square = stratum_moments(g, sides, offset, 1)
         return mean.reshape(1, *sides, -1), square.reshape(1, *sides, -1)
-    # On axes with more cells than those of a cube, use one node less
+    # If an axis has more cells than in a cubic table, use one node less
     fine = np.array([not refined and side**dims > _SETTINGS.cells[dims] for side in sides])
     by_order = [stratum_moments(g, sides, offset, order - fine) for order in _SETTINGS.orders[dims]]
     means = np.stack([m for m, _ in by_order]).reshape(2, *sides, -1)
@@ -294,7 +294,7 @@ def _cell_moments(
     if not refined:
         return means, squares
 
-    # Find cells with most variation inside and to their neighbors. Skip cells that breaks cut
+    # Find cells with most variation inside and to their neighbors. Skip cells cut by breaks
     from scipy.ndimage import maximum_filter, minimum_filter
 
     size = (3,) * dims + (1,)

@@ -109,8 +109,8 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
             ("arrays", c, s, parts, at),
             functools.partial(_energies, p, c, s, parts, offsets, known),
         )
-        # n Var of single axes (all profiles, then each group), of the fit in several axes,
-        # and of the rest
+        # Compute n Var of single axes, of the fit in several axes, and of the rest.
+        # The first has entries for all profiles and for each group
         alone = sums.single @ np.array([1.0, 1.0 + part, 1.0 + one])
         several = _of_products(array, sums)
         beside = more @ np.array([1.0, two, both, three])
@@ -138,7 +138,7 @@ def is_array(law: Law) -> bool:
     array, _ = unmoved(law)
     if not isinstance(array, PairedAxes) or array.latin or array.dims == 1:
         return False
-    # All arrangements of the relations of a pattern have the same share
+    # A pattern has the same share for all arrangements of its relations along the axes
     shares: dict[tuple[Relation, ...], list[float]] = {}
     for pattern in array.patterns:
         shares.setdefault(tuple(sorted(pattern.axes)), []).append(pattern.share)
@@ -294,7 +294,7 @@ def _energies(
         if k == 0:
             more[:, 0] = (square[0] - square[1]).mean(axis=-1)
     # Subtract pairs that were counted twice. A pair with a common part also has a common stratum.
-    # A pair with three common strata also has two
+    # A pair with three common strata also has two common strata
     more[:, 2] -= 2.0 * more[:, 1] if parts > 1 and d > 1 else 0.0
     more[:, 3] -= (d - 2) * more[:, 1] if d > 2 else 0.0
     return sums, more

@@ -1,4 +1,4 @@
-"""Predictions: the variance at every n by the most trusted method, by one, or by all of them.
+"""Predictions of the variance at every n, by the most trusted method, a given one, or by all.
 
 `METHODS` lists the methods in their order of trust.
 Methods up to ``extrapolated`` work in primary space.
@@ -270,7 +270,7 @@ class EvaluationLimits:
     ----------
     evaluations
         Default for the most evaluations. A function that takes 4 µs per point needs one second.
-        The ends of intervals are the variance times or divided by a factor.
+        An interval then extends from the variance divided by a factor to the variance times it.
         The factor is 1.5 at measured counts, and 2 at n = 4,096.
     predictions
         Least number of evaluations per technique at which methods other than measurements are used.
@@ -287,7 +287,7 @@ class EvaluationLimits:
         Ratio of the largest measured count to the largest requested count.
     probe
         Fraction of the evaluations that are at random points: 16,384 of 2^18.
-        They detect growth toward the border and variances that depend on a few values.
+        These points detect growth toward the border, and variances that depend on a few values.
         Such variances are not predicted.
     fitted
         Number of counts that a line is fitted to.
@@ -335,7 +335,7 @@ def lines_suffice(known: Known) -> bool:
 
 
 def of_divergence(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
-    """Return infinity if ∫g² diverges. This holds for points that are uniform each."""
+    """Return an infinite variance if ∫g² diverges and each point is uniform."""
     diverges = np.isinf(known.square[0])
     if not diverges.any():
         raise NoClosedForm("∫g² is finite.")
@@ -554,7 +554,7 @@ def _exactly(
 def _checked(
     check: Callable[[AbstractEstimator, Sampler, int, Terms, Stream], Cells],
 ) -> Callable[[AbstractEstimator, Sampler, int, Prediction, Stream], Cells]:
-    """Give a check of `mcspectra.prediction.cross_checks` the options of a prediction."""
+    """Wrap a cross-check so that it takes the options of a prediction."""
 
     def of_estimator(
         estimator: AbstractEstimator, sampler: Sampler, n: int, asked: Prediction, stream: Stream
@@ -903,7 +903,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         full = (len(samplers), len(methods), -1, channels)
         n = np.array([each for each in counts for _ in methods], float)
 
-        # Each rate is the slope from the count before. The first rate is the slope to the next
+        # Each rate is the slope from the count before, or for the first count to the next count.
         # Intervals that reach 0 have no rate
         known = np.where(cells.low > 0.0, cells.variance, np.nan).reshape(shape)
         with np.errstate(invalid="ignore"):  # Both variances may be infinite
@@ -1108,7 +1108,7 @@ def predict(
     f is evaluated at quadrature nodes and on grids that `predict` chooses.
     The method ``moves`` applies up to 8,192 random shifts or scrambles to a fixed set.
     It is used for lattices with shift and nets with digital-shift in 1 to 3 dims.
-    If sums of products leave a half interval over 3 %, it is used for all such sets.
+    If sums of products leave a half interval over 3 %, it serves all shifted or scrambled sets.
     Linear scrambles replace nested scrambles, because their pairs have the same law.
 
     For samplers without known structure, in 1 to 3 dims, the method ``table`` is used.

@@ -214,7 +214,7 @@ def predicted_rate(b: float, decay: float | str, dims: int) -> float:
         and 2 for jittered sets. It is larger for sets optimized for smooth functions,
         and infinite for step noise.
     decay
-        γ, for |f_m|² proportional to |m|^-γ when averaged over directions.
+        The decay γ: averaged over directions, |f_m|² is proportional to |m|^-γ.
         It must exceed `dims` for a finite variance. `integrand_decay` measures it.
         `fitted_decay` also gives the interval of γ.
         If γ − d < b, dividing it by `dims` gives the interval of the rate.
@@ -504,7 +504,7 @@ def integrand_decay(
     Parameters
     ----------
     integrand
-        f, or its spec string.
+        The integrand f, or its spec string.
     half_width
         The slope is fitted over the last three octaves up to |m| = K. K is at least 8.
         The default is 512 in 1-D and 64 in more dims.

@@ -1,4 +1,4 @@
-"""Predictions in many dims: single axes, sums of products, and one law for all pairs of points.
+"""Predictions in many dims, from single axes, sums of products, and the law of pairs of points.
 
 Method
 ------
@@ -291,8 +291,9 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
         by_set = np.array(sums).mean(axis=1) / n  # (sets, 1 + groups + 1)
         sets, mean = by_set[:, 0] + by_set[:, -1], by_set.mean(axis=0)
         ones, more = mean[:-1], mean[-1]
-        # The part outside the fit may differ from white noise by 100 %, and has a correlation of
-        # ±½ with the fit. If one offset moves all points, this part may add up
+        # The part outside the fit may differ from white noise by 100 %.
+        # It has a correlation of up to ±½ with the fit.
+        # If one offset moves all points, this part may add up
         tail = p.residual / n
         together = pairs.kind != "digits" and len(codes) == 1
         half = (SUBSET_SETTINGS.adds_up if together else 1.0) * tail + math.sqrt(
@@ -351,7 +352,7 @@ class Curves:
         return np.diff(total) * count
 
     def _pieces(self, values: Array) -> Iterator[tuple[float, float, Any]]:
-        """Yield ends and curve of each smooth piece. Below two nodes the curve is constant."""
+        """Yield ends and curve of each smooth piece, constant if it has fewer than two nodes."""
         from scipy.interpolate import PchipInterpolator
 
         for low, high in itertools.pairwise(self.knots):
@@ -397,7 +398,7 @@ class _Pairs:
 
     @property
     def leaves_cells(self) -> bool:
-        """Whether sums over axes keep only the variation within the n-ths of an axis."""
+        """Whether sums over axes keep only the variation within intervals of length 1/n."""
         return self.latin or self.kind != "digits"
 
     def tables(self, parts: AnovaModel) -> tuple[Array, Array, Array, Array]:

@@ -89,8 +89,8 @@ class TorusSettings:
 
     The stated changes were measured in seven cases in 2-D and 3-D at n = 64 and 256.
     The integrands are a jump along a line, smooth functions and a disk.
-    The samplers are poisson-disk and, with shift, jittered, latin-hypercube, halton and
-    rank1-lattice.
+    The samplers are jittered, latin-hypercube, halton and rank1-lattice under shift, and
+    poisson-disk.
 
     Attributes
     ----------
