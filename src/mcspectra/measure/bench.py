@@ -168,8 +168,8 @@ def sampler_bench(
         On (sampler, n): the figures of quality, and ``points_per_second``.
         This is the speed of one thread that generates points; it is NaN for points that are read.
 
-        On (sampler, m0, …) and (sampler, radius): ``power``, ``radial_power`` and
-        ``anisotropy_db``, in 1 to 3 dims.
+        On (sampler, m0, …) and (sampler, radius) there are spectra, in 1 to 3 dims.
+        The spectra are ``power``, ``radial_power`` and ``anisotropy_db``.
 
         On (sampler, r): ``pair_correlation`` and ``pair_correlation_ci``.
 

@@ -178,7 +178,7 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
     Notes
     -----
     S(0) from an autoregression has a smaller error than two alternatives,
-    and its interval has a coverage closer to 95 % (docs/theory.md, "Chains").
+    and its interval has a coverage closer to 95 %; see docs/theory.md, "Chains".
     One alternative is the initial monotone sequence.
     It cannot resolve antithetic or oscillating chains.
     The other alternative is averages of the lowest frequencies.

@@ -1,7 +1,7 @@
 """Convergence: measured variance against n and its fitted rate.
 
-The number of realizations is given, or grows until the variance is accurate enough
-(docs/theory.md, "Intervals of variances, and stopping").
+The number of realizations is given, or grows until the variance is accurate enough.
+The theory is in docs/theory.md, "Intervals of variances, and stopping".
 The number grows in stages that depend only on earlier estimates.
 Therefore the result has the same bits for any number of workers.
 

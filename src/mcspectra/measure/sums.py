@@ -1,7 +1,7 @@
 """Mergeable second moments of spectra and band-limited estimates, in constant memory.
 
-The moments give the power term, the contribution map and the band covariance
-(docs/theory.md, "Contributions and bands").
+The moments give the power term, the contribution map and the band covariance.
+The theory is in docs/theory.md, "Contributions and bands".
 
 Errors come from batch means. Every block of realizations gives an unbiased estimate.
 The spread over B blocks gives the error of their mean,
@@ -333,8 +333,8 @@ def ratio_factors(above: Array, below: Array, share: Array) -> Array:
     The interval is logarithmic, by the jackknife with Student's t [Miller1974]_.
     If few blocks hold most of the error, the other blocks missed the tail.
     The interval is then 1 + √(excess kurtosis / B) times as wide.
-    The skewness also widens the interval on the side of this tail
-    (``python -m benchmarks coverage``).
+    The skewness also widens the interval on the side of this tail.
+    The coverage of these intervals is measured by ``python -m benchmarks coverage``.
     """
     blocks = len(share)
     if blocks < 2:

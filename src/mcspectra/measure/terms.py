@@ -284,7 +284,8 @@ def variance_terms(
     rng
         Seed (SPEC 7). Realization r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
     basis
-        ``"fourier"``, ``"cosine"``, ``"walsh"`` or ``"haar"`` (`mcspectra.spectra.bases`).
+        The basis is ``"fourier"``, ``"cosine"``, ``"walsh"`` or ``"haar"``
+        (`mcspectra.spectra.bases`).
         ``"auto"`` is the basis that fits the sampler's randomization.
         The attribute ``basis`` reports it. A list of samplers needs a basis that fits all of them.
     space

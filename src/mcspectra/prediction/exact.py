@@ -192,11 +192,12 @@ def exact_variance(
     Parameters
     ----------
     estimator, sampler, n
-        Any estimator with one of these samplers:
-        random, jittered, regular or uniform-jitter, also with shift, strata-shift or mirror;
-        antithetic-jittered; latin-hypercube, also with shift;
-        nets and sequences with owen, such as sobol or halton;
-        nets and sequences in base 2 with digital-shift.
+        Any estimator with one of the following samplers.
+        The samplers random, jittered, regular and uniform-jitter are allowed, alone or with
+        shift, strata-shift or mirror. So are antithetic-jittered and latin-hypercube.
+        The sampler latin-hypercube may also have shift.
+        Nets and sequences, such as sobol or halton, are allowed with owen.
+        In base 2 they are also allowed with digital-shift.
         Latin hypercubes and nets need about n cells per side.
         This limits n to some thousands in 2-D and some tens in 3-D.
         Sums and products of functions of one axis work in any dims.

@@ -108,7 +108,7 @@ def image_error_spectrum(
     Returns
     -------
     xarray.Dataset
-        A dataset on the dim radius, in cycles per pixel.
+        The result has the dim radius, in cycles per pixel.
         ``predicted_power`` comes from coefficients of f and spectra of the sets.
         ``measured_power`` comes from f at the points of the sets.
         Its interval is ``measured_power_ci``. Both powers have the units of f².

@@ -1,7 +1,7 @@
 """Variances of scrambled nets and of strata from means of g over cells.
 
-Nested uniform scrambling multiplies σ²_l by the gain Γ_l of the net
-(docs/theory.md, "Gains of scrambled nets").
+Nested uniform scrambling multiplies σ²_l by the gain Γ_l of the net.
+The theory is in docs/theory.md, "Gains of scrambled nets".
 Here σ²_l is the variance of the part of g that varies with l_j digits of coordinate j.
 All but finitely many gains are 1. The exceptions are levels of at most about n cells.
 For these Σ l_j is near log n, but not every l_j is near log n. Therefore
@@ -89,8 +89,8 @@ class LevelsSettings:
         This part lies at poles within one cell, and has a gain between 0 and about 1.
         Half of `clear` adds noise of 0.015 % of a variance; twice the value changes nothing.
     most_error, noise
-        Largest half interval relative to the variance. The method raises if it is exceeded,
-        because other methods have errors below a fifth.
+        Largest half interval relative to the variance. Above it the method raises.
+        Other methods then have smaller errors, which are below a fifth.
         A half interval below `noise` times ∫g² is always accepted.
         Halving or doubling either value changes nothing.
     """
@@ -277,8 +277,7 @@ def _cell_moments(
 ) -> tuple[Array, Array]:
     """Return means of g and of g² over cells displaced by `offset`, both (Q, *sides, channels).
 
-    With `refined`, the cells with most variation are integrated more finely,
-    unless there is a closed form.
+    Without a closed form, cells with most variation are integrated more finely if `refined`.
     """
     dims = g.dims
     if in_closed_form(g):
