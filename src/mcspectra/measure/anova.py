@@ -60,8 +60,8 @@ class AnovaSettings:
     most_dims: int = 64
     # Largest number of stored estimates, over all subsets and realizations: 0.5 GiB in float64.
     most_values: int = 2**26
-    # Largest total number of frequencies. In 1-D each frequency needs four numbers:
-    # component, probability, power and coefficient. Together they take 0.6 GiB.
+    # Largest total number of frequencies. In 1-D the frequencies take 0.6 GiB in all.
+    # Each has four numbers: a component, a probability, a power and a coefficient.
     most_frequencies: int = 2**24
     # Least number of realizations that give a standard error.
     # With two realizations, both products of deviations are equal and the error would be 0.

@@ -391,8 +391,8 @@ def convergence(
         Seed (SPEC 7). Each n has its own stream of random numbers.
         All estimators and samplers share it (common random numbers).
     relative_error
-        Relative standard error of the variance at which the search for each count stops
-        (`realizations_needed`). By default all realizations are used.
+        Relative standard error of the variance at which the search for each count stops.
+        By default all realizations are used. See also `realizations_needed`.
     fit_last
         Number of the largest counts to which the rate is fitted. The default is all counts.
         ``"auto"`` uses as many counts as lie on a line; see `mcspectra.core.fits.fit_rate`.
@@ -598,8 +598,7 @@ class MomentsCell:
             if (now and before) or moments.count >= (min(most, settings.blank) if blank else most):
                 return [(moments, now and before)]
             before = now
-            # The next stage ends where the error should be reached,
-            # but within the limits of a stage's length
+            # The next stage ends where the error should be reached, within limits of its length
             excess = math.inf if blank else error / relative_error
             longer = min(max(excess**2, settings.step), settings.leap)
             stop = min(most, math.ceil(moments.count * longer))

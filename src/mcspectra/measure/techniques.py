@@ -2,8 +2,8 @@
 
 E_t is the part of an estimate from technique t.
 The variance is the sum of Cov(E_t, E_s) over all pairs of techniques.
-Off the diagonal the covariance is 0 for independent sets,
-but not for techniques that share points (`mcspectra.estimators.sets`).
+Off the diagonal the covariance is 0 for independent sets.
+It is not 0 for techniques that share points (`mcspectra.estimators.sets`).
 Each covariance has a dc, a power and a cross term.
 They use the spectrum S^t and the integrand f^t of technique t instead of S and f.
 

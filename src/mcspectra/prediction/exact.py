@@ -210,8 +210,8 @@ def exact_variance(
         If f has jumps that it does not declare and that are not across an axis,
         1e-3 is feasible with random points, and about 0.1 with strata.
         The error message gives a feasible value.
-        With 1e-3 or more in at least 4 dims, f may be fitted by a sum of products,
-        whose factors are functions of one axis.
+        With 1e-3 or more in at least 4 dims, f may be fitted by a sum of products.
+        The factors of these products are functions of one axis.
         The fit is used if its 95 % interval is within the tolerance.
         It is available for latin-hypercube, nets with owen and sets with shift.
     max_evaluations
