@@ -1,13 +1,15 @@
 """Numba kernels of the variance terms and of pairs of points, without checks of arguments.
 
-Indices: r realizations of a block, h coefficients (half spectra of all techniques,
-one after another), c channels, a bands, k half widths, j the real numbers of the coefficients (2
-each if they are complex). `double[h]` is 2 for a coefficient that also stands for −m, else 1.
+The indices are: r for realizations of a block; c for channels; a for bands; k for half widths.
+Index h is for coefficients: half spectra of all techniques, one technique after another.
+Index j is for the real numbers of the coefficients, which are 2 each if they are complex.
+`double[h]` is 2 for a coefficient that also stands for −m, else 1.
 All sums over h with conj(f_h) S_h are real because the full spectrum is Hermitian.
 
 Coefficients are processed in tiles that stay in the first cache during a loop over realizations.
-Tiles change neither the terms of the sums nor their order. Tiles are slices, because loops from 0
-are vectorized. Loops with a variable start, whose sign Numba cannot infer, are not.
+Tiles change neither the terms of the sums nor their order.
+Tiles are slices, because Numba vectorizes loops that begin at 0.
+It does not vectorize loops with a variable start, whose sign it cannot infer.
 """
 
 from __future__ import annotations
@@ -23,9 +25,10 @@ __all__ = [
     "term_sums",
 ]
 
-# Number of coefficients of a tile. The number is compiled into the kernels
-# and has no effect on the sums. A tile's complex spectrum, coefficient,
-# weight and two labels take 512 · 56 bytes = 28 KiB, which fits into a first cache of 32 KiB.
+# Number of coefficients of a tile. The number is compiled into the kernels.
+# It has no effect on the sums.
+# The arrays of a tile take 512 · 56 bytes = 28 KiB, which fits into a first cache of 32 KiB.
+# They are the complex spectrum and coefficient, the weight and two labels.
 _TILE = 512
 
 
@@ -42,8 +45,9 @@ def band_estimates(
 ) -> None:
     """Compute Σ_{h in a} double Re conj(f_ch) S_rh for two partitions, and Σ_r S.
 
-    s (R, H), f (C, H), both complex or both real, double (H,), band and shell (H,) int.
-    Outputs, initially zero: bands (R, C, A), shells (R, C, K+1), total (H,).
+    The inputs are s (R, H) and f (C, H), both complex or both real; double (H,);
+    and the integers band and shell (H,).
+    The outputs are bands (R, C, A), shells (R, C, K+1) and total (H,). They must be zero initially.
     """
     for low in range(0, s.shape[1], _TILE):
         tile = slice(low, low + _TILE)
@@ -65,8 +69,8 @@ def band_estimates(
 def accumulate(s: Array, mean: Array, estimate: Array, squares: Array, cov: Array) -> None:
     """Add second moments of a block about its own means, for every real number in the same way.
 
-    s (R, J), mean (J,), estimate (R, C) without its mean; squares (J,) += Σ_r (S − S̄)²;
-    cov (C, J) += Σ_r (S − S̄)(I − Ī).
+    The inputs are s (R, J), mean (J,), and estimate (R, C) without its mean.
+    Σ_r (S − S̄)² is added to squares (J,), and Σ_r (S − S̄)(I − Ī) to cov (C, J).
     """
     for low in range(0, s.shape[1], _TILE):
         tile = slice(low, low + _TILE)
@@ -84,10 +88,10 @@ def accumulate(s: Array, mean: Array, estimate: Array, squares: Array, cov: Arra
 
 @kernel
 def term_sums(f: Array, m2: Array, cov: Array, double: Array, dc: Array, out: Array) -> None:
-    """Add dc term, power term and sum of all terms to out (C, 3), for every channel.
+    """Add the dc term, the power term and the sum of all terms to out (C, 3), for every channel.
 
-    f (C, H), m2 (H,), cov (C, H), double (H,), dc (H,) bool;
-    not yet divided by the degrees of freedom.
+    The inputs are f (C, H), m2 (H,), cov (C, H), double (H,) and the bool array dc (H,).
+    The sums are not yet divided by the degrees of freedom.
     """
     for c in range(f.shape[0]):
         for h in range(f.shape[1]):
@@ -104,7 +108,7 @@ def term_sums(f: Array, m2: Array, cov: Array, double: Array, dc: Array, out: Ar
 def pair_sum_1d(points: Array, table: Array) -> float:
     """Return Σ_{i<k} A(x_i − x_k) of points (n, 1).
 
-    Array table (N,) holds A(j/N), which is interpolated linearly.
+    The table (N,) holds A(j/N), and A is interpolated linearly.
     """
     size = table.size
     total = 0.0
@@ -121,7 +125,7 @@ def pair_sum_1d(points: Array, table: Array) -> float:
 def pair_sum_2d(points: Array, table: Array) -> float:
     """Return Σ_{i<k} A(x_i − x_k) of points (n, 2).
 
-    Array table (N, N) is interpolated bilinearly.
+    The table (N, N) holds A on a grid, and A is interpolated bilinearly.
     """
     size = len(table)
     total = 0.0

@@ -1,13 +1,14 @@
 """ANOVA of a variance in many dims: contributions of single axes and sets of axes to the noise.
 
 docs/theory.md, "Analysis by axes", derives both methods of this module.
-`anova_variances` is pick-freeze [Sobol2001]_ with whole point sets.
-The part of the empty set of axes is 0, but its sample is subtracted from all others:
-this sample contains most of the errors of the others, so shares near 1 are precise.
+`anova_variances` uses pick-freeze estimates [Sobol2001]_ with whole point sets.
+The part of the empty set of axes is 0. Its sample is subtracted from all other samples,
+because it contains most of their errors. Therefore shares near 1 are precise.
 
-`anova_spectrum` draws frequencies with a probability q(m) = Π_{i∈u} q_1(m_i), q_1(k) ∝ 1/k² up
-to K. The |f_m|² of a function with jumps or a boundary term falls like 1/m_i² along each axis,
-so the terms |f_m|² ⟨|S_m|²⟩ / q(m) are bounded.
+`anova_spectrum` draws frequencies with the probability q(m) = Π_{i∈u} q_1(m_i).
+Here q_1(k) is proportional to 1/k² up to K.
+The |f_m|² of a function with jumps or a boundary term falls like 1/m_i² along each axis.
+Therefore the terms |f_m|² ⟨|S_m|²⟩ / q(m) are bounded.
 """
 
 from __future__ import annotations
@@ -54,20 +55,22 @@ EFFECTIVE_SHARE = 0.99
 class AnovaSettings:
     """Limits of memory, and numbers of realizations and batches for standard errors."""
 
-    # Largest number of axes, or groups of axes:
+    # Largest number of axes, or groups of axes.
     # 64 axes have 2,016 pairs, each with an estimate for every realization.
     most_dims: int = 64
     # Largest number of stored estimates, over all subsets and realizations: 0.5 GiB in float64.
     most_values: int = 2**26
-    # Largest total number of frequencies. Four numbers for each in 1-D (component, probability,
-    # power and coefficient) take 0.6 GiB.
+    # Largest total number of frequencies. In 1-D the frequencies take 0.6 GiB in all.
+    # Each has four numbers: a component, a probability, a power and a coefficient.
     most_frequencies: int = 2**24
-    # Least number of realizations that give a standard error. With two, both products of deviations
-    # are equal and the error would be 0; `variance_terms` also needs four.
+    # Least number of realizations that give a standard error.
+    # With two realizations, both products of deviations are equal and the error would be 0.
+    # `variance_terms` also needs four realizations.
     least: int = 4
     # Number of independent batches of frequencies, whose spread gives the standard error.
-    # Student's t with 15 degrees of freedom makes intervals 9 % wider than a normal law;
-    # Intervals would be 4 % narrower with twice as many batches, and 11 % wider with half as many.
+    # Student's t with 15 degrees of freedom makes intervals 9 % wider than a normal law.
+    # With twice as many batches, intervals would be 4 % narrower.
+    # With half as many batches, intervals would be 11 % wider.
     batches: int = 16
 
 
@@ -132,7 +135,7 @@ class Anova(Counted, frozen=True, kw_only=True):
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Estimates]:
         """Return the estimates of every realization.
 
-        Covariances need the means over all realizations.
+        All realizations are kept, because covariances need the means over all realizations.
         """
         e, sampler, n = subject.estimator, subject.sampler, self.n
         partner = stream.child(_PARTNER)
@@ -151,7 +154,7 @@ class Anova(Counted, frozen=True, kw_only=True):
             """Return estimates with the axes of each subset kept and the others replaced."""
             block = blocks[index]
             kept = e.draw(sampler, n, stream, *block)
-            # Independent sets, each in an order of its own; random points if all sets are equal
+            # Use independent sets, each in its own order, or random points if all sets are equal
             if same_always():
                 random = as_sampler("random", sampler.dims)
                 others = e.draw(random, n, stream.child(_UNIFORM), *block)
@@ -175,7 +178,7 @@ class Anova(Counted, frozen=True, kw_only=True):
         )
 
     def _group_of_axes(self, dims: int) -> tuple[int, ...]:
-        """Return the group of each axis; the analysis treats a group as one axis."""
+        """Return the group of each axis. The analysis treats a group as one axis."""
         given = tuple(range(dims)) if self.groups is None else self.groups
         if len(given) != dims or {*given} != {*range(max(given) + 1)}:
             raise ParameterError(
@@ -353,7 +356,7 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_Batches]:
-        """Return batches of frequencies and sets; batches are independent of each other."""
+        """Return batches of frequencies and sets. The batches are independent of each other."""
         f, n, dims = subject.estimator.integrand, self.n, subject.estimator.dims
         subsets = _subsets(dims, self.order)
         batches = _SETTINGS.batches
@@ -362,8 +365,7 @@ class AnovaSpectrum(Analysis, frozen=True, kw_only=True):
         cumulative = np.cumsum(np.arange(1.0, self.half_width + 1) ** -2)
 
         def batch(index: int) -> _Batches:
-            # Frequencies of all subsets, (U · count, d),
-            # and the probabilities of these frequencies, (U · count,)
+            # Frequencies of all subsets, (U · count, d), and their probabilities, (U · count,)
             m: Array = np.zeros((len(subsets), count, dims))
             q: Array = np.ones((len(subsets), count))
             for place, subset in enumerate(subsets):
@@ -422,43 +424,53 @@ def anova_variances(
     Parameters
     ----------
     estimator, sampler, n
-        The estimator with its sampler and number of points, in up to 64 dims or groups. Random
-        sampling with n = 1, the default, gives the ANOVA variances σ²_u of the integrand itself.
+        The estimator with its sampler and number of points, in up to 64 dims or groups.
+        Random sampling with n = 1 is the default.
+        It gives the ANOVA variances σ²_u of the integrand itself.
     dims
         Number of dims of a function, or of a spec without ``dims``.
-        The default is the number of dims of the sampler, if the sampler is not a spec.
+        The default is the number of dims of the sampler, unless the sampler is a spec.
     order
         Largest number of axes of a subset, 1 or 2.
     realizations
         Number of independent pairs of point sets, at least 2.
     groups
-        Group of each axis, numbered from 0 without gaps. Subsets, ``axis`` and ``axes`` then refer
-        to groups, for example the bounces of a path. By default every axis is a group.
+        Group of each axis, numbered from 0 without gaps. By default every axis is a group.
+        Subsets, ``axis`` and ``axes`` refer to these groups.
+        A group may hold the axes of one bounce of a path, for example.
     rng
         Seed (SPEC 7). Realization r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
     workers
-        Number of threads; all processors by default. It has no effect on results.
+        Number of threads. The default is all processors. It has no effect on results.
     max_evaluations
         Maximum number of evaluations of the integrand.
-        An analysis that takes more raises, before it starts if possible.
+        An analysis that takes more raises an error, before it starts if possible.
 
     Returns
     -------
     xarray.Dataset
-        ``anova_variance(subset)`` c_u, with ``_se``, and ``anova_share(subset)``,
-        its share of the variance of the same pairs, so all shares sum to 1. The shares of single
-        axes are the first-order Sobol' indices. ``total_variance(axis)`` is the sum of c_u over
-        all u with the axis, with ``_se``, and ``total_share(axis)`` are the total Sobol' indices.
-        ``higher_order_variance`` is the part of subsets beyond `order`, with ``_se``,
-        and ``higher_order_share`` its share. ``truncation_share(axes)`` is the share of the first
-        axes. ``effective_dimension_truncation`` and ``effective_dimension_superposition`` (NaN
-        beyond `order`); ``mean_dimension``, the mean of |u| weighted by c_u; ``variance``.
+        ``anova_variance(subset)`` is the part c_u of the variance from a subset u of axes.
+        ``anova_share(subset)`` is its share of the variance of the same pairs.
+        All shares sum to 1. The shares of single axes are the first-order Sobol' indices.
+
+        ``total_variance(axis)`` is the sum of c_u over all subsets u that contain the axis.
+        ``total_share(axis)`` is the total Sobol' index.
+        ``higher_order_variance`` is the part of subsets with more than `order` axes,
+        and ``higher_order_share`` is its share.
+        ``truncation_share(axes)`` is the share of the first axes.
+
+        The effective dimensions are ``effective_dimension_truncation`` and
+        ``effective_dimension_superposition``. The latter is NaN if it exceeds `order`.
+        ``mean_dimension`` is the mean of |u| weighted by c_u. ``variance`` is the whole variance.
+
+        Standard errors of variances have names that end in ``_se``.
 
         Shares and dimensions have 95 % intervals ``_ci``, which are not clipped to 0 and 1.
         Intervals of ratios of means come from the delta method with Student's t.
-        Intervals of effective dimensions end where the ends of the shares cross 99 %,
-        or at infinity if the lower end does not. Errors and intervals of fewer than 4 realizations
-        are NaN. Several channels add a dim channel.
+        Intervals of effective dimensions end where the ends of the shares cross 99 %.
+        If the lower end of the shares does not cross 99 %, they end at infinity.
+        With fewer than 4 realizations, errors and intervals are NaN.
+        Several channels add a dim channel.
 
     Raises
     ------
@@ -468,9 +480,10 @@ def anova_variances(
     Notes
     -----
     The cost is O(R n d²) evaluations for order 2 and O(R n d) for order 1.
-    c_u may be negative if parts are correlated, or by noise within its standard error.
-    Given sets (`Sampler.from_points`) have no independent partners;
-    random points replace these sets, so errors are larger.
+    Correlated parts may have a negative c_u. Noise may also make c_u negative,
+    within its standard error.
+    Given sets (`Sampler.from_points`) have no independent partners.
+    Random points replace them as partners, so errors are larger.
 
     Examples
     --------
@@ -499,22 +512,22 @@ def anova_spectrum(
     Parameters
     ----------
     estimator
-        An estimator of one integrand with exact Fourier coefficients and uniform points,
-        in up to 64 dims.
+        An estimator of one integrand with exact Fourier coefficients and uniform points.
+        It may have up to 64 dims.
     sampler, n
-        Random points, or points with a random shift:
-        their distribution is the same after any translation.
+        Random points, or points with a random shift.
+        Their distribution must be the same after any translation.
     dims
         Number of dims of a function, or of a spec without ``dims``.
-        The default is the number of dims of the sampler, if the sampler is not a spec.
+        The default is the number of dims of the sampler, unless the sampler is a spec.
     order
         Largest number of axes of a subset, 1 to 3.
     frequencies
         Number of sampled frequencies of each subset, at least 32.
     half_width
-        Largest |m_i|; higher frequencies are left out.
+        Largest |m_i|. Higher frequencies are omitted.
     realizations
-        Total number of point sets, at least 32, used if ⟨|S_m|²⟩ has no closed form.
+        Total number of point sets, at least 32. It is used if ⟨|S_m|²⟩ has no closed form.
     rng
         Seed (SPEC 7).
 
@@ -522,14 +535,15 @@ def anova_spectrum(
     -------
     xarray.Dataset
         ``anova_variance`` c_u and ``anova_variance_se`` on dim subset, as in `anova_variances`.
-        The error is that of the mean of 16 independent batches of frequencies and sets.
+        The error is the standard error of the mean of 16 independent batches.
+        Each batch has its own frequencies and sets.
         The attribute ``power`` reports whether ⟨|S_m|²⟩ is exact.
 
     Raises
     ------
     NoClosedForm
         If the coefficients are not exact, the points have a density,
-        or their frequencies are correlated. `anova_variances` has no such requirements.
+        or the frequencies are correlated. `anova_variances` has no such requirements.
     ParameterError, CountError
         If a value is out of range, or the frequencies would not fit into memory.
 
@@ -548,7 +562,7 @@ def anova_spectrum(
 
 @dataclass(frozen=True)
 class _Estimates:
-    """Estimates of each mask: (S, R, channels)."""
+    """Estimates for each subset of kept axes, with shape (S, R, channels)."""
 
     values: Annotated[Array, Join(1)]
 
@@ -567,7 +581,7 @@ def _subsets(dims: int, order: int) -> list[tuple[int, ...]]:
 
 
 def _frozen(dims: int, order: int) -> list[tuple[int, ...]]:
-    """Return each subset of axes that is kept once; the full set and the empty set come first."""
+    """Return each subset of axes that is kept once. The full set and the empty set come first."""
     axes = tuple(range(dims))
     without = [(*axes[:i], *axes[i + 1 :]) for i in axes]
     first = [axes[:s] for s in range(1, dims)]

@@ -25,11 +25,11 @@ PARTITIONS = ("radial", "anova", "wedge", "dyadic")
 class BandSettings:
     """Largest and default numbers of bands."""
 
-    # Largest number of bands in a user's labels:
-    # the covariance of 4,096 bands takes 128 MiB per channel.
+    # Largest number of bands in a user's labels.
+    # The covariance of 4,096 bands takes 128 MiB per channel.
     most: int = 4096
-    # Number of sectors of directions ±m, 15° each:
-    # both axes and both diagonals are centers of sectors, with two other sectors in between.
+    # Number of sectors of directions ±m, with 15° each.
+    # Both axes and both diagonals are centers of sectors, with two other sectors in between.
     wedges: int = 12
 
 
@@ -48,7 +48,7 @@ class Bands:
     labels
         Text for each band.
     meaning
-        Meaning of the labels, for the axis of a plot.
+        Meaning of the labels. It is the title of a plot axis.
     """
 
     of: Array
@@ -57,23 +57,26 @@ class Bands:
 
 
 def make_bands(bands: str | Array, basis: Basis) -> Bands:
-    """Make a partition by name, or from the user's labels.
+    """Make a partition into bands by its name, or from the user's labels.
 
     Parameters
     ----------
     bands
-        ``radial`` are shells of |m| of width one; ``dyadic`` are shells whose width doubles.
+        ``radial`` bands are shells of |m| of width one.
+        ``dyadic`` bands are shells whose width doubles.
         ``anova`` groups functions by the axes along which they vary,
-        so the bands are the parts of the ANOVA decomposition. ``wedge`` (2-D) has the constant,
-        and 12 sectors of 15° for the direction of ±m (for Walsh and Haar,
-        of the numbers of oscillations along the axes, powers of two).
-        Integer labels ≥ 0 are an array with the shape of the basis; labels of m and −m are equal.
+        so the bands are the parts of the ANOVA decomposition.
+        ``wedge`` (2-D) has a band for the constant and 12 sectors of 15° for the direction of ±m.
+        For Walsh and Haar functions, m are the numbers of oscillations along the axes,
+        which are powers of two.
+        Labels may also be an array of integers ≥ 0 with the shape of the basis.
+        The labels of m and −m must be equal.
 
     Raises
     ------
     ParameterError
-        If the name is unknown; if labels have a wrong shape, type or range;
-        or if they differ between m and −m.
+        If the name is unknown, labels have a wrong shape, type or range,
+        or labels differ between m and −m.
     """
     check_bands(bands, basis)
     labels: tuple[str, ...] | list[str]
@@ -81,7 +84,7 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
         case "radial":
             of = np.rint(np.linalg.norm(basis.oscillations(), axis=1)).astype(np.int64)
             labels, meaning = tuple(map(str, range(int(of.max()) + 1))), "radial: |m| rounded"
-        case "dyadic":  # 0; then [1, 2), [2, 4), [4, 8), …
+        case "dyadic":  # The bands of |m| are 0, [1, 2), [2, 4), [4, 8), …
             length = np.linalg.norm(basis.oscillations(), axis=1)
             of = np.where(length > 0, np.frexp(np.maximum(length, 1.0))[1], 0).astype(np.int64)
             labels = ["0", *(f"{2**k}–{2 ** (k + 1)}" for k in range(int(of.max())))]
@@ -122,7 +125,7 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
                 )
             labels = tuple(map(str, range(int(of.max()) + 1)))
     # The last labels may have no members,
-    # because small grids and bases without negative indices lack directions.
+    # because small grids and bases without negative indices lack some directions.
     return Bands(of, tuple(labels[: int(of.max()) + 1]), f"band ({meaning})")
 
 

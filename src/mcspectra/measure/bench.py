@@ -1,8 +1,8 @@
 """Comparison of samplers on standard integrands by variance, rank, spectrum, quality and speed.
 
 The module combines `convergence`, `power_spectrum`, `pair_correlation` and `quality_figures`.
-It is not an `Analysis`, because results of analyses have the same bits every time,
-and measured speeds do not.
+It is not an `Analysis`, because analyses must give the same bits every time.
+Measured speeds differ from run to run.
 """
 
 from __future__ import annotations
@@ -71,24 +71,25 @@ SHARED_SETS = 8
 class BenchSettings:
     """Numbers of sets of a bench, and sizes of its spectra and pictures."""
 
-    # Least number of given sets per count for a measurement without a randomization:
-    # the spread of 16 sets gives a variance to 35 %.
+    # Least number of given sets per count for a measurement without a randomization.
+    # The spread of 16 sets gives a variance to 35 %.
     enough_sets: int = 16
     # Half widths of the spectra in 1, 2 and 3 dims, for 513, 16,641 and 68,921 frequencies.
     # Larger maps would not be printed in full. Spectra in more dims are omitted.
     half_widths: tuple[int, ...] = (256, 64, 20)
     # Number of sets whose figures of quality are averaged.
-    # At 256 points in 2-D single figures of scrambled nets differ by 1 to 5 % and those
-    # of random points by 11 to 27 %, so means of 8 sets are accurate to 2 % and 10 %.
+    # At 256 points in 2-D, single figures of scrambled nets differ by 1 to 5 %.
+    # Those of random points differ by 11 to 27 %.
+    # Means of 8 sets are therefore accurate to 2 % for nets and 10 % for random points.
     quality_sets: int = 8
     # Least number of sets for an interval of the pair correlation.
     # With 8 sets, Student's t makes the interval a fifth wider than a normal law.
     # With fewer sets the interval would hide the curve in a plot.
     few_sets: int = 8
-    # Largest number of sets over which the pair correlation is averaged:
-    # at 256 points in 2-D, 8, 16 and 32 sets give half widths of 0.05, 0.03 and 0.02.
+    # Largest number of sets over which the pair correlation is averaged.
+    # At 256 points in 2-D, 8, 16 and 32 sets give half widths of 0.05, 0.03 and 0.02.
     pair_sets: int = 16
-    # Largest number of points of a drawn set, because more dots overlap.
+    # Largest number of points of a drawn set. Pictures of more points have overlapping dots.
     most_pictured: int = 1024
     # Largest number of dims of the integrands. Genz's difficulty is divided among the dims,
     # so in more dims his functions are nearly linear along each axis.
@@ -98,7 +99,7 @@ class BenchSettings:
 _SETTINGS = BenchSettings()
 _LEVEL = 0.95  # Level of the simultaneous intervals of ranks
 
-# Genz's difficulty, the sum of a_i over the dims
+# Genz's difficulty of each family, which is the sum of a_i over the dims
 _GENZ = {
     "oscillatory": 9.0,
     "product-peak": 7.25,
@@ -119,7 +120,7 @@ class Task(NamedTuple):
 
     @property
     def title(self) -> str:
-        """Name, kind and dims."""
+        """Name, kind and number of dims of the integrand."""
         name = self.spec.partition("(")[0].removeprefix("genz-")
         return f"{name} ({self.kind}), {self.dims}-D"
 
@@ -138,48 +139,61 @@ def sampler_bench(
     ----------
     samplers
         Samplers, spec strings or arrays of points, as in `as_sampler`.
-        Spec strings are built for all dims; other samplers are used in their own dims.
-        For the measurement of variances, sets that are always the same are randomized
-        by owen (digital nets) or shift. The same holds if fewer than 16 sets of a count are given;
-        points of files are recognized as nets in base 2, 3 or 5.
+        Spec strings are built for all dims. Other samplers are used in their own dims.
+        Sets that are always the same are randomized before variances are measured:
+        digital nets by owen, other sets by shift.
+        The same holds if fewer than 16 sets of a count are given.
+        Points of files are recognized as nets in base 2, 3 or 5.
     counts
-        Numbers of points; each sampler uses the allowed counts nearest to these.
+        Numbers of points. Each sampler uses its allowed counts nearest to these numbers.
     dims
-        One or several numbers of dims. The integrands are built for all of them. Spectra,
-        pair correlations, quality and speed use the first number; projections use all numbers.
+        One or several numbers of dims. The integrands are built for all of them.
+        Spectra, pair correlations, quality and speed use the first number.
+        Projections use all numbers.
     realizations
-        Number of realizations for each variance; for given sets at most the number of sets.
+        Number of realizations for each variance. Given sets limit it to the number of sets.
     rng
-        Seed, an integer.
+        Seed of the random numbers, an integer.
 
     Returns
     -------
     xarray.Dataset
-        On (sampler, integrand, n): ``mean``, ``variance``, ``variance_ci`` and ``points_made``,
-        the count. On (sampler, integrand): ``rate``, ``rate_ci``, ``rank`` by n · variance
-        at the largest n, and ``rank_ci``, simultaneous 95 % intervals of all ranks. On (sampler,
-        n): figures of quality, and ``points_per_second`` of one thread that generates them,
-        NaN for points that are read. On (sampler, m0, …) and (sampler, radius):
-        ``power``, ``radial_power``, ``anisotropy_db`` (1 to 3 dims). On (sampler, r):
-        ``pair_correlation``, ``pair_correlation_ci``. On (sampler, point, axis): ``points``,
-        one set in the sampler's largest number of dims. ``pictured_n`` is the count of spectra.
+        On the dims (sampler, integrand, n): ``mean``, ``variance``, ``variance_ci``,
+        and the count ``points_made``.
+
+        On (sampler, integrand): ``rate``, ``rate_ci`` and ``rank``.
+        The rank is by n · variance at the largest n.
+        ``rank_ci`` holds simultaneous 95 % intervals of all ranks.
+
+        On (sampler, n): the figures of quality, and ``points_per_second``.
+        This is the speed of one thread that generates points; it is NaN for points that are read.
+
+        On (sampler, m0, …) and (sampler, radius) there are spectra, in 1 to 3 dims.
+        The spectra are ``power``, ``radial_power`` and ``anisotropy_db``.
+
+        On (sampler, r): ``pair_correlation`` and ``pair_correlation_ci``.
+
+        On (sampler, point, axis): ``points``, one set in the sampler's largest number of dims.
+        ``pictured_n`` is the count of the spectra.
+
         Values are NaN if a sampler does not allow the dims or the count.
-        The coordinate ``randomization`` of a sampler names the randomization that was added
-        for the measurement of variances, and so does the attribute ``note``.
+        If a randomization was added for the measurement of variances,
+        the coordinate ``randomization`` and the attribute ``note`` name it.
 
     Raises
     ------
     ParameterError
         If there are no samplers, two samplers are equal, or a sampler allows none of the dims.
     McspectraError
-        If a sampler cannot be made, or cannot draw points; the message gives the reason.
+        If a sampler cannot be made, or cannot draw points. The message gives the reason.
 
     Notes
     -----
-    The integrands are Genz's six families [Genz1984]_ (smooth, a kink,
-    an axis-parallel jump) with his difficulties, a half-space with an oblique border,
-    a ball in up to 3 dims and Sobol's g-function. All results except ``points_per_second`` depend
-    on samplers and seed alone; every sampler has its own stream.
+    The integrands are Genz's six families [Genz1984]_ with his difficulties,
+    a half-space with an oblique border, a ball in up to 3 dims and Sobol's g-function.
+    Genz's families are smooth, have a kink, or have an axis-parallel jump.
+    All results except ``points_per_second`` depend only on the samplers and the seed.
+    Every sampler has its own stream of random numbers.
     """
     for name, given in (("samplers", samplers), ("counts", counts), ("dims", dims)):
         if not isinstance(given, list | tuple | range) and not (
@@ -213,7 +227,7 @@ def sampler_bench(
                 reason = reason or error
         if reason is not None and not sources:
             raise reason
-        # Leave out dims in which a sampler allows only one of the requested counts,
+        # Skip dims in which a sampler allows only one of the requested counts,
         # such as strata in 10-D
         single = [d for d, each in sources.items() if len(_nearest(each, asked)) < 2]
         for d in single if len(single) < len(sources) else ():
@@ -228,7 +242,7 @@ def sampler_bench(
     labels = list(map(short_spec, specs))
     if len(set(labels)) < len(
         labels
-    ):  # Names may be equal, for example of files in several folders
+    ):  # Names may be equal, such as the names of files in several folders
         labels = specs
 
     tasks = [task for d in wanted for task in standard_tasks(d)]
@@ -323,10 +337,10 @@ def ranks(variance: Array, variance_ci: Array, n: Array) -> tuple[Array, Array]:
     Returns
     -------
     tuple
-        Ranks (sampler, task), where 1 is the least variance; their ends (sampler, task, 2).
-        The lower end is one more than the number of significantly better samplers,
-        as tested by differences of independent estimates of log variance and Bonferroni over
-        all pairs on all tasks.
+        Ranks (sampler, task), where 1 is the least variance, and their ends (sampler, task, 2).
+        The lower end is one more than the number of significantly better samplers.
+        The test compares independent estimates of log variance.
+        It uses the Bonferroni correction over all pairs on all tasks.
     """
     known = (variance >= 0.0) & np.isfinite(variance)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -379,7 +393,7 @@ def _look(source: Sampler, asked: Sequence[int], own: Any, seed: int) -> xr.Data
         parts += [spectrum[["power", "radial_power"]], rings]
     if n > 1:
         pairs = pair_correlation(source, n, realizations=min(sets, _SETTINGS.pair_sets), rng=own)
-        if sets < _SETTINGS.few_sets:  # Intervals from few sets would hide the curve
+        if sets < _SETTINGS.few_sets:  # Wide intervals from few sets would hide the curve
             pairs["pair_correlation_ci"][:] = np.nan
         parts.append(pairs[["pair_correlation", "pair_correlation_ci"]])
     means: dict[str, list[float]] = {name: [] for name in (*BENCH_QUALITY, "points_per_second")}
@@ -397,7 +411,7 @@ def _look(source: Sampler, asked: Sequence[int], own: Any, seed: int) -> xr.Data
 
 
 def _joined(parts: Sequence[xr.Dataset]) -> xr.Dataset:
-    """Merge results of one sampler; curves for several numbers of dims are concatenated."""
+    """Merge results of one sampler. Curves for several numbers of dims are concatenated."""
     import xarray as xr
 
     return xr.merge(parts, join="outer", compat="no_conflicts", combine_attrs="override")
@@ -413,10 +427,10 @@ def shared_sets(source: Sampler) -> Sampler:
 
 
 def free_of(source: Sampler, counts: Sequence[int]) -> tuple[Sampler, str]:
-    """Return a sampler whose variance can be measured at these counts,
-    and the added randomization or "".
+    """Return a sampler whose variance can be measured, and the name of an added randomization.
 
-    Sets that do not vary enough are randomized.
+    Sets that do not vary enough at these counts are randomized.
+    Without a randomization the name is empty.
     """
     few = (
         isinstance(source, GivenPoints)
@@ -433,7 +447,7 @@ def randomized(source: Sampler, counts: Sequence[int]) -> tuple[Sampler, str]:
 
 
 def making_seconds(source: Sampler, n: int, rng: int) -> float:
-    """Return the best time of a few draws on one thread without the cache; NaN for files."""
+    """Return the best time of a few draws on one thread without the cache, or NaN for files."""
     if isinstance(source.plain, GivenPoints):
         return math.nan
     stream = Stream.from_rng(rng)

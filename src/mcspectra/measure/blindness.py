@@ -1,8 +1,9 @@
 """Detection of estimates that missed the source of their variance, and sentences about them.
 
-Three kinds of estimates give no upper bound of the variance: estimates without spread, estimates
-whose mean differs from the integral, and samples in which one estimate causes most of the variance.
-`blindness` detects these estimates by the known integral, ∫g² and poles.
+Three kinds of estimates give no upper bound of the variance. The first has no spread.
+The second has a mean that differs from the integral.
+In the third, one estimate causes most of the variance.
+`blindness` detects them by the known integral, by ∫g² and by poles.
 """
 
 from __future__ import annotations
@@ -30,21 +31,21 @@ class BlindnessSettings:
     """Thresholds that detect estimates which missed the source of their variance."""
 
     # Share of one square in Σ (estimate − mean)² above which the tail is not resolved.
-    # In samples of 1,000 exponential numbers the largest square has 4 % (median),
-    # and 17 % once in a thousand samples; for normal numbers it is 1.2 and 2.4 %.
+    # For 1,000 exponential numbers, the median share of the largest square is 4 %.
+    # It exceeds 17 % in one of a thousand samples. For normal numbers these are 1.2 and 2.4 %.
     large_share: float = 0.2
-    # Probability that the largest square of a few normal estimates exceeds the limit
-    # for few estimates.
+    # Probability that the largest square of a few normal estimates exceeds its limit.
+    # The limit is larger for fewer estimates.
     rarely: float = 1e-3
-    # κ − 1 of estimates above which ∫g² is computed to test for an infinite variance.
-    # κ − 1 is 2 for normal and 8 for exponential estimates. A smaller value only costs time;
-    # with a larger value, other tests must detect more poles.
+    # If κ − 1 of the estimates exceeds this, ∫g² is computed to test for an infinite variance.
+    # Here κ is the kurtosis. κ − 1 is 2 for normal and 8 for exponential estimates.
+    # A smaller value only costs time. With a larger value, other tests must detect more poles.
     peaked: float = 9.0
-    # Exponent of a pole above which ∫g⁴ diverges:
-    # the limit ¼ minus 5e-4, the error of fitted slopes.
+    # Exponent of a pole above which ∫g⁴ diverges.
+    # It is the limit ¼ minus 5e-4, the error of fitted slopes.
     no_kurtosis: float = 0.2495
     # Distance of the mean from the integral, in standard errors, that cannot be due to chance.
-    # The normal probability is 6e-7, and remains small for the many counts of a study together.
+    # The normal probability is 6e-7. It remains small for the many counts of a study together.
     far: float = 5.0
 
 
@@ -69,19 +70,21 @@ def blindness(
     Parameters
     ----------
     measured
-        Arrays (estimator, sampler, n, channel) by name: ``realizations``, ``variance``,
-        its ``relative_se``, the ``largest_share`` of a square in it, whether it is ``resolved``,
-        the ``tail_index``, ``bias``, ``bias_se`` and the rounding ``floor``.
+        Arrays (estimator, sampler, n, channel) by name.
+        The names are ``realizations``, ``variance`` and its ``relative_se``, ``largest_share``,
+        ``resolved``, ``tail_index``, ``bias``, ``bias_se`` and ``floor``.
+        ``largest_share`` is the largest share of one square in the variance.
+        ``resolved`` states whether the variance is resolved; ``floor`` is its rounding error.
 
     Returns
     -------
     tuple
-        Whether each variance has no upper bound, in the shape of ``variance``; and the sentences.
+        Whether each variance has no upper bound, in the shape of ``variance``, and the sentences.
     """
     from scipy.special import gammainc, ndtr, stdtrit
 
     r = measured["realizations"]
-    # Tails get lighter with more points, so a tail that is heavy at n is also heavy
+    # Tails get lighter with more points. If a tail is heavy at n, it is also heavy
     # at smaller counts, even if it was not observed there
     heavy, unresolved = (
         np.logical_or.accumulate(found[:, :, ::-1], axis=2)[:, :, ::-1]
@@ -101,11 +104,12 @@ def blindness(
         unsampled = unsampled_note(e, int(counts[-1]) * realizations)
         if unsampled is not None:
             notes[f"{e.spec}: {unsampled}"] = None
-        # Largest exponent of poles of any technique; user functions are not called
+        # Find the largest exponent of poles of any technique, without calling user functions
         techniques = range(len(e.counts) if not e.is_black_box else 0)
         peaks = np.max([growth(e.primary_integrand(t)) for t in techniques], axis=0, initial=0.0)
-        # n times the variance of random points, Σ_t (∫g_t² − (∫g_t)²)/counts[t];
-        # NaN without a closed form. If the variance may be infinite, a quadrature of ∫g² is tried
+        # n times the variance of random points, Σ_t (∫g_t² − (∫g_t)²)/counts[t].
+        # It is NaN without a closed form.
+        # If the variance may be infinite, ∫g² is computed by quadrature
         doubtful, of_random = bool((suspect & varies)[i].any()), np.zeros(max(1, e.channels))
         for t, count in enumerate(e.counts):
             g, unknown = e.primary_integrand(t), np.full(of_random.shape, np.nan)
@@ -169,7 +173,7 @@ def blindness(
 def blindness_of(
     estimator: AbstractEstimator, sampler: Sampler, n: int, moments: Moments
 ) -> tuple[Array, list[str]]:
-    """Apply `blindness` to one sampler and count, by channel; also report vanishing variances."""
+    """Apply `blindness` to one sampler and count, by channel. Also report vanishing variances."""
     integral, error, _ = estimator.known_integral()
     bias = moments.mean - np.atleast_1d(integral)
     measured = {
@@ -191,8 +195,8 @@ def blindness_of(
 def _large_share(realizations: Array) -> Array:
     """Return the share of one square in the variance above which the tail counts as unresolved.
 
-    The share is a fifth, or more for few realizations:
-    normal estimates exceed it with probability 0.001 [Grubbs 1950].
+    The share is a fifth, or more for few realizations.
+    Normal estimates exceed it with probability 0.001 [Grubbs 1950].
     """
     from scipy.special import stdtrit
 

@@ -1,15 +1,20 @@
 """The error of the mean of correlated draws, such as Markov chains.
 
-A stationary chain has the spectral density S(ν), ν in cycles per draw. Its mean over n draws has
+A stationary chain has the spectral density S(ν), with ν in cycles per draw.
+The variance of its mean over n draws is
 
     Var = ∫ S(ν) |W(ν)|² dν = (1/n) ∫ S(ν) F_n(ν) dν,    F_n(ν) = sin²(πnν) / (n sin²(πν)),
 
-which is the power term with the Fejér kernel of the window W of equal weights.
-For a stationary chain the dc and cross terms vanish. S comes from an autoregression whose order
-is chosen by AIC, as in [Thompson2010]_. The autocovariances are corrected for the subtracted mean:
-removing a mean of variance V lowers all of them by V. The scatter of the chains' means is a second,
-independent estimate. Both estimates are pooled by degrees of freedom. If they disagree,
-the chains are in different parts of the distribution, and the error has no upper bound.
+which is the power term with the Fejér kernel F_n of the window W of equal weights.
+For a stationary chain the dc and cross terms vanish.
+S comes from an autoregression whose order is chosen by AIC, as in [Thompson2010]_.
+The autocovariances are corrected for the subtracted mean:
+if the mean has variance V, subtracting it lowers all autocovariances by V.
+
+The scatter of the chains' means is a second, independent estimate.
+Both estimates are pooled by their degrees of freedom.
+If they disagree, the chains are in different parts of the distribution,
+and the error has no upper bound.
 """
 
 from __future__ import annotations
@@ -35,74 +40,81 @@ __all__ = ["CHAIN_SETTINGS", "ChainSettings", "chain_error", "quantity_error"]
 class ChainSettings:
     """Thresholds above which faults of chains are reported.
 
-    The numbers of cases in comments are from ``python -m benchmarks settings --chains``.
+    Comments give numbers of cases from ``python -m benchmarks settings --chains``.
     """
 
-    # Least number of draws of a chain.
-    # Fewer draws allow an autoregression of order 2 at most (a quarter of the draws).
+    # Least number of draws of a chain. With fewer draws the autoregression has order 2 at most,
+    # because the largest order is a quarter of the draws.
     least_draws: int = 10
-    # Standard errors of the power of the mean chain above which chains are correlated: a normal
-    # law exceeds 5 standard errors with probability 6e-7. Half this value has 2 false alarms
-    # in 475 cases; double this value misses all of 50 sets of chains with a common part of 0.3.
+    # Chains count as correlated if the power of their mean deviates by more standard errors.
+    # A normal law exceeds 5 standard errors with probability 6e-7.
+    # Half this value gives 2 false alarms in 475 cases.
+    # Twice this value misses all of 50 sets of chains with a common part of 0.3.
     score: float = 5.0
-    # Probability that a test reports a fault of chains without faults. Two tests of drift
-    # and one of means are made for each quantity, so a model of 100 quantities has a false alarm
-    # in 2 % of runs. With 1e-2 there are 4 false alarms in 475 cases; 1e-6 finds the same faults.
+    # Probability that a test reports a fault of chains without faults.
+    # Each quantity has two tests of drift and one of means.
+    # A model of 100 quantities therefore has a false alarm in 2 % of runs.
+    # With 1e-2 there are 4 false alarms in 475 cases. With 1e-6 the same faults are found.
     alarm: float = 1e-4
-    # Length of a chain, in autocorrelation times, below which the chain still depends on its start.
-    # Half this value misses 43 of 50 chains with ρ = 0.99;
-    # double this value reports 21 of 25 short chains as stuck.
+    # Length of a chain, in autocorrelation times, below which it still depends on its start.
+    # Half this value misses 43 of 50 chains with autocorrelation ρ = 0.99.
+    # Twice this value reports 21 of 25 short chains as stuck.
     forgotten: float = 8.0
-    # Initial parts of a chain, as fractions of its draws,
-    # whose means are compared with the mean of the last half.
-    # Shorter parts have too few draws for a normal law; longer parts would reach the last half.
+    # Initial parts of a chain, as fractions of its draws.
+    # Their means are compared with the mean of the last half.
+    # Shorter parts have too few draws for a normal law. Longer parts would reach the last half.
     starts: tuple[float, ...] = (0.05, 0.1, 0.2)
-    # Probability of a difference above which the remaining draws count as stationary,
-    # and factor that lengthens the part left out, because the bias of the mean may still
-    # be one standard error. Of 200 sets of 4 chains of 1,000 normal draws + 5 exp(−t/100),
-    # 153 are reported (47 are stuck, without an end), and 93 % of intervals contain the mean.
-    # With 0.3 and 1.5, 76 % are reported and 93 % of intervals contain the mean;
-    # with 0.1 and 1.5 the fractions are 90 % and 89 %.
+    # Probability of a difference above which the remaining draws count as stationary.
+    # The second value is the factor by which the burn-in is lengthened,
+    # because the bias of the mean may still be one standard error.
+    # The values were tested on 200 sets of 4 chains of 1,000 normal draws + 5 exp(−t/100).
+    # A burn-in is reported for 153 sets (the other 47 are stuck, without an end of the burn-in).
+    # Of the intervals, 93 % contain the mean.
+    # With 0.3 and 1.5, 76 % are reported and 93 % of intervals contain the mean.
+    # With 0.1 and 1.5, the fractions are 90 % and 89 %.
     settled: float = 0.2
     margin: float = 2.0
-    # Significance level of the test whether the last two quarters of a chain differ. A chain with
-    # a smaller p-value counts as drifting until its end. With 0.001, 4 of 50
-    # linear drifts are reported as a burn-in.
+    # Significance level of the test whether the last two quarters of a chain differ.
+    # A chain with a smaller p-value counts as drifting until its end.
+    # With 0.001, 4 of 50 linear drifts are reported as a burn-in.
     ends_alike: float = 0.05
-    # Number of candidates for the length of the burn-in, equally spaced along a chain,
-    # and the largest fraction of a chain that is left out: the last half is the
-    # reference for the start.
+    # Number of candidates for the length of the burn-in, equally spaced along a chain.
+    # The second value is the largest fraction of a chain that may be burn-in.
+    # The last half is kept, because the start is compared with it.
     cuts: int = 40
     most_left_out: float = 0.5
     # Fraction of consecutive equal draws above which a chain is stuck.
-    # Values from 0.05 to 0.1 give the same results; 0.2 misses a run of 110 draws in 1,000.
+    # Values from 0.05 to 0.1 give the same results. With 0.2, a run of 110 in 1,000 is missed.
     run: float = 0.1
     # Number of different values above which repeated draws are a fault.
-    # A count or a flag repeats its values.
+    # Counts and flags have few different values, and repeat them.
     values: int = 20
-    # Part of the variance that lies between the draws above and below the mean. Above this part,
-    # draws lie on two levels. The part is 0.64 for a normal law, 0.75 for a uniform
-    # one and 1 for two values. A value of 0.7 reports 22 of 50 random walks as levels;
-    # 0.95 misses levels that are 8 standard deviations apart.
+    # Draws lie on two levels if more than this part of the variance lies between two groups:
+    # the draws above and below the mean.
+    # The part is 0.64 for a normal law, 0.75 for a uniform law and 1 for two values.
+    # With 0.7, 22 of 50 random walks are reported as levels.
+    # With 0.95, levels that are 8 standard deviations apart are missed.
     two_levels: float = 0.85
-    # Largest number of moves of each chain between the levels. With 20 moves the fraction of time
-    # on a level has an error of about 1/√20 = 22 %. Values from 10 to 40 give the same results.
+    # Largest number of moves of each chain between the levels that counts as a fault.
+    # With 20 moves, the fraction of time on a level has an error of about 1/√20 = 22 %.
+    # Values from 10 to 40 give the same results.
     switches: int = 20
-    # Tail index above which a tail is heavy. The variance is infinite for tail indices of ½
-    # and above, and an index from 2,000 draws has a standard error of about 0.1. A threshold
-    # of 0.5 finds 49 of 50 chains with infinite variance, 0.6 finds 47 and 0.8 finds 25.
+    # Tail index above which a tail is heavy. The variance is infinite for indices of at least ½.
+    # An index from 2,000 draws has a standard error of about 0.1.
+    # Of 50 chains with infinite variance, thresholds of 0.5, 0.6 and 0.8 find 49, 47 and 25.
     heavy: float = 0.6
-    # Least number of draws in a tail whose index is fitted:
-    # 20 draws give the index to about 0.3. With 10 draws there is a false alarm in 475 cases;
+    # Least number of draws in a tail whose index is fitted. 20 draws give the index to about 0.3.
+    # With 10 draws there is one false alarm in 475 cases.
     # 20 and 40 draws cause no false alarm and find the same tails.
     least_tail: int = 20
-    # Smallest allowed magnitude of the largest draw of a quantity;
-    # the largest allowed magnitude is its inverse.
+    # Smallest allowed magnitude of the largest draw of a quantity.
+    # The largest allowed magnitude is the inverse of this value.
     # Squares of both magnitudes, summed over any number of draws, are within the range of float64.
     smallest: float = 1e-100
-    # Degrees of freedom of the error below which the draws count as too few:
-    # with 6 degrees the error is accurate to 1/√12 = 29 %. With 3 degrees,
-    # one of 25 chains of 12 draws is missed; with 12 there are 12 false alarms in 475.
+    # Degrees of freedom of the error below which the draws count as too few.
+    # With 6 degrees the error is accurate to 1/√12 = 29 %.
+    # With 3 degrees, one of 25 chains of 12 draws is missed.
+    # With 12 degrees, there are 12 false alarms in 475 cases.
     few_degrees: float = 6.0
 
 
@@ -125,36 +137,51 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
     ----------
     draws
         Real numbers: (n,) for one chain, (chain, draw), or (chain, draw, quantity).
-        Also a DataArray or Dataset with the dims chain and draw, or an object with such a Dataset
-        as its group posterior, for example ArviZ's InferenceData or DataTree.
+        A DataArray or Dataset with the dims chain and draw is also possible.
+        So is an object with such a Dataset as its group posterior,
+        for example ArviZ's InferenceData or DataTree.
     weights
-        Importance weights or multiplicities of the draws, (n,) or (chain, draw), not negative;
-        equal by default. The error is that of the ratio estimate Σwx/Σw, linearized.
+        Importance weights or multiplicities of the draws, (n,) or (chain, draw), not negative.
+        By default the weights are equal.
+        The error is that of the ratio estimate Σwx/Σw, linearized.
 
     Returns
     -------
     xarray.Dataset
-        ``mean`` with ``mean_ci``; ``mcse``, the standard error of the mean, with ``mcse_ci``;
-        ``ess``, variance of the draws / mcse², with ``ess_ci``, which exceeds n for antithetic
-        chains; ``spectrum_at_zero``, S(0). ``burn_in`` is the number of initial draws of each chain
-        that all these results leave out, because they depend on the start. On the dim ``band``,
-        octaves of frequency named by their periods, with ``band_low`` and ``band_high`` in cycles
-        per draw: ``error_share``, the share of the error; ``draw_share``, the share of the variance
-        of the draws; ``chain_spectrum``, the measured mean of S, with ``chain_spectrum_ci``;
-        and ``fitted_spectrum``. Coordinates are ``cause`` (comma-separated names, or none)
-        and ``evidence``, a sentence on each. Several quantities add a dim quantity. For stuck
-        chains or heavy tails the error has no upper bound, and the intervals are infinite.
+        ``mean`` has the interval ``mean_ci``.
+        ``mcse`` is the standard error of the mean, with the interval ``mcse_ci``.
+        ``ess`` is the effective sample size: the variance of the draws divided by mcse².
+        It has the interval ``ess_ci``, and exceeds n for antithetic chains.
+        ``spectrum_at_zero`` is S(0).
+        ``burn_in`` is the number of initial draws of each chain that depend on the start.
+        All other results omit these draws.
+
+        The dim ``band`` has octaves of frequency, named by their periods.
+        ``band_low`` and ``band_high`` are their ends in cycles per draw.
+        For each band, ``error_share`` is the share of the squared error,
+        and ``draw_share`` the share of the variance of the draws.
+        ``chain_spectrum`` is the measured mean of S, with ``chain_spectrum_ci``.
+        ``fitted_spectrum`` is the mean of S from the autoregression.
+
+        The coordinate ``cause`` has comma-separated names of faults, or none.
+        The coordinate ``evidence`` has a sentence on each fault.
+        Several quantities add a dim quantity.
+        For stuck chains or heavy tails the error has no upper bound, and intervals are infinite.
 
     Raises
     ------
-        If there are fewer than 10 draws, wrong dims, values that are not finite, weights
-        that are negative or all zero in a chain, or draws whose squares exceed the range of floats.
+            DomainError, ParameterError
+        If there are fewer than 10 draws, dims are wrong, or values are not finite.
+        The same holds if weights are negative or all zero in a chain,
+        or if the squares of draws exceed the range of floats.
 
     Notes
     -----
-    S(0) from an autoregression has a smaller error, and an interval with coverage closer to 95 %,
-    than two alternatives: the initial monotone sequence, which cannot resolve antithetic
-    or oscillating chains, and averages of the lowest frequencies (docs/theory.md, "Chains").
+    S(0) from an autoregression has a smaller error than two alternatives,
+    and its interval has a coverage closer to 95 %; see docs/theory.md, "Chains".
+    One alternative is the initial monotone sequence.
+    It cannot resolve antithetic or oscillating chains.
+    The other alternative is averages of the lowest frequencies.
     The cost is O(n log n).
 
     Examples
@@ -227,7 +254,7 @@ def _quantities(draws: Any) -> tuple[list[str], Array]:
     """Return names of the quantities (empty for one) and values (quantity, chain, draw)."""
     import xarray as xr
 
-    # Take the variables of the posterior if there are groups
+    # If the draws have groups, use the variables of the group posterior
     given = getattr(draws, "posterior", draws)
     if isinstance(given, xr.DataTree):
         given = given.to_dataset()
@@ -273,7 +300,7 @@ def _quantities(draws: Any) -> tuple[list[str], Array]:
 class _ChainFit:
     """An autoregression of chains with a common law, and the error of a chain's mean."""
 
-    # Coefficients of the draws, 1 first, whose weighted sum is white noise
+    # Coefficients of the draws, beginning with 1, whose weighted sum is white noise
     coefficients: Array
     variance: float  # variance of a chain's mean, ∫ S F_n / n
     spread: float  # variance of a single draw
@@ -300,7 +327,7 @@ def _fitted(z: Array) -> _ChainFit:
         kernel = (np.sin(np.pi * n * frequency) / np.sin(np.pi * frequency)) ** 2 / n
     kernel[0] = n
 
-    # Fit to the covariances, then again after adding the variance of the subtracted mean
+    # Fit to the covariances. Fit again after adding the variance of the subtracted mean
     centred = z - z.mean(axis=1, keepdims=True)
     power = np.mean([np.abs(rfft(row, length)) ** 2 for row in centred], axis=0)
     most = int(min(n // 4, 10 * math.log10(n * chains)))
@@ -324,9 +351,10 @@ def _fitted(z: Array) -> _ChainFit:
         error = both * spectrum * kernel / n
         variance = float(error.sum())
 
-    # The error of log S(0) by the delta method; the covariance of the coefficients contains Γ⁻¹.
+    # Compute the error of log S(0) by the delta method.
+    # The covariance of the coefficients contains Γ⁻¹.
     # AIC chooses up to two unnecessary orders, so the error includes one more coefficient,
-    # even if this is 0
+    # even if that coefficient is 0
     order = len(chosen) + 1
     sums = solve_toeplitz(covariance[:order], np.ones(order)).sum() * innovation
     square = (2.0 + 4.0 * max(float(sums), 0.0) / float(chosen.sum()) ** 2) / (n * chains)
@@ -361,10 +389,10 @@ def quantity_error(x: Array, w: Array, settings: ChainSettings = CHAIN_SETTINGS)
 
 
 def _burn_in(z: Array, settings: ChainSettings) -> int:
-    """Return the number of draws of each chain that depend on its start; n if these are over half.
+    """Return the number of draws of each chain that depend on its start, or n if over half do.
 
-    The mean of the first draws, over all chains, is compared with that of the last half,
-    whose spectrum at frequency 0 gives the error of both.
+    The mean of the first draws, over all chains, is compared with the mean of the last half.
+    The spectrum of the last half at frequency 0 gives the error of both means.
     Draws are replaced by normal scores, which have no heavy tails.
     """
     from scipy.special import ndtri
@@ -381,7 +409,7 @@ def _burn_in(z: Array, settings: ChainSettings) -> int:
     fit = _fitted(last)
 
     def chance(start: int, stop: int, first: int = half) -> float:
-        """Return the probability that stationary draws differ as much."""
+        """Return the probability that two parts of stationary draws differ as much."""
         spread = fit.at_zero * (1.0 / (stop - start) + 1.0 / (n - first)) / chains
         away = float(mean[start:stop].mean() - mean[first:].mean())
         return float(f.sf(away**2 / spread, 1, fit.degrees))
@@ -406,10 +434,10 @@ def _burn_in(z: Array, settings: ChainSettings) -> int:
 def _stationary_error(
     x: Array, w: Array, edges: Array, drifts: str, settings: ChainSettings
 ) -> dict[str, Any]:
-    """Return result variables for draws (chain, draw) without a burn-in,
-    with bands between the given edges.
+    """Return result variables for draws (chain, draw) without a burn-in.
 
-    `drifts` describes a drift that the search for a burn-in found; else it is empty.
+    The edges are the ends of the bands of frequency.
+    `drifts` describes a drift that the search for a burn-in found. Otherwise it is empty.
     """
     from scipy.signal import lfilter
     from scipy.stats import chi2, f, t
@@ -437,8 +465,9 @@ def _stationary_error(
         }
     causes: dict[str, str] = {}
 
-    # Chains that move together have the error of their mean chain. For independent whitened chains
-    # the power of the mean chain over the power of all is Beta(1, m − 1) at each frequency
+    # If chains move together, their error is the error of their mean chain.
+    # For independent whitened chains, consider the power of the mean chain over the power of all.
+    # At each frequency this ratio has the law Beta(1, m − 1)
     fit = own = _fitted(z)
     series, remark = z, ""
     if chains > 1:
@@ -507,7 +536,7 @@ def _stationary_error(
     if not stuck and degrees < settings.few_degrees:
         causes["few-realizations"] = "there are too few draws to know their error to 30 %"
 
-    # Intervals by Student's t and χ²; they are infinite if the error has no upper bound
+    # Intervals use Student's t and χ². They are infinite if the error has no upper bound
     bounded = not {"stuck-chain", "heavy-tail"} & set(causes)
     mcse = math.sqrt(variance)
     half = float(t.ppf(0.975, degrees)) * mcse if bounded else math.inf
@@ -551,7 +580,7 @@ def _tail_index(z: Array, least: int) -> float:
     excess = excess[1:] - excess[0]
     if not excess[most // 4] > 0:
         return math.nan
-    # Posterior mean over a grid of b = −k/σ, whose prior depends on the first quartile
+    # Posterior mean over a grid of b = −k/σ. The prior of b depends on the first quartile
     grid = 30 + int(math.sqrt(most))
     b = 1 - np.sqrt(grid / (np.arange(grid) + 0.5))
     b = b / (3 * excess[int(most / 4 + 0.5) - 1]) + 1 / excess[-1]

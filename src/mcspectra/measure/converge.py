@@ -1,15 +1,18 @@
 """Convergence: measured variance against n and its fitted rate.
 
-The number of realizations is given, or grows until the variance is accurate enough (docs/theory.md,
-"Intervals of variances, and stopping"). The number grows in stages that depend only
-on earlier estimates, so the result has the same bits for any number of workers.
-The search ends only if the next stage, at least a quarter longer, confirms the accuracy:
-a skewed sample tends to reach it first when its kurtosis is underestimated.
+The number of realizations is given, or grows until the variance is accurate enough.
+The theory is in docs/theory.md, "Intervals of variances, and stopping".
+The number grows in stages that depend only on earlier estimates.
+Therefore the result has the same bits for any number of workers.
+
+The search ends only if the next stage, at least a quarter longer, confirms the accuracy.
+A skewed sample tends to reach the accuracy first when its kurtosis is underestimated.
 Estimates without any spread do not prove that the variance is 0.
 After 10,000 equal estimates the error is NaN, and the precision is not reached.
 
-If the estimates missed the source of the variance, its interval has no finite upper end,
-the rate has no interval, and the attribute ``note`` explains why (`mcspectra.measure.blindness`).
+Estimates may miss the source of the variance. The interval then has no finite upper end,
+and the rate has no interval. The attribute ``note`` explains why
+(`mcspectra.measure.blindness`).
 """
 
 from __future__ import annotations
@@ -60,7 +63,7 @@ __all__ = [
     "realizations_needed",
 ]
 
-# A smaller relative error takes billions of realizations
+# A smaller relative error would take billions of realizations
 Precision = Annotated[float, Meta(ge=1e-4, le=1.0)]
 
 
@@ -68,22 +71,25 @@ Precision = Annotated[float, Meta(ge=1e-4, le=1.0)]
 class StageSettings:
     """Lengths of the stages in a search for the number of realizations, and the size of blocks."""
 
-    # Realizations of the first stage: the kurtosis of 100 normal estimates has a standard error
-    # of √(24/100) = 0.5. Values from 50 to 200 give the same results.
+    # Realizations of the first stage.
+    # The kurtosis of 100 normal estimates has a standard error of √(24/100) = 0.5.
+    # Values from 50 to 200 give the same results.
     first: int = 100
     # Least and largest factor by which a stage lengthens the sample.
     # A stage that is a quarter longer confirms the previous stage.
     # After a factor of 4 the kurtosis is twice as accurate, so the next length is better chosen.
-    # With a least factor of 1.1, searches for 10 % end at an error of 10.3 %;
-    # with 1.25 they end at 9 %; 1.5 takes 30 % more realizations. For the largest
-    # factor, values from 2 to 8 give the same results (`python -m benchmarks settings --stages`).
+    # With a least factor of 1.1, searches for 10 % end at an error of 10.3 %.
+    # With 1.25 they end at 9 %. A factor of 1.5 takes 30 % more realizations.
+    # Values from 2 to 8 for the largest factor give the same results
+    # (`python -m benchmarks settings --stages`).
     step: float = 1.25
     leap: float = 4.0
-    # Number of realizations without spread after which the search ends:
-    # an event of probability 3e-4 per realization occurs in 10,000 of them with probability 95 %.
+    # Number of realizations without spread after which the search ends.
+    # If an event has probability 3e-4 per realization,
+    # it occurs in 10,000 realizations with probability 95 %.
     blank: int = 10_000
-    # Divisor of the usual block length:
-    # a thousand realizations of a thousand points then have two blocks for two threads.
+    # Divisor of the usual block length.
+    # A thousand realizations of a thousand points then have two blocks for two threads.
     parts: int = 2
 
 
@@ -166,8 +172,8 @@ class Convergence(Counted, frozen=True, kw_only=True):
             for part, cell in enumerate(cells)
         ])  # fmt: skip
 
-        # Moments for every estimator, sampler and count;
-        # estimators that share realizations come last
+        # Moments for every estimator, sampler and count.
+        # Estimators that share realizations come last
         estimators, samplers = subject.estimators, subject.samplers
         flat = [each for cell in found for each in cell]
         joint = len(cells[0].estimators) > 1
@@ -188,13 +194,13 @@ class Convergence(Counted, frozen=True, kw_only=True):
         known = np.array([error for _, error, _ in references])[:, None, None, None]
         floor = rounding_floor(np.fmax(np.abs(mean), np.abs(integral)))
 
-        # A deterministic set has no variance; any spread is rounding noise
+        # A deterministic set has no variance. Any spread is rounding noise
         fixed = np.array([[is_fixed(e, s) for s in samplers] for e in estimators])
         variance[fixed], interval[fixed], mean_se[fixed] = 0.0, 0.0, 0.0
         v, r, f = (np.moveaxis(a, 2, 0) for a in (variance, relative, floor))
         fits = fit_rates(np.array(self.counts), v, r, f, self.fit_last)
 
-        # Intervals of missed variances have no upper end, and rates fitted to them no interval
+        # If a variance was missed, its interval has no upper end, and the rate has no interval
         measured = {
             "realizations": np.broadcast_to(count[..., None], variance.shape),
             "variance": variance,
@@ -273,9 +279,9 @@ class Convergence(Counted, frozen=True, kw_only=True):
     def _cells(self, subject: Subject, stream: Stream) -> list[MomentsCell]:
         """Return cells for each group of estimators, each sampler and each count.
 
-        Estimators of one technique without their own `draw` use
-        the sampler's points and share realizations.
-        With a requested precision, each estimator takes the realizations that it needs.
+        Estimators of one technique without their own `draw` share realizations,
+        because they use the sampler's points.
+        If a precision is requested, each estimator takes as many realizations as it needs.
         """
         estimators = tuple(subject.estimators)
         draws = AbstractEstimator.draw
@@ -375,52 +381,64 @@ def convergence(
         its spec string, or a vectorized function of points (…, d).
     dims
         Number of dims of a function, or of a spec without ``dims``.
-        The default is the number of dims of the sampler, if the sampler is not a spec.
+        The default is the number of dims of the sampler, unless the sampler is a spec.
     counts
         Ascending numbers of points n that every sampler allows.
     realizations
-        Number of independent realizations for each n, at least 2;
-        with `relative_error`, the largest number.
+        Number of independent realizations for each n, at least 2.
+        With `relative_error` it is the largest number.
     rng
-        Seed (SPEC 7). Each n has its own stream,
-        shared by all estimators and samplers (common random numbers).
+        Seed (SPEC 7). Each n has its own stream of random numbers.
+        All estimators and samplers share it (common random numbers).
     relative_error
-        Relative standard error of the variance at which the search
-        for each count stops (`realizations_needed`). By default all realizations are used.
+        Relative standard error of the variance at which the search for each count stops.
+        By default all realizations are used. See also `realizations_needed`.
     fit_last
-        Number of the largest counts to which the rate is fitted; all by default.
+        Number of the largest counts to which the rate is fitted. The default is all counts.
         ``"auto"`` uses as many counts as lie on a line; see `mcspectra.core.fits.fit_rate`.
     workers
-        Number of threads; all processors by default. It has no effect on results.
+        Number of threads. The default is all processors. It has no effect on results.
     max_evaluations
         Maximum number of evaluations of the integrand.
-        An analysis that takes more raises, before it starts if possible.
+        An analysis that takes more raises an error, before it starts if possible.
 
     Returns
     -------
     xarray.Dataset
-        ``variance(n)``, ``variance_ci(n, bound)``, ``mean(n)``, ``mean_se(n)``;
-        ``bias(n)`` and ``mse(n)`` relative to the estimator's integral (attribute
-        ``integral_source``), and ``bias_se(n)``, which includes the integral's error.
-        For a user's function without a given integral both are NaN, and ``mse`` is the variance.
-        ``realizations_used(n)``; with `relative_error` ``reached(n)`` (1: yes; 0: `realizations`
-        came first, or there was no spread). ``rate``, ``rate_ci(bound)``, ``fit_first_n`` (the
-        smallest count of the fit) and ``fit_chi2`` (the lack of fit per degree of freedom).
+        ``variance(n)``, ``variance_ci(n, bound)``, ``mean(n)`` and ``mean_se(n)``.
+
+        ``bias(n)`` and ``mse(n)`` refer to the estimator's integral.
+        The attribute ``integral_source`` names its source.
+        ``bias_se(n)`` includes the error of the integral.
+        For a user's function without a given integral ``bias`` and ``bias_se`` are NaN,
+        and ``mse`` is the variance.
+
+        ``realizations_used(n)`` is the number of realizations.
+        With `relative_error`, ``reached(n)`` is 1 if the error was reached.
+        It is 0 if `realizations` was reached first, or there was no spread.
+
+        ``rate`` has the interval ``rate_ci(bound)``.
+        ``fit_first_n`` is the smallest count of the fit.
+        ``fit_chi2`` is the lack of fit per degree of freedom.
 
         A deterministic set has the variance 0 and no rate, which the attribute ``note`` reports.
-        The note also reports estimates that missed the source of their variance: all are equal;
-        the tails are not resolved; the mean is five standard errors from the integral;
-        ∫g² diverges or exceeds the value of random points;
-        or most of ∫g² lies where no sample falls (`mcspectra.estimators.tails`).
-        Tails are not resolved in three cases: one square is a fifth or more of the variance;
-        the tail index k̂ belongs to a variance that is hardly finite; or values of a user's
-        function of one technique follow a power law with much of the variance beyond the largest
-        value. The upper end of ``variance_ci`` and both ends of ``rate_ci`` are then infinite.
+        The note also reports estimates that missed the source of their variance.
+        The estimates may be all equal, or their tails may not be resolved.
+        Their mean may be five standard errors from the integral.
+        ∫g² may diverge, or exceed the value of random points.
+        Most of ∫g² may lie where no sample falls (`mcspectra.estimators.tails`).
 
-        If a sampler has fewer stored sets than realizations and reuses them under translations,
-        errors are at least the errors of a jackknife over groups of sets. Lists add
-        the dims estimator and sampler, several channels the dim channel. Counts whose variance
-        is rounding noise are left out of the fit; the rate is NaN if fewer than two counts remain.
+        Tails are not resolved in three cases. One square may be a fifth or more of the variance.
+        The tail index k̂ may belong to a variance that is hardly finite.
+        Values of a user's function of one technique may follow a power law,
+        with much of the variance beyond the largest value.
+        In these cases the upper end of ``variance_ci`` and both ends of ``rate_ci`` are infinite.
+
+        A sampler may have fewer stored sets than realizations, and reuse them under translations.
+        Errors are then at least the errors of a jackknife over groups of sets.
+        Lists add the dims estimator and sampler. Several channels add the dim channel.
+        Counts whose variance is rounding noise are left out of the fit.
+        The rate is NaN if fewer than two counts remain.
 
     Raises
     ------
@@ -457,7 +475,7 @@ def realizations_needed(
         The estimator, its sampler and the number of points.
     dims
         Number of dims of a function, or of a spec without ``dims``.
-        The default is the number of dims of the sampler, if the sampler is not a spec.
+        The default is the number of dims of the sampler, unless the sampler is a spec.
     relative_error
         Requested relative standard error of the variance of every channel.
     max_realizations
@@ -465,19 +483,22 @@ def realizations_needed(
     rng
         Seed (SPEC 7). Realization r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
     workers
-        Number of threads; all processors by default. It has no effect on results.
+        Number of threads. The default is all processors. It has no effect on results.
     max_evaluations
         Maximum number of evaluations of the integrand.
-        An analysis that takes more raises, before it starts if possible.
+        An analysis that takes more raises an error, before it starts if possible.
 
     Returns
     -------
     xarray.Dataset
-        ``realizations_used``; ``reached`` (1: yes, confirmed by the last stage; 0:
-        the maximum came first, or the estimates had no spread); ``variance`` with ``variance_ci``;
-        ``variance_relative_se`` (NaN without spread; infinite if tails are not resolved,
-        which the attribute ``note`` reports); ``skewness`` and ``kurtosis`` of the estimates (0
-        and 3 for normal ones); ``mean``, ``mean_se``. Several channels add a dim channel.
+        ``realizations_used`` is the number of realizations.
+        ``reached`` is 1 if the last stage confirmed the error.
+        It is 0 if the maximum was reached first, or the estimates had no spread.
+        ``variance`` has the interval ``variance_ci`` and the error ``variance_relative_se``.
+        This error is NaN without spread. It is infinite if tails are not resolved,
+        which the attribute ``note`` reports.
+        ``skewness`` and ``kurtosis`` describe the estimates; they are 0 and 3 for normal estimates.
+        ``mean`` has the standard error ``mean_se``. Several channels add a dim channel.
 
     Raises
     ------
@@ -486,9 +507,10 @@ def realizations_needed(
 
     Notes
     -----
-    The search takes about (κ − 1)/relative_error² realizations, and a quarter
-    more for confirmation. The search cannot account for events that are too rare to occur:
-    compare ``skewness`` with its value for the integrand.
+    The search takes about (κ − 1)/relative_error² realizations, where κ is the kurtosis,
+    and a quarter more for confirmation.
+    The search cannot account for events that are too rare to occur.
+    Compare ``skewness`` with its value for the integrand.
 
     Examples
     --------
@@ -517,7 +539,7 @@ class MomentsCell:
     stream: Stream
 
     def run(self, part: int, first: int, realizations: int) -> Reduction[list[Moments]]:
-        """Return moments of each estimator over `realizations` realizations from `first` on."""
+        """Return moments of each estimator over a number of realizations, starting at `first`."""
         evaluations = self.n * sum(self.estimators[0].counts)
         numbers = evaluations * self.estimators[0].dims  # Number of coordinates of a realization
         blocks = realization_blocks(realizations, STAGE_SETTINGS.parts * numbers, first=first)
@@ -569,15 +591,14 @@ class MomentsCell:
         (moments,) = yield self.run(part, 0, min(settings.first, most))
         before = False
         while True:
-            # Largest error among the channels that vary; NaN if none varies
+            # Largest error among the channels that vary, or NaN if none varies
             varies = moments.variance > rounding_floor(moments.mean)
             error = float(moments.known_se[varies].max()) if varies.any() else math.nan
             now, blank = error <= relative_error, math.isnan(error)
             if (now and before) or moments.count >= (min(most, settings.blank) if blank else most):
                 return [(moments, now and before)]
             before = now
-            # The next stage ends where the error should be reached,
-            # within limits of the stage's length
+            # The next stage ends where the error should be reached, within limits of its length
             excess = math.inf if blank else error / relative_error
             longer = min(max(excess**2, settings.step), settings.leap)
             stop = min(most, math.ceil(moments.count * longer))
@@ -599,7 +620,7 @@ def count_moments(
     workers: int = 1,
     first: int = 0,
 ) -> Moments:
-    """Return moments of estimates of consecutive realizations, the first one `first`."""
+    """Return moments of the estimates of consecutive realizations, starting at `first`."""
     run = MomentsCell((estimator,), sampler, n, stream).run(0, first, realizations)
     tree: MergeTree[list[Moments]] = MergeTree()
     for state in map_in_order(run.block, range(run.blocks), workers):

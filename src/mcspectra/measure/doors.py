@@ -21,15 +21,15 @@ VANISHES = "the variance vanishes to rounding"
 
 
 def answer(analysis: type[Analysis], arguments: Mapping[str, Any]) -> xr.Dataset:
-    """Run an analysis for its public function; `locals()` has the names of its options.
+    """Run an analysis for its public function, whose `locals()` give the names of the options.
 
     Parameters
     ----------
     analysis
         The class of the analysis.
     arguments
-        ``estimator``, ``sampler`` or ``samplers``, ``dims``, ``rng``,
-        ``workers`` for analyses with threads, and all other options.
+        ``estimator``, ``sampler`` or ``samplers``, ``dims``, ``rng``, and all other options.
+        Analyses with threads also have ``workers``.
     """
     sampler = arguments.get("sampler", arguments.get("samplers"))
     subject = as_subject(

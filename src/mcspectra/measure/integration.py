@@ -2,29 +2,36 @@
 
 A budget of N calls is divided into R replicates of n points.
 If the variance of a replicate is ∝ n^-θ, the interval has a half width ∝ t_{R−1} n^{−θ/2} R^{−1/2}.
-Few replicates of many points are best for large θ, for example for smooth functions and scrambled
-nets. More replicates are best for θ near 1, because they make the quantile t smaller at no cost.
+For large θ, few replicates of many points are best.
+Smooth functions with scrambled nets are an example.
+For θ near 1, more replicates are best, because they make the quantile t smaller at no cost.
+
 A quarter of the budget measures θ with eight replicates.
 Their points are prefixes of randomized sequences, and later sets start with the same points.
 
-The interval is the hull of two intervals: Student's t, and Hall's transform
-of Student's t (`mean_interval`). For 300 seeds at 256 calls it contains the integral of x^−½
-in 88 % of cases (74 % by Student's t alone), and the integral of e^(x + y) in 97 % (96 %).
+The interval is the hull of two intervals: Student's t, and Hall's transform of Student's t
+(`mean_interval`). It was tested with 300 seeds at 256 calls.
+It contains the integral of x^−½ in 88 % of cases, and Student's t alone in 74 %.
+For the integral of e^(x + y) the fractions are 97 % and 96 %.
 
 If f grows without bound toward a face of the cube, the errors of strata follow another law.
-The quantiles of this law replace those of Student's t if the interval
-is then wider (`estimators/tails.py`).
+If the interval is then wider, the quantiles of this law replace the quantiles of Student's t
+(`estimators/tails.py`).
 
 Both intervals are asymptotic in R, and R is at least eight.
-Replicates may miss events with a probability below 1/R for each replicate, for example a step along
-an axis next to a line of the net. The interval is then too short [Owen2025]_. Intervals that hold
-for any bounded function would need n = Θ(N^{1/(θ+1)}) [Jain2026]_. Such intervals would spend
-most of the budget on replicates, and the error of a smooth function would be ten times as large.
+Replicates may miss events with a probability below 1/R for each replicate.
+An example is a step along an axis next to a line of the net.
+The interval is then too short [Owen2025]_.
+Intervals that hold for any bounded function would need n = Θ(N^{1/(θ+1)}) [Jain2026]_.
+Such intervals would spend most of the budget on replicates.
+The error of a smooth function would then be ten times as large.
 
-A few linear scrambles of a net cause most of the variance;
-all others have far smaller errors. The *median* of replicates ignores the few bad scrambles,
-and its error falls faster than any power of n for smooth f ([Pan2024]_). Order statistics bound
-the median for any distribution, because half of the estimates are above the median.
+A few linear scrambles of a net cause most of the variance.
+All other scrambles have far smaller errors.
+The *median* of replicates ignores the few bad scrambles.
+For smooth f its error falls faster than any power of n ([Pan2024]_).
+Order statistics bound the median for any distribution,
+because half of the estimates are above the median.
 Nested scrambles have no such bad sets, so their mean is better.
 """
 
@@ -80,18 +87,19 @@ __all__ = ["integrate"]
 class IntegrationSettings:
     """Settings that divide a budget into replicates, and that choose between median and mean.
 
-    Numbers in the comments are from 40 runs with 512 and with 4,096 calls
-    on each of five functions: smooth ones in 2 and 4 dims, x^−½, a quarter disk and a kink.
+    Numbers in the comments are from 40 runs with 512 and with 4,096 calls on five functions:
+    smooth functions in 2 and 4 dims, x^−½, a quarter disk and a kink.
     """
 
-    # Least number of replicates. Intervals of 16 replicates are 1.6 to 1.9 times as wide
-    # for smooth functions. Intervals of 4 replicates are as wide as those of 8 on average,
+    # Least number of replicates.
+    # For smooth functions, intervals of 16 replicates are 1.6 to 1.9 times as wide.
+    # Intervals of 4 replicates are as wide as intervals of 8 on average,
     # but miss events of probability 1/8 more often.
     least: int = 8
-    # Least number of replicates of a median: an odd number,
-    # so that the median is one of the replicates. The 95 % interval then ends at the second
-    # and at the last replicate but one, so one bad scramble on either side has no effect.
-    # Intervals of 7 replicates are as wide on average; intervals of 21 are 1.5 times as wide.
+    # Least number of replicates of a median. It is odd, so that one replicate is the median.
+    # The 95 % interval then extends from the second replicate to the last but one.
+    # One bad scramble on either side therefore has no effect.
+    # Intervals of 7 replicates are as wide on average. Intervals of 21 are 1.5 times as wide.
     least_of_median: int = 11
     # Number of points for which the law of the sampler is determined.
     # The law states the kind of scramble, which is equal for all n.
@@ -99,21 +107,23 @@ class IntegrationSettings:
     # Largest ratio of the size of a set to the size of the sets that measure the rate.
     # Values from 2 to 8 give the same results: widths differ by 1 % on average.
     pilot: int = 4
-    # Number of prefixes of a replicate to which the rate is fitted, each half as long as the next.
-    # With 2 prefixes intervals are 6 % wider. Values from 4 to 6 give the same results.
+    # Number of prefixes of a replicate to which the rate is fitted.
+    # Each prefix is half as long as the next.
+    # With 2 prefixes, intervals are 6 % wider. Values from 4 to 6 give the same results.
     levels: int = 4
-    # Factor by which the interval of the mean must be wider than that of the median before
-    # the median is preferred. With 1, intervals of the median contain the integral in 90 instead
-    # of 93 % of runs; with 4, intervals are 12 % wider.
+    # The median is preferred if the interval of the mean is wider by more than this factor.
+    # With 1, intervals of the median contain the integral in 90 instead of 93 % of runs.
+    # With 4, intervals are 12 % wider.
     stands_out: float = 2.0
-    # Number of calls before the width of the interval is first compared with a tolerance:
-    # 8 replicates of 128 points, whose interval is right for usual functions.
+    # Number of calls before the width of the interval is first compared with a tolerance.
+    # They are 8 replicates of 128 points, whose interval is right for usual functions.
     first: int = 2**10
-    # Ratio of the number of calls to the number that the rate requires. With this margin most
-    # tolerances take two rounds, although the width from 8 replicates has a standard error of 25 %.
+    # Ratio of the number of calls to the number that the rate requires.
+    # The width from 8 replicates has a standard error of 25 %.
+    # With this margin, most tolerances nevertheless take only two rounds.
     margin: float = 1.3
-    # Largest ratio between the numbers of calls of consecutive rounds,
-    # because first rates are uncertain.
+    # Largest ratio between the numbers of calls of consecutive rounds.
+    # It is limited because first rates are uncertain.
     growth: float = 4.0
 
 
@@ -143,46 +153,55 @@ def integrate(
     Parameters
     ----------
     f
-        A vectorized function of points (…, d) with values (…), an integrand without channels
-        or its spec string, or an estimator of one technique, such as ``Estimator(f, density)``.
+        A vectorized function of points (…, d) with values (…).
+        It may also be an integrand without channels, its spec string,
+        or an estimator of one technique, such as ``Estimator(f, density)``.
     budget
         Maximum number of calls of f, where each point is one call.
     sampler
-        A randomized sampler; by default ``"sobol | owen"``, for the median ``"sobol | lms"``.
+        A randomized sampler. The default is ``"sobol | owen"``, for the median ``"sobol | lms"``.
     dims
-        Number of dims, needed if neither f nor the sampler has a number of dims.
+        Number of dims. It is needed if neither f nor the sampler has a number of dims.
     combine
         ``"mean"`` of the replicates, or ``"median"`` for linear scrambles such as ``lms``.
-        The median is far better for smooth f in one dim, and in two dims from about 2,000 calls on.
+        The median is far better for smooth f in one dim.
+        In two dims it is far better with more than about 2,000 calls.
     vectorized, workers, cache
-        Options for slow functions: see `mcspectra.integrands.Calls`. An interrupted call continues
-        when it is repeated with the same cache, and gives the same bits.
+        Options for slow functions: see `mcspectra.integrands.Calls`.
+        An interrupted call continues when it is repeated with the same cache.
+        It then gives the same bits.
     on_error
-        ``"raise"`` if f fails or is not finite. ``"skip"`` counts such points.
-        For each failed point, the value uses the mean of all other points,
+        ``"raise"`` raises an error if f fails or is not finite. ``"skip"`` counts such points.
+        The value then uses the mean of all other points for each failed point,
         and the interval covers their least to largest value.
         The note reports the number of failed points and the first failed point.
     tolerance
-        Tolerance: calls end when the half width of the interval is at most this value,
-        even if the budget allows more calls. The note reports if the budget is spent first.
+        Half width of the interval at which calls end, even if the budget allows more calls.
+        The note reports if the budget is spent first.
     profile
-        The `mcspectra.Profile` of f.
-        The estimator and the sampler are those that the profile recommends.
-        Evaluations of the profile are reused, and are not part of this budget: the value
-        is the mean of the profile's integral and the new integral, weighted by their intervals.
+        The `mcspectra.Profile` of f, which recommends the estimator and the sampler.
+        Evaluations of the profile are reused, and are not part of this budget.
+        The value is the mean of the profile's integral and the new integral,
+        weighted by their intervals.
     rng
         Seed (SPEC 7).
 
     Returns
     -------
     xarray.Dataset
-        ``value`` (NaN without an integral). ``interval(bound)``, 95 % over the replicates;
-        for the median it contains the median of the distribution of replicates with probability
-        at least 95 %. ``calls`` that were made, ``skipped`` calls that failed, ``replicates``,
-        ``n`` points of each, and ``rate`` of the variance as measured for the division
-        of the budget, NaN if not measured. The interval is infinite if all replicates are equal,
-        if f grows toward a face of the cube so fast that its variance is infinite,
-        or if a few values hold most of the variance. The attribute ``note`` gives the reason.
+        ``value`` is the integral, or NaN without an integral.
+
+        ``interval(bound)`` is its 95 % interval over the replicates.
+        For the median it refers to the median of the distribution of replicates.
+        The interval contains this median with probability at least 95 %.
+
+        ``calls`` is the number of calls, and ``skipped`` the number of failed calls.
+        There are ``replicates`` replicates of ``n`` points each.
+        ``rate`` is the rate of the variance that divides the budget, NaN if not measured.
+
+        The interval is infinite in three cases, and the attribute ``note`` gives the reason.
+        All replicates may be equal, or a few values may hold most of the variance.
+        The growth of f toward a face of the cube may make its variance infinite.
         Slower growth widens the interval on the side of the growth.
 
     Warns
@@ -193,9 +212,11 @@ def integrate(
     Raises
     ------
     ParameterError
-        If a value is out of range, the sampler is not random, f has channels or several techniques,
-        the budget is too small for eight replicates (eleven for a median), or a median
-        is requested without linear scrambles; also errors of `mcspectra.integrands.Calls`.
+        If a value is out of range, or the sampler is not random.
+        If f has channels or several techniques.
+        If the budget is too small for eight replicates, or for eleven replicates of a median.
+        If a median is requested without linear scrambles.
+        `mcspectra.integrands.Calls` may also raise this error.
     ConfigError
         If the points and values of the budget exceed this machine's memory.
 
@@ -268,7 +289,7 @@ def integrate(
         found = _estimated(sets, law, median=median, linear=linear)
         while allowed < calls.budget and not found.half_width <= least_width:
             # The width falls as the root of the variance.
-            # An infinite interval takes twice as many calls
+            # If the interval is infinite, double the number of calls
             wider = min(found.half_width / least_width, 2.0**_SETTINGS.growth)
             more = wider ** (2.0 / sets.rate if sets.rate > 0.0 else 2.0)
             more = min(max(_SETTINGS.margin * more, 2.0), _SETTINGS.growth)
@@ -315,7 +336,7 @@ def integrate(
 
 @dataclass(frozen=True)
 class _Replicates:
-    """Points (R, n, d) and values (R, n) of replicates, NaN where f failed; and the rate θ."""
+    """Points (R, n, d) and values (R, n) of replicates, NaN where f failed, and the rate θ."""
 
     points: Array
     values: Array
@@ -331,7 +352,7 @@ def _sampled(
     median: bool,
     known: _Replicates | None = None,
 ) -> _Replicates:
-    """Make replicates of at most `allowed` points in total; values of `known` ones are reused."""
+    """Make replicates of at most `allowed` points in total, reusing the values in `known`."""
     source, few = setup.sampler, _SETTINGS.least
     least = _SETTINGS.least_of_median if median else few
     most = affordable_count(setup, allowed // least)
@@ -349,7 +370,7 @@ def _sampled(
             first = known.values[:few]
         else:
             first = calls(source.draw_stream(pilot, stream, 0, few))
-        # θ of a variance ∝ n^-θ; the largest value if a prefix has no variance
+        # Fit θ of a variance ∝ n^-θ. Use the largest value if a prefix has no variance
         prefixes = first.shape[1] >> np.arange(_SETTINGS.levels)
         known_first = _filled(first)
         means = np.stack([known_first[:, :n].mean(axis=1) for n in prefixes])
@@ -376,7 +397,7 @@ def _sampled(
     replicates = allowed // n
     while replicates >= least and replicates * n - min(replicates, rows) * columns > calls.left:
         replicates -= 1
-    if replicates < least and known is not None:  # The remaining calls are too few for longer sets
+    if replicates < least and known is not None:  # Longer sets would need more calls than remain
         return known
     have = have[:replicates]
     x = source.draw_stream(n, stream, 0, replicates)
@@ -392,8 +413,8 @@ def _sampled(
 class _Estimated:
     """The value, its interval, a note, and the reason if the variance is infinite.
 
-    `values` have the mean of all other values where f failed.
-    `alike` is true if replicates do not vary.
+    Where f failed, `values` hold the mean of all other values.
+    `alike` is true if the replicates do not vary.
     """
 
     value: float
@@ -409,7 +430,7 @@ class _Estimated:
 
 
 def _estimated(sets: _Replicates, law: Law, *, median: bool, linear: bool) -> _Estimated:
-    """Return the estimate from replicates; the interval is infinite if no values vary."""
+    """Return the estimate from replicates. The interval is infinite if no values vary."""
     from scipy.special import bdtr
 
     # Points where f failed get the mean of all other values
@@ -417,7 +438,7 @@ def _estimated(sets: _Replicates, law: Law, *, median: bool, linear: bool) -> _E
     means, replicates = values.mean(axis=1), len(values)
     moments = Moments.of(means, tails=True)
     value, interval = float(moments.mean), mean_interval(means)
-    # With growth at the border, strata have skewed errors, and a variance may not exist.
+    # If f grows toward the border, strata have skewed errors, and a variance may not exist.
     # Other unresolved tails leave the interval unbounded
     growths = border_growth(sets.points.reshape(-1, sets.points.shape[-1]), values.ravel())
     endless = growth_note(growths)
@@ -426,7 +447,7 @@ def _estimated(sets: _Replicates, law: Law, *, median: bool, linear: bool) -> _E
         interval = -math.inf, math.inf
     elif endless or not isinstance(law, Independent):
         interval = growing_interval(means, growths)
-    # Take the median. If no set stands out from its neighbors, f is rough or n is small
+    # Take the median. If no replicate stands out, f is rough or n is small
     outer = int((bdtr(np.arange(replicates), replicates, 0.5) < _SIDE).sum()) - 1
     ends = np.sort(means)[[outer, -1 - outer]]
     stand_out = linear and 0.0 < _SETTINGS.stands_out * np.ptp(ends) < np.ptp(interval)
@@ -477,16 +498,17 @@ def _with_profile(
     profile: Any,
     found: _Estimated,
 ) -> tuple[float, tuple[float, float], str | None]:
-    """Combine an estimate with the uncorrelated estimate of a profile; return an interval.
+    """Combine an estimate with the uncorrelated estimate of a profile. Return an interval.
 
-    The recommended estimator is fitted to evaluations of the profile. For any such fit,
-    the estimates have the mean ∫f, so their errors are uncorrelated with the errors of the profile.
+    The recommended estimator is fitted to evaluations of the profile.
+    For any such fit the estimates have the mean ∫f.
+    Therefore their errors are uncorrelated with the errors of the profile.
     """
     low, high = profile.interval
     twice = 2.0 * low - profile.integral, 2.0 * high - profile.integral
     if found.alike and twice[0] <= value <= twice[1] and high - low < math.inf:
-        # f varied in the profile,
-        # but is constant to rounding at the points of the recommended sampler.
+        # f varied in the profile. At the points of the recommended sampler, f is constant
+        # except for rounding.
         # The value is within two half widths, about four standard errors, of the profile's mean
         away = math.sqrt(float(rounding_floor(np.array(value))))
         return value, (value - away, value + away), "all replicates are equal to rounding"
@@ -496,7 +518,7 @@ def _with_profile(
         return profile.integral, (low, high), note
     if not (math.isfinite(sum(widths)) and min(widths) > 0.0):
         return value, interval, note
-    # The width from few replicates has a large error, so use the expected width if that is smaller
+    # The width from few replicates has a large error. Use the expected width if it is smaller
     best, (replicates, n) = profile.answer.best, found.values.shape
     expected = 4.0 * best.rmse * (n / best.n) ** (0.5 * best.rate) * replicates**-0.5
     own = min(widths[0], expected) if math.isfinite(expected) else widths[0]

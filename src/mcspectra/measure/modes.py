@@ -1,18 +1,23 @@
 """Leading modes of a covariance of spectra: patterns of coefficients that vary together.
 
-The eigenvectors of Cov(y_m, y_l), with y_m = conj(f_m) S_m or y_m = S_m,
-are patterns over the frequencies whose amplitudes are uncorrelated.
-The eigenvalues are the variances of these amplitudes. The covariance matrix A is never stored.
-Randomized subspace iteration [Halko2011]_ needs only its product with a few vectors:
-one pass over the realizations, which are drawn again for each pass. The range of A Ω,
-with Ω random, holds the leading eigenvectors up to errors that shrink with every further product.
-The eigenpairs of A projected on that range (Rayleigh-Ritz) are the result,
-and ‖A v − λ v‖ bounds the distance of λ to an eigenvalue of A. The coordinates are the real
-and imaginary parts of the stored coefficients, times √2 if −m is not stored.
+The modes are eigenvectors of Cov(y_m, y_l), with y_m = conj(f_m) S_m or y_m = S_m.
+They are patterns over the frequencies whose amplitudes are uncorrelated.
+The eigenvalues are the variances of these amplitudes.
 
-A is estimated from a sample. Each batch of realizations gives a variance along v, and the spread
-over batches gives the error of λ as the variance along v. This error excludes the bias of choosing
-v for a large λ: `noise_edge` is the largest eigenvalue that this choice gives for a flat spectrum.
+The covariance matrix A is never stored.
+Randomized subspace iteration [Halko2011]_ needs only the product of A with a few vectors.
+Each product takes one pass over the realizations, which are drawn again for each pass.
+For a random Ω, the range of A Ω holds the leading eigenvectors up to errors.
+The errors shrink with every further product.
+The result is the eigenpairs of A projected on that range (Rayleigh-Ritz).
+The distance of λ to an eigenvalue of A is at most ‖A v − λ v‖.
+The coordinates are the real and imaginary parts of the stored coefficients.
+They have a factor √2 if −m is not stored.
+
+A is estimated from a sample. Each batch of realizations gives a variance along v.
+The spread over batches gives the error of λ as the variance along v.
+This error excludes the bias of choosing v for a large λ.
+`noise_edge` is the largest eigenvalue that this choice gives for a flat spectrum.
 """
 
 from __future__ import annotations
@@ -63,8 +68,8 @@ class ModeSettings:
     # Largest number of elements of one set of vectors: 1 GiB in float64.
     most_numbers: int = 2**27
     # Number of realizations per coefficient below which a note warns of sampling noise.
-    # With 10 realizations per coefficient the largest eigenvalue of noise
-    # is (1 + √(1/10))² = 1.73 times its mean [Marchenko1967]_.
+    # With 10 realizations per coefficient, the largest eigenvalue of pure noise
+    # is (1 + √(1/10))² = 1.73 times the mean eigenvalue [Marchenko1967]_.
     many: float = 10.0
     # Variance of a coordinate that counts as rounding, as a fraction of the largest variance.
     # The standard deviation is then 1e-10 of the largest, about a million rounding errors.
@@ -193,7 +198,7 @@ class Modes(Counted, frozen=True, kw_only=True):
                     z = coordinates.real(view.coefficients(points))
                     tree.add(CovarianceProduct.of(z, vectors))
                 # Combine all blocks of a batch.
-                # A single realization has no covariance and is left out
+                # A single realization has no covariance and is skipped
                 total = tree.total()
                 some, least = slice(0, int(total.count > 1)), max(total.count - 1, 1)
                 projected = (product(vectors.T, total.product) / least)[None][some]
@@ -220,7 +225,7 @@ class Modes(Counted, frozen=True, kw_only=True):
         diagonal = found.squares / (found.count - 1)
 
         # Patterns over the frequencies.
-        # The sign of each vector is such that the mode adds to the estimate
+        # The sign of each vector is chosen so that the mode adds to the estimate
         modes, basis, techniques = self.modes, view.basis, len(view.transforms)
         values, vectors = values[:modes], vectors[:, :modes]
         amplitude = product(coordinates.direction[None], vectors)[0]
@@ -231,9 +236,8 @@ class Modes(Counted, frozen=True, kw_only=True):
         patterns = np.where(conjugate, patterns.conj(), patterns)
         patterns = patterns.reshape(modes, techniques, *basis.shape)
         trace, size = float(diagonal.sum()), coordinates.size
-        # Largest sample eigenvalue of a flat spectrum of the same trace, by Marchenko and Pastur.
-        # With D varying coordinates it is λ (1 + √(D/(R − 1)))² in the limit of large D
-        # and R [Marchenko1967]_
+        # Largest sample eigenvalue of a flat spectrum of the same trace [Marchenko1967]_.
+        # With D varying coordinates and R realizations, it tends to λ (1 + √(D/(R − 1)))²
         least = _SETTINGS.rounding * diagonal.max(initial=0.0)
         varying = int(np.count_nonzero(diagonal > least))
         level = trace / varying if varying else 0.0
@@ -311,29 +315,34 @@ def covariance_modes(
         Number of modes, at most the number of coefficients.
     weighted
         If true, find modes of conj(f_m) S_m, whose covariances sum to the variance.
-        If false, find modes of S_m, which describes the points alone.
+        If false, find modes of S_m, which describe only the points.
     bands, band
-        Labels of the bands to include,
-        from the partition `bands` (`mcspectra.measure.bands.make_bands`); None for all.
+        Labels of the bands to include. The default None means all bands.
+        The labels are from the partition `bands` (`mcspectra.measure.bands.make_bands`).
     channel
         Index of the channel of the integrand.
     passes
         Number of passes over the realizations, at least 2. More passes separate close eigenvalues.
     max_evaluations
         Maximum number of evaluations of the integrand.
-        An analysis that takes more raises, before it starts if possible.
+        An analysis that takes more raises an error, before it starts if possible.
 
     Returns
     -------
     xarray.Dataset
-        ``eigenvalue(mode)`` of the sample covariance, descending;
-        ``eigenvalue_se(mode)``, the error of the variance along the mode, by batch means.
-        ``noise_edge`` is the largest expected sample eigenvalue if all true eigenvalues are equal:
-        sampling alone makes flat spectra steep, unless there are many more realizations
-        than coefficients. ``eigenvalue_residual(mode)`` bounds the numerical distance
-        to an eigenvalue of the sample covariance. ``eigenvalue_share(mode)`` is the share
-        of the trace, and ``mode_contribution(mode)`` the mode's own contribution to the variance
-        of the band-limited estimate. ``mode_vector(mode, m0, …)`` has norm 1 over all frequencies.
+        ``eigenvalue(mode)`` are the eigenvalues of the sample covariance, in descending order.
+        ``eigenvalue_se(mode)`` is the error of the variance along the mode, by batch means.
+
+        ``noise_edge`` is the largest expected sample eigenvalue if all true eigenvalues are equal.
+        Sampling alone makes flat spectra steep,
+        unless there are many more realizations than coefficients.
+
+        ``eigenvalue_residual(mode)`` is a bound of the numerical error:
+        the distance to an eigenvalue of the sample covariance.
+        ``eigenvalue_share(mode)`` is the share of the trace.
+        ``mode_contribution(mode)`` is the mode's own part of the variance of the estimate,
+        where the estimate is limited to the bands.
+        ``mode_vector(mode, m0, …)`` has norm 1 over all frequencies.
         ``band_trace`` is the sum of all eigenvalues.
 
     Raises
@@ -343,6 +352,7 @@ def covariance_modes(
 
     Notes
     -----
+    For R realizations of n points and M frequencies, the analysis takes
     O(passes · R (n + M log M + M modes)) time and O(M modes) memory for each thread.
 
     Examples
@@ -360,12 +370,12 @@ def covariance_modes(
 class _Coordinates:
     """Real orthonormal coordinates z of the coefficients y_m of a band."""
 
-    # Indices of the band's coefficients among the stored coefficients of all techniques: int64 (P,)
+    # Indices of the band's coefficients among the stored coefficients of all techniques, (P,)
     place: Array
     factor: Array  # y = factor · S, with conj(f_m) or 1, times `scale`: (P,)
     scale: Array  # Factor √2 for a coefficient that also stands for −m, else 1: (P,)
-    # Indices of the coefficients with an imaginary part,
-    # in a complex basis all but the constants: (Q,)
+    # Indices of the coefficients with an imaginary part, (Q,).
+    # In a complex basis these are all coefficients but the constants
     complex: Array
     direction: Array  # Vector whose scalar product with z is the band's part of the estimate: (D,)
 
@@ -406,9 +416,9 @@ class _Coordinates:
 
 @dataclass(frozen=True)
 class CovarianceProduct:
-    """Σ (z − z̄)(z − z̄)ᵀ V over `count` realizations; `merge` adds other realizations."""
+    """Σ (z − z̄)(z − z̄)ᵀ V over `count` realizations. `merge` adds other realizations."""
 
-    # Number of realizations, z̄, (D,), and Vᵀ z̄, (k,)
+    # Number of realizations; the mean z̄, (D,); and Vᵀ z̄, (k,)
     count: int
     mean: Array
     along: Array
@@ -446,8 +456,8 @@ class CovarianceProduct:
     def eigenpairs(self, vectors: Array) -> tuple[Array, Array, Array, Array]:
         """Return eigenpairs of the unbiased covariance A in the range of vectors (D, k).
 
-        The results are descending eigenvalues; eigenvectors, (D, k); ‖A v − λ v‖;
-        and standard errors.
+        The results are the eigenvalues in descending order, the eigenvectors (D, k),
+        the residuals ‖A v − λ v‖, and standard errors.
         """
         image = self.product / (self.count - 1)
         values, rotation = eigenpairs(product(vectors.T, image))

@@ -17,8 +17,9 @@ __all__ = ["Setup", "affordable_count"]
 class CountSettings:
     """Limits in the search for an affordable number of points."""
 
-    # Number of candidate counts, and inverse of the relative step between candidates for samplers
-    # that allow a count near every number. 64 and 1,024 candidates find the same count.
+    # Number of candidate counts, for samplers that allow a count near every number.
+    # Its inverse is the relative step between candidates.
+    # 64 and 1,024 candidates find the same count.
     tries: int = 256
 
 
@@ -71,7 +72,8 @@ class Setup:
 def affordable_count(setup: Setup, budget: int) -> int | None:
     """Return the largest n that can be drawn within `budget` evaluations, or None.
 
-    Counts for which a sampler warns (nets away from powers of their base) are skipped.
+    Nets have poor counts away from powers of their base, for which a sampler warns.
+    Such counts are skipped.
     """
     source = setup.estimator.randomized(setup.sampler)
     n: int | None = min(max(budget - setup.overhead, 0) // setup.cost, source.max_count)
@@ -88,7 +90,7 @@ def affordable_count(setup: Setup, budget: int) -> int | None:
             else:
                 return n
         # If other counts are poor, use the next smaller power of the base.
-        # Use large steps if counts are dense
+        # If all counts near a number are allowed, use large steps
         base = max(source.digit_bases, default=2)
         power = base ** int(math.log(n, base) + 1e-9)
         if poor and power < n:

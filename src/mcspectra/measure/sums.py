@@ -1,10 +1,13 @@
 """Mergeable second moments of spectra and band-limited estimates, in constant memory.
 
-The power term, the contribution map and the band covariance follow from them (docs/theory.md,
-"Contributions and bands"). Errors come from batch means:
-every block of realizations gives an unbiased estimate. The spread over B blocks gives the error
-of their mean, with the quantile of Student's t for B − 1 degrees of freedom. The estimate
-from all realizations together is slightly more precise, so the errors are conservative.
+The moments give the power term, the contribution map and the band covariance.
+The theory is in docs/theory.md, "Contributions and bands".
+
+Errors come from batch means. Every block of realizations gives an unbiased estimate.
+The spread over B blocks gives the error of their mean,
+with the quantile of Student's t for B − 1 degrees of freedom.
+The estimate from all realizations together is slightly more precise,
+so the errors are conservative.
 If realizations reuse a few stored sets, groups of these sets replace the blocks.
 """
 
@@ -47,9 +50,9 @@ Variables: TypeAlias = dict[str, tuple[tuple[str, ...], Any]]
 class BatchSettings:
     """Number of blocks for standard errors."""
 
-    # Least number of blocks if there are at least two realizations for each.
-    # Student's t with 19 degrees of freedom makes intervals 7 % wider than a normal law;
-    # 40 blocks would make intervals 3 % wider, and 10 blocks 15 %.
+    # Least number of blocks, if there are at least two realizations for each block.
+    # Student's t with 19 degrees of freedom makes intervals 7 % wider than a normal law.
+    # 40 blocks would make intervals 3 % wider, and 10 blocks 15 % wider.
     least: int = 20
 
 
@@ -66,7 +69,7 @@ class StoredGroups:
     first
         Number of the first realization of a block.
     sets, groups
-        Number of stored sets, and number of groups of sets whose spread gives the errors.
+        Number of stored sets, and number of groups of sets. The spread of groups gives errors.
     """
 
     first: int
@@ -97,7 +100,7 @@ class TermSums:
     sums: SpectralSums
     measured: Moments
     batches: Batches | None  # None if every block has fewer than two realizations
-    # Sums by group of stored sets, "0", "1", …, instead of blocks; None if no set is reused
+    # Sums by group of stored sets, "0", "1", …, instead of blocks. None if no set is reused
     by_group: dict[str, TermSums] | None = None
 
     @staticmethod
@@ -132,7 +135,7 @@ class TermSums:
         return TermSums(sums, measured, batches, groups)
 
     def all_batches(self, partition: Partition) -> Batches | None:
-        """Return batches by block or stored sets; None if all batches have one realization."""
+        """Return batches by block or stored sets, or None if all batches have one realization."""
         if self.by_group is None:
             return self.batches
         each = (Batches.of(g.sums, g.measured, partition) for g in self.by_group.values())
@@ -144,19 +147,19 @@ class TermSums:
 class Partition:
     """The coefficients of the integrand, with their weights and labels."""
 
-    # Stored coefficients f_m of all techniques, one technique after another:
-    # (C, H), real or complex
+    # Stored coefficients f_m of all techniques, one technique after another.
+    # The shape is (C, H), real or complex
     coefficients: Array
     double: Array  # 2.0 for a coefficient that also stands for −m, else 1.0: (H,)
     dc: Array  # Whether a coefficient belongs to the constant function: bool (H,)
-    band: Array  # band of each coefficient: int64 (H,)
-    shell: Array  # Half width from which each coefficient is included: int64 (H,)
+    band: Array  # Band of each coefficient: int64 (H,)
+    shell: Array  # Smallest half width that includes each coefficient: int64 (H,)
     matrix: bool = False  # Whether to keep the full covariance matrix
 
 
 @dataclass(frozen=True)
 class SpectralSums:
-    """Sums over `count` realizations; `merge` adds other realizations."""
+    """Sums over `count` realizations. `merge` adds other realizations."""
 
     count: int
     mean: Array  # (H,) complex: S̄
@@ -165,14 +168,14 @@ class SpectralSums:
     cov: Array  # (C, H) complex
     band_mean: Array  # (C, A)
     band_m2: Array  # (C, A, A)
-    truncated: Moments  # moments of the estimate truncated at each half width: (C, K+1)
-    # (H, 2H): Σ_r (S−S̄)_m conj(S−S̄)_l and the same without conj;
-    # both together give all four signs of (m, l)
+    truncated: Moments  # Moments of the estimate truncated at each half width: (C, K+1)
+    # Σ_r (S−S̄)_m conj(S−S̄)_l and the same without conj, (H, 2H).
+    # Together they give all four signs of (m, l)
     matrix: Array | None
 
     @staticmethod
     def of(s: Array, partition: Partition) -> SpectralSums:
-        """Return sums of a block: s is (R, H), real or complex like the coefficients."""
+        """Return sums of a block s (R, H), which is real or complex like the coefficients."""
         f, double = partition.coefficients, partition.double
         shape = (len(s), len(f))
         bands = np.zeros((*shape, int(partition.band.max()) + 1))
@@ -200,7 +203,7 @@ class SpectralSums:
         )
 
     def terms(self, partition: Partition) -> tuple[Array, Array, Array]:
-        """Return unbiased dc, power and cross terms, each (C,); the variance of I is their sum."""
+        """Return unbiased dc, power and cross terms, each (C,). Their sum is the variance of I."""
         f = partition.coefficients
         sums = np.zeros((len(f), 3))
         term_sums(f, self.m2, self.cov, partition.double, partition.dc, sums)
@@ -240,8 +243,9 @@ class SpectralSums:
 class RunningSpread:
     """Sums over blocks of arrays x of weight w, for the error of their weighted mean.
 
-    All arrays have the same shape and type. Deviations are from the mean with weights w², which for
-    equal blocks is the plain mean. For complex numbers the error is the root of the mean |error|².
+    All arrays have the same shape and type.
+    Deviations are from the mean with weights w², which is the plain mean for equal blocks.
+    For complex numbers the error is the root of the mean |error|².
     """
 
     total: SUM  # Σ w² x
@@ -258,7 +262,7 @@ class RunningSpread:
         return RunningSpread(total, (total * values.conj()).real, weight, weight**2)
 
     def error(self) -> Array:
-        """Return the standard error of the mean, in the shape of the arrays; NaN for one array."""
+        """Return the standard error of the mean, in the shape of the arrays. NaN for one array."""
         if self.blocks < 2:
             return np.full(self.squares.shape, np.nan)
         squares = self.squares - np.abs(self.total) ** 2 / self.squared
@@ -272,8 +276,8 @@ class Batches:
 
     weights: JOIN  # Degrees of freedom of each block: (B,)
     values: JOIN  # dc, power and cross term and measured variance: (B, 4, C)
-    # Spread of the contributions (C, H), of the covariances of bands (C, A, A) and, if requested,
-    # of the stored covariances (H, 2H)
+    # Spread of the contributions (C, H) and of the covariances of bands (C, A, A).
+    # If requested, also the spread of the stored covariances (H, 2H)
     contribution: RunningSpread
     band_covariance: RunningSpread
     matrix: RunningSpread | None
@@ -295,7 +299,7 @@ class Batches:
 
     @property
     def count(self) -> int:
-        """B, the number of blocks of two or more realizations."""
+        """Number B of blocks with two or more realizations."""
         return len(self.weights)
 
     @property
@@ -314,7 +318,7 @@ class Batches:
 
 
 def spread(deviation: Array, share: Array) -> Array:
-    """Return the standard error of a weighted mean over blocks (B, ...); NaN for one block."""
+    """Return the standard error of a weighted mean over blocks (B, ...), or NaN for one block."""
     blocks = len(share)
     if blocks < 2:
         return np.full(deviation.shape[1:], np.nan)
@@ -325,10 +329,12 @@ def spread(deviation: Array, share: Array) -> Array:
 def ratio_factors(above: Array, below: Array, share: Array) -> Array:
     """Return ends of the 95 % interval of a ratio of means, over the ratio: (..., 2).
 
-    The means are of positive block values (B, ...). The interval is logarithmic, by the jackknife
-    with Student's t [Miller1974]_. If few blocks hold most of the error, the other blocks missed
-    the tail. The interval is then 1 + √(excess kurtosis / B) times as wide, and the skewness widens
-    the interval on the side of this tail (``python -m benchmarks coverage``).
+    The means are of positive block values (B, ...).
+    The interval is logarithmic, by the jackknife with Student's t [Miller1974]_.
+    If few blocks hold most of the error, the other blocks missed the tail.
+    The interval is then 1 + √(excess kurtosis / B) times as wide.
+    The skewness also widens the interval on the side of this tail.
+    The coverage of these intervals is measured by ``python -m benchmarks coverage``.
     """
     blocks = len(share)
     if blocks < 2:

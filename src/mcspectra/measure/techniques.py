@@ -1,11 +1,15 @@
 """Terms of the variance for each technique and each pair of techniques.
 
-The variance is the sum over all pairs of techniques of Cov(E_t, E_s), where E_t is the part of an
-estimate from technique t. Off the diagonal it is 0 for independent sets, but not for techniques
-that share points (`mcspectra.estimators.sets`). Each covariance has a dc, a power and a cross term,
-with the spectrum S^t and the integrand f^t of technique t instead of S and f. For large n,
-the slowest rate of a technique becomes the rate of the sum. That technique is the *bottleneck*
-if the 95 % interval of its rate lies above the intervals of all other techniques.
+E_t is the part of an estimate from technique t.
+The variance is the sum of Cov(E_t, E_s) over all pairs of techniques.
+Off the diagonal the covariance is 0 for independent sets.
+It is not 0 for techniques that share points (`mcspectra.estimators.sets`).
+Each covariance has a dc, a power and a cross term.
+They use the spectrum S^t and the integrand f^t of technique t instead of S and f.
+
+For large n, the slowest rate of a technique becomes the rate of the sum.
+That technique is the *bottleneck* if its rate is significantly slower:
+the 95 % interval of its rate lies above the intervals of all other techniques.
 """
 
 from __future__ import annotations
@@ -132,7 +136,7 @@ class Techniques(Counted, frozen=True, kw_only=True):
         techniques = len(estimator.counts)
 
         def of_count(key: str, view: View, n: int, own: Stream) -> Reduction[_Total]:
-            """Return the sums for one count; each block is a batch."""
+            """Return the sums for one count. Each block is a batch."""
             evaluations = n * sum(estimator.counts)
             # Number of coordinates of a realization, or size of its spectra if that is larger
             numbers = max(evaluations * estimator.dims, 4 * techniques * view.basis.stored)
@@ -144,7 +148,7 @@ class Techniques(Counted, frozen=True, kw_only=True):
                 points = estimator.draw(subject.sampler, n, own, *blocks[index])
                 sets = independent_sets(estimator.law(subject.sampler, n))
                 sums = TechniqueSums.of(view, points, blocks[index][0], sets)
-                # A block of one realization has no covariance and is left out
+                # A block of one realization has no covariance and is skipped
                 some = slice(0, int(sums.count > 1))
                 values = sums.covariances(view)[None]
                 return _Total(sums, np.array([sums.count - 1.0])[some], values[some])
@@ -232,39 +236,47 @@ def technique_terms(
     estimator, sampler
         A `MultipleImportance`, a `TechniqueSum` or any other estimator, and its sampler.
     counts
-        Number of points n of each technique in units of its ``counts``.
+        Number of points n of each technique, in units of the ``counts`` of the estimator.
         A list of ascending numbers adds the dim n, rates and the bottleneck.
     dims, half_width, basis, engine, eps, workers
         Same as in `variance_terms`.
     realizations
         Number of independent realizations for each n, at least 2.
     rng
-        Seed (SPEC 7). With a single n, realizations are those of `variance_terms`;
-        with a list, each n has the same stream as in `convergence`.
+        Seed (SPEC 7). With a single n, the realizations are the same as in `variance_terms`.
+        With a list, each n has the same stream as in `convergence`.
     space
-        ``"domain"`` or ``"primary"`` as in `variance_terms`;
-        by default the domain, if there is one. In primary space the dc terms are 0,
+        ``"domain"`` or ``"primary"`` as in `variance_terms`.
+        The default is the domain, if there is one. In primary space the dc terms are 0,
         because the points of every technique have equal weights.
     fit_last
         Number of the largest counts to which rates are fitted, as in `convergence`.
     max_evaluations
         Maximum number of evaluations of the integrand.
-        An analysis that takes more raises, before it starts if possible.
+        An analysis that takes more raises an error, before it starts if possible.
 
     Returns
     -------
     xarray.Dataset
-        On technique and technique_other: ``technique_covariance`` of the techniques' parts
-        of the estimate, which sums to ``measured_variance``; and ``technique_dc_term``,
-        ``technique_power_term`` and ``technique_cross_term``, which sum to ``predicted_variance``.
-        All four have ``_se`` (batch means, from 4 realizations on).
-        ``dc_term``, ``power_term`` and ``cross_term`` are those of `variance_terms`:
-        in the domain the sums over pairs. In primary space each technique has its own frequencies,
-        so dc and power are sums over the diagonal and cross is the rest. On technique:
-        ``technique_variance`` with ``_ci``, the diagonal. ``captured`` with ``_ci``.
-        With a list of n: ``technique_rate`` and ``rate`` with ``_ci``, and ``bottleneck``,
-        the technique with a significantly slower rate than all others (their intervals do
-        not overlap), or −1 if undecided. The attribute ``bottleneck`` has its name.
+        On technique and technique_other there are ``technique_covariance`` and its terms.
+        ``technique_covariance`` is the covariance of two techniques' parts of the estimate.
+        The sum of the covariances is ``measured_variance``.
+        ``technique_dc_term``, ``technique_power_term`` and ``technique_cross_term`` are the terms.
+        Their sum is ``predicted_variance``.
+        With at least 4 realizations, all four have standard errors ``_se`` by batch means.
+
+        ``dc_term``, ``power_term`` and ``cross_term`` are the same as in `variance_terms`.
+        In the domain they are sums over all pairs.
+        In primary space each technique has its own frequencies.
+        The dc and power terms are then sums over the diagonal, and the cross term is the rest.
+        ``captured`` has the interval ``captured_ci``.
+
+        On technique: ``technique_variance`` with ``_ci`` is the diagonal of the covariances.
+
+        With a list of n: ``technique_rate`` and ``rate`` have intervals ``_ci``.
+        ``bottleneck`` is the technique whose rate is significantly slower than all other rates,
+        so that their intervals do not overlap. It is −1 if undecided.
+        The attribute ``bottleneck`` has its name.
         Techniques without variance are excluded. Several channels add a dim channel.
 
     Raises
@@ -279,9 +291,10 @@ def technique_terms(
 
     Notes
     -----
-    O(R (n + T² M)) time and O(T² M) memory for T techniques and M frequencies.
-    The bottleneck compares the techniques' own variances;
-    correlations between techniques may cancel part of these variances.
+    For R realizations, T techniques and M frequencies,
+    the analysis takes O(R (n + T² M)) time and O(T² M) memory.
+    The bottleneck compares the techniques' own variances.
+    Correlations between techniques may cancel part of these variances.
 
     Examples
     --------
@@ -299,21 +312,21 @@ class _Total:
     """Sums over realizations, and the estimates of each block for standard errors."""
 
     sums: TechniqueSums
-    weights: JOIN  # degrees of freedom of each block: (B,)
-    values: JOIN  # dc, power, cross and measured: (B, 4, C, T, T)
+    weights: JOIN  # Degrees of freedom of each block: (B,)
+    values: JOIN  # The dc, power and cross terms and the measured covariance: (B, 4, C, T, T)
 
 
 def _variables(total: _Total, view: View) -> Variables:
     """Return result variables of one count, with a leading channel axis."""
     found, moments = total.sums.covariances(view), total.sums.moments
     share = total.weights / total.weights.sum()
-    # Errors are multiplied by the factor by which few stored sets raise the error
-    # of the whole variance
+    # If few stored sets raise the error of the whole variance by a factor,
+    # multiply all errors by this factor
     wider = moments.widening[:, -1]
     errors = spread(total.values - weighted_sum(share, total.values), share)
     errors = errors * wider[:, None, None]
     predicted = found[:3].sum(axis=(0, 2, 3))
-    # For each block: predicted and measured variance of the whole estimate, (B, 2, C)
+    # Predicted and measured variance of the whole estimate for each block, (B, 2, C)
     whole = total.values.sum(axis=(-2, -1))
     sides = np.stack([whole[:, :3].sum(axis=1), whole[:, 3]], axis=1)
     # As in `variance_terms`, each technique has its own frequencies in primary space
@@ -344,20 +357,20 @@ def _variables(total: _Total, view: View) -> Variables:
 
 @dataclass(frozen=True)
 class TechniqueSums:
-    """Sums over `count` realizations about the running means; `merge` adds other realizations."""
+    """Sums over `count` realizations about the running means. `merge` adds other realizations."""
 
     count: int
     mean: Array  # (T, H)
     products: Array  # (T, T, H): Σ_r (S^t − S̄^t) conj(S^s − S̄^s)
-    values_mean: Array  # (2, C, T): truncated and full estimates of the techniques
+    values_mean: Array  # Truncated and full estimates of the techniques, (2, C, T)
     values_products: Array  # (2, C, T, T)
-    moments: Moments  # moments of the techniques' full estimates and of their sum: (C, T + 1)
+    moments: Moments  # Moments of the techniques' full estimates and of their sum: (C, T + 1)
 
     @staticmethod
     def of(
         view: View, points: list[Array], first: int = 0, sets: int | None = None
     ) -> TechniqueSums:
-        """Return sums of a block; `first` and `sets` are as in `Moments.of`."""
+        """Return sums of a block. `first` and `sets` are the same as in `Moments.of`."""
         parts = view.spectra(points)
         # Part of the estimate from each technique, (R, C, T), truncated and complete
         weighted = view.integrand_coefficients.conj() * view.basis.double
@@ -428,7 +441,7 @@ def technique_rates(
 ) -> tuple[Variables, list[int]]:
     """Return rates of all techniques and of the whole estimate, and the bottleneck by channel.
 
-    `moments` are those of `technique_estimates` for each count.
+    `moments` holds the moments of `technique_estimates` for each count.
     """
     variance = np.stack([m.variance for m in moments])  # (N, C, T + 1)
     relative = np.stack([m.relative_se for m in moments])
@@ -440,15 +453,14 @@ def technique_rates(
     still = np.asarray((variance <= floor)[:, :, :-1].all(axis=0))
     choice = []
     for rates, intervals, own in zip(rate, interval, still, strict=True):
-        # Find the technique whose interval lies above the intervals
-        # of all other techniques that vary
+        # Among the techniques that vary, find the one whose interval lies above all others
         moving = np.flatnonzero(~own).tolist()
         slowest = max(
             moving, key=lambda t: np.nan_to_num(rates[t], nan=-math.inf), default=UNDECIDED
         )
         low = intervals[slowest, 0]
         others = [intervals[t, 1] for t in moving if t != slowest]
-        # Comparisons with a rate that could not be fitted are false, so the result is undecided
+        # A comparison with a rate that could not be fitted is false. The result is then undecided
         decided = moving and math.isfinite(low) and all(high < low for high in others)
         choice.append(slowest if decided else UNDECIDED)
     variables: Variables = {

@@ -1,7 +1,8 @@
 """The three terms of the variance of an estimator, which spectra predict and explain.
 
-See docs/theory.md, "The three terms" and "Contributions and bands".
-No M × M matrix is stored. In primary space every technique has its own integrand and points,
+The theory is in docs/theory.md, "The three terms" and "Contributions and bands".
+The M × M matrix of M frequencies is never stored, except on request.
+In primary space every technique has its own integrand and points,
 and the sums run over (technique, m).
 """
 
@@ -49,8 +50,8 @@ __all__ = ["Terms", "variance_terms"]
 class TermSettings:
     """Limit of memory for the full cross matrix."""
 
-    # Largest number of frequencies of a full cross matrix:
-    # two complex matrices of that size take 0.5 GiB.
+    # Largest number of frequencies of a full cross matrix.
+    # Two complex matrices of that size take 0.5 GiB.
     most_matrix: int = 4096
 
 
@@ -120,7 +121,7 @@ class Terms(Counted, frozen=True, kw_only=True):
         )
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[list[TermSums]]:
-        """Return sums over all realizations of each sampler; each block is a batch."""
+        """Return sums over all realizations of each sampler. Each block is a batch."""
         estimator, samplers, n = subject.estimator, subject.samplers, self.n
         frequencies = self._frequencies(subject)
         view = frequencies.view(n, self)
@@ -178,8 +179,8 @@ class Terms(Counted, frozen=True, kw_only=True):
             techniques, basis = len(view.transforms), view.basis
             batches = totals[0].all_batches(partition)
 
-            # Coordinates of m and l: frequencies in 1-D, else an index,
-            # with the components m_0, m_1, …
+            # The coordinates of m and l are frequencies in 1-D.
+            # In more dims they are an index, with the components m_0, m_1, …
             matrix: dict[str, Any] = {}
             if self.cross_matrix and basis.dims == techniques == 1:
                 matrix = {"m": basis.axis, "l": basis.axis}
@@ -266,62 +267,74 @@ def variance_terms(
     Parameters
     ----------
     estimator, sampler, n
-        The estimator with one sampler, or with a list of different samplers, which use the same
-        random numbers. `n` is the number of points of each technique in units of its ``counts``.
+        The estimator with one sampler, or with a list of different samplers.
+        Samplers of a list use the same random numbers.
+        `n` is the number of points of each technique in units of the estimator's ``counts``.
     dims
         Number of dims of a function, or of a spec without ``dims``.
-        The default is the number of dims of the sampler, if the sampler is not a spec.
+        The default is the number of dims of the sampler, unless the sampler is a spec.
     half_width
         Frequencies m run over {−half_width … half_width}^d.
-        The default is 64, or the power of two near 2 n^(1/d) if that is larger. The default
-        is lower if f has no higher frequencies, or if there would be more than 2^17 frequencies.
+        The default is 64, or the power of two near 2 n^(1/d) if that is larger.
+        The default is lower if f has no higher frequencies,
+        or if there would be more than 2^17 frequencies.
     realizations
         Number of independent realizations, at least 2.
     rng
         Seed (SPEC 7). Realization r uses the points of ``sampler.draw(n, rng=rng, first=r)``.
     basis
-        ``"fourier"``, ``"cosine"``, ``"walsh"`` or ``"haar"`` (`mcspectra.spectra.bases`).
-        ``"auto"`` is the one that fits the sampler's randomization;
-        the attribute ``basis`` reports it. A list of samplers needs a basis that fits all of them.
+        The basis is ``"fourier"``, ``"cosine"``, ``"walsh"`` or ``"haar"``
+        (`mcspectra.spectra.bases`).
+        ``"auto"`` is the basis that fits the sampler's randomization.
+        The attribute ``basis`` reports it. A list of samplers needs a basis that fits all of them.
     space
         ``"domain"`` uses f with the warped, weighted points (the paper's view).
-        ``"primary"`` uses g(u) with the sampler's own points, which shows discontinuities
-        of the warp. The default is the domain view, if there is a domain.
+        ``"primary"`` uses g(u) with the sampler's own points.
+        This view shows discontinuities of the warp.
+        The default is the domain view, if there is a domain.
     bands
-        ``"radial"``, ``"dyadic"``, ``"anova"``, ``"wedge"``,
+        One of the partitions ``"radial"``, ``"dyadic"``, ``"anova"`` and ``"wedge"``,
         or an integer label ≥ 0 for every basis function; see `mcspectra.measure.bands.make_bands`.
     cross_matrix
         Whether to return C_ml and conj(f_m) f_l C_ml in full, for at most 4096 frequencies.
     engine, eps
         See `mcspectra.spectra.transforms`.
     workers
-        Number of threads; all processors by default. It has no effect on results.
+        Number of threads. The default is all processors. It has no effect on results.
     max_evaluations
         Maximum number of evaluations of the integrand.
-        An analysis that takes more raises, before it starts if possible.
+        An analysis that takes more raises an error, before it starts if possible.
 
     Returns
     -------
     xarray.Dataset
-        ``dc_term``, ``power_term``, ``cross_term`` and ``predicted_variance``, their sum,
-        with ``_ci``; ``measured_variance`` with ``_ci``. ``captured`` with ``_ci``
-        is predicted/measured, NaN if the measured variance is rounding noise.
-        ``energy_share`` is the part of ∫f² within the half width, and ``tail_term`` the variance
-        of the rest for random points. ``contribution`` and ``power_contribution`` are on m0, m1, ….
+        ``dc_term``, ``power_term`` and ``cross_term`` are the three terms.
+        ``predicted_variance`` is their sum, and ``measured_variance`` the sample variance.
+        All five have 95 % intervals ``_ci``.
+        ``captured`` with ``_ci`` is predicted/measured.
+        It is NaN if the measured variance is rounding noise.
+
+        ``energy_share`` is the part of ∫f² within the half width.
+        ``tail_term`` is the variance of the rest for random points.
+        ``contribution`` and ``power_contribution`` are maps on m0, m1, ….
         Further variables are ``band_covariance(band, band_other)``,
         ``truncated_variance(half_width)`` and ``captured_by_half_width(half_width)``.
-        A list adds a dim sampler, several channels a dim channel,
-        and several techniques in primary space a dim technique on maps.
         With `cross_matrix` there are ``coefficient_covariance(m, l)`` and ``cross_matrix(m, l)``.
 
-        The terms, ``contribution``, ``band_covariance`` and both matrices
-        have standard errors ``_se``, and the terms ``_ci``, by batch means from 4 realizations on.
-        The attribute ``batches`` is the number of batches, and 95 % intervals use Student's t
-        with one degree of freedom less. The interval of ``captured`` is logarithmic, and wider
-        if few batches hold most of the error. A set that is always the same has no variance,
-        which the attribute ``note`` reports. The note also names estimates that missed the source
-        of their variance (see `convergence`). The upper end of ``measured_variance_ci``
-        is then infinite, and the lower end of ``captured_ci`` is 0.
+        A list of samplers adds a dim sampler, and several channels add a dim channel.
+        Several techniques in primary space add a dim technique on maps.
+
+        Standard errors ``_se`` come from batch means and need at least 4 realizations.
+        They exist for the terms, ``contribution``, ``band_covariance`` and both matrices.
+        The attribute ``batches`` is the number of batches.
+        95 % intervals use Student's t with one degree of freedom less.
+        The interval of ``captured`` is logarithmic.
+        It is wider if few batches hold most of the error.
+
+        A set that is always the same has no variance, which the attribute ``note`` reports.
+        The note also names estimates that missed the source of their variance (see `convergence`).
+        The upper end of ``measured_variance_ci`` is then infinite,
+        and the lower end of ``captured_ci`` is 0.
 
     Raises
     ------
@@ -336,9 +349,11 @@ def variance_terms(
 
     Notes
     -----
-    O(R (n + M log M)) time and O(M + bands²) memory.
-    95 % intervals follow from the kurtosis of the estimates. A truncated spectrum predicts part
-    of the variance, which ``captured`` reports; `mcspectra.predict` predicts all of it.
+    For R realizations of n points and M frequencies,
+    the analysis takes O(R (n + M log M)) time and O(M + bands²) memory.
+    95 % intervals follow from the kurtosis of the estimates.
+    A truncated spectrum predicts part of the variance, which ``captured`` reports.
+    `mcspectra.predict` predicts all of it.
 
     Examples
     --------
@@ -352,7 +367,7 @@ def variance_terms(
 
 
 def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
-    """Return all variables with a channel axis first; errors are NaN for fewer than two blocks."""
+    """Return all variables with a channel axis first. Errors are NaN for fewer than two blocks."""
     sums, measured, basis = total.sums, total.measured, view.basis
     batches = total.all_batches(partition)
     assert batches is not None  # The first block has two or more realizations
@@ -380,9 +395,9 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
         variables[f"{name}_se"] = ("channel",), error
         variables[f"{name}_ci"] = interval(value, student_t(batches.count) * error)
 
-    # Part of the variance within the frequencies; NaN if the variance is rounding noise
+    # Part of the variance within the frequencies, or NaN if the variance is rounding noise
     real = np.where(measured.variance > rounding_floor(measured.mean), measured.variance, np.nan)
-    with np.errstate(invalid="ignore"):  # NaN from 0 times infinity if nothing is captured
+    with np.errstate(invalid="ignore"):  # 0 times infinity is NaN if nothing is captured
         captured_ci = (predicted / real)[:, None] * batches.captured_factors()
     variables |= {
         "captured": (("channel",), predicted / real),
@@ -402,10 +417,10 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
     variables["band_covariance"] = pairs, sums.band_m2 / degrees
     variables["band_covariance_se"] = pairs, batches.band_covariance.error()
 
-    # Full C_ml and conj(f_m) f_l C_ml; errors of conjugates are equal and scale with |f_m f_l|
+    # Full C_ml and conj(f_m) f_l C_ml. Errors of conjugates are equal and scale with |f_m f_l|
     if sums.matrix is not None and batches.matrix is not None:
-        # For each coefficient of each technique:
-        # its position among the stored coefficients, and whether it is conjugated
+        # Find the position of each coefficient of each technique among the stored coefficients,
+        # and whether it is conjugated
         techniques, (place, conjugate) = len(view.transforms), basis.whole()
         index = (np.arange(techniques)[:, None] * basis.stored + place).ravel()
         flip = np.tile(conjugate, techniques)
@@ -424,7 +439,7 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
 
 
 def _predicted_ci(total: TermSums, batches: Batches) -> Array:
-    """Return a 95 % interval of the sum of the terms, (C, 2), with the error of few stored sets."""
+    """Return a 95 % interval of the sum of terms, (C, 2), with the error of few stored sets."""
     truncated = total.sums.truncated
     interval = truncated.variance_ci[:, -1]
     if total.by_group is None or batches.count < 2:
@@ -442,8 +457,9 @@ def _predicted_ci(total: TermSums, batches: Batches) -> Array:
 def _signed(stored: Array, index: Array, flip: Array) -> Array:
     """Return ⟨S_a conj S_b⟩ for plain or conjugated a and b, from the stored blocks.
 
-    Blocks are stored with and without conj. S_{−l} = conj S_l gives C_{m,−l} = Cov(S_m, conj S_l),
-    the pseudo-covariance. In primary space the coefficients of the techniques follow one another.
+    Blocks are stored with and without conj.
+    From S_{−l} = conj S_l follows the pseudo-covariance C_{m,−l} = Cov(S_m, conj S_l).
+    In primary space the coefficients of the techniques follow one another.
     """
     size = len(stored)
     plain, pseudo = stored[:, :size][np.ix_(index, index)], stored[:, size:][np.ix_(index, index)]

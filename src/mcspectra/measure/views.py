@@ -1,8 +1,8 @@
 """The two views of an estimator: pairs of integrand coefficients and spectra of points.
 
 The *domain* view pairs one integrand f with the warped, weighted points of all techniques.
-In *primary* space every technique has its own integrand g_t and the sampler's own points,
-and sums run over (technique, m).
+In *primary* space every technique has its own integrand g_t and the sampler's own points.
+Sums then run over (technique, m).
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ __all__ = ["Frequencies", "View"]
 class FrequencySettings:
     """Limits of the default half width, and the number of points for mean squares."""
 
-    # Least default half width: features of 1/128 of the cube,
-    # the pixels of a thumbnail, are resolved.
+    # Least default half width.
+    # It resolves features of 1/128 of the cube, such as the pixels of a thumbnail.
     least_width: int = 64
     # Largest number of frequencies of a default half width, 2^17.
     # In 2-D a half width of 128 fits, and one spectrum takes 1 MiB in half storage.
     most_frequencies: int = 2**17
-    # Fraction of Σ|f_m|² outside half the width below which the width is halved:
-    # ten roundings of float64.
+    # If a smaller fraction of Σ|f_m|² than this lies outside half the width, the width is halved.
+    # The value is about ten roundings of float64.
     rounding: float = 1e-15
     # Number of points for mean squares of weights and functions.
     # The points give the energy share of a smooth f to 1e-4, and of a discontinuous f to 1 %.
@@ -61,8 +61,9 @@ class Frequencies:
     def of(subject: Subject, asked: Any, n: int = 1) -> Frequencies:
         """Choose the space, the half width for n points and the basis that an analysis leaves open.
 
-        The basis ``"auto"`` fits the points of the estimator. The points of a mirrored integrand
-        are folded in the domain; in primary space they are those of the sampler.
+        The basis ``"auto"`` fits the points of the estimator.
+        In the domain, the points of a mirrored integrand are folded.
+        In primary space they are the points of the sampler.
         """
         estimator, space, basis = subject.estimator, asked.space, asked.basis
         domain = estimator.domain_integrand
@@ -77,8 +78,8 @@ class Frequencies:
         dims = estimator.dims if chosen == "primary" else estimator.domain_dims
         width: int | None = asked.half_width
         if width is None:
-            # Twice the frequency n^(1/d), above which n strata are like random points,
-            # within the limits
+            # Use twice the frequency n^(1/d), within the limits.
+            # Above n^(1/d), n strata are like random points
             width = max(
                 _SETTINGS.least_width, 2 ** math.ceil(math.log2(2.0 * n ** (1.0 / dims)) - 1e-9)
             )
@@ -104,7 +105,7 @@ class Frequencies:
 
     @property
     def size(self) -> int:
-        """Number of coefficients, in primary space for each technique."""
+        """Number of coefficients. In primary space it counts those of every technique."""
         techniques = len(self.estimator.counts) if self.space == "primary" else 1
         return self.basis.size * techniques
 
@@ -163,7 +164,7 @@ class View:
     transforms: tuple[Coefficients, ...]  # One for each technique, or one for all points
     engine: str
     integrand_coefficients: Array  # f^t, (C, T, H)
-    source: str  # source of the coefficients
+    source: str  # Source of the coefficients
 
     def spectra(self, points: list[Array]) -> list[Array]:
         """Return the spectra of a block, (R, H), for each technique or for all together."""
@@ -171,7 +172,7 @@ class View:
             return [
                 transform(u, None) for transform, u in zip(self.transforms, points, strict=True)
             ]
-        # Weights of a single technique may depend on u, not only on x
+        # The weights of a single technique may depend on u, not only on x
         if len(self.transforms) == 1:
             return [self.transforms[0](*self.estimator.weighted_points(points))]
         warped = [self.estimator.warp(t, u) for t, u in enumerate(points)]
@@ -196,7 +197,7 @@ class View:
         integrands = [estimator.primary_integrand(t) for t in range(len(estimator.counts))]
         if self.space == "domain" and estimator.domain_integrand is not None:
             integrands = [estimator.domain_integrand]
-        # ∫g² of each integrand, (C, T): in closed form, or the mean at scrambled points
+        # ∫g² of each integrand, (C, T), in closed form or as the mean at scrambled points
         probes = _SETTINGS.probes
         squares = []
         for g in integrands:

@@ -1,14 +1,18 @@
 """Methods that check a prediction: pairs of points, sums over frequencies, and a measurement.
 
-The three methods that sum over frequencies include only those within a half width. `energy_share`
-is the part of ∫f² in these frequencies. If it is 1, all methods give the same number
-(docs/spectra.md).
+Three of the methods sum over frequencies, but only up to a half width.
+`energy_share` is the part of ∫f² at these frequencies.
+If it is 1, all methods give the same number (docs/spectra.md).
 
-Pair correlation (docs/theory.md, "Pair correlation"): pairs of random and jittered points have a
-known density. Pairs of a stationary set are counted completely, not by distance only. They add up
-A(x_i − x_k) with the autocorrelation A of the integrand on the torus, tabulated with linear
-interpolation. Averaging A over directions to g(|h|) is exact for isotropic sets only: at n = 16, it
-gives 1.7 to 3.7 times the variance of smooth integrands for latin-hypercube with shift.
+The pair correlation is explained in docs/theory.md, "Pair correlation".
+Pairs of random and jittered points have a known density.
+For other stationary sets, all pairs are counted by their difference, not by distance only.
+The sum over pairs has the terms A(x_i − x_k), where A is the autocorrelation of the integrand.
+A is tabulated on the torus and interpolated linearly.
+
+An average of A over directions, g(|h|), would be exact for isotropic sets only.
+For smooth integrands and shifted Latin hypercubes, this average overestimates the variance.
+The factor is 1.7 to 3.7 at n = 16.
 """
 
 from __future__ import annotations
@@ -61,7 +65,7 @@ __all__ = [
 ]
 
 _PAIRS_AT_ONCE = 2**16
-"""Number of pairs of frequencies in memory: 1 MB of complex numbers for each array."""
+"""Number of pairs of frequencies in memory. Each array takes 1 MB of complex numbers."""
 _ROUNDING = 4e-15
 """Relative rounding error of ∫g²: some units in the last place of double precision."""
 
@@ -74,19 +78,20 @@ class CheckSettings:
     Attributes
     ----------
     most_frequencies
-        Largest number of frequencies whose covariance is summed: half width 312 in 1-D, 12 in 2-D,
-        4 in 3-D, 2 in 4-D, and 390,625 pairs. In 6 dims and more there would be fewer than three
-        along each axis.
+        Largest number of frequencies whose covariances are summed. There are 390,625 pairs.
+        The half width is then 312 in 1-D, 12 in 2-D, 4 in 3-D and 2 in 4-D.
+        In 6 dims and more there would be fewer than three frequencies along each axis.
     cells
         Number of cells along each axis, by number of dims, for samples of the autocorrelation of g.
-        The error of ∫g² due to sampling cancels. A linear interpolant of a wave of frequency k has
-        the relative error (2πk/cells)²/8: 5e-6 k² in 2-D and 5e-9 k² in 1-D.
+        The error of ∫g² due to sampling cancels.
+        A linear interpolant of a wave of frequency k has the relative error (2πk/cells)²/8.
+        This is 5e-6 k² in 2-D and 5e-9 k² in 1-D.
     most_points
-        Largest number of points of a set whose pairs are counted: 2^17 points have 8.6e9 pairs in
-        each set.
+        Largest number of points of a set whose pairs are counted.
+        A set of 2^17 points has 8.6e9 pairs.
     tolerance
-        Relative error of a variance from known pairs above which the method raises. It equals that
-        of `exact_variance`, which it checks.
+        Relative error above which the variance from known pairs is rejected.
+        It equals the default tolerance of `exact_variance`, which this method checks.
     """
 
     most_frequencies: int = 625
@@ -101,7 +106,7 @@ _SETTINGS = CheckSettings()
 def terms_for(
     estimator: AbstractEstimator, n: int, half_width: int | None, realizations: int
 ) -> Terms:
-    """Return the analysis whose spectra, estimates and half width this module uses."""
+    """Return the `variance_terms` analysis whose spectra, estimates and half width are used."""
     whole = estimator.domain_integrand is not None and not estimator.infinite_weights
     space: Any = "domain" if whole else "primary"
     return Terms(n=n, half_width=half_width, realizations=realizations, space=space)
@@ -110,7 +115,7 @@ def terms_for(
 def of_covariance(
     estimator: AbstractEstimator, sampler: Sampler, n: int, asked: Terms, _: Stream
 ) -> Cells:
-    """Sum conj(f_m) f_l C_ml over m and l, with the covariance C_ml in closed form."""
+    """Return the sum of conj(f_m) f_l C_ml over m and l, with C_ml in closed form."""
     given = _of_one_technique(estimator)
     side = int(_SETTINGS.most_frequencies ** (1.0 / estimator.domain_dims) + 1e-9)
     if side < 3:
@@ -130,7 +135,7 @@ def of_covariance(
 def of_homogenized(
     estimator: AbstractEstimator, sampler: Sampler, n: int, asked: Terms, _: Stream
 ) -> Cells:
-    """Sum |f_m|² ⟨|S_m|²⟩ over m ≠ 0; NaN if the power has no closed form."""
+    """Return the sum of |f_m|² ⟨|S_m|²⟩ over m ≠ 0, or NaN if the power has no closed form."""
     given, width = _of_one_technique(estimator), _half_width(estimator, sampler, n, asked)
     if not _homogeneous(given, sampler, n):
         raise NoClosedForm(
@@ -149,9 +154,9 @@ def of_homogenized(
 
 
 def draws_power(estimator: AbstractEstimator, sampler: Sampler, n: int) -> bool:
-    """Return whether the homogenized formula needs power that is measured from drawn sets.
+    """Return whether the method homogenized needs power that is measured from drawn sets.
 
-    This is so if the formula applies, but the power of the sampler has no closed form.
+    This is so if the method applies, but the power of the sampler has no closed form.
     """
     given = _of_one_technique(estimator)
     try:
@@ -167,10 +172,10 @@ def of_terms(
     realizations: int,
     homogenized: Cells | None,
 ) -> dict[str, Cells]:
-    """Return rows of the methods that use a result of `terms_for`.
+    """Return the results of all methods that use `terms_for`, by name.
 
-    These are the sum of the three terms, the measured variance and, if the homogenized formula
-    takes its power from realizations, the power term.
+    The methods are the sum of the three terms, and the measured variance.
+    If the method homogenized takes its power from realizations, the power term is added.
     """
     share: Any = np.nan
     if estimator.domain_integrand is not None:
@@ -218,12 +223,12 @@ def _of_one_technique(estimator: AbstractEstimator) -> Estimator:
 
 
 def _homogeneous(given: Estimator, sampler: Sampler, n: int) -> bool:
-    """Return whether the points are uniform and the same after any translation."""
+    """Return whether the points are uniform and statistically the same after any translation."""
     return given.density is None and sampler.law(n).stationary
 
 
 def _half_width(estimator: AbstractEstimator, sampler: Sampler, n: int, asked: Terms) -> int:
-    """Return the requested half width, or else the default of `variance_terms`."""
+    """Return the requested half width, or the default half width of `variance_terms`."""
     if asked.half_width is not None:
         return asked.half_width
     domain = msgspec.structs.replace(asked, space="domain")
@@ -237,12 +242,12 @@ def _coefficients(given: Estimator, width: int) -> tuple[Array, Array]:
 
 
 def _share(estimator: AbstractEstimator, f: Array) -> Any:
-    """Return the part of ∫f² in the coefficients; NaN if ∫f² is not known."""
+    """Return the part of ∫f² at the frequencies of the coefficients, or NaN if ∫f² is unknown."""
     within = (np.abs(f) ** 2).reshape(-1, max(1, estimator.channels)).sum(axis=0)
     try:
         assert estimator.domain_integrand is not None
         whole, _ = square_integral(estimator.domain_integrand)
-    except ParameterError:  # Too many dims for a quadrature
+    except ParameterError:  # There are too many dims for a quadrature
         return np.nan
     return np.divide(within, whole, out=np.ones(len(whole)), where=whole > 0)
 
@@ -255,21 +260,21 @@ def _certain(method: str, variance: Array, how: str, share: Any) -> Cells:
 def of_pairs(
     estimator: AbstractEstimator, sampler: Sampler, n: int, asked: Terms, stream: Stream
 ) -> Cells:
-    """Return the variance from the pairs of points alone; infinite if ∫g² diverges.
+    """Return the variance from the pairs of points alone. It is infinite if ∫g² diverges.
 
-    The pairs of ``random`` and ``jittered`` are known exactly, with a relative error of about 1e-6.
-    Pairs of another stationary set in 1-D or 2-D are counted in `realizations` sets.
+    The pairs of random and jittered points are known, with a relative error of about 1e-6.
+    Pairs of other stationary sets in 1-D or 2-D are counted in `realizations` sets.
 
     Raises
     ------
     NoClosedForm
-        If the set is not stationary, has fixed differences (shifted grids and lattices) or more
-        dims, or a quadrature does not converge to 1e-6.
+        If the set is not stationary, has over 2 dims, or is a shifted grid or lattice.
+        The same holds if a quadrature does not converge to 1e-6.
     """
     estimator.check_independent()
     source, realizations = estimator.randomized(sampler), asked.realizations
 
-    # Check whether the law of pairs is known, or pairs may be counted
+    # Check whether the law of the pairs is known, or whether they can be counted
     law = source.law(n)
     jittered = isinstance(law, Strata) and law.jittered
     exact = jittered or isinstance(law, Independent)
@@ -286,7 +291,7 @@ def of_pairs(
     for technique, count in enumerate(estimator.counts):
         g = estimator.primary_integrand(technique)
         if exact:
-            # All pairs of random points; pairs in different cells of jittered points
+            # Use all pairs of random points, or the pairs of jittered points in different cells
             (square, square_error), points = square_integral(g), n * count
             sides: Any = getattr(source.law(points), "sides", (1,) * g.dims)
             squares = []  # Σ_j (∫_cell j g)²
@@ -298,7 +303,7 @@ def of_pairs(
             square = np.where(diverges, 0.0, square)
             part = np.where(diverges, np.inf, square / points - fine)
             error = np.where(diverges, 0.0, square_error / points + np.abs(fine - coarse))
-            # If the variance vanishes, only rounding remains
+            # A variance that vanishes may still have a rounding error
             floor = _ROUNDING * square / points
             if not np.all(error <= np.maximum(_SETTINGS.tolerance * np.abs(part), floor)):
                 raise NoClosedForm(
@@ -312,7 +317,7 @@ def of_pairs(
         first = technique * realizations
         for realization in range(first, first + realizations):
             tree.add(one(realization))
-        # Translating a set does not change its pairs
+        # Pairs do not change if the set is translated
         sets = independent_sets(source.law(n * count))
         value, se = tree.total().mean_and_error(sets)
         z = CONFIDENCE_Z if sets is None else student_t(min(sets, realizations))
@@ -337,7 +342,7 @@ def _of_counted_pairs(
         raise ParameterError(
             f"{n} points have too many pairs to count; give {_SETTINGS.most_points} at most."
         )
-    # A(h) at h = k/N on the torus, from values at cell centers: (channels or 1, N, …)
+    # Values of A(h) at h = k/N on the torus, from cell centers: (channels or 1, N, …)
     cells = _SETTINGS.cells[g.dims]
     x = mesh(*[(np.arange(cells) + 0.5) / cells] * g.dims)
     values = np.moveaxis(values_at(g, x), -1, 0)
@@ -349,7 +354,7 @@ def _of_counted_pairs(
         raise NoClosedForm(
             f"∫g² of {g.spec} diverges: with points that are each uniform the variance is infinite."
         )
-    # Use the mean of the table instead of I², so that its sampling error cancels
+    # Subtract the mean of the table instead of I², so that its sampling error cancels
     constant = square / n - table.reshape(len(table), -1).mean(axis=-1)
     add = pair_sum_1d if g.dims == 1 else pair_sum_2d
 

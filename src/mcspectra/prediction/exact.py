@@ -1,29 +1,33 @@
 """Exact variances of random and stratified sampling and of scrambled nets, by quadrature.
 
-Strata, with and without a common offset, and nested uniform scrambling are in docs/theory.md,
-"Exact variances of strata" and "Gains of scrambled nets". Further samplers:
+The formulas for strata and for nested uniform scrambling are in docs/theory.md,
+in the sections "Exact variances of strata" and "Gains of scrambled nets".
+Strata may have a common offset. Further samplers have these formulas:
 
-* Digital shift in base 2 of coordinates that are multiples of 2^-L: the shift has L random bits,
-  and below them an offset δ, uniform in a cell, that all points share. For given δ the values of g
-  on the grid have the Walsh spectrum ĝ_m(δ). The points have ŝ_m = (1/n) Σ_k wal_m(x_k); for
-  digital nets |ŝ_m|² is 1 on the dual net and 0 elsewhere. Then
+* Digital shift in base 2, for coordinates that are multiples of 2^-L. The shift has L random bits.
+  Below them is an offset δ that is uniform in a cell and the same for all points.
+  For given δ, the values of g on the grid have the Walsh spectrum ĝ_m(δ).
+  The points have ŝ_m = (1/n) Σ_k wal_m(x_k).
+  For digital nets |ŝ_m|² is 1 on the dual net and 0 elsewhere. Then
 
       Var = E_δ [Σ_{m ≠ 0} ĝ_m² ŝ_m²] + Var_δ ĝ_0.
-* Latin hypercubes: on each axis two points are in different ones of n strata. ω² is the mean
-  variance within n^d cells, and σ²_v are the ANOVA parts of the cell means for a subset v of the
-  axes. Then
+* Latin hypercubes: along each axis, two points lie in two different strata out of n.
+  Let ω² be the mean variance within n^d cells.
+  Let σ²_v be the ANOVA parts of the cell means, for the subsets v of the axes. Then
 
       Var = (1/n) [ω² + Σ_{v ≠ ∅} (1 + (n − 1) (−1/(n − 1))^|v|) σ²_v],
 
-  without the variation along single axes from stratum to stratum [Stein1987]_.
-* Antithetic jittered [Haber1967]_: one jittered point for each cell, with h(u) = (g(u) + g(u'))/2
-  instead of g, where u' is u reflected through the center of the cell.
-* Mirrored: folded points sample the folded integrand. All images of n/2^d points sample the average
-  ḡ of g over reflections. Points reflected at random do so on average, and the reflections add
-  E[Var(g | point)]/n = (Var g − Var ḡ)/n if each point is uniform.
+  The variation along single axes from stratum to stratum has weight 0 [Stein1987]_.
+* Antithetic jittered [Haber1967]_: each cell has one jittered point u and its mirror image u'.
+  The image u' is u reflected through the center of the cell.
+  The function h(u) = (g(u) + g(u'))/2 replaces g.
+* Mirrored: folded points sample the folded integrand.
+  A set with all mirror images of n/2^d points samples ḡ, the average of g over reflections.
+  Points that are reflected at random sample ḡ on average.
+  If each point is uniform, random reflections add E[Var(g | point)]/n = (Var g − Var ḡ)/n.
 
-Quadratures of two orders must agree with each other and with ∫g and ∫g² (`blindness`), else they
-raise NoClosedForm.
+Quadratures of two orders must agree with each other and with ∫g and ∫g² (`blindness`).
+Otherwise the method raises NoClosedForm.
 """
 
 from __future__ import annotations
@@ -103,64 +107,71 @@ EXACT_TOLERANCE = 1e-6
 class ExactSettings:
     """Settings for the agreement of quadratures, and for the cells of curves along axes.
 
-    "The same results" means that no variance changes by more than 1e-9 in twelve cases. The cases
-    are sums and products with jumps, kinks and poles, a wave, a disk and a ridge, at n = 64 and
-    1024.
+    "The same results" means that no variance changes by more than 1e-9 in twelve cases.
+    The cases are sums and products with jumps, kinks and poles, a wave, a disk and a ridge.
+    They have n = 64 and 1024 points.
     """
 
-    # Largest error that every tolerance accepts, as a fraction of ∫g²/n. Half and twice the value
-    # give the same results.
+    # An error below this fraction of ∫g²/n is accepted for every tolerance.
+    # Halving or doubling the value gives the same results.
     negligible: float = 1e-9
-    # Factor by which the difference between two orders bounds the error of the higher order. At a
-    # jump both orders have errors of about the same size. With half of it the second attempt for a
-    # ridge is skipped.
+    # The error of the higher order is at most the difference of two orders times this factor.
+    # At a jump both orders have errors of about the same size.
+    # With half the value, the second attempt is skipped in the case of the ridge.
     safety: float = 3.0
-    # Relative error below which an error message suggests a larger tolerance.
+    # An error message suggests a larger tolerance if the relative error is below this value.
     offered: float = 0.5
-    # Factor by which the second attempt raises the orders, and largest error, in tolerances, for
-    # which it is made. Half or double the factor changes the ridge by 1e-5 or 8e-10.
+    # Factor by which the second attempt raises the orders of the quadrature.
+    # A second attempt is made if the error is at most `hope` times the tolerance.
+    # Half the factor changes the variance of the ridge by 1e-5, twice the factor by 8e-10.
     finer: int = 4
     hope: float = 10.0
-    # Least number of dims and least tolerance for fits by sums of products, whose curves have
-    # relative errors of 2e-3. Half and twice the value give the same results.
+    # Least number of dims, and least tolerance, for fits by sums of products.
+    # The curves of these fits have relative errors of 2e-3.
+    # Halving or doubling the values gives the same results.
     many_dims: int = 4
     loose: float = 1e-3
     # Largest number of binary digits of a coordinate. It limits the cells of digital shifts.
     most_bits: int = 24
-    # Factor for the reported error of ∫h² next to a pole. It changes intervals, not variances.
+    # Factor for the reported error of ∫h² next to a pole.
+    # The factor changes intervals, but not variances.
     doubt: float = 3.0
-    # Relative rounding error of ∫g², and of sums along an axis.
+    # Relative rounding errors of ∫g² and of sums along an axis.
     rounding: float = 4e-15
     exact: float = 1e-9
-    # Largest number of cells of an axis. Half this value changes the variance of halton | shift at
-    # n = 1024 by 2e-4, twice by 5e-5. The second value limits the time: pairs of points times dims.
+    # Largest number of cells of an axis. The variance of halton | shift at n = 1024 depends on it:
+    # half the value changes the variance by 2e-4, twice the value by 5e-5.
+    # The second number limits the time. It bounds the pairs of points times the dims.
     most_cells: int = 2**18
     most_pairs: float = 2.0**32
-    # Quadrature nodes per cell, and fewer nodes for more than 2^14 cells. With 3 instead of 6 a sum
-    # with poles changes by 3e-6, with 12 by 8e-11.
+    # Number of quadrature nodes per cell, and a smaller number for more than 2^14 cells.
+    # With 3 nodes instead of 6 the variance of a sum with poles changes by 3e-6.
+    # With 12 nodes it changes by 8e-11.
     many_nodes: int = 16
     few_nodes: int = 6
     deep: int = 14
-    # Relative error of the power beyond the last octave, which is assumed to have the mean power of
-    # that octave. It changes intervals, not variances.
+    # Relative error of the power beyond the last octave.
+    # There the power is assumed to equal its mean over the last octave.
+    # The value changes intervals, but not variances.
     white: float = 0.02
-    # Rounding error of a mean over a set, as a fraction of √∫h², and of the variance of such means,
-    # as a fraction of ∫h²/n. Half and twice the value give the same results.
+    # Rounding error of a mean over a set, as a fraction of √∫h².
+    # Rounding error of the variance of such means, as a fraction of ∫h²/n.
+    # Halving or doubling the values gives the same results.
     rounded_mean: float = 1e-15
     rounded_variance: float = 1e-15
-    # Number of points evaluated at a time. It has no effect on the result.
+    # Number of points evaluated at a time. The number has no effect on the result.
     at_once: int = 2**20
-    # Variance within cells, as a fraction of ∫h², below which it is rounding. Half and twice the
-    # value give the same results.
+    # A variance within cells is treated as rounding below this fraction of ∫h².
+    # Halving or doubling the value gives the same results.
     nothing: float = 1e-12
-    # Number of octaves of offsets (factor 8) that resolve a cusp. Half and twice the value give the
-    # same results.
+    # Number of octaves of offsets that resolve a cusp. The octaves have the ratio 8.
+    # Halving or doubling the value gives the same results.
     cusps: int = 10
-    # Distance from integers of n times the coordinates below which points are a grid. Half and
-    # twice the value give the same results.
+    # Points are a grid if n times their coordinates differ from integers by less than this.
+    # Halving or doubling the value gives the same results.
     even: float = 1e-6
-    # Relative error of a product's variance if points are rounded to cells of 2^-15. Smaller
-    # tolerances raise.
+    # Relative error of a product's variance if points are rounded to cells of 2^-15.
+    # Smaller tolerances raise an error.
     rounded_points: float = 0.02
 
 
@@ -181,50 +192,60 @@ def exact_variance(
     Parameters
     ----------
     estimator, sampler, n
-        Any estimator with one of these samplers: random, jittered, regular or uniform-jitter, each
-        alone or with shift or strata-shift, and with mirror; antithetic-jittered; latin-hypercube,
-        alone or with shift; nets and sequences such as sobol or halton with owen, and those in base
-        2 with digital-shift. Latin hypercubes and nets need about n cells per side, which limits n
-        to some thousands in 2-D and some tens in 3-D. Sums and products of functions of one axis
-        work in any dims, also with orthogonal arrays and shifted sets.
+        Any estimator with one of the following samplers.
+        The samplers random, jittered, regular and uniform-jitter are allowed, alone or with
+        shift, strata-shift or mirror. So are antithetic-jittered and latin-hypercube.
+        The sampler latin-hypercube may also have shift.
+        Nets and sequences, such as sobol or halton, are allowed with owen.
+        In base 2 they are also allowed with digital-shift.
+        Latin hypercubes and nets need about n cells per side.
+        This limits n to some thousands in 2-D and some tens in 3-D.
+        Sums and products of functions of one axis work in any dims.
+        They also work with orthogonal arrays and shifted sets.
     dims
-        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
-        that is not a spec.
+        Number of dims of a function, and of a spec without ``dims``.
+        The default is the number of dims of the sampler, unless the sampler is a spec.
     tolerance
-        Largest relative error of the variance, 1e-12 to 1. For jumps that f does not declare and
-        that are not across an axis, 1e-3 is feasible with random points, some 0.1 with strata; the
-        error message gives a feasible value. With 1e-3 or more in at least 4 dims, a fit by sums of
-        products of functions of one axis may be used, if its 95 % interval is within the tolerance:
-        for latin-hypercube, nets with owen, sets with shift.
+        Largest relative error of the variance, 1e-12 to 1.
+        If f has jumps that it does not declare and that are not across an axis,
+        1e-3 is feasible with random points, and about 0.1 with strata.
+        The error message gives a feasible value.
+        With 1e-3 or more in at least 4 dims, f may be fitted by a sum of products.
+        The factors of these products are functions of one axis.
+        The fit is used if its 95 % interval is within the tolerance.
+        It is available for latin-hypercube, nets with owen and sets with shift.
     max_evaluations
-        Maximum number of evaluations of a user's function; more raise BudgetError.
+        Maximum number of evaluations of a user's function. More evaluations raise BudgetError.
 
     Returns
     -------
     float or ndarray
-        The variance; an array (channels,) if f has several channels. Its relative error is less
-        than `tolerance`. It is infinite if ∫g² diverges. For integrands with a known integral it is
-        exactly 0 at rounding level.
+        The variance. It is an array (channels,) if f has several channels.
+        Its relative error is less than `tolerance`. It is infinite if ∫g² diverges.
+        For integrands with a known integral, a variance at rounding level is exactly 0.
 
     Raises
     ------
     NoClosedForm
-        If the variance is not known for this sampler; if the quadrature does not converge
-        (discontinuities that are neither axis-aligned nor integrated in closed form); or if g is
-        equal at all points of the probe and not declared constant.
+        If the variance is not known for this sampler, or the quadrature does not converge.
+        It may not converge at discontinuities that are not axis-aligned,
+        unless they are integrated in closed form.
+        If g is equal at all points of the probe, but not declared constant.
     ParameterError
         If `tolerance` is not a number from 1e-12 to 1.
 
     Notes
     -----
-    Jumps and poles across an axis that g does not declare are found along lines, and cells are cut
-    there. If ∫g has no closed form, the quadrature's sums are compared with integrals that 2^17
-    probe points check. The probe finds a slab across an axis of width 2^-17 or more. It finds any
-    other region of volume v, in which g differs, with probability 1 − exp(−2^17 v), which is 1 −
-    5e-5 for v = 8e-5. Narrower peaks and their variance may be missed. Regions that only the probe
-    finds are examined again at 2^18 other points and enter the error. ∫g² is infinite if g grows
-    across an axis like t^-½ or faster (exponent at least 0.4995), or if the contribution of its
-    poles does not shrink under refinement.
+    Undeclared jumps and poles of g across an axis are found along lines. Cells are cut there.
+
+    If ∫g has no closed form, the sums of the quadrature are compared with other integrals,
+    which 2^17 probe points check. The probe finds a slab across an axis of width 2^-17 or more.
+    It finds any other region of volume v, in which g differs, with probability 1 − exp(−2^17 v).
+    For v = 8e-5 this is 1 − 5e-5. Narrower peaks and their variance may be missed.
+    Regions that only the probe finds are examined at 2^18 other points and enter the error.
+
+    ∫g² is infinite if g grows across an axis like t^-½ or faster (exponent at least 0.4995).
+    It is also infinite if the contribution of its poles does not shrink under refinement.
 
     Examples
     --------
@@ -267,7 +288,7 @@ def estimated_variance(
                 raise
             found = by_axes.variance, by_axes.error
         total = total + np.stack(found)
-    if not total[0].any():  # g of one technique of several may be constant
+    if not total[0].any():  # One of several techniques may have a constant g
         said = [constant(given.primary_integrand(t)) for t in range(len(given.counts))]
         if all(said):
             raise NoClosedForm(f"{said[0]}.")
@@ -277,17 +298,17 @@ def estimated_variance(
 def of_integrand(
     law: Law, g: Integrand, tolerance: float, most: float = MOST_EVALUATIONS
 ) -> tuple[Array, Array]:
-    """Return variance and a bound of its error, (channels or 1,); 0 at rounding level.
+    """Return variance and a bound of its error, (channels or 1,). It is 0 at rounding level.
 
-    The error is the difference between two orders plus the `blindness` of the higher order; for
-    random points it is the error of ∫g². Orders are raised once if that would suffice, unless
-    `most` is lower because other methods follow.
+    The error is the difference between two orders plus the `blindness` of the higher order.
+    For random points it is the error of ∫g². Orders are raised once if that would suffice.
+    They are not raised if `most` is lower because other methods follow.
 
     Raises
     ------
     NoClosedForm
-        If `exact_variance` would raise, the error exceeds `tolerance` times the variance, or a rule
-        would take more than about `most` evaluations.
+        If `exact_variance` would raise, or the error exceeds `tolerance` times the variance.
+        The same holds if a rule would take more than about `most` evaluations.
     """
     g, lines = looked_at(g), False
     if not (in_closed_form(g) or g.costly):
@@ -319,8 +340,8 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
     if isinstance(law, Independent):
         middle, first, second, error = moments(g)
         value = second - first**2
-        # The error of the integrals is three standard errors. Widen it to 4.5 standard errors, so
-        # that none of 1,000 functions exceeds it
+        # The error of the integrals is three standard errors. Widen it to 4.5 standard errors,
+        # because none of 1,000 functions exceeds this error
         error = 1.5 * error * (1.0 + 2.0 * np.abs(first)) + 4e-15 * (second + middle**2)
         if (error > tolerance * value).any() and np.isfinite(square).all():
             mean, off = np.atleast_1d(g.integral), integral_accuracy(g)[1]
@@ -341,7 +362,7 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
         try:
             high, unseen = _variance(law, g, Rule(times * fine, most, times * coarse))
             low = high
-            if not (cells and in_closed_form(g)):  # Closed-form moments of cells have no order
+            if not (cells and in_closed_form(g)):  # Closed-form moments need no order
                 low, _ = _variance(law, g, Rule(times * coarse, most))
         except NoClosedForm:
             if times == 1:
@@ -357,8 +378,8 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
     agree |= error <= _SETTINGS.negligible * np.max(square) / n
     if law.uniform:  # One point next to the pole outweighs all others
         high = np.where(np.isinf(square), np.inf, high)
-    # Σ (mean g² − (mean g)²)/n has a rounding error of about 1e-15 ∫g²/n, which remains if it
-    # vanishes
+    # The rounding error of Σ (mean g² − (mean g)²)/n is about 1e-15 ∫g²/n.
+    # A variance that vanishes still has this error
     rounding = 4e-15 * square / n
     known = agree | np.isinf(high) | (error <= _SETTINGS.safety * rounding)
     if not known.all():
@@ -379,7 +400,7 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
 def _within(
     found: tuple[Array, Array], law: Law, g: Integrand, tolerance: float
 ) -> tuple[Array, Array]:
-    """Return the result if its error is within the tolerance; 0 at rounding level."""
+    """Return the result if its error is within the tolerance, or 0 at rounding level."""
     value, error = found
     if np.isinf(value).any():
         return value, np.where(np.isinf(value), 0.0, error)
@@ -436,7 +457,7 @@ def _of_separable(law: Law, g: Separable) -> tuple[float, float]:
     error = _SETTINGS.doubt * doubt / n + _SETTINGS.rounding * (spread + g.mean**2) / n
 
     def together(kappa: Array) -> float:
-        """Return the covariance of g at two points from the covariances along the axes, (dims,)."""
+        """Return the covariance of g at two points from its covariances along axes, (dims,)."""
         if not g.product:
             return float(kappa.sum())
         total = 0.0  # Π (μ² + κ) − Π μ² without cancellation
@@ -445,7 +466,7 @@ def _of_separable(law: Law, g: Separable) -> tuple[float, float]:
             total += means[:axis].prod() * each * rest.prod()
         return float(total)
 
-    # Strata: mean variances within cells, at one offset or averaged over all
+    # For strata, use mean variances within cells, at one offset or averaged over all offsets
     set_, offset = unmoved(law)
     shifted = isinstance(law, Shifted)
     off: list[float] = []
@@ -527,7 +548,7 @@ def _over_offsets(curve: PiecewiseCurve, side: int, order: int) -> float:
 
 
 def _paired(curve: PiecewiseCurve, side: int) -> PiecewiseCurve:
-    """Return the mean of a curve at a point and at its reflection in its cell, centered."""
+    """Return the centered mean of a curve at a point and at the point's reflection in its cell."""
 
     def both(x: Array) -> Array:
         cell = np.minimum(np.floor(x * side), side - 1.0)
@@ -623,8 +644,8 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
                     energy[-1] *= 0.5
                     found.append(float(energy[1:] @ power[1:]) + float(spreads.mean()) / n)
                     continue
-                # For other points, use the power at frequencies that cells resolve, and white noise
-                # beyond
+                # For other points, use the power at the frequencies that cells resolve.
+                # At higher frequencies, use white noise
                 most = size // 8
                 m = np.arange(1, most + 1)
                 import finufft
@@ -696,13 +717,13 @@ def _of_set(law: Law, g: Separable) -> tuple[float, float]:
 
 
 def _refined(fine: float, middle: float, coarse: float) -> tuple[float, float]:
-    """Extrapolate results for cells of one, two and four widths, with the error (Richardson)."""
+    """Extrapolate results for cells of widths 1, 2 and 4, with an error (Richardson)."""
     first, second = fine + (fine - middle) / 3.0, middle + (middle - coarse) / 3.0
     return first, abs(first - second)
 
 
 def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
-    """Return the variance of the mean of g over a set, and its possible error; (channels or 1,)."""
+    """Return the variance of the mean of g over a set, and its possible error, (channels or 1,)."""
     n, none = law.n, np.zeros(g.dims)
     match law:
         # Use the variance of the inner set with another integrand
@@ -724,7 +745,7 @@ def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
             coins = np.maximum(whole - _variance(one, average, rule)[0], 0.0)
             return part + coins / n, unseen + missed / n
         case Strata(sides=sides, motif=AntitheticPair()):
-            # One jittered point in each of n/2 cells, with the mean of g at it and its reflection
+            # Each of n/2 cells has one jittered point. Average g over the point and its reflection
             _, spread, unseen = strata(paired(g, sides[0]), sides, none, rule)
             return spread / (n // 2), unseen / (n // 2)
         case Scrambled(inner=Fixed() as net) if law.nested_pairs:
@@ -735,7 +756,7 @@ def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
             _, spread, unseen = strata(g, (1,) * g.dims, none, rule)
             return spread / n, unseen / n
 
-    # One point in each stratum, or a grid, with fixed or random offsets
+    # The set has one point in each stratum, or is a grid, with fixed or random offsets
     set_, offset = unmoved(law)
     shifted = isinstance(law, Shifted)
     if isinstance(set_, PairedAxes) and set_.latin and g.dims > 1 and not offset.any():
@@ -763,7 +784,7 @@ def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
         spread, unseen = weighted_sum(weights, found)
         return spread / n, unseen / n
 
-    # A grid with one random offset: the variance of its mean over the offset
+    # For a grid with one random offset, compute the variance of its mean over the offset
     grids = (grid_values(g, sides, d).reshape(math.prod(sides), -1) for d in nodes)
     both = np.array([(v.mean(axis=0), (v**2).mean(axis=0)) for v in grids])
     one_mean, square = weighted_sum(weights, both)
@@ -788,17 +809,18 @@ def paired(g: Integrand, side: int) -> Integrand:
 
 
 def _latin(law: Law, g: Integrand, rule: Rule, *, shifted: bool) -> tuple[Array, Array]:
-    """Average over the offset of the cells; the points are uniform for each offset.
+    """Average over the offset of the cells. For each offset the points are uniform.
 
-    If n^d cells are too many, larger cells that hold a whole number of these are used, with slabs
-    of width 1/n. Interactions within the larger cells then have a weight from 1 to 1 + 1/(n − 1).
+    If n^d cells are too many, larger cells are used, which hold a whole number of small cells.
+    They are combined with slabs of width 1/n.
+    Interactions within the larger cells then have a weight from 1 to 1 + 1/(n − 1).
     """
     n = law.n
     fine, nodes, weights = (n,) * g.dims, np.zeros((1, g.dims)), np.ones(1)
-    if shifted:  # A mean over all cells is a smooth function
+    if shifted:  # The mean over all cells is a smooth function of the offset
         nodes, weights = offset_rule(g, fine, rule.order // 2 + 2)
     one = float(len(nodes) * rule.each(g))
-    # In 1-D and 2-D there are more pieces than cells, because cells next to 0 and 1 are cut
+    # Cells next to 0 and 1 are cut, so that 1-D and 2-D have more pieces than cells
     most = rule.most / one / (1 if in_closed_form(g) or g.dims > 2 else 2)
     side = next((m for m in range(n, 1, -1) if n % m == 0 and m**g.dims <= most), 1)
     if side < n:
@@ -823,14 +845,14 @@ def _latin(law: Law, g: Integrand, rule: Rule, *, shifted: bool) -> tuple[Array,
 
 
 def _nested(net: Fixed, bases: tuple[int, ...], g: Integrand, rule: Rule) -> tuple[Array, Array]:
-    """Compute nested uniform scrambling of a net."""
+    """Return the variance of a net under nested uniform scrambling, with its error."""
     n, points = net.n, net.points
     # Find the number of digits of each axis in which all coordinates differ
     digits = []
     for axis, base in enumerate(bases):
         level, limit = 0, math.floor(_SETTINGS.most_bits / math.log2(base))
-        # As in spectra.gain, coordinates that are rounded down to just below a digit count as that
-        # digit
+        # Coordinates may be rounded down to just below a digit. As in spectra.gain,
+        # such coordinates count as that digit
         x = points[:, axis] + (0.0 if base & (base - 1) == 0 else 2.0**-50)
         while len(np.unique(np.floor(x * base**level))) < n:
             level += 1
@@ -855,7 +877,7 @@ def _nested(net: Fixed, bases: tuple[int, ...], g: Integrand, rule: Rule) -> tup
 
 
 def _digitally_shifted(net: Fixed, g: Integrand, rule: Rule) -> tuple[Array, Array]:
-    """Compute a digital shift of a net in base 2."""
+    """Return the variance of a net in base 2 under a digital shift, with its error."""
     points = net.points
     whole = (
         2**bits
@@ -898,9 +920,11 @@ def _hadamard(values: Array, dims: int) -> Array:
 def level_variances(means: Array, bases: tuple[int, ...], axis: int = 0) -> Array:
     """Return σ²_l of all levels up to those of the cells, from the cell means of a function.
 
-    Means have shape (b_0^L_0, b_1^L_1, …, channels) with the base b_i of axis i. The result has
-    shape (L_0 + 1, L_1 + 1, …, channels), with the square of the mean at level 0 of all axes. The
-    means are split along `axis` into the contributions of each digit, then along the later axes.
+    Means have shape (b_0^L_0, b_1^L_1, …, channels), where b_i is the base of axis i.
+    The result has shape (L_0 + 1, L_1 + 1, …, channels).
+    At level 0 of all axes it holds the square of the mean.
+    The means are split along `axis` into the contributions of each digit.
+    The later axes follow in the same way.
     """
     if axis == len(bases):
         return np.asarray((means**2).mean(axis=tuple(range(axis))))

@@ -1,10 +1,11 @@
 """The error spectrum of an image whose pixels share a set: predicted from spectra, and measured.
 
-With a sampler that ends in ``decorrelate``, pixel p moves the shared set by a shift δ_p. Its error
-is Σ_{m≠0} conj(f^p_m) S_m e^{−2πi m·δ_p}, with one spectrum S_m for all pixels and a phase for
-each. The covariance of two pixels is the cross term with their two integrands. Its transform is the
-power of the error image over spatial frequencies. The effect of a mask depends on f and on S_m, so
-masks are ranked for an integrand.
+With a sampler that ends in ``decorrelate``, pixel p moves the shared set by a shift δ_p.
+Its error is Σ_{m≠0} conj(f^p_m) S_m e^{−2πi m·δ_p}.
+The spectrum S_m is the same for all pixels, and each pixel has its own phase.
+The covariance of two pixels is the cross term with their two integrands.
+Its Fourier transform is the power of the error image over spatial frequencies.
+The effect of a mask depends on f and on S_m, so masks are ranked for one integrand.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 __all__ = ["ImageErrorSettings", "image_error_spectrum"]
 
 _LOW = 0.125
-"""Spatial frequency, in cycles per pixel, below which the eye does not blur noise away."""
+"""Spatial frequency in cycles per pixel. The eye does not blur noise of lower frequencies."""
 
 
 @final
@@ -44,17 +45,18 @@ class ImageErrorSettings:
     Attributes
     ----------
     most_dims
-        Largest number of dims. In 4 dims, half width 31 would take all of `most_values`, and
-        transforms exist in up to 3 dims.
+        Largest number of dims. In 4 dims, half width 31 would reach `most_values`.
+        Fast transforms exist only in up to 3 dims.
     most_values
         Largest number of coefficients, or of points of one image: 256 MiB of complex numbers.
     half_width, lost, most_modes
-        Initial half width. It is doubled until less than the fraction `lost` of the power of every
-        band lies beyond it, or there are `most_modes` frequencies: half width 724 in 2-D, 63 in
-        3-D. One percent is less than the standard error of 16 images.
+        Initial half width. It is doubled until the frequencies capture the power of every band.
+        A band is captured if less than the fraction `lost` of its power has higher frequencies.
+        Doubling stops at `most_modes` frequencies, which is half width 724 in 2-D and 63 in 3-D.
+        One percent is less than the standard error of 16 images.
     beyond
-        Fraction of the power of a band beyond the half width above which a note reports it, because
-        it can change the order of masks.
+        A note reports a band if more than this fraction of its power lies beyond the half width.
+        Such a fraction can change the order of masks.
     precision
         Relative error of the transforms, far below that of the images.
     """
@@ -87,40 +89,43 @@ def image_error_spectrum(
     Parameters
     ----------
     integrand
-        One integrand for all pixels, or one for each of width² pixels, row by row; in 1 to 3 dims.
+        One integrand for all pixels, or width² integrands, one per pixel, row by row; 1 to 3 dims.
     sampler
-        A chain that ends in ``decorrelate(mask=…, width=…)`` with mode shift.
+        A sampler that ends in ``decorrelate(mask=…, width=…)`` with mode shift.
     n
         Number of samples per pixel.
     half_width
-        Frequencies m in {−half_width … half_width}^d are predicted term by term. The rest of ∫f² is
-        treated as if points were random and pixels independent. The default is 24. With closed-form
-        coefficients it is doubled until the rest is under 1 % of every band, or there are 2^21
-        frequencies.
+        Frequencies m in {−half_width … half_width}^d are predicted term by term.
+        The rest of ∫f² is treated as if points were random and pixels independent.
+        The default is 24. With closed-form coefficients it is doubled as needed:
+        until the rest is under 1 % of every band, or there are 2^21 frequencies.
     images
-        Number of independent images, at least 2, each with its own shared set and position of the
-        mask.
+        Number of independent images, at least 2.
+        Each image has its own shared set and its own position of the mask.
     max_evaluations
-        Maximum number of evaluations of a user's function; more raise BudgetError.
+        Maximum number of evaluations of a user's function. More evaluations raise BudgetError.
 
     Returns
     -------
     xarray.Dataset
-        On dim radius, in cycles per pixel. ``predicted_power`` comes from coefficients of f and
-        spectra of the sets. ``measured_power``, with ``measured_power_ci``, comes from f at their
-        points. Both have the units of f²; white noise has the variance of a pixel. ``tail_term`` is
-        the part of the prediction beyond the half width; the attribute ``note`` reports it if it is
-        large. ``low_share`` is the predicted power below 1/8 cycle per pixel over its mean, 1 for
-        white noise. It ranks masks.
+        The result has the dim radius, in cycles per pixel.
+        ``predicted_power`` comes from coefficients of f and spectra of the sets.
+        ``measured_power`` comes from f at the points of the sets.
+        Its interval is ``measured_power_ci``. Both powers have the units of f².
+        White noise has the variance of a pixel at every frequency.
+        ``tail_term`` is the part of the prediction beyond the half width.
+        If that part is large, the attribute ``note`` reports it.
+        ``low_share`` ranks masks. It is the predicted power below 1/8 cycle per pixel,
+        divided by the mean power. It is 1 for white noise.
 
     Raises
     ------
     NoClosedForm
-        If the sampler does not end in ``decorrelate`` with mode shift. Only such pixels share a
-        spectrum.
+        If the sampler does not end in ``decorrelate`` with mode shift.
+        Only pixels of such a sampler share a spectrum.
     ParameterError
-        If the numbers of integrands and pixels differ, there are over 3 dims, or too many
-        frequencies or points.
+        If the numbers of integrands and pixels differ, or there are over 3 dims.
+        The error is also raised for too many frequencies or points.
 
     References
     ----------
@@ -170,7 +175,7 @@ def image_error_spectrum(
 
     stream = Stream.from_rng(rng)
     with counting("image_error_spectrum", max_evaluations) as tally:
-        # Measured error images; the prediction uses the same shared sets and shifts
+        # Measure the error images. The prediction uses the same shared sets and shifts
         rings, integrals = Rings(width, width), np.array([f.integral for f in functions])
         sets, shifts = np.empty((images, n, d)), np.empty((images, pixels, d))
         measured = np.empty((images, rings.radius.size))
@@ -183,8 +188,8 @@ def image_error_spectrum(
                 values = np.array([f(own).mean() for f, own in zip(functions, x, strict=True)])
             measured[k] = rings.mean(_power(values - integrals, width))
 
-        # Predict them from coefficients without f_0, until the rest of ∫f² is negligible in the
-        # weakest band
+        # Predict the images from coefficients without f_0.
+        # Double the half width until the rest of ∫f² is negligible in the weakest band
         whole = np.array([float(square_integral(f)[0][0] - f.integral**2) for f in functions])
         exact = all(f.fourier_source == "exact" for f in functions)
         reach, grows = half_width or _SETTINGS.half_width, half_width is None and exact
@@ -241,7 +246,7 @@ def _power(errors: Array, width: int) -> Array:
 
 
 def _errors(known: Array, points: Array, shifts: Array) -> Array:
-    """Return Σ conj(f^p_m) S_m e^{−2πi m·δ_p} of all pixels, with S_m = Σ e^{−2πi m·x} / n."""
+    """Return the errors Σ conj(f^p_m) S_m e^{−2πi m·δ_p} of all pixels."""
     import finufft
 
     d = points.shape[1]

@@ -1,7 +1,8 @@
-"""Common parts of the methods of prediction: facts about an integrand, and the result of a method.
+"""Common parts of all prediction methods: facts about an integrand, and the type of a result.
 
-A method is a function ``(law, known, stream) -> Predicted`` that raises `NoClosedForm` if it does
-not apply. It may evaluate g anywhere except at the sampler's own points.
+A method is a function ``(law, known, stream) -> Predicted``.
+It raises `NoClosedForm` if it does not apply.
+It may evaluate g anywhere except at the sampler's own points.
 """
 
 from __future__ import annotations
@@ -38,24 +39,24 @@ Made = TypeVar("Made")
 @final
 @dataclass(frozen=True)
 class Predicted:
-    """The variance of the mean of g over n points by one method; arrays are (channels or 1,).
+    """The variance of the mean of g over n points by one method. Arrays are (channels or 1,).
 
     Attributes
     ----------
     variance
-        The predicted variance, positive.
+        The predicted variance. It is positive.
     error
-        Half of its 95 % interval: errors of quadrature, of sampled spectra and of the tail.
+        Half of its 95 % interval. It covers quadrature, sampled spectra and the tail.
     how
         Short description, such as the number of sets.
     share
         Part of ∫g² that was summed term by term.
     tail
-        Part of `variance` that represents the rest, in the same units.
+        Part of `variance` that the method does not sum term by term, in the same units.
     method
-        Name of the method, as in `METHODS`, filled in by the loop over the methods.
+        Name of the method, from `METHODS`. The loop over the methods fills it in.
     poles
-        Whether `error` covers poles of g beyond tables and points.
+        Whether `error` covers poles of g that tables and points do not resolve.
     """
 
     variance: Array
@@ -75,11 +76,11 @@ class Cells:
     Attributes
     ----------
     variance, low, high
-        Value and ends of its 95 % interval, (N, channels or 1); NaN if not known.
+        Value and ends of its 95 % interval, (N, channels or 1). Unknown values are NaN.
     share, tail
         See `Predicted`.
     methods, hows, notes
-        Names of the methods, details or reasons for a missing value, and notes; (N,).
+        Names of the methods; details, or reasons for missing values; and notes. Each is (N,).
     """
 
     variance: JOIN
@@ -104,7 +105,7 @@ class Cells:
         note: str = "",
         channels: int = 1,
     ) -> Cells:
-        """Make a single row; numbers are (channels,) or equal for all channels."""
+        """Make a single row. Numbers are (channels,) or equal for all channels."""
         numbers = [np.full((1, channels), each) for each in (variance, low, high, share, tail)]
         return Cells(*numbers, *(np.array([text]) for text in (method, how, note)))
 
@@ -124,7 +125,7 @@ class Cells:
         )
 
     def named(self, place: int = 0) -> tuple[str, str]:
-        """Return method and details of a row."""
+        """Return the method and the details of a row."""
         return str(self.methods[place]), str(self.hows[place])
 
     def at(self, place: int) -> Cells:
@@ -139,8 +140,8 @@ class Cells:
 class Known:
     """An integrand in primary space, with cached facts for all methods, counts and samplers.
 
-    All methods cut it at jumps that line searches detect across an axis (`looked_at`). Results of
-    quadrature are in the integrand's own `mcspectra.integrands.base.IntegrandCache`.
+    All methods use the integrand cut at jumps across an axis, which line searches detect.
+    Results of quadrature are stored in `mcspectra.integrands.base.IntegrandCache`.
     """
 
     def __init__(self, given: Integrand) -> None:
@@ -170,7 +171,7 @@ class Known:
 
     @cached_property
     def diverges(self) -> Array:
-        """Whether ∫g² is infinite according to lines across the axes, (channels or 1,)."""
+        """Whether lines across the axes show that ∫g² is infinite, (channels or 1,)."""
         found = growth(self.g) >= DIVERGES
         if self.unresolved.any() and (parts := separated(self.g)):
             found = found | np.array([part.diverges for part in parts])
@@ -178,21 +179,21 @@ class Known:
 
     @cached_property
     def unresolved(self) -> Array:
-        """Part of ∫g² next to poles beyond tables and points, (channels or 1,)."""
+        """Part of ∫g² next to poles that tables and points do not resolve, (channels or 1,)."""
         return beyond_points(self.g)
 
     @cached_property
     def constant(self) -> str:
-        """A message if g is equal at all points of the probe; else empty."""
+        """A message if g is equal at all points of the probe, else an empty string."""
         return constant(self.g)
 
     @cached_property
     def unseen(self) -> Array:
-        """Error of ∫g² from regions that nodes miss, (channels or 1,)."""
+        """Error of ∫g² due to regions that quadrature nodes miss, (channels or 1,)."""
         return unseen(self.g)
 
     def once(self, key: Hashable, make: Callable[[], Made]) -> Made:
-        """Return the result of `make`, computed at the first call with this key."""
+        """Return the result of `make`. It is computed only at the first call with this key."""
         with self._lock:
             if key not in self._made:
                 self._made[key] = make()

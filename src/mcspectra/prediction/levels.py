@@ -1,19 +1,22 @@
 """Variances of scrambled nets and of strata from means of g over cells.
 
-Nested uniform scrambling weighs σ²_l, the part of g that varies with l_j digits of coordinate j, by
-the gain Γ_l of the net (docs/theory.md, "Gains of scrambled nets"). All but finitely many gains are
-1. The exceptions are levels of at most about n cells, with Σ l_j near log n, not every l_j near log
-n. So
+Nested uniform scrambling multiplies σ²_l by the gain Γ_l of the net.
+The theory is in docs/theory.md, "Gains of scrambled nets".
+Here σ²_l is the variance of the part of g that varies with l_j digits of coordinate j.
+All but finitely many gains are 1. The exceptions are levels of at most about n cells.
+For these Σ l_j is near log n, but not every l_j is near log n. Therefore
 
     n Var = Σ_{l ≤ T} Γ_l σ²_l + ω²_T − Σ_{l ≰ T} (1 − Γ_l) σ²_l,
 
-where ω²_T is the mean variance within the cells of one table T. The σ²_l come from tables with
-equally many cells that are longer along some axes. A digital shift has weights that depend on g;
-see `of_moves`.
+where ω²_T is the mean variance within the cells of one table T.
+The σ²_l come from tables with equally many cells that are longer along some axes.
+A digital shift has weights that depend on g; see `of_moves`.
 
-Cells are integrated in closed form if g has moments over boxes, else by Gauss-Legendre rules cut at
-the breaks of g. Cells whose neighbors have very different g contain curves of jumps, and get
-a composite rule. Integration uses a fine and a coarse rule, and the error is their difference.
+Cells are integrated in closed form if the moments of g over boxes are known.
+Otherwise Gauss-Legendre rules are used, which are cut at the breaks of g.
+Cells whose neighbors have very different g contain curves of jumps.
+These cells are integrated by a composite rule.
+Integration uses a fine and a coarse rule, and the error is their difference.
 """
 
 from __future__ import annotations
@@ -48,43 +51,48 @@ Levels = tuple[int, ...]
 class LevelsSettings:
     """Settings for the choice and integration of cells.
 
-    Stated changes refer to seven cases: a jump along a line, smooth functions and a pole in 1 to 3
-    dims, with jittered, sobol | owen and halton | owen at n = 64 to 1024.
+    The stated changes were measured in seven cases with n = 64 to 1024, in 1 to 3 dims.
+    The integrands are a jump along a line, smooth functions and a pole.
+    The samplers are jittered, sobol | owen and halton | owen.
 
     Attributes
     ----------
     most_dims
-        Largest number of dims: in 4-D, 32,768 cells would have 13 per side.
+        Largest number of dims. In 4-D, 32,768 cells would have only 13 per side.
     cells
-        Number of cells of the first table, by number of dims. Half or double this number changes
-        variances by less than 0.1 %, within the intervals.
+        Number of cells of the first table, by number of dims.
+        Halving or doubling it changes variances by less than 0.1 %, within the intervals.
     long, most_cells
-        Number of cells of a table that is longer along some axes: up to `long` n Π b_j, which
-        covers the digits of n and one more, and at most `most_cells`. Half or double
-        either value changes nothing.
+        Number of cells of a table that is longer along some axes.
+        The limit `long` n Π b_j covers the digits of n and one more digit.
+        The second limit is `most_cells`. Halving or doubling either value changes nothing.
     more
-        Number of digits beyond those of n for which gains are computed. All coordinates usually
-        differ there. Values from 1 to 6 give the same results.
+        Number of digits beyond the digits of n for which gains are computed.
+        All coordinates usually differ there. Values from 1 to 6 give the same results.
     orders
-        Orders of the coarse and the fine Gauss-Legendre rule in each cell, by number of dims. The
-        error is their difference.
+        Orders of the coarse and the fine Gauss-Legendre rule in each cell, by number of dims.
+        The error is the difference of the two rules.
     parts
-        Number of parts along each axis of a cell with a jump, by number of dims. Half this number
-        changes variances by up to 0.13 % and double by 0.05 %, within the intervals.
+        Number of parts along each axis of a cell with a jump, by number of dims.
+        Half this number changes variances by up to 0.13 %, and twice this number by 0.05 %.
+        Both changes are within the intervals.
     most_rough, rough
-        Largest number of cells that are divided, by number of dims, and least variation of g in
-        such a cell relative to the mean cell. Half or double either value changes nothing. A jump
-        cuts some hundred of 65,536 cells in 2-D and some thousand of 32,768 in 3-D.
+        Largest number of cells that are divided, by number of dims.
+        Least variation of g in such a cell, relative to the mean cell.
+        Halving or doubling either value changes nothing.
+        A jump cuts a few hundred of 65,536 cells in 2-D, and a few thousand of 32,768 in 3-D.
     block
         Number of evaluations per call, 16 MB in 2-D. It has no effect on the result.
     clear, doubt
-        Part of ∫g² that tables miss, in units of its error, above which it is added; and the
-        uncertainty of its weight. This part lies at poles within one cell, with a gain between 0
-        and about 1. Half of `clear` adds some noise, 0.015 % of a variance; twice changes nothing.
+        The part of ∫g² that tables miss is added if it exceeds this number of its errors.
+        The second value is the uncertainty of its weight.
+        This part lies at poles within one cell, and has a gain between 0 and about 1.
+        Half of `clear` adds noise of 0.015 % of a variance; twice the value changes nothing.
     most_error, noise
-        Largest half interval relative to the variance, unless it is below `noise` times ∫g²; above
-        it the method raises, because other methods have errors below a fifth. Half or double either
-        value changes nothing.
+        Largest half interval relative to the variance. Above it the method raises.
+        Other methods then have smaller errors, which are below a fifth.
+        A half interval below `noise` times ∫g² is always accepted.
+        Halving or doubling either value changes nothing.
     """
 
     most_dims: int = 3
@@ -116,18 +124,18 @@ def of_levels(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
     Parameters
     ----------
     law
-        Law in 1 to 3 dims: fixed sets with nested or linear scrambling; strata without a random
-        shift.
+        Law in 1 to 3 dims of fixed sets with nested or linear scrambling.
+        It may also be the law of strata that are not shifted at random.
     known
-        g, and the tables made for other counts and samplers.
+        The integrand g, and the tables made for other counts and samplers.
     stream
-        Not used, because this method draws no random numbers.
+        This stream is not used, because the method draws no random numbers.
 
     Raises
     ------
     NoClosedForm
-        If the sampler is another one, has more dims or no randomness, g is not finite at a node, or
-        the result may be wrong by more than a fifth.
+        If the sampler has another law, more than 3 dims or no randomness.
+        Also if g is not finite at a node, or the result may be wrong by more than a fifth.
 
     References
     ----------
@@ -162,7 +170,7 @@ def _scrambled(net: Fixed, bases: tuple[int, ...], known: Known) -> Predicted:
     n, dims = net.n, net.dims
     origin: Any = (0,) * dims
 
-    # Compute gains a few digits beyond those of n, where all coordinates usually differ
+    # Compute gains for a few digits beyond those of n, where all coordinates usually differ
     levels = math.ceil(math.log(max(n, 2), min(bases)) - 1e-9) + _SETTINGS.more
     try:
         gains = gains_at(net, bases, levels)
@@ -208,7 +216,7 @@ def _scrambled(net: Fixed, bases: tuple[int, ...], known: Known) -> Predicted:
 
 
 def _tables(wanted: Array, bases: Sequence[int], least: int, most: int) -> Iterator[Levels]:
-    """Yield levels of tables: first about cubes, then tables of `most` cells for the others."""
+    """Yield the levels of a nearly cubic table, and of tables of `most` cells for other levels."""
 
     def grown(levels: Levels, most: int = most) -> Levels:
         while True:
@@ -224,7 +232,7 @@ def _tables(wanted: Array, bases: Sequence[int], least: int, most: int) -> Itera
     left = [levels for levels in left if math.prod(map(pow, bases, levels)) <= most]
     found = [first]
     while left := [v for v in left if any(map(int.__gt__, v, found[-1]))]:
-        # Take the longest table first, and among equally long tables the one with most cells
+        # Take the longest table first. Among equally long tables, take the one with most cells
         found.append(grown(max(left, key=lambda v: (max(v), sum(v)))))
         yield found[-1]
 
@@ -234,15 +242,17 @@ def _table(
 ) -> tuple[Array, Array, Array]:
     """Return energies of g over cells, by a coarse and a fine rule (Q = 2) or exactly (Q = 1).
 
-    Energies are σ²_l, (Q, levels + 1 of each axis, channels), with the square of the mean at level
-    0. The mean variance within cells, (Q, channels), and twice its standard error follow.
+    The energies σ²_l have shape (Q, levels + 1 of each axis, channels).
+    At level 0 this is the square of the mean.
+    The next results are the mean variance within the cells, (Q, channels),
+    and twice its standard error.
     """
     sides = tuple(map(pow, bases, levels))
     means, squares = _cell_moments(g, sides, np.zeros(g.dims), refined=whole)
 
-    # Squares of means and the variance within cells have opposite errors at jumps, which cancel. If
-    # cells are long and the variance within cells is not computed, multiply the results of the two
-    # rules, whose errors are hardly correlated
+    # Squares of means and the variance within cells have opposite errors at jumps, which cancel.
+    # If cells are long, the variance within cells is not computed.
+    # The results of the two rules are then multiplied, because their errors are hardly correlated
     pairs = ([(0, 0), (-1, -1)] if whole else [(-1, -1), (0, -1)])[: len(means)]
     halves = [0.5 * (means[a] + sign * means[b]) for a, b in pairs for sign in (1.0, -1.0)]
     sums, differences = (
@@ -252,10 +262,10 @@ def _table(
 
 
 def _spread(means: Array, squares: Array) -> tuple[Array, Array]:
-    """Return the mean over cells of the variance within, (Q, channels), and twice its error.
+    """Return the mean variance within cells, (Q, channels), and twice its error.
 
-    Moments are (Q, …, channels). Rules have independent errors in each cell and may agree by chance
-    in the mean.
+    Moments are (Q, …, channels). Rules have independent errors in each cell.
+    Their means may agree by chance, so the error is the root sum of squares over cells.
     """
     within = np.maximum(squares - means**2, 0.0).reshape(len(means), -1, means.shape[-1])
     error = 2.0 * np.sqrt(((within[-1] - within[0]) ** 2).sum(axis=0)) / within.shape[1]
@@ -267,14 +277,13 @@ def _cell_moments(
 ) -> tuple[Array, Array]:
     """Return means of g and of g² over cells displaced by `offset`, both (Q, *sides, channels).
 
-    With `refined`, cells with most variation are integrated more finely, unless there is a closed
-    form.
+    Without a closed form, cells with most variation are integrated more finely if `refined`.
     """
     dims = g.dims
     if in_closed_form(g):
         mean, square = stratum_moments(g, sides, offset, 1)
         return mean.reshape(1, *sides, -1), square.reshape(1, *sides, -1)
-    # Axes that are cut more finely than those of a cube take one node less
+    # If an axis has more cells than in a cubic table, use one node less
     fine = np.array([not refined and side**dims > _SETTINGS.cells[dims] for side in sides])
     by_order = [stratum_moments(g, sides, offset, order - fine) for order in _SETTINGS.orders[dims]]
     means = np.stack([m for m, _ in by_order]).reshape(2, *sides, -1)
@@ -284,7 +293,7 @@ def _cell_moments(
     if not refined:
         return means, squares
 
-    # Find cells with most variation within and to their neighbors, except cells that breaks cut
+    # Find cells with most variation inside and to their neighbors. Skip cells cut by breaks
     from scipy.ndimage import maximum_filter, minimum_filter
 
     size = (3,) * dims + (1,)
@@ -302,7 +311,7 @@ def _cell_moments(
     chosen = np.argpartition(rough.ravel(), rough.size - most)[rough.size - most :]
     chosen = np.sort(chosen[rough.ravel()[chosen] > limit])
 
-    # Integrate over parts of these cells
+    # Integrate over the parts of these cells
     channels = means.shape[-1]
     for q, order in enumerate(_SETTINGS.orders[dims]):
         node, weight = gauss_rule(order)
@@ -324,11 +333,11 @@ def _cell_moments(
 def _strata(
     sides: tuple[int, ...], offset: Array, n: int, known: Known, how: str, *, whole: bool = True
 ) -> Predicted:
-    """Predict the variance of a mean of independent values of g, one in each of n equal strata.
+    """Predict the variance of a mean of n independent values of g, one in each of n equal strata.
 
-    With a single stratum, all n values are in it.
+    If there is a single stratum, all n values lie in it.
 
-    `whole` states that g is the same for all n, so that computing ∫g² separately is worthwhile.
+    `whole` states that g is the same for all n. Then it is worthwhile to compute ∫g² separately.
     """
     # Choose cells that divide the strata, up to the number of cells in the settings
     sizes = sides
@@ -350,7 +359,7 @@ def _strata(
 
 
 def _missed(known: Known, square: Array) -> Array:
-    """Return ∫g² minus that of a table: the part at poles at the border that cells miss."""
+    """Return ∫g² minus the ∫g² of a table: the part at poles at the border that cells miss."""
     if in_closed_form(known.g):
         return 0.0 * square
     exact, error = known.square

@@ -1,9 +1,10 @@
 """Variances of orthogonal arrays, from the energies of an integrand between strata of its axes.
 
-Along each axis g is a sum of four parts: its mean, means over strata (β), means over the parts of a
-stratum (δ), and the remainder within parts. `PairedAxes` describes the relation of two different
-points on an axis. Each relation multiplies the four parts by the following factors, for s strata
-with m parts each:
+Along each axis g is a sum of four parts: its mean, the means over strata (β),
+the means over parts of a stratum (δ), and the remainder within parts.
+`PairedAxes` describes the relation of two different points on an axis.
+Each relation multiplies the four parts by the following factors.
+Here s is the number of strata, and m the number of parts of each stratum:
 
     (1, −1/(s−1), 0, 0)     in different strata,
     (1, 1, 0, 0)            independent in the same stratum,
@@ -13,13 +14,16 @@ Let E_u be the energy of g with part u_i along axis i. Then
 
     n Var = Σ_u (1 + λ_u) E_u,    λ_u = n Σ_p share_p Π_i factor_p,i(u_i),
 
-with the sum over the patterns p of pairs. Arrays of strength 2 have λ = −1 for one β, for two β
-and, if each stratum has one point per part, for one δ. These energies add no variance [Owen1992]_.
+with the sum over the patterns p of pairs.
+Arrays of strength 2 have λ = −1 if u has one β or two β, and all other parts are means.
+The same holds for one δ if each stratum has one point per part.
+These energies add no variance [Owen1992]_.
 For more axes λ decreases with powers of 1/s.
 
-The fit of `mcspectra.prediction.subsets` consists of functions of single axes and products of such
-functions, and has a known variance. The rest is estimated from random pairs of points that share
-strata of two or three axes: the mean product of g without its single axes, minus that of the fit.
+The fit of `mcspectra.prediction.subsets` adds functions of single axes and their products.
+The variance of the fit is known.
+The rest is estimated from random pairs of points that share strata of two or three axes.
+The estimate is the mean product of g without its single axes, minus the mean product of the fit.
 Energies of g minus the fit in more than three axes are not estimated and widen the interval.
 """
 
@@ -46,7 +50,7 @@ __all__ = ["PairedSettings", "evaluations", "is_array", "of_arrays"]
 
 _MEAN, _BETWEEN, _AMONG = "mean", "between strata", "between parts"
 _MULTIPLES = {"two": (_BETWEEN,) * 2, "parts": (_BETWEEN, _AMONG), "three": (_BETWEEN,) * 3}
-"""Combinations of parts whose energies are estimated; the energies of others are bounded."""
+"""Combinations of parts whose energies are estimated. All other energies are bounded."""
 
 
 @final
@@ -57,12 +61,13 @@ class PairedSettings:
     Attributes
     ----------
     pairs
-        Number of pairs in each replicate for the entries of `_MULTIPLES`. Half or double this
-        number changes the variances of a Gaussian, a ball and a kink in 4-D with orthogonal-array |
-        shift at n = 289 by less than 0.5 %. Their half intervals are 0.9, 2.1 and 0.5 %.
+        Number of pairs in each replicate for the entries of `_MULTIPLES`.
+        Halving or doubling it changes variances by less than 0.5 %.
+        This was measured with orthogonal-array | shift in 4-D at n = 289.
+        The half intervals are 0.9 % for a Gaussian, 2.1 % for a ball and 0.5 % for a kink.
     replicates
-        Number of scrambled nets of pairs. Their spread gives the interval, with 15 degrees of
-        freedom.
+        Number of scrambled nets of pairs. Their spread gives the interval.
+        The interval has 15 degrees of freedom.
     """
 
     pairs: tuple[int, int, int] = (1 << 16, 1 << 13, 1 << 13)
@@ -89,7 +94,7 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
     one, part, two, both, three = (
         _weight(array, along) for along in ((_BETWEEN,), (_AMONG,), *_MULTIPLES.values())
     )
-    # The largest weight of the energies of three or more axes that are not estimated
+    # Largest weight of the energies of three or more axes that are not estimated
     rest = max(
         abs(_weight(array, (_BETWEEN,) * k + (_AMONG,) * (axes - k)))
         for axes in range(3, max(law.dims, 3) + 1)
@@ -104,8 +109,8 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
             ("arrays", c, s, parts, at),
             functools.partial(_energies, p, c, s, parts, offsets, known),
         )
-        # n Var of single axes (all profiles, then each group), of the fit in several axes, and of
-        # the rest
+        # Compute n Var of single axes, of the fit in several axes, and of the rest.
+        # The first has entries for all profiles and for each group
         alone = sums.single @ np.array([1.0, 1.0 + part, 1.0 + one])
         several = _of_products(array, sums)
         beside = more @ np.array([1.0, two, both, three])
@@ -121,19 +126,19 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
 
 
 def evaluations() -> float:
-    """Return evaluations of g of one prediction, in addition to those of the fit."""
+    """Return evaluations of g for one prediction, in addition to those of the fit."""
     return float(2 * sum(_SETTINGS.pairs) * _SETTINGS.replicates)
 
 
 def is_array(law: Law) -> bool:
     """Return whether points are an orthogonal array in several dims that treats all axes alike.
 
-    It may be moved or shifted.
+    The array may be moved or shifted.
     """
     array, _ = unmoved(law)
     if not isinstance(array, PairedAxes) or array.latin or array.dims == 1:
         return False
-    # All arrangements of the relations of a pattern have the same share
+    # A pattern has the same share for all arrangements of its relations along the axes
     shares: dict[tuple[Relation, ...], list[float]] = {}
     for pattern in array.patterns:
         shares.setdefault(tuple(sorted(pattern.axes)), []).append(pattern.share)
@@ -147,7 +152,7 @@ def is_array(law: Law) -> bool:
 
 
 def _factor(relation: Relation, part: str, strata: int, parts: int) -> float:
-    """Return the factor of a relation of two points for a part of g along one axis."""
+    """Return the factor by which a relation of two points multiplies a part of g on one axis."""
     if part == _MEAN:
         return 1.0
     if relation == "apart":
@@ -158,7 +163,7 @@ def _factor(relation: Relation, part: str, strata: int, parts: int) -> float:
 
 
 def _weight(law: PairedAxes, along: Sequence[str]) -> float:
-    """Return λ of parts along the first axes and means along all others; 0 for fewer axes."""
+    """Return λ of parts along the first axes and means along the others, 0 for too few axes."""
     s, m, missing = law.strata[0], law.parts[0], law.dims - len(along)
     if missing < 0:
         return 0.0
@@ -182,7 +187,7 @@ class _Sums:
         Means of the factors, (dims, products).
     covariances
         Covariances of the values of the factors, of their means over parts, and over strata:
-        (dims, 3, products, products).
+        shape (dims, 3, products, products).
     """
 
     single: Array
@@ -218,14 +223,14 @@ def _energies(
 ) -> tuple[_Sums, Array]:
     """Return energies of single axes and moments of the fit, and energies of g minus the fit.
 
-    The latter are (replicates, 4): of all parts of several axes, and of the entries of
-    `_MULTIPLES`.
+    The last array has shape (replicates, 4).
+    Its first column holds all parts of several axes, the others the entries of `_MULTIPLES`.
     """
     singles, means, covariances = np.zeros((len(p.main[0]), 3)), list[Array](), list[Array]()
     own, centers = len(p.main[0]), list[Array]()
     for curves, main, factors, places in zip(p.axes, p.main, p.factors, offsets, strict=True):
         both = np.concatenate([main, factors])
-        # Fine cells contain the whole energy; means over parts and strata are exact
+        # Fine cells contain the whole energy. Means over parts and strata are exact
         jumps = len(curves.knots) > 2
         values = curves.cells(both, SUBSET_SETTINGS.finest if jumps else SUBSET_SETTINGS.fine)
         mean = values.mean(axis=-1)
@@ -249,7 +254,7 @@ def _energies(
     others = np.stack([np.prod(np.delete(sums.means, i, axis=0), axis=0) for i in range(d)])
 
     def left(x: Array) -> Array:
-        """Return g minus its single axes, and the products minus theirs: (2, …)."""
+        """Return g minus its single axes, and the products minus their single axes: (2, …)."""
         flat = x.reshape(-1, d)
         alone, products, single = np.zeros(len(flat)), np.ones(1), np.zeros(1)
         for i, (axis, main, factors) in enumerate(zip(p.axes, p.main, p.factors, strict=True)):
@@ -281,15 +286,15 @@ def _energies(
         one, two = left(x), left(other)
         middle = 0.5 * (one + two).mean(axis=(1, 2), keepdims=True)
         one, two = one - middle, two - middle
-        # A sum over choices of axes is their number times the mean; two different parts can be
-        # swapped
+        # A sum over choices of axes is their number times the mean.
+        # Two different parts can be exchanged
         many = math.comb(d, len(along)) * (2 if name == "parts" else 1)
         product, square = one * two, 0.5 * (one**2 + two**2)
         more[:, 1 + k] = many * (product[0] - product[1]).mean(axis=-1)
         if k == 0:
             more[:, 0] = (square[0] - square[1]).mean(axis=-1)
-    # Subtract pairs that were counted twice. A pair with a common part also has a common stratum,
-    # and a pair with three common strata also has two
+    # Subtract pairs that were counted twice. A pair with a common part also has a common stratum.
+    # A pair with three common strata also has two common strata
     more[:, 2] -= 2.0 * more[:, 1] if parts > 1 and d > 1 else 0.0
     more[:, 3] -= (d - 2) * more[:, 1] if d > 2 else 0.0
     return sums, more

@@ -1,10 +1,15 @@
-"""Predictions: the variance at every n by the most trusted method, by one, or by all of them.
+"""Predictions of the variance at every n, by the most trusted method, a given one, or by all.
 
-`METHODS` lists the methods in their order of trust. Methods up to ``extrapolated`` work in primary
-space: each technique has its own integrand on the unit cube, and independent techniques add up.
-``auto`` tries the methods that apply. It returns the first prediction whose interval is narrow
-enough, else the narrowest. The last of these methods measures small sets of the sampler and
-extrapolates, which its name states. The remaining methods check a prediction.
+`METHODS` lists the methods in their order of trust.
+Methods up to ``extrapolated`` work in primary space.
+There each technique has its own integrand on the unit cube,
+and the variances of independent techniques add up.
+
+``auto`` tries the methods that apply.
+It returns the first prediction with a narrow enough interval,
+or else the prediction with the narrowest interval.
+The last of these methods, ``extrapolated``, measures small sets of the sampler.
+The remaining methods check a prediction.
 """
 
 from __future__ import annotations
@@ -101,7 +106,7 @@ __all__ = [
 ]
 
 _OFFSET = 0.5 - 0.5 / 3**0.5
-"""Offset c of strata for which c(1 − c), the weight of jumps at faces, has its mean over shifts."""
+"""Offset c of strata at which c(1 − c), the weight of jumps at faces, equals its mean over c."""
 _MEMORY = 2**29
 """Largest memory, in bytes, of coefficients and transforms of all regions."""
 _OVERHEAD = 1e6
@@ -116,15 +121,17 @@ class QuadratureSettings:
     Attributes
     ----------
     tolerance
-        Largest relative error of a quadrature that precedes all other methods, whose intervals are
-        at best of this size if g jumps. For 5 samplers and a jump along a line at n = 64, 0.003
-        rejects one more and 0.03 one less.
+        Largest relative error of a quadrature that precedes all other methods.
+        The intervals of the other methods are at best of this size if g jumps.
+        For 5 samplers and a jump along a line at n = 64, 0.003 rejects one more quadrature,
+        and 0.03 rejects one less.
     evaluations
-        Number of evaluations of g above which other methods come first: a sixteenth of those of
-        `exact_variance`. Values from 2^20 to 2^24 give the same results for the same samplers.
+        Number of evaluations of g above which other methods come first.
+        It is a sixteenth of the limit of `exact_variance`.
+        Values from 2^20 to 2^24 give the same results for the same samplers.
     most_breaks
-        Largest number of breaks of g for which strata with a random shift are integrated in several
-        dims. Offsets are cut at each break along each axis, so their number grows with the power d.
+        Randomly shifted strata in several dims are integrated up to this number of breaks of g.
+        Offsets are cut at each break along each axis, so their number grows with the power d.
     """
 
     tolerance: float = 0.01
@@ -140,19 +147,20 @@ class AutoSettings:
     Attributes
     ----------
     moved, measured
-        Half interval of sums of products, relative to the variance, above which offsets of the set
-        are tried, and above which measurements are tried. 8,192 offsets have a standard error of
-        √(2/8192) = 1.6 % and intervals of 3 %; extrapolations have intervals of about a fifth.
+        Half intervals of sums of products, relative to the variance.
+        Above the first value, offsets of the set are tried; above the second, measurements.
+        8,192 offsets have a standard error of √(2/8192) = 1.6 % and intervals of 3 %.
+        Extrapolations have intervals of about a fifth.
     ahead, most_ahead
-        Factor from the last requested count to a count that shows the limit of rates, and log2 of
-        the largest such count. Strata are cheap in one table of cells, so their largest count is
-        used.
+        Factor from the last requested count to a larger count that shows the limit of rates.
+        The second value is log2 of the largest such count.
+        Strata use their largest count, because one table of cells makes them cheap.
     loose
-        Half interval, relative to the variance, above which a count beyond the last one is not used
-        for rates: over two octaves it changes a slope by 0.16.
+        Half interval, relative to the variance, above which a larger count is not used for rates.
+        Over two octaves such an interval changes a slope by 0.16.
     square, coefficients, tables
         Approximate evaluations of ∫g², of its coefficients, and of tables of cells or of products.
-        The first is the budget of the integral; the others are the sizes of the tables in 2-D.
+        The first is the budget of the integral. The others are the sizes of the tables in 2-D.
     """
 
     moved: float = 0.03
@@ -170,28 +178,30 @@ class AutoSettings:
 class TableSettings:
     """Settings for a table of g at the centers of cells, measured with sets of the sampler.
 
-    Stated changes refer to three cases at n = 64: a jump along a line and a smooth g in 2-D with
-    pmj02, and a Gaussian of width 0.1 in 3-D with latin-hypercube. Their half intervals are about 3
-    %.
+    The stated changes were measured in three cases at n = 64.
+    Two are a jump along a line and a smooth g, both in 2-D with pmj02.
+    The third is a Gaussian of width 0.1 in 3-D with latin-hypercube.
+    Their half intervals are about 3 %.
 
     Attributes
     ----------
     cells
         Number of cells along each axis, by number of dims: about a million cells in 2-D and 3-D.
-        Half or double this number changes the variance by less than 1 %, and half intervals by 0.6
-        % if g jumps.
+        Halving or doubling it changes the variance by less than 1 %.
+        If g jumps, it changes half intervals by 0.6 %.
     probe
-        Number of random points at which the table is compared with g. The mean square difference
-        has a relative standard error of about 1/256 if it is not heavy-tailed. Values from 2^15 to
-        2^17 give the same results.
+        Number of random points at which the table is compared with g.
+        The mean square difference has a relative standard error of about 1/256,
+        unless the difference is heavy-tailed.
+        Values from 2^15 to 2^17 give the same results.
     block
         Number of points per call, 1 MB in 2-D. It has no effect on the result.
     points
-        Total number of points of all sets, which limits the work at large n. Above n = 420 there
-        are fewer sets than `most_sets`.
+        Total number of points of all sets, which limits the work at large n.
+        Above n = 420 there are fewer sets than `most_sets`.
     least_sets, most_sets
-        Least and largest number of sets. The relative standard error of a variance of R sets is
-        √(2/R), which is 10 % and 1.4 %.
+        Least and largest number of sets.
+        The variance of R sets has the relative standard error √(2/R), here 10 % and 1.4 %.
     """
 
     cells: Mapping[int, int] = field(default_factory=lambda: {1: 2**16, 2: 2**10, 3: 100})
@@ -205,33 +215,37 @@ class TableSettings:
 @final
 @dataclass(frozen=True, kw_only=True)
 class ExtrapolationSettings:
-    """Settings for the measured counts, and for the line through them.
+    """Settings for the measured counts, and for the line through their variances.
 
-    Stated changes refer to three cases: a jump along a plane in 4-D and a smooth g in 2-D with
-    sobol | owen at n = 256 and 1024, and a smooth g in 4-D with latin-hypercube at n = 100.
+    The stated changes were measured in three cases.
+    Two use sobol | owen at n = 256 and 1024: a jump along a plane in 4-D and a smooth g in 2-D.
+    The third is a smooth g in 4-D with latin-hypercube at n = 100.
 
     Attributes
     ----------
     small
-        Small counts, whose measurements cost little. They are used if there are few counts close to
-        n. One more or one less gives the same results.
+        Small counts, whose measurements cost little.
+        They are used if there are few counts close to n.
+        One more or one less count gives the same results.
     largest
-        Largest measured count of cheap f. Between 2^11 and 2^13 variances change by less than 1.5
-        %.
+        Largest measured count of a cheap f.
+        Between 2^11 and 2^13 variances change by less than 1.5 %.
     near
-        Inverse of the largest distance between counts close to n, as a fraction of n. They then lie
-        within an eighth of n, and the line hardly extrapolates. Values from 8 to 32 give the same
-        results.
+        Inverse of the largest distance between counts close to n, as a fraction of n.
+        These counts lie within an eighth of n, and the line hardly extrapolates.
+        Values from 8 to 32 give the same results.
     fitted
-        Number of counts closest to n that the line is fitted to. Three leave one degree of freedom,
-        for which Student's t is 12.7; four leave two, with 4.3. Eight halve the interval for twice
-        the evaluations.
+        Number of counts closest to n that the line is fitted to.
+        Three counts leave one degree of freedom, for which Student's t is 12.7.
+        Four counts leave two degrees of freedom, for which t is 4.3.
+        Eight counts halve the interval and need twice the evaluations.
     sets
-        Realizations of each small count, which give variances to √(2/2000) = 3 %.
+        Realizations of each small count. The relative error of a variance is √(2/2000) = 3 %.
     near_sets, near_points
-        Least number of realizations of a count close to n, and of their points; the larger
-        requirement holds. Half or double this number changes variances by less than 4 %, well
-        within intervals of 14 to 60 %.
+        Least number of realizations of a count close to n, and of their points.
+        The larger requirement holds.
+        Halving or doubling it changes variances by less than 4 %.
+        This is well within the intervals of 14 to 60 %.
     most_factor
         Largest factor of the reported error of an extrapolation, so that exponentials stay finite.
         Values from 15 to 60 give the same results.
@@ -255,27 +269,31 @@ class EvaluationLimits:
     Attributes
     ----------
     evaluations
-        Default for the most evaluations: a second for a function that takes 4 µs per point. Ends of
-        intervals are then variances times or over 1.5 at measured counts, and 2 at 4,096.
+        Default for the most evaluations. A function that takes 4 µs per point needs one second.
+        An interval then extends from the variance divided by a factor to the variance times it.
+        The factor is 1.5 at measured counts, and 2 at n = 4,096.
     predictions
-        Least number of evaluations, for each technique, at which methods other than measurements
-        are used. For smooth functions and jumps in 1-D to 4-D with four samplers these need 1.2
-        to 13 million.
+        Least number of evaluations per technique at which methods other than measurements are used.
+        These methods need 1.2 to 13 million evaluations.
+        This was measured for smooth functions and jumps in 1-D to 4-D with four samplers.
     sets, least_sets
-        Realizations of each count above which larger counts are measured as well, and least number
-        of realizations. Their variances have standard errors of 14 % and 35 %.
+        Number of realizations of each count above which larger counts are measured as well.
+        The second value is the least number of realizations.
+        The variances have standard errors of 14 % and 35 %.
     first, least_counts
-        Smallest measured count, and least number of measured counts. A line takes two, its error
-        one or two more, and the predicted count is excluded.
+        Smallest measured count, and least number of measured counts.
+        A line takes two counts, and its error one or two more. The predicted count is excluded.
     beyond
         Ratio of the largest measured count to the largest requested count.
     probe
-        Fraction of the evaluations at random points, 16,384 of 2^18. They detect growth toward the
-        border and variances that depend on a few values, which are not predicted.
+        Fraction of the evaluations that are at random points: 16,384 of 2^18.
+        These points detect growth toward the border, and variances that depend on a few values.
+        Such variances are not predicted.
     fitted
-        Number of counts that a line is fitted to. Five leave three degrees of freedom, for which
-        Student's t is 3.2. With four, intervals are 1.4 times as wide; six do not follow curves
-        that bend.
+        Number of counts that a line is fitted to.
+        Five counts leave three degrees of freedom, for which Student's t is 3.2.
+        With four counts, intervals are 1.4 times as wide.
+        A line through six counts does not follow curves that bend.
     """
 
     evaluations: int = 2**18
@@ -312,12 +330,12 @@ def of_quadrature(
 
 
 def lines_suffice(known: Known) -> bool:
-    """Return whether g has poles and one line along each axis determines all of g."""
+    """Return whether g has poles and is determined by one line along each axis."""
     return bool(known.unresolved.any()) and separated(known.g) is not None
 
 
 def of_divergence(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG001
-    """Return the infinite variance of points that are each uniform, if ∫g² diverges."""
+    """Return an infinite variance if ∫g² diverges and each point is uniform."""
     diverges = np.isinf(known.square[0])
     if not diverges.any():
         raise NoClosedForm("∫g² is finite.")
@@ -328,8 +346,9 @@ def of_divergence(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa:
 def of_table(law: Law, known: Known, stream: Stream, settings: TableSettings = _TABLE) -> Predicted:
     """Measure a table of g with sets of the sampler, and add the part that the table misses.
 
-    The table holds g at the centers of fine cells, once for all samplers and counts, and is linear
-    in between. The missing part varies within cells and is treated as white noise: ∫(g − table)²/n.
+    The table holds g at the centers of fine cells. It serves all samplers and counts.
+    It is linear between the centers.
+    The missing part varies within cells and is treated as white noise: ∫(g − table)²/n.
     """
     if known.g.dims not in settings.cells:
         raise NoClosedForm("A table takes 1 to 3 dims.")
@@ -363,7 +382,7 @@ def of_table(law: Law, known: Known, stream: Stream, settings: TableSettings = _
     if not (moments.resolved & (moments.variance > rounding_floor(moments.mean))).all():
         raise NoClosedForm(f"{sets} sets do not resolve the variance of {law.name}.")
     tail = missed / n
-    # Within cells, points may be as good as at larger scales, or as bad as random points
+    # Within cells, points may be as good as at larger scales, or only as good as random points
     error = CONFIDENCE_Z * moments.relative_se * moments.variance + tail + miss / n
     share = 1.0 - np.minimum(missed / known.square[0], 1.0)
     return Predicted(moments.variance + tail, error, f"{sets} sets", share, tail)
@@ -372,7 +391,7 @@ def of_table(law: Law, known: Known, stream: Stream, settings: TableSettings = _
 def of_measurements(
     law: Law, known: Known, stream: Stream, settings: ExtrapolationSettings = _EXTRAPOLATION
 ) -> Predicted:
-    """Extrapolate from the variances of small sets of the sampler."""
+    """Extrapolate the variance from the variances of small sets of the sampler."""
     if not isinstance(law.source, Sampler):
         raise NoClosedForm("These points have no sampler.")
     return extrapolated(Estimator(known.g), law.source, law.n, known, stream, settings)
@@ -386,9 +405,10 @@ def extrapolated(
     stream: Stream,
     settings: ExtrapolationSettings = _EXTRAPOLATION,
 ) -> Predicted:
-    """Fit a line to log variances measured at the small counts closest to n, without n itself."""
-    # Counts near n at which sets are as regular as at n. If n is a power of two, they are powers of
-    # two. Otherwise they differ from n by multiples of a power of two that divides n
+    """Fit a line to log variances measured at the small counts closest to n, but not at n."""
+    # Use counts near n at which sets are as regular as at n.
+    # If n is a power of two, these counts are powers of two.
+    # Otherwise they differ from n by multiples of a power of two that divides n
     step = min(n & -n, 1 << max(0, (n // settings.near).bit_length() - 1))
     near = [n + k * step for k in (-2, -1, 1, 2)]
     if n & (n - 1) == 0:
@@ -401,7 +421,7 @@ def extrapolated(
         if count == n or len(found) == settings.fitted:
             continue
         with contextlib.suppress(CountError):
-            # One technique uses its nearest counts, without more warnings
+            # If there is one technique, use its nearest counts without further warnings
             if sum(estimator.counts) > 1:
                 estimator.check_sampler(sampler, count)
             close = counts[count]
@@ -445,31 +465,32 @@ def extrapolated(
 @final
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """A method of finding the variance.
+    """A method to compute or measure the variance.
 
     Attributes
     ----------
     name, summary
-        Name, and a short description of the computation.
+        Name, and short description of the computation.
     predict
-        Predicts the mean of g over the points of a law, for one technique. Raises `NoClosedForm` if
-        it does not apply. None for methods that work on whole estimators only.
+        Function that predicts the mean of g over the points of a law, for one technique.
+        It raises `NoClosedForm` if the method does not apply.
+        It is None for methods that work on whole estimators only.
     applies
-        Whether ``auto`` tries it for a law and an integrand, decided without evaluations. A method
-        requested by name is always tried.
+        Whether ``auto`` tries the method for a law and an integrand, decided without evaluations.
+        A method requested by name is always tried.
     ahead
-        Whether ``auto`` tries it beyond the requested counts, for the limit of rates. It must be
-        cheap at large n and draw no sets, but may compute facts about g.
+        Whether ``auto`` tries the method beyond the requested counts, for the limit of rates.
+        Such a method must be cheap at large n and draw no sets. It may compute facts about g.
     enough
-        Largest half interval, relative to the variance, with which ``auto`` accepts its prediction
-        without trying the next method.
+        Largest half interval, relative to the variance, with which ``auto`` accepts the prediction.
+        The next method is then not tried.
     cost
-        Approximate or largest number of evaluations of g, if no other count has already made them.
+        Approximate or largest number of evaluations of g, unless another count has made them.
     of_estimator
-        Prediction for a whole estimator, if the method is requested by name and does not work
-        technique by technique.
+        Function that predicts the variance of a whole estimator.
+        It is used for methods requested by name that do not work technique by technique.
     realized
-        Whether the method uses realizations of the estimates; methods share realizations.
+        Whether the method uses realizations of the estimates. Methods share realizations.
     """
 
     name: str
@@ -501,7 +522,7 @@ def _latin(law: Law) -> bool:
 
 
 def _moves_apply(law: Law, known: Known) -> bool:
-    """Return whether offsets of a set are worth their evaluations."""
+    """Return whether offsets of a set are worth their evaluations of g."""
     return moves_resolve(law, known) or (not known.costly and moves_at_once(law))
 
 
@@ -533,7 +554,7 @@ def _exactly(
 def _checked(
     check: Callable[[AbstractEstimator, Sampler, int, Terms, Stream], Cells],
 ) -> Callable[[AbstractEstimator, Sampler, int, Prediction, Stream], Cells]:
-    """Wrap a check of `mcspectra.prediction.cross_checks` with the options of a prediction."""
+    """Wrap a cross-check so that it takes the options of a prediction."""
 
     def of_estimator(
         estimator: AbstractEstimator, sampler: Sampler, n: int, asked: Prediction, stream: Stream
@@ -582,7 +603,7 @@ METHODS: tuple[Method, ...] = (
         ahead=lambda law, known: not (_one_offset(law) or _latin(law) or moves_resolve(law, known)),
         cost=lambda *_: _AUTO.tables,
     ),
-    # A quadrature evaluates g again at every count; equally precise tables serve all counts
+    # A quadrature evaluates g again at every count. Tables are as precise and serve all counts
     replace(
         _QUADRATURE,
         applies=lambda law, known: (
@@ -651,17 +672,17 @@ METHODS: tuple[Method, ...] = (
     Method(name="terms", summary="dc, power and cross term of `variance_terms`", realized=True),
     Method(name="measured", summary="sample variance of the estimates at n", realized=True),
 )
-"""All methods, the most trusted prediction first; a name may occur several times."""
+"""All methods. The most trusted prediction comes first. A name may occur several times."""
 
 NAMES = tuple(dict.fromkeys(method.name for method in METHODS))
 """Names of methods in the order of `METHODS`."""
 
 _LIMIT = "limit"
-"""Name for ``auto`` at counts beyond the requested ones."""
+"""Name for ``auto`` at counts beyond the requested counts."""
 
 
 def tried(name: str, law: Law, known: Known) -> list[Method]:
-    """Return the methods of this name for one technique, the most trusted first."""
+    """Return the methods of this name for one technique, with the most trusted method first."""
     usable = [method for method in METHODS if method.predict is not None]
     if name == "auto":
         return [method for method in usable if method.applies(law, known)]
@@ -745,7 +766,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         return self.method in ("auto", "extrapolated")
 
     def need(self, subject: Subject) -> Need:
-        """Check that every sampler allows every count, and that the spectra fit."""
+        """Check that every sampler allows every count, and that the spectra fit in memory."""
         estimator, samplers, names = subject.estimator, subject.samplers, self._names
         if self._measures(subject):
             for sampler in samplers:
@@ -777,7 +798,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
     def _cost(
         self, estimator: AbstractEstimator, sampler: Sampler, n: int, known: Sequence[Known]
     ) -> float:
-        """Return evaluations of the requested methods; for `auto`, of the method tried first."""
+        """Return evaluations of the requested methods, or for `auto` of the method tried first."""
         source, cost = estimator.randomized(sampler), 0.0
         for count, each in zip(estimator.counts, known, strict=True):
             law = source.law(n * count)
@@ -793,14 +814,14 @@ class Prediction(Counted, frozen=True, kw_only=True):
         if self.method != "measured":
             try:
                 return asked, asked.need(subject), ""
-            except ParameterError as error:  # Too many frequencies, or too many for the memory
+            except ParameterError as error:  # Too many frequencies, or too little memory for them
                 if self.method != "all":
                     raise
                 refusal = str(error)
         return without, without.need(subject), refusal
 
     def reduction(self, subject: Subject, stream: Stream) -> Steps:
-        """Yield a block for each sampler, method and count; sampled methods share realizations."""
+        """Yield a block for each sampler, method and count. Sampled methods share realizations."""
         estimator, samplers, names = subject.estimator, subject.samplers, self._names
         auto, channels = self.method == "auto", max(1, estimator.channels)
         of_estimator = {method.name: method.of_estimator for method in reversed(METHODS)}
@@ -815,8 +836,8 @@ class Prediction(Counted, frozen=True, kw_only=True):
         predictor = Predictor(estimator, stream, measured, self.limit(subject) or 0)
         own, other = (Stream.from_rng(np.random.SeedSequence([stream.key, k])) for k in (0, 1))
 
-        # Counts of a sampler; with auto also counts for rates and their limit; 0 stands for no
-        # count
+        # Counts of a sampler. With auto they include counts for rates and their limit.
+        # The value 0 stands for no count
         counts = [_places(s, self.counts) if auto else [0, *self.counts, 0, 0] for s in samplers]
         wanted = [(s, name, n) for s, each in enumerate(counts) for name in names for n in each]
         alone = {method.name for method in METHODS if method.predict or method.of_estimator}
@@ -831,7 +852,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
                 return predictor.at(sampler, n, name)
             try:
                 return answer(estimator, sampler, n, self, other)
-            except (NoClosedForm, ParameterError) as refusal:  # Arguments were checked before
+            except (NoClosedForm, ParameterError) as refusal:  # Arguments were checked earlier
                 return Cells.unknown(str(refusal), channels)
 
         # Sample spectra and estimates for each sampler and count
@@ -874,7 +895,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         cells: Cells,
         notes: list[str],
     ) -> xr.Dataset:
-        """Return the dataset of cells by sampler, method and count, with rates along the counts."""
+        """Return a dataset of results by sampler, method and count, with rates along the counts."""
         estimator, samplers, methods = subject.estimator, subject.samplers, self._names
         auto, alone = self.method == "auto", subject.sampler is samplers[0]
         channels = max(1, estimator.channels)
@@ -882,9 +903,10 @@ class Prediction(Counted, frozen=True, kw_only=True):
         full = (len(samplers), len(methods), -1, channels)
         n = np.array([each for each in counts for _ in methods], float)
 
-        # Rates from the count before; the first one to the next. Intervals that reach 0 have none
+        # Each rate is the slope from the count before, or for the first count to the next count.
+        # Intervals that reach 0 have no rate
         known = np.where(cells.low > 0.0, cells.variance, np.nan).reshape(shape)
-        with np.errstate(invalid="ignore"):  # Both infinite
+        with np.errstate(invalid="ignore"):  # Both variances may be infinite
             half = cells.high - cells.variance
         loose = (half > _AUTO.loose * cells.variance).reshape(shape)
         known[:, 1 + len(self.counts) :][loose[:, 1 + len(self.counts) :]] = np.nan
@@ -901,10 +923,10 @@ class Prediction(Counted, frozen=True, kw_only=True):
             3, 0, 1, 2
         )
         seen = auto and predictor.measured is None
-        if not seen:  # Only counts beyond the requested ones show the limit of rates
+        if not seen:  # Only counts beyond the requested counts show the limit of rates
             limit, bend = np.full_like(limit, np.nan), np.full_like(bend, np.nan)
 
-        # Leave out the additional counts
+        # Remove the additional counts
         variance, low, high, share, tail = (
             values.reshape(full)[:, :, asked]
             for values in (cells.variance, cells.low, cells.high, cells.share, cells.tail)
@@ -914,7 +936,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
             for texts in (cells.methods, cells.hows, cells.notes)
         )
 
-        # Collect notes; with all methods the reasons are only in `how`
+        # Collect the notes. With all methods, the reasons are only in `how`
         said = list(dict.fromkeys(filter(None, notes)))
         if predictor.measured is not None:
             said.append(
@@ -996,18 +1018,19 @@ def predict(
     Parameters
     ----------
     estimator
-        An estimator or, for plain sampling, an integrand, its spec string, or a vectorized function
-        of points (…, d).
+        An estimator. For plain sampling it may be an integrand, its spec string,
+        or a vectorized function of points (…, d).
     samplers
         One sampler or a list without duplicates.
     counts
         Ascending numbers of points n that every sampler allows.
     dims
-        Number of dims of a function, and of a spec without ``dims``. By default that of a sampler
-        that is not a spec.
+        Number of dims of a function, and of a spec without ``dims``.
+        The default is the number of dims of the sampler, unless the sampler is a spec.
     method
-        ``"auto"`` is the most trusted method that applies. ``"all"`` computes every method, on a
-        dim ``method``. Other values are these names from `METHODS`.
+        ``"auto"`` is the most trusted method that applies.
+        ``"all"`` computes every method, on a dim ``method``.
+        Other values are these names from `METHODS`.
 
         * ``"exact"``: a closed form, or quadrature over strata or levels, as in `exact_variance`
         * ``"torus"``: Σ|g_m|² times the power, for points that are the same after any translation
@@ -1024,39 +1047,50 @@ def predict(
     tolerance
         Largest relative error of a variance by the method exact.
     half_width
-        Half width for the methods covariance, homogenized and terms, which sum over the frequencies
-        m in {−half_width … half_width}^d; by default as in `variance_terms`.
+        Half width for the methods covariance, homogenized and terms.
+        They sum over the frequencies m in {−half_width … half_width}^d.
+        The default is the half width of `variance_terms`.
     realizations
-        Realizations for the methods pair-correlation, homogenized, terms and measured; at least 4,
-        which standard errors need.
+        Realizations for the methods pair-correlation, homogenized, terms and measured.
+        Standard errors need at least 4 realizations.
     rng
-        Seed (SPEC 7) of methods that draw sets. Pairs are counted in other sets than the measured
-        ones.
+        Seed (SPEC 7) of methods that draw sets.
+        Pairs are counted in other sets than the measured sets.
     workers
-        Number of threads; all processors by default. It has no effect on results.
+        Number of threads. The default is all processors. It has no effect on results.
     max_evaluations
-        Most evaluations of the integrand. By default ``auto`` and ``extrapolated`` evaluate users'
-        functions at most 2^18 times: they measure sets of small counts and have wider intervals
-        (``extrapolated``). With 2^24 or more for each technique, ``auto`` predicts. A method that
-        would need more than the limit raises, if that is known before it starts.
+        Maximum number of evaluations of the integrand.
+        By default ``auto`` and ``extrapolated`` evaluate users' functions at most 2^18 times.
+        They then measure sets of small counts and have wider intervals (``extrapolated``).
+        With 2^24 or more evaluations for each technique, ``auto`` predicts.
+        A method raises before it starts if it is known to need more than the limit.
 
     Returns
     -------
     xarray.Dataset
-        ``predicted_variance(n)`` with its 95 % interval ``predicted_variance_ci(n, bound)``.
-        ``energy_share(n)`` is the part of ∫g² (of ∫f² for sums over frequencies) that was summed
-        term by term, 1 for methods without terms; ``tail_variance(n)`` is the variance that
-        represents the rest. ``local_rate(n)`` is the slope from the count before (at the first, to
-        the next). ``predicted_rate`` is the slope over all counts, fitted as in `convergence`.
-        ``limit_rate`` is the exponent that rates tend to, and ``bend_n`` the n at which the earlier
-        rate gives way to it, if the two differ by more than 0.3. Both are NaN if they are not known
-        or `method` is not ``"auto"``. Counts whose interval reaches 0 have no rates.
+        ``predicted_variance(n)`` has the 95 % interval ``predicted_variance_ci(n, bound)``.
 
-        The coordinate ``method`` is the name of the method at each n, ``"none"`` if there is no
-        value; with ``"all"`` it is a dim. The coordinate ``how`` has details, such as the number of
-        sets, or the reason for a missing value. A list of samplers adds the dim sampler, several
-        channels the dim channel. A variance at rounding level is NaN, and the attribute ``note``
-        reports it; the method exact gives 0.
+        ``energy_share(n)`` is the part of ∫g² that was summed term by term.
+        Methods that sum over frequencies use ∫f² instead; methods without terms have share 1.
+        ``tail_variance(n)`` is the variance that represents the rest.
+
+        ``local_rate(n)`` is the slope from the count before.
+        At the first count it is the slope to the next count.
+        Counts whose interval reaches 0 have no rates.
+        ``predicted_rate`` is the slope over all counts, fitted as in `convergence`.
+        ``limit_rate`` is the exponent that rates tend to.
+        ``bend_n`` is the n at which the earlier rate gives way to the limit.
+        It is given if the two rates differ by more than 0.3.
+        Both are NaN if they are not known or `method` is not ``"auto"``.
+
+        The coordinate ``method`` is the name of the method at each n. ``"none"`` means no value.
+        With ``"all"`` it is a dim.
+        The coordinate ``how`` has details, such as the number of sets,
+        or the reason for a missing value.
+        A list of samplers adds the dim sampler. Several channels add the dim channel.
+        A variance at rounding level is NaN, and the attribute ``note`` reports it.
+        The method exact returns 0 for such a variance.
+
 
     Raises
     ------
@@ -1067,28 +1101,38 @@ def predict(
 
     Notes
     -----
-    Methods cut f at jumps across an axis that line searches detect. 2^17 probe points are compared
-    with the nodes, and each interval is widened by the difference. f that is equal at all probe
-    points has no prediction, unless its integral is known.
+    All methods cut f at jumps across an axis, which line searches detect.
+    The quadrature nodes are compared with 2^17 probe points, and the difference widens intervals.
+    If f is equal at all probe points, it has no prediction, unless its integral is known.
 
-    f is evaluated at quadrature nodes and on grids that `predict` chooses. A shifted or scrambled
-    fixed set is moved by up to 8,192 random shifts or scrambles (`moves`). This is used for
-    lattices with shift and nets with digital-shift in 1 to 3 dims, and for all such sets if sums of
-    products leave a half interval over 3 %. Linear scrambles replace nested ones, whose pairs have
-    the same law. For samplers without known structure, variances are measured on a `table` of f in
-    1 to 3 dims. In more dims, or for expensive f, `auto` evaluates f at the sampler's points
-    (`extrapolated`): 2,000 realizations each of small counts or, for cheap f, of counts close to n,
-    never of n. The same is done if jumps and kinks across many axes leave an interval wider than a
-    fifth of the predicted variance. Then the narrower of the two intervals is used.
+    f is evaluated at quadrature nodes and on grids that `predict` chooses.
+    The method ``moves`` applies up to 8,192 random shifts or scrambles to a fixed set.
+    It is used for lattices with shift and nets with digital-shift in 1 to 3 dims.
+    If sums of products leave a half interval over 3 %, it serves all shifted or scrambled sets.
+    Linear scrambles replace nested scrambles, because their pairs have the same law.
 
-    Limits are known in theory for random points, −1, and for jumps of g in up to 5 dims. They are
-    −1 − 1/d for strata of the cube and for jumps along curves. They are −2 for other sets at jumps
-    across an axis, unless these are at borders of cells at all counts. These limits are used if the
-    last slopes are no slower. Otherwise slopes over the last octaves must agree, up to 4 times the
-    last count, or up to n = 2^16 for strata, if no sets have to be drawn (1 to 3 dims). The limit
-    is then a nearby exponent of theory, −1 − k/d, −2 or −3, or the slope itself if there is none
-    and the slope is constant. If the slopes do not agree, ``limit_rate`` is NaN and the attribute
-    ``note`` has the last rates. Jumps of less than 1e-4 of g are not detected.
+    For samplers without known structure, in 1 to 3 dims, the method ``table`` is used.
+    It measures variances on a table of f.
+    In more dims, or for expensive f, ``auto`` uses the method ``extrapolated``.
+    It evaluates f at 2,000 realizations of each small count.
+    If f is cheap, counts close to n are used instead, but never n itself.
+    The same is done if jumps and kinks across many axes leave a wide interval.
+    The limit is a fifth of the predicted variance.
+    Then the narrower of the two intervals is used.
+
+    The limit of the rate is known in theory for random points, and for jumps in up to 5 dims.
+    It is −1 for random points.
+    It is −1 − 1/d for strata of the cube and for jumps along curves.
+    For other sets it is −2 if g jumps across an axis, unless the jumps are always at cell borders.
+    These limits are used if the last slopes are no slower.
+
+    Otherwise the slopes over the last octaves must agree.
+    The octaves extend to 4 times the last count, or to n = 2^16 for strata.
+    They extend that far only if no sets have to be drawn, in 1 to 3 dims.
+    The limit is then a nearby exponent of theory: −1 − k/d with an integer k, −2 or −3.
+    If no such exponent is near and the slope is constant, the limit is the slope itself.
+    If the slopes do not agree, ``limit_rate`` is NaN and the attribute ``note`` has the last rates.
+    Jumps of less than 1e-4 of g are not detected.
 
 
     Examples
@@ -1106,13 +1150,13 @@ def predict(
 
 
 def knowledge(estimator: AbstractEstimator) -> list[Known]:
-    """Return an empty `Known` for the integrand of each technique; nothing is evaluated yet."""
+    """Return an empty `Known` for the integrand of each technique. Nothing is evaluated yet."""
     return [Known(estimator.primary_integrand(t)) for t in range(len(estimator.counts))]
 
 
 @final
 class Predictor:
-    """Predicts one estimator at many counts; facts about its integrands are computed once."""
+    """Predicts one estimator at many counts. Facts about its integrands are computed once."""
 
     def __init__(
         self,
@@ -1121,15 +1165,19 @@ class Predictor:
         measured: Mapping[str, ExtrapolationSettings] | None = None,
         limit: int = 0,
     ) -> None:
-        """With `measured`, settings by sampler, measure variances within a limit of evaluations."""
+        """Set up a predictor.
+
+        If `measured` is given, it holds settings by sampler.
+        Variances are then measured within a limit of evaluations.
+        """
         self.estimator, self.measured, self._limit = estimator, measured, limit
         self._known = knowledge(estimator)
         self._stream = stream
 
     def at(self, sampler: Sampler, n: int, name: str = "auto") -> Cells:
-        """Predict the variance at n points, summed over the techniques; NaN if no method applies.
+        """Predict the variance at n points, summed over the techniques. NaN if no method applies.
 
-        The methods are those of `name`; see `tried`.
+        The name selects the methods that are tried; see `tried`.
         """
         estimator = self.estimator
         source, width = estimator.randomized(sampler), max(1, estimator.channels)
@@ -1151,7 +1199,7 @@ class Predictor:
                     estimator, sampler, n, known[0], stream, self.measured[sampler.spec]
                 )
                 high = found.variance + found.error
-                # The lower end has the same distance on a logarithmic scale
+                # On a logarithmic scale, the lower end has the same distance as the upper end
                 low = found.variance**2 / high
                 if reason:
                     high = np.full_like(high, math.inf)
@@ -1165,7 +1213,7 @@ class Predictor:
             said = [each.constant for each in known]
             if all(said):
                 raise NoClosedForm(said[0])
-            # Predict each technique, or all together if they depend on each other
+            # Predict each technique. If the techniques depend on each other, predict all together
             try:
                 estimator.check_independent()
             except NoClosedForm:
@@ -1179,7 +1227,7 @@ class Predictor:
                     predicted(source.law(n * c), each, stream.child(t), name)
                     for t, (c, each) in places
                 ]
-            # Compute the weights of the techniques' energy shares
+            # Compute the weights of the energy shares of the techniques
             squares = [np.ones(len(parts[0].variance))]
             if len(parts) > 1:
                 squares = [each.square[0] for each in known]
@@ -1199,7 +1247,7 @@ class Predictor:
         except (NoClosedForm, CountError) as reason:
             how = note = str(reason).rstrip(".")
 
-        # A variance at rounding level has no digits
+        # A variance at rounding level has no correct digits
         if np.isfinite(total[0]).any():
             size = np.atleast_1d(np.asarray(estimator.integral, float))
             vanishes = total[0] <= rounding_floor(size)
@@ -1207,7 +1255,7 @@ class Predictor:
                 note = VANISHES
                 total[np.ix_([0, 1, 3], vanishes)] = math.nan
         variance, error, share, tail = total
-        with np.errstate(invalid="ignore"):  # Both infinite
+        with np.errstate(invalid="ignore"):  # Variance and error may both be infinite
             low = np.where(np.isinf(variance), np.inf, np.maximum(variance - error, 0.0))
         high = variance + error
         return Cells.row(
@@ -1226,7 +1274,7 @@ class Predictor:
         return doubt(points[0] if len(points) == 1 else None, flat[most])
 
     def slowest(self, sampler: Sampler, counts: Sequence[int]) -> Slowest:
-        """Return the theoretical rate at large n: that of the slowest technique."""
+        """Return the theoretical rate at large n, which is the rate of the slowest technique."""
         source, found = self.estimator.randomized(sampler), []
         if self.measured is not None:
             return Slowest()
@@ -1243,9 +1291,9 @@ class Predictor:
 def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
     """Predict one technique by the methods of a name; see `tried`.
 
-    Return the first prediction whose interval is narrow enough, else the narrowest.
+    Return the first prediction whose interval is narrow enough, or else the narrowest prediction.
     """
-    if law.n == 1 and law.uniform:  # A set of a single point is a random point
+    if law.n == 1 and law.uniform:  # A set of a single uniform point is a random point
         law = Independent(n=1, dims=law.dims)
     law = as_scrambled(law)
     if name == _LIMIT and isinstance(law, Shifted) and isinstance(law.inner, Strata):
@@ -1260,7 +1308,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
         none = 0.0 * known.square[0]
         used = name if name in NAMES else NAMES[0]
         return Predicted(none, none, "the same at all points", method=used)
-    # A method requested by name might return a finite number
+    # A method requested by name might return a finite number although the variance is infinite
     if name in NAMES and law.uniform and known.diverges.any():
         infinite = np.where(known.diverges, math.inf, math.nan)
         return Predicted(infinite, infinite, "∫g² = ∞", 0.0, infinite, name)
@@ -1295,7 +1343,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
 def _of_the_set_inside(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
     """Predict the variance for the set before folding or mirroring, with another integrand.
 
-    See `mcspectra.prediction.exact`.
+    The other integrand is explained in `mcspectra.prediction.exact`.
     """
     assert isinstance(law, Folded | Mirrored)
     if isinstance(law, Folded):
@@ -1311,7 +1359,7 @@ def _of_the_set_inside(law: Law, known: Known, stream: Stream, name: str) -> Pre
 
 
 def _small_counts(estimator: AbstractEstimator, sampler: Sampler, largest: int) -> list[int]:
-    """Return allowed counts near powers of two, to somewhat beyond the largest requested one."""
+    """Return allowed counts near powers of two, up to somewhat more than the largest request."""
     top = max(LIMITS.beyond * largest, LIMITS.first << LIMITS.least_counts - 1)
     counts = list[int]()
     for k in range(LIMITS.first.bit_length() - 1, top.bit_length()):
@@ -1332,7 +1380,7 @@ def _within(counts: Sequence[int], points: int) -> ExtrapolationSettings:
 
 
 def _places(sampler: Sampler, counts: Sequence[int]) -> list[int]:
-    """Return counts with one count before a single count, and two beyond the last; 0 if missing."""
+    """Return counts with one before a single count and two after the last. Missing ones are 0."""
     last = counts[-1]
     half = sampler.nearest_count(max(1, last // 2)) if len(counts) == 1 else last
     ahead, leaf = [_AUTO.ahead * last], leaf_of(sampler.law(last))

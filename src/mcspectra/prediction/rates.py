@@ -1,9 +1,11 @@
 """Rates predicted from the power at low frequencies and the integrand at high frequencies.
 
-See docs/theory.md, "Rates". γ is fitted to means of |f_m|² over shells half an octave wide. Two
-effects scatter these means about the line: terms of higher order, and ripples of the spectrum whose
-frequency is one over the distance of two jumps. The interval comes from this scatter, with
-Student's t.
+The theory is in docs/theory.md, "Rates".
+The decay γ of |f_m|² is fitted to means of |f_m|² over shells half an octave wide.
+Two effects scatter these means about the line.
+One is terms of higher order. The other is ripples of the spectrum:
+their frequency is one over the distance of two jumps.
+The interval of γ comes from this scatter, with Student's t.
 """
 
 from __future__ import annotations
@@ -52,7 +54,10 @@ __all__ = [
 ]
 
 DECAYS = {"jump": 1.0, "kink": 3.0, "smooth": math.inf}
-"""γ − d for a jump of values, a jump of first derivatives (across a hypersurface), or no jump."""
+"""γ − d for a jump of values, for a jump of first derivatives (a kink), and without a jump.
+
+Here γ is the decay of |f_m|², and d the number of dims. Jumps are across a hypersurface.
+"""
 
 
 @final
@@ -63,23 +68,23 @@ class DecaySettings:
     Attributes
     ----------
     octaves
-        Number of octaves of |m| at the end of the spectrum that the line is fitted to. For 12 test
-        functions, two octaves give the same exponents to 0.15 with intervals twice as wide. With
-        four, a Gaussian of width 0.1 appears to decay like |m|^-12 instead of |m|^-5.
+        Number of octaves of |m| at the end of the spectrum that the line is fitted to.
+        For 12 test functions, two octaves give the same exponents to 0.15 and double the intervals.
+        With four, a Gaussian of width 0.1 appears to decay like |m|^-12 instead of |m|^-5.
     least_shells
-        Least number of shells of half an octave in a fit; fewer leave no scatter. It matters only
-        if rounding noise hides the other shells.
+        Least number of shells of half an octave in a fit. Fewer shells leave no scatter.
+        The value matters only if rounding noise hides the other shells.
     bend
-        Change of the exponent over these octaves above which the fit is reported as not settled.
-        For 12 test functions, those with jumps and kinks change by at most 0.9. A Gaussian of width
-        0.1, whose kink at the border is still hidden, changes by 8.6.
+        Change of the exponent over these octaves above which a fit is reported as not settled.
+        For test functions with jumps and kinks the change is at most 0.9.
+        It is 8.6 for a Gaussian of width 0.1, whose kink at the border is still hidden.
     widths, width
         Default half widths by number of dims, and the default for all other numbers of dims.
-        Ripples of 1-D spectra have few frequencies per shell, so the half width is larger in 1-D.
-        Each half width takes less than a second.
+        The half width is larger in 1-D, because 1-D spectra have few frequencies per shell.
+        This matters for ripples. Each half width takes less than a second.
     noise
-        Rounding noise of |f_m|² relative to the largest; coefficients are accurate to 1e-13.
-        Values from 1e-28 to 1e-24 give the same results.
+        Rounding noise of |f_m|² relative to the largest |f_m|².
+        Coefficients are accurate to 1e-13. Values from 1e-28 to 1e-24 give the same results.
     """
 
     octaves: int = 3
@@ -95,36 +100,40 @@ class DecaySettings:
 class JumpSettings:
     """Settings for the search for jumps along lines.
 
-    "The same results" means that the rates of 10 integrands in 1 to 4 dims were the same: with
-    jumps along and across the axes, kinks, a pole, and a narrow Gaussian.
+    "The same results" means that the rates of 10 integrands in 1 to 4 dims did not change.
+    These have jumps along and across the axes, kinks, a pole, or a narrow Gaussian.
 
     Attributes
     ----------
     dims
-        Largest number of dims of the search; in more dims boxes are not cut at jumps either.
+        Largest number of dims of the search. In more dims, boxes are not cut at jumps either.
     lines, places
-        Number of lines along each axis, and of points on each line. 16,384 evaluations per axis
-        find a jump along a curve that one line in ten crosses with probability 0.97. Half or double
-        both values changes nothing.
+        Number of lines along each axis, and of points on each line.
+        The search takes 16,384 evaluations per axis.
+        It finds a jump along a curve with probability 0.97 if one line in ten crosses the curve.
+        Halving or doubling both values changes nothing.
     largest
-        Number of the largest steps of each line that are bisected. A line crosses few jumps, and
-        one of them on one line is enough. Values from 2 to 8 give the same results.
+        Number of the largest steps of each line that are bisected.
+        A line crosses few jumps, and it suffices to find one of them on one line.
+        Values from 2 to 8 give the same results.
     halvings
-        Number of bisections of such a step. 512 points and 30 halvings leave 2e-12, over which a
-        slope of 1e7 changes g by less than `least`. With 15, a Gaussian of width 0.02 appears to
-        jump.
+        Number of bisections of such a step. 512 points and 30 halvings reduce it to 2e-12.
+        Over that distance a slope of 1e7 changes g by less than `least`.
+        With 15 halvings, a Gaussian of width 0.02 appears to jump.
     beside
-        Distance from a break at which g is evaluated on both sides. Detected breaks are accurate to
-        2^-46, and a slope of 500 times the root mean square changes g by at most `least` across it.
+        Distance from a break at which g is evaluated on both sides.
+        Detected breaks are accurate to 2^-46.
+        A slope of 500 times the root mean square changes g by at most `least` over this distance.
         Values from 1e-9 to 1e-5 give the same results.
     least
-        Smallest step that is a jump, relative to the root mean square of g. A jump of 1e-4 adds
-        1e-8 of the variance of random points, which no feasible count resolves. Values from 1e-6 to
-        1e-2 give the same results.
+        Smallest step that counts as a jump, relative to the root mean square of g.
+        A jump of 1e-4 adds 1e-8 of the variance of random points. No feasible count resolves this.
+        Values from 1e-6 to 1e-2 give the same results.
     border
-        Distance from the border of a stratum, in strata, within which a jump does not cut the
-        stratum. It covers rounding of n times a position up to n = 2^30. Values from 1e-8 to 1e-4
-        give the same results.
+        A jump closer to the border of a stratum than this does not cut the stratum.
+        The distance is a fraction of the stratum.
+        It covers rounding of n times a position up to n = 2^30.
+        Values from 1e-8 to 1e-4 give the same results.
     """
 
     dims: int = 5
@@ -142,40 +151,43 @@ class JumpSettings:
 class LimitSettings:
     """Settings for the limit of the slopes of a predicted curve, and for its bend.
 
-    "The same results" means that limits and bends of 64 predicted curves were the same: 8 samplers
-    and 8 integrands in 1 to 3 dims, at n = 16 to 1024.
+    "The same results" means that limits and bends of 64 predicted curves did not change.
+    The curves are for 8 samplers and 8 integrands in 1 to 3 dims, at n = 16 to 1024.
 
     Attributes
     ----------
     late
-        Number of octaves at the end of a curve whose slope estimates the limit. Values from 2 to 4
-        give the same results. With 8 the limits of 4 curves of scrambled nets, which bend late, are
-        not found.
+        Number of octaves at the end of a curve whose slope estimates the limit.
+        Values from 2 to 4 give the same results.
+        With 8 octaves the limits of 4 curves of scrambled nets, which bend late, are not found.
     near
-        Distance of the slope from a theoretical exponent within which the exponent is the limit:
-        at most 0.4/d because exponents are 1/d apart. Values from 0.1 to 0.4 give the same results.
+        A theoretical exponent closer to the slope than this is the limit.
+        The distance is at most 0.4/d, because exponents are 1/d apart.
+        Values from 0.1 to 0.4 give the same results.
     agree
-        Largest difference of the local slopes within these octaves. Values from 0.2 to 0.4 give the
-        same results. With 0.1, one limit of 64 is not found.
+        Largest difference of the local slopes within these octaves.
+        Values from 0.2 to 0.4 give the same results. With 0.1, one limit of 64 is not found.
     leaves
-        Least distance of the last slope from an exponent at which the exponent is excluded as limit
-        if slopes move away from it. Values from 0.025 to 0.1 give the same results.
+        An exponent is excluded if the slopes move away from it and end farther away than this.
+        Values from 0.025 to 0.1 give the same results.
     still
-        Largest change of three slopes that have reached a limit that is not in the list of theory,
-        such as −1 − (1 − 2a)/d next to a pole t^-a. Values from 0.005 to 0.02 give the same
-        results.
+        Largest change of three slopes that count as constant.
+        A constant slope may be a limit that the theory does not list,
+        such as −1 − (1 − 2a)/d next to a pole t^-a.
+        Values from 0.005 to 0.02 give the same results.
     change
-        Difference between the first slope and the limit above which there is a bend. Values from
-        0.15 to 0.3 give the same results.
+        Difference between the first slope and the limit above which a curve may bend.
+        Values from 0.15 to 0.3 give the same results.
     most_change
-        Largest candidate change of the exponent at a bend; exponents lie between −1 and −5.
+        Largest candidate change of the exponent at a bend. Exponents lie between −1 and −5.
         Values from 4 to 8 give the same results.
     tried
-        Number of candidate positions of a bend, and of candidate changes. Positions are 0.1 octaves
-        apart over 10 octaves, the accuracy with which bends are known.
+        Number of candidate positions of a bend, and of candidate changes.
+        Positions are 0.1 octaves apart over 10 octaves. Bends are known to this accuracy.
     better
-        Scatter about a curve that bends, relative to that about a line, below which there is a
-        bend. Values from 0.125 to 0.25 give the same results. With 0.5, one curve more bends.
+        A curve bends if its scatter about the best bent curve is small.
+        The scatter must be less than this fraction of the scatter about a line.
+        Values from 0.125 to 0.25 give the same results. With 0.5, one more curve bends.
     """
 
     late: int = 4
@@ -198,21 +210,23 @@ def predicted_rate(b: float, decay: float | str, dims: int) -> float:
     Parameters
     ----------
     b
-        Low-frequency exponent of the power: 0 for random and Poisson disk sets, 2 for jittered
-        sets, more for sets optimized for smooth functions, infinite for step noise.
+        Low-frequency exponent of the power of the points. It is 0 for random and Poisson disk sets,
+        and 2 for jittered sets. It is larger for sets optimized for smooth functions,
+        and infinite for step noise.
     decay
-        γ, for |f_m|² proportional to |m|^-γ when averaged over directions. It must exceed `dims`
-        for a finite variance. `integrand_decay` measures it; `fitted_decay` also gives its
-        interval, which changes the rate by the interval over `dims` if γ − d < b. Alternatively
-        ``"jump"``, ``"kink"`` or ``"smooth"``, the worst discontinuity of the integrand on the
-        torus: `DECAYS`.
+        The decay γ: averaged over directions, |f_m|² is proportional to |m|^-γ.
+        It must exceed `dims` for a finite variance. `integrand_decay` measures it.
+        `fitted_decay` also gives the interval of γ.
+        If γ − d < b, dividing it by `dims` gives the interval of the rate.
+        Alternatively give ``"jump"``, ``"kink"`` or ``"smooth"``, as in `DECAYS`.
+        This is the worst discontinuity of the integrand on the torus.
     dims
         Number of dims d.
 
     Returns
     -------
     float
-        −1 − min(b, γ − d)/d. For b = γ − d there is an additional factor log n.
+        The rate −1 − min(b, γ − d)/d. For b = γ − d there is an additional factor log n.
 
     Raises
     ------
@@ -221,9 +235,10 @@ def predicted_rate(b: float, decay: float | str, dims: int) -> float:
 
     Notes
     -----
-    The formula holds for homogeneous (randomly shifted) sets, whose spectrum determines the
-    variance. For jittered sets without shift, the border is no jump of a smooth function, so use
-    ``"smooth"``.
+    The formula holds for homogeneous (randomly shifted) sets.
+    Their power spectrum determines the variance.
+    For jittered sets without shift, the border is not a jump of a smooth function.
+    Use ``"smooth"`` for these sets.
 
     Examples
     --------
@@ -248,10 +263,10 @@ class Slowest:
     Attributes
     ----------
     exponent
-        The limit is at least this; −∞ if nothing is known.
+        Lower bound of the limit. It is −∞ if nothing is known.
     sure
-        Whether it is the limit as soon as the curve falls at least this fast; otherwise the slopes
-        must agree.
+        Whether the bound is the limit if the curve falls at least this fast.
+        Otherwise the slopes must also agree.
     """
 
     exponent: float = -math.inf
@@ -261,11 +276,13 @@ class Slowest:
 def slowest_of_jumps(g: Integrand, laws: Sequence[Law], settings: JumpSettings = _JUMPS) -> Slowest:
     """Return the rate that jumps of g impose on stratified sets, lattices and nets.
 
-    `laws` are those at several n. A jump along a curve cuts n^(1 − 1/d) strata with equal
-    contributions, which gives −1 − 1/d. A jump across an axis cuts one of n strata of sets whose
-    projections are stratified, which gives −2; no stratum if the jump is at a border at all counts.
-    On the torus, g may jump at the border of the cube. Lattices resolve a straight line as well as
-    an axis, and reach −1 − 1/d at disks only in the mean over n.
+    `laws` are the laws at several n. The rates are as follows.
+    A jump along a curve cuts n^(1 − 1/d) strata with equal contributions. This gives −1 − 1/d.
+    A jump across an axis gives −2 for sets whose projections are stratified:
+    it cuts one of n strata. It cuts no stratum if it lies at a stratum border at all counts.
+    On the torus, g may also jump at the border of the cube.
+    Lattices resolve a straight line as well as an axis.
+    For disks they reach −1 − 1/d only in the mean over n.
     """
     d, law = g.dims, laws[-1]
     curves = -1.0 - 1.0 / d
@@ -293,7 +310,7 @@ def slowest_of_jumps(g: Integrand, laws: Sequence[Law], settings: JumpSettings =
 
 
 def _cells_of_axes(law: Law) -> tuple[int, ...]:
-    """Return the number of strata along each axis, 0 without strata; empty if unknown."""
+    """Return the number of strata along each axis: 0 without strata, empty if unknown."""
     match leaf_of(law):
         case Strata(sides=sides):
             return sides
@@ -312,12 +329,13 @@ def _cells_of_axes(law: Law) -> tuple[int, ...]:
     return ()
 
 
-@np.errstate(over="ignore", invalid="ignore")  # Next to poles
+@np.errstate(over="ignore", invalid="ignore")  # Values next to poles may overflow
 def _jumps(g: Integrand, settings: JumpSettings) -> tuple[list[tuple[int, float]], bool]:
     """Return jumps of g across an axis as (axis, position), and whether g has other jumps.
 
-    The former are at breaks and the border. The largest steps along lines are bisected: a step that
-    remains is a jump, and one that grows is a pole.
+    Jumps across an axis lie at breaks and at the border.
+    The largest steps along lines are bisected. A step that remains is a jump.
+    A step that grows is a pole.
     """
     x, beside, least = probe(g.dims)[:: PROBE // settings.lines], settings.beside, settings.least
     size = math.sqrt(float(np.nanmean(np.abs(g(x)) ** 2)))
@@ -359,31 +377,38 @@ def rates_of(
     slowest: Slowest,
     settings: LimitSettings = _LIMIT,
 ) -> tuple[float, float, float, str]:
-    """Return exponents of a predicted curve, and the position of its bend; NaN if not known.
+    """Return exponents of a predicted curve, and the position of its bend. Unknown ones are NaN.
 
     Parameters
     ----------
     n, variance
-        Ascending counts and variances, (N,); variances that are not finite and positive are left
-        out.
+        Ascending counts and variances, (N,).
+        Variances that are not finite and positive are skipped.
     asked
-        Number of leading counts that the rate is fitted to; the others are used for the limit only.
+        Number of leading counts that the rate is fitted to. Later counts only show the limit.
     dims
         Number of dims d.
     slowest
-        Theoretical bound.
+        Theoretical bound of the rate.
     settings
         Conditions for a limit and for a bend.
 
     Returns
     -------
     tuple
-        Rate: the slope of a line through the requested counts. Limit: the certain limit of theory,
-        if the slope over the last four octaves is no slower. Otherwise, if the slope hardly changes
-        within them, a nearby exponent of theory in up to 3 dims: −1 − k/d (k = 0: white power, 1: a
-        jump, 2: strata, 3: a kink), −2 or −3, the last with (log n)^(d − 1). Bend: n at which the
-        power law of smaller n meets that of the limit, if they differ by more than 0.3. Last, why
-        there is no limit.
+        Rate: the slope of a line through the requested counts.
+
+        Limit: the bound of theory, if it is certain and the last slope is no slower.
+        The last slope is over the last four octaves.
+        Otherwise, if this slope hardly changes, it is a nearby exponent of theory, in up to 3 dims.
+        These exponents are −1 − k/d, −2 or −3.
+        The values of k mean white power (0), a jump (1), strata (2) or a kink (3).
+        The exponent −3 may have a factor (log n)^(d − 1).
+
+        Bend: the n at which the power law of smaller n meets the power law of the limit,
+        if their exponents differ by more than 0.3.
+
+        The last value states why there is no limit.
     """
     there = np.isfinite(variance) & (variance > 0.0)
     x, y, fitted = np.log(n[there]), np.log(variance[there]), int(there[:asked].sum())
@@ -426,8 +451,8 @@ def rates_of(
             f"{last}"
         )
 
-    # Fit two powers of n, the second with the exponent of the limit: their sum if the curve
-    # flattens, the sum of their inverses if it gets steeper
+    # Fit two powers of n, where the second has the exponent of the limit.
+    # Use their sum if the curve flattens, and the sum of their inverses if it gets steeper
     if len(x) > 3 and abs(steps[0] - limit) > settings.change:
         at = np.linspace(x[0], x[-1], settings.tried)[:, None, None]
         change = np.linspace(-settings.most_change, settings.most_change, settings.tried)[:, None]
@@ -447,13 +472,14 @@ class DecayFit:
 
     Attributes
     ----------
-    decay, interval
-        γ and its 95 % interval; both infinite if the coefficients are rounding noise. The interval
-        accounts for the scatter about a power law, not for another law beyond the half width.
+    The exponent γ and its 95 % interval.
+    Both are infinite if the coefficients are rounding noise.
+    The interval accounts for the scatter about a power law.
+    It does not account for another law beyond the half width.
     bend
         Change of the local exponent from the first shell of the fit to the last, by a parabola.
     half_width
-        K: shells up to |m| = K are fitted.
+        Shells up to |m| = K are fitted, where K is this value.
     """
 
     decay: float
@@ -478,25 +504,27 @@ def integrand_decay(
     Parameters
     ----------
     integrand
-        f, or its spec string.
+        The integrand f, or its spec string.
     half_width
-        K: the slope is fitted over the last three octaves up to |m| = K, at least 8. The default is
-        512 in 1-D, which finds a jump anywhere to ±0.06, and 64 in more dims. Jumps along the axes
-        can have larger errors there; see the interval of `fitted_decay`.
+        The slope is fitted over the last three octaves up to |m| = K. K is at least 8.
+        The default is 512 in 1-D and 64 in more dims.
+        In 1-D this finds a jump anywhere to ±0.06.
+        In more dims, jumps along the axes can have larger errors; see `fitted_decay`.
     max_evaluations
-        Maximum number of evaluations of a user's function; more raise BudgetError.
+        Maximum number of evaluations of a user's function. More evaluations raise BudgetError.
 
     Returns
     -------
     float
-        γ, infinite if the coefficients there are rounding noise. The least of several channels.
-        `fitted_decay` also returns its interval.
+        The exponent γ. It is infinite if the coefficients there are rounding noise.
+        The least γ of several channels is returned. `fitted_decay` also returns its interval.
 
     Warns
     -----
     PreasymptoticWarning
-        If the exponent changes by more than 1 over these octaves. K is then too small to show the
-        end of the spectrum, such as for smooth functions before rounding noise.
+        If the exponent changes by more than 1 over these octaves.
+        K is then too small to show the end of the spectrum.
+        This happens for smooth functions before rounding noise is reached.
 
     Examples
     --------

@@ -1,18 +1,21 @@
 """Integrands that are sums or products of functions of one axis, with these functions as curves.
 
-For g = c + Σ_i h_i(x_i) and g = c + Π_i h_i(x_i) only one-dimensional integrals remain. They are
-accurate for jumps of g, and for poles that no rule in several dims resolves.
+For g = c + Σ_i h_i(x_i) and g = c + Π_i h_i(x_i) only one-dimensional integrals remain.
+These integrals are accurate at jumps of g, and at poles that no rule in several dims resolves.
 
-A curve h is computed along a line by Legendre polynomials. Their pieces are halved until the
-polynomials settle: down to 2^-50 next to a jump or pole, and to 2^-64 next to 0. Double precision
-does not resolve smaller distances. A pole t^-a has most of its square there if a is close to ½, so
-a power law is used:
+A curve h is represented by Legendre polynomials on pieces of the axis.
+Each piece is halved until the coefficients of its polynomial settle.
+The smallest pieces have width 2^-50 next to a jump or pole, and 2^-64 next to 0.
+Double precision does not resolve smaller distances.
+
+A pole t^-a has most of its square inside these smallest pieces if a is close to ½.
+Within a distance ε of the pole, a power law gives the integrals:
 
     ∫_0^ε h = ε h(ε) / (1 − a),    ∫_0^ε h² = ε h(ε)² / (1 − 2a).
 
-All points of the probe (`mcspectra.integrands._quadrature.probe`) test whether g equals the sum or
-product of the curves. A slab across an axis of width 2^-17 or more is found. Another region of
-volume v, in which g differs, is found with probability 1 − exp(−2^17 v).
+All probe points (`mcspectra.integrands._quadrature.probe`) test the sum or product of curves.
+The test finds every slab across an axis, of width 2^-17 or more, in which g differs.
+It finds another region of volume v with probability 1 − exp(−2^17 v).
 """
 
 from __future__ import annotations
@@ -40,63 +43,66 @@ __all__ = ["PiecewiseCurve", "PiecewiseSettings", "Separable", "separated"]
 class PiecewiseSettings:
     """Settings for curves of functions of one axis, and for the test of sums and products.
 
-    "The same results" means that no variance changes by more than 1e-10 in the twelve cases of
-    `mcspectra.prediction.exact.ExactSettings`.
+    "The same results" means that no variance changes by more than 1e-10.
+    The twelve test cases are listed in `mcspectra.prediction.exact.ExactSettings`.
     """
 
-    # Number of Legendre coefficients of a piece, and of initial pieces of an axis. Half and twice
-    # the value give the same results.
+    # Number of Legendre coefficients of a piece, and of initial pieces of an axis.
+    # Halving or doubling the value gives the same results.
     order: int = 16
     pieces: int = 32
-    # The last coefficients of a settled piece, as a fraction of the largest. Half and twice the
-    # value give the same results.
+    # Size of the last coefficients of a settled piece, as a fraction of the largest coefficient.
+    # Halving or doubling the value gives the same results.
     settled: float = 1e-11
-    # A piece that adds less than this fraction to ∫h² counts as settled. Half and twice the value
-    # give the same results.
+    # A piece that adds less than this fraction to ∫h² counts as settled.
+    # Halving or doubling the value gives the same results.
     negligible: float = 1e-15
-    # Pieces narrower than this hold a kink or a jump. Half and twice the value give the same
-    # results.
+    # A piece narrower than this contains a kink or a jump.
+    # Halving or doubling the value gives the same results.
     kink: float = 2.0**-12
     # Largest size of the last coefficients next to a kink, as a fraction of √∫h².
-    # Half and twice the value give the same results.
+    # Halving or doubling the value gives the same results.
     small: float = 1e-9
     # Rounding error of a node as a fraction of its coordinate: four units in the last place.
-    # Half and twice the value give the same results.
+    # Halving or doubling the value gives the same results.
     rounded: float = 2.0**-51
     # Largest number of nodes of an axis, which limits the evaluations.
     most_nodes: int = 2**17
-    # Pieces of this width are not halved again: the nodes would differ by rounding only.
-    # Half and twice the value give the same results.
+    # Pieces of this width are not halved again, because the nodes would differ by rounding only.
+    # Halving or doubling the value gives the same results.
     least: float = 2.0**-50
     least_at_0: float = 2.0**-64
-    # log2 of 1/distance from a pole at 0, and from another pole, at which the exponent is fitted.
-    # The power law begins at the last distance. With 5 more or less the variance of a sum with
-    # poles changes by less than 1e-6.
+    # The exponent of a pole is fitted at the distances 2^-k, for the k given here.
+    # One list is for a pole at 0, the other for all other poles.
+    # The power law begins at the last distance.
+    # If each k changes by 5, the variance of a sum with poles changes by less than 1e-6.
     near_0: tuple[int, ...] = (40, 45, 50, 55, 60)
     inside: tuple[int, ...] = (20, 23, 26, 29, 32)
-    # Smallest exponent of a pole. Polynomials follow weaker poles. Half and twice the value give
-    # the same results.
+    # Smallest exponent of a pole. Polynomials resolve weaker poles.
+    # Halving or doubling the value gives the same results.
     pole: float = 0.02
-    # Relative error of the distances to a pole that is not at 0. It changes intervals, not
-    # variances.
+    # Relative error of the distances to a pole that is not at 0.
+    # The value changes intervals, but not variances.
     place: float = 2.0**-16
-    # Smallest step toward a pole, as a fraction of the value. Half and twice the value give the
-    # same results.
+    # Smallest change of a function from one distance to the next that counts as a pole.
+    # It is a fraction of the function's value.
+    # Halving or doubling the value gives the same results.
     step: float = 1e-6
-    # Width next to a pole, on its other side, in which pieces belong to the pole. Half and twice
-    # the value give the same results.
+    # Pieces on the other side of a pole belong to the pole up to this distance.
+    # Halving or doubling the value gives the same results.
     gap: float = 2.0**-40
-    # Number of probe points among which a product finds its largest value. Half and twice the value
-    # give the same results.
+    # Number of probe points among which the largest value of a product is sought.
+    # Halving or doubling the value gives the same results.
     candidates: int = 2**10
-    # Number of points of the first test, and of points with large values. Half and twice the value
-    # give the same results.
+    # Number of points in the first test, and number of points with large values.
+    # Halving or doubling the value gives the same results.
     lines: int = 16
-    # Relative rounding error of g in the test of a sum or product. Half and twice the value give
-    # the same results.
+    # Relative rounding error of g in the test of a sum or product.
+    # Halving or doubling the value gives the same results.
     same: float = 1e-7
-    # A value that more than this fraction of points share is a constant added to a product, such as
-    # the 0 of an indicator. Half and twice the value give the same results.
+    # A value shared by more than this fraction of the points is a constant added to a product.
+    # An example is the value 0 of an indicator function.
+    # Halving or doubling the value gives the same results.
     common: float = 0.1
 
 
@@ -111,7 +117,7 @@ class PiecewiseCurve:
     Attributes
     ----------
     mean
-        Mean of the function, which is not in the coefficients.
+        Mean of the function. The coefficients do not include it.
     low, high
         Ends of the pieces, (P,).
     start, width
@@ -119,11 +125,11 @@ class PiecewiseCurve:
     coefficients
         Legendre coefficients, (P, 16).
     tails
-        For each power law its ends, and the integrals of h and h² there, (T, 4).
+        Ends of each power law, and the integrals of h and h² between them, (T, 4).
     places
         Positions of jumps, kinks and poles inside, (K,).
     doubt
-        Error of ∫h².
+        Absolute error of ∫h².
     exponent
         Largest exponent of a pole, or 0.
     """
@@ -140,7 +146,7 @@ class PiecewiseCurve:
     exponent: float
 
     def __call__(self, x: Array) -> Array:
-        """Return h at points; power laws are replaced by the polynomial of the adjacent piece."""
+        """Return h at points. Power laws are replaced by the polynomial of the adjacent piece."""
         x = np.asarray(x, float)
         return self.mean + self._values(np.clip(self._piece(x), 0, None), x)
 
@@ -148,7 +154,7 @@ class PiecewiseCurve:
         return np.searchsorted(self.low, x, side="right") - 1
 
     def _values(self, piece: Array, x: Array) -> Array:
-        """Return the polynomials of these pieces, without the mean (Clenshaw)."""
+        """Evaluate the polynomials of these pieces, without the mean, by Clenshaw's algorithm."""
         y = np.clip(2.0 * (x - self.start[piece]) / self.width[piece] - 1.0, -1.0, 1.0)
         c = self.coefficients
         one, two = np.zeros(y.shape), np.zeros(y.shape)
@@ -164,10 +170,10 @@ class PiecewiseCurve:
     def cells(
         self, count: int, offset: float = 0.0, order: int = _SETTINGS.order
     ) -> tuple[Array, Array]:
-        """Return means over cells, without `mean`, and mean squares about these: (count,) each.
+        """Return means over cells minus `mean`, and mean squares about them, (count,) each.
 
-        The cells begin at (j + offset)/count on the torus, with the offset in units of the axis,
-        from 0 to 1/count.
+        The cells begin at (j + offset)/count on the torus.
+        The offset is in units of the axis, from 0 to 1/count.
         """
         borders = np.sort((np.arange(count) / count + offset) % 1.0)
         begin = np.sort(np.concatenate([self.low, borders[borders > 0.0]]))
@@ -198,9 +204,9 @@ class PiecewiseCurve:
     def along(
         function: Callable[[Array], Array], ends: Sequence[float] = (), rounding: float = 0.0
     ) -> PiecewiseCurve | None:
-        """Compute the curve of a function of x (N,), cut at `ends`; None if it does not settle.
+        """Compute the curve of a function of x (N,), cut at `ends`. None if it does not settle.
 
-        Last coefficients of a piece of at most `rounding` count as settled.
+        A piece counts as settled if its last coefficients are at most `rounding`.
         """
         node, _ = gauss_rule(_SETTINGS.order)
         y = 2.0 * node - 1.0
@@ -230,7 +236,7 @@ class PiecewiseCurve:
             with np.errstate(over="ignore"):
                 small = width * largest * last <= _SETTINGS.negligible * energy
                 small &= last <= _SETTINGS.small * math.sqrt(energy)
-            # Doubles are spaced by 2^-53 of the position, which is the error of nodes
+            # Doubles near x are spaced by 2^-53 x, and the nodes have errors of this size
             noise = _SETTINGS.settled + _SETTINGS.rounded * high / width
             settled = (last <= noise * largest + rounding) | small
             settled &= finite.all(axis=1)
@@ -250,8 +256,8 @@ class PiecewiseCurve:
         low, high, coefficients = low[order], high[order], coefficients[order]
         start, width = low.copy(), high - low
 
-        # Poles may lie at the ends and where pieces do not settle; several pieces may belong to one
-        # pole
+        # Poles may lie at the ends and where pieces do not settle.
+        # Several pieces may belong to one pole.
         rough += [(e, e, 0.0) for e in (0.0, *(e for e in ends if 0.0 < e < 1.0), 1.0)]
         clusters: list[list[tuple[float, float, float]]] = []
         for piece in sorted(rough):
@@ -261,7 +267,7 @@ class PiecewiseCurve:
                 clusters.append([piece])
         places = []
         for cluster in clusters:
-            a, b, _ = max(cluster, key=lambda piece: piece[2])  # The largest values
+            a, b, _ = max(cluster, key=lambda piece: piece[2])  # The piece with the largest values
             places.append(
                 0.0 if cluster[0][0] == 0.0 else 1.0 if cluster[-1][1] == 1.0 else 0.5 * (a + b)
             )
@@ -273,7 +279,7 @@ class PiecewiseCurve:
                 logs = _SETTINGS.near_0 if place == 0.0 else _SETTINGS.inside
                 at = place + way * 0.5 ** np.array(logs, float)
                 distance = np.abs(at - place)
-                # For A t^-a + B, differences at distances in equal ratios have a constant ratio
+                # At geometric distances t, differences of A t^-a + B have a constant ratio
                 with np.errstate(all="ignore"):
                     value = np.asarray(function(at), float)
                     steps = np.diff(value)
@@ -294,14 +300,14 @@ class PiecewiseCurve:
                 doubt += square * off / (1.0 - 2.0 * a)
                 begin, stop = (place, place + size) if way > 0.0 else (place - size, place)
                 tails.append((begin, stop, first, second))
-                # The pieces end where the power law begins, and close to the position on the other
-                # side
+                # On this side the pieces end where the power law begins.
+                # On the other side they end close to the pole.
                 wide = (begin, min(stop + (way < 0.0) * _SETTINGS.gap, 1.0))
                 wide = (max(0.0, begin - (way > 0.0) * _SETTINGS.gap), stop) if way > 0.0 else wide
                 cut_low = (low >= wide[0]) & (low < wide[1])
                 cut_high = (high > wide[0]) & (high <= wide[1])
                 low, high = np.where(cut_low, wide[1], low), np.where(cut_high, wide[0], high)
-        # Kinks lie in narrow pieces, in the narrowest of neighbors
+        # Kinks lie in narrow pieces. Take the narrowest of adjacent pieces
         narrow = np.flatnonzero(width < _SETTINGS.kink)
         for some in np.split(narrow, np.flatnonzero(np.diff(start[narrow]) > _SETTINGS.kink) + 1):
             if some.size:
@@ -329,16 +335,16 @@ class PiecewiseCurve:
 @final
 @dataclass(frozen=True)
 class Separable:
-    """The function c + Σ_i h_i(x_i) or c + Π_i h_i(x_i), of one channel.
+    """The function c + Σ_i h_i(x_i) or c + Π_i h_i(x_i), with one channel.
 
     Attributes
     ----------
     curves
-        The functions of the axes.
+        The function of each axis.
     product
-        Whether the functions are multiplied, not added.
+        Whether the functions are multiplied. Otherwise they are added.
     constant
-        c, which is 0 for sums.
+        The constant c. It is 0 for sums.
     """
 
     curves: tuple[PiecewiseCurve, ...]
@@ -371,7 +377,7 @@ class Separable:
             c.doubt / max(m**2 + s, 1e-300)
             for c, m, s in zip(self.curves, means, squares, strict=True)
         ]
-        value = 0.0  # Variances are added axis by axis, so that nothing cancels
+        value = 0.0  # Add the variances axis by axis to avoid cancellation
         for done in range(len(means)):
             rest = math.prod((means[:done] ** 2).tolist())
             value += (
@@ -395,7 +401,7 @@ def separated(g: Integrand) -> tuple[Separable, ...] | None:
     if cache.separable is None:
         found = None
         if not g.costly:
-            with contextlib.suppress(ParameterError):  # A line may hit a pole
+            with contextlib.suppress(ParameterError):  # A line may contain a pole
                 found = [_separated(g, c) for c in range(max(1, g.channels))]
         whole = found is not None and all(each is not None for each in found)
         cache.separable = tuple(found) if whole and found is not None else ()
@@ -411,7 +417,7 @@ def _separated(g: Integrand, channel: int) -> Separable | None:
             return values_at(g, x)[..., channel]
 
     def each(x: Array) -> Array:
-        """Return values, NaN at points where g is not defined."""
+        """Return values of g, or NaN where g is not defined."""
         try:
             return value(x)
         except ParameterError:
@@ -423,7 +429,7 @@ def _separated(g: Integrand, channel: int) -> Separable | None:
     def line(
         z: Array, axis: int, constant: float, origin: float, product: bool
     ) -> Callable[[Array], Array]:
-        """Return the function of an axis along the line through z; the first contains g(z)."""
+        """Return the function of an axis along the line through z; the first includes g(z)."""
 
         def at(x: Array) -> Array:
             points = np.repeat(z[None], len(x), axis=0)
@@ -469,7 +475,7 @@ def _separated(g: Integrand, channel: int) -> Separable | None:
         if not (np.abs(of_tested - constant - made) <= _SETTINGS.same * size).all():
             continue
 
-        # Compute the curves; the curve of the first axis contains the scale of g
+        # Compute the curves. The curve of the first axis contains the scale of g
         curves = []
         for axis in range(d):
             curve = PiecewiseCurve.along(line(z, axis, constant, origin, product), cut.breaks[axis])

@@ -1,30 +1,40 @@
-"""Predictions in many dims: single axes, sums of products, and one law for all pairs of points.
+"""Predictions in many dims, from single axes, sums of products, and the law of pairs of points.
 
 Method
 ------
-With g = Σ_v g_v, the ANOVA of g [Owen1997]_, the variance of the mean of g over a set that is
-randomized independently along the axes is a mean over pairs (a, b) of points,
+Let g = Σ_v g_v be the ANOVA of g [Owen1997]_.
+Consider a set whose axes are randomized independently of each other.
+The variance of the mean of g over the set is a mean over pairs (a, b) of points:
 
     Var = (1/n²) Σ_{a,b} Σ_v C_v(a, b),    C_v = Cov(g_v(a), g_v(b)) over the randomization.
 
-For each axis it depends on a single quantity: for nested scrambling the number of common digits of
-a_i and b_i, for a digital shift the difference of their digits, for a shift their difference on the
-torus. Subsets v of one axis are exact. For the other subsets g is fitted by a sum of products Σ_r
-Π_i h_ri(x_i), for which
+On each axis, C_v depends on a single quantity.
+For nested scrambling it is the number of common digits of a_i and b_i.
+For a digital shift it is the difference of their digits.
+For a shift it is their difference on the torus.
+
+Subsets v of one axis are exact.
+For larger subsets g is fitted by a sum of products Σ_r Π_i h_ri(x_i). For these products
 
     Σ_v C_v = Σ_{r,s} Π_i (μ_ri μ_si + k_i^rs(a_i, b_i)) − I²
 
-contains all subsets at once. μ are the means of the h, and k the covariances that remain between
-them under the randomization. The part of g outside the fit is treated as white noise, /n. The
-interval covers a part between zero and twice this size, and a correlation of ½ with the fit.
+contains all subsets at once. Here μ are the means of the factors h.
+The k are the covariances that remain between the factors under the randomization.
+The part of g outside the fit is treated as white noise, so its energy is divided by n.
+The interval covers a noise between zero and twice this size.
+It also covers a correlation of ½ between the noise and the fit.
 
-All quantities come from g at points of this module: profiles g(·, z) along each axis for many z,
-whose leading singular vectors are the basis of h_ri; least squares over scrambled nets, one axis
-after another; the residual on another net; ∫g² with Student's t. g_i is the fit's g_i plus the mean
-deviation of the profiles from the fit.
+All quantities come from values of g at points of this module:
 
-Strata of a grid need no fit: with x and x' in the same stratum, Var = E (g(x) − g(x'))² / 2n. In
-Latin hypercubes all pairs have one law: different ones of n strata on each axis [Stein1987]_.
+* Profiles g(·, z) along each axis for many z. Their leading singular vectors are the basis of h_ri.
+* Least squares over scrambled nets, one axis after another.
+* The residual on another net.
+* ∫g² with Student's t.
+
+The part g_i of axis i is taken from the fit, plus the mean deviation of the profiles from the fit.
+
+Strata of a grid need no fit: Var = E (g(x) − g(x'))² / 2n with x and x' in the same stratum.
+In Latin hypercubes all pairs have one law: their strata differ on each axis [Stein1987]_.
 """
 
 from __future__ import annotations
@@ -80,7 +90,7 @@ _OWN = Stream.from_rng(0x5B5E75)
 TORUS = 1 << 15
 """Number of distinct differences on the torus, for sets that are not lattices."""
 _GRADED = 0.25 ** np.arange(6.0, 0.0, -1.0)
-"""Additional nodes next to 0 and 1, as fractions of the first step; warps have poles there."""
+"""Additional nodes next to 0 and 1, as fractions of the first step. Warps have poles there."""
 
 
 @final
@@ -88,94 +98,102 @@ _GRADED = 0.25 ** np.arange(6.0, 0.0, -1.0)
 class SubsetSettings:
     """Settings for the fit of g by sums of products, and for its curves.
 
-    Stated changes refer to six cases at n = 64 and 256: smooth functions, a ball in 4-D, a slab, a
-    jump along a line and a kink, with latin-hypercube, sobol | owen, sobol | digital-shift and
-    rank1-lattice | shift. The half interval of the ball is 63 %, the others are 0.2 to 1.3 %. "The
-    ball only" means a change of less than 8 % for the ball and none for the others. "The
-    same results" means changes of less than 1e-6.
+    The stated changes were measured in six cases at n = 64 and 256.
+    The integrands are smooth functions, a ball in 4-D, a slab, a jump along a line and a kink.
+    The samplers are latin-hypercube, rank1-lattice | shift, and sobol with owen or digital-shift.
+    The half interval of the ball is 63 %, and the other half intervals are 0.2 to 1.3 %.
+    "Only the ball case" means a change of less than 8 % for the ball, and none for the others.
+    "The same results" means changes of less than 1e-6.
 
     Attributes
     ----------
     few_dims
-        Largest number of dims in which quadrature computes ∫g² better than nets, and few products
-        suffice.
+        Largest number of dims in which quadrature computes ∫g² better than nets.
+        In so few dims a small number of products suffices.
     replicates, replicate
-        Number of scrambled nets for ∫g², and of their points. Half or double this value changes
-        smooth cases by less than 0.005 %.
+        Number of scrambled nets for ∫g², and number of their points.
+        Halving or doubling either value changes smooth cases by less than 0.005 %.
     strata
-        Number of pairs within strata of each replicate. A total of 131,072 gives a half interval of
-        0.8 % for normal differences.
+        Number of pairs within strata of each replicate.
+        A total of 131,072 pairs gives a half interval of 0.8 % for normal differences.
     profile_work
-        Total evaluations of profiles along all axes. Half or double this value changes the ball
-        only.
+        Total evaluations of profiles along all axes.
+        Halving or doubling this number changes only the ball case.
     nodes
-        Number of nodes of a profile along an axis. Half this value changes the kink by 0.1 %;
-        double changes the ball only.
+        Number of nodes of a profile along an axis.
+        Half this number changes the kink by 0.1 %. Twice this number changes only the ball case.
     groups
-        Number of independent groups of profiles, whose spread is the error. Half or double this
-        value changes the ball only.
+        Number of independent groups of profiles. Their spread is the error.
+        Halving or doubling this number changes only the ball case.
     fitted
-        Number of replicates for the fit; one more tests it. Half or double this value changes the
-        ball only.
+        Number of replicates for the fit. One more replicate tests it.
+        Halving or doubling this number changes only the ball case.
     basis, negligible
-        Largest number of functions of an axis, and energy that is neglected. Half or double this
-        value changes the ball only.
+        Largest number of functions of an axis, and energy that is neglected.
+        Halving or doubling either value changes only the ball case.
     rank, few_rank
-        Largest number of products, also in few dims, where only functions with jumps across axes
-        need this method; more products would not resolve these. Three products give the ball an
-        interval of 86 %, twelve 53 %; the others do not change.
+        Largest number of products, and the same limit for few dims.
+        In few dims only functions with jumps across axes need this method.
+        More products would not resolve these jumps.
+        Three products give the ball an interval of 86 %, and twelve products 53 %.
+        The other cases do not change.
     sweeps, settled
-        Largest number of sweeps of a fit, and ratio of successive residuals above which it has
-        settled. Half or double this number of sweeps changes nothing; ratios of 0.95 and 0.995
-        change the ball only.
+        Largest number of sweeps of a fit.
+        A fit stops earlier if the ratio of successive residuals exceeds the second value.
+        Halving or doubling the number of sweeps changes nothing.
+        Ratios of 0.95 and 0.995 change only the ball case.
     block
-        Number of points of a block of the least squares, small enough that libraries do not start
-        threads.
+        Number of points of a block of the least squares.
+        It is small enough that libraries do not start threads.
     ridge
-        Ridge of the least squares, relative to the mean of the diagonal. Half or double this value
-        changes variances by less than 5e-7.
+        Ridge of the least squares, relative to the mean of the diagonal.
+        Halving or doubling this value changes variances by less than 5e-7.
     good
-        Sufficiently small residual energy, relative to the variance. Half and twice the
-        value give the same results.
+        A fit is accepted below this residual energy, relative to the variance.
+        Halving or doubling this value gives the same results.
     stands_out
-        Factor by which the change of a profile between two nodes must exceed its neighbors at a
-        jump, and the change of its slope at a kink. Half or double this value changes the ball
-        only.
+        At a jump, a profile changes more between two nodes than in the neighboring steps.
+        At a kink, this holds for its slope. The value is the least ratio of these changes.
+        Halving or doubling it changes only the ball case.
     halvings
-        Bisections of a jump: steps of 1/128 become 2^-47. Values from 20 to 80 give the same
-        results.
+        Number of bisections of a jump. They reduce steps of 1/128 to 2^-47.
+        Values from 20 to 80 give the same results.
     shared
-        Fraction of the mean square of steps that the step of the mean profile has at a jump shared
-        by profiles. Values from 0.05 to 0.2 give the same results.
+        A jump is shared by profiles if the mean profile has a large step.
+        Its square must exceed this fraction of the mean square of the steps of all profiles.
+        Values from 0.05 to 0.2 give the same results.
     bent
-        Change of the slope at a kink, as a fraction of the largest slope. Half or double this value
-        changes variances by less than 0.005 %.
+        Least change of the slope at a kink, as a fraction of the largest slope.
+        Halving or doubling this value changes variances by less than 0.005 %.
     cells
-        Number of cells along an axis for the energy of the fit, in which means of smooth pieces are
-        exact. Values from 2^11 to 2^13 give the same results.
+        Number of cells along an axis for the energy of the fit.
+        The means of smooth pieces over these cells are exact.
+        Values from 2^11 to 2^13 give the same results.
     fine, finest
-        Number of cells along an axis for single axes, where g is smooth and where it jumps. Latin
-        hypercubes and lattices leave the variance within cells. Half or double this value changes
-        variances by less than 0.01 %.
+        Number of cells along an axis for the functions of single axes.
+        The first value is for axes along which g is smooth, the second for axes with jumps.
+        For Latin hypercubes and lattices only the variance within cells remains.
+        Halving or doubling either value changes variances by less than 0.01 %.
     start
-        Spread of the initial coefficients of a new product, whose constant is 1.
+        Spread of the initial coefficients of a new product. The constant of the product is 1.
     adds_up
-        Factor by which the residual of the fit widens the interval if one random offset moves all
-        points. On lattices the contributions of kinks add up. For other sets the factor is 1.
+        Factor by which the residual of the fit widens the interval if one offset moves all points.
+        On lattices the contributions of kinks add up. For other sets the factor is 1.
     resolved
-        Relative error of curves between their nodes, smooth and with jumps.
+        Relative errors of curves between their nodes, for smooth curves and for curves with jumps.
     most_work
-        Largest product of the numbers of pairs, axes and squared products: 1.7e10.
+        Largest work: the number of pairs times axes times squared products, 1.7e10.
     draws
-        Number of sets that are drawn if they are random before their shift or scramble. The spread
-        of their variances is part of the interval.
+        Number of sets that are drawn if sets are random before their shift or scramble.
+        The spread of their variances is part of the interval.
     digits
-        Least number of cells of an axis that digits distinguish; the number of points if that is
-        larger.
+        Least number of cells of an axis that digits distinguish.
+        If the number of points is larger, it is used instead.
     offsets
-        Number of offsets within a stratum, at the centers of equal parts, over which a uniform
-        offset is averaged. With latin-hypercube | shift at n = 64, a sum of two jumps changes by
-        0.2 % from 8 to 32 offsets, and by 2 % from 4 to 8.
+        Number of offsets within a stratum over which a uniform offset is averaged.
+        The offsets are at the centers of equal parts.
+        The variance changes by 0.2 % from 8 to 32 offsets, and by 2 % from 4 to 8.
+        This was measured for a sum of two jumps, with latin-hypercube | shift at n = 64.
     """
 
     few_dims: int = 3
@@ -220,23 +238,24 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
     Parameters
     ----------
     law
-        Independent points, strata, Latin hypercubes; sets that are the same after any translation;
-        nested and linear scrambles, and digital shifts in base 2.
+        Law of one of these sets: independent points, strata, Latin hypercubes,
+        or sets that are statistically the same after any translation.
+        Nested scrambles, linear scrambles and digital shifts in base 2 are also possible.
     known
-        The integrand, in two dims or more. It takes about 2^20 evaluations, once for all counts and
-        samplers.
+        The integrand, in at least two dims. It takes about 2^20 evaluations.
+        They are made once for all counts and samplers.
     stream
         Stream for sets that are random before their shift or scramble.
 
     Returns
     -------
     Predicted
-        `share` is the part of single axes and products, `tail` the part outside the fit.
+        `share` is the part of single axes and products. `tail` is the part outside the fit.
 
     Raises
     ------
     NoClosedForm
-        If there is one dim, or the law of pairs of points is not known.
+        If there is only one dim, or the law of pairs of points is not known.
     """
     g = known.g
     if g.dims < _LEAST_DIMS:
@@ -272,14 +291,15 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
         by_set = np.array(sums).mean(axis=1) / n  # (sets, 1 + groups + 1)
         sets, mean = by_set[:, 0] + by_set[:, -1], by_set.mean(axis=0)
         ones, more = mean[:-1], mean[-1]
-        # The part outside the fit is white to 100 %, with a correlation of ±½ with the fit. If one
-        # offset moves all points, it may add up
+        # The part outside the fit may differ from white noise by 100 %.
+        # It has a correlation of up to ±½ with the fit.
+        # If one offset moves all points, this part may add up
         tail = p.residual / n
         together = pairs.kind != "digits" and len(codes) == 1
         half = (SUBSET_SETTINGS.adds_up if together else 1.0) * tail + math.sqrt(
             max(ones[0] + more, 0.0) * tail
         )
-        # Interactions of Latin hypercubes: from the points, or from the whole energy
+        # Interactions of Latin hypercubes come from the points, or from the whole energy
         single = first[:, -1].sum(axis=0)
         of_whole = (
             p.variance - float(single[0]),
@@ -308,7 +328,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
 @final
 @dataclass(frozen=True)
 class Curves:
-    """Partition of an axis: ends of its smooth pieces, and the nodes between these ends."""
+    """Partition of an axis: the ends of its smooth pieces, and the nodes between these ends."""
 
     knots: Array
     nodes: Array
@@ -322,7 +342,7 @@ class Curves:
         return out
 
     def cells(self, values: Array, count: int, offset: float = 0.0) -> Array:
-        """Return means over equal cells of the torus, the first of which begins at `offset` < 1."""
+        """Return means over equal cells of the torus. The first cell begins at `offset` < 1."""
         ends = offset + np.arange(count + 1) / count
         turns, ends = np.divmod(ends, 1.0)
         total = np.zeros((*values.shape[:-1], count + 1))
@@ -332,7 +352,7 @@ class Curves:
         return np.diff(total) * count
 
     def _pieces(self, values: Array) -> Iterator[tuple[float, float, Any]]:
-        """Yield ends and curve of each smooth piece, constant for fewer than two nodes."""
+        """Yield ends and curve of each smooth piece, constant if it has fewer than two nodes."""
         from scipy.interpolate import PchipInterpolator
 
         for low, high in itertools.pairwise(self.knots):
@@ -347,10 +367,10 @@ class Curves:
 @final
 @dataclass(frozen=True)
 class AnovaModel:
-    """Fitted parts of one channel of g; arrays hold values at the nodes of the axes."""
+    """Fitted parts of one channel of g. Arrays hold values at the nodes of the axes."""
 
     variance: float
-    half: float  # Half of its 95 % interval
+    half: float  # Half of the 95 % interval of the variance
     axes: list[Curves]
     main: list[Array]  # g_i of all groups and of each group: (1 + groups, nodes)
     factors: list[Array]  # h_ri: (products, nodes)
@@ -364,9 +384,10 @@ class AnovaModel:
 class _Pairs:
     """Quantity of each axis that determines the covariance of the values at two points.
 
-    For digits, it is the number of common leading digits in `bases`, at most `levels`. For xor and
-    torus, it is the difference of two multiples of 1/bases, digit by digit or on the torus.
-    `offsets` displace the cells of each axis; covariances are averaged over several offsets.
+    For digits, it is the number of common leading digits in `bases`, at most `levels`.
+    For xor and torus, it is the difference of two multiples of 1/bases.
+    The difference is taken digit by digit (xor) or on the torus.
+    `offsets` displace the cells of each axis. Covariances are averaged over several offsets.
     """
 
     kind: str
@@ -377,11 +398,14 @@ class _Pairs:
 
     @property
     def leaves_cells(self) -> bool:
-        """Whether sums over axes keep only the variation within the n-ths of an axis."""
+        """Whether sums over axes keep only the variation within intervals of length 1/n."""
         return self.latin or self.kind != "digits"
 
     def tables(self, parts: AnovaModel) -> tuple[Array, Array, Array, Array]:
-        """Return arguments of `pair_sums`: covariances of g_i and products, means and weights."""
+        """Return the four arguments of `pair_sums`.
+
+        They are the covariances of g_i, the covariances of products, the means and the weights.
+        """
         singles, pairs, averages = list[Array](), list[Array](), list[Array]()
         for base, levels, curves, main, factors, offsets in zip(
             self.bases,
@@ -408,7 +432,7 @@ class _Pairs:
                 mean = values.mean(axis=-1, keepdims=True)
                 values = values - mean
                 if self.kind == "digits":
-                    # Entry k: the first k digits agree; in the last entry all agree
+                    # In entry k, the first k digits agree. In the last entry all digits agree
                     means = values.reshape(len(values), cells, -1).mean(axis=-1)
                     energy = [(values[left] * values[right]).mean(axis=-1)]
                     while means.shape[-1] > 1:
@@ -432,7 +456,7 @@ class _Pairs:
         width = max(first.shape[-1] for first in singles)
 
         def stacked(tables: list[Array]) -> Array:
-            # If an axis has fewer digits, further common digits make no difference
+            # If an axis has fewer digits, further common digits do not change its covariance
             wide = [np.pad(t, ((0, 0), (0, width - t.shape[-1])), "edge") for t in tables]
             return np.ascontiguousarray(np.stack(wide).transpose(0, 2, 1))
 
@@ -455,14 +479,15 @@ def pair_sums(
 ) -> Array:
     """Sum covariances over all points b with the points a of each row: (rows, variants + 1).
 
-    codes (n, d, digits), rows (rows,), first (d, differences, variants) give Σ_i first_i. The last
-    entry, from rest (d, differences, q), means (d, q) and weights (q,), is Σ_q weight Σ_{|v| ≥ 2}
-    Π_{i∈v} rest_i Π_{i∉v} mean_i. mode 0 counts common digits; 1 uses bits that differ; 2 the torus
-    of `cells`.
+    The inputs are codes (n, d, digits), rows (rows,), first (d, differences, variants),
+    rest (d, differences, q), means (d, q) and weights (q,).
+    The first entries of a row are Σ_i first_i, one for each variant.
+    The last entry is Σ_q weight Σ_{|v| ≥ 2} Π_{i∈v} rest_i Π_{i∉v} mean_i.
+    Mode 0 counts common digits, mode 1 uses bits that differ, and mode 2 the torus of `cells`.
     """
     variants, q = first.shape[2], rest.shape[2]
     out = np.zeros((rows.size, variants + 1))
-    # Products over no axis, one axis and more axes of v
+    # Sums of products over subsets v of no axis, of one axis and of more axes
     none, one, more = np.empty(q), np.empty(q), np.empty(q)
     for r in range(rows.size):
         a = codes[rows[r]]
@@ -497,7 +522,7 @@ def pair_sums(
 def _of_strata(sides: tuple[int, ...], at: tuple[float, ...] | None, g: Integrand) -> Predicted:
     """Estimate half the mean square of differences within strata, by scrambled nets of pairs.
 
-    `at` is the corner of a stratum on the torus, None for one uniform translation of all strata.
+    `at` is the corner of a stratum on the torus. None means a uniform translation of all strata.
     """
     d, cells = g.dims, np.array(sides, float)
     u = net(2 * d + d * (at is None), SUBSET_SETTINGS.strata, SUBSET_SETTINGS.replicates, 5)
@@ -530,14 +555,14 @@ def all_parts(known: Known) -> list[AnovaModel]:
     through = net(d, count, SUBSET_SETTINGS.groups, 2)
 
     def profiles(axis: int, at: Array, through: Array = through) -> Array:
-        """Return values of profiles: (groups, profiles, nodes, channels)."""
+        """Return values of profiles, with shape (groups, profiles, nodes, channels)."""
         points = np.repeat(through[:, :, None], len(at), axis=2)
         points[..., axis] = at
         return values_at(g, points)
 
     axes, found = [], []
     for axis in range(d):
-        # Equal steps within each piece, and smaller ones toward 0 and 1, the ends of warps
+        # Use equal steps within each piece, and smaller steps toward 0 and 1, where warps end
         ends = np.unique([0.0, 1.0, *(b for b in g.breaks[axis] if 0.0 < b < 1.0)])
         middles = [
             low + (np.arange(k) + 0.5) * ((high - low) / k)
@@ -548,9 +573,9 @@ def all_parts(known: Known) -> list[AnovaModel]:
         at = np.concatenate([at[0] * _GRADED, at, 1.0 - (1.0 - at[-1]) * _GRADED[::-1]])
         along = profiles(axis, at)
         even = np.append(np.abs(np.diff(at, 2)) < 1e-9, False)  # Whether the next step is equal
-        # Bisect undeclared jumps of the mean: changes that stand out between two nodes and that
-        # many profiles share.
-        # At jumps that are not across the axis, each profile has its own
+        # Find undeclared jumps of the mean profile and bisect them.
+        # A jump is a change that stands out between two nodes and that many profiles share.
+        # At jumps that are not across the axis, each profile has its own jump
         steps = np.diff(along, axis=2)
         common = steps.mean(axis=(0, 1))
         change = np.abs(common).max(axis=-1)
@@ -575,8 +600,8 @@ def all_parts(known: Known) -> list[AnovaModel]:
                 nearer = abs(value - left)[channel] < abs(value - right)[channel]
                 low, high = (middle, high) if nearer else (low, middle)
             jumps.append(0.5 * (low + high))
-        # Kinks are changes of the slope that stand out, at the intersection of the lines from both
-        # sides
+        # Kinks are changes of the slope that stand out.
+        # A kink lies at the intersection of the lines from both sides
         mean = along.mean(axis=(0, 1))
         slopes = np.diff(mean, axis=0)
         bend = np.abs(np.diff(slopes, axis=0)).max(axis=-1)
@@ -624,7 +649,7 @@ def _fitted(
 ) -> AnovaModel:
     """Fit a sum of products to values (replicates, n) at points, along one axis at a time."""
     x, values = every[: SUBSET_SETTINGS.fitted + 1], all_values[: SUBSET_SETTINGS.fitted + 1]
-    # Functions of each axis are 1 and the leading singular vectors of its profiles
+    # The functions of each axis are 1 and the leading singular vectors of its profiles
     bases = []
     for given in profiles:
         flat = given.reshape(-1, given.shape[-1])
@@ -641,8 +666,8 @@ def _fitted(
     cells = [
         axis.cells(basis, SUBSET_SETTINGS.cells) for axis, basis in zip(axes, bases, strict=True)
     ]
-    # Blocks whose products are so small that BLAS starts no threads, as waiting would dominate the
-    # time
+    # The products of these blocks are so small that BLAS starts no threads.
+    # Waiting for threads would dominate the time
     blocks = [basis[:, :-1].reshape(len(basis), -1, SUBSET_SETTINGS.block) for basis in known]
     train = [np.ascontiguousarray(basis.swapaxes(0, 1)) for basis in blocks]
     scale = float(np.abs(values).max()) or 1.0
@@ -670,8 +695,8 @@ def _fitted(
             [t[1:] for t in tested], axis=0
         ).sum(0)
         missed = scale**2 * float(((values[-1] / scale - sums) ** 2).mean())
-        # Energy of the fit at points without a test is also missed; the variance of g there shows
-        # the sampling error
+        # The energy of the fit where it was not tested is also missed.
+        # The variance of g at the test points shows the sampling error
         curves = [w @ c for w, c in zip(weights, cells, strict=True)]  # (1 + products, cells)
         averages = np.stack([c.mean(axis=1) for c in curves])
         squares = np.stack([c @ c.T / c.shape[1] for c in curves])
@@ -687,7 +712,7 @@ def _fitted(
         if missed < residual:
             best, residual = weights, missed
 
-    # Single axes of the fit, plus the deviation of the profiles from it
+    # Single axes of the fit, plus the deviation of the profiles from the fit
     curves = [w @ b for w, b in zip(best, bases, strict=True)]
     sums, factors = [scale * f[0] for f in curves], [f[1:] for f in curves]
     factors[0] = scale * factors[0]
@@ -704,7 +729,7 @@ def _fitted(
     main = []
     for i, given in enumerate(profiles):
         others = np.prod(np.delete(at, i, axis=0), axis=0).reshape(-1, *given.shape[:2])
-        # Sums along other axes only move a profile, so all profiles are centered
+        # Functions of other axes only add a constant to a profile, so all profiles are centered
         beside = given - np.einsum("rgj,rk->gjk", others, factors[i])
         beside = (beside - beside.mean(axis=-1, keepdims=True)).mean(axis=1) - sums[i]
         own = np.prod(np.delete(means, i, axis=0), axis=0) @ factors[i] + sums[i]
@@ -726,10 +751,10 @@ def _fitted(
 def _least_squares(
     bases: list[Array], target: Array, weights: list[Array], *, additive: bool
 ) -> list[Array]:
-    """Fit Σ_i f_i(x_i), if `additive`, plus Σ_r Π_i h_ri(x_i) to `target`, one axis at a time.
+    """Fit Σ_r Π_i h_ri(x_i) to `target`, one axis at a time. Add Σ_i f_i(x_i) if `additive`.
 
-    target is (blocks, size), bases of each axis (blocks, functions, size), and weights (1 +
-    products, functions), the f_i first.
+    The target has shape (blocks, size), and the bases of each axis (blocks, functions, size).
+    The weights have shape (1 + products, functions), with the f_i first.
     """
     weights = [w.copy() for w in weights]
     curves = [w @ b for w, b in zip(weights, bases, strict=True)]  # (blocks, 1 + products, size)
@@ -768,12 +793,12 @@ def _least_squares(
 
 
 def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
-    """Return the law of pairs, codes (sets, n, d, digits), and rows that show all pairs.
+    """Return the law of pairs, codes (sets, n, d, digits), and the rows that show all pairs.
 
     Raises
     ------
     NoClosedForm
-        If the law of pairs is not known for the points.
+        If the law of pairs of these points is not known.
     """
     n, d = law.n, law.dims
     every, one = np.arange(n), np.arange(1)
@@ -811,8 +836,8 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
     levels = tuple(math.ceil(math.log(max(n, SUBSET_SETTINGS.digits), b) - 1e-9) for b in bases)
     codes = np.zeros((*x.shape, max(levels)), np.int64)
     for axis, (b, most) in enumerate(zip(bases, levels, strict=True)):
-        # Rounding may move a coordinate slightly below a multiple of b^−most. Add a small number,
-        # so that its digits are those of the multiple
+        # Rounding may move a coordinate slightly below a multiple of b^−most.
+        # Add a small number, so that its digits are the digits of the multiple
         whole = np.floor(x[..., axis] * b**most + (0.0 if b & (b - 1) == 0 else 1e-9))
         for level in range(most):
             codes[..., axis, level] = whole // b ** (most - 1 - level) % b
@@ -821,7 +846,7 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
 
 
 def offsets_within(side: float, by: Array, *, uniform: bool) -> tuple[tuple[float, ...], ...]:
-    """Return offsets of strata along each axis: one, or several to average over if uniform."""
+    """Return offsets of strata along each axis: one, or several for a uniform offset."""
     if not uniform:
         return tuple((float(b) % side,) for b in by)
     places = (np.arange(SUBSET_SETTINGS.offsets) + 0.5) / SUBSET_SETTINGS.offsets * side
@@ -829,5 +854,5 @@ def offsets_within(side: float, by: Array, *, uniform: bool) -> tuple[tuple[floa
 
 
 def net(dims: int, n: int, replicates: int, label: int) -> Array:
-    """Return scrambled nets of this module, (replicates, n, dims)."""
+    """Return scrambled nets for this module, (replicates, n, dims)."""
     return as_sampler("sobol | owen", dims).draw_stream(n, _OWN.child(label), 0, replicates)

@@ -1,20 +1,27 @@
 """Variances of sets that are statistically the same after any translation of the torus.
 
-C_ml of such sets is diagonal. With P(m) = ⟨|S_m|²⟩,
+The covariance C_ml of such sets is diagonal. With the power P(m) = ⟨|S_m|²⟩,
 
     Var = Σ_{m≠0} |g_m|² P(m) = Σ_{m in C} |g_m|² P(m) + (∫g² − I² − Σ_{m in C} |g_m|²) / n + …,
 
-where C are the counted frequencies. They form a box; strips along the axes, which hold the energy
-of functions that are not periodic; and integer diagonals, which hold the energy of jumps along
-them. Beyond C, P tends to 1/n. The error of the tail is the difference of P from 1/n at the border
-of the box, weighted by |g_m|².
+where C is the set of counted frequencies. It consists of three parts:
+a box; strips along the axes, which hold the energy of functions that are not periodic;
+and integer diagonals, which hold the energy of jumps along diagonals.
+Outside C, P tends to 1/n.
+The error of the tail is the difference between P and 1/n at the border of the box,
+weighted by |g_m|².
 
-P has a closed form, or comes from one transform of a set that is shifted at random as a whole, or
-is the mean over drawn sets. For lattices, P is 1 on the dual lattice and 0 elsewhere. Only its
-frequencies are counted, n times as many as in a box, and the rest is extrapolated from the last
-shells. If coefficients are not known exactly, the mean over the lattice is a function of the offset
-within one of its cells, and quadrature gives its variance. Homogeneous sets have the symmetries of
-the cube, so |g_m|² is averaged over these, which is equivalent to averaging P.
+P may have a closed form. For a set that is shifted as a whole, P comes from one transform.
+Otherwise P is the mean over drawn sets.
+
+For lattices, P is 1 on the dual lattice and 0 elsewhere.
+Only the frequencies of the dual lattice are counted, n times as many as in a box.
+The remaining sum is extrapolated from the last shells.
+If coefficients are not known exactly, the mean over the lattice is a function of an offset.
+The offset lies within one lattice cell. Quadrature gives the variance of this function.
+
+Homogeneous sets have the symmetries of the cube.
+Averaging |g_m|² over these symmetries is equivalent to averaging P.
 """
 
 from __future__ import annotations
@@ -57,15 +64,15 @@ __all__ = [
 @final
 @dataclass(frozen=True)
 class Reach:
-    """Range of counted coefficients in some number of dims.
+    """Range of counted coefficients for some number of dims.
 
     Attributes
     ----------
     box
-        Half width of the box about 0.
+        Half width of the box about frequency 0.
     strips
-        Ends of strips along the axes, and their half widths up to the end. Drawn sets use the first
-        strips only.
+        Ends of strips along the axes, and the half widths of the strips.
+        Drawn sets use the first strips only.
     diagonal
         End of integer diagonals.
     """
@@ -80,34 +87,36 @@ class Reach:
 class TorusSettings:
     """Settings for the counted coefficients.
 
-    Stated changes refer to seven cases in 2-D and 3-D at n = 64 and 256: a jump along a line,
-    smooth functions and a disk with jittered, latin-hypercube, halton and rank1-lattice under
-    shift, and poisson-disk.
+    The stated changes were measured in seven cases in 2-D and 3-D at n = 64 and 256.
+    The integrands are a jump along a line, smooth functions and a disk.
+    The samplers are jittered, latin-hypercube, halton and rank1-lattice under shift, and
+    poisson-disk.
 
     Attributes
     ----------
     exact, table
         Ranges by number of dims, for exact coefficients and for coefficients from a table of g.
-        Exact ones cost a few operations each; a table has `nodes` per wavelength of the box.
+        Exact coefficients cost a few operations each.
+        A table has `nodes` nodes per wavelength of the box.
     nodes
-        Number of nodes of the finer table per wavelength of the highest frequency. Half this value
-        changes variances by 0.4 % if g jumps and multiplies the error by 4 to 30; double changes
-        them by 0.1 %.
+        Number of nodes of the finer table per wavelength of the highest frequency.
+        If g jumps, half this value changes variances by 0.4 % and multiplies the error by 4 to 30.
+        Twice this value changes variances by 0.1 %.
     least_nodes
-        Least number of nodes along each axis, by number of dims. Half or double this value changes
-        variances by less than 0.2 %.
+        Least number of nodes along each axis, by number of dims.
+        Halving or doubling this value changes variances by less than 0.2 %.
     block
-        Number of frequencies in memory whose power has a closed form. It has no effect on the
-        result.
+        Number of frequencies in memory whose power has a closed form.
+        It has no effect on the result.
     precision
-        Relative error of transforms, far below that of the sums.
+        Relative error of transforms, far below the error of the sums.
     shells
-        Number of shells of the box, each √2 wide, whose power tests whether the tail is white. They
-        begin at an eighth of the half width. Half or double this value changes no variance, and
-        errors by factors of 0.5 to 3.
+        Number of shells of the box, each √2 wide, whose power tests whether the tail is white.
+        The shells begin at an eighth of the half width.
+        Halving or doubling this value changes no variance. Errors change by factors of 0.5 to 3.
     vague
         Error of ∫g² in many dims, relative to the variance, above which this method raises.
-        ∫g² is then a mean over 2^20 points, and sums of products find its error themselves.
+        In many dims ∫g² is a mean over 2^20 points. Sums of products compute their own error.
     """
 
     exact: Mapping[int, Reach] = field(
@@ -137,36 +146,41 @@ class TorusSettings:
 class DrawnSettings:
     """Settings for drawn sets, if power has no closed form, and for the fit of their power law.
 
-    Stated changes refer to a smooth function in 2-D with poisson-disk at n = 64, whose half
-    interval is 3.1 %.
+    The stated changes refer to a smooth function in 2-D with poisson-disk at n = 64.
+    The half interval of this case is 3.1 %.
 
     Attributes
     ----------
-        Number of sets transformed at all frequencies, largest number of sets, and total number of
-        points, which limits the work at large n. Half or double this number changes the variance by
-        less than 0.8 %.
+            least_sets, most_sets, points
+        Number of sets that are transformed at all frequencies, and largest number of sets.
+        The third value is the total number of points. It limits the work at large n.
+        Halving or doubling these numbers changes the variance by less than 0.8 %.
     slow, slow_points
-        Largest `max_count` of slow samplers, which optimize their points, and total number of their
-        points. They draw half as many first sets, which are cached for other integrands.
+        Largest `max_count` of slow samplers, which optimize their points.
+        The second value is the total number of their points.
+        Slow samplers draw half as many first sets, which are cached for other integrands.
     precision
-        Half interval, relative to the variance, above which more sets are drawn. Half is not
-        reached with `most_sets`; twice changes the variance by 1.9 %.
+        Half interval, relative to the variance, above which more sets are drawn.
+        Half this value is not reached with `most_sets`. Twice it changes the variance by 1.9 %.
     low
-        Half width of the frequencies at which all sets are transformed. These hold the energy of
-        smooth functions. Half or double this value changes the variance by less than 0.5 %.
+        Half width of the frequencies at which all sets are transformed.
+        These frequencies hold the energy of smooth functions.
+        Halving or doubling this value changes the variance by less than 0.5 %.
     length, least_lengths
-        Largest |m| n^(-1/d) at which power follows a smooth law of the length, and least number of
-        different lengths in such a fit. The first peak of stochastic sets lies at 1. Half or double
-        either value changes the variance by less than 0.1 %.
+        Largest |m| n^(-1/d) at which power follows a smooth law of the length |m|.
+        The second value is the least number of different lengths in such a fit.
+        The first peak of the power of stochastic sets lies at 1.
+        Halving or doubling either value changes the variance by less than 0.1 %.
     agrees
-        Difference in standard errors within which the law and the measured power must agree.
+        The law and the measured power must agree within this number of standard errors.
         Values from 1 to 4 give the same results.
     steps
-        Number of Newton steps of the fit, which then has converged. Values from 6 to 24 give the
-        same results.
+        Number of Newton steps, after which the fit has converged.
+        Values from 6 to 24 give the same results.
     least_box, box
-        Half width of the box of a homogeneous set: least value, and in units of n^(1/d). Half or
-        double this value changes the variance by less than 0.3 %; half a box triples the error.
+        Half width of the box of a homogeneous set: least value, and value in units of n^(1/d).
+        Halving or doubling this value changes the variance by less than 0.3 %.
+        Half a box triples the error.
     """
 
     least_sets: int = 16
@@ -189,24 +203,24 @@ class DrawnSettings:
 class DualSettings:
     """Settings for the counted frequencies of a dual lattice.
 
-    Stated changes refer to a disk with rank1-lattice | shift at n = 64, whose half interval is 0.11
-    %.
+    The stated changes refer to a disk with rank1-lattice | shift at n = 64.
+    Its half interval is 0.11 %.
 
     Attributes
     ----------
     frequencies
-        Number of frequencies of the dual lattice in a box. Half or double this value changes the
-        variance by less than 0.04 %.
+        Number of frequencies of the dual lattice in a box.
+        Halving or doubling this value changes the variance by less than 0.04 %.
     periods, strip
-        Ends of strips in units of n, and number of frequencies of the dual lattice in them. Half or
-        double this value changes the variance by less than 0.03 %.
+        Ends of strips in units of n, and number of frequencies of the dual lattice in the strips.
+        Halving or doubling either value changes the variance by less than 0.03 %.
     jump
-        Largest ratio of the energy of an octave to that of the octave before: one half if g jumps
-        along curves, less elsewhere. A lower limit would cut the tail of jumps; a limit of one
-        would make it infinite.
+        Largest ratio of the energy of an octave to the energy of the octave before.
+        The ratio is one half if g jumps along curves, and less otherwise.
+        A lower limit would cut the tail of jumps. A limit of one would make the tail infinite.
     whole
-        Rounding of n times differences of lattice points, which are multiples of 1/n; coordinates
-        are accurate to 2^-53. Values from 5e-7 to 2e-6 give the same results.
+        Rounding error of n times the differences of lattice points, which are multiples of 1/n.
+        Coordinates are accurate to 2^-53. Values from 5e-7 to 2e-6 give the same results.
     """
 
     frequencies: int = 2**19
@@ -221,20 +235,22 @@ class DualSettings:
 class MovesSettings:
     """Settings for the offsets that move a set.
 
-    Stated changes refer to a jump along a line with rank1-lattice | shift, a ball in 4-D with
-    kronecker | shift, and a smooth function with sobol | digital-shift.
+    The stated changes were measured in three cases. They are
+    a jump along a line with rank1-lattice | shift, a ball in 4-D with kronecker | shift,
+    and a smooth function with sobol | digital-shift.
 
     Attributes
     ----------
     offsets, least_offsets, evaluations
-        Number of offsets, evaluations of g that limit it at large n, and number of offsets below
-        which the method raises because intervals exceed 35 %. Half or double this number of offsets
-        changes variances by less than 1.2 %, within intervals of 1 to 3 %.
+        Number of offsets, and number of evaluations of g, which limits the offsets at large n.
+        With fewer than the least number of offsets, intervals exceed 35 % and the method raises.
+        Halving or doubling the number of offsets changes variances by less than 1.2 %.
+        This is within the intervals of 1 to 3 %.
     block
         Number of evaluations per call. It has no effect on the result.
     spreads
-        Number of successive parts of the offsets whose variances give the standard error. With 8
-        and 32 parts half intervals are between those of 16 and 1.6 times as much.
+        Number of successive parts of the offsets whose variances give the standard error.
+        With 8 and 32 parts, half intervals are 1 to 1.6 times as wide as with 16 parts.
     steps
         Number of rounds of lattice reduction. Values from 6 to 24 give the same results.
     """
@@ -275,11 +291,11 @@ class Region:
     Attributes
     ----------
     vectors, low, high
-        Vectors, int64 (q, d), and the range of k along each of the q axes, both ends included.
+        The vectors, int64 (q, d), and the range of k along each of the q axes, both ends included.
     energy
         |g_m|², doubled where −m is not in the region: (channels or 1, *grid).
     table
-        Energies from a coarser table; None if coefficients are exact.
+        Energies from a coarser table. None if the coefficients are exact.
     near
         Whether drawn sets use this region.
     """
@@ -320,7 +336,7 @@ class Region:
         return np.asarray(np.abs(found) ** 2)
 
     def power(self, law: Law) -> Array:
-        """Return the closed form of P on the grid."""
+        """Return the closed form of the power P on the grid."""
         m = self.frequencies().astype(float)
         blocks = [m[start : start + _TORUS.block] for start in range(0, len(m), _TORUS.block)]
         blocks = [moments_of(law, law.name, some).power(some) for some in blocks]
@@ -345,9 +361,9 @@ class Region:
 
 
 def _energies(g: Integrand) -> tuple[Region, ...]:
-    """Return |g_m|² over all counted regions, the box first; it is 0 at m = 0.
+    """Return |g_m|² over all counted regions, with the box first. The value is 0 at m = 0.
 
-    Coefficients are exact if known, else from two tables of g.
+    The coefficients are exact if known. Otherwise they come from two tables of g.
     """
     exact, d = g.fourier_source == "exact", g.dims
     reach = (_TORUS.exact if exact else _TORUS.table)[d]
@@ -370,7 +386,7 @@ def _energies(g: Integrand) -> tuple[Region, ...]:
         for energy in found:
             if low[0] > 0:
                 energy *= 2.0
-            else:  # For k_0 = 0 the box has both m and −m
+            else:  # For k_0 = 0 the box holds both m and −m
                 energy[:, 1:] *= 2.0
                 middle = math.prod(-2 * l + 1 for l in low[1:]) // 2
                 energy[:, 0].reshape(len(energy), -1)[:, middle] = 0.0
@@ -398,7 +414,7 @@ def of_torus(law: Law, known: Known, stream: Stream) -> Predicted:
     Raises
     ------
     NoClosedForm
-        If the set has another law or more dims, or ∫g² diverges.
+        If the set has another law or more than 3 dims, or ∫g² diverges.
     """
     n, dims = law.n, law.dims
     inner = law.inner if isinstance(law, Shifted) else law
@@ -440,7 +456,7 @@ def of_torus(law: Law, known: Known, stream: Stream) -> Predicted:
             powers, sampling, count = _drawn(inner, regions, stream, isotropic=inner is law)
             how = f"{count} sets"
 
-    # Add the tail and its error
+    # Add the tail and the error of the tail
     counted = sum(r.energy.reshape(len(spread), -1).sum(axis=1) for r in regions)
     variance = _total(regions, powers)
     rest = np.where(np.abs(spread - counted) > _ROUNDING * square, spread - counted, 0.0)
@@ -469,7 +485,7 @@ def of_torus(law: Law, known: Known, stream: Stream) -> Predicted:
 
 
 def lattice_basis(points: Array) -> Array | None:
-    """Return n times a basis of a lattice, an upper triangle of int64; None for other sets."""
+    """Return n times a basis of a lattice, an upper triangle of int64, or None for other sets."""
     n, dims = points.shape
     exact = np.remainder(points - points[0], 1.0) * n
     if np.abs(exact - np.rint(exact)).max() > _DUALS.whole:
@@ -492,7 +508,7 @@ def _dual(basis: Array, n: int) -> Array:
 
 
 def _of_dual(points: Array, known: Known) -> Predicted:
-    """Sum |g_m|² over the dual lattice of a lattice; extrapolate the last octaves beyond."""
+    """Sum |g_m|² over the dual lattice of a lattice, and extrapolate beyond the last octaves."""
     g, (n, dims) = known.g, points.shape
 
     def listed(axis: int, low: list[int], high: list[int]) -> Array:
@@ -508,7 +524,10 @@ def _of_dual(points: Array, known: Known) -> Predicted:
         return np.roll(m, axis, axis=1)
 
     def summed(m: Array, size: Array, end: int, beyond: Array) -> tuple[Array, Array]:
-        """Return Σ |g_m|², and the rest in `beyond` from the last two octaves of sizes to `end`."""
+        """Return Σ |g_m|², and an estimate of the sum beyond `end`.
+
+        The estimate extrapolates the last two octaves of the sizes in `beyond`.
+        """
         energy = np.abs(g.fourier(m).reshape(len(m), -1)) ** 2
         last = energy[beyond & (2 * size > end)].sum(axis=0)
         before = energy[beyond & (2 * size <= end) & (4 * size > end)].sum(axis=0)
@@ -538,19 +557,23 @@ def _of_dual(points: Array, known: Known) -> Predicted:
 def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
     """Predict the mean of g over a fixed set that is shifted or scrambled, in any dims.
 
-    The means at random offsets have this variance, with a relative error that does not depend on n.
-    The offsets are a Kronecker sequence of a random vector, for a lattice within one of its cells.
-    Digital shifts and permutations in other bases are drawn at random, and so are linear scrambles.
-    Linear scrambles also replace nested ones, because pairs of points have the same law. The
-    interval comes from Student's t of successive parts. Pairs, E g(u) g(u + x_k) over independent
-    u, would need more evaluations, because the square of the mean averages over all pairs of
-    points.
+    The set is moved by random offsets, and g is averaged over each moved set.
+    The variance of these means is the prediction. Its relative error does not depend on n.
+
+    For shifts, the offsets are a Kronecker sequence of a random vector.
+    For a lattice, the offsets lie within one of its cells.
+    Digital shifts, permutations in other bases and linear scrambles are drawn at random.
+    Linear scrambles also replace nested scrambles, because their pairs of points have the same law.
+    The interval comes from the variances of successive parts of the offsets, with Student's t.
+
+    Sampling the pairs E g(u) g(u + x_k) over independent u would need more evaluations.
+    The square of the mean of a moved set averages over all pairs of its points.
 
     Raises
     ------
     NoClosedForm
-        If the last step is neither a shift nor a scramble of a fixed set, or n is so large that too
-        few offsets remain.
+        If the last step is neither a shift nor a scramble of a fixed set.
+        The error is also raised if n is so large that too few offsets remain.
     """
     g, n = known.g, law.n
     count = min(_MOVES.offsets, _MOVES.evaluations // n)
@@ -573,9 +596,9 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
     if scramble is not None:
         how = f"{scramble.name} scrambles of the set"
 
-    # Average g over the moved sets. Multiples of a random vector are pairwise independent, so they
-    # are at least as good as random offsets. Multiples of a fixed vector might be the points of the
-    # set itself
+    # Average g over the moved sets. Multiples of a random vector are pairwise independent,
+    # and therefore at least as good as random offsets.
+    # Multiples of a fixed vector might coincide with the points of the set
     start, step = own.uniforms(0, 1, 2 * g.dims).reshape(2, g.dims)
     offsets = (start + np.arange(count)[:, None] * step) % 1.0
     means, first = [], 0
@@ -607,7 +630,7 @@ def _scramble(law: Scrambled) -> Randomization:
 def moves_at_once(law: Law) -> bool:
     """Return whether one random offset or scramble moves all points of a fixed set.
 
-    It is False if n is too large to evaluate g for enough offsets.
+    The result is False if n is too large to evaluate g for enough offsets.
     """
     if not isinstance(law, Shifted | Scrambled):
         return False
@@ -617,10 +640,10 @@ def moves_at_once(law: Law) -> bool:
 
 
 def moves_resolve(law: Law, known: Known) -> bool:
-    """Return whether `of_moves` resolves a set of 1 to 3 dims better than other methods.
+    """Return whether `of_moves` resolves a set in 1 to 3 dims better than other methods.
 
-    That holds for shifted lattices if the coefficients of g are not exact, and for nets in base 2
-    with a digital shift, whose weights depend on g.
+    This holds for shifted lattices if the coefficients of g are not exact.
+    It also holds for nets in base 2 with a digital shift, whose weights depend on g.
     """
     if law.dims > 3 or not moves_at_once(law):
         return False
@@ -632,7 +655,7 @@ def moves_resolve(law: Law, known: Known) -> bool:
 
 
 def cost_of_moves(law: Law, known: Known) -> float:  # noqa: ARG001
-    """Return evaluations of g by `of_moves`."""
+    """Return the number of evaluations of g by `of_moves`."""
     return float(min(_MOVES.offsets * law.n, _MOVES.evaluations))
 
 
@@ -641,10 +664,12 @@ def _drawn(
 ) -> tuple[list[Array], Array, int]:
     """Return mean power over sets, half the 95 % interval of Σ |g_m|² P(m), and the number of sets.
 
-    The first sets give all frequencies. Further sets give only the low ones, which hold the energy
-    of smooth functions. Sets are added until the error is small compared with the variance, or the
-    points reach their limit. If power depends on the length of m alone, a smooth law that fits the
-    measured power replaces it.
+    The first sets are transformed at all frequencies.
+    Further sets are transformed only at low frequencies, which hold the energy of smooth functions.
+    Sets are added until the error is small compared with the variance,
+    or the total number of points is reached.
+    If power depends only on the length of m, a smooth law may fit the measured power.
+    The law then replaces the measured power.
     """
     from scipy.special import stdtrit
 
@@ -700,17 +725,17 @@ def _drawn(
 
 @lru_cache(maxsize=32)
 def _sets(sampler: Source, n: int, stream: Stream, first: int, count: int) -> Array:
-    """Draw sets of slow samplers, cached for other integrands."""
+    """Draw sets of slow samplers. They are cached for other integrands."""
     return sampler.draw_stream(n, stream, first, count)
 
 
 def _power_law(
     mean: Array, length: Array, inside: Array, energy: Array, count: int
 ) -> tuple[Array, Array]:
-    """Fit log P = a + b log |m| + c |m|² at low m; return P and the error of Σ |g_m|² P(m).
+    """Fit log P = a + b log |m| + c |m|² at low m. Return P and the error of Σ |g_m|² P(m).
 
-    |S_m|² of one set are exponentially distributed and independent except for ±m. The fit is by
-    maximum likelihood.
+    The |S_m|² of one set are exponentially distributed and independent except for ±m.
+    The fit is by maximum likelihood.
     """
     x = np.stack([np.ones(inside.sum()), np.log(length[inside]), length[inside] ** 2], axis=1)
     measured = mean[inside]

@@ -41,7 +41,7 @@ __all__ = [
 MOST_PROJECTED_AXES = 10
 """Number of leading axes whose pairs are used for projections (45 pairs)."""
 
-_MOST_TRANSPORTED = 2**13  # largest number of points for the transport cost, which takes seconds
+_MOST_TRANSPORTED = 2**13  # Largest number of points for the transport cost, which takes seconds
 
 
 def quality_figures(
@@ -58,27 +58,27 @@ def quality_figures(
     Parameters
     ----------
     source
-        Sampler, spec string, or points of shape (n, d) or (R, n, d).
+        A sampler, its spec string, or points of shape (n, d) or (R, n, d).
     n
-        Number of points per realization. Optional for given points.
+        Number of points per realization. It is optional for given points.
     figures
-        Names from `FIGURES`. Default: all. Figures of projections need at least 3 dims.
+        Names from `FIGURES`. The default is all names. Figures of projections need at least 3 dims.
     realizations
-        Number of realizations. Default: all sets of given points, 1 for a deterministic sampler,
-        else 16.
+        Number of realizations. The default is 16.
+        For a deterministic sampler it is 1. For given points it is the number of sets.
     rng
-        Seed (SPEC 7).
+        Seed of the random numbers (SPEC 7).
     workers
-        Number of threads. Default: all processors.
+        Number of threads. The default is all processors.
 
     Returns
     -------
     xarray.Dataset
-        One variable per figure on the dim ``realization``. A figure that cannot be computed (too
-        many points, too many dims, or a number of points that is not a power of the base) is NaN,
-        and its attribute ``missing`` gives the reason. The attribute ``sets`` is the number of
-        different sets if the sampler has a limited number. ``projections`` lists the pairs of axes
-        that were used.
+        One variable per figure on the dim ``realization``.
+        A figure is NaN if it cannot be computed. Its attribute ``missing`` gives the reason:
+        too many points, too many dims, or a number of points that is not a power of the base.
+        The attribute ``sets`` is the number of different sets if the sampler has a limited number.
+        ``projections`` lists the pairs of axes that were used.
 
     Raises
     ------
@@ -87,8 +87,8 @@ def quality_figures(
 
     Notes
     -----
-    The t-value and elementary intervals use the base of the sampler's digits. They are missing if
-    the coordinates have different bases.
+    The t-value and elementary intervals use the base of the sampler's digits.
+    They are missing if the coordinates have different bases.
     """
     sampler = as_sampler(source)
     if n is None:
@@ -111,13 +111,13 @@ def quality_figures(
             raise ParameterError(f"There is no quality figure {shown(name)}.{known}")
     names = list(dict.fromkeys(given))
     bases = set(sampler.digit_bases)
-    base = bases.pop() if len(bases) == 1 else 0  # common base of the digits; 0 if none
+    base = bases.pop() if len(bases) == 1 else 0  # Common base of the digits, or 0 without one
     stream = Stream.from_rng(rng)
     count = different_realizations(sampler, n, stream) if realizations is None else realizations
     count = as_integer("realizations", count, least=1, most=MAX_REALIZATIONS)
 
     def one(realization: int) -> list[tuple[float, str]]:
-        """Return each figure's value and reason; the value is NaN if there is a reason."""
+        """Return each figure's value and reason. The value is NaN if there is a reason."""
         points, found = sampler.draw_stream(n, stream, realization, 1)[0], []
         for name in names:
             try:
@@ -160,7 +160,7 @@ class FigureSummary:
     mean, standard_error
         Mean over realizations and its standard error, which is NaN for a single realization.
     missing
-        Reason why the mean is missing; empty if there is a mean.
+        Reason why the mean is missing. It is empty if there is a mean.
     """
 
     name: str
@@ -176,7 +176,7 @@ def summarize(figures: xr.Dataset) -> list[FigureSummary]:
     found = []
     for name, figure in figures.data_vars.items():
         values = figure.values
-        # Average realizations that are translations of the same stored set
+        # Average over realizations that are translations of the same stored set
         sets = int(figures.attrs.get("sets", len(values)))
         if sets < len(values):
             values = np.array([np.mean(values[k::sets]) for k in range(sets)])
@@ -210,7 +210,7 @@ def _pairs(dims: int) -> list[tuple[int, int]]:
 def _projected(
     figure: Callable[[Array], float], choose: Callable[[Array], Any], points: Array
 ) -> float:
-    """Return the worst or the mean of a figure over the projections on two axes."""
+    """Return the worst or the mean value of a figure over the projections on two axes."""
     if points.shape[1] < 3:
         raise ParameterError("Projections on two axes need point sets in at least 3 dims.")
     values = [figure(points[:, pair]) for pair in map(list, _pairs(points.shape[1]))]
@@ -270,6 +270,6 @@ FIGURES: Mapping[str, Callable[..., float | None]] = {
     "worst_projected_diaphony": partial(_projected, diaphony, np.max),
     "mean_projected_diaphony": partial(_projected, diaphony, np.mean),
 }
-"""Figures of a set (n, d) by name; `core.results` describes each."""
+"""Figures of a set (n, d) by name. `core.results` describes each figure."""
 
-_OF_DIGITS = ("t_value", "elementary_intervals")  # figures that depend on the base
+_OF_DIGITS = ("t_value", "elementary_intervals")  # Figures that depend on the base

@@ -1,8 +1,9 @@
 """Find discontinuities of functions on the unit interval or square by refinement.
 
-The interval between two neighboring grid points is halved repeatedly, each time keeping the half
-in which the function changes more. If the change shrinks with the interval, it is a slope; if the
-change stays, it is a jump; if it grows, there is a pole.
+The interval between two neighboring grid points is halved repeatedly.
+Each halving keeps the half in which the function changes more.
+If the change shrinks with the interval, it is a slope.
+If the change stays, it is a jump. If it grows, there is a pole.
 """
 
 from __future__ import annotations
@@ -17,13 +18,13 @@ from mcspectra.core.checks import Array
 
 __all__ = ["Jumps", "curve_length", "find_jumps", "grid_centers"]
 
-_FIRST, _NEXT = 6, 12  # numbers of halvings: to discard slopes, and between comparisons
-# Fraction of the change that must remain after the first halvings; for a line 1/64 remains
+_FIRST, _NEXT = 6, 12  # Numbers of halvings: to discard slopes, and between comparisons
+# Fraction of the change that must remain after the first halvings. For a line 1/64 remains
 _SLOPE = 1 / 32
-_STAYS = 0.5  # fraction of a jump that remains after the last halvings; for a root 2^-6
-_GROWS = 2.0  # factor of growth above which the change is a pole
-_NEGLIGIBLE = 1e-7  # fraction of the scale below which changes are ignored
-_BLOCK = 8  # cells per side of a block in which a curve is treated as straight
+_STAYS = 0.5  # Fraction of a jump that remains after the last halvings. For a root 2^-6 remains
+_GROWS = 2.0  # Factor of growth above which the change is a pole
+_NEGLIGIBLE = 1e-7  # Fraction of the scale below which changes are ignored
+_BLOCK = 8  # Number of cells per side of a block in which a curve is treated as straight
 
 Function = Callable[[Array], Array]
 
@@ -35,11 +36,11 @@ class Jumps:
     Attributes
     ----------
     heights
-        Size of the jump between a cell and the next along each axis, (d, N) or (d, N, N); 0 without
-        a jump. The last cell of each axis has no next cell.
+        Size of the jump between a cell and the next along each axis, (d, N) or (d, N, N).
+        It is 0 without a jump. The last cell of each axis has no next cell.
     poles
-        Whether the function grows without bound at the jump, with the shape of `heights`. A pole
-        with similar values on both sides is not detected.
+        Whether the function grows without bound at the jump, with the shape of `heights`.
+        A pole with similar values on both sides is not detected.
     """
 
     heights: Array
@@ -47,12 +48,12 @@ class Jumps:
 
     @property
     def length(self) -> float:
-        """Total length of the jump curves; number of jumps in 1-D."""
+        """Total length of the jump curves. In 1-D it is the number of jumps."""
         return curve_length(self.heights > 0)
 
     @property
     def mean_height(self) -> float:
-        """Mean height of the jumps; 0 without jumps."""
+        """Mean height of the jumps, or 0 without jumps."""
         found = self.heights[self.heights > 0]
         return float(found.mean()) if found.size else 0.0
 
@@ -75,13 +76,15 @@ def find_jumps(function: Function, dims: int, side: int, *, scale: float) -> Jum
     side
         Number of cells along each axis.
     scale
-        Typical size of the values; jumps smaller than 1e-7 · scale are ignored.
+        Typical size of the values. Jumps smaller than 1e-7 · scale are ignored.
 
     Notes
     -----
-    A jump smaller than about 1/60 of the smooth change between two cells cannot be distinguished
-    from a slope. Of several jumps in one interval only the largest is found. Costs about 7
-    evaluations for each of d·side^d intervals, and 24 more for each possible jump.
+    A jump may be smaller than about 1/60 of the smooth change between two cells.
+    It cannot be distinguished from a slope then.
+    Of several jumps in one interval only the largest is found.
+    The search takes about 7 evaluations for each of d·side^d intervals,
+    and 24 more for each possible jump.
     """
     heights = np.zeros((dims, *[side] * dims))
     poles = np.zeros(heights.shape, bool)
@@ -117,14 +120,14 @@ def curve_length(crossed: Array) -> float:
     Parameters
     ----------
     crossed
-        Booleans (1, N) or (2, N, N): whether a curve passes between a cell and the next along each
-        axis.
+        Booleans (1, N) or (2, N, N), one for each cell and axis.
+        They state whether a curve passes between the cell and the next cell along the axis.
 
     Notes
     -----
-    A curve is treated as straight in blocks of 8 × 8 cells: if it crosses c_0 and c_1 intervals
-    along the axes, its length is √(c_0² + c_1²)/N. This is exact for straight lines, except at the
-    ends.
+    A curve is treated as straight in blocks of 8 × 8 cells.
+    If it crosses c_0 and c_1 intervals along the axes, its length is √(c_0² + c_1²)/N.
+    This is exact for straight lines, except at their ends.
     """
     if len(crossed) == 1:
         return float(np.count_nonzero(crossed))

@@ -1,8 +1,9 @@
 """The quality parameter t of nets, found by counting points.
 
-An elementary interval in base b is a box with sides b^-k_j whose corners are multiples of its
-sides. A set of n = b^m points is a (t, m, d)-net if every elementary interval of volume b^(t−m)
-contains b^t points.
+An elementary interval in base b is a box with sides b^-k_j.
+The corners of the box are multiples of its sides.
+A set of n = b^m points is a (t, m, d)-net if all elementary intervals of volume b^(t−m)
+contain b^t points each.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from mcspectra.samplers._primes import LARGEST_BASE, power_from
 
 __all__ = ["elementary_intervals", "net_t_value"]
 
-_MOST_WORK = 2**34  # largest points × interval shapes of one volume; takes about a minute
+_MOST_WORK = 2**34  # Largest points × interval shapes of one volume, which takes about a minute
 
 
 def net_t_value(points: object, base: int = 2) -> int | None:
@@ -26,27 +27,27 @@ def net_t_value(points: object, base: int = 2) -> int | None:
     Parameters
     ----------
     points
-        Point set in [0,1), (n, d). Coordinates that are at most 2^-52 below a multiple of b^-m are
-        rounded up to the multiple.
+        Point set in [0,1), (n, d).
+        Coordinates at most 2^-52 below a multiple of b^-m are rounded up to the multiple.
     base
-        Base b.
+        Base b of the digits.
 
     Returns
     -------
     int or None
-        t, from 0 to m; None if n is not a power b^m.
+        The quality parameter t, from 0 to m. None if n is not a power b^m.
 
     Raises
     ------
     DomainError
         If the points are not in the unit cube.
     ParameterError
-        If there are too many interval shapes (more than about a minute of work).
+        If there are too many interval shapes, which would take more than about a minute.
 
     Notes
     -----
-    Volumes b^-1, b^-2, … are checked until one fails. There are binomial(q + d − 1, d − 1) shapes
-    of volume b^-q; each takes O(n d).
+    Volumes b^-1, b^-2, … are checked until one fails.
+    There are binomial(q + d − 1, d − 1) shapes of volume b^-q. Each shape takes O(n d).
     """
     x, base, places = _as_net(points, base)
     if base**places != len(x):
@@ -62,8 +63,8 @@ def net_t_value(points: object, base: int = 2) -> int | None:
 def elementary_intervals(points: object, base: int = 2, t: int = 0) -> bool:
     """Whether every elementary interval of volume b^(t−m) contains b^t of the n = b^m `points`.
 
-    Parameters and errors are the same as in `net_t_value`. In addition, a CountError is raised if n
-    is not a power of the base.
+    Parameters and errors are the same as in `net_t_value`.
+    In addition, a CountError is raised if n is not a power of the base.
     """
     x, base, places = _as_net(points, base)
     if base**places != len(x):

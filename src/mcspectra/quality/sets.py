@@ -1,6 +1,6 @@
 """Exact quality figures of one point set: toroidal distances, discrepancies and diaphony.
 
-Loops visit every pair of points once.
+Loops over pairs visit every pair of points once.
 """
 
 from __future__ import annotations
@@ -25,21 +25,21 @@ __all__ = [
     "star_discrepancy",
 ]
 
-_MAX_PAIR_WORK = 2**27  # largest n² d of loops over pairs: about a second, 8192 points in 2-D
-_TREE_DIMS = 6  # most dims for a tree; in more dims a tree visits nearly all pairs
+_MAX_PAIR_WORK = 2**27  # Largest n² d of loops over pairs: about a second, 8192 points in 2-D
+_TREE_DIMS = 6  # Most dims for a tree. In more dims a tree visits nearly all pairs
 _TREE_POINTS = 2**21
 
 _BEST_LATTICE = {
-    # dims: minimum distance of the densest packing with one point per unit volume
+    # By dims: minimum distance of the densest packing with one point per unit volume
     1: 1.0,
     2: math.sqrt(2.0 / math.sqrt(3.0)),
     3: 2.0 ** (1.0 / 6.0),
     8: math.sqrt(2.0),
     24: 2.0,
 }
-_MOST_STAR_POINTS = 2**14  # largest number of points in 2-D; takes half a second
+_MOST_STAR_POINTS = 2**14  # Largest number of points in 2-D, which takes half a second
 _SCIPY: Mapping[str, tuple[str, bool]] = {
-    # kind: SciPy's name, and whether SciPy returns the square
+    # By kind: SciPy's name, and whether SciPy returns the square
     "star": ("L2-star", False),
     "centered": ("CD", True),
     "wraparound": ("WD", True),
@@ -78,7 +78,7 @@ def nearest_distances(points: object) -> Array:
     Raises
     ------
     ParameterError
-        If there is only one point, n > 2^21, or (in at least 7 dims) n² d > 2^27.
+        If there is only one point, or n > 2^21. In at least 7 dims, if n² d > 2^27.
     """
     x = as_set(points)
     n, dims = x.shape
@@ -91,7 +91,7 @@ def nearest_distances(points: object) -> Array:
         raise ParameterError(f"{n} points are too many for distances; give at most {_TREE_POINTS}.")
     from scipy.spatial import cKDTree
 
-    # Equal points have distance 0; a tree would visit all pairs of equal points
+    # Equal points have distance 0. A tree would visit all pairs of equal points
     sites, index, counts = distinct_points(x)
     distances = np.zeros(len(sites))
     if len(sites) > 1:
@@ -120,9 +120,9 @@ def _torus_nearest(x: Array) -> Array:
 def best_minimum_distance(n: int, dims: int) -> float:
     """Return a proven upper bound of the minimum distance of `n` points on the torus.
 
-    The bound is the distance in the densest sphere packing: equidistant points in 1-D, the
-    hexagonal lattice in 2-D, face-centered cubic in 3-D [Hales2005]_, E8 in 8-D [Viazovska2017]_
-    and the Leech lattice in 24-D [Cohn2017]_.
+    The bound is the distance in the densest sphere packing. In 1-D these are equidistant points,
+    in 2-D the hexagonal lattice, and in 3-D the face-centered cubic lattice [Hales2005]_.
+    In 8-D it is the lattice E8 [Viazovska2017]_, and in 24-D the Leech lattice [Cohn2017]_.
 
     Raises
     ------
@@ -139,9 +139,9 @@ def best_minimum_distance(n: int, dims: int) -> float:
 
 
 def relative_minimum_distance(points: object) -> float:
-    """Return the minimum distance divided by its upper bound; at most 1.
+    """Return the minimum distance divided by its upper bound. The result is at most 1.
 
-    Periodic images of the same point, at distance 1, are included.
+    Distances to periodic images of the same point, which are 1, are included.
     """
     x = as_set(points)
     best = best_minimum_distance(*x.shape)
@@ -159,11 +159,12 @@ def star_discrepancy(points: object) -> float:
     Raises
     ------
     ParameterError
-        If d > 2 (exact algorithms take O(n^(1 + d/2)) and are not implemented), or n > 2^14 in 2-D.
+        If d > 2, because exact algorithms take O(n^(1 + d/2)) and are not implemented.
+        If n > 2^14 in 2-D.
 
     Notes
     -----
-    Cost O(n log n) in 1-D [Niederreiter1972]_, O(n²) in 2-D [DeClerck1986]_.
+    The cost is O(n log n) in 1-D [Niederreiter1972]_ and O(n²) in 2-D [DeClerck1986]_.
     """
     x = as_set(points)
     n, dims = x.shape
@@ -185,11 +186,12 @@ def star_discrepancy(points: object) -> float:
 
 @kernel
 def _star_discrepancy_2d(x: Array, y: Array) -> float:
-    """Return D* of the points (x_i, y_i), x ascending.
+    """Return the star discrepancy D* of the points (x_i, y_i), with x ascending.
 
-    The supremum over boxes [0,a) × [0,b) is reached or approached where a and b are coordinates of
-    points, or 1. Each column of the grid of all coordinates is scanned together with the points to
-    the left of the column, which are sorted by y.
+    The supremum is over boxes [0,a) × [0,b).
+    It is reached or approached where a and b are coordinates of points, or 1.
+    The grid of all coordinates is scanned column by column.
+    For each column, the points to its left are sorted by y.
     """
     n = len(x)
     heights = np.empty(n + 2)
@@ -219,9 +221,9 @@ def l2_discrepancy(points: object, kind: str = "star") -> float:
     points
         One set in [0,1), (n, d).
     kind
-        ``"star"``, ``"centered"``, ``"wraparound"`` [Hickernell1998]_ or ``"mixture"``
-        [ZhouFangNing2013]_. The result is never squared, although SciPy returns squares for the
-        last three.
+        ``"star"``, ``"centered"``, ``"wraparound"`` [Hickernell1998]_ or ``"mixture"``.
+        The kind ``"mixture"`` is from [ZhouFangNing2013]_. The result is never squared,
+        although SciPy returns squares for the last three.
 
     Raises
     ------
@@ -240,8 +242,9 @@ def l2_discrepancy(points: object, kind: str = "star") -> float:
 def generalized_l2_discrepancy(points: object) -> float:
     """Return the L2 star discrepancy combined over all projections.
 
-    D² = (4/3)^d − 2/n Σ_i Π_k (3 − x_ik²)/2 + 1/n² Σ_ij Π_k (2 − max(x_ik, x_jk)), the sum of the
-    squared L2 star discrepancies of the projections on all sets of axes [Hickernell1998]_.
+    D² = (4/3)^d − 2/n Σ_i Π_k (3 − x_ik²)/2 + 1/n² Σ_ij Π_k (2 − max(x_ik, x_jk)).
+    This is the sum of the squared L2 star discrepancies of the projections on all sets of axes
+    [Hickernell1998]_.
 
     Raises
     ------
@@ -276,8 +279,9 @@ def diaphony(points: object) -> float:
     """Return the diaphony F [Zinterhof1976]_: the spectrum weighted by (Π_k max(1, |m_k|))^−2.
 
     F² = Σ_{m≠0} |S_m|² / Π_k max(1, m_k²) over all frequencies, with S_m = 1/n Σ_i exp(2πi m·x_i).
-    The sum is computed in closed form over pairs. F is invariant under translations on the torus;
-    the mean of F² over random sets is ((1 + π²/3)^d − 1) / n.
+    The sum is computed in closed form over pairs.
+    F is invariant under translations on the torus.
+    The mean of F² over random sets is ((1 + π²/3)^d − 1) / n.
 
     Raises
     ------
@@ -297,7 +301,7 @@ def _diaphony_sum(x: Array) -> float:
     n, dims = x.shape
     total = 0.0
     for i in range(n):
-        row = 0.0  # one sum per point: rounding errors of n terms, not of n²
+        row = 0.0  # One sum per point has rounding errors of n terms, not of n²
         for j in range(i):
             product = 1.0
             for k in range(dims):

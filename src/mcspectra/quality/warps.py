@@ -14,8 +14,8 @@ from mcspectra.quality.jumps import find_jumps, grid_centers
 
 __all__ = ["warp_quality"]
 
-_STEP = 1e-3  # step of the finite differences, as a fraction of a cell
-_ASIDE = (0.31, 0.17)  # offset from the cell centers, in cells; creases may pass through centers
+_STEP = 1e-3  # Step of the finite differences, as a fraction of a cell
+_ASIDE = (0.31, 0.17)  # Offset from the cell centers, in cells. Creases may pass through centers
 
 
 def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset:
@@ -31,17 +31,22 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
     Returns
     -------
     xarray.Dataset
-        Maps: ``stretch`` (u0, u1), the largest singular value of ∂T/∂u in each cell divided by the
-        smallest (1 in 1-D, infinite where T is flat); ``jump`` (axis, u0, u1), the jump of T
-        between a cell and the next along each axis (0 where T is continuous); ``warped`` (u0, u1,
-        coordinate), T at the cell centers.
+        There are three maps over the cells.
+        ``stretch`` (u0, u1) is the largest singular value of ∂T/∂u divided by the smallest.
+        It is 1 in 1-D, and infinite where T is flat.
+        ``jump`` (axis, u0, u1) is the jump of T between a cell and the next along each axis.
+        It is 0 where T is continuous.
+        ``warped`` (u0, u1, coordinate) is T at the cell centers.
 
-        Numbers: ``mean_stretch`` (geometric mean over cells where T is not flat), ``max_stretch``,
-        ``jump_length`` (number of jumps in 1-D) and ``mean_jump``. ``distortion`` compares the
-        image of a small square with a square of the image's area: it is the geometric mean of the
-        ratio of their diameters (1 if squares stay squares). ``neighbor_expansion`` is the root
-        mean square distance between the images of neighboring cells, divided by the distance of the
-        cells; jumps count.
+        The numbers are as follows.
+        ``mean_stretch`` is the geometric mean over cells where T is not flat.
+        ``max_stretch`` is the largest stretch.
+        ``jump_length`` is the length of the jump curves, or the number of jumps in 1-D.
+        ``mean_jump`` is the mean size of a jump.
+        ``distortion`` compares the image of a small square with a square of the image's area.
+        It is the geometric mean of the ratio of their diameters. It is 1 if squares stay squares.
+        ``neighbor_expansion`` is the root mean square distance between images of neighboring cells,
+        divided by the distance of the cells. It includes jumps.
 
     Raises
     ------
@@ -50,10 +55,12 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
 
     Notes
     -----
-    Slopes are one-sided differences over a thousandth of a cell. Of the differences to both sides
-    the smaller is used, so that it does not cross a jump. Jumps are found by refinement
-    (`mcspectra.quality.jumps`). Opposite sides of the square are not compared. All figures refer to
-    the unit square: for directions, to the lat-long square and not to the sphere.
+    Slopes are one-sided differences over a thousandth of a cell.
+    The smaller of the differences to both sides is used, so that it does not cross a jump.
+    Jumps are found by refinement (`mcspectra.quality.jumps`).
+    Opposite sides of the square are not compared.
+    All figures refer to the unit square. For directions this is the lat-long square,
+    not the sphere.
     """
     p = make_density(density) if isinstance(density, str) else density
     if not isinstance(p, Density):
@@ -77,7 +84,7 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
         columns.append(np.where(ahead_less[..., None], sides[0], sides[1]) / step)
     slopes = np.stack(columns, axis=-1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        # Stretch: ratio of largest to smallest singular value
+        # The stretch is the ratio of the largest to the smallest singular value
         values = np.linalg.svd(slopes, compute_uv=False)
         ratio = values[..., 0] / values[..., -1]
         stretch = np.where(values[..., -1] > 0, ratio, np.inf)
