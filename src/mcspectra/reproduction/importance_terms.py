@@ -144,7 +144,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 "For constant PDF the third term is negative on f(x) = x, jittered points.",
                 of[LINE],
             ),
-            # Up to the third term, the variance is 2 · ¼/N² without a shift and 2 · 1/(6N²) with one
+            # Up to the third term, the variance is 2 · ¼/N² without and 2 · 1/(6N²) with a shift
             Claim(
                 "Counterexample: for constant PDF and a bar whose edges halve strata, the third "
                 "term of jittered points is positive: 1/(6N²) in total, here over |m| ≤ 64.",
