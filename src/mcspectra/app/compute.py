@@ -123,7 +123,8 @@ def compute(kind: str, setup: ExplorerSetup, realizations: int) -> xr.Dataset:
 def _computed(kind: str, setup: ExplorerSetup) -> xr.Dataset:
     parts = make_parts(setup)
     if kind == "integrand":
-        # Tabulate f, p and f/p on the unit square. Techniques have only f/p, with x in primary space
+        # Tabulate f, p and f/p on the unit square.
+        # Techniques have only f/p, with x in primary space
         dims, f = parts.sampler.dims, parts.estimator.domain_integrand
         size = _GRID[dims]
         middles = (np.arange(size) + 0.5) / size
