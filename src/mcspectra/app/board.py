@@ -47,11 +47,11 @@ class Board:
     later
         Schedules a function without arguments in the page's thread, holding the page's lock.
     on_update
-        Called in the job's thread: with an empty text before the first part is shown, or with a
-        sentence if nothing can be computed.
+        Called in the job's thread with an empty text before the first part is shown.
+        If nothing can be computed, the text is a sentence that gives the reason.
     on_shown
-        Called in the page's thread after a part was shown or the job has ended; with True if
-        figures were added or removed.
+        Called in the page's thread after a part was shown or the job has ended.
+        The argument is True if figures were added or removed.
     """
 
     def __init__(
@@ -116,7 +116,7 @@ class Board:
         self._end(sentence, alert=True)
 
     def pair(self, paired: bool) -> None:
-        """Set whether headings of figures name the side."""
+        """Choose whether headings of figures name the side, A or B."""
         self._paired = paired
         for kind, card in self.cards.items():
             card.layout.children[0].text = self._heading(kind)

@@ -1,9 +1,9 @@
 """Compute the datasets of a set-up in rounds with more and more realizations, until canceled.
 
-Each round repeats all work with four times the realizations of the round before. All earlier
-rounds together therefore add a third to the work of the last round. The last round has the same
-bits as the program of "Copy as Python". Estimators are cached, so that their integrands keep
-computed coefficients.
+Each round repeats all work with four times the realizations of the round before.
+All earlier rounds together therefore add a third to the work of the last round.
+The last round gives the same bits as the program of "Copy as Python".
+Estimators are cached, so that their integrands keep computed coefficients.
 """
 
 from __future__ import annotations
@@ -52,10 +52,10 @@ __all__ = [
 ]
 
 UPDATE_KINDS = ("points", "integrand", "spectrum", "convergence", "terms", "predict")
-"""Parts in the order of computation; only the first round has points, integrand, predictions."""
+"""Parts in order of computation. Later rounds omit points, integrand and predictions."""
 
 MOST_AT_ONCE = 2
-"""Maximum number of parts that all pages compute at once; the second part fills idle times."""
+"""Maximum number of parts that all pages compute at once; a second part uses idle times."""
 
 _PATIENCE = 0.2  # Seconds between checks whether a waiting job was canceled
 _INTEGRAND = ("integrand", "density", "dims", "mirror", "channel", "smoothing")
@@ -95,7 +95,7 @@ class Update:
 
 
 def rounds(setup: ExplorerSetup) -> Iterator[int]:
-    """Yield the number of realizations of each round; the last is that of the set-up."""
+    """Yield the number of realizations of each round. The last round has the set-up's number."""
     count = _FIRST_ROUND
     while count < setup.realizations:
         yield count
@@ -123,7 +123,8 @@ def compute(kind: str, setup: ExplorerSetup, realizations: int) -> xr.Dataset:
 def _computed(kind: str, setup: ExplorerSetup) -> xr.Dataset:
     parts = make_parts(setup)
     if kind == "integrand":
-        # Tabulate f, p and f/p on the unit square; for techniques only f/p, with x in primary space
+        # Tabulate f, p and f/p on the unit square.
+        # Techniques have only f/p, with x in primary space
         dims, f = parts.sampler.dims, parts.estimator.domain_integrand
         size = _GRID[dims]
         middles = (np.arange(size) + 0.5) / size
@@ -176,14 +177,14 @@ class Job:
     on_update
         Called in the job's thread with each finished part.
     on_end
-        Called once at the end: with a sentence if something was refused or refinement stopped
-        early, otherwise with an empty text. It is not called after `cancel`.
+        Called once with a text when the job ends, but not after `cancel`.
+        The text names what was refused or why refinement stopped early; otherwise it is empty.
 
     Notes
     -----
-    Jobs of all pages take turns, so that `MOST_AT_ONCE` parts are computed at once. `cancel`
-    returns at once. The running analysis stops at its next progress report, after a block of
-    realizations, and no further analysis begins.
+    Jobs of all pages take turns, so that at most `MOST_AT_ONCE` parts are computed at once.
+    `cancel` returns immediately, and no further analysis begins after it.
+    The running analysis stops at its next progress report, after a block of realizations.
     """
 
     def __init__(
@@ -286,8 +287,8 @@ class EstimatorParts:
 def integrand_specs(setup: ExplorerSetup) -> tuple[str, ...]:
     """Return specs of the integrands for `mcspectra.integrand`, one per technique.
 
-    The file replaces the digest of an upload. Integrands with several channels get the chosen
-    channel.
+    The digest of an upload is replaced by its file.
+    The chosen channel is added to integrands with several channels.
 
     Raises
     ------

@@ -100,7 +100,7 @@ class Controls:
         self._on_change, self._on_error, self._later = on_change, on_error, later
         self._filling = self._refused = False
         self._density_sliders: Any = Column(sizing_mode="stretch_width")
-        # Choices of the menus in addition to specs
+        # Menus offer choices in addition to specs
         make, density, integrand = self._make, self._named("density"), self._named("integrand")
         steps = CheckboxGroup(labels=_STEPS, stylesheets=[self._sheet])
         self._watch(steps, "active", self._choose_sampler)
@@ -120,7 +120,7 @@ class Controls:
             ),
             "dims": make(Select, "Dims", self._choose_dims, options=["1", "2"]),
         }  # fmt: skip
-        # Fields of the set-up
+        # Add the fields of the set-up
         for name, label in _TEXTS.items():
             w[name] = make(TextInput, label, self._entered(name))
         for name, (label, most, step) in _PARTS.items():
@@ -128,7 +128,7 @@ class Controls:
             w[name] = make(Slider, label, self._entered(name), "value_throttled", **options)
         for name, (label, choices) in _CHOICES.items():
             w[name] = make(Select, label, self._entered(name), options=list(choices))
-        # Options of the analyses
+        # Add the options of the analyses
         for name, option in OPTIONS.items():
             label = name.replace("_", " ").capitalize()
             free = option.required or option.default is None
@@ -174,7 +174,7 @@ class Controls:
         self._on_error(sentence)
 
     def change(self, **values: Any) -> None:
-        """Change fields of the set-up like a user; texts are parsed like those of an address."""
+        """Change fields of the set-up as a user would; texts are parsed as in an address."""
         try:
             read = {
                 k: ExplorerSetup.read(k, v) if isinstance(v, str) else v for k, v in values.items()
@@ -271,7 +271,7 @@ class Controls:
                 w[name].value = setup.text(name)
             for name in _PARTS:
                 w[name].value = getattr(setup, name)
-            # Sliders for the parameters of the density; another density gets new sliders
+            # Show sliders for the parameters of the density; another density gets new sliders
             call = parse(self.setup.density)
             ranges = _SLIDERS.get(call.name, ())
             sliders = self._density_sliders

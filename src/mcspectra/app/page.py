@@ -199,7 +199,7 @@ class Explorer:
         ]
 
     def _later(self, act: Any) -> None:
-        """Schedule `act` in the session's thread with the document's lock, from any thread."""
+        """Schedule `act` in the session's thread with the document's lock; any thread may call."""
 
         def add() -> None:
             if not self._closed:
@@ -283,7 +283,7 @@ def _row(side: str, setup: ExplorerSetup, board: Board) -> str:
     terms, curve = board.latest.get("terms"), board.latest.get("convergence")
     missing = "…" if board.busy else "–"
 
-    # Show the measured and the predicted variance at the n of the terms, as a report's summary does
+    # Show measured and predicted variance at the n of the terms, like the summary of a report
     parts = {k: v for k, v in board.latest.items() if k in ("terms", "predict")}
     ratio = missing
     if len(parts) == 2:
@@ -398,6 +398,6 @@ def as_toml(state: ExplorerState) -> str:
     study = {"title": "From the explorer", "seed": state.a.seed, "estimators": entries}
     specs = [spec for _, setup in state.setups() for spec in techniques(setup.integrand)]
     uploaded = any(parse(spec).name == UPLOAD for spec in specs)
-    # A study reads files only from its own folder, unless another one is allowed
+    # A study reads files only from its own folder, unless other folders are allowed
     note = "# Run with --allow-path and the folder of the picture below.\n" if uploaded else ""
     return note + study_toml(study)

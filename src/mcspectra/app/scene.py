@@ -36,9 +36,9 @@ _ADVICE = "Click a point of the picture, or enter its pixel, to analyze the ligh
 def pixel_spec(x: int, y: int, strategy: str = "light") -> str:
     """Return the spec of the integrand of a pixel, counted from the left and from the top.
 
-    ``"balance"`` and ``"power"`` give the sum of light and BSDF sampling, weighted by that
-    heuristic.
-    ``"mis-light"`` and ``"mis-bsdf"`` are the two terms of the sum with the balance heuristic.
+    The strategies ``"balance"`` and ``"power"`` are sums of light and BSDF sampling.
+    Both are weighted by the heuristic of the same name.
+    The strategies ``"mis-light"`` and ``"mis-bsdf"`` are the two terms of the balance sum.
 
     Raises
     ------

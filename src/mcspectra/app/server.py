@@ -1,13 +1,13 @@
 """The explorer's server, which answers only requests of this machine and of its own pages.
 
-It listens on the loopback interface. This excludes other machines, but not pages of other hosts in
-the user's browser: they may send requests here, or point their domain name to 127.0.0.1. Every
-request must therefore name this server as its Host, and as its Origin if it has one. The only
-accepted request from another site is a link to the page. No other page may embed this page in a
-frame.
+The server listens on the loopback interface, which excludes other machines.
+Pages of other hosts in the user's browser are not excluded.
+They may send requests to this server, or point their domain name to 127.0.0.1.
+Every request must therefore name this server as its Host, and as its Origin if it has one.
+The only accepted request from another site is a link to the page.
+No other page may embed this page in a frame.
 
-The number of open pages is bounded, and so is the number of their computations
-(`mcspectra.app.compute`).
+The number of open pages is bounded. `mcspectra.app.compute` also bounds their computations.
 """
 
 from __future__ import annotations
@@ -218,8 +218,7 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
     server = make_server(port)
     # The page shows warnings itself; do not repeat them on standard error.
     warnings.simplefilter("ignore")
-    # A tab that closes early is not an error; bokeh warns about it, and asserts that a session
-    # exists
+    # A tab that closes early is not an error, but bokeh warns about it and an assertion fails
     logging.getLogger("bokeh.server.views.ws").setLevel(logging.ERROR)
     logging.getLogger("tornado.application").addFilter(_is_own_error)
     address = f"http://{ADDRESS}:{server.port}/"
@@ -233,7 +232,7 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
 
 
 def _is_own_error(record: logging.LogRecord) -> bool:
-    """Whether an error comes from the explorer, not from a request; make its text printable."""
+    """Make the text of an error printable; return whether the explorer, not a request, erred."""
     text = record.getMessage()
     record.msg, record.args = printable(text, lines=True), ()
     return "GET /ws" not in text and "GET /static" not in text

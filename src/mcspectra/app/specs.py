@@ -1,9 +1,10 @@
 """Check and change specs in the explorer: bounded plain text that names no files.
 
-Any page can link to the explorer. Such a link may cause computation, but it must not open files or
-run code. Pictures are therefore uploaded, and named by their digest. The user who starts the
-explorer may allow folders (``--allow-path``) and code (``--allow-code``): see
-`mcspectra.core.trust`.
+Any page can link to the explorer.
+Such a link may cause computation, but it must not open files or run code.
+Pictures are therefore uploaded, and named by their digest.
+The user who starts the explorer may allow folders (``--allow-path``) and code (``--allow-code``).
+See `mcspectra.core.trust`.
 """
 
 from __future__ import annotations
@@ -64,8 +65,8 @@ def _allowed(given: object) -> bool:
 def check_spec(name: str, text: object) -> None:
     """Check the spec of a sampler, a density or an integrand.
 
-    The spec of a sampler may chain parts with ``|``. An integrand may be ``upload(digest='…')``
-    with a SHA-256 digest, or a sum of `TECHNIQUES`.
+    The spec of a sampler may chain parts with ``|``.
+    An integrand may be ``upload(digest='…')`` with a SHA-256 digest, or a sum of `TECHNIQUES`.
 
     Raises
     ------

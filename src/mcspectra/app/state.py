@@ -1,7 +1,8 @@
 """Immutable state of the explorer, converted to and from the query string of a URL.
 
-A state has one set-up A, or two set-ups A and B to compare. The query lists the fields that differ
-from the defaults; keys of B have the prefix ``b.``. A bookmark therefore restores the state.
+A state has one set-up A, or two set-ups A and B to compare.
+The query lists the fields that differ from the defaults, so a bookmark restores the state.
+In the query, keys of B have the prefix ``b.``.
 Anybody may have written a URL, so sizes are bounded, and specs must not name files.
 """
 
@@ -47,7 +48,7 @@ ANALYSES = {
 _KNOWN = {
     option.name: option
     for name, kind in ANALYSES.items()
-    if name != "predict"  # Its half width and realizations serve methods that are not shown
+    if name != "predict"  # the page does not show the methods that need realizations
     for option in options_of(kind)
 }
 
@@ -89,8 +90,8 @@ class ExplorerSetup:
     Parameters
     ----------
     sampler, density, integrand
-        Specs, which name no files. The integrand may be ``upload(digest='…')``, or a sum of
-        techniques, ``technique-sum(integrands=['…', '…'])``.
+        Specs, which name no files. The integrand may be ``upload(digest='…')``.
+        It may also be a sum of techniques, ``technique-sum(integrands=['…', '…'])``.
     n
         Points per set.
     dims
@@ -167,8 +168,8 @@ class ExplorerSetup:
         Raises
         ------
         ParameterError
-            If a key is unknown, a text is not a number where one is needed, or `ExplorerSetup`
-            refuses a value.
+            If a key is unknown, or a text is not a number where a number is needed.
+            If `ExplorerSetup` refuses a value.
         """
         return ExplorerSetup(
             **{name: ExplorerSetup.read(name, text) for name, text in texts.items()}
@@ -181,7 +182,7 @@ class ExplorerSetup:
         Raises
         ------
         ParameterError
-            If the field does not exist, or a number is needed and `text` is not one.
+            If the field does not exist, or if `text` should be a number but is not a number.
         """
         defaults = {each.name: each.default for each in dataclasses.fields(ExplorerSetup)}
         if name not in defaults:

@@ -1,20 +1,22 @@
 """Analyses: one declaration for each question about an estimator with a sampler.
 
-An `Analysis` is a frozen struct whose fields are its options. Its method `need` returns its cost,
-its method `reduction` returns the computation. The Python functions, study files, commands of the
-command line, the explorer, the registered variables of results and the docs derive from it.
-`ANALYSES` finds analyses by name, also those of other packages (entry points
-``mcspectra.analyses``).
+An `Analysis` is a frozen struct whose fields are its options.
+Its method `need` returns its cost, and its method `reduction` returns the computation.
+Python functions, study files, commands, the explorer and the docs are derived from the struct.
+The registered variables of results are also derived from it.
+`ANALYSES` finds analyses by name. Other packages add analyses by the entry points
+``mcspectra.analyses``.
 
-All analyses are computed in one way. A `Reduction` cuts realizations into atomic blocks. The
-number and limits of the blocks depend only on the size of the problem. Each block gives a state.
-States merge in a fixed binary tree over the blocks (`MergeTree`). The bits of the result are
-therefore the same whether one thread computes all blocks or many machines compute *chunks* of
-blocks. A chunk is an aligned run of 2^k blocks, which is a node of that tree.
+All analyses are computed in the same way. A `Reduction` cuts realizations into atomic blocks.
+The number and limits of the blocks depend only on the size of the problem.
+Each block gives a state. States merge in a fixed binary tree over the blocks (`MergeTree`).
+A *chunk* is an aligned run of 2^k blocks, which is a node of the tree.
+One thread can compute all blocks, or many machines can compute chunks of blocks.
+Both ways give the same bits, because the tree is the same.
 
-An analysis is a generator if its later draws depend on earlier results, for example because it
-stops at a precision. The generator yields lists of reductions, is sent the merged states, and
-returns the dataset of the analysis.
+Some analyses make later draws depend on earlier results, for example to stop at a precision.
+Such an analysis is a generator, which yields lists of reductions and receives the merged states.
+At its end, it returns the dataset of the analysis.
 """
 
 from __future__ import annotations
@@ -100,7 +102,8 @@ Result = TypeVar("Result")
 Chunk: TypeAlias = tuple[int, int]
 """First atomic block and number of blocks.
 
-The number is a power of two that divides the first block; the last chunk may have fewer blocks.
+The number of blocks is a power of two that divides the first block.
+The last chunk may have fewer blocks.
 """
 
 
@@ -112,13 +115,13 @@ class Subject:
     Attributes
     ----------
     estimator
-        The estimator; None if the analysis is about point sets or a scene. A list if the analysis
-        takes `several`.
+        The estimator, or a list if the analysis takes `several`.
+        None if the analysis is about point sets or a scene.
     sampler
         The sampler; a list if the analysis takes `several`.
     density
-        Importance density of the points, for analyses of point sets. The default is the
-        estimator's density, if it has a single one.
+        Importance density of the points, for analyses of point sets.
+        The default is the density of the estimator, if it has only one.
     """
 
     estimator: Any
@@ -157,33 +160,31 @@ class Need:
 
 
 class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """A question about an estimator with a sampler; subclasses are final, fields are options.
+    """A question about an estimator with a sampler. Subclasses are final; their fields are options.
 
     The first line of a subclass's docstring is its summary everywhere.
 
     Attributes
     ----------
     function
-        Name of the analysis's public function in `mcspectra`, dotted if the function is in a
-        package; empty without a public function.
+        Name of the public function of the analysis in `mcspectra`; empty if there is none.
+        The name is dotted if the function is in a package.
     verb
         Command of the analysis on the command line; empty without a command.
     split
         Value of ``--split`` that chooses this analysis, if several analyses share the command.
     about
-        Subject of the analysis: an estimator with a sampler, a sampler with an optional density,
-        or a scene.
+        Subject: an estimator with a sampler, a sampler with an optional density, or a scene.
     several
         Parts of the subject that may be lists: ``"estimator"``, ``"sampler"``, or both.
     variables
-        Names of the result's variables in `mcspectra.core.results.VARIABLES`, and additional
-        `Variable`s.
+        Names of the result's variables in `mcspectra.core.results.VARIABLES`.
+        A variable that is not registered there is given as a `Variable`.
     provenance
-        Attributes of the result: ``estimator`` and ``sampler`` hold their spec strings,
-        ``stream_key`` holds the key of the stream, and option names hold the values of the options.
+        Attributes of the result: ``estimator`` and ``sampler`` hold their spec strings.
+        ``stream_key`` holds the key of the stream, and names of options hold their values.
     companions
-        Analyses that a study computes together with this one from the same table, such as points
-        of a spectrum.
+        Analyses that a study also computes from the same table, such as points of a spectrum.
     """
 
     function: ClassVar[str] = ""
@@ -198,8 +199,9 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     def need(self, subject: Subject) -> Need:  # noqa: ARG002
         """Return the cost and memory of the analysis of a subject, and reject impossible requests.
 
-        The options were already checked (`mcspectra.core.options.checked`). This method checks them
-        against the subject, such as point counts that the sampler cannot make, or too many dims.
+        The options were already checked (`mcspectra.core.options.checked`).
+        This method rejects options that do not fit the subject, for example too many dims,
+        or point counts that the sampler cannot make.
 
         Raises
         ------
@@ -224,10 +226,10 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
-        """Return the reduction of a key, for a worker that has not run the earlier steps.
+        """Return the reduction with this key, for a worker that has not run the earlier steps.
 
-        The default finds reductions of the first step. Analyses whose later steps depend on states
-        override it.
+        The default finds reductions of the first step.
+        Analyses whose later steps depend on states override this method.
 
         Raises
         ------
@@ -265,8 +267,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 class Counted(Analysis, frozen=True, kw_only=True):
     """An analysis that evaluates an integrand and counts the evaluations of a user's function.
 
-    If the integrand is a Python function, the attribute ``evaluations`` of the result is the number
-    of evaluations.
+    For a Python function, the attribute ``evaluations`` of the result holds this count.
     """
 
     max_evaluations: Evaluations = None
@@ -301,7 +302,7 @@ ANALYSES = Registry(
 
 
 def check_names(kind: type[Analysis]) -> None:
-    """Raise an error if an option has the same name as an argument of the command or the function.
+    """Raise an error if an option's name is also an argument of the command or the function.
 
     Raises
     ------
@@ -333,8 +334,8 @@ class Reduction(Generic[State]):
     Attributes
     ----------
     kind
-        Type of the states: a record (`mcspectra.core.records`), a list of records, an array, a dict
-        of arrays, or a dataset.
+        Type of the states: a record of `mcspectra.core.records`, a list of records, an array,
+        a dict of arrays, or a dataset.
     block
         Function that returns the state of the atomic block with a given number.
     blocks
@@ -356,7 +357,7 @@ class Reduction(Generic[State]):
 
 
 Steps: TypeAlias = "Generator[list[Reduction[Any]], list[Any], xr.Dataset]"
-"""Yields reductions of a step, receives their merged states in order, and returns the result."""
+"""Generator that yields the reductions of a step, is sent their states, and returns the result."""
 
 
 def whole(function: Callable[[], xr.Dataset]) -> Reduction[xr.Dataset]:
@@ -414,7 +415,7 @@ def _most(analysis: Analysis, subject: Subject) -> int | None:
 
 
 def _said(analysis: Analysis) -> str | Function:
-    """Name of the analysis in a message: its public function, or its class."""
+    """Return the name of the analysis in a message: its public function, or its class."""
     return Function(analysis.function) if analysis.function else type(analysis).__name__
 
 
@@ -424,8 +425,8 @@ def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
     Raises
     ------
     AnalysisError
-        If the analysis has no reduction or result, a step has another type, two reductions have the
-        same key, or a reduction has no blocks.
+        If the analysis has no reduction or no result, or if a step has another type.
+        If two reductions have the same key, or if a reduction has no blocks.
     """
     name = type(analysis).__name__
     found: Any = analysis.reduction(subject, stream)
@@ -500,10 +501,10 @@ def finished(analysis: Analysis, result: xr.Dataset, rng: RngLike = None) -> xr.
 def compute(
     analysis: Analysis, subject: Subject, rng: RngLike = 0, workers: int | None = None
 ) -> xr.Dataset:
-    """Compute an analysis with `workers` threads: the body of the public functions of Python.
+    """Compute an analysis with `workers` threads. The public Python functions call this function.
 
-    The result does not depend on the number of threads. Progress is reported under the name of the
-    public function.
+    The result does not depend on the number of threads.
+    Progress is reported under the name of the public function.
 
     Raises
     ------
@@ -567,9 +568,9 @@ def compute_chunk(reduction: Reduction[State], chunk: Chunk) -> State:
 class MergeTree(Generic[State]):
     """Merges states of blocks like a binary counter: neighboring nodes of equal size merge first.
 
-    At the end, the remaining nodes merge from the right. The tree depends only on the number of
-    blocks, not on the chunks or their order. If chunks come in order, it holds only log₂(blocks)
-    states at once.
+    At the end, the remaining nodes merge from the right.
+    The tree depends only on the number of blocks, not on the chunks or their order.
+    If chunks come in order, the tree holds only log₂(blocks) states at once.
 
     Attributes
     ----------

@@ -1,9 +1,9 @@
 """A cache of arrays that take seconds to compute, in the user's cache folder.
 
-The key of an entry holds everything that the array depends on. An entry is one file: a SHA-256
-digest, then the key and the array as bytes of `mcspectra.core.records`. Reading an entry checks the
-digest and the key; a damaged entry is computed again. The folder is the platform's cache folder, or
-``MCSPECTRA_CACHE``.
+The key of an entry holds everything that the array depends on.
+An entry is a file with a SHA-256 digest, the key and the array (see `mcspectra.core.records`).
+Reading an entry checks the digest and the key. A damaged entry is computed again.
+The folder is the platform's cache folder, or ``MCSPECTRA_CACHE``.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ from mcspectra.core.records import pack, unpack
 __all__ = ["cache_folder", "cache_size", "cached_array"]
 
 _FORMAT = "2 "  # prefix of every key, so that entries of other formats have other file names
-_WORTH_KEEPING = 0.05  # seconds; arrays that take less time are not written
-_LIMIT = 2**30  # bytes; above this limit the oldest entries are deleted
+_WORTH_KEEPING = 0.05  # in seconds; arrays that take less time are not written
+_LIMIT = 2**30  # in bytes; above this limit the oldest entries are deleted
 _warn_once = lru_cache(warn)
 
 
@@ -64,8 +64,8 @@ def cached_array(key: str, make: Callable[[], Array]) -> Array:
     Warns
     -----
     CacheWarning
-        If an entry is damaged (its array is computed again), or once if the folder cannot be
-        written.
+        If an entry is damaged; its array is then computed again.
+        If the folder cannot be written; this warning appears only once.
     """
     if not (isinstance(key, str) and callable(make)):  # type: ignore[redundant-expr]
         raise ParameterError(

@@ -1,4 +1,4 @@
-"""Checks of user input: each returns the clean value or raises one clear sentence."""
+"""Checks of user input. Each check returns the clean value or raises one clear sentence."""
 
 from __future__ import annotations
 
@@ -51,8 +51,8 @@ MAX_FREQUENCY = 2.0**40
 def is_path(value: object) -> bool:
     """Whether a value can be the path of a file or a URL: a text that the system can write.
 
-    Linux, macOS and Windows allow names of at most 255 bytes; Linux allows paths of at most 4096
-    bytes.
+    Linux, macOS and Windows allow names of at most 255 bytes.
+    Linux allows paths of at most 4096 bytes.
     """
     if not isinstance(value, str | os.PathLike):
         return False
@@ -73,14 +73,14 @@ def as_path(name: str, value: object) -> Path:
 
 
 def as_instance(name: str, value: Any, kind: Any, what: str) -> Any:
-    """Return `value` if it is an instance of `kind`, a type or several; `what` describes it."""
+    """Return `value` if its type is `kind`, or one of several; messages call the type `what`."""
     if isinstance(value, kind):
         return value
     raise ParameterError(Parameter(name), f" is {shown(value)}; give {what}.")
 
 
 def as_instances(name: str, value: Any, kind: Any, what: str) -> list[Any]:
-    """Return a list or tuple as a list if all items are of type `kind`; `what` names them."""
+    """Return a list or tuple as a list if all items have the type `kind`, called `what`."""
     as_instance(name, value, list | tuple, f"a list of {what}")
     return [as_instance(f"{name}[{k}]", each, kind, what) for k, each in enumerate(value)]
 
@@ -159,8 +159,8 @@ def as_real_array(name: str, value: object) -> Array:
     Raises
     ------
     DomainError
-        If it holds complex numbers, booleans, text, ragged lists or masked values. NumPy would
-        convert them to floats and lose their meaning.
+        If it holds complex numbers, booleans, text, ragged lists or masked values.
+        NumPy would convert such values to floats and lose their meaning.
     """
     try:
         array = np.asarray(value)
@@ -212,8 +212,9 @@ def as_unit_points(points: object, *, dims: int | None = None, name: str = "poin
 def distinct_points(points: Array) -> tuple[Array, Array, Array]:
     """Return the distinct points of a set (n, d), the index of each given point, and their counts.
 
-    The points are in ascending order of their coordinates. Coordinates below 2^-400 are rounded
-    down to multiples of 2^-500, because the square of a smaller distance would underflow.
+    The points are in ascending order of their coordinates.
+    The square of a distance below 2^-500 would underflow. Therefore coordinates below 2^-400 are
+    rounded down to multiples of 2^-500.
     """
     places = points
     if (tiny := points < 2.0**-400).any():

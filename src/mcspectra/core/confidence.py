@@ -13,16 +13,16 @@ CONFIDENCE_Z = 1.959963984540054
 
 
 def standard_error(spread: Array, count: int) -> Array:
-    """Standard error of a mean of `count` values; `spread` is mean square minus squared mean."""
+    """Return the standard error of a mean of `count` values with mean square deviation `spread`."""
     if count < 2:
         return np.full_like(spread, np.nan)
     return np.asarray(np.sqrt(np.maximum(spread, 0.0) / (count - 1)))
 
 
 def student_t(count: int) -> float:
-    """Half width of the 95 % interval of a mean of `count` values, in standard errors.
+    """Return the half width of the 95 % interval of a mean, in standard errors.
 
-    A `count` below 2 is treated as 2.
+    The mean is over `count` values; a `count` below 2 is treated as 2.
     """
     from scipy.special import stdtrit
 
@@ -30,11 +30,12 @@ def student_t(count: int) -> float:
 
 
 def log_mean_interval(mean: Array, se: Array, count: int) -> Array:
-    """95 % interval of a mean of nonnegative values, shape (..., 2), on a logarithmic scale.
+    """Return the 95 % interval (..., 2) of a mean of nonnegative values, on a logarithmic scale.
 
-    Student's t is applied to the logarithm of the mean. Example: 4 realizations of |S|² of a
-    Gaussian S, which is exponentially distributed. The interval covers 93 %, the interval
-    mean ± t·se covers 88 %, and the interval with the normal quantile covers 78 %.
+    Student's t is applied to the logarithm of the mean.
+    As an example, take 4 realizations of |S|² of a Gaussian S, which is exponentially distributed.
+    This interval then covers 93 %, and the interval mean ± t·se covers 88 %.
+    The interval with the normal quantile covers 78 %.
     """
     relative = np.divide(se, mean, out=np.array(se), where=mean > 0)
     factor = np.exp(student_t(count) * relative)

@@ -1,8 +1,8 @@
 """Reading of untrusted files, with a limit on the memory that decoding takes.
 
-A few kilobytes of a compressed format can expand to gigabytes. Every reader computes from the
-headers the peak memory of decoding and of the conversion to float64, and first calls
-`check_decoded_size`.
+A few kilobytes of a compressed format can expand to gigabytes.
+Therefore every reader first calls `check_decoded_size` with the peak memory of decoding and of
+the conversion to float64. The reader computes this memory from the headers of the file.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ def path_to_write(path: object, what: str, extensions: Sequence[str]) -> Path | 
     Raises
     ------
     FileFormatError
-        If `known_path` raises it, the path is a folder, or its folder does not exist or cannot be
-        written.
+        If `known_path` raises it, or if the path is a folder.
+        If the folder of the file does not exist or cannot be written.
     """
     if path is None:
         return None
@@ -73,13 +73,13 @@ def path_to_write(path: object, what: str, extensions: Sequence[str]) -> Path | 
 def opened(
     path: object, what: str, extensions: Sequence[str] = ()
 ) -> Iterator[tuple[IO[bytes], int, str, str]]:
-    """Open a file for a parser: yields stream, size, name for messages and extension.
+    """Open a file for a parser; yield its stream, size, name for messages, and extension.
 
     Raises
     ------
     FileFormatError
-        If `known_path` raises it, the file does not exist, it is a folder or a device, or parsing
-        fails.
+        If `known_path` raises it, or if the file does not exist.
+        If the file is a folder or a device, or if parsing fails.
     """
     file = known_path(path, what, extensions)
     try:
@@ -95,7 +95,7 @@ def opened(
         raise FileFormatError(f"There is no file {file}; give the path of {what}.") from None
     except Exception as error:  # noqa: BLE001 - parsers raise any error for a broken file
         said = f"it is truncated, damaged or of another format ({reason_of(error, 200)})"
-        # message of the operating system, if it gives one
+        # Use the message of the operating system, if there is one
         reason = getattr(error, "strerror", None) or said
         raise FileFormatError(f"{file} cannot be read as {what}: {reason}.") from None
 
@@ -152,8 +152,8 @@ def read_npz(
     Raises
     ------
     FileFormatError
-        If there is no such array, NumPy does not use its compression method, or `read_npy` raises
-        it.
+        If there is no such array, or if NumPy does not use its compression method.
+        If `read_npy` raises it.
     """
     with zipfile.ZipFile(stream) as archive:
         names = [entry[:-4] for entry in archive.namelist() if entry.endswith(".npy")]

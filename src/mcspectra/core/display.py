@@ -1,13 +1,13 @@
 """Display of text from outside, and of components and results in notebooks.
 
-Names, titles, paths and messages may come from an untrusted file. `printable` escapes characters
-that would control a terminal or reorder a line. `escape_html` and `csv_cell` also escape text that
-a browser or a spreadsheet would run. The package applies `printable` to errors and warnings when
-they are created, to tables and answers when they are printed, and to pages and figures when they
-are drawn.
+Names, titles, paths and messages may come from an untrusted file.
+`printable` escapes characters that would control a terminal or reorder a line.
+`escape_html` and `csv_cell` also escape text that a browser or a spreadsheet would run.
+The package applies `printable` to errors and warnings when they are created.
+It also applies it to tables and answers that are printed, and to pages and figures.
 
-Drawing needs the modules of `mcspectra.report`, a higher layer. Here they are named as text and
-imported when something is displayed for the first time, as a registry does with its classes.
+Drawing needs the modules of `mcspectra.report`, a higher layer.
+Like the classes of a registry, they are named as text and imported when first needed.
 Therefore no module imports from a higher layer, and nothing is loaded before it is displayed.
 """
 
@@ -50,10 +50,10 @@ _RESULTS = "mcspectra.report.accessor"
 def printable(given: object, most: int | None = None, *, lines: bool = False) -> str:
     r"""Return text from outside, or a path, in one safe line of at most `most` characters.
 
-    Characters that do not print become escapes such as ``\x1b`` and ``\u202e``: controls, marks of
-    direction and other zero-width characters, line separators, surrogates, and characters that
-    Unicode has not assigned. Spaces of other widths become plain spaces. A text that is too long
-    loses its middle.
+    Characters that do not print become escapes such as ``\x1b`` and ``\u202e``.
+    These characters are controls, marks of direction and other zero-width characters,
+    line separators, surrogates, and characters that Unicode has not assigned.
+    Spaces of other widths become plain spaces. A text that is too long loses its middle.
 
     Parameters
     ----------
@@ -80,10 +80,9 @@ def printable(given: object, most: int | None = None, *, lines: bool = False) ->
 
 
 def shown(value: object, most: int = QUOTED) -> str:
-    """Return the ``repr`` of a value for a message, `printable` and short.
+    """Return the ``repr`` of a value for a message, shortened and made `printable`.
 
-    A long integer is replaced by its size: Python refuses to write integers of more than 4300
-    digits.
+    A long integer is replaced by its size, since Python writes at most 4300 digits.
 
     Examples
     --------
@@ -123,7 +122,7 @@ def _escape(character: str) -> str:
 
 
 def escape_html(text: object) -> str:
-    """Escape text from outside for an HTML element or attribute; `printable`, but keeps lines."""
+    """Escape text from outside for an HTML element or attribute; `printable` with lines kept."""
     return html.escape(printable(text, lines=True))
 
 

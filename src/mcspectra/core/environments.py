@@ -2,9 +2,10 @@
 
 Conventions
 -----------
-x_0 is the azimuth φ = 2π x_0. x_1 is the polar angle θ = π x_1, from +z in the first row to −z in
-the last row: ω = (sin θ cos φ, sin θ sin φ, cos θ). A solid angle is
-dω = sin θ dθ dφ = 2π² sin(π x_1) dx.
+x_0 gives the azimuth φ = 2π x_0, and x_1 gives the polar angle θ = π x_1.
+The first row of pixels is at +z, the last row at −z.
+The direction is ω = (sin θ cos φ, sin θ sin φ, cos θ).
+A solid angle is dω = sin θ dθ dφ = 2π² sin(π x_1) dx.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from mcspectra.core.errors import DomainError, ParameterError
 __all__ = ["directions", "environment_pixels", "row_solid_angles", "synthetic_sky"]
 
 _MOST_VALUES = 2**28  # 2 GiB, the same limit as for picture files
-# x_0, x_1, sharpness in the sense of a von Mises-Fisher lobe, radiance
+# Position x_0, x_1 of the sun, sharpness (as of a von Mises-Fisher lobe), and radiance
 _SUN = (0.62, 0.31, 14.0, 400.0)
 _PATCHES = (  # x_0, x_1, half sizes, color
     (0.15, 0.30, 0.04, 0.06, (9.0, 1.0, 0.5)),
@@ -39,8 +40,8 @@ def synthetic_sky(height: int = 32, width: int = 64) -> Array:
     Returns
     -------
     ndarray
-        Linear radiance (height, width, 3), positive everywhere, evaluated at pixel centers. The sky
-        is meant for tests and examples; it is not a physical model.
+        Linear radiance (height, width, 3), positive everywhere, evaluated at pixel centers.
+        The sky is meant for tests and examples; it is not a physical model.
     """
     rows = as_integer("height", height, least=1, most=2**14)
     columns = as_integer("width", width, least=1, most=2**14)
@@ -70,10 +71,10 @@ def directions(x: Array) -> Array:
 
 
 def row_solid_angles(height: int) -> Array:
-    """Return the fraction of the sphere that each of `height` rows covers, (height,), sum 1.
+    """Return the fraction of the sphere that each of `height` rows covers; their sum is 1.
 
-    ½ (cos θ_j − cos θ_{j+1}) = sin θ sin(π/2h) at the row's center θ: exact, without
-    cancellation.
+    With θ at the row's center, ½ (cos θ_j − cos θ_{j+1}) = sin θ sin(π/2h).
+    The right side is exact, because it has no cancellation.
     """
     height = as_integer("height", height, least=1)
     centers = (np.arange(height) + 0.5) / height
@@ -86,7 +87,7 @@ def environment_pixels(path: object, values: object) -> Array:
     Raises
     ------
     ParameterError
-        If both are given, or the pixels have another shape, are not finite, negative, or too many.
+        If both are given, or if pixels have another shape, are negative, not finite or too many.
     FileFormatError
         If the file is missing or cannot be read.
     """

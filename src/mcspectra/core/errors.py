@@ -1,12 +1,13 @@
 """Errors and warnings: each message says what was given, what is allowed and what to do.
 
-Every error that a user can cause derives from `McspectraError`. The command line prints it as one
-sentence and exits with code 2. Errors about values also derive from `ValueError` or another fitting
-built-in, so that code outside this package can catch them.
+Every error that a user can cause derives from `McspectraError`.
+The command line prints such an error as one sentence and exits with code 2.
+Errors about values also derive from `ValueError` or another fitting built-in class.
+Code outside this package can therefore catch them.
 
-A message that names an option or a public function holds it as a separate part, a `Parameter` or a
-`Function`: ``ParameterError(Parameter("bins"), " is 0; give more.")``. Python shows
-``bins is 0; give more.``, the command line ``--bins is 0; give more.``
+A message that names an option or a public function has a separate part for it, a `Parameter` or
+a `Function`. For example: ``ParameterError(Parameter("bins"), " is 0; give more.")``.
+Python shows ``bins is 0; give more.``, the command line ``--bins is 0; give more.``
 """
 
 from __future__ import annotations
@@ -89,7 +90,7 @@ class Parameter:
 @final
 @dataclass(frozen=True, slots=True)
 class Function:
-    """A public function of `mcspectra` in a message; `name` is its name there."""
+    """A public function of `mcspectra` in a message; `name` is its name in that package."""
 
     name: str
 
@@ -101,8 +102,9 @@ class Function:
 class McspectraError(Exception):
     """Base class of all errors that this package raises on purpose.
 
-    `args` are the parts of the message: texts, options, functions, and other errors. They can
-    contain text from outside, such as names and paths; the message is one printable line.
+    `args` are the parts of the message: texts, options, functions, and other errors.
+    The parts can contain text from outside, such as names and paths.
+    The message is one printable line.
     """
 
     def __str__(self) -> str:
@@ -189,7 +191,7 @@ class MissingDependency(McspectraError, ImportError):
 
 
 MEASURE_IT: tuple[Part, ...] = (Function("convergence"), " or ", Function("variance_terms"))
-"""Parts of a sentence: the functions that measure a variance that has no closed form."""
+"""Parts of a sentence that names functions for a variance without a closed form."""
 
 
 class CorrelatedFrequenciesWarning(UserWarning):
@@ -266,7 +268,7 @@ def close_match_hint(
 
 
 def point_in_words(point: Iterable[float]) -> str:
-    """Return ``(0.1, 0.25)``; of a long point, the first coordinates and the total number."""
+    """Return a point as ``(0.1, 0.25)``; a long point is cut, with its total number of dims."""
     coordinates = [f"{float(c):.6g}" for c in point]
     more = len(coordinates) - _COORDINATES
     shown = ", ".join(coordinates[:_COORDINATES])
@@ -290,10 +292,9 @@ def reason_of(error: BaseException, most: int = 1000) -> str:
 def writing(
     path: str | PathLike[str], kind: type[McspectraError] = FileFormatError
 ) -> Iterator[None]:
-    """Convert an OSError that writing a file raises to an error of this class with one sentence.
+    """Convert an OSError that writing a file raises to an error of the class `kind`.
 
-    If the disk is full or fails, the error is a StorageError, because the user's input is not the
-    cause.
+    If the disk is full or fails, the error is a StorageError: the input is not the cause.
     """
     try:
         yield
@@ -305,8 +306,8 @@ def writing(
 def warn(message: str, category: type[Warning]) -> None:
     """Warn at the line that called the package: the first frame whose file is outside the package.
 
-    Python 3.12 has `skip_file_prefixes` for this. A fixed number of frames would change with the
-    code.
+    Python 3.12 has `skip_file_prefixes` for this.
+    A fixed number of frames would change with the code.
     """
     frame = sys._getframe(1)
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):

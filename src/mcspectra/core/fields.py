@@ -1,8 +1,9 @@
 """Fields of frozen dataclasses that check and convert their values.
 
-A class declares ``strength: int = whole(1, least=1, most=2)``. `check_fields`, called once when an
-instance is created, replaces the given value by the checked value. `mcspectra.core.spec.Component`
-does this for samplers, densities, integrands and the like. None stays None if it is the default.
+A class declares, for example, ``strength: int = whole(1, least=1, most=2)``.
+When an instance is created, `check_fields` replaces the given value by the checked value.
+`mcspectra.core.spec.Component` does this for samplers, densities, integrands and similar classes.
+None stays None if it is the default.
 """
 
 from __future__ import annotations

@@ -1,26 +1,31 @@
 """Fits of straight lines and of rates: the slope of log variance against log n.
 
 The fits are weighted least squares. The weight of a variance is the inverse square of its relative
-standard error, which is estimated from the realizations. The 95 % interval of a straight line is
-therefore normal. If the lack of fit, χ² per degree of freedom, exceeds 1, the interval is widened
-by √χ². If the lack of fit is significant (`LACK_OF_FIT`), the standard errors do not explain the
-scatter. The scatter is then estimated from the counts: the factor is √χ² times Student's t with the
-degrees of freedom of the fit (one for three counts).
+standard error, which is estimated from the realizations.
+For a straight line, the 95 % interval is therefore normal.
+If the lack of fit (χ² per degree of freedom) exceeds 1, the interval is widened by √χ².
+If the lack of fit is significant (`LACK_OF_FIT`), the standard errors do not explain the scatter.
+The scatter is then estimated from the counts: the factor is √χ² times Student's t.
+Student's t has the degrees of freedom of the fit, which is one for three counts.
 
-Curves bend at small n because of lower-order terms. A *window* is the number of largest counts that
-a fit uses. ``"auto"`` takes the largest window of at least three counts without significant lack of
-fit (`LACK_OF_FIT`) or curvature (`CURVATURE`). The test of curvature has one degree of freedom, so
-it detects bends that χ² spreads over all degrees. An accepted window may still be bent by an amount
-that the noise hides. Its interval therefore uses the scatter even for χ² below 1, if the scatter
-makes it wider. ``"auto"`` is not the default because it loses precision for a straight line.
+Curves bend at small n because of lower-order terms.
+A *window* is the number of largest counts that a fit uses.
+``"auto"`` takes the largest window of at least three counts that passes two tests:
+no significant lack of fit (`LACK_OF_FIT`) and no significant curvature (`CURVATURE`).
+The test of curvature has one degree of freedom.
+It therefore detects bends that χ² spreads over all degrees of freedom.
+The noise may still hide a bend in an accepted window.
+The interval therefore uses the scatter even for χ² below 1, if the scatter makes it wider.
+``"auto"`` is not the default because it loses precision for a straight line.
 
-In simulations with relative errors of 6 % (500 realizations) and counts 4, 16, … 1024, the
-intervals of ``"auto"`` hold the asymptotic rate in 98 % of the cases for a straight line. For a
-disk of radius 0.27 off the center with jittered points, they hold it in 97 % of the cases. For a
-Gaussian with jittered and shifted points, they hold it in 86 %: the exact slope is −1.42 … −1.50
-over these counts, and no test can detect that bend. A curve that bends up to its last count, such
-as the curve of a disk centered on the strata (−1.39 between the last two counts), is not
-extrapolated. Exact variances at the same counts are better evidence.
+In simulations, errors were 6 % (500 realizations) and counts were 4, 16, … 1024.
+For a straight line, the intervals of ``"auto"`` hold the asymptotic rate in 98 % of the cases.
+For a disk of radius 0.27 off the center with jittered points, they hold it in 97 % of the cases.
+For a Gaussian with jittered and shifted points, they hold it in 86 % of the cases.
+Its exact slope is −1.42 … −1.50 over these counts, and no test can detect that bend.
+A curve that bends up to its last count is not extrapolated. An example is a disk centered on the
+strata, with slope −1.39 between the last two counts.
+Exact variances at the same counts are better evidence.
 """
 
 from __future__ import annotations
@@ -74,15 +79,15 @@ class LineFit:
     slope
         Slope of the line.
     centre, level
-        Weighted means of x and y. The line passes through this point. Its errors are independent of
-        the error of the slope.
+        Weighted means of x and y. The line passes through this point.
+        The error of the level is independent of the error of the slope.
     spread
         Σ w (x − center)²: the inverse variance of the slope if the weights are inverse variances.
     residuals
-        y minus the line, (N,).
+        Values of y minus the line, with shape (N,).
     chi2
-        Lack of fit, Σ w residual² per degree of freedom: about 1 for a straight line; NaN for two
-        points.
+        Lack of fit, Σ w residual² per degree of freedom.
+        It is about 1 for a straight line, and NaN for two points.
     """
 
     slope: float
@@ -122,9 +127,9 @@ def line_fit(x: Array, y: Array, weight: Array) -> LineFit:
 class LineFits:
     """Many lines log V = level + rate · (log n − center), fitted by `line_fits`: arrays (S, …).
 
-    The center is the weighted mean of log n, where the errors of level and rate are independent. A
-    rate is NaN if it was fitted to fewer than two values, or if `known` is false for the line. The
-    field chi2 is the lack of fit per degree of freedom, NaN for two values.
+    The center is the weighted mean of log n, where the errors of level and rate are independent.
+    A rate is NaN if it was fitted to fewer than two values, or if `known` is false for the line.
+    The field chi2 is the lack of fit per degree of freedom, NaN for two values.
     """
 
     rate: Array
@@ -150,8 +155,8 @@ def line_fits(x: Array, y: Array, weight: Array, known: Array) -> LineFits:
     Parameters
     ----------
     x, y, weight
-        Coordinates and the inverse variance of each y, which broadcast to (S, N, …); values of
-        weight 0 are ignored.
+        Coordinates and the inverse variance of each y, which broadcast to (S, N, …).
+        Values of weight 0 are ignored.
     known
         Whether a line can be fitted to the remaining values, (S, …).
     """
@@ -194,12 +199,12 @@ class RateFit:
     Attributes
     ----------
     rate, interval
-        Slope and its 95 % interval, widened by lack of fit; NaN for fewer than two fitted
-        variances.
+        Slope and its 95 % interval, widened by lack of fit.
+        NaN if fewer than two variances were fitted.
     first_n
         Smallest fitted count.
     chi2
-        Lack of fit, χ² per degree of freedom: about 1 for a straight line; NaN for two counts.
+        Lack of fit, χ² per degree of freedom. About 1 for a straight line, NaN for two counts.
     """
 
     rate: float = math.nan
@@ -229,12 +234,13 @@ def fit_rate(
     Parameters
     ----------
     ns, variance, relative_se, floor
-        Counts, variances and their relative standard errors. Variances below `floor` are rounding
-        noise and are ignored. All have shape (N,).
+        Counts, variances and their relative standard errors, all of shape (N,).
+        Variances below `floor` are rounding noise and are ignored.
     window
-        Number of largest counts to fit; None fits all. ``"auto"`` takes the largest window of
-        three or more counts without significant χ² (`LACK_OF_FIT`) or curvature (`CURVATURE`), or
-        the last three counts without such a window.
+        Number of largest counts to fit; None fits all.
+        ``"auto"`` takes the largest window of three or more counts without significant χ²
+        (`LACK_OF_FIT`) or curvature (`CURVATURE`).
+        If no window passes, it takes the last three counts.
     """
     start = -window if isinstance(window, int) else 0
     ns, variance, relative_se, floor = (a[start:] for a in (ns, variance, relative_se, floor))
@@ -263,7 +269,7 @@ def fit_rates(
 ) -> dict[str, Array]:
     """Fit every column of arrays (N, …); return the fields of `RateFit` as arrays.
 
-    The fields have shape (…), the interval (…, 2).
+    The fields have shape (…), and the interval has shape (…, 2).
     """
     columns = (a.reshape(len(ns), -1).T for a in (variance, relative_se, floor))
     fits = [fit_rate(ns, v, r, f, window) for v, r, f in zip(*columns, strict=True)]
@@ -274,7 +280,7 @@ def fit_rates(
 
 
 def _line(x: Array, y: Array, se: Array, *, chosen: bool = False) -> RateFit:
-    """Weighted least squares of y against x; a window `chosen` from the data uses the scatter."""
+    """Fit y against x by weighted least squares; a window `chosen` from data uses the scatter."""
     if len(x) < 2:
         return RateFit()
     fit = line_fit(x, y, se**-2.0)
@@ -286,12 +292,12 @@ def _line(x: Array, y: Array, se: Array, *, chosen: bool = False) -> RateFit:
 
 
 def widening(degrees: int, chi2: float) -> float:
-    """Factor by which lack of fit widens the interval of a fit with `degrees` of freedom."""
+    """Return the factor by which lack of fit widens an interval with `degrees` of freedom."""
     return _quantile(degrees, chi2, chosen=False) / CONFIDENCE_Z
 
 
 def _quantile(degrees: int, chi2: float, *, chosen: bool) -> float:
-    """Half-interval of the slope, in units of the standard error that the errors alone give."""
+    """Return half the slope's interval, in units of its standard error without lack of fit."""
     if not degrees:
         return CONFIDENCE_Z
     from scipy.special import chdtrc, stdtrit

@@ -10,7 +10,8 @@ from mcspectra.core.errors import ParameterError
 __all__ = ["as_vector", "check_light", "norm", "triangle_angle"]
 
 _LARGEST = 1e9
-# Limit below which a light has no area: sine of the angle between edges, edge over distance
+# A light has no area if the sine of the angle between its edges is smaller than this limit.
+# The same limit applies to the ratio of an edge to the distance
 _FLAT = 1e-9
 # Smallest height of a point above the plane of a light, relative to the largest distance to it
 _GRAZING = 1e-6
@@ -59,8 +60,8 @@ def check_light(what: str, corner: Array, edge0: Array, edge1: Array) -> float:
     Raises
     ------
     ParameterError
-        If the light has no area, is too small for its distance, or lies in a plane with the point:
-        the height is below 1e-6 of the largest distance to the light.
+        If the light has no area or is too small for its distance.
+        If it lies in a plane with the point: the height is below 1e-6 of the largest distance.
     """
     corner, edge0, edge1 = map(_vectors, (corner, edge0, edge1))
     lengths = norm(np.stack([edge0, edge1]))

@@ -3,12 +3,14 @@
 Conventions
 -----------
 Pixel (row i, column j) of an image of h rows and w columns covers the points x with
-``j/w <= x[..., 0] < (j+1)/w`` and ``i/h <= x[..., 1] < (i+1)/h``. The coordinate x[..., 0] runs to
-the right; x[..., 1] runs *down* from the top row, as film coordinates do.
+``j/w <= x[..., 0] < (j+1)/w`` and ``i/h <= x[..., 1] < (i+1)/h``.
+The coordinate x[..., 0] runs to the right.
+The coordinate x[..., 1] runs *down* from the top row, as film coordinates do.
 
-Radiometry needs linear values. PNG and JPEG files hold values encoded by the sRGB transfer function
-(IEC 61966-2-1). `read_image` decodes them; ``linear=True`` keeps the values of files with other
-data. EXR and NumPy files are linear already and are never changed.
+Radiometry needs linear values.
+PNG and JPEG files hold values encoded by the sRGB transfer function (IEC 61966-2-1).
+`read_image` decodes these values; ``linear=True`` keeps the values of files with other data.
+EXR and NumPy files are linear already and are never changed.
 """
 
 from __future__ import annotations
@@ -64,7 +66,7 @@ REC709 = np.array([0.2126, 0.7152, 0.0722])
 _EXR_LINE = re.compile(rb"\(EXR_ERR_\w+\) |^Warning: Exception raised reading pixel data")
 _PRINTING = threading.Lock()
 _MOST_RINGS = 64
-_ENTRIES = 2**20  # pixels that are converted at a time
+_ENTRIES = 2**20  # number of pixels that are converted at a time
 
 
 def read_image(
@@ -81,16 +83,16 @@ def read_image(
     path
         A file with one of the extensions `IMAGE_EXTENSIONS`.
 
-        * PNG, JPEG: gray gives 1 channel, color 3. Alpha is dropped, not multiplied in. Values run
-          from 0 to 1. Pillow reads 16-bit color PNG with 8 bits (gray keeps its 16).
-        * EXR: the R, G, B of the first layer that has these channels (the unnamed layer first),
-          otherwise the first Y; pixels of the data window.
+        * PNG, JPEG: gray gives 1 channel, color 3. Values run from 0 to 1.
+          Alpha is dropped, not multiplied in.
+          Pillow reads color PNG of 16 bits with 8 bits; gray keeps its 16 bits.
+        * EXR: the channels R, G, B of the first layer that has them, otherwise the first Y.
+          The unnamed layer comes first. Only pixels of the data window are read.
         * PFM: 1 or 3 channels, unchanged.
         * ``.npy``, ``.npz``: shape (height, width) or (height, width, channels), values unchanged.
-          From ``.npz``, the array called ``image`` or the only array.
+          A ``.npz`` file must hold an array called ``image`` or a single array.
     linear
-        Whether to use the values of PNG and JPEG unchanged, without undoing the sRGB transfer
-        function.
+        Whether to use the values of PNG and JPEG unchanged, as if they were linear.
     layer
         Layer of an EXR file to read: its R, G, B, or its Y, or its only channel.
     finite
@@ -99,9 +101,9 @@ def read_image(
     Raises
     ------
     FileFormatError
-        If the file does not exist, is a folder, has an unknown extension, is broken or truncated,
-        or has no pixels or layer. If pixels are NaN or infinite, or need more memory than
-        `mcspectra.core.decoding` allows for a file of this size.
+        If the file does not exist, is a folder, has an unknown extension, is broken or truncated.
+        If it has no pixels or no such layer, or if pixels are NaN or infinite.
+        If pixels need more memory than `mcspectra.core.decoding` allows for a file of this size.
     MissingDependency
         If the file is an EXR file, and OpenEXR is not installed.
 
@@ -165,8 +167,8 @@ def check_picture_size(path: str | PathLike[str]) -> None:
 def luminance(image: Array) -> Array:
     """Return the Rec. 709 luminance (height, width) of an image (height, width, 1 or 3).
 
-    Y = 0.2126 R + 0.7152 G + 0.0722 B of linear values (ITU-R BT.709); a single channel is returned
-    unchanged.
+    Y = 0.2126 R + 0.7152 G + 0.0722 B is computed from linear values (ITU-R BT.709).
+    A single channel is returned unchanged.
 
     Raises
     ------
@@ -197,7 +199,7 @@ def _read_pillow(stream: IO[bytes], size: int, name: str, linear: bool) -> Array
     """Return values in [0,1] of PNG and JPEG, (height, width, 1 or 3)."""
     image = _pillow_head(stream)
     mode, (width, height) = image.mode, image.size
-    # Peak memory: Pillow's picture, a converted copy, a channel and its bytes, the float64 channels
+    # Peak memory: Pillow's picture, its copy, a channel and its bytes, and the float64 channels
     channels = 3 if mode == "P" else len(image.getbands())
     check_decoded_size(name, size, width * height * (8 + 8 * channels))
     if mode not in ("L", "LA", "RGB", "RGBA") and not mode.startswith("I"):
@@ -256,7 +258,7 @@ def exr_attributes(path: str | PathLike[str]) -> dict[str, object]:
 
 
 def exr_layer(path: str | PathLike[str]) -> str:
-    """Return the layer of an EXR file that `read_image` takes by default; unnamed is empty.
+    """Return the layer of an EXR file that `read_image` takes by default; empty if unnamed.
 
     Raises
     ------
@@ -270,10 +272,11 @@ def exr_layer(path: str | PathLike[str]) -> str:
 
 
 def _exr_file(name: str, *, header_only: bool) -> Any:
-    """Open an EXR file and suppress the lines that OpenEXR prints for a broken one.
+    """Open an EXR file and suppress the lines that OpenEXR prints for a broken file.
 
-    OpenEXR prints these lines, partly through Python, to standard output, where results go. They
-    hold the raw name of the file. Lines of other threads during this time are printed afterwards.
+    OpenEXR prints these lines to standard output, where results go, partly through Python.
+    The lines hold the raw name of the file.
+    Lines that other threads print during this time are printed afterwards.
     """
     OpenEXR = load_openexr()
 
@@ -313,7 +316,7 @@ def _put_back(descriptor: int, saved: int, held: IO[bytes], name: str) -> None:
 
 
 def _exr_head(name: str) -> tuple[set[str], int, int]:
-    """Return from the header: channel names, bytes of all values, pixels of the largest part."""
+    """Return channel names, bytes of all values, and pixels of the largest part of a header."""
     OpenEXR = load_openexr()
     head = _exr_file(name, header_only=True)
     listed: set[str] = set()
@@ -334,7 +337,7 @@ def _exr_head(name: str) -> tuple[set[str], int, int]:
 def _read_exr(name: str, size: int, layer: str | None) -> Array:
     listed, stored, largest = _exr_head(name)
     names = _picture_channels(name, listed, layer)
-    # memory: float64 values and a mask
+    # The memory holds float64 values and a mask
     check_decoded_size(name, size, stored + 9 * len(names) * largest)
     parts = _exr_file(name, header_only=False).parts
     planes = {name: c.pixels for part in reversed(parts) for name, c in part.channels.items()}
@@ -356,7 +359,7 @@ def _picture_channels(name: str, listed: set[str], layer: str | None) -> list[st
         for cs in ("RGB", "Y")
         for each in (layers if layer is None else [layer])
     ]
-    if layer is not None:  # the channel of this name, or the layer's only channel
+    if layer is not None:  # take the channel of this name, or the layer's only channel
         own = [c for c in listed if c.rpartition(".")[0] == layer]
         offers += [[layer], own[:1] if len(own) == 1 else [""]]
     names = next((offer for offer in offers if listed.issuperset(offer)), None)

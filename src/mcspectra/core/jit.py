@@ -1,8 +1,8 @@
 """The numba decorator of all kernels, with one choice of compiler flags.
 
 `nogil` lets a thread pool run kernels in parallel; `cache` keeps compiled code between runs.
-Kernels use neither `parallel=True` nor cached `guvectorize`: both have open race conditions under
-worker processes (numba issues 4807 and 10128).
+Kernels use neither `parallel=True` nor cached `guvectorize`.
+Both have open race conditions under worker processes (numba issues 4807 and 10128).
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from mcspectra.core.errors import ConfigError, Function
 
 __all__ = ["available_memory", "check_memory", "memory_of", "shown_bytes"]
 
-_COPIES = 4  # copies of the points: as drawn, warped, with their values and weights
+_COPIES = 4  # copies of the points: as drawn, warped, and with values and weights
 _GRIDS = 8  # complex arrays over the frequencies: transform, sums, squares, coefficients
 _NUMBERS = 2**21  # float64 numbers in a block of realizations (see core.parallel)
 _BASE = 2**20
@@ -22,7 +22,7 @@ def memory_of(n: int, dims: int, techniques: int = 1, frequencies: int = 0) -> i
     Parameters
     ----------
     n, dims, techniques
-        Points per technique, dims, and number of techniques in units of n.
+        Points per technique, number of dims, and total points of all techniques divided by n.
     frequencies
         Size of the frequency grid.
     """
@@ -46,8 +46,7 @@ def check_memory(needed: int, what: str | Function) -> None:
     needed
         Bytes needed.
     what
-        Subject of the message: a function or a text such as ``"Estimator 'a', convergence with n =
-        10"``.
+        Subject of the message: a function, or a text such as ``"convergence with n = 10"``.
 
     Raises
     ------

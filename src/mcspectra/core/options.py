@@ -1,9 +1,9 @@
 """Options of analyses: declared once as annotations of a struct; this module reads and checks them.
 
-The annotation of a field (`msgspec.Meta`) holds the meaning and the limits of its option. The
-field holds the option's default. Python's functions, study files, the command line, the explorer
-and the docs derive their interfaces from the fields. Each interface passes a value to
-`Option.check` or a text to `Option.read`.
+The annotation of a field (`msgspec.Meta`) holds the meaning and the limits of its option.
+The field holds the option's default.
+Python functions, study files, commands, the explorer and the docs derive their interfaces from it.
+Each interface passes a value to `Option.check` or a text to `Option.read`.
 """
 
 from __future__ import annotations
@@ -48,10 +48,10 @@ __all__ = [
     "whole_number",
 ]
 
-# Larger limits only keep numbers within 64 bits, and messages leave them out
+# Limits above this number only keep values within 64 bits, and messages omit them
 _NO_LIMIT = 2**31
 _LISTS = (inspect.VarTupleType, inspect.TupleType)
-_SORTS: Mapping[type, Any] = {  # Python types that fit each type of an option, whatever the limits
+_SORTS: Mapping[type, Any] = {  # Python types that fit each type of option
     **dict.fromkeys((inspect.IntType, inspect.FloatType), (int, float, np.number)),
     **dict.fromkeys((inspect.StrType, inspect.LiteralType), str),
     **dict.fromkeys(_LISTS, (Sequence, np.ndarray)),
@@ -136,10 +136,10 @@ class Option:
     default
         Default value; `msgspec.NODEFAULT` if the option is required.
     meaning
-        Description of one sentence.
+        Description of the option in one sentence.
     extra
-        Further entries of the annotation: ``flag``, ``metavar``, ``choices``, ``unit``, and
-        ``help``, the description of a flag whose name differs from the option.
+        Further entries of the annotation: ``flag``, ``metavar``, ``choices``, ``unit``, ``help``.
+        The entry ``help`` describes a flag whose name differs from the option.
     """
 
     name: str
@@ -160,7 +160,7 @@ class Option:
 
     @property
     def choices(self) -> tuple[str, ...]:
-        """Allowed texts of the option; empty if any text is allowed, or no text."""
+        """Allowed texts of the option; empty if any text is allowed, or if no text is allowed."""
         return _words(_kinds(self.kind)) or tuple(self.extra.get("choices", ()))
 
     @property
@@ -195,8 +195,8 @@ class Option:
         label
             Subject of the error message; by default the name of the option.
         from_file
-            Whether the value comes from a file. It cannot be an array then, and messages give the
-            index of list items, from 0.
+            Whether the value comes from a file. Such a value cannot be an array.
+            Messages about such values give the index of list items, from 0.
 
         Raises
         ------
@@ -238,14 +238,14 @@ def options_of(struct: Any) -> tuple[Option, ...]:
     for field in kind.fields:
         about, extra = _annotation(field.type)
         given = field.default
-        if field.default_factory is not msgspec.NODEFAULT:  # such as a new list
+        if field.default_factory is not msgspec.NODEFAULT:  # for example, a new list
             given = field.default_factory()
         found.append(Option(field.name, field.type, given, about, extra))
     return tuple(found)
 
 
 def checked(struct: Any) -> Any:
-    """Return a struct with checked options: the only check of the public functions of Python.
+    """Return a struct with checked options. Public Python functions make no other check.
 
     Raises
     ------

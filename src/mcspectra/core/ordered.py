@@ -1,9 +1,9 @@
 """Linear algebra whose sums have a fixed order.
 
 BLAS splits large sums by the number of its threads, which changes the last digits of results.
-Products here use `numpy.einsum` without `optimize`, which never calls BLAS. It runs at a quarter of
-the speed of BLAS, but takes far less time than the points and the transforms. Factorizations use
-Householder reflections; docs/decisions/0015 compares them with NumPy's.
+Products here use `numpy.einsum` without `optimize`, which never calls BLAS.
+This runs at a quarter of the speed of BLAS, but points and transforms take far more time.
+Factorizations use Householder reflections; docs/decisions/0015 compares them with NumPy's.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def weighted_sum(weights: Array, values: Array) -> Array:
 
 
 def gram(x: Array) -> Array:
-    """Return Σ_r x_rm conj(x_rl) and Σ_r x_rm x_rl next to each other, (H, 2H), for x (R, H)."""
+    """Return Σ_r x_rm conj(x_rl) and Σ_r x_rm x_rl side by side, (H, 2H), for x of shape (R, H)."""
     rows = np.ascontiguousarray(x.T)
     if not np.iscomplexobj(x):
         return np.tile(np.einsum("mr,lr->ml", rows, rows), 2)
@@ -45,7 +45,7 @@ def gram(x: Array) -> Array:
 
 
 def orthonormal(a: Array) -> Array:
-    """Return orthonormal columns whose first k span those of a (D, K), for all k: Q of a = Q R."""
+    """Return Q of a = Q R, (D, K): orthonormal, and the first k columns span those of a."""
     columns: Array = a.T.copy()
     reflectors: list[Array] = []
     for j, x in enumerate(columns):

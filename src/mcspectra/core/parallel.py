@@ -1,7 +1,7 @@
 """Work over realizations in blocks: a fixed partition, a thread pool, and results in order.
 
-The partition depends only on the size of the problem, never on the number of workers. Block results
-come back in order, so that sums over them are the same bits for any number of workers.
+The partition depends only on the size of the problem, never on the number of workers.
+Results of blocks come back in order, so sums have the same bits for any number of workers.
 """
 
 from __future__ import annotations
@@ -73,8 +73,8 @@ def realization_blocks(
 ) -> RealizationBlocks:
     """Split realizations into blocks of about `_BLOCK_NUMBERS` numbers.
 
-    The size of a block is a multiple of `multiple`. There are at least `least` blocks if each of
-    them can have `multiple` realizations.
+    The size of a block is a multiple of `multiple`.
+    There are at least `least` blocks, provided that each can have `multiple` realizations.
     """
     size = max(1, _BLOCK_NUMBERS // max(1, numbers_each) // multiple) * multiple
     size = min(size, max(1, realizations // least // multiple) * multiple)
@@ -84,11 +84,12 @@ def realization_blocks(
 def slices(block: Block, numbers_each: int) -> Iterator[Block]:
     """Split a block into slices of about `_SLICE_NUMBERS` numbers.
 
-    Slices limit memory and stay in a shared cache. In one thread, smaller slices that fit a
-    second-level cache are no faster. With several threads they are slower: threads wait for
-    Python's lock between ufuncs, 0.1 ms each time while an idle processor wakes. With two threads,
-    the parallel efficiency was 0.39, 0.77, 0.87 and 0.87 for slices of 2^16, 2^18, 2^19 and 2^20
-    numbers. Two processes reach 0.91 to 0.95.
+    Slices limit memory and stay in a shared cache.
+    In one thread, smaller slices that fit a second-level cache are no faster.
+    With several threads, they are slower, because threads wait for Python's lock between ufuncs.
+    Each wait takes 0.1 ms, while an idle processor wakes.
+    With two threads, slices of 2^16, 2^18, 2^19 and 2^20 numbers had parallel efficiencies of
+    0.39, 0.77, 0.87 and 0.87. Two processes reach 0.91 to 0.95.
     """
     size = max(1, _SLICE_NUMBERS // max(1, numbers_each))
     start, stop = block[0], block[0] + block[1]

@@ -1,20 +1,22 @@
 """Point-set files: UTK text and binary, npz, npy and csv, each a list of sets of points.
 
 ============  ====================================================================================
-``.dat``      UTK text: one point per line, coordinates separated by blanks; a line that
-              begins with ``#`` starts the next set (at the top of the file it is a comment)
-``.bin``      UTK binary: five 32-bit words (magic 0x214B5455 = "UTK!", type code, numbers of
-              sets, of points per set and of dims), then all coordinates in order
+``.dat``      UTK text: one point per line, coordinates separated by blanks. A line that
+              begins with ``#`` starts the next set; at the top it is a comment
+``.bin``      UTK binary: five 32-bit words, then all coordinates in order. The words are
+              the magic word 0x214B5455 = "UTK!", the type code, the number of sets, the
+              number of points per set, and the number of dims
 ``.npz``      array ``points`` of shape (n, d) or (R, n, d), text ``meta`` (JSON)
 ``.npy``      one array of shape (n, d) or (R, n, d)
-``.csv``      commas or semicolons, optional header line; sets in a column ``set``, otherwise
-              separated by blank lines
+``.csv``      commas or semicolons separate numbers, after an optional header line. A
+              column ``set`` numbers the sets; otherwise blank lines separate them
 ============  ====================================================================================
 
-UTK is the Uni{corn|form} toolkit, https://github.com/utk-team/utk. Its file
-``include/utk/utils/PointsetIO.hpp`` defines the formats. The type code is the first byte of the
-second word: 0 int32, 1 int64, 2 uint32, 3 uint64, 4 float, 5 double. The magic word shows the byte
-order. Integers are read as fractions of their type's range.
+UTK is the Uni{corn|form} toolkit, https://github.com/utk-team/utk.
+Its file ``include/utk/utils/PointsetIO.hpp`` defines the formats.
+The type code is the first byte of the second word. 0 means int32, 1 int64, 2 uint32, 3 uint64,
+4 float and 5 double. The magic word shows the byte order.
+Integers are read as fractions of their type's range.
 
 The sets of a file may differ in size. Samplers check whether coordinates lie in [0,1).
 """
@@ -53,14 +55,14 @@ __all__ = [
 EXTENSIONS = (".dat", ".bin", ".npz", ".npy", ".csv")
 """Extensions of files that `read_points` and `write_points` support."""
 
-# Bytes that a set counts as memory besides its coordinates: many tiny sets also take time
+# Bytes that each set adds to the memory of its coordinates, because many tiny sets take time
 _SET_BYTES = 4096
 
 # UTK text and comma-separated values
 _LONGEST_LINE = 2**22  # largest number of bytes in a line
 _BLOCK = 2**20
-_COMPILED = 2**18  # bytes; Python reads a shorter text faster than the kernel compiles
-# Bytes that a number of a text takes: 8 as read, 8 in its set, 8 in the order of sets
+_COMPILED = 2**18  # in bytes; Python reads a shorter text faster than the kernel compiles
+# Bytes of memory for each number of a text: 8 as read, 8 in its set, 8 in the order of sets
 _VALUE_BYTES = 24
 
 # UTK binary
@@ -75,9 +77,9 @@ def read_points(path: str | PathLike[str]) -> list[Array]:
     Raises
     ------
     FileFormatError
-        If the file is missing, empty, truncated, of an unknown format, takes too much memory (see
-        `mcspectra.core.decoding`), or holds anything but finite numbers. The message names the line
-        or the byte.
+        If the file is missing, empty, truncated or of an unknown format.
+        If it takes too much memory (see `mcspectra.core.decoding`).
+        If it holds anything but finite numbers; the message names the line or the byte.
     """
     with opened(path, "a point set", EXTENSIONS) as (stream, size, name, extension):
         match extension:
@@ -117,8 +119,9 @@ def matching_files(path: str | PathLike[str]) -> list[tuple[Path, int | None]]:
     Parameters
     ----------
     path
-        A file; a folder, for all point-set files in it; or a pattern. In a pattern, ``*`` and ``?``
-        stand for any characters, and ``{n}`` for a whole number, the same in all places.
+        A file, a folder (for all point-set files in it), or a pattern.
+        In a pattern, ``*`` and ``?`` stand for any characters.
+        ``{n}`` stands for a whole number, which is the same in all places.
 
     Returns
     -------
@@ -169,8 +172,8 @@ def write_points(
     sets
         One array (n, d) for each set; ``.bin``, ``.npz`` and ``.npy`` need sets of equal shape.
     meta
-        Description of the points, as JSON. ``.npz`` stores it, ``.dat`` stores it as a comment, and
-        the other formats ignore it.
+        Description of the points, as JSON.
+        ``.npz`` stores it, ``.dat`` stores it as a comment, and the other formats ignore it.
 
     Raises
     ------
@@ -286,8 +289,9 @@ def _read_dat(stream: IO[bytes], size: int, name: str) -> list[Array]:
 def _numbers(chunk: bytes) -> tuple[int, list[tuple[int, Array | None]]] | None:
     """Read lines that hold only numbers; return None if any other line is among them.
 
-    Returns the number of lines, and a pair for each run of lines between comments: the number of
-    its first line, from 1, and its points. A comment has None instead of points.
+    The result is the number of lines, and a pair for each run of lines between comments.
+    A pair holds the number of the run's first line, from 1, and its points.
+    A comment has None instead of points.
     """
     from mcspectra.core._text_kernels import parse_lines
 
@@ -388,7 +392,7 @@ def _chunks(stream: IO[bytes], size: int, name: str) -> Iterator[bytes]:
     fields = lines = begun = 0
     while data := stream.read(_BLOCK):
         block = np.frombuffer(data, np.uint8)
-        # Bytes of each line that ends in this block, and of the last, incomplete line
+        # Count the bytes of each line that ends in this block, and of the last, incomplete line
         ends = np.flatnonzero(block == ord("\n")) + 1
         sizes = np.diff(ends, prepend=-begun, append=len(block))
         if sizes.max() > _LONGEST_LINE:
@@ -414,8 +418,8 @@ def _sets_of_rows(
 ) -> list[Array]:
     """Convert rows to one array per set.
 
-    A row is a line number with its fields; None instead of fields starts a set. Rows that were
-    already converted come together, as an array of points with the number of their first line.
+    A row is a line number with its fields. None instead of fields starts a set.
+    Rows that were already converted come together, as points with the number of their first line.
     """
     sets: list[Array] = []
     points = array("d")
@@ -444,7 +448,7 @@ def _sets_of_rows(
             values = list(map(float, fields))
         except ValueError:
             values = []
-        # Only Python reads 1_0 as 10.
+        # Reject underscores, because only Python reads 1_0 as 10.
         if not (values and math.isfinite(sum(values))) or "_" in "".join(fields):
             for text in fields:
                 value = _number(text)
@@ -476,7 +480,7 @@ def _split(points: Array, set_of_row: Array) -> list[Array]:
 
 
 def _read_bin(stream: IO[bytes], size: int, name: str) -> Array:
-    """Read all sets, (R, n, d)."""
+    """Read all sets as an array of shape (R, n, d)."""
     data = stream.read(_HEADER_BYTES)
     if len(data) < _HEADER_BYTES:
         raise FileFormatError(f"{name} ends at byte {len(data)}, within the header of 20 bytes.")

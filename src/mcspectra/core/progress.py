@@ -1,8 +1,8 @@
 """Progress of long work: workers report their progress, and listeners receive it.
 
-Work that takes seconds calls `report` from time to time, which costs nothing without a listener. In
-a notebook or at Python's prompt, a progress bar appears automatically. The command line always
-shows a bar; scripts can use `progress_bars`.
+Work that takes seconds calls `report` from time to time, which costs nothing without a listener.
+In a notebook or at Python's prompt, a progress bar appears automatically.
+The command line always shows a bar. Scripts can use `progress_bars`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _AFTER = 0.5  # seconds; shorter work shows no bar
 _BETWEEN = 0.1  # seconds between two updates of the bar
 _BETWEEN_LINES = 10.0  # seconds between two lines, if there is no terminal to draw in
 _LONGEST = 80  # largest number of characters of a line of progress
-# Work without a report for this number of seconds counts as abandoned, as after an exception
+# Work without a report for this number of seconds counts as abandoned, for example by an error
 _FORGOTTEN = 30.0
 
 
@@ -53,8 +53,8 @@ def listening(listener: Listener) -> Iterator[None]:
 def progress_bars(shown: bool = True) -> AbstractContextManager[None]:
     """Show a bar on standard error if work inside the block takes longer than half a second.
 
-    Notebooks and Python's prompt always show it. Without a terminal, a line every ten seconds
-    reports the progress.
+    Notebooks and Python's prompt always show a bar.
+    Without a terminal, a line every ten seconds reports the progress.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def _showing() -> Iterator[None]:
 
 
 def report(what: str, fraction: float) -> None:
-    """Report to the innermost listener the finished `fraction` of `what`; 1 at its end."""
+    """Report the finished `fraction` of `what` to the innermost listener; it is 1 at the end."""
     listeners = _listeners[-1:]
     if not listeners and _somebody_waits():
         listeners = [_automatic]
@@ -109,13 +109,13 @@ class ProgressBars:
     Parameters
     ----------
     closes
-        Whether `close` is called at the end of the work. Otherwise the bar stays after an
-        exception, and its work is dropped after a time.
+        Whether `close` is called at the end of the work.
+        Otherwise the bar stays after an exception, and its work is dropped after a time.
     """
 
     def __init__(self, *, closes: bool = False) -> None:
         self._closes = closes
-        # start, time of the last report, fraction
+        # Start, time of the last report, and finished fraction of each work
         self._under_way: dict[str, tuple[float, float, float]] = {}
         self._told_at = time.monotonic()
         self._bar: Any = None  # progress bar of the package rich; None if no bar is shown

@@ -1,9 +1,11 @@
 """States of reductions: flat records of arrays with common rules for merging and storing.
 
-A state is a dataclass whose fields are arrays, numbers or further records. Two states merge field
-by field. Records with a method `merge` use it (moments, whose fields depend on each other). Arrays
-and numbers follow the rule in their annotation, `SUM`, `JOIN` or `SAME`. The stored form is one
-buffer: a header in MessagePack with names, types and shapes, then the numbers; no pickle, no code.
+A state is a dataclass whose fields are arrays, numbers or further records.
+Two states merge field by field.
+Records with a method `merge` use it. Moments do so, because their fields depend on each other.
+Arrays and numbers follow the rule in their annotation: `SUM`, `JOIN` or `SAME`.
+The stored form is one buffer: a MessagePack header with names, types and shapes, then the numbers.
+It contains no pickle and no code.
 """
 
 from __future__ import annotations
@@ -179,8 +181,8 @@ def _attributes(attributes: Mapping[Any, Any]) -> dict[str, Any]:
 def unpack(kind: Any, payload: bytes) -> Any:
     """Return the state that `pack` stored.
 
-    `kind` is its type: a record, ``list[record]``, an array or a dict. The function allocates
-    nothing larger than the payload.
+    `kind` is its type: a record, ``list[record]``, an array or a dict.
+    The function allocates nothing larger than the payload.
 
     Raises
     ------

@@ -58,7 +58,7 @@ def bibtex(key: str) -> str:
 
 
 def address(fields: dict[str, str]) -> str:
-    """Return the web address of a work, by its DOI if it has one; otherwise ``""``."""
+    """Return the web address of a work, made from its DOI if it has one; otherwise ``""``."""
     return next((site + fields[name] for name, site in _SITES.items() if name in fields), "")
 
 

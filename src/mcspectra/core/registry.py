@@ -1,7 +1,8 @@
 """Registries: map names in spec strings to classes, which are loaded on first use.
 
-Built-in classes are ``"module:Class"`` strings, so that listing names imports nothing. Other
-packages add names by the entry points in `Registry.group`. A built-in name always has priority.
+Built-in classes are ``"module:Class"`` strings, so that listing names imports nothing.
+Other packages add names by the entry points in `Registry.group`.
+A built-in name always has priority.
 """
 
 from __future__ import annotations
@@ -38,8 +39,7 @@ class Registry(Mapping[str, str]):
     builtin
         Mapping from name to ``"module:Class"``.
     base
-        Base class of all registered classes; None if functions that create components are
-        registered.
+        Base class of all registered classes. None if functions are registered instead.
     """
 
     def __init__(
@@ -144,8 +144,9 @@ def classes_of(modules: Mapping[str, str]) -> dict[str, str]:
     Parameters
     ----------
     modules
-        Classes of each module, separated by blanks. A name is either the class's own in kebab case,
-        as for ``RandomRotation``, or given explicitly, as in ``disk=DiskDensity``.
+        Classes of each module, separated by blanks.
+        By default, the name is the class's own in kebab case, as for ``RandomRotation``.
+        A different name is given explicitly, as in ``disk=DiskDensity``.
     """
     found = {}
     for module, classes in modules.items():
@@ -161,8 +162,7 @@ def optional_package(name: str, extra: str, need: str) -> Any:
     Parameters
     ----------
     name, extra
-        Name of the package, such as ``"zarr.storage"``, and the extra of mcspectra that installs
-        it.
+        Name of the package, such as ``"zarr.storage"``, and the extra that installs it.
     need
         Beginning of the error message, such as ``"Stores .zarr need"``.
 

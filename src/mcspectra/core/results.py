@@ -1,8 +1,9 @@
 """Names of all result variables, and the function that makes a labeled dataset of them.
 
-Every variable that an analysis returns is registered here once with its meaning, unit, dims and
-type. `dataset` attaches meaning and unit as attributes, and the provenance (seed, versions, spec
-strings) to the dataset. `check_variables` compares a result with the declaration of its analysis.
+Every variable of a result is registered here once, with its meaning, unit, dims and type.
+`dataset` attaches meaning and unit to the variables as attributes.
+It also attaches the provenance (seed, versions, spec strings) to the dataset.
+`check_variables` compares a result with the declaration of its analysis.
 """
 
 from __future__ import annotations
@@ -43,11 +44,11 @@ class Variable(NamedTuple):
     meaning, units
         Values of the attributes ``long_name`` and ``units``.
     dims
-        Dims of the variable in order. ``m`` stands for m0, m1, …; a dim that ends in ``?`` is
-        optional. The dims estimator, sampler and channel may be added. None if the dims vary.
+        Dims of the variable in order. None if the dims vary.
+        ``m`` stands for m0, m1, …; a dim that ends in ``?`` is optional.
+        The dims estimator, sampler and channel may be added.
     kind
-        Types of numbers, as NumPy's letters: ``f`` floats, ``i`` integers, ``c`` complex, ``b``
-        booleans.
+        Types of numbers as NumPy's letters: ``f`` float, ``i`` integer, ``c`` complex, ``b`` bool.
     name
         Name of a variable that is not in `VARIABLES`, such as one of another package.
     """

@@ -1,7 +1,8 @@
 """Spec strings ``name(key=value, ...) | name(...)`` for the command line, TOML and Python.
 
-Names are in kebab case. Values are Python literals read by `ast.literal_eval`; no code is
-evaluated. `parse` converts text to `Call`s, `format_call` converts a component back to text.
+Names are in kebab case.
+Values are Python literals read by `ast.literal_eval`; no code is evaluated.
+`parse` converts text to `Call`s, and `format_call` converts a component back to text.
 """
 
 from __future__ import annotations
@@ -62,10 +63,10 @@ class _NameOfClass:
 class Component:
     """Common base of samplers, randomizations, densities and integrands: a name and a spec string.
 
-    Subclasses are dataclasses. `spec` lists the fields that differ from their defaults. Fields
-    declared by `mcspectra.core.fields` are checked when an instance is created, then `_check`
-    checks the whole instance. A class declares `name` if its spec name is not its own name in kebab
-    case.
+    Subclasses are dataclasses. `spec` lists the fields that differ from their defaults.
+    When an instance is created, fields declared by `mcspectra.core.fields` are checked first.
+    Then `_check` checks the whole instance.
+    A class declares `name` if its spec name is not its own name in kebab case.
     """
 
     name: ClassVar[str] = _NameOfClass()  # type: ignore[assignment]
@@ -120,7 +121,7 @@ def parse(text: str) -> Call:
 
 
 def short_spec(text: str) -> str:
-    """Return a short spec for figures: ``name=`` replaces its part, files lose their folders."""
+    """Return a short spec for figures: a part with ``name=`` becomes the name, files lose folders."""
     try:
         parts = zip(parse_chain(text), _split(text), strict=True)
         return " | ".join(

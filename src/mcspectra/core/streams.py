@@ -2,20 +2,25 @@
 
 Method
 ------
-A *stream* is a 64-bit key. `Stream.from_rng` makes one from a user's seed (SPEC 7: an integer,
-`numpy.random.Generator`, `SeedSequence` or None). `Stream.child` derives independent streams for
-the parts of a sampler (points, shift, scramble, ...). For realization r, the stream's key and r
-pass through Philox4x32-10 [Salmon2011]_, a bijection of its 128-bit counter. Different realizations
-of a stream therefore have *different* 128-bit keys (k0, k1) by construction. Number i of a
-realization is a keyed 64-bit mix,
+A *stream* is a 64-bit key. `Stream.from_rng` makes a stream from a user's seed.
+A seed is an integer, `numpy.random.Generator`, `SeedSequence` or None (SPEC 7).
+`Stream.child` derives independent streams for the parts of a sampler (points, shift, …).
+
+For realization r, the stream's key and r pass through Philox4x32-10 [Salmon2011]_.
+Philox is a bijection of its 128-bit counter.
+Different realizations of a stream therefore have *different* 128-bit keys (k0, k1) by construction.
+Number i of a realization is a keyed 64-bit mix,
 
     x = (i xor k0) M1;  x ^= x >> 32;  x = (x + k1) M2;  x ^= x >> 29;  x *= M3;  x ^= x >> 32
 
-with the multipliers of SplitMix64 [Steele2014]_. k0 enters before the first non-linear step and k1
-after it, so that one stream is a shifted or permuted copy of another only if k1 also agrees. Philox
-alone would be sufficient, but it takes 1.8 ns per double at 7 rounds. The mix takes 1.3 ns and
-NumPy's PCG64 3.7 ns (one core, AVX-512, 2^17 doubles). `tests/core/test_streams.py` tests the
-statistics: moments, χ², serial correlation, and collisions across realizations, indices and seeds.
+with the multipliers of SplitMix64 [Steele2014]_.
+k0 enters before the first non-linear step, and k1 enters after it.
+Therefore one stream is a shifted or permuted copy of another only if k1 also agrees.
+
+Philox alone would be sufficient, but it takes 1.8 ns per double at 7 rounds.
+The mix takes 1.3 ns, and NumPy's PCG64 takes 3.7 ns (one core, AVX-512, 2^17 doubles).
+`tests/core/test_streams.py` tests moments, χ² and serial correlation.
+It also tests for collisions across realizations, indices and seeds.
 """
 
 from __future__ import annotations
@@ -127,8 +132,8 @@ class Stream:
     def from_rng(rng: RngLike = None) -> Stream:
         """Make a stream from a seed in the sense of SPEC 7.
 
-        An integer or `SeedSequence` always gives the same stream, a `Generator` is advanced by one
-        64-bit draw, and None uses fresh entropy.
+        An integer or `SeedSequence` always gives the same stream, and None uses fresh entropy.
+        A `Generator` is advanced by one 64-bit draw.
 
         Raises
         ------
@@ -168,7 +173,7 @@ class Stream:
     def generator(self, realization: int) -> np.random.Generator:
         """Return a NumPy generator for one realization, for libraries that need one.
 
-        It is made from a SeedSequence, because `scipy.stats.qmc` needs a generator that can spawn.
+        The generator has a SeedSequence, because `scipy.stats.qmc` needs one that can spawn.
         """
         k0, k1 = self.keys(realization, 1)[0]
         return np.random.Generator(np.random.Philox(np.random.SeedSequence([int(k0), int(k1)])))

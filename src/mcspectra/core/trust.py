@@ -1,10 +1,11 @@
 """Access to files and code from untrusted text: one policy for studies, specs and the explorer.
 
 Text is data: a spec is parsed, never evaluated. But a spec may name code to run and files to read.
-A `Trust` allows the code that the caller names, and files in folders that the caller names; links
-are resolved first. A study can also read its own folder. The process has one Trust,
-`process_trust`. The options ``--allow-code`` and ``--allow-path`` and
-`mcspectra.samplers.allow_code` extend it.
+A `Trust` allows the code that the caller names, and files in folders that the caller names.
+Links are resolved first. A study can also read its own folder.
+The process has one Trust, `process_trust`.
+The options ``--allow-code`` and ``--allow-path`` extend it.
+`mcspectra.samplers.allow_code` also extends it.
 """
 
 from __future__ import annotations
@@ -61,10 +62,10 @@ class Trust:
     Parameters
     ----------
     code
-        Functions ``module:function`` that specs ``python('module:function')`` may name, and
-        commands, or their programs, that specs ``command('./mine {n} {seed}')`` may name. Modules
-        are searched on Python's path (PYTHONPATH), not in a study's folder; programs include their
-        path.
+        Functions ``module:function`` that specs ``python('module:function')`` may name.
+        Also commands, or their programs, that specs ``command('./mine {n} {seed}')`` may name.
+        Modules are searched on Python's path (PYTHONPATH), not in a study's folder.
+        Programs include their path.
     folders
         Folders whose files may be read, including subfolders.
 

@@ -1,8 +1,9 @@
 """Draw plots with Bokeh for pages: plots with zoom, tooltips and legends that hide marks.
 
-Plots load nothing from a network, are readable on light and dark pages, and have their description
-in words as ARIA label. A `Drawn` can show other plots of the same structure; only data, limits and
-texts change.
+Plots load nothing from a network and are readable on light and dark pages.
+Their description in words is the ARIA label.
+
+A `Drawn` can show another plot of the same structure by changing only data, limits and texts.
 """
 
 from __future__ import annotations
@@ -88,10 +89,10 @@ _SIDES = {
     "middle": ("center", "middle", 0, 0),
 }
 _SHADES = 255  # number of colors of a palette; shade 0 means no value
-_KEPT_BITS = 10  # bits of the mantissa of values in tooltips: precision 0.1 %, three digits
+_KEPT_BITS = 10  # mantissa bits of values in tooltips, enough for three digits
 _PIXELS = 4 / 3  # pixels per point
 _ALONE, _WIDE, _ABREAST, _PAIR = 260, 300, 216, 260  # widths of frames in pixels
-_USUAL = 560  # width in pixels from which the height of a full-width figure is computed
+_USUAL = 560  # assumed width in pixels of a full-width figure; gives its height
 _TOOLS = "pan,box_zoom,wheel_zoom,reset,save"
 
 
@@ -103,8 +104,8 @@ def draw(plot: Plot) -> Drawn:
 def packed(model: LayoutDOM) -> str:
     """Return a model's JSON for ``Bokeh.embed.embed_item``, gzipped, in base64.
 
-    The same plot gives the same text: Bokeh numbers models over the life of a process, so they are
-    renumbered from 0 in each plot.
+    Bokeh numbers models over the life of a process. Here the models of each plot are renumbered
+    from 0, so the same plot gives the same text.
     """
     item = json.loads(serialize_json(json_item(model)))
     numbers: dict[str, str] = {}
@@ -137,7 +138,7 @@ class Drawn:
         self._shown: Plot | None = None
         self._structure = _structure(plot)
         self._figures = [_figure(panel, _options(plot, k)) for k, panel in enumerate(plot.panels)]
-        # Show the tools of a panel only while the pointer is over it, if each panel has its own
+        # If each panel has its own tools, show them only while the pointer is over the panel
         for each in self._figures:
             each.toolbar.autohide = len(self._figures) > 1 and not _stacked(plot)
         if _stacked(plot):
@@ -169,7 +170,7 @@ class Drawn:
             )  # fmt: skip
             frame.add_layout(bar, "below")
             self._bars.append(bar)
-        # Put each label below the last figure that has it; a click hides its marks in all figures
+        # Put each legend entry below the last figure that has it; clicks hide its marks everywhere
         items: dict[str, Any] = {}
         for k, frame in enumerate(self._figures):
             own = {label: drawn[k] for label, drawn in entries.items() if max(drawn) == k}
@@ -259,7 +260,7 @@ def _structure(plot: Plot) -> list[Any]:
 
 
 def _bars(plot: Plot) -> dict[Scale, int]:
-    """Return the color scales that need a bar or legend, with the last panel that has each."""
+    """Return the color scales that need a bar or legend, with the last panel that uses each."""
     found = {scale: k for k, panel in enumerate(plot.panels) for scale in panel.scales}
     return {scale: k for scale, k in found.items() if scale.label or scale.names}
 
@@ -292,7 +293,7 @@ def _layers(mark: Mark, panel: Panel) -> list[_Layer]:
                 mode = {"mode": "center"} if mark.step else {}
                 line = {"line_color": color, **_stroke(mark), **mode}
                 found.append(_Layer("step" if mark.step else "line", xy, line))
-            if mark.hover:  # tooltips need invisible dots: steps have no items
+            if mark.hover:  # steps have no tooltips, so add invisible dots
                 unseen = {"size": 9, "fill_alpha": 0, "line_alpha": 0}
                 found.append(_Layer("scatter", xy, unseen, mark.hover))
             return found
@@ -416,7 +417,7 @@ def _band(mark: Line, panel: Panel) -> dict[str, Any]:
 
 
 def _ends(axis: Axis, low: Any, high: Any) -> tuple[Array, Array]:
-    """Return positions of the ends of intervals; on a log axis, 0 becomes its low end."""
+    """Return positions of the ends of intervals; on a log axis, low ends at 0 move to its limit."""
     low = np.asarray(low, dtype=float)
     if axis.kind == "log" and axis.low is not None:
         low = np.where(low <= 0, axis.low, low)
@@ -469,7 +470,7 @@ def _compact(values: Array) -> Array:
     return np.ascontiguousarray(rounded, dtype=np.float32)
 
 
-# Figures, legends and color bars, which an update of the plot keeps
+# The functions below make figures, legends and color bars, which an update of the plot keeps
 
 
 def _options(plot: Plot, k: int) -> dict[str, Any]:
@@ -496,7 +497,7 @@ def _options(plot: Plot, k: int) -> dict[str, Any]:
         "width": None,
         "height": None,
         "outline_line_color": _INK if panel.framed else None,
-        # A narrow panel has no space for tools next to its title; stacked panels zoom together
+        # Only the first of stacked panels has tools. A narrow panel has no space above for tools
         "toolbar_location": None
         if _stacked(plot) and k
         else ("above" if stretched or not panel.title else "right"),
@@ -504,7 +505,7 @@ def _options(plot: Plot, k: int) -> dict[str, Any]:
 
 
 def _stacked(plot: Plot) -> bool:
-    """Whether panels are stacked with a shared axis, which the last panel labels."""
+    """Whether the panels are stacked and share an axis, which only the last panel labels."""
     return plot.columns == 1 and plot.share in ("x", "both")
 
 
@@ -544,7 +545,7 @@ def _figure(panel: Panel, options: dict[str, Any]) -> Any:
 
 
 def _texts(panel: Panel) -> dict[str, dict[float, str]]:
-    """Return ticks with the texts of bars, for a second axis on the right or at the top."""
+    """Return the texts of bars as ticks of a second axis, on the right or at the top."""
     found: dict[str, dict[float, str]] = {}
     for mark in panel.marks:
         if isinstance(mark, BarChart) and mark.texts:
@@ -626,7 +627,7 @@ def _seen(color: str) -> str:
 
 
 def _plain(text: str) -> str:
-    r"""Make a text printable, without ``$$…$$``, ``\(…\)`` or ``\[…\]``: Bokeh would load TeX."""
+    """Make a text printable and split its TeX delimiters, since Bokeh would load TeX for them."""
     text = printable(text, lines=True)
     joiner = "\u2060"  # invisible, no width
     for mark in ("$$", r"\(", r"\["):

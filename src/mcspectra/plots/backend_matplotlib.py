@@ -1,8 +1,9 @@
 """Draw plots with Matplotlib, for files, notebooks and the accessor.
 
-Each artist is styled separately, so no global settings are read or changed. Texts are plain, and
-ticks have fixed positions and plain labels, because typesetting mathematics takes most of the time
-of a small figure. The same plot always gives the same bytes.
+Each artist is styled separately, so no global settings are read or changed.
+Texts are plain, and ticks have fixed positions and plain labels.
+Typesetting mathematics would take most of the time of a small figure.
+The same plot always gives the same bytes.
 """
 
 from __future__ import annotations
@@ -64,14 +65,14 @@ FORMATS = (".svg", ".png", ".pdf", ".pgf")
 
 # Figure widths in inches: for one or two columns of panels, and for more columns or wide plots
 _NARROW, _WIDE = 4.9, 7.4
-# Inches: smallest side of one panel of several, largest side of a square panel
+# Inches: smallest side of a panel among several panels, and largest side of a square panel
 _LEAST_SIDE, _LARGEST_SQUARE = 2.3, 3.4
 _LABEL, _SMALL = 8.5, 7.5  # font sizes in points
 _LETTER = 0.062  # mean width in inches of a letter in a small text
 _TITLE_LETTER = 0.075  # mean width in inches of a letter in a title
 _DPI, _PDF_DPI = 120, 200  # resolution of PNG files, and of rasterized parts of a PDF
 _MOST_VECTORS = 5000  # largest number of points drawn as vectors; more make files large and slow
-# Number of colors of a PNG: its file is three times smaller, and flat colors look the same
+# Number of colors of a PNG. Files are three times smaller, and flat colors look the same
 _COLORS = 256
 _MOST_PIXELS = 2**15  # largest side of an image in pixels; half of Matplotlib's own limit
 _TICKS: dict[str, Any] = {
@@ -102,8 +103,8 @@ def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False) -> Figure:
     axes
         Axes to draw into. Default: a new figure.
     pyplot
-        Whether to register a new figure in pyplot, so that notebooks show it and ``plt.savefig``
-        writes it.
+        Whether to register a new figure in pyplot.
+        Then notebooks show the figure and ``plt.savefig`` writes it.
 
     Raises
     ------
@@ -161,17 +162,17 @@ def panel_axes(figure: Figure) -> list[Axes]:
 def encode(figure: Figure, *, with_pdf: bool = True) -> tuple[bytes, bytes]:
     """Return the PNG and the PDF of a figure, without time stamps.
 
-    The PDF is empty unless `with_pdf`.
+    Without `with_pdf`, the PDF is empty. The layout is computed once for both files.
 
-    The layout is computed once for both. The PNG has a palette of 256 colors unless the figure has
-    maps or images, in which rounded colors would be visible.
+    The PNG has a palette of 256 colors. If the figure has maps or images, in which rounded colors
+    would be visible, the PNG has all colors.
     """
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
     from PIL import Image as Picture
 
-    # Characters missing from the font are drawn as boxes; the text of the page has them
+    # Ignore warnings about characters that the font lacks; the text of the page shows them
     with warnings.catch_warnings(), mpl.rc_context({"pdf.fonttype": 42}):
         warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)
         figure.set_dpi(_DPI)  # before the layout, since the width of hinted text depends on the dpi
@@ -194,7 +195,7 @@ def encode(figure: Figure, *, with_pdf: bool = True) -> tuple[bytes, bytes]:
     if not any(axes.images for axes in figure.axes):
         octree, no_dither = Picture.Quantize.FASTOCTREE, Picture.Dither.NONE
         image = image.quantize(_COLORS, method=octree, dither=no_dither)
-        # The octree rounds colors; restore the exact background, which touches the page
+        # The octree rounds colors. Restore the exact background, which must match the page
         palette, paper = image.getpalette() or [], int(np.asarray(image)[0, 0])
         palette[3 * paper : 3 * paper + 3] = pixels[0, 0].tolist()
         image.putpalette(palette)
@@ -205,7 +206,7 @@ def encode(figure: Figure, *, with_pdf: bool = True) -> tuple[bytes, bytes]:
 def write(plot: Plot, path: str | PathLike[str], *, captioned: bool = False) -> None:
     """Write a plot to a file in the format of its extension.
 
-    PDF files have Type 42 fonts. PGF files are for ``\\input`` in LaTeX, which is not needed here.
+    PDF files have Type 42 fonts. PGF files are for ``\\input`` in LaTeX, but need no LaTeX here.
 
     Parameters
     ----------
@@ -236,7 +237,7 @@ def write(plot: Plot, path: str | PathLike[str], *, captioned: bool = False) -> 
         text = escaped(shorten(plot.caption, int(17 * figure.get_figwidth())))
         figure.supxlabel(text, x=0.02, ha="left", fontsize=_SMALL, color=INK)
     stamps: dict[str, Any] = {".png": {}, ".svg": {"Date": None}, ".pdf": {"CreationDate": None}}
-    # A salt makes the ids in an SVG reproducible
+    # A fixed salt makes the ids in an SVG reproducible
     with writing(file), mpl.rc_context({"svg.hashsalt": "mcspectra", "pdf.fonttype": 42}):
         if extension == ".pgf":
             _write_pgf(figure, file)
@@ -375,7 +376,7 @@ def _new_figure(plot: Plot, pyplot: bool) -> tuple[Figure, list[Axes]]:
 
 def _exact_figure(plot: Plot, shape: tuple[int, ...], pyplot: bool) -> tuple[Figure, list[Axes]]:
     """Create a figure whose PNG shows each image pixel as a square of whole pixels."""
-    least, gap, strip = 240, 12, 25  # pixels: least side, gap between panels, title
+    least, gap, strip = 240, 12, 25  # in pixels: smallest side, gap between panels, title height
     height, width, _ = shape
     zoom, columns = max(1, -(-least // width)), min(plot.columns, len(plot.panels))
     foot = gap + 16 * max(panel.x.label.count("\n") + 1 for panel in plot.panels)
@@ -399,7 +400,7 @@ def _exact_figure(plot: Plot, shape: tuple[int, ...], pyplot: bool) -> tuple[Fig
 def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
     """Draw the marks of a panel; yield its color scales with the artists that show them."""
     named = any(isinstance(mark, BarChart) and mark.lying for mark in panel.marks)
-    # Thin axis lines on two or four sides, small dark ticks, faint grid lines if requested
+    # Draw thin axis lines on two or four sides, small dark ticks, and faint grid lines if requested
     axes.set_facecolor("white")
     for side, spine in axes.spines.items():
         spine.set_linewidth(0.6)
@@ -431,7 +432,7 @@ def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
         _finish_axis(axes, which, axis)
     room = axes.get_window_extent().width / axes.figure.dpi
     if panel.title:
-        # Fix y, because the search for a free place takes longer than the rest of the layout
+        # Fix the title's y, because finding a free place takes longer than the rest of the layout
         letters = max(int(room / _TITLE_LETTER), 12)
         lines = textwrap.wrap(panel.title, letters, break_long_words=False)
         fits = len(lines) < 3 and max(map(len, lines)) <= letters
@@ -694,5 +695,5 @@ def _handle(marks: list[Mark | str]) -> Any:
 
 
 def escaped(text: str) -> str:
-    """Return a printable text with dollar signs escaped, which would start mathematics."""
+    """Return a printable text with escaped dollar signs, so that none starts mathematics."""
     return printable(text, lines=True).replace("$", r"\$")

@@ -1,8 +1,9 @@
 """Backend-independent description of a plot: panels with axes, marks and color scales.
 
-A `Plot` is plain data. Functions of this package make plots from results; both backends draw every
-mark, scale and axis that is declared here. Positions are data coordinates, sizes are in points
-(1/72 inch). Texts are plain, without TeX or HTML.
+A `Plot` is plain data. Functions of this package make plots from results.
+Both backends draw every mark, scale and axis that is declared here.
+Positions are data coordinates, and sizes are in points (1/72 inch).
+Texts are plain, without TeX or HTML.
 """
 
 from __future__ import annotations
@@ -48,8 +49,8 @@ class Axis:
     label
         Label of the axis; empty if the panel's title describes it.
     kind
-        ``signed`` is linear within ± `threshold` and logarithmic beyond. Each side of the linear
-        part takes as much space as half a decade.
+        A ``signed`` axis is linear within ± `threshold` and logarithmic beyond.
+        Each side of its linear part takes as much space as half a decade.
     low, high
         Limits. None: limits of the marks, with a small margin.
     ticks
@@ -79,9 +80,9 @@ class Scale:
     label
         Label of the color bar. A scale with an empty label and no `names` has no bar.
     kind
-        ``names``: a value is an integer k that stands for ``names[k - low]``; a legend replaces
-        the color bar.
-        ``signed``: symmetric, linear within ± `threshold` and logarithmic beyond; see `Axis`.
+        In a ``names`` scale, a value is an integer k that stands for ``names[k - low]``.
+        A legend replaces the color bar of such a scale.
+        A ``signed`` scale is symmetric, linear within ± `threshold` and logarithmic beyond.
     low, high
         Values at the ends; −high and high for a ``signed`` scale.
     ticks
@@ -89,8 +90,8 @@ class Scale:
     threshold
         End of the linear part of a ``signed`` scale.
     palette
-        ``sequential`` (dark to light), ``diverging`` (blue, white at the middle, orange), ``gray``
-        (black to white), ``paper`` (white to black).
+        ``sequential`` runs from dark to light, and ``diverging`` from blue over white to orange.
+        ``gray`` runs from black to white, and ``paper`` from white to black.
     names, colors
         Names and colors of a ``names`` scale, one per value.
     beyond
@@ -112,14 +113,14 @@ class Scale:
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Line:
-    """A polyline with an optional band. NaN interrupts it; ``width=0`` draws only the band.
+    """A polyline with an optional band. NaN interrupts the line; width 0 draws only the band.
 
     Attributes
     ----------
     x, y
-        Coordinates, (k,).
+        Coordinates of the vertices, with shape (k,).
     low, high
-        Lower and upper end of the band, (k,). None: no band.
+        Lower and upper end of the band, with shape (k,). None: no band.
     step
         Whether y is the value of the whole cell around x.
     label
@@ -148,9 +149,9 @@ class Dots:
     color
         A color, or values (k,) that `scale` maps to colors.
     size
-        Diameter in points, scalar or (k,).
+        Diameter in points, a scalar or one per dot.
     low, high
-        Ends of the whiskers, (k,); NaN draws none.
+        Ends of the whiskers, with shape (k,). NaN omits a whisker.
     across
         Whether the whiskers run along x instead of y.
     """
@@ -176,13 +177,13 @@ class BarChart:
     Attributes
     ----------
     at, value
-        Positions and values, (k,); NaN draws no bar.
+        Positions and values, with shape (k,). NaN omits a bar.
     thickness
         Thickness in data coordinates; 0 draws stems.
     color
         One color, or one per bar.
     base
-        Value at which bars begin, one number or (k,).
+        Value at which bars begin, a number or one per bar.
     lying
         Whether the bars are horizontal, with positions on the y axis.
     texts
@@ -211,11 +212,11 @@ class Heatmap:
     Attributes
     ----------
     values
-        Values, (len(y), len(x)); row k is at ``y[k]``.
+        Values of shape (len(y), len(x)); row k is at ``y[k]``.
     x, y
         Centers of the columns and rows, ascending.
     hover
-        Further values for the tooltip by title, with the shape of `values`.
+        Further values for the tooltip, by title, in arrays of the same shape as `values`.
     name
         Title of `values` in the tooltip.
     """
@@ -290,7 +291,7 @@ class Panel:
         Whether the panel has axis lines on all four sides instead of two.
     grid
         Whether faint lines mark the ticks behind the marks.
-    note
+    Text in an empty panel that says why the panel is empty.
         Text in the middle of an empty panel that gives the reason.
     """
 
@@ -320,8 +321,8 @@ class Plot:
     panels
         Panels in reading order.
     kind
-        Kebab-case name of the kind of plot, such as ``convergence``; set by
-        `mcspectra.plots.kinds`.
+        Kebab-case name of the kind of plot, such as ``convergence``.
+        It is set by `mcspectra.plots.kinds`.
     columns
         Number of panels per row on paper; narrow screens use fewer.
     caption

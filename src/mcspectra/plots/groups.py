@@ -41,7 +41,7 @@ Group: TypeAlias = "Mapping[str, xr.Dataset]"
 """Results by the name of their sampler, reduced to one channel, with labels as coordinates."""
 
 Data: TypeAlias = "xr.Dataset | Group"
-"""A result, optionally over several estimators, samplers or variants, or results by name."""
+"""Results by name, or one result, optionally over several estimators, samplers or variants."""
 
 Styles: TypeAlias = Mapping[str, LineStyle]
 """Style of each sampler."""
@@ -227,8 +227,8 @@ def labelled(stored: xr.Dataset) -> xr.Dataset:
         for key, value in stored.attrs.items()
         if str(key).startswith("labels_")
     }
-    # Labels of a dim have the name of the dim. Other labels, such as verdicts, belong to the dim
-    # of equal size; two labels must not be assigned to the dim "bound"
+    # Labels of a dim have the name of the dim. All other labels, such as verdicts, belong to the
+    # dim of equal size. The dim "bound" (of size 2) comes first, so that other dims replace it
     dims = sorted(map(str, stored.dims), key=lambda dim: dim != "bound")
     own: dict[tuple[int, ...], Any] = {
         texts[dim].shape: dim for dim in dims if dim in texts and dim != "bound"

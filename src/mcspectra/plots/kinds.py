@@ -81,7 +81,7 @@ def shown_variables(data: xr.Dataset) -> dict[str, int]:
 
 
 def anything(group: Group, styles: Styles) -> Plot:
-    """Plot every variable of a result that no other kind shows, such as one from another package.
+    """Plot all variables of a result that no other kind shows, for instance from other packages.
 
     Variables over one dim become curves of all samplers in one panel. Variables over two dims
     become maps, one panel per sampler. If there are neither, scalars are plotted side by side.
@@ -119,7 +119,7 @@ def anything(group: Group, styles: Styles) -> Plot:
             y, style = np.atleast_1d(each[name].values), styles[sampler]
             hover = {"sampler": [names[sampler]] * x.size, "x": numbers(x), "value": numbers(y)}
             both: dict[str, Any] = {"x": x, "y": y, "color": style.color, "label": names[sampler]}
-            # The interval of each value: its own, or two standard errors on either side
+            # Use each value's interval if it has one, or else two standard errors on either side
             ends = None
             if f"{name}_ci" in each:
                 ends = np.reshape(each[f"{name}_ci"].values, (-1, 2))
@@ -213,8 +213,8 @@ def describe(kind: str, data: Data, styles: Styles | None = None) -> Plot:
     kind
         One of `PLOT_KINDS`.
     data
-        A dataset, optionally with the dims estimator and sampler, or datasets by name of the
-        sampler. Only the first channel is shown.
+        A dataset, optionally with the dims estimator and sampler, or datasets by sampler name.
+        Only the first channel is shown.
     styles
         Style of each name. Default: distinct styles.
 

@@ -50,12 +50,12 @@ STRATEGIES = {
 
 _MIDDLE = 0.18  # displayed value of the geometric mean radiance [Reinhard2002]_
 _SPREAD = (1.0, 99.0)  # percentiles at the ends of a color scale; outlier pixels are clipped
-_DECADES, _LIGHT_DECADES = 6, 4  # largest range of a map and of radiance, in decades
+_DECADES, _LIGHT_DECADES = 6, 4  # largest ranges in decades: of a map, and of radiance
 _LARGEST_RATIO = 8.0  # largest end of a color scale of ratios
 _RATIOS = (0.125, 0.25, 0.5, 0.8, 1.0, 1.25, 2.0, 4.0, 8.0)
 _MOST_STOPS = 64.0
 _DARKEST = 1e-3  # smallest relative power that is shown
-_SMOOTHED = ("rate", "rate_se", "bottleneck")  # averaged over windows of pixels
+_SMOOTHED = ("rate", "rate_se", "bottleneck")  # these variables are averaged over windows of pixels
 
 
 def _image_map(
@@ -68,11 +68,11 @@ def _image_map(
     once: bool = False,
     wide: bool = True,
 ) -> Plot:
-    """Map one quantity over the image, with a panel per sampler and strategy and one color scale.
+    """Map a quantity over the image: one panel per sampler and strategy, and one color scale.
 
-    With `once` the quantity does not depend on the sampler and is shown once.
+    With `once`, the quantity does not depend on the sampler and is shown only once.
     """
-    # Use the largest number of samples; predictions exist at some rows and columns only
+    # Use the largest number of samples; predictions exist only at some rows and columns
     shown = {name: each[variable] for name, each in group.items()}
     shown = {name: data.isel(n=-1) if "n" in data.dims else data for name, data in shown.items()}
     if variable == "predicted_ratio" and all(np.isfinite(d.values).any() for d in shown.values()):
@@ -159,8 +159,8 @@ def _rates(values: Array) -> Scale:
     """Return the color scale of a map of convergence exponents."""
     found = values[np.isfinite(values)]
     low, high = np.percentile(found, _SPREAD) if found.size else (-2.0, -1.0)
-    # The scale covers at least −2 … −1 (smooth to random), or noise would look like structure.
-    # It is not much wider, because rates beyond come from variances with few realizations.
+    # The scale covers at least −2 … −1 (smooth to random), or else noise would look like structure.
+    # A much wider scale is useless, because extreme rates come from variances of few realizations.
     low, high = max(min(low, -2.0), -3.0), min(max(high, -1.0), -0.5)
     return Scale(label="exponent of variance", low=float(low), high=float(high))
 
@@ -188,7 +188,7 @@ def _which(values: Array) -> Scale:
 
 
 def _shares(values: Array) -> Scale:
-    """Return the scale of shares: 0 to 1, extended to the estimates except outlier pixels."""
+    """Return a scale of shares from 0 to 1, extended to all estimates except outlier pixels."""
     found = values[np.isfinite(values)]
     low, high = np.percentile(found, _SPREAD) if found.size else (0.0, 1.0)
     return Scale(
@@ -496,7 +496,7 @@ def incident_maps(data: xr.Dataset) -> Plot:
     for name, title in titles.items():
         shown = data[name].transpose("elevation", "azimuth").values
         top = float(shown.max())
-        # A logarithmic scale that shows directions without light in black
+        # Use a logarithmic scale that shows directions without light in black
         low = float(np.min(shown, where=shown > 0, initial=np.inf))
         low = min(max(low, top * 10.0**-_LIGHT_DECADES), 0.5 * top) / 2
         scale = replace(log_scale(str(data[name].attrs.get("units", "")), low, top), palette="gray")
@@ -539,8 +539,8 @@ def strategy_images(images: Group, *, exposure: float = 0.0) -> Plot:
     Parameters
     ----------
     images
-        Result of `mcspectra.rendering.compare_strategies`: ``reference`` and at least one strategy,
-        all of the same size.
+        Result of `mcspectra.rendering.compare_strategies`: a ``reference`` and other strategies.
+        At least one strategy is needed, and all images have the same size.
     exposure
         Exposure in stops, −64 to 64; positive values brighten all images.
 

@@ -72,8 +72,8 @@ def point_sets(sets: object, caption: str = "", most_axes: int = _MOST_AXES) -> 
     Parameters
     ----------
     sets
-        Points in [0,1), (n, d) or (R, n, d). In 1-D and 2-D the first 6 sets are drawn, in more
-        dims only the first set.
+        Points in [0,1), with shape (n, d), or (R, n, d) for R sets of n points in d dims.
+        In 1-D and 2-D the first 6 sets are drawn, in more dims only the first set.
     caption
         Description of the points. A note on omitted sets and axes is appended.
     most_axes
@@ -122,7 +122,7 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
     group
         ``points``: one realization. ``spectrum``: the power in the same dims.
     projected
-        Two coordinates of a set in more dims, (n, 2).
+        Two coordinates of a set in more dims, with shape (n, 2).
     """
     x, data = group["points"]["points"].values, group["spectrum"]
     n, dims = x.shape
@@ -135,7 +135,7 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
     if dims == 2:
         scale = Scale(high=2.0, beyond=True)
         panels.append(frequency_map("n · power, 0 to 2", data, power, scale, "power"))
-    # Draw the radial mean. The axis is so wide that noise about the level of random points is small
+    # Draw the radial mean. The axis is wide, so that noise around the random level looks small
     radius, mean = (
         data["radius"].values / n ** (1 / dims),
         np.maximum(n * data["radial_power"].values, 1e-8),

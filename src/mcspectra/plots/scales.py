@@ -29,13 +29,13 @@ __all__ = [
     "whole_ticks",
 ]
 
-_LINEAR_SPAN = 30.0  # largest ratio of largest to smallest value for a linear scale
+_LINEAR_SPAN = 30.0  # a linear scale must not exceed this ratio of largest to smallest value
 _NEAR_ZERO = 0.5  # size in decades of each half of the linear part of a signed scale
 _APART = 0.6  # smallest distance of ticks from 0 on a signed scale, in decades
 _SEEN = 0.1  # fraction of the threshold below which a value cannot be distinguished from 0
-_SHORT = 1.6  # range in decades below which ticks at powers of ten are too few
+_SHORT = 1.6  # in a range of fewer decades, powers of ten give too few ticks
 _MOST_DECADES = 6  # largest number of decades between the largest value and the threshold
-_NOTHING = 1e-9  # fraction of the largest value below which an array is ignored
+_NOTHING = 1e-9  # arrays below this fraction of the largest value are ignored
 
 
 def linear_axis(label: str, low: float, high: float, most: int = 6) -> Axis:
@@ -110,8 +110,8 @@ def signed_axis(
 ) -> Axis:
     """Return an axis of signed values, linear if that shows the smallest value, else logarithmic.
 
-    The label gives the threshold of the logarithmic part. Finite ends of `whiskers` extend the axis
-    on each side by at most the range of the values.
+    The label gives the threshold of the logarithmic part.
+    Finite ends of `whiskers` extend the axis on each side, at most by the range of the values.
     """
     low, high, threshold = _signed_range(values, _MOST_DECADES)
     if whiskers is not None:
@@ -123,7 +123,7 @@ def signed_axis(
         ticks = {t: tick_label(t) for t in _round_steps(low, high, most - 2)}
         low = low - pad if low < 0 or low == high else low
         return Axis(label=label, low=low, high=high + pad, ticks=ticks)
-    # An end within the linear part extends to the threshold, so that values can be read
+    # Move an end within the linear part to the threshold, so that values can be read
     low, high = (
         math.copysign(threshold, end) if _SEEN * threshold < abs(end) < threshold else end
         for end in (low, high)
@@ -155,8 +155,8 @@ def signed_scale(label: str, values: Sequence[Array], decades: int = 3) -> Scale
     values
         Arrays of any shape; values that are not finite are ignored.
     decades
-        Number of decades below an array's largest magnitude that the scale resolves; at most six
-        decades over all arrays.
+        Number of decades that the scale resolves below the largest magnitude of each array.
+        Over all arrays, the scale has at most six decades.
     """
     low, high, threshold = _signed_range(values, decades)
     top = max(high, -low) or 1.0
@@ -208,7 +208,7 @@ def tick_label(value: float) -> str:
 
 
 def _signed_range(values: Sequence[Array], decades: int) -> tuple[float, float, float]:
-    """Return low and high ends (with 0 between), and the threshold; 0 for a linear scale."""
+    """Return both ends, with 0 between them, and the threshold, which is 0 for a linear scale."""
     every = np.concatenate([np.ravel(v) for v in values]) if len(values) else np.zeros(0)
     finite = every[np.isfinite(every)]
     low, high = float(finite.min(initial=0.0)), float(finite.max(initial=0.0))

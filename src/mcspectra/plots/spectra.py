@@ -1,6 +1,6 @@
 """Plots over frequency: power spectra, pair correlations, chains, contributions to the variance.
 
-Power is shown as n · power relative to random points, so random sampling has 1.
+Power is shown as n · power relative to random points, so random points have the value 1.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ __all__ = [
 
 _FLOOR = 1e-4  # smallest power that is shown; a smaller power means practically no noise
 _LINEAR_TOP = 12.0  # largest power that is shown on a linear axis
-_MOST_NUMBERS, _MOST_NAMES = 7, 13  # largest number of band numbers and names along an axis
+_MOST_NUMBERS, _MOST_NAMES = 7, 13  # largest number of labels along an axis: numbers, names
 _MOST_ENTRIES = 257  # largest number of entries per side of a matrix that is drawn
 _MOST_CHAINS = 6  # largest number of quantities of chains in one plot
 _LEVEL = "expected power relative to random points (∫1/p / n); m = 0 is omitted."
@@ -151,8 +151,8 @@ def pair_correlation(group: Group, styles: Styles) -> Plot:
 def contributions(group: Group, styles: Styles) -> Plot:
     """Plot the contribution of each frequency to the variance: maps in 2-D, else bars.
 
-    There is one panel per sampler and technique. The gray area is the contribution of the power
-    alone, without correlation. In three or more dims, bars are sums over shells of |m|.
+    There is one panel per sampler and technique. In three or more dims, bars are sums over shells
+    of equal |m|. The gray area is the contribution of the power alone, without correlation.
     """
     first = next(iter(group.values()))
     dims, techniques = len(frequency_dims(first)), first.sizes.get("technique", 1)
@@ -407,7 +407,7 @@ def modes(group: Group, styles: Styles) -> Plot:
 
 
 def chains(group: Group, styles: Styles) -> Plot:
-    """Plot spectra with their fits, and shares of the error and of the draws' variance by band.
+    """Plot spectra with fits, and each band's share of the error and of the draws' variance.
 
     If there are many quantities, those with the fewest effective draws are shown.
     """
@@ -513,7 +513,7 @@ def _power_panel(
     hover: Mapping[str, Sequence[str]],
     axis: Axis,
 ) -> Panel:
-    """Return a panel of power as lines, logarithmic for a log frequency axis or high peaks."""
+    """Return a panel of power as lines, logarithmic if the frequency axis is or peaks are high."""
     every = np.concatenate([y[np.isfinite(y)] for _, y in curves.values()])
     top, low = float(every.max(initial=1.5)), float(every.min(initial=0.5))
     logarithmic = axis.kind == "log" or top > _LINEAR_TOP
@@ -578,7 +578,7 @@ def _by_frequency(data: xr.Dataset) -> tuple[Array, Array, Array]:
 
 
 def _band_shares(matrix: Array) -> tuple[Array, Array]:
-    """Return each band's share of the predicted variance: alone, and through the other bands."""
+    """Return each band's share of the predicted variance: alone, and by correlation with others."""
     total = float(matrix.sum())
     if not np.isfinite(total) or total == 0:
         return np.full(len(matrix), np.nan), np.full(len(matrix), np.nan)

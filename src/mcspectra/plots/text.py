@@ -81,9 +81,9 @@ def number_beside(value: float | None, scale: float | None) -> str:
 
 
 def with_error(value: float | None, half: float | None, beside: float | None = None) -> str:
-    """Format a number with half the width of its interval to the same place: ``0.012 ± 0.034``.
+    """Format a number and half the width of its interval with equal decimals: ``0.012 ± 0.034``.
 
-    With `beside`, a value that is rounding error relative to `beside` gives ``≈ 0``.
+    A value that is rounding error relative to `beside` gives ``≈ 0``.
     """
     text = number_beside(value, beside)
     if value is None or half is None or text.startswith("≈"):
@@ -146,7 +146,7 @@ def rate(value: float | None, low: float | None, high: float | None) -> str:
     if not is_resolved(low, high):
         return "unresolved"
     half = (high - low) / 2
-    # Decimals that the interval justifies, two to four
+    # Show two to four decimals, as many as the interval justifies
     decimals = 4 if half <= 0 else min(max(-math.floor(math.log10(half)), 2), 4)
     spread = f"± {half:.{decimals}f}" if half >= 0.5e-4 else "± <0.0001"
     return f"{round(value, decimals) + 0.0:.{decimals}f} {spread}".replace("-", "−")  # no −0.00
@@ -167,8 +167,8 @@ def percent(fraction: float) -> str:
 def shorten(text: str, length: int = 30) -> str:
     """Shorten a text to one line of at most `length` characters by omitting its middle.
 
-    Parts of a spec that have a ``name=`` are replaced by that name. Words are kept whole if that
-    costs at most a third of either part.
+    Parts of a spec that have a ``name=`` are replaced by that name.
+    Words are kept whole unless that shortens the beginning or the end by more than a third.
     """
     line = short_spec(" ".join(text.split()))
     if len(line) <= length:

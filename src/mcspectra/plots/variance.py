@@ -78,7 +78,7 @@ _TERMS = {
 }
 _PARTS = 3  # number of terms (dc, power and cross) that are drawn before their sum
 _LEAST_SHOWN = 1e-3  # smallest lower end of an interval that is drawn, as a fraction of the value
-_WIDE = 1.25  # ratio of the ends above which the interval of a planned n is shown
+_WIDE = 1.25  # intervals of a planned n are shown if their ends differ by more than this factor
 _LINEAR_TOP = 4.0  # largest captured share that is shown on a linear axis
 _VERDICTS = {"better": "#009E73", "worse": ACCENT, "given": INK}
 _CURVE = ("variance", "variance_ci", "rate", "rate_ci")
@@ -116,7 +116,7 @@ def convergence(group: Group, styles: Styles) -> Plot:
                 },
             )
         )
-    # The rate n⁻¹ through the largest variance at the smallest n
+    # Draw the rate n⁻¹ through the largest variance at the smallest n
     starts = [
         float(d["n"].values[i]) * float(d["variance"].values[i])
         for d in group.values()
@@ -341,7 +341,7 @@ def waterfall(title: str, data: xr.Dataset) -> Panel:
     values = np.array([float(data[term]) for term in rows])
     size = float(np.max(np.abs(values), where=np.isfinite(values), initial=0.0))
     texts = [number_beside(v, size) if math.isfinite(v) else not_finite(v) for v in values]
-    # Set values to 0 that are rounding error relative to the largest
+    # Set values to 0 if they are rounding errors relative to the largest value
     values = np.where(np.abs(values) > NEGLIGIBLE * size, values, 0.0)
     parts = np.where(np.isfinite(values[:_PARTS]), values[:_PARTS], 0.0)
     base = np.zeros(len(values))
@@ -470,7 +470,7 @@ def anova(group: Group, styles: Styles) -> Plot:
     most, panels = 12, []
     for name, each in group.items():
         variance, error = each["anova_variance"].values, each["anova_variance_se"].values
-        # Omit parts that are rounding error relative to the largest
+        # Omit parts that are rounding errors relative to the largest part
         size, order = np.abs(variance), np.argsort(-variance, kind="stable")
         seen = size > NEGLIGIBLE * size.max(initial=0.0)
         order = order[seen[order] | ~seen.any()][:most]
@@ -579,8 +579,8 @@ def _bar_panel(
 ) -> Panel:
     """Return a panel of horizontal bars, with names on the left and values on the right.
 
-    Bars extend from `base` to `values`, and whiskers to `ends`. The pointer shows the intervals
-    `said`; the default is `ends`.
+    Bars extend from `base` to `values`, and whiskers to `ends`.
+    Tooltips show the intervals `said`, which by default are the same as `ends`.
     """
     bars = BarChart(
         at=np.arange(float(len(rows))),

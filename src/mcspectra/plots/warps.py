@@ -50,7 +50,7 @@ def warp(group: Group, _: Styles) -> Plot:
         scale = replace(scale, palette="paper")
         panels = []
         for name, each in group.items():
-            # The images of a few grid lines of each axis, interrupted at jumps of T
+            # Map a few grid lines of each axis by the warp T, and interrupt them at jumps of T
             x = each["warped"].transpose("u0", "u1", "coordinate").values
             torn = each["jump"].transpose("axis", "u0", "u1").values
             rows, lines = np.unique(np.linspace(0, len(x) - 1, _LINES + 1).astype(int)), []
@@ -80,7 +80,7 @@ def warp(group: Group, _: Styles) -> Plot:
 
 
 def primary(group: Group, _: Styles) -> Plot:
-    """Plot primary-space integrands g(u) with jumps inside and between opposite sides."""
+    """Plot primary-space integrands g(u), with jumps inside and between opposite sides."""
     group, dims = _by_spec(group, "estimator")
     panels = []
     for name, each in group.items():

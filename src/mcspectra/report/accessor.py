@@ -1,7 +1,7 @@
 """The xarray accessor of results: ``ds.mcspectra.plot()``, ``.figures()`` and ``.summary()``.
 
-The accessor is registered when mcspectra creates or opens a result. Import this module to register
-it for datasets that were read in another way.
+mcspectra registers the accessor when it creates or opens a result.
+For datasets that were read in another way, import this module first.
 """
 
 from __future__ import annotations
@@ -66,8 +66,8 @@ class Result:
         Raises
         ------
         ParameterError
-            If no figure shows this result, if `kind` does not fit it, if the number of `axes` is
-            not the number of panels, or if both `axes` and `ax` are given.
+            If no figure shows this result, or if the figure `kind` does not fit this result.
+            If the number of `axes` is not the number of panels, or if `axes` and `ax` are given.
 
         Examples
         --------
@@ -125,7 +125,7 @@ class Result:
 
 
 def _sentences(data: xr.Dataset) -> Iterator[str]:
-    """Yield `explain` for each estimator, sampler and channel of convergence or terms."""
+    """Yield the sentences of `explain` for each estimator, sampler and channel of a result."""
     analysis = next(
         (kind for kind in ("convergence", "terms") if PLOT_KINDS[kind].fits(data)), None
     )

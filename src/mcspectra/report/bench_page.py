@@ -46,7 +46,7 @@ BENCH_FILES = (".html", ".pdf", ".csv", ".tex", ".pgf")
 
 _HEADS = QUALITY_HEADS | {"generalized_l2_discrepancy": "Generalized L2 discrepancy"}
 _ROWS = 44  # lines of text on a PDF sheet
-_ABREAST = 6  # up to 6 samplers become columns; more samplers become rows
+_ABREAST = 6  # more samplers than this become rows of a table, fewer become columns
 _IN_OVERLAY = 10  # largest number of samplers in one plot
 _MOST_AXES = 10
 _CURVES = ["points_made", "variance", "variance_ci", "rate", "rate_ci", "rank", "rank_ci"]
@@ -84,11 +84,11 @@ def write_bench(bench: xr.Dataset, file: str, cards: Sequence[Card] = ()) -> Pat
         Result of `mcspectra.sampler_bench`.
     file
         A folder gets ``index.html`` and ``bench.csv``. ``.html`` is one self-contained page.
-        ``.pdf`` has the table and all figures, one per sheet, with Type 42 fonts. ``.csv`` has
-        variances, rates and ranks, one row per sampler, integrand and n. ``.tex`` is the table as
-        a tabular. ``.pgf`` is the convergence plot for LaTeX.
+        ``.pdf`` has the table and all figures, one per sheet, with Type 42 fonts.
+        ``.csv`` has variances, rates and ranks, with one row per sampler, integrand and n.
+        ``.tex`` is the table as a tabular. ``.pgf`` is the convergence plot for LaTeX.
     cards
-        Cards of the samplers, in the order of the samplers. Each becomes a section of the page.
+        Cards in the same order as the samplers. Each card becomes a section of the page.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def write_bench(bench: xr.Dataset, file: str, cards: Sequence[Card] = ()) -> Pat
 
 
 def bench_table(bench: xr.Dataset) -> tuple[list[str], list[list[str]]]:
-    """Return the columns and rows of the summary: rates, with intervals of the ranks in brackets.
+    """Return the columns and rows of the summary: rates, with rank intervals in brackets.
 
     Rows are integrands, or samplers if there are more than six samplers.
     """
@@ -147,8 +147,8 @@ def bench_table(bench: xr.Dataset) -> tuple[list[str], list[list[str]]]:
 def _sampler_table(bench: xr.Dataset) -> tuple[list[str], list[list[tuple[str, float]]]]:
     """Return randomization, n, quality at the largest n and speed of each sampler.
 
-    Rows hold pairs of a text and its sort key. The heads include a first column for the names,
-    which the rows lack.
+    Each entry of a row is a pair of a text and its sort key.
+    The first column header is for the samplers' names, but the rows do not contain the names.
     """
     names = [name for name in BENCH_QUALITY if name in bench]
     last, rows = bench.isel(n=-1), []
@@ -195,7 +195,7 @@ def _plots_of(
             yield f"Convergence in {d}-D", task_curves(tasks, styles)
 
     def of(*names: str) -> dict[str, xr.Dataset]:
-        """Return `names` of each sampler that has finite values of the first variable."""
+        """Return variables by sampler, for samplers with finite values of the first variable."""
         return {
             name: each[list(names)].assign_attrs(n=int(each["pictured_n"]))
             for name, each in ones.items()

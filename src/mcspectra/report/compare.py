@@ -62,7 +62,7 @@ def compare_curves(first: xr.Dataset, second: xr.Dataset) -> Difference:
 
 
 def write_comparison(first: str | Path, second: str | Path, out: str | Path | None = None) -> Path:
-    """Write a page that compares two studies for each estimator and sampler that both contain.
+    """Write a page that compares two studies for every estimator and sampler in both studies.
 
     Parameters
     ----------
@@ -138,7 +138,7 @@ def _written(folders: list[Path], file: Path, second: str) -> Path:
 
 
 def _side_by_side(first: Curves, second: Curves) -> Iterator[html.Block]:
-    """Yield a table and plots of the shared pairs, and lists of pairs that only one study has."""
+    """Yield a table and plots of the set-ups in both studies, and lists of all other set-ups."""
     both = [pair for pair in first if pair in second]
     if both:
         yield html.table_of(

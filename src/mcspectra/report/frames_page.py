@@ -31,15 +31,15 @@ __all__ = [
 ]
 
 _COLUMNS = ("Samples per pixel", "Frames", "Variance", "95 %", "σ / mean", "FLIP")
-_LOW = 0.125  # upper limit of the low frequencies, cycles per pixel
+_LOW = 0.125  # upper limit of the low frequencies, in cycles per pixel
 # Noise is not white if its relative power at low frequencies is below 0.8 or above 1.25
 _BLUE, _RED = 0.8, 1.25
-_UNSURE = 0.5  # relative error of a power above which no statement is made
+_UNSURE = 0.5  # a power with a larger relative error than this is not interpreted
 _ALIKE = 0.1  # smallest correlation of neighbors that is reported
-# Standard errors that the larger of two correlations of white noise exceeds in 5 % of cases
+# In white noise, the larger of two correlations exceeds 2.24 standard errors in 5 % of cases
 _SURE = 2.24
 _HEAVY = 0.5  # tail index above which the variance is infinite
-_CARRIED = 0.05  # smallest share of the variance in fireflies that is reported
+_CARRIED = 0.05  # fireflies are reported if they hold more than this share of the variance
 
 
 def frame_summary(result: xr.Dataset) -> dict[str, Any]:
@@ -166,7 +166,7 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[str]:
     if "needed_median" in found:
         known = found["spp_known"][-1]
         times = "" if known else " times as many"
-        # Relative error for normal noise; the needed samples are proportional to σ²
+        # Relative error of σ² for normal noise; the number of samples needed is proportional to σ²
         doubt = math.sqrt(2.0 / max(found["samples"][-1]["frames"] - 1, 1))
         yield (
             f"{percent(found['reached_share'])} of the pixels reach σ / mean = "
@@ -191,7 +191,7 @@ def _noise(result: xr.Dataset, found: dict[str, Any]) -> Iterator[str]:
     below = f"below {_LOW} cycles per pixel " + (
         f"the errors have {have}" if power.size else "this small image has no frequencies"
     )
-    # The error of a power is relative
+    # Errors of a power are relative, so its interval is a factor
     factor = math.exp(min(half / level, 700.0)) if level > 0 else math.inf
     if level < _BLUE and level * factor < 1.0:
         yield f"Blue noise, which the eye or a denoiser removes easily: {below}."

@@ -24,7 +24,7 @@ from mcspectra.report import page as html
 
 __all__ = ["map_layers", "map_note", "map_sentences", "map_summary", "map_table", "write_map"]
 
-_TELLING = 0.1  # smallest share of the pixels at which a cause is named in the answer
+_TELLING = 0.1  # the answer names a cause that holds at more than this share of pixels
 _WORST = 5  # number of pixels that are listed
 _COLUMNS = {
     "mean": "Mean",
@@ -43,7 +43,7 @@ _METHODS = {
     "spectrum": "the power spectrum on the torus",
     "gains": "gains by level",
 }
-"""Names of prediction methods, by the attribute ``prediction``."""
+"""Names of prediction methods, by the value of the attribute ``prediction``."""
 
 _CAUSES = {
     "bounce": "Variance of one path that first appears with the random numbers of a bounce: its "
@@ -160,7 +160,7 @@ def write_map(result: xr.Dataset, folder: str | Path) -> Path:
 
 
 def map_table(summary: Mapping[str, Any]) -> html.Table:
-    """Return a table of the medians of `map_summary` by strategy, captioned with `map_note`."""
+    """Return a table of the medians per strategy. Its caption is the text of `map_note`."""
     rows = summary["strategies"]
     columns = ("Strategy", *(_COLUMNS[name] for name in next(iter(rows.values()))))
     shown = [(_named(name), *_shown_numbers(row)) for name, row in rows.items()]
@@ -170,7 +170,7 @@ def map_table(summary: Mapping[str, Any]) -> html.Table:
 def _worst_row(
     pixel: Mapping[str, Any], known: Mapping[str, Any], root: Path
 ) -> tuple[html.TableCell | str, ...]:
-    """Return a pixel's row: the command that analyzes the pixel, and a link to an existing page."""
+    """Return the table row of a pixel: its analysis command, and a link if its page exists."""
     x, y = pixel["x"], pixel["y"]
     page = f"pixel-{x}-{y}/report.html"
     scene, film = known["scene"], known["size"] == known.get("film")
@@ -224,8 +224,8 @@ def _layers(name: str, data: xr.DataArray) -> Iterator[tuple[str, Array]]:
 def map_summary(result: xr.Dataset) -> dict[str, Any]:
     """Return medians over pixels by strategy, shares of pixels, and the provenance.
 
-    With several samplers, strategies have keys "STRATEGY, SAMPLER". Apart from these and the best
-    sampler, all entries describe the first sampler.
+    With several samplers, the keys of strategies have the form "STRATEGY, SAMPLER".
+    All other entries describe the first sampler, except the entry on the best sampler.
     """
     whole, several, parts = result, "sampler" in result.dims, list(along(result, "sampler"))
     strategies = {
@@ -271,7 +271,7 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
         }
     if "best_sampler" in whole and "answer" not in found:
         found["answer"] = _sampler_answer(whole.isel(strategy=-1, n=-1), found)
-    # List the pixels of the largest variance by the last strategy, at the largest n
+    # List the pixels with the largest variance of the last strategy, at the largest n
     variance = result["variance"].isel(strategy=-1, n=-1).values
     order = np.argsort(np.nan_to_num(variance, nan=-1.0), axis=None, kind="stable")[::-1]
     found["worst_pixels"] = [
@@ -288,7 +288,7 @@ def map_summary(result: xr.Dataset) -> dict[str, Any]:
 
 
 def _causes(result: xr.Dataset, kind: str) -> dict[str, dict[str, float]]:
-    """Return each bounce's or decision's share of the variance of the image and of a pixel."""
+    """Return the share of the variance due to each bounce or decision, for image and pixels."""
     shares, weights = result[f"{kind}_share"], result["path_variance"]
     total = float(weights.where(shares.notnull().all(kind)).sum())
     found = {}
@@ -309,9 +309,10 @@ def _named(strategy: str) -> str:
 
 
 def _answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
-    """Return the strategy that has the least variance at most pixels, for equal total samples.
+    """Name the strategy with the least variance at most pixels, for equal total samples.
 
-    MIS is best where its gain over the better single strategy exceeds 1. At n, MIS has 2 n samples.
+    MIS is best at a pixel if its gain over the better single strategy exceeds 1.
+    At a given n, MIS takes n samples with each strategy, which is 2 n samples in total.
     """
     names = ("light", "bsdf")
     singles = np.stack([last["variance"].sel(strategy=name).values for name in names])
@@ -353,7 +354,7 @@ def _answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
 
 
 def _sampler_answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
-    """Return the best sampler at most pixels, and the bounce and decision with most variance."""
+    """Name the sampler that is best at most pixels, and the bounce and decision that add most."""
     names = list(map(str, last["sampler"].values))
     shares = found["best_sampler"][str(last["strategy"].item())]
     best = max(names, key=lambda name: shares[name])

@@ -1,11 +1,14 @@
 """A self-contained HTML page of text, facts, tables and figures.
 
 Every report is a `Page`, which is plain data. `write_page` draws its figures and writes the HTML.
-Styles, scripts and images are embedded, so the page loads nothing. Each figure is an image. A
-`live` figure also has an interactive plot, which replaces the image once scripts run; the image is
-printed. All text is escaped except `Markup`, which only our own code creates. The same page always
-gives the same bytes. Templates and interactive plots need the extra ``report`` (see
-`check_page_packages`); the other modules of this package do not.
+Styles, scripts and images are embedded, so the page loads nothing.
+
+Each figure is an image. A `live` figure also has an interactive plot, which replaces the image
+once scripts run. On paper, the image is printed.
+
+All text is escaped except `Markup`, which only our own code creates. The same page always gives
+the same bytes. Templates and interactive plots need the extra ``report``, whose presence
+`check_page_packages` checks. The other modules of this package do not need it.
 """
 
 from __future__ import annotations
@@ -163,7 +166,7 @@ class Figure:
 
     @property
     def is_broad(self) -> bool:
-        """Whether the figure needs the full page width; half of it fits one live column."""
+        """Whether the figure needs the full page width instead of half of it."""
         abreast = min(self.plot.columns, len(self.plot.panels))
         several_rows = 1 < abreast < len(self.plot.panels)
         return self.plot.wide or abreast > 2 or (self.live and several_rows)
@@ -339,8 +342,8 @@ def page_file(folder: Path, name: str, out: object) -> Path:
     Raises
     ------
     ParameterError
-        If `out` is not a path, or if it is missing and `folder` is a Zarr store. A store has a
-        digest of all its files, so no page may be added.
+        If `out` is not a path, or if `out` is missing and `folder` is a Zarr store.
+        No page may be added to a store, because the store has a digest of all its files.
     """
     if out is not None:
         return as_path("out", out)
@@ -396,7 +399,7 @@ def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
         seen: Counter[str] = Counter()
 
         def label(text: str) -> str:
-            """Append a number to a region label that the page already has."""
+            """Append a number to the label of a region if an earlier region has the same label."""
             seen[text] += 1
             return text if seen[text] == 1 else f"{text} ({seen[text]})"
 
@@ -410,7 +413,7 @@ def write_page(page: Page, file: Path, figures: Path | None = None) -> Path:
         text = environment.get_template("page.html.j2").render(page=page, bokeh=script)
         partial = file.parent / f".{file.name}.partial"
         try:
-            partial.unlink(missing_ok=True)  # otherwise a symbolic link would be followed
+            partial.unlink(missing_ok=True)  # a symbolic link is removed, not followed
             partial.write_text(text, encoding="utf-8")
             partial.replace(file)
         finally:
@@ -468,7 +471,7 @@ def _drawn(figure: Figure, folder: Path | None, root: Path) -> Mapping[str, Any]
         live = backend_bokeh.packed(backend_bokeh.draw(plot).model)
     return {
         "png": base64.b64encode(png).decode("ascii"),
-        # Bytes 16 to 24 of a PNG are its width and height
+        # Bytes 16 to 24 of a PNG hold its width and height
         "width": int.from_bytes(png[16:20], "big"),
         "height": int.from_bytes(png[20:24], "big"),
         "words": plot.words or plot.caption,

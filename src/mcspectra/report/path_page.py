@@ -1,4 +1,4 @@
-"""Noise of whole paths at a pixel: a self-contained page, tables, sentences, numbers for JSON."""
+"""Report the noise of whole paths at a pixel: page, tables, sentences and numbers for JSON."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _ABOUT_CHARGED = (
     "leaves out the pilot's cost."
 )
 _TABLES = {
-    # Columns and caption by title; empty columns at the end are dropped
+    # Column headers and caption of each table; empty columns at the end are dropped
     "Rates": (
         ("Sampler", "Rate", "n", "Variance", "95 % interval", "Predicted"),
         "Rates are exponents of variance in n (random sampling: −1), ± half their 95 % interval.",
@@ -87,7 +87,7 @@ def path_tables(tree: xr.DataTree) -> dict[str, html.Table]:
         columns = [found[v].values for v in ("anova_share", "total_share", "truncation_share")]
         columns[0] = columns[0][: len(names)]
         shown = list(zip(names, *columns, strict=True))
-        if kind == "decision":  # the cumulative share depends on the order of the numbers
+        if kind == "decision":  # a sum over bounces has no cumulative share
             shown = [(name, alone, total, np.nan) for name, alone, total, _ in shown]
         for name, *shares in shown:
             if not np.nan_to_num(shares[:2]).any():
@@ -112,7 +112,7 @@ def path_tables(tree: xr.DataTree) -> dict[str, html.Table]:
 
 
 def path_answer(tree: xr.DataTree) -> str:
-    """Return a recommendation for these paths, from the remedies if tried, with the cause."""
+    """Recommend a set-up for these paths and name the cause, using remedies if there are any."""
     curves, said = tree["convergence"].to_dataset(), dict(path_sentences(tree))
     if "noise" in said:
         return said["noise"]
@@ -131,10 +131,10 @@ def path_answer(tree: xr.DataTree) -> str:
 
 
 def _advised(tree: xr.DataTree, *kinds: str) -> tuple[xr.Dataset, xr.Dataset]:
-    """Return the best significant change, or else the path as given, and its reference.
+    """Return the best change that helps significantly, or the path as given, and its reference.
 
-    With `kinds`, other kinds of changes are ignored. The reference is the path with random numbers
-    if it was measured, or else the path as given.
+    If `kinds` are given, only changes of these kinds are considered.
+    The reference is the path with random numbers if measured, or else the path as given.
     """
     found = tree["remedies"].to_dataset()
     given = found.sel(remedy="as given")
@@ -219,7 +219,7 @@ def path_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
     elif known.get("lights_note"):
         said.append(("lights", str(known["lights_note"])))
     if "remedies" in tree.children:
-        # Find the smallest number of leading QMC coordinates that is not significantly worse
+        # Find the fewest leading QMC coordinates that are not significantly worse than all of them
         tried = tree["remedies"].to_dataset()
         enough = (tried["kind"].values == "padding") & (tried["verdict"].values != "worse")
         fewest = [int(str(name).split()[0]) for name in tried["remedy"].values[enough]]

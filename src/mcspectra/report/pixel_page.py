@@ -172,7 +172,7 @@ def pixel_rows(tree: xr.DataTree) -> list[SummaryRow]:
 
 
 def term_rows(tree: xr.DataTree) -> list[SummaryRow]:
-    """Return a row for each strategy and basis of the terms, with `sampler` "strategy; basis"."""
+    """Return a row for each strategy and basis; the field `sampler` holds "strategy; basis"."""
     rows: list[SummaryRow] = []
     for strategy, views in tree["terms"].children.items():
         seen: dict[str, xr.DataTree] = {}
@@ -215,7 +215,7 @@ def pixel_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
         text = f"{explain(row, terms)} {known[f'diagnosis_{strategy}']}"
         said.append((STRATEGY_NAMES[strategy], text.strip()))
     said += [("bottleneck", bottleneck_sentence(tree)), ("fastest", _fastest(every))]
-    # Report regions without points once, with names of strategies instead of their specs
+    # Report regions without points only once, and name strategies instead of their specs
     note = str(tree["convergence"].attrs.get("note", ""))
     for name, spec in zip(
         *(tree["convergence"][v].values for v in ("strategy", "spec")), strict=True
@@ -229,7 +229,7 @@ def pixel_sentences(tree: xr.DataTree) -> list[tuple[str, str]]:
 
 
 def bottleneck_sentence(tree: xr.DataTree) -> str:
-    """Name the technique whose share of MIS has the slower rate, if the intervals decide it."""
+    """Name the technique whose part of MIS has the slower rate, if rates differ significantly."""
     found = tree["techniques"].to_dataset()
     rates = [
         f"the rate {text}"
@@ -264,7 +264,7 @@ def bottleneck_sentence(tree: xr.DataTree) -> str:
 
 
 def _fastest(rows: list[SummaryRow]) -> str:
-    """Name the pairs with the steepest rate and with the least variance at the largest n."""
+    """Name the strategy and sampler with the steepest rate, and those with the least variance."""
     fitted = [
         row
         for row in rows

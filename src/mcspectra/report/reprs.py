@@ -1,9 +1,9 @@
 """Notebook representations of samplers, densities, integrands and estimators: images and facts.
 
-Everything shown is cheap to compute: one set of about 64 points, values on a 48 × 48 grid, and
-integrals only if they are known in closed form. Components that declare themselves `costly` and
-functions that turn out to be slow have no image. Images are SVG text, which takes a millisecond to
-draw and loads nothing.
+Everything shown is cheap to compute: a set of about 64 points and values on a 48 × 48 grid.
+Integrals are shown only if they are known in closed form.
+Components that declare themselves `costly`, and slow functions, are shown without an image.
+Images are SVG text. An image takes a millisecond to draw and loads nothing.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ SIDE = 132
 """Width and height of an image in CSS pixels."""
 
 _BLUE = "#0072B2"
-# Five colors of viridis (van der Walt, Smith 2015), equally spaced in lightness. Colors in between
-# are interpolated linearly.
+# Five colors of viridis (van der Walt, Smith 2015), equally spaced in lightness.
+# Colors between these five are interpolated linearly.
 _VIRIDIS = ((68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37))
 _CLIPPED = 0.5  # percentage of values clipped at each end, because of poles
 _POINTS = 64
 _MOST_NUMBERS = 2**16  # largest number of coordinates (n · dims) of a set that is drawn
 _CELLS = {1: 192, 2: 48}  # cells along each axis of an image, by dims
-_TIME = 0.2  # seconds allowed for the values of an image, without the first row
+_TIME = 0.2  # time limit in seconds for the values of an image, except their first row
 _MOST_TECHNIQUES = 3
-_LONGEST = 160  # largest number of characters shown of a spec
+_LONGEST = 160  # longest spec that is shown, in characters
 
 Rows: TypeAlias = list[tuple[str, str]]
 Pictures: TypeAlias = list[tuple[str, str]]
@@ -136,7 +136,7 @@ def _integrand(integrand: Integrand) -> tuple[Pictures, Rows]:
 
 
 def _integral(component: Integrand | AbstractEstimator) -> Rows:
-    """Return the integral if it is exact; a quadrature may take long."""
+    """Return the integral if it is known exactly, because a quadrature may take long."""
     if component.integral_source != "exact":
         return []
     return [("∫ f", ", ".join(number(float(v), 6) for v in np.atleast_1d(component.integral)))]
@@ -150,7 +150,7 @@ def _estimator(estimator: AbstractEstimator) -> tuple[Pictures, Rows]:
         rows.append(("sets", estimator.sets))
     if _is_costly(estimator):
         return [], rows
-    # Images of f, p and g(u), or of f and the g of each technique
+    # Draw f, p and g(u), or f and the function g of each technique
     pictures: Pictures = []
     f = estimator.domain_integrand
     if f is not None:
@@ -167,7 +167,7 @@ def _estimator(estimator: AbstractEstimator) -> tuple[Pictures, Rows]:
 
 
 def _values(function: Callable[[Array], Array], dims: int) -> Array | None:
-    """Return values at cell centers, with further axes at ½; None if that takes too long."""
+    """Return values at cell centers, or None if that takes too long; further axes are at ½."""
     side = _CELLS[min(dims, 2)]
     centres = (np.arange(side) + 0.5) / side
     rows = []

@@ -46,7 +46,7 @@ RESULT_FILES = (".npz", ".csv", ".tex", *backend_matplotlib.FORMATS, ".html")
 """Extensions that `write_result_file` accepts."""
 
 _SAID = ("answer", "diagnosis", "note")
-# Dims of the tables of values on a page
+# Dims of the tables on a page, one table of values for each group of dims
 _TABLES = (
     ("sampler",), ("method",), ("n",), ("sampler", "n"), ("method", "n"), ("sampler", "method"),
     ("sampler", "method", "n"),
@@ -81,12 +81,13 @@ def write_result_file(result: xr.Dataset, file: str, title: str, kind: str = "")
     result
         Result of the analysis.
     file
-        Path of the file: ``.npz`` for all values, ``.csv`` or ``.tex`` for the table of
-        `result_table`, an image extension for the first fitting plot, ``.html`` for a page.
+        Path of the file. With ``.npz``, all values are written; ``.html`` gives a page.
+        ``.csv`` and ``.tex`` give the table of `result_table`.
+        An image extension gives the first plot that fits the result.
     title
         Title of the page.
     kind
-        Kind of plot of an image. It is ignored if it does not show the result.
+        Kind of plot for an image. A kind that does not fit the result is ignored.
 
     Raises
     ------
@@ -128,9 +129,9 @@ def result_table(
 ) -> tuple[list[str], list[list[Any]]]:
     """Return the columns and rows of a table of a result.
 
-    The table has all variables over `dims`, with one row per coordinate. Default: the dims that
-    most variables have. Variables over fewer dims are repeated. An interval gives two columns,
-    ``_low`` and ``_high``. A result of scalars gives one row.
+    The table has all variables over `dims`, with one row per coordinate.
+    By default, `dims` are the dims of most variables. Variables over fewer dims are repeated.
+    An interval gives two columns, ``_low`` and ``_high``. A result of scalars gives one row.
     """
     variables = {str(k): v for k, v in result.data_vars.items() if v.dtype.kind in "fiubUO"}
     if dims is None:
@@ -147,7 +148,7 @@ def result_table(
     for name, values in variables.items():
         own = [d for d in values.dims if d != "bound"]
         if not set(own) <= set(dims) or (dims and not own):
-            continue  # variables over other dims and scalars belong to other tables
+            continue  # such variables belong to other tables
         missing = {d: sizes[d] for d in dims if d not in own}
         full = values.expand_dims(missing).transpose(*dims, ...).values.reshape(rows, -1)
         ends = ("_low", "_high") if "bound" in values.dims else ("",)
@@ -168,7 +169,7 @@ def csv_text(
     """
     stream = io.StringIO()
     for name, value in (about or {}).items():
-        # Put a space after commas and semicolons, which start a new cell
+        # Put a space after commas and semicolons, because they start a new cell in a spreadsheet
         text = printable(f"# {name}: {value}")
         stream.write(re.sub(r"([,;])(?=[^\w\s])", r"\1 ", text) + "\n")
     writer = csv.writer(stream, lineterminator="\n")

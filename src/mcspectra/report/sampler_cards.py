@@ -93,7 +93,7 @@ class CardEffort:
     counts
         Numbers of points for the rates; empty for no rates.
     slow_counts, slow_rates
-        Same as `counts` and `rates`, for samplers that are slow to generate.
+        Same as `counts` and `rates`, for samplers that generate points slowly.
     """
 
     n: int = 1024
@@ -120,18 +120,18 @@ class Card:
     spec
         Spec of the sampler that the images and the spectrum show.
     randomized
-        Spec of the sampler whose rates were measured: a fixed set is randomized before. Empty if
-        no rates were measured.
+        Spec of the sampler whose rates were measured: fixed sets are randomized for this.
+        Empty if no rates were measured.
     points
-        One realization, (n, dims).
+        One realization of the points, with shape (n, dims).
     projected
-        Axes 2 and 3 of a set in 4 dims, (n, 2), or None if the sampler cannot make 4 dims.
+        Axes 2 and 3 of a 4-D set, with shape (n, 2), or None if 4-D sets are impossible.
     spectrum
         Result of `power_spectrum`.
     curves
         Results of `convergence` by integrand; empty if fewer than two counts are possible.
     quality
-        Long name, mean and standard error by quality figure.
+        Long name, mean and standard error of each quality figure.
     speed
         Points per second on one thread, without caches.
     """
@@ -158,7 +158,7 @@ class Card:
 
 
 def all_samplers(dims: Sequence[int] = (2, 1, 3)) -> list[str]:
-    """Return the specs of all samplers without required parameters that can make one of `dims`."""
+    """Return the specs of all samplers that need no parameters and can make one of `dims`."""
     return sorted(spec for spec in (*SAMPLERS, *_ALSO) if _makeable(spec, dims))
 
 
@@ -174,8 +174,7 @@ def write_cards(
     Parameters
     ----------
     folder
-        Folder of ``index.md``, ``*.png`` and ``gallery.json``; existing files of these names are
-        replaced.
+        Output folder. It gets ``index.md``, ``*.png`` and ``gallery.json``, replacing older files.
     specs
         Specs of samplers. Default: `all_samplers`.
     effort
@@ -312,7 +311,7 @@ def _curves(
 
 
 def _makeable(spec: str, dims: Sequence[int]) -> bool:
-    """Whether a sampler can make one of `dims` without a file or another package."""
+    """Whether a sampler can make points in one of `dims` without a file or another package."""
     if spec in ("points", "scipy", "qmcpy", "mitsuba"):
         return False
     for d in dims:

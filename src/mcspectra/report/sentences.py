@@ -33,10 +33,9 @@ _DOMINANT = 0.9  # share of dc + power above which the dc term is named
 _AWAY = 4.0  # two means differ if they are more than 4 standard errors apart
 _LENGTH = "|\u2060m|\u2060"  # word joiners prevent a line break after a bar
 _CLOSE = 0.1  # prediction and measurement agree up to this relative difference
-# Factor that widens the 95 % interval of a rate to 3 standard errors, because a page makes dozens
-# of statements
+# Widens the 95 % interval of a rate to 3 standard errors, because a page makes dozens of statements
 _RATE_MARGIN = 1.5
-_SURE = 0.2  # half width of a rate's interval up to which it may be called random
+_SURE = 0.2  # a rate may be called random if its interval has at most this half width
 _REMEDY_WORDS = ("diagnosis", "answer")
 _TERMS = {
     "dc": "weights: p does not follow f",
@@ -65,8 +64,8 @@ def compared(sizes: Mapping[str, Size], given: str, evaluations: int, why: str =
     sizes
         Variance at equal evaluations, by the name of the set-up.
     given
-        Set-up with which the others are compared. A set-up with a different mean or zero variance
-        is not recommended.
+        Set-up with which the others are compared.
+        A set-up with a different mean or with zero variance is not recommended.
     evaluations
         Number of evaluations of one estimate.
     why
@@ -85,7 +84,7 @@ def compared(sizes: Mapping[str, Size], given: str, evaluations: int, why: str =
         gain, least, most = (a / b if b > 0.0 else math.nan for a, b in ratios)
 
         def needed(gain: float) -> float:
-            """Return the evaluations that give the given set-up the same gain."""
+            """Return the number of evaluations that the given set-up needs for the same gain."""
             with_rate = start.rate < 0.0 and gain > 0.0
             return evaluations * gain ** (-1.0 / start.rate) if with_rate else math.nan
 
@@ -167,8 +166,8 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
     Returns
     -------
     str
-        Sentences about the rate, the prediction, the terms and the captured share; empty if nothing
-        is known.
+        Sentences about the rate, the prediction, the terms and the captured share.
+        The text is empty if nothing is known.
 
     Raises
     ------
@@ -177,9 +176,9 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
 
     Notes
     -----
-    A term adds or removes variance in these sentences only if its 95 % interval excludes 0. The
-    intervals of prediction and measurement are treated as independent although both come from the
-    same realizations, which is conservative.
+    A term is said to add or remove variance only if its 95 % interval excludes 0.
+    The intervals of prediction and measurement are treated as independent. This is conservative,
+    because both come from the same realizations.
     """
     as_instance("row", row, SummaryRow, "a row of mcspectra.studies.summarize")
     as_instance("terms", terms, xr.Dataset | None, "a dataset of mcspectra.variance_terms")
@@ -195,10 +194,10 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
 
 
 def headline(row: SummaryRow, terms: xr.Dataset | None = None, rows: int = 1) -> str:
-    """Return one sentence on a pair's rate, and on a prediction that differs from the measurement.
+    """Return a sentence on the rate, and on a prediction that differs from the measurement.
 
-    They differ if the interval of their ratio excludes 1; the intervals hold simultaneously for
-    `rows` rows [Sidak1967]_.
+    Prediction and measurement differ if the interval of their ratio excludes 1.
+    The intervals hold simultaneously for all `rows` rows of a table [Sidak1967]_.
     """
     if row.note:
         return f"{row.note[:1].upper()}{row.note[1:]}."
@@ -244,8 +243,8 @@ def bottleneck(row: SummaryRow, terms: xr.Dataset | None = None, technique: str 
     half = _median_frequency(row, terms) if largest == "power" and terms is not None else None
     if half is None or row.terms_n is None or terms is None:
         return _TERMS[largest]
-    # Strata of n points have width n^(-1/d) and frequency n^(1/d). A quarter of this frequency is
-    # coarse for all samplers
+    # Strata of n points in d dims have width n^(-1/d), which is the frequency n^(1/d).
+    # Frequencies below a quarter of this are coarse for all samplers.
     dims = sum(str(dim).startswith("m") and str(dim)[1:].isdigit() for dim in terms.dims)
     if half <= 0.25 * row.terms_n ** (1.0 / max(dims, 1)):
         return f"coarse shape ({_LENGTH}\u00a0≤\u00a0{half:.2g})"
@@ -253,7 +252,7 @@ def bottleneck(row: SummaryRow, terms: xr.Dataset | None = None, technique: str 
 
 
 def further_sentences(analyses: Mapping[str, xr.Dataset]) -> str:
-    """Return sentences stored with a pair's analyses: notes, the best remedy, missing exactness."""
+    """Return stored sentences: notes, the best remedy, and why no exact variance is known."""
     curve, remedies, known = (analyses.get(k) for k in ("convergence", "remedies", "predict"))
     note = "" if curve is None else str(curve.attrs.get("note", ""))
     found: list[str | None] = [f"{note[:1].upper()}{note[1:]}." if note else None]
@@ -269,7 +268,7 @@ def basis_name(basis: str | None) -> str:
 
 
 def _is_predicted(row: SummaryRow) -> bool:
-    """Whether the ratio comes from `predict` and not from the frequency sum of the terms."""
+    """Whether the ratio comes from `predict`, not from the sum of the terms over frequencies."""
     return row.ratio is not None and row.ratio != row.captured
 
 
@@ -324,7 +323,7 @@ def _term_sentences(row: SummaryRow, terms: xr.Dataset) -> Iterator[str]:
     if row.dc is None or row.power is None or row.predicted is None or row.measured is None:
         return
     uniform = row.dc <= NEGLIGIBLE * row.power or terms.attrs.get("space") == "primary"
-    # Name the dc term if it dominates the diagonal by far more than the sampling error
+    # Name the dc term if it dominates dc + power by far more than the sampling error
     if not uniform and row.dc > _DOMINANT * (row.dc + row.power):
         yield (
             f"Without the cross term, {percent(row.dc / (row.dc + row.power))} of the variance is "
@@ -395,8 +394,9 @@ def _captured_sentence(row: SummaryRow, terms: xr.Dataset) -> str:
 def _agreement(row: SummaryRow, terms: xr.Dataset) -> str:
     """Compare prediction and measurement: ``agrees``, ``less``, ``more``, ``open`` or empty.
 
-    They agree if they are close. They differ (``less``, ``more``) if they are not close and the
-    interval of their ratio excludes 1. Otherwise the comparison is ``open``, or empty if unknown.
+    ``agrees`` means that both are close. ``less`` and ``more`` describe the prediction: it is not
+    close to the measurement, and the interval of their ratio excludes 1.
+    Otherwise the comparison is ``open``, or empty if an interval is unknown.
     """
     low, high = row.captured_low, row.captured_high
     if low is None or high is None:

@@ -30,7 +30,7 @@ __all__ = ["REPORT_NAME", "Estimates", "collect", "provenance", "study_toml", "w
 REPORT_NAME = "report.html"
 
 _FIRST = ("convergence", "terms", "spectrum", "points")  # analyses that are shown before all others
-_OF_SAMPLERS = ("spectrum", "points", "pcf")  # analyses that estimators with one sampler may share
+_OF_SAMPLERS = ("spectrum", "points", "pcf")  # analyses of points, shared by estimators
 _WITHOUT_SETTINGS = ("points",)  # analyses whose caption already has the only setting, n
 _FOLDED = ("predict",)  # analyses whose tables are collapsed
 _TITLES = {"pcf": "Pair correlation", "anova": "Axes"}
@@ -107,7 +107,7 @@ class Estimates:
     rows: Mapping[str, Sequence[SummaryRow]]
 
     def of(self, sampler: str, channel: int | None = None) -> dict[str, xr.Dataset]:
-        """Return the results of one sampler by analysis, for one channel or (None) for all."""
+        """Return one sampler's results by analysis, for one channel, or for all if it is None."""
         found = {a: each[sampler] for a, each in self.analyses.items() if sampler in each}
         if channel is None:
             return found
@@ -118,16 +118,16 @@ def write_report(folder: str | Path, out: str | Path | None = None) -> Path:
     """Write ``report.html`` and ``figures/*.png, *.pdf`` for the results of a study.
 
     The page is self-contained: styles, scripts and images are embedded, and it loads nothing.
-    Without scripts and when printed, images replace the interactive plots. The same results give
-    the same bytes.
+    Images replace the interactive plots if scripts are off, and when the page is printed.
+    The same results give the same bytes.
 
     Parameters
     ----------
     folder
         Folder of a study's results (with ``results.zarr``). An existing report is replaced.
     out
-        Path of the page. Default: ``report.html`` in `folder`. Figures are written to the folder
-        ``figures`` next to the page.
+        Path of the page. Default: ``report.html`` in `folder`.
+        The folder ``figures`` next to the page gets the figures.
 
     Returns
     -------
@@ -262,7 +262,7 @@ def study_toml(study: Mapping[str, Any]) -> str:
     """Return a study (plain dicts and lists, as stored) as TOML that can be run again."""
 
     def pairs(table: Mapping[str, Any]) -> Iterator[str]:
-        """Yield a line ``key = value`` per entry that is not a table, with values as JSON."""
+        """Yield ``key = value`` for each entry that is not a table, with the value as JSON."""
         for key, value in table.items():
             if value is None or isinstance(value, dict) or key in ("estimators", "maps"):
                 continue
@@ -339,7 +339,7 @@ def _summary(
 
 
 def _stored(names: Iterable[str]) -> dict[str, str]:
-    """Map names in the store to full names; long names that begin alike give only the first."""
+    """Map names in the store to full names. If long names share a key, the first name wins."""
     given = list(names)
     found: dict[str, str] = {}
     for key, name in zip(html.anchors(given), given, strict=True):
@@ -367,7 +367,7 @@ def _gaps(root: Path, asked: Mapping[str, Sequence[str]]) -> Iterator[html.Block
         text=f"Of {len(status.done) + failed + missing} analyses, {' and '.join(counts)}. "
         f"mcspectra run with {again} them. All other analyses are in this report."
     )
-    # Collect one row per estimator, sampler and reason, with the analyses that share the reason
+    # Collect one row per estimator, sampler and reason, with all analyses that have this reason
     estimators = _stored(asked)
     found: dict[tuple[str, str, str], list[str]] = {}
     for path, reason in sorted(lacking.items()):
@@ -415,9 +415,9 @@ def _estimator(
                 text=f"No {analysis} results for {', '.join(lacking)}.", kind="soft"
             )
 
-    # Figures; figures of samples that an earlier estimator shares are linked
+    # Show figures, and link those figures of samples that an earlier estimator already shows
     shown: list[html.Figure] = []
-    names: set[str] = set()  # names of files, since two analyses can have the same kind of figure
+    names: set[str] = set()  # file names, since two analyses can have the same kind of figure
     details: dict[str, list[html.Figure]] = {summary: [] for summary in _DETAILS}
     linked: dict[str, tuple[str, str]] = {}
     for analysis, found in _with_predictions(each.analyses).items():
@@ -511,7 +511,7 @@ def _figures(
                 continue
             if (
                 kind == "prediction" and analysis == "convergence"
-            ):  # convergence has predictions as crosses
+            ):  # the convergence figure shows predictions as crosses
                 continue
             plot = kinds.describe(kind, data, styles)
             if kind == "anything":

@@ -60,7 +60,7 @@ def summary_table(
     rows
         Summary of each pair of estimator and sampler.
     analyses
-        Results by analysis for each row, for the row's channel. They determine the bottleneck.
+        Results by analysis for each row's channel. The bottleneck is derived from these.
     links
         Target of the hyperlink on each row's estimator. Default: no links.
 
@@ -240,7 +240,7 @@ def _anova(sampler: str, data: xr.Dataset) -> Rows:
     labels, shares = data.attrs["labels_subset_label"], data["anova_share"]
     mean = shares.mean("channel") if "channel" in shares.dims else shares
     for i in np.argsort(-mean.values)[:10]:
-        axes = labels[i].translate(SUBSCRIPTS)  # x₀x₁ for the x0x1 of a store
+        axes = labels[i].translate(SUBSCRIPTS)  # typeset the store's x0x1 as x₀x₁
         yield sampler, axes, percent(float(mean.values[i]))
 
 
@@ -300,7 +300,7 @@ _OF_ANYTHING = (
 _TABLES: Mapping[
     str, tuple[str, str, tuple[str, ...], tuple[int, ...], Callable[[str, Any], Rows]]
 ] = {
-    # heading, caption, columns, indices of columns of words, function that yields a sampler's rows
+    # Heading, caption, columns, indices of columns of words, and function that yields the rows
     "remedies": (
         "Remedies",
         (

@@ -42,13 +42,13 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     }
     found = biases["middle halves of strata"][N]
 
-    # Sum conj(f_m) ⟨S_m⟩ over m ≠ 0. Only multiples of N contribute, and the imaginary parts of m
-    # and −m cancel
+    # Sum conj(f_m) ⟨S_m⟩ over m ≠ 0. Only multiples of N contribute.
+    # The imaginary parts of m and −m cancel
     k = np.arange(1, 20_001)
     coefficients = 1 / (2 * (np.pi * k * N) ** 2)
     total = float((2 * coefficients * (-1.0) ** k * np.sinc(WIDTH * k)).sum())
 
-    # Compare regular points at the centers, w = 0
+    # Compare with regular points at the centers of strata (w = 0)
     middles = {n: mcs.sampler("regular", 1).draw(n)[0, :, 0] for n in _COUNTS}
     errors = [(v**2).mean() - 1 / 3 - box_bias(n, 0.0) for n, v in middles.items()]
 
@@ -91,8 +91,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 )
                 for name, each in weighted.items()
             ),
-            # For points uniform in boxes about the centers of strata, ⟨S_m⟩ at m = kN is
-            # (−1)^k sinc(π k w)
+            # The points are uniform in boxes of width w/N around the centers of strata.
+            # Therefore ⟨S_m⟩ at m = kN is (−1)^k sinc(π k w)
             Claim(
                 f"Points in the middle halves of {N} strata have ⟨S_m⟩ = −sinc(π/2) at m = {N}.",
                 Measured.mean(boxes[:, N].real),
@@ -139,7 +139,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def sums(name: str, realizations: int, seed: int, density: str = "uniform") -> Array:
-    """Return S_m at m = 0 … 32 of points in 1-D: complex, (realizations, 33)."""
+    """Return S_m of 1-D points at m = 0 … 32: complex, with shape (realizations, 33)."""
     p = mcs.density(density, 1)
     x = p.sample(mcs.sampler(name, 1).draw(N, realizations=realizations, rng=seed))
     weights = 1.0 / p.pdf(x)

@@ -1,8 +1,9 @@
 """Exhibits: plots, a caption and claims, each with a computed verdict.
 
-The interval of a finding decides its verdict. With 95 % intervals, a dozen of `GALLERY_FINDINGS`
-true statements would be rejected by chance. The interval therefore has the Šidák level
-[Sidak1967]_ 0.95^(1/250) = 99.98 %, at which all intervals hold simultaneously with 95 %.
+The interval of a finding decides its verdict. The gallery has up to `GALLERY_FINDINGS` findings.
+With 95 % intervals, a dozen true statements would be rejected by chance.
+The interval therefore has the Šidák level [Sidak1967]_, which is 0.95^(1/250) = 99.98 %.
+At this level, all intervals hold simultaneously with 95 % probability.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ __all__ = [
 ]
 
 GALLERY_FINDINGS = 250
-"""Number of findings whose verdicts hold simultaneously with 95 %."""
+"""Number of findings whose verdicts hold simultaneously with 95 % probability."""
 
 _VERDICT_Z = 3.7125862298839247  # normal quantile of (1 + 0.95^(1/250)) / 2
 
@@ -65,26 +66,25 @@ Interval: TypeAlias = tuple[float, float]
 class Claim:
     """A statement with its expected and its measured value; `judge` computes the verdict.
 
-    The expectation is a number (`expected`), a bound (`above`, `below`), a limit of a rounding or
-    quadrature error (`at_most`), or a verdict of the exhibit itself (`holds`).
+    The expectation is a number (`expected`), a bound (`above`, `below`), or a limit (`at_most`) of
+    a rounding or quadrature error. Otherwise the exhibit itself gives the verdict (`holds`).
 
     Attributes
     ----------
     statement
         A sentence that names the source of the expectation: theory, a closed form or quadrature.
     measured
-        Measured value: a number with an interval, a number without sampling error, or words; None
-        if nothing could be measured.
+        Measured value: a number with an interval, a number without sampling error, or words.
+        None if nothing could be measured.
     expected
         Expected value. It agrees if its distance from the verdict interval is at most `tolerance`.
     tolerance
-        Allowed error of the theory; `note` gives the reason. For example, n may be too small for a
-        limit.
+        Allowed error of the theory, for example because n is too small. `note` gives the reason.
     digits
         Number of digits of the expected value that are shown.
     above, below
-        Bounds. The claim agrees if the whole verdict interval satisfies them, and disagrees if the
-        whole interval violates them. Otherwise it has no verdict.
+        Bounds. The claim agrees if the whole verdict interval satisfies them.
+        It disagrees if the whole interval violates them; otherwise there is no verdict.
     at_most
         Largest allowed magnitude of an error.
     holds
@@ -129,7 +129,7 @@ class Finding:
     measured
         A number, words, or None if nothing could be measured.
     interval
-        Verdict interval of the number, or None without sampling error.
+        Verdict interval of the number, or None if the number has no sampling error.
     agrees
         The verdict. None if the claim has no verdict or the interval contains its bound.
     """
@@ -252,7 +252,7 @@ def rate_claim(
 
 
 def known_rate(statement: str, curve: xr.Dataset, expected: float, exact: Array) -> Claim:
-    """Return a claim on a known limit; the tolerance is its distance from the exact slope."""
+    """Return a claim on a rate with a known limit; the tolerance is the limit's error here."""
     here = slope(curve["n"].values.tolist(), exact)
     note = f"Tolerance: the exact variances at these N have the slope {number(here, 5)}."
     return rate_claim(statement, curve, expected, abs(here - expected), note)
@@ -288,7 +288,7 @@ def largest_distance(statement: str, away: Array, se: Array, freedom: int = 0) -
     ----------
     statement
         Statement without a full stop; a description of the measured value is appended.
-    away, se
+    Differences (measured minus expected) and their positive standard errors, of equal shape.
         Differences (measured minus expected) and their positive standard errors, same shape.
     freedom
         Degrees of freedom of standard errors that come from a few batches.

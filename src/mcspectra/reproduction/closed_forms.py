@@ -100,7 +100,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 "N³ times the power of jittered points at m = 1 tends to π²/3, so the variance "
                 "falls as N⁻³: relative difference at N = 1024.",
                 low / (np.pi**2 / 3) - 1.0,
-                # 1 − sinc²(x) is x²/3 − 2x⁴/45 …, so the relative error is 2 (π/N)²/15 = 1.3e-6
+                # The series of 1 − sinc²(x) is x²/3 − 2x⁴/45 …, so the relative error is
+                # 2 (π/N)²/15 = 1.3e-6
                 at_most=1e-5,
             ),
             Claim(
@@ -125,14 +126,14 @@ def _closed(name: str, nu: Array, n: int = N) -> Array:
 
 
 def printed(name: str, m: Array) -> Array:
-    """Return the formula of the slides; NumPy's sinc(x) is Sinc(πx)."""
+    """Return the formula of the slides. Their Sinc(πx) is NumPy's sinc(x)."""
     if name == "random":
         return np.where(m == 0, 1.0, 1 / N + (N - 1) / N * np.sinc(m) ** 2)
     return np.asarray((1 - np.sinc(m / N) ** 2) / N + np.sinc(m) ** 2)
 
 
 def simulate(name: str, nu: Array, realizations: int, seed: int) -> xr.Dataset:
-    """Simulate the power of points in one dim at the frequencies."""
+    """Simulate the power of 1-D points at the frequencies `nu`."""
     return mcs.spectra.power_at(
         mcs.sampler(name, 1), N, nu[:, None], realizations=realizations, rng=seed
     )

@@ -1,4 +1,4 @@
-"""Growth of the third term's matrix with the number of dims, and maps and bands as alternatives."""
+"""The third term's matrix grows with the number of dims; maps and bands are alternatives."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _BYTES = 16  # bytes per complex number
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Compare maps and bands with small matrices, and use them where matrices are too large."""
+    """Compare maps and bands with small matrices, and use them alone for more dims."""
     realizations = 200 if quick else 4000
     whole = {d: bell_terms("jittered", d, SMALL[d], realizations, seed, matrix=True) for d in SMALL}
     runs = {d: bell_terms("jittered", d, RUNS[d], realizations, seed) for d in RUNS}
@@ -42,7 +42,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         for name in ("jittered", "jittered | shift")
     }
 
-    # Compare the formula for sizes with matrices, and request a matrix that is too large
+    # Check the formula for the size of matrices, and request a matrix that is too large
     wrong = [d for d, x in whole.items() if x["cross_matrix"].size != entries(d, SMALL[d][1])]
     times = entries(2, 64) / entries(1, 64)
     answer = "a matrix"
@@ -51,7 +51,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     except mcs.McspectraError as refusal:
         answer = str(refusal)
 
-    # The maps minus |f_m|² C_mm must sum to the third term: errors relative to the second term
+    # Maps minus |f_m|² C_mm must sum to the third term; errors are relative to the second term
     errors = [
         abs(float((data["contribution"] - data["power_contribution"]).sum() - data["cross_term"]))
         / float(data["power_term"])
@@ -155,7 +155,7 @@ def bell_terms(
 
 
 def entries(dims: int, half_width: int) -> int:
-    """Return the number of entries of the matrix; a map has its square root."""
+    """Return the number of entries of the matrix; a map has the square root of this number."""
     return int((2 * half_width + 1) ** (2 * dims))
 
 
@@ -180,7 +180,7 @@ def labelled_subsets(data: xr.Dataset) -> list[int]:
 
 
 def main_share(data: xr.Dataset) -> float:
-    """Return the variance share of functions of one coordinate, with their covariances."""
+    """Return the share of the variance due to functions of one coordinate, with covariances."""
     alone = [k for k, subset in enumerate(labelled_subsets(data)) if subset in (1, 2, 4)]
     matrix = data["band_covariance"].values
     return float(matrix[alone].sum() / matrix.sum())

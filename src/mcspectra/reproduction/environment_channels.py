@@ -19,7 +19,7 @@ from mcspectra.reproduction.panels import plot_of, variance_panel
 
 __all__ = ["exhibit"]
 
-# A map of eight pixels, red, green and blue: a sun, a sky and a ground
+# An RGB map of eight pixels that show a sun, a sky and a ground
 PIXELS = np.array(
     [[0.3, 0.4, 0.9], [0.2, 0.5, 1.0], [6.0, 1.0, 0.4], [14.0, 12.0, 7.0],
      [0.6, 5.0, 0.8], [0.4, 0.7, 4.0], [0.1, 0.9, 0.3], [1.2, 0.3, 0.2]]
@@ -37,7 +37,7 @@ _COSTS = {"one": 1, "own": 3, "mis": 3}  # evaluations of f per point
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Measure rates of three channels by gray, own and mixed densities, and a map in two dims."""
+    """Measure rates of three channels with gray, own and mixed densities, and sample a 2-D map."""
     by = ways()
     options: dict[str, Any] = {"realizations": 400 if quick else 4000, "rng": seed}
     curves = {way: mcs.convergence(by[way], "jittered", COUNTS[way], **options) for way in _WAYS}
@@ -108,7 +108,7 @@ def ways() -> dict[str, Any]:
 
 
 def radiance(x: Array) -> Array:
-    """Return the map times the cosine."""
+    """Return the radiance, which is the map times the cosine."""
     pixel = np.minimum((np.asarray(x)[..., 0] * 8).astype(np.intp), 7)
     return np.asarray(PIXELS[pixel] * np.cos(np.pi * (np.asarray(x) - 0.5)))
 
@@ -133,7 +133,7 @@ def _gain(channel: int, curves: Mapping[str, xr.Dataset]) -> Claim:
 
 
 def weighted(table: Array, channel: int, t: Array) -> Array:
-    """Return f/p at positions t within each pixel, (8, len(t)), for a density from `table`."""
+    """Return f/p at positions t in each of 8 pixels, (8, len(t)), for the density of `table`."""
     x = (np.arange(8)[:, None] + t) / 8
     times = PIXELS[:, channel] / (table / table.mean())
     return np.asarray(times[:, None] * np.cos(np.pi * (x - 0.5)))
@@ -165,7 +165,7 @@ def _map() -> Plot:
     )
     for title, own in zip(list(marks)[1:], (False, True), strict=True):
         for c, color in enumerate(_COLORS.values()):
-            # Pieces between the borders of pixels, moved to primary space
+            # Move the pieces between the borders of pixels to primary space
             table = PIXELS[:, c] if own else gray
             borders = np.concatenate([[0.0], np.cumsum(table) / table.sum()])
             values = weighted(table, c, t)

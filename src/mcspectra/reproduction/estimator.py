@@ -107,7 +107,7 @@ def _exact(name: str) -> float:
 
 
 def _warped(name: str, n: int, seed: int, realizations: int) -> Array:
-    """Return points with density p, (realizations, n)."""
+    """Return points with density p, in an array of shape (realizations, n)."""
     u = mcs.sampler(name, 1).draw(n, realizations=realizations, rng=seed)
     return np.asarray(mcs.density(DENSITY, 1).sample(u)[..., 0])
 

@@ -199,8 +199,8 @@ def reproduce(
     Parameters
     ----------
     folder
-        Folder for ``index.html``, ``reproduce.pdf``, ``findings.json`` and ``figures``. Files with
-        these names are replaced; other files are kept.
+        Folder for ``index.html``, ``reproduce.pdf``, ``findings.json`` and ``figures``.
+        Files with these names are replaced; other files are kept.
     names
         Names of exhibits. Default: all. The order is always the order of the slides.
     quick
@@ -396,7 +396,7 @@ def _write_pdf(path: Path, entries: Sequence[Entry]) -> None:
                     _add_figure(pdf, plot)
         partial.replace(path)
     finally:
-        partial.unlink(missing_ok=True)  # exists only after an interruption
+        partial.unlink(missing_ok=True)  # this file exists only after an interruption
 
 
 def _lines(entry: Entry) -> Iterator[tuple[str, str]]:
@@ -425,7 +425,7 @@ def _add_figure(pdf: PdfPages, plot: Plot) -> None:
     if engine is not None:
         engine.execute(figure)
         figure.set_layout_engine("none")
-    for legend in figure.legends:  # otherwise they would move to the border of the larger sheet
+    for legend in figure.legends:  # else legends would move to the border of the sheet
         legend.set_bbox_to_anchor((0, 0, 1, 1), transform=figure.transFigure)
     caption = textwrap.fill(plot.caption, int(_PER_INCH * figure.get_figwidth()))
     figure.text(0.02, -0.02, escaped(caption), va="top", fontsize=8)

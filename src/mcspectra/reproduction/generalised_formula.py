@@ -26,7 +26,7 @@ HALF_WIDTH = 40
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Estimate terms and matrices of samplers × integrands, and compare them with closed forms."""
+    """Estimate terms and matrices of all samplers and integrands; compare with closed forms."""
     realizations = 500 if quick else 10_000
     line, bell = (
         {name: terms(mcs.integrand(spec, 1), name, realizations, seed) for name in SAMPLERS}
@@ -40,7 +40,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     variances = {name: float(mcs.exact_variance(by_density, name, N)) for name in weighted}
     integral = float(np.squeeze(mcs.integrand(BELL, 1).integral))
 
-    # Compute the exact second and third terms of jittered points on f(x) = x, up to the half width
+    # Compute the exact second and third terms of jittered points for f(x) = x, up to the half width
     _, *exact = split(_exact_matrix(mcs.integrand(LINE, 1), "jittered", None, HALF_WIDTH))
 
     # Extrapolate the terms to all frequencies; the tails are proportional to 1/K

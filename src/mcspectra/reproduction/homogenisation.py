@@ -19,8 +19,8 @@ __all__ = ["exhibit"]
 
 N = 64
 SAMPLERS = ("jittered", "latin-hypercube", "poisson-disk", "sobol | owen")
-# Differences m − l are multiples of the frequency of the strata (8 for 64 points), at which
-# jittered points have correlated coefficients.
+# The differences m − l are multiples of the frequency of the strata (8 for 64 points).
+# At such pairs, jittered points have correlated coefficients.
 PAIRS = (
     ((3, 0), (-5, 0)),
     ((0, 3), (0, -5)),
@@ -35,19 +35,19 @@ _PAIR = "m = (3, 0), l = (−5, 0)"
 @final
 @dataclass(frozen=True)
 class Coefficients:
-    """S_m and S_l of all pairs of frequencies, (R, pairs, 2)."""
+    """Coefficients S_m and S_l of R realizations at all pairs of frequencies, (R, pairs, 2)."""
 
     values: Array
 
     @property
     def products(self) -> Array:
-        """(S_m − mean) conj(S_l − mean), (R, pairs); their mean is the covariance."""
+        """Products (S_m − mean) conj(S_l − mean), (R, pairs), whose mean is the covariance."""
         away = self.values - self.values.mean(axis=0)
         return np.asarray(away[..., 0] * away[..., 1].conj())
 
     @property
     def covariance(self) -> Array:
-        """Cov(S_m, S_l), (pairs,)."""
+        """Covariance of S_m and S_l for each pair of frequencies."""
         return np.asarray(self.products.sum(axis=0) / (len(self.values) - 1))
 
     def farthest(self) -> tuple[float, float]:
@@ -160,7 +160,7 @@ def _drawn(name: str, realizations: int, seed: int) -> tuple[Array, Array]:
 
 
 def _sums(x: Array, m: Array) -> Array:
-    """Return S_m, (..., R), of points (R, n, 2) at frequencies (..., 2)."""
+    """Return S_m of shape (..., R) for points (R, n, 2) and frequencies m of shape (..., 2)."""
     found = [np.exp(-2j * np.pi * (x @ each)).mean(axis=1) for each in m.reshape(-1, 2)]
     return np.stack(found).reshape(*m.shape[:-1], len(x))
 
@@ -181,7 +181,7 @@ def _steps(seed: int) -> Plot:
         (x + move, move, "2: shifted by Δ"),
         ((x + move) % 1.0, move, "3: wrapped around"),
     ):
-        # Borders of strata as (start, end), inside the unit square if wrapped
+        # Draw borders of strata as (start, end), inside the unit square if they are wrapped
         wrapped = bool((at < 1.0).all())
         lines = []
         for k in range(5):

@@ -46,7 +46,7 @@ COSINE = ConvergenceCase("cos(2π(x + y)), two dims", "cosine(frequency=[1, 1])"
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:
-    """Compare measured variances with and without a shift with exact ones."""
+    """Compare measured variances with exact variances, with and without a shift."""
     realizations = 1000 if quick else 10_000
     cases = (LINE, BELL, DISK, COSINE)
     curves = {case: measured(case, realizations, seed) for case in cases}
@@ -80,7 +80,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 for case in cases
                 for name, rate in zip(SAMPLERS, (case.plain, case.shifted), strict=True)
             ),
-            # (1/(6N²) − 1/(12N³)) / (1/(12N³)) = 2N − 1
+            # The exact ratio is (1/(6N²) − 1/(12N³)) / (1/(12N³)) = 2N − 1
             Claim(
                 "On f(x) = x the shift multiplies the variance of jittered points by 2N − 1, at N "
                 f"= {COUNTS[-1]}.",
@@ -118,7 +118,7 @@ def exact(case: ConvergenceCase, sampler: str) -> Array:
     f = case.integrand
     if case != DISK or sampler == "jittered":
         return np.array([float(mcs.exact_variance(f, sampler, n)) for n in COUNTS])
-    # Σ |f_m|² ⟨|S_m|²⟩ of an indicator f: (1/N)(∫f² − Σ |f_m|² Π sinc²(πm_i/s)), s² = N
+    # The variance of an indicator f is (1/N)(∫f² − Σ |f_m|² Π sinc²(πm_i/s)), where s² = N
     power = np.abs(f.fourier_grid(_HALF_WIDTH)) ** 2
     m, square = np.arange(-_HALF_WIDTH, _HALF_WIDTH + 1), float(np.squeeze(f.integral))
     windows = [(n, np.sinc(m / n**0.5) ** 2) for n in COUNTS]

@@ -39,7 +39,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
         name: beyond() / N / float(data["measured_variance"]) for name, data in shifted.items()
     }
 
-    # On f(x) = x the ratio is (1/(6N²) − 1/(12N³)) / (1/(12N³)) = 2N − 1; compare with quadrature
+    # For f(x) = x, check by quadrature that the ratio (1/(6N²) − 1/(12N³)) / (1/(12N³)) is 2N − 1
     line = mcs.integrand("linear", 1)
     power = 1 / (6 * N**2) - 1 / (12 * N**3)
     times = power / float(mcs.exact_variance(line, "jittered", N))
@@ -130,7 +130,7 @@ def _closed_sum(n: int) -> Claim:
         f"f(x) = x and {n} jittered points, shifted: the sum is 1/(6N²) − 1/(12N³): relative "
         "difference.",
         total / expected - 1.0,
-        # The tail has at most the power 1/n: Σ 1/m² < 1/2^16, relative to the sum 6n²/(2π²n) / 2^16
+        # Bound the tail relative to the sum: its power is at most 1/n, and Σ 1/m² < 1/2^16
         at_most=float(2 / (4 * np.pi**2 * n * m[-1]) / expected),
         note=f"Limit: bound of the sum over frequencies beyond {int(m[-1])}.",
     )
@@ -138,7 +138,7 @@ def _closed_sum(n: int) -> Claim:
 
 @cache
 def beyond() -> float:
-    """Return ∫f² − Σ |f_m|² up to the half width; f² is a Gaussian of width / √2."""
+    """Return ∫f² − Σ |f_m|² up to the half width; f² is a Gaussian narrower by the factor √2."""
     square = BELL.replace("width=0.2", f"width={0.2 / math.sqrt(2)}")
     power = np.abs(mcs.integrand(BELL, 2).fourier_grid(HALF_WIDTH)) ** 2
     return float(np.squeeze(mcs.integrand(square, 2).integral)) - float(power.sum())

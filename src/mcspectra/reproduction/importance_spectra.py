@@ -111,8 +111,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
             *dc,
             _rate(1),
             _rate(0),
-            # The power of N random points is 1/N + (1 − 1/N) |p_m|²; a linear density of slope s
-            # has p_m = i s/(2πm)
+            # The power of N random points is 1/N + (1 − 1/N) |p_m|².
+            # A linear density of slope s has p_m = i s/(2πm)
             Claim(
                 "Without the weights 1/p the spectrum tends to the spectrum of the density: "
                 "⟨|S_m|²⟩ → |p_m|² at m = (1, 0).",
@@ -145,7 +145,7 @@ def _closed_ring(name: str, ring: int) -> float:
 
 
 def sums(name: str, realizations: int, seed: int, *, weighted: bool) -> Array:
-    """Return S at m = (0, 0) and (1, 0): complex, (realizations, 2)."""
+    """Return S at m = (0, 0) and (1, 0) as complex numbers of shape (realizations, 2)."""
     p = mcs.density(DENSITY, 2)
     x = p.sample(mcs.sampler(name, 2).draw(N, realizations=realizations, rng=seed))
     w = 1.0 / p.pdf(x) if weighted else np.ones(x.shape[:-1])

@@ -43,7 +43,7 @@ class TermsCase:
         """The integrand of the case."""
         if self.function == "line":
             return mcs.integrand("linear", 1)
-        if self.function == "bar":  # edges in the middle of strata 4 and 10 of 16
+        if self.function == "bar":  # the edges are in the middle of strata 4 and 10 of 16
             return mcs.integrand(f"disk(center={7.5 / N}, radius={3 / N})", 1)
         return _wave(0.0 if self.function == "one" else 1.0)
 
@@ -144,7 +144,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 "For constant PDF the third term is negative on f(x) = x, jittered points.",
                 of[LINE],
             ),
-            # The variance is 2 · ¼/N² without and 2 · 1/(6N²) with a shift, up to the third term
+            # Up to the third term, the variance is 2 · ¼/N² without and 2 · 1/(6N²) with a shift
             Claim(
                 "Counterexample: for constant PDF and a bar whose edges halve strata, the third "
                 "term of jittered points is positive: 1/(6N²) in total, here over |m| ≤ 64.",
@@ -207,7 +207,7 @@ def _negative(statement: str, data: xr.Dataset) -> Claim:
 
 
 def exact_bar(half_width: int) -> float:
-    """Return the third term of the bar up to a half width from closed forms; 1/(6N²) in total."""
+    """Return the bar's third term up to a half width, in closed form; its limit is 1/(6N²)."""
     m = np.arange(-half_width, half_width + 1)[:, None]
     f = BAR.integrand.fourier(m)
     c = mcs.spectra.closed_form_covariance("jittered", N, m[:, None], m[None])

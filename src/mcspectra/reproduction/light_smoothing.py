@@ -95,7 +95,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
 
 
 def _pixel(edge: float) -> Any:
-    """Return BSDF sampling at P of Figure 1; the light's radiance rises over `edge` half sides."""
+    """Return BSDF sampling at P of Figure 1. The light's edge is a ramp of `edge` half sides."""
     scene = f"smooth-light(edge={edge})"
     x, y = mcs.rendering.named_pixels(scene)["P"]
     return mcs.rendering.Pixel(scene=scene, x=x, y=y, strategy="bsdf")
@@ -137,7 +137,7 @@ def _bias(scan: xr.Dataset) -> Claim:
 
 
 def _best_pays(scan: xr.Dataset, n: int) -> Claim:
-    """Compare the mean squared error with the sharp edge with the best width."""
+    """Compare the mean squared errors of the sharp edge and of the best width."""
     cell = scan.sel(n=n)
     best = int(np.argmin(cell["mse"].values))
     edge, least = (Measured.of(cell.isel(width=k), "mse") for k in (0, best))

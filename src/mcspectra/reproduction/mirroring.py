@@ -1,10 +1,11 @@
 """Mirroring of the integrand and of the samples, which prevents the harm of homogenization.
 
-Mirror-uniform places each of n/4 points at four images: it samples h at n/4 points, where h is the
-mean of f over the four images.
+Mirror-uniform evaluates f at four mirror images of each of n/4 points.
+This samples h, the mean of f over the four images, at n/4 points.
 Mirror-random chooses one image at random, which adds 1/n of the variance of f among the images.
-The mean h = q(x) q(y) is continuous on the torus. With shifted strata of side 1/s the variance for
-h is the sum Σ |h_m|² (1 − Π_i sinc²(πm_i/s)) / n over integer m ≠ 0, a product over axes.
+
+The mean h = q(x) q(y) is continuous on the torus. With shifted strata of side 1/s, its variance is
+Σ |h_m|² (1 − Π_i sinc²(πm_i/s)) / n over integers m ≠ 0, where sums are products over axes.
 """
 
 from __future__ import annotations
@@ -170,7 +171,7 @@ def _of_the_mean(n: int, homogenized: bool) -> float:
         m = np.arange(len(power))
         seen = power[0] + 2.0 * (power[1:] * np.sinc(m[1:] / s) ** 2).sum()
         return float((whole**2 - seen**2) / n)
-    # Sum over strata: n⁻² Σ (∫∫ h² n − (∫∫ h n)²); both integrals are products over axes
+    # Sum variances over strata: n⁻² Σ (∫∫ h² n − (∫∫ h n)²); both integrals are products over axes
     nodes, weights = np.polynomial.legendre.leggauss(24)
     q = symmetrized((np.arange(s)[:, None] + (nodes + 1) / 2) / s)
     means, squares = q @ weights / 2, q**2 @ weights / 2
@@ -179,7 +180,7 @@ def _of_the_mean(n: int, homogenized: bool) -> float:
 
 @cache
 def _axis() -> tuple[float, Array]:
-    """Return ∫q² and |q_m|², m = 0 … 4096, which fall as m⁻⁴."""
+    """Return ∫q², and |q_m|² for m = 0 … 4096, which fall as m⁻⁴."""
     samples = 2**16
     x = (np.arange(samples) + 0.5) / samples
     power = np.abs(np.fft.rfft(symmetrized(x)) / samples)[:4097] ** 2
@@ -194,7 +195,7 @@ def among_images() -> float:
 
 
 def _domain(dims: int) -> Claim:
-    """Compare variances: each image has the strata that n/2^d points have in the domain."""
+    """Check that 2^d n points have 1/2^d of the variance of n points after mirroring."""
     f = INTEGRAND if dims == 2 else "gaussian(center=0.2, width=0.4, dims=1)"
     n, images = 64, 2**dims
     mirrored = float(mcs.exact_variance(mcs.Mirrored(f), "jittered", images * n))

@@ -129,14 +129,14 @@ def toy_curves(realizations: int, seed: int) -> dict[str, xr.Dataset]:
 
 
 def exact(technique: int) -> Array:
-    """Return 1/(12n³) for f = x; for 1[x < a], s(1 − s)/n² with the fractional part s of a n."""
+    """Return the variance: 1/(12n³) for f = x, or s(1 − s)/n² for 1[x < a], where s = a n mod 1."""
     n = np.array(_COUNTS, float)
     part = _AT * n % 1.0
     return np.asarray(1 / (12 * n**3) if technique == 0 else part * (1 - part) / n**2)
 
 
 def _pixel(where: str, sides: Sequence[int], realizations: int, seed: int) -> xr.Dataset:
-    """Measure light and BSDF sampling, MIS, and its two techniques, on the dim estimator."""
+    """Measure light and BSDF sampling, MIS and its two parts, as entries of the dim estimator."""
     place = _PIXELS[where]
     alone, mis = mcs.rendering.pixel_strategies(**place), mcs.rendering.pixel_mis(**place)
     parts = [mis.primary_integrand(t) for t in (0, 1)]

@@ -105,7 +105,7 @@ def count_pairs(name: str, realizations: int, seed: int) -> xr.Dataset:
 
 
 def by_pairs(name: str, realizations: int, seed: int) -> tuple[Measured, Measured]:
-    """Return the variance from counted pairs, and measured with independent random numbers."""
+    """Return the variance from counted pairs, and the variance from an independent measurement."""
     found = _from_pairs(_SMOOTH, name, N, realizations=2 * realizations, rng=seed)
     curve = mcs.convergence(_SMOOTH, name, [N], realizations=10 * realizations, rng=seed + 1)
     counted = Measured.of(found, "predicted_variance")
@@ -137,7 +137,7 @@ def _as_closed(name: str, data: xr.Dataset) -> Claim:
 def _transformed(name: str) -> Claim:
     """Compare N⟨|S_m|²⟩ with 1 + (N − 1) ∫ g(|h|) cos(2πmh) dh over the torus, m ≠ 0, in 1-D."""
     n, m = 16, np.arange(1, 49)
-    # g is linear up to 1/n and constant beyond: Gauss-Legendre nodes in pieces of 1/n
+    # g is linear up to 1/n and constant beyond, so use Gauss-Legendre nodes in pieces of 1/n
     nodes, weights = np.polynomial.legendre.leggauss(16)
     h = ((np.arange(n // 2)[:, None] + (nodes + 1) / 2) / n).ravel()
     g = mcs.spectra.closed_form_pair_correlation(mcs.sampler(name, 1), n, h)

@@ -82,13 +82,13 @@ def variance_panel(
     Parameters
     ----------
     curves
-        Results of `mcspectra.convergence` for one estimator and sampler, by label. Colors and
-        markers follow their order.
+        Results of `mcspectra.convergence` for one estimator and sampler, by label.
+        Colors and markers are assigned in this order.
     exact
         Exact variances at the same counts, for some of the labels.
     rates
-        Theoretical rates for some of the labels, drawn as dashed lines through the last exact or
-        measured variance.
+        Theoretical rates for some of the labels. A rate is a dashed line through the last exact
+        variance, or else through the last measured variance.
     relative
         Whether to divide by the squared mean at the largest N.
     title, x

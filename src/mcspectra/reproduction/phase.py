@@ -21,7 +21,7 @@ __all__ = ["exhibit"]
 COUNTS = (16, 64, 256, 1024)
 N = 16
 HALF_WIDTH = 48
-BAR = "disk(center=0.5, radius=0.25)"  # edges at 1/4 and 3/4, on borders of strata of 4^k points
+BAR = "disk(center=0.5, radius=0.25)"  # edges 1/4 and 3/4 are borders of strata of 4^k points
 OFFSETS = (0.0, 0.125, 0.25, 0.375, 0.5, 0.625, 0.75, 0.875)
 LABELS = {
     0.0: "not displaced",
@@ -48,7 +48,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     bar = mcs.integrand(BAR, 1).fourier(m)
     turned = bar * np.exp(2j * np.pi * m[:, 0] * 0.3 / N)
 
-    # Average over equally spaced offsets: exact unless m − l is a multiple of 64 times the strata
+    # Average over 64 offsets. This is exact unless m − l is a multiple of 64 times the strata
     values = [_third(bar, _matrix(displaced(k / 64))[1]) for k in range(64)]
 
     # Predict the variance of two functions with equal power spectra, and compute it by quadrature
@@ -193,7 +193,7 @@ def displaced_curve(offset: float, realizations: int, seed: int) -> xr.Dataset:
 
 
 def exact_bar(offset: float, n: int) -> float:
-    """Return 2 s(1 − s)/N²: both edges cut a stratum into parts s = offset and 1 − s."""
+    """Return 2 s(1 − s)/N², since both edges cut a stratum into parts s = offset and 1 − s."""
     return 2 * offset * (1 - offset) / n**2
 
 
@@ -212,7 +212,7 @@ def exact_curve(offset: float) -> Array:
 
 
 def _matrix(sampler: str, half_width: int = HALF_WIDTH) -> tuple[Array, Array]:
-    """Return frequencies (M, 1) and C_ml in closed form."""
+    """Return frequencies, in an array (M, 1), and the matrix C_ml in closed form."""
     m = np.arange(-half_width, half_width + 1)[:, None]
     return m, mcs.spectra.closed_form_covariance(sampler, N, m[:, None], m[None])
 
@@ -226,7 +226,7 @@ def _third(f: Array, c: Array) -> float:
 def _equal_power() -> tuple[Array, tuple[Array, Array]]:
     """Return frequencies and coefficients of two real functions with equal |f_m|.
 
-    The first has zero phases (a peak), the second the phases π m²/K of a chirp (spread out).
+    The first function is a peak (zero phases), the second a spread-out chirp (phases π m²/K).
     """
     m = np.arange(-_HIGHEST, _HIGHEST + 1)[:, None]
     size = 1.0 / (1.0 + np.abs(m[:, 0]))

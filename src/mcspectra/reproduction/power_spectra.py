@@ -94,8 +94,8 @@ def _speckle(what: str, spectrum: xr.Dataset, realizations: int) -> Claim:
         f"of 1/√R (R = {realizations}).",
         Measured.normal(float(power.std(ddof=1) / power.mean()), se),
         expected=realizations**-0.5,
-        # Both assumptions hold for N → ∞: |S_m|² is exponential, and powers are independent. For
-        # finite N the relative error is about 1/N
+        # |S_m|² is exponential and powers are independent only in the limit N → ∞.
+        # For finite N the relative error is about 1/N
         tolerance=1.0 / N * realizations**-0.5,
         note="Relative tolerance 1/N: powers of N points are exponential up to this error.",
     )

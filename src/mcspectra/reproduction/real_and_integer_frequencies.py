@@ -1,9 +1,10 @@
 """Predictions from integer frequencies agree with the variance; those from real ones diverge.
 
 On the unit interval, f(x) = x jumps at the border, and g(x) = (1 − cos 2πx)/2 does not.
-Half-integers are the frequencies of a domain of twice the length, [0, 2), whose second half has
-neither values of f nor points. With Δν = ½ and N → ∞, the sum over half-integers ν ≠ 0 tends to
-∫ (f ⋆ box)² − I²/2, since |⟨S_ν⟩|² is the power of the box.
+Half-integers are the frequencies of a domain of twice the length, [0, 2).
+The second half of this domain has neither values of f nor points.
+For Δν = ½ and N → ∞, the sum over half-integers ν ≠ 0 tends to ∫ (f ⋆ box)² − I²/2.
+The reason is that |⟨S_ν⟩|² is the power of the box.
 """
 
 from __future__ import annotations

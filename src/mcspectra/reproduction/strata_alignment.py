@@ -92,7 +92,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 "Strata deformed to have a border at 1/3 restore the rate −2: rate of the exact "
                 f"variances from N = {counts[0]} to {counts[1]}, minus −2.",
                 slope(counts, np.array(known)) + 2.0,
-                # Rounding the number s/3 of strata changes the variance by a fraction 1/s²; s = 16
+                # Rounding s/3 to a whole number of strata changes the variance by 1/s²; s = 16
                 at_most=1 / 256,
             ),
             Claim(
@@ -122,10 +122,11 @@ def exact(a: float) -> Array:
 
 
 def homogenised() -> Array:
-    """Return variances after a shift, at which s(1 − s) averages to 1/6 for edge and border.
+    """Return variances after a shift, for which s(1 − s) is 1/6 on average at edge and border.
 
-    Edge and border are more than a stratum apart and cut different strata, so the position of the
-    edge does not matter. The ramp adds N^(−3/2)/6 − N^(−2)/12 because it jumps at the border.
+    Edge and border are more than a stratum apart and cut different strata.
+    Therefore the position of the edge does not matter.
+    The ramp adds N^(−3/2)/6 − N^(−2)/12 because it jumps at the border.
     """
     side = np.sqrt(COUNTS)
     return np.asarray(2 / 6 / side**3 + 1 / (6 * side**3) - 1 / (12 * side**4))
