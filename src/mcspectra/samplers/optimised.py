@@ -69,7 +69,7 @@ class OptimisedSampler(Sampler, ABC):
 
     @abstractmethod
     def _optimize(self, n: int, keys: Array, report: Report) -> Array:
-        """Make one set (n, dims) in [0,1) from keys uint64 (2,); report the fraction that is done."""
+        """Make one set (n, dims) in [0,1) from keys uint64 (2,); report the fraction done."""
 
     def _law(self, n: int) -> Law:
         if self.unbiased and self.structure is Structure.TORUS:
