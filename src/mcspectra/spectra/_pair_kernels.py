@@ -77,8 +77,8 @@ def count_distances(
 ) -> None:
     """Count the toroidal distances of all pairs of points.
 
-    coordinates (d, N): n points in ascending order of the first coordinate, then copies of
-    the first points, moved by one along the first axis.
+    coordinates (d, N): n points in ascending order of the first coordinate.
+    Copies of the first points follow, moved by one along the first axis.
     `limit` is the largest difference along the first axis.
     counts (4, bins + 1): four partial counts, to be added; the last bin has larger distances.
     """

@@ -1,8 +1,8 @@
 """Orthonormal bases of functions on the unit cube, in which a variance is decomposed.
 
 With an orthonormal basis φ_m of L²([0,1]^d), f_m = ∫ f conj(φ_m) and S_m = Σ_k w_k conj(φ_m(x_k)).
-In any basis, the estimate is Σ_m conj(f_m) S_m, and its variance is dc + power + cross
-(docs/theory.md). The cross term measures how badly a basis fits the sampler's randomization.
+In any basis, the estimate is Σ_m conj(f_m) S_m, and its variance is dc + power + cross term
+(see docs/theory.md). The cross term measures how badly a basis fits the sampler's randomization.
 Bases also differ in how fast the sum over m converges:
 
 =========  ==========================================  =====================================
@@ -278,11 +278,13 @@ def fitting_basis(law: Law, half_width: int) -> str:
     because reflections and folding permute Walsh functions up to signs.
     In all these cases the cross term vanishes (for strata only if their number per side is 2^k).
 
-    In all other cases cosine is a compromise. For smooth functions and jittered sets its cross term
-    is small, and the sum over m converges fast because it has no boundary term.
+    In all other cases cosine is a compromise.
+    For smooth functions and jittered sets its cross term is small,
+    and the sum over m converges fast because it has no boundary term.
     For discontinuous functions its cross term is as large as in the Fourier basis
-    (a disk, n = 64: −0.40 of the variance). With 2^k strata per side, the cross term vanishes in
-    Haar and Walsh, but their sums converge slowly for smooth functions.
+    (a disk, n = 64: −0.40 of the variance).
+    In Haar and Walsh, the cross term vanishes with 2^k strata per side,
+    but the sums over m converge slowly for smooth functions.
     """
     mirrored = False
     while isinstance(law, Folded | Mirrored | Moved):

@@ -10,11 +10,12 @@ Three kinds of sets are covered. They use two transforms, which are products ove
 The transform of the unit interval is χ(ν) = sinc(πν) exp(−iπν).
 The transform of a grid of s points is A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/s).
 
-* Independent motifs, one in each of N cells: M(ν) is the mean of exp(−2πi ν·ξ) over the points ξ
-  of one motif, in units of cells. Then ⟨S_ν⟩ = A(ν) ⟨M(ν/s)⟩ and
+* Independent motifs, one in each of N cells: M(ν) is the mean of exp(−2πi ν·ξ)
+  over the points ξ of one motif, in units of cells.
+  The mean is ⟨S_ν⟩ = A(ν) ⟨M(ν/s)⟩, and the covariance is
   C_ml = (1/N) A(m − l) [⟨M(m/s) conj M(l/s)⟩ − ⟨M(m/s)⟩ conj⟨M(l/s)⟩].
-  Random points are n motifs in one cell. The samplers jittered, box-jitter and gaussian-jitter
-  have one point in each cell, and antithetic-jittered has two.
+  Random points are n motifs in one cell. The sampler antithetic-jittered has two points
+  in each cell; jittered, box-jitter and gaussian-jitter have one point in each cell.
 * Sets that are the same every time, and grids with a common offset: S_ν itself is known.
 * Sets with a known law of pairs: C_ml + ⟨S_m⟩ conj⟨S_l⟩ is (1/n²) times the sum of
   ⟨exp(−2πi (m·x − l·y))⟩ over all ordered pairs of points x, y.
@@ -26,8 +27,8 @@ The transform of a grid of s points is A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/
   *apart* points lie in two different strata of s: (s free − same) / (s − 1).
   Determinantal sets also have a known law of pairs.
 
-Importance-sampled points, x = T(u) with weights 1/(n p), are covered for densities that are
-products over the axes with monotone warps.
+Importance-sampled points, x = T(u) with weights 1/(n p), are covered for some densities:
+these must be products over the axes, with monotone warps.
 For them, the transform M_t(m) of the stratum that starts at t replaces the interval's transform.
 The terms *same* and *apart* are means over the strata, or over all t after a random shift.
 A grid with one offset δ has C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0 δ_l0,
@@ -113,8 +114,8 @@ def closed_form_power(
         regular grids, lattices, Latin hypercubes, orthogonal arrays of strength 2, multi-jittered,
         jitters around a grid, determinantal sets and nets. Each may be followed by shift.
     frequencies
-        Real frequencies ν, shape (..., d), in cycles per unit. Only integers are allowed
-        after a shift, and for sets that are wrapped around the torus.
+        Real frequencies ν, shape (..., d), in cycles per unit. Frequencies must be integers
+        if a shift is applied, or if sets are wrapped around the torus.
     density
         Importance density. Random points allow any density. At integer frequencies, jittered,
         latin-hypercube and grids, alone or with shift or strata-shift, allow products over the
@@ -454,8 +455,9 @@ def _(law: Scrambled) -> SpectralMoments | None:
 def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> Array:
     """Return (1/n²) Σ over pairs of different points after nested scrambling.
 
-    If the first a digits of two coordinates agree and the next differ, they lie in the same one
-    of b^a strata, in different ones of its b parts. They are uniform in these parts [Owen1997]_.
+    Suppose that two coordinates agree in their first a digits, and differ in the next.
+    They then lie in one of b^a strata, and are uniform in two different parts of its b parts
+    [Owen1997]_.
     """
     n, levels = law.n, [_levels(law.points[:, j], b) for j, b in enumerate(bases)]
     most = max(levels)
@@ -506,9 +508,10 @@ def _levels(x: Array, base: int) -> int:
 def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, other: Array) -> Array:
     """Return (1/n²) Σ over pairs of different points if each digit is changed at random.
 
-    With `shifted` a random digit is added at each place; otherwise the digits of each place are
-    permuted at random. How two digits move depends only on their difference (if shifted),
-    or on whether they are equal. Places are independent, so each place contributes a factor.
+    With `shifted` a random digit is added at each place, and the images of two digits depend
+    only on their difference. Otherwise the digits of each place are permuted at random,
+    and the images of two digits depend only on whether they are equal.
+    Places are independent, so each place contributes a factor.
     All digits below these places are shifted by one uniform number.
     If the digits form a group, the pairs that contain one given point represent all pairs.
     """
@@ -543,8 +546,8 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
         factors.append(own)
 
     total = np.zeros(len(flat), complex)
-    # Digits of each axis, the highest first. The nudge corrects coordinates
-    # that were rounded to just below a multiple of b^-places.
+    # Digits of each axis, the highest first.
+    # The nudge corrects coordinates that were rounded to just below a multiple of b^-places.
     digits = []
     for axis, b in enumerate(bases):
         nudge = 0.0 if b & (b - 1) == 0 else 2.0**-52

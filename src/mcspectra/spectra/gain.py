@@ -1,8 +1,9 @@
 """Exact results for scrambled nets: gain coefficients, nested variances, and Walsh power.
 
-Owen [Owen1997]_ splits f into parts ν_l with levels l = (l_1, …, l_d). The level l_j is the number
-of digits of coordinate j on which the part depends (docs/theory.md, "Gains of scrambled nets").
-(His u is {j: l_j > 0}, and his k_j is l_j − 1.)
+Owen [Owen1997]_ splits f into parts ν_l with levels l = (l_1, …, l_d).
+The part ν_l depends on the first l_j digits of coordinate j.
+See docs/theory.md, "Gains of scrambled nets".
+(In the notation of Owen, u is {j: l_j > 0}, and k_j is l_j − 1.)
 In base 2, ν_l is the part of f in the Walsh functions of index 2^(l_j − 1) ≤ m_j < 2^l_j.
 All these Walsh functions have the expected power Γ_l / n under nested scrambling.
 A digital shift does not change the power of a Walsh function: 1 on the dual net, 0 elsewhere.
@@ -55,7 +56,7 @@ def gain_coefficients(
     Returns
     -------
     xarray.Dataset
-        ``gain`` on dims ``level0``, ``level1``, …, each counted from 0.
+        The variable ``gain`` on dims ``level0``, ``level1``, …; levels are counted from 0.
         At level 0 on all axes (the mean) the gain is 0.
 
     Raises

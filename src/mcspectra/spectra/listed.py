@@ -99,8 +99,8 @@ def power_at(
     sampler, n
         Sampler (or spec string, which gets the dims of `frequencies`) and number of points.
     frequencies
-        Real frequencies ν, shape (F, d), in cycles per unit. Functions that make lists are
-        `axis_frequencies`, `diagonal_frequencies`, `plane_frequencies`, `subset_frequencies`.
+        Real frequencies ν, shape (F, d), in cycles per unit. Lists of slices, planes and subsets
+        are made by `axis_frequencies`, `diagonal_frequencies` and similar functions.
     density
         Importance density p (or spec string): points are warped and weighted 1/(n p).
     realizations
@@ -108,15 +108,16 @@ def power_at(
     rng
         Seed (SPEC 7).
     engine, eps
-        The engine ``auto``, ``direct`` or ``nufft`` (one to three dims), and its accuracy.
+        Engine (``auto``, ``direct`` or ``nufft``) and its accuracy; nufft works in 1 to 3 dims.
     workers
         Number of threads; by default all processors. Results do not depend on it.
 
     Returns
     -------
     xarray.Dataset
-        ``power``, ``power_se``, ``mean_coefficient`` (complex) and ``mean_coefficient_se`` on
-        the dim frequency, with coordinates m_0, m_1, …
+        Power, complex mean coefficient and their standard errors, on the dim frequency:
+        ``power``, ``power_se``, ``mean_coefficient``, ``mean_coefficient_se``.
+        The coordinates m_0, m_1, … are the components of each frequency.
         Standard errors are computed as in `power_spectrum`.
 
     Raises
@@ -191,7 +192,7 @@ def listed_transform(
         )
     if engine == "auto":
         engine = "direct"
-        if dims <= 2:  # in nanoseconds, measured on one core of a 2024 server
+        if dims <= 2:  # costs in nanoseconds, measured on one core of a 2024 server
             volume = np.prod(2.5 * np.ptp(frequencies, axis=0) + 30.0)
             nufft = (n + len(frequencies)) * 200.0 * 10.0 ** (dims - 1) + 100.0 * volume
             engine = "nufft" if nufft < 10.0 * n * len(frequencies) else "direct"

@@ -58,8 +58,9 @@ def pair_correlation(
     rng
         Seed (SPEC 7).
     boundary
-        ``"toroidal"``: distances wrap around. ``"border"`` is for sets that end at the border:
-        distances do not wrap, and pairs count only for points at least r from the border.
+        ``"toroidal"``: distances wrap around the torus.
+        ``"border"`` is for sets that end at the border: distances do not wrap,
+        and pairs count only for points at least r from the border.
     max_distance
         Largest r, at most 1/2; by default 1/2, or 1/4 with the border correction.
     workers
@@ -68,10 +69,10 @@ def pair_correlation(
     Returns
     -------
     xarray.Dataset
-        ``pair_correlation`` and ``pair_correlation_se`` on dim r (bin centers).
-        ``pair_correlation_ci`` is the 95 % interval by Student's t of the logarithm;
-        it is 0 to 0 for bins without pairs. If the sampler has fewer sets than realizations,
-        standard errors and t are based on the number of sets.
+        ``pair_correlation`` and its standard error ``pair_correlation_se`` on dim r (bin centers).
+        ``pair_correlation_ci`` is the 95 % interval by Student's t of the logarithm.
+        This interval is 0 to 0 for bins without pairs. If the sampler has fewer sets
+        than realizations, standard errors and t are based on the number of sets.
 
     Notes
     -----

@@ -2,8 +2,8 @@
 
 Power is summed by frequency, and over rings and wedges of frequencies, for each realization.
 Frequencies of one set are not independent: with a density, the fluctuation of the weights
-affects all of them. The errors of means over many frequencies are therefore computed from
-the means themselves.
+affects all frequencies. Means over many frequencies are therefore summed as well,
+and their errors are computed from these means.
 """
 
 from __future__ import annotations
@@ -98,10 +98,10 @@ def power_spectrum(
     engine
         See `mcspectra.spectra.transforms`.
     eps
-        Relative accuracy of the transforms. The default is 1e-5 or 1e-6 in single precision
-        if that is far below the statistical error, else 1e-9. The first two realizations decide:
-        the error must be less than 0.02 standard errors on every ring.
-        The attribute ``transform_error`` is the largest of these errors.
+        Relative accuracy of the transforms. The default is single precision, with 1e-5 or 1e-6,
+        if its error is far below the statistical error, else 1e-9.
+        The first two realizations decide: the error must be less than 0.02 standard errors
+        on every ring. The attribute ``transform_error`` is the largest of these errors.
         The attribute ``eps`` is the accuracy that was used.
     workers
         Number of threads; by default all processors. Results do not depend on it.
@@ -109,22 +109,22 @@ def power_spectrum(
     Returns
     -------
     xarray.Dataset
-        ``power`` and ``power_se`` on dims m0, m1, …; the value at m = 0 is ⟨S_0²⟩.
-        The power of random points is 1/n, or ∫1/p / n with a density.
+        ``power`` and its standard error ``power_se`` on dims m0, m1, …
+        The power at m = 0 is ⟨S_0²⟩. The power of random points is 1/n, or ∫1/p / n with a density.
         The attribute ``random_level``, divided by n, has this value.
 
-        ``radial_power`` and ``radial_power_se`` on dim radius: |m| in cycles per unit,
-        in rings of one frequency step, without m = 0.
+        ``radial_power`` and its standard error ``radial_power_se`` on dim radius.
+        The radius is |m| in cycles per unit; rings are one frequency step wide and exclude m = 0.
         Errors are computed from the ring means of the realizations,
         since frequencies of one set are not independent.
         ``radial_power_ci`` is the 95 % interval by Student's t of the logarithm,
-        power · exp(±t se/power). This t has realizations − 1 degrees of freedom
-        (attribute ``student_t``) and applies to ``power_se`` as well.
+        power · exp(±t se/power). The attribute ``student_t`` is this t,
+        for realizations − 1 degrees of freedom. It applies to ``power_se`` as well.
         If the sampler has fewer sets than realizations,
         errors and t are based on the number of sets.
 
-        In two dims also ``wedge_power`` with ``_se`` and ``_ci``, see `wedge_means`.
-        With `mean` also ``mean_coefficient`` (complex) and ``mean_coefficient_se`` on m0, m1, …
+        In two dims also ``wedge_power``, its standard error and its interval, see `wedge_means`.
+        With `mean` also the complex ``mean_coefficient`` and its standard error, on m0, m1, …
 
     Raises
     ------
@@ -436,7 +436,7 @@ class _SpectrumSums:
 @final
 @dataclass(frozen=True)
 class _PolarMeans:
-    """Rings of one frequency step and, in two dims, wedges, over which power is averaged."""
+    """Power is averaged over rings of one frequency step and, in two dims, over wedges."""
 
     # Cell of each frequency of the half grid: ring · (wedges + 1) + wedge, int64 (H,).
     # A further cell holds m = 0 and frequencies beyond the rings.

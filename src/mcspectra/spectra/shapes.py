@@ -3,8 +3,8 @@
 All functions take the dataset of `power_spectrum`.
 Standard errors are those over realizations, of the means over rings and wedges.
 
-Directions may have different exponents. A Latin hypercube has power ∝ m² along its axes
-and the power of random points elsewhere; the largest power decides.
+Directions may have different exponents; the largest power decides.
+A Latin hypercube has power ∝ m² along its axes and the power of random points elsewhere.
 If the power at one length depends on direction, each class of directions is fitted separately.
 Classes are the sets of axes that frequencies involve and, in 2-D, the wedges.
 """
@@ -128,12 +128,13 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        On dim radius, rings of one frequency step, with NaN for rings with one direction
-        or without power. ``radial_power`` is the mean, and ``radial_power_se`` its standard error:
-        from the spectrum or, if missing there, as for uncorrelated frequencies.
-        ``anisotropy`` is the variance over direction divided by the mean² [Ulichney1988]_,
-        and ``anisotropy_db`` is 10 log10 of the anisotropy. ``anisotropy_noise_db`` is the value
-        from noise alone in an isotropic spectrum: −10 log10 of the realizations for Gaussian S.
+        On dim radius, rings of one frequency step; values are NaN for rings with one direction
+        or without power. The standard error ``radial_power_se`` of the mean ``radial_power``
+        is taken from the spectrum or, if missing there, computed for uncorrelated frequencies.
+        ``anisotropy`` is the variance over direction, divided by the mean² [Ulichney1988]_.
+        ``anisotropy_db`` is 10 log10 of the anisotropy.
+        ``anisotropy_noise_db`` is the same value for noise alone in an isotropic spectrum.
+        It is −10 log10 of the number of realizations for Gaussian S.
 
     Examples
     --------
@@ -153,7 +154,7 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
     spread = np.bincount(ring[used], (half.power[used] - mean[ring[used]]) ** 2, minlength=size)
     with np.errstate(invalid="ignore", divide="ignore"):
         anisotropy = np.where(count > 1, spread / (count - 1), np.nan) / mean**2
-        noise = count * (se / mean) ** 2  # mean squared error divided by mean²
+        noise = count * (se / mean) ** 2  # ratio of mean squared error to mean²
         decibels = [10 * np.log10(values) for values in (anisotropy, noise)]
     if "radial_power_se" in spectrum:
         se = spectrum["radial_power_se"].to_numpy()
@@ -178,8 +179,8 @@ def slices(spectrum: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        ``slice_power`` and ``slice_power_se`` on dims slice and multiple:
-        the power at ν = multiple · frequency step · direction.
+        ``slice_power`` and its standard error ``slice_power_se`` on dims slice and multiple.
+        This is the power at ν = multiple · frequency step · direction.
         Each slice is labeled by its direction, such as (1, -1), axes first.
         The coordinate ``slice_radius`` is |ν|. There are 1, 4, 13 or 40 slices in 1 to 4 dims.
     """
@@ -226,9 +227,10 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        ``wedge_power`` and ``wedge_power_se`` on dim angle (degrees, centers of the wedges),
-        NaN for wedges without frequencies. If the number of wedges is not the spectrum's,
-        errors treat frequencies as uncorrelated for uniform points, and are NaN with a density.
+        ``wedge_power`` and its standard error ``wedge_power_se`` on dim angle:
+        degrees at the centers of the wedges. Values are NaN for wedges without frequencies.
+        If the number of wedges is not the spectrum's, errors treat frequencies as uncorrelated
+        for uniform points, and are NaN with a density.
     """
     half = _HalfSpectrum.of(spectrum)
     wedges = as_integer("wedges", wedges, least=1, most=MAX_WEDGES)
@@ -272,13 +274,14 @@ def low_frequency_exponent(
     Returns
     -------
     xarray.Dataset
-        ``low_frequency_exponent`` with its 95 % interval on dim bound, and ``exponent_fit_chi2``,
-        the lack of fit: χ² per degree of freedom. If χ² exceeds 1, the interval is widened by √χ².
+        ``low_frequency_exponent`` with its 95 % interval on dim bound.
+        ``exponent_fit_chi2`` is the lack of fit, χ² per degree of freedom.
+        If this χ² exceeds 1, the interval is widened by √χ².
         Attributes ``up_to``, ``lengths`` and ``directions`` describe the fit.
-        The attribute ``reason`` explains why the exponent is NaN or unresolved. It is NaN if some
-        lengths have no power (as for a lattice), if the power is the same in all realizations,
-        or if χ² per degree of freedom is above 10.
-        It is unresolved if its interval is wider than ±0.5.
+        The attribute ``reason`` explains why the exponent is NaN or unresolved.
+        NaN has three possible reasons: some lengths have no power (as for a lattice),
+        the power is the same in all realizations, or χ² per degree of freedom is above 10.
+        The exponent is unresolved if its interval is wider than ±0.5.
 
     Raises
     ------
@@ -413,8 +416,8 @@ def _over_directions(half: _HalfSpectrum, label: Array, lengths: Array) -> _LowF
     own, k = mean[label[several]], count[label[several]]
     spread = (half.power[several] - own) ** 2 * k / (k - 1)
     excess = float(np.mean((spread - half.se[several] ** 2) / own**2)) if several.any() else 0.0
-    # Few lengths have several directions, as (3, 4) and (5, 0) do.
-    # If there are none, unequal powers show as a misfit of the line.
+    # Some lengths have several directions, such as (3, 4) and (5, 0).
+    # If no length has, unequal powers show as a misfit of the line.
     if half.grid.dims == 1 or (excess <= _ISOTROPIC and whole.chi2 <= _SUSPECT):
         return whole
     # Classify frequencies by their nonzero axes and, in 2-D if both are nonzero, by wedges
@@ -467,10 +470,10 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
     Returns
     -------
     float
-        The variance, exact up to the truncation of the grid, for randomly shifted sets
-        at *integer* frequencies (``frequency_step=1``). Between the integers ⟨S_ν⟩ is not 0.
-        The sum then includes the bias of a finite window, and does not fall with n below this bias,
-        as the paper's slides show [Singh2019]_.
+        The variance, for randomly shifted sets at *integer* frequencies (``frequency_step=1``).
+        It is exact up to the truncation of the grid. Between the integers ⟨S_ν⟩ is not 0.
+        The sum then includes the bias of a finite window, and does not fall below this bias
+        for any n [Singh2019]_.
 
     Raises
     ------

@@ -3,9 +3,10 @@
 Engines
 -------
 ``nufft``
-    Type-1 non-uniform FFT. FINUFFT [Barnett2019]_ spreads points onto a grid, with one reused
-    plan per Python thread, and SciPy transforms the grid. The grid is 1.25 times as fine along
-    each axis as the frequencies, or twice as fine if there are many points per frequency.
+    Type-1 non-uniform FFT. FINUFFT [Barnett2019]_ spreads points onto a fine grid,
+    with one reused plan per Python thread, and SciPy transforms the grid.
+    Along each axis, the grid is 1.25 times as fine as the frequencies.
+    If there are many points per frequency, it is twice as fine.
     The relative l2 error is 1e-9. With ``eps=1e-12`` the grid is twice as fine,
     and the transform takes 2.3 times as long (512²).
 
@@ -16,16 +17,17 @@ Engines
     Real frequencies on a grid of step s are integer frequencies of the coordinates s·x.
     Two realizations share a transform with complex weights:
     the weights of the first plus i times the weights of the second.
-    Hermitian symmetry separates the two. The cost is O(n log^d(1/eps) + M log M) per pair,
-    for n points and M frequencies. In four dims there is one 3-D transform for each frequency
-    of the first axis, and one realization at a time.
+    Hermitian symmetry separates the two.
+    The cost is O(n log^d(1/eps) + M log M) per pair, for n points and M frequencies.
+    In four dims there is one 3-D transform for each frequency of the first axis.
+    Realizations are then transformed one at a time.
 ``direct``
     Separable direct summation by matrix products, exact to rounding, at cost O(n M).
     It is the reference for tests, and the faster engine for few points.
 ``auto``
-    NUFFT, except in three cases. The direct engine is used if n M < 4000 (its arithmetic is then
-    about a microsecond faster than a plan call), below about a thousand points in four dims,
-    and in more than four dims.
+    NUFFT, except in three cases. The direct engine is used if n M < 4000,
+    where its arithmetic is about a microsecond faster than a plan call.
+    It is also used below about a thousand points in four dims, and in more than four dims.
 
 Real weights make S_{−m} = conj S_m, so results cover *half* the grid:
 the flat C-order indices up to and including m = 0, which comes last.
@@ -291,10 +293,10 @@ class Transform:
         label: Array = UNLABELLED,
         groups: Callable[[Array], None] | None = None,
     ) -> None:
-        """Add a block's sums of |S_m|², |S_m|⁴ and S_m to `total`, `squares` and `mean` (H,).
+        """Add a block's sums of |S_m|², |S_m|⁴ and S_m to the given arrays (H,).
 
-        `groups` gets the sums of |S_m|² over the frequencies of each `label` (H,),
-        as an array (sets, number of labels) for one or two sets.
+        `groups` gets the sums of |S_m|² over the frequencies of each `label` (H,).
+        Its argument is an array (sets, number of labels) for one or two sets.
         """
         # S_0 is exactly the sum of the weights
         sums = given_or_equal(weights, points).sum(axis=1)
@@ -366,8 +368,8 @@ class Transform:
     def _execute(self, strengths: Array, out: Array) -> Array:
         """Transform the current points to `out`, a grid of frequencies, and return it flat.
 
-        FINUFFT only spreads. Its own FFT is FFTW, whose fast plans depend on timings and hence
-        vary between runs. SciPy's FFT computes only the needed frequencies.
+        FINUFFT only spreads. Its own FFT is FFTW, whose fast plans vary between runs,
+        because they depend on timings. SciPy's FFT computes only the needed frequencies.
         It takes half the time of reproducible FFTW plans (648²).
         """
         from scipy.fft import fft
