@@ -1,14 +1,14 @@
 """Numba kernels that relax points by their cells or neighbors; arguments are not checked.
 
 Farthest points: the center of a largest empty disk is a corner of a Voronoi cell.
-Each cell starts as the square bounded by the bisectors between its point and the point's own
-images. Then the bisectors with nearby points cut the cell.
+Each cell starts as the square bounded by the bisectors between a point and its own images.
+The bisectors with nearby points then cut the cell.
 Removing or inserting a point changes only the adjacent cells.
 
 Notation for farthest points: n points in 2 dims; buckets as in `_spacing_kernels`;
-cells as for power diagrams. Each row of the array holes (n, 4) describes a cell:
-the coordinates of the corner farthest from the cell's point, the squared distance
-of this corner, and the squared distance of the nearest neighbor.
+cells as for power diagrams. Each row of the array holes (n, 4) describes a cell.
+The row holds the coordinates of the corner farthest from the cell's point,
+the squared distance of this corner, and the squared distance of the nearest neighbor.
 
 Power diagrams: the cell of site i contains all x that satisfy the inequality
 |x − x_i|² − w_i ≤ |x − x_j|² − w_j for all sites j and their images.
@@ -207,12 +207,12 @@ class Diagram(NamedTuple):
         Integrals of 1 and of |x − x_i|² over each cell, (n,).
     offsets
         Offsets of the centroids from the sites, (n, 2).
-    Cell i has the faces rows[i, 0] … rows[i, 1] − 1. Each face has a neighbor (the site
-    beyond the face) and a coupling, which is length / (2 distance): the decrease of the area
-    of cell i per unit of the neighbor's weight.
+    rows, neighbors, couplings
+        Cell i has the faces rows[i, 0] … rows[i, 1] − 1. The neighbor of a face is the site beyond.
+        The coupling of a face is length / (2 distance). By this amount the area of cell i decreases
+        if the neighbor's weight increases by one unit.
     work
-        Amount of work: the number of corners of the cell, summed over all visited sites and
-        grid cells.
+        Amount of work: the number of corners of the cell, summed over visited sites and grid cells.
     """
 
     areas: Array
@@ -400,14 +400,14 @@ def balance(
     """Return weights whose cells have areas `masses`, and their power diagram.
 
     Newton steps start at `weights`, or at 0 if `weights` leave a cell empty.
+    Newton steps start at `weights`, or at 0 if `weights` leave a cell empty.
     They end after `steps` steps, or when all areas are right within `tolerance` times their mass,
-    or when the areas no longer improve. They also end after `most_work` visits
-    (see `Diagram`; the linear solver counts as well).
+    or when the areas no longer improve, or when the work exceeds `most_work`.
+    This work includes the linear solver; `Diagram` defines the unit.
     No step is taken if some sites are so close that a cell is empty with equal weights.
 
-    The weights maximize a concave function, the dual of the transport of the uniform density
-    to the sites. Damped Newton steps find the maximum from any weights that leave no cell empty
-    [Kitagawa2019]_.
+    The weights maximize a concave function, the dual of the transport cost from the uniform density.
+    Damped Newton steps find the maximum from any weights that leave no cell empty [Kitagawa2019]_.
     """
     weights, diagram = weights.copy(), power_diagram(points, weights)
     if diagram.areas.min() <= 0.0:
@@ -475,8 +475,8 @@ def _add_cell_pair(
 def near_energy(points: Array, cells: Array, offsets: Array, sigma: float, force: Array) -> float:
     """Return the energy of pairs of points (n, 3) up to 6 σ apart; unused dims are zeros.
 
-    `offsets` (K, 3) are the steps to neighboring cells: zero first, then one step of each
-    opposite pair. Steps may go around the torus several times, so that all images count.
+    `offsets` (K, 3) are the steps to neighboring cells: zero, then one step of each opposite pair.
+    Steps may go around the torus several times, so that all images count.
     """
     n = points.shape[0]
     cell = np.empty(n, np.int64)

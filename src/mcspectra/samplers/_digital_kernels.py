@@ -70,9 +70,9 @@ def fill_binary(directions: Array, out: Array) -> None:
 def fill_base(columns: Array, base: int, out: Array) -> None:
     """Fill `out` with points 0 … n − 1 of a digital net; columns int64 (d, m, rows).
 
-    The kernel counts like an odometer. When a digit of the index increases by one, or returns from
-    base − 1 to 0 (also an increase modulo the base), its column is added once. base^rows is at most
-    2^53.
+    The kernel counts like an odometer. A digit of the index may increase by one, or return from
+    base − 1 to 0, which also is an increase modulo the base. In both cases its column is added.
+    The largest number, base^rows, is at most 2^53.
     """
     n, dims = out.shape
     _, places, rows = columns.shape

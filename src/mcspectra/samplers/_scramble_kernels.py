@@ -1,18 +1,18 @@
 """Numba kernels that scramble digits: XOR, permutations, nested, hash-based, random matrices.
 
 Notation: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`;
-``bases`` int64 (d,); ``out`` float64 (R, n, d); ``points`` float64 (R, n, d),
-or (1, n, d) if all realizations share a set.
+the bases of the digits are int64 (d,), and the results float64 (R, n, d).
+The given points are float64 (R, n, d), or (1, n, d) if all realizations share a set.
 
 The first kernels are for base 2. A coordinate is a word of 32 or 53 bits; the highest bit means ½.
 
-In any base b, a coordinate x is read as the whole number v = ⌊x b^m⌋, where m is the smallest
-number of digits with b^m ≥ 2^32. Before that, x is increased by 2^-52,
-because k/b^p with p ≤ m is not a float and may have been rounded down.
+In any base b, a coordinate x is read as the whole number v = ⌊x b^m⌋.
+The number of digits m is the smallest with b^m ≥ 2^32.
+Before that, x is increased by 2^-52, because the float for k/b^p may have been rounded down.
 
 Let v' be the scrambled number. The result is (v' + (t + ½) 2^-k)/b^m, where t < 2^k is random
-and b^m 2^k ≤ 2^50. It is uniform to 50 bits, and far from every multiple of b^-p,
-so that neither rounding nor a float ⌊x b^p⌋ moves it to another interval.
+and b^m 2^k ≤ 2^50. This number is uniform to 50 bits, and far from every multiple of b^-p.
+Therefore neither rounding nor a float ⌊x b^p⌋ moves it to another interval.
 
 Random numbers with addresses below 2^62 or at least 2^63 are used for binary digits.
 The addresses in between are used for nodes of trees in other bases.
@@ -535,8 +535,8 @@ def _multiply(matrix: Array, base: int, v: int, out: Array) -> None:
 def mix_triangles(keys: Array, bases: Array, shift: bool, points: Array, out: Array) -> None:
     """Multiply the digits of points by random lower triangular matrices modulo prime bases.
 
-    With `shift`, one random digit is added in each place, and one uniform number
-    below the last place. Both are the same for all points.
+    With `shift`, one random digit is added in each place.
+    Below the last place, one uniform number is added. Both are the same for all points.
     """
     for r in range(out.shape[0]):
         k0, k1 = keys[r, 0], keys[r, 1]

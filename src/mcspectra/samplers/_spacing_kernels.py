@@ -1,16 +1,18 @@
 """Numba kernels of samplers that keep points apart; arguments are not checked.
 
 There are three groups of kernels. Dart throwing uses a grid whose cells contain at most one point
-(method: `samplers.poisson`). Buckets are cells over the first axes of the domain,
-each with a chain of its points; they give distances to points at arbitrary places.
+(see `samplers.poisson` for the method).
+Buckets are cells over the first axes of the domain, each with a chain of its points.
+They give distances from arbitrary places to points.
 Selection by such distances yields darts, best candidates and largest empty disks.
 
 Notation: R realizations, n points, d dims; ``out`` float64 (R, n, d), ``keys`` uint64 (R, 2).
 The index of the next random number of a realization is `at`.
 With `wrap`, distances are on the torus.
-Buckets are a tuple (side, axes, head, chain). `side` is the number of cells along each of the
-first `axes` axes. head (cells,) is the last point put into each cell,
-and chain (n,) is the point put in before each point, or −1 at the end.
+Buckets are a tuple (side, axes, head, chain).
+There are `side` cells along each of the first `axes` axes.
+The array head (cells,) holds the last point put into each cell.
+The array chain (n,) holds the point put in before each point, or −1 at the end.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ __all__ = [
 _FINEST = 2**40
 _NOWHERE = 9.0  # coordinate that marks an empty cell, farther away than any radius
 _AXES = 3  # largest number of axes of buckets and grids; with more, cells are mostly empty
-# Reach of a new point in cells of a quarter of the spacing; no nearest distance is longer
+# Reach of a new point, in cells of a quarter of the spacing; nearest distances are shorter
 _REACH = 7
 _ROUNDING = 1e-9  # fraction of a cell added to bounds, because of rounding
 _FAR = 16.0  # larger than any squared distance in the domain, in up to 4 dims

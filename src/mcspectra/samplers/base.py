@@ -3,7 +3,7 @@
 A `Sampler` draws realizations of a point set.
 A `Randomization` changes the points of another sampler;
 ``sampler.then(randomization)`` chains them.
-Subclasses implement `_points` (or `_set`, or `apply`) and declare their properties.
+Subclasses implement the drawing of points and declare their properties.
 The base classes handle checks, seeds and shapes.
 """
 
@@ -82,8 +82,9 @@ class Sampler(Component, ABC):
     independent
         Whether the realizations of a seed are independent.
     min_dims, max_dims, max_count
-        Smallest and largest number of dims, and largest number of points. Larger sets would take
-        too much time or memory. The error message adds the advice `other_dims`.
+        Smallest and largest number of dims, and largest number of points.
+        Larger sets would take too much time or memory.
+        The error message contains the advice `other_dims`.
     scrambles
         Number of built-in randomizations, such as owen in ``halton(scramble='owen')``.
     """
@@ -123,7 +124,7 @@ class Sampler(Component, ABC):
         return self.structure is Structure.STRATA
 
     def digit_strata(self, n: int, base: int) -> bool:
-        """Whether `n` and the sides of the strata of `n` points are powers of `base`."""
+        """Whether the number of points and the sides of the strata are powers of `base`."""
         del n, base
         return True
 
@@ -288,12 +289,12 @@ class Sampler(Component, ABC):
 
     @staticmethod
     def from_command(run: str, *, dims: int, unbiased: bool = True) -> Sampler:
-        """Make a sampler from a program such as ``./mine {n} {seed}``: `CommandSampler`."""
+        """Make a sampler from a program such as ``./mine {n} {seed}``; see `CommandSampler`."""
         return samplers.CommandSampler(run=run, dims=dims, unbiased_=unbiased)
 
     @staticmethod
     def from_scipy(engine: object, **arguments: object) -> Sampler:
-        """Make a sampler from a `scipy.stats.qmc` engine, its class, or a function of ``rng``."""
+        """Make a sampler from an engine of scipy.stats.qmc, its class, or a function of ``rng``."""
         return samplers.ScipySampler.from_engine(engine, **arguments)
 
     @staticmethod
@@ -378,7 +379,7 @@ class Randomization(Component, ABC):
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
-        """Draw realizations of `sampler` from `stream` and randomize them with the stream `own`.
+        """Draw realizations of `sampler` from `stream`, and randomize them with their own stream.
 
         Override this method if the randomization draws other counts or realizations of `sampler`.
         """

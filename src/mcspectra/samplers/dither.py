@@ -1,8 +1,8 @@
 """Blue noise in the cells of a toroidal grid: void and cluster, dither masks, low discrepancy.
 
 Void and cluster fills the cells of a fine grid, always at the emptiest place.
-Low-discrepancy blue noise starts from a blue-noise set
-and moves its points within their cells to a low-discrepancy set.
+Low-discrepancy blue noise starts from a blue-noise set. It moves the points
+within their cells, so that they form a low-discrepancy set.
 
 Notation of the kernels: a ``pattern`` bool (s, s) on the torus has ones at the points.
 ``energy`` float64 (s, s) is the sum of Gaussians around the ones.
@@ -14,8 +14,9 @@ A ``grid`` is the tuple of pattern, energy and heads; cell (i, j) has the number
 Other ``points`` float64 (s, s, 2) have one point in each of s × s cells, in units of cells:
 the point of cell (i, j) is in [i, i+1) × [j, j+1), on the torus.
 
-The width of the Gaussian is 1.5 cells, as in Ulichney's paper. If the spacing of the ones exceeds
-three cells, the width grows with the spacing: a Gaussian must reach the next point to locate it.
+The width of the Gaussian is 1.5 cells, as in Ulichney's paper.
+If the spacing of the ones exceeds three cells, the width grows with the spacing,
+because a Gaussian must reach the next point to locate it.
 """
 
 from __future__ import annotations
@@ -63,8 +64,8 @@ def dither_mask(size: int, keys: Array) -> Array:
     Returns
     -------
     ndarray
-        The ranks 0 … size² − 1, int64 (size, size). For every k, the k cells of rank below k
-        form a blue-noise set.
+        The ranks 0 … size² − 1, int64 (size, size).
+        For every k, the k cells of rank below k form a blue-noise set.
 
     References
     ----------
@@ -87,8 +88,9 @@ def dither_mask(size: int, keys: Array) -> Array:
 class VoidAndCluster(PlaneSampler, OptimisedSampler):
     """Void and cluster: blue noise in cells of a fine grid, jittered within; 2-D, progressive.
 
-    Makes up to 65,536 points, in the order of their ranks: for every k, the first k points are
-    spread evenly. A set of 4096 points takes a quarter of a second, and 16,384 points two seconds.
+    Makes up to 65,536 points, in the order of their ranks.
+    For every k, the first k points are spread evenly.
+    A set of 4096 points takes a quarter of a second, and a set of 16,384 points two seconds.
 
     Attributes
     ----------
@@ -272,8 +274,8 @@ class LowDiscrepancyBlueNoise(PlaneSampler, OptimisedSampler):
     Attributes
     ----------
     chunk
-        Number of consecutive cells that keep the order of the blue-noise set: a power of two
-        up to 64. More cells give cleaner blue noise, fewer cells a lower discrepancy.
+        Number of consecutive cells that keep the order of the blue-noise set, a power of two ≤ 64.
+        More cells give cleaner blue noise, fewer cells a lower discrepancy.
     sweeps
         Number of attempts to move each point of the blue-noise set.
     sets
@@ -288,8 +290,9 @@ class LowDiscrepancyBlueNoise(PlaneSampler, OptimisedSampler):
     The points are uniform over cells and along each axis, but slightly less so within cells.
     Add shift for unbiased means.
 
-    The blue-noise set is a jittered set, relaxed within its cells until Gaussians of half a cell's
-    width around the points overlap least. It is computed for every realization.
+    The blue-noise set is a jittered set. Its points are relaxed within their cells
+    until Gaussians of half a cell's width around the points overlap least.
+    It is computed for every realization.
     The authors instead keep a table of one set.
 
     References

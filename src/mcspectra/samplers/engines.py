@@ -101,7 +101,7 @@ class ScipySampler(OneByOne):
             For an instance, only its class and arguments are used.
             Its generator and its position in the sequence are ignored.
         arguments
-            Arguments of a class, such as ``d`` (or ``dims``) and ``scramble``.
+            Arguments of a class, such as its number of dims or ``scramble``.
 
         Raises
         ------
@@ -246,7 +246,7 @@ def _arguments_of(engine: Any) -> dict[str, Any]:
 class QmcpySampler(OneByOne):
     """A generator of QMCPy, created for each realization with its own seed.
 
-    Dims and counts are limited by the generator's ``d_limit`` and ``n_limit``.
+    The limits ``d_limit`` and ``n_limit`` of the generator limit dims and counts.
     Counts are powers of two if the order of the generator is the radical inverse.
     Other errors of a generator occur when points are drawn.
 
@@ -262,8 +262,8 @@ class QmcpySampler(OneByOne):
 
     Notes
     -----
-    QMCPy keeps up to 63 binary digits. A coordinate that rounds up to 1.0 is replaced
-    by the largest double below 1; larger coordinates are errors.
+    QMCPy keeps up to 63 binary digits. A coordinate that rounds up to 1.0 becomes
+    the largest double below 1; larger coordinates are errors.
     Points of QMCPy's own classes count as uniform if ``randomize`` is a shift,
     a digital shift, a digital permutation or nested scrambling.
 
@@ -301,7 +301,7 @@ class QmcpySampler(OneByOne):
         generator
             Name, class, or instance; the seed and replications of an instance are ignored.
         arguments
-            Arguments of a class, such as ``dimension`` (or ``dims``) and ``randomize``.
+            Arguments of a class, such as its number of dims or ``randomize``.
 
         Raises
         ------

@@ -1,7 +1,7 @@
 """Points from outside the package: given arrays and files, functions, and programs.
 
 Functions and programs make one realization at a time, each with fresh randomness.
-A spec that names code runs only if that code is allowed: `allow_code`, ``--allow-code``.
+A spec that names code runs only if `allow_code` or the option ``--allow-code`` allows the code.
 """
 
 from __future__ import annotations
@@ -127,8 +127,9 @@ class GivenPoints(Sampler):
     path
         File, files or folder (.dat, .bin, .npz, .npy, .csv) with the sets.
         Files are taken in the order of their names; numbers in names are sorted by value.
-        ``*`` and ``?`` match any characters of a file name. ``{n}`` matches the number of points,
-        which is then checked, as in ``sets/n{n}_*.dat``.
+        The wildcards ``*`` and ``?`` match any characters of a file name.
+        The placeholder ``{n}``, as in ``sets/n{n}_*.dat``, matches the number of points,
+        and the number in the name is then checked.
         If `points` are given, `path` is only a name for them.
     points
         The sets, shape (R, n, d) or (n, d), in [0,1). They are copied and read-only.
@@ -262,12 +263,12 @@ class GivenPoints(Sampler):
 def net_quality(points: Array, like: tuple[int, int] | None = None) -> tuple[int, int] | None:
     """Return base and quality t of a digital net in base 2, 3 or 5; None for other sets (n, d).
 
-    A set of b^m points is a (t, m, d)-net if each elementary interval of volume b^(t − m) contains
-    b^t points. Every set is a net for t = m.
+    A set of b^m points is a (t, m, d)-net if each elementary interval of volume b^(t − m)
+    contains b^t points. Every set is a net for t = m.
     Therefore a set counts as a net only if m − t is at least 3 in base 2 (4 below 64 points),
-    or at least 2 in bases 3 and 5. It also counts if its base is that of `like`, the larger net
-    of the same file, and its t is no worse. Blue noise of 16 points or more does not count:
-    in tests, at most one of 200 such sets did.
+    or at least 2 in bases 3 and 5. A set also counts if the larger net `like` of the same file
+    has the same base, and if t is no worse.
+    Blue noise of 16 points or more does not count: in tests, at most one of 200 such sets did.
     """
     n, dims = points.shape
     for base in _NET_BASES if like is None else (like[0],):
@@ -466,8 +467,8 @@ class FunctionSampler(_OfCode):
     Attributes
     ----------
     function
-        The callable. All its randomness must come from the generator, which is fresh
-        and reproducible for each realization. Threads may call it concurrently.
+        The callable. All its randomness must come from the generator.
+        Each realization has a fresh, reproducible generator. Threads may call it concurrently.
     dims
         Number of coordinates of the returned points.
     unbiased_
@@ -547,10 +548,10 @@ class CommandSampler(_OfCode):
     Attributes
     ----------
     run
-        Program and arguments. ``{n}`` stands for the number of points, ``{dims}`` for the number
-        of dims, and ``{seed}`` for the seed of the realization, a whole number from 0 to 2^31 − 1.
-        No shell is used. Without ``{seed}`` all realizations are one set,
-        and the program runs once per draw.
+        Program and arguments; no shell is used. There are three placeholders:
+        ``{n}`` stands for the number of points, and ``{dims}`` for the number of dims.
+        ``{seed}`` stands for the seed of the realization, a whole number from 0 to 2^31 − 1.
+        Without ``{seed}`` all realizations are one set, and the program runs once per draw.
     dims
         Number of coordinates that the program prints per point, separated by blanks or commas.
     timeout

@@ -87,11 +87,11 @@ class PerturbedLattice(GridSampler):
         return Stationary(n=n, dims=self.dims, power=lambda m: self._power(n, m))
 
     def _power(self, n: int, m: Array) -> Array:
-        """Return ⟨|S_m|²⟩ at integer m (..., d), to which a common translation makes no difference.
+        """Return ⟨|S_m|²⟩ at integer m (..., d), which a common translation does not change.
 
         The power is (1/n) Σ_r exp(−2πi m·r/s) exp(−4π² |m|² (width/s)² (1 − ρ(r))).
-        The sum is over the positions r of the grid, and ρ(r) is the correlation of displacements
-        at offset r ([Gabrielli2004]_, Gaussian case).
+        The sum is over the positions r of the grid.
+        ρ(r) is the correlation of displacements at offset r ([Gabrielli2004]_, Gaussian case).
         """
         sides = self._sides(n)
         if self.correlation == 0.0:
@@ -287,15 +287,15 @@ def _power_sum(points: Array, frequencies: Array, orders: int, gradient: Array) 
 class Determinantal(Sampler):
     """Points of the projection determinantal process of n Fourier waves on the torus; any dims.
 
-    The kernel is K(x, y) = Σ exp(2πi m·(x − y)) over M, the set of the n frequencies
-    of smallest norm; ties are broken lexicographically.
+    The kernel is K(x, y) = Σ exp(2πi m·(x − y)) over M, the n frequencies of smallest norm.
+    Ties between norms are broken lexicographically.
     The set M need not be symmetric, so any count up to 4096 is possible.
     An exact draw takes about n³ log n steps.
 
     Notes
     -----
-    Points are drawn exactly, one after another, each by rejection from uniform proposals
-    (Hough et al., algorithm 18; Lavancier et al., algorithm 1).
+    Points are drawn exactly, one after another, each by rejection from uniform proposals.
+    See Hough et al., algorithm 18, and Lavancier et al., algorithm 1.
     The process is stationary. Its pair density is n² − |K(x, y)|², and its power is
     n⟨|S_k|²⟩ = 1 − #{(m, m') in M × M: m − m' = k}/n.
     It is thus hyperuniform with power ∝ |k|: variances of smooth integrands fall as n^(−1−1/d).
@@ -429,8 +429,8 @@ def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], ou
 @kernel
 def _fill_determinantal(keys: Array, m: Array, out: Array) -> None:
     # Draw from the projection process of the frequencies m (n, d); out (R, n, d).
-    # After i points, the density of the next point is ‖P φ(x)‖²/(n − i), where φ(x) is the feature
-    # vector, and P projects out the feature vectors of the drawn points.
+    # After i points, the density of the next point is ‖P φ(x)‖²/(n − i), with feature vector φ(x).
+    # The projection P removes the feature vectors of the drawn points.
     # The bound for the rejection is ‖φ‖² = n.
     n = out.shape[1]
     shape = ((n + _BLOCK - 1) // _BLOCK, n, _BLOCK)

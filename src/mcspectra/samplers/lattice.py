@@ -79,14 +79,15 @@ class Rank1Lattice(_Lattice):
 
     Notes
     -----
-    The construction chooses one component after another. Each choice minimizes the squared
-    worst-case error of the shifted lattice in a Korobov space,
-    which has smoothness α = 2 and product weights γ_j = 1/j²:
+    The construction chooses one component after another, so that the squared worst-case error P_2
+    of the shifted lattice is smallest. The error is taken over a Korobov space
+    with smoothness α = 2 and product weights γ_j = 1/j²:
 
         P_2 = −1 + (1/n) Σ_k Π_j (1 + γ_j 2π² B_2({k z_j/n})),   B_2(x) = x² − x + 1/6,
 
-    The minimum is over all z_j ≤ n/2 coprime to n. The search tries all z_j if that takes at most
-    2^24 values of B_2 per component (n up to 5,792), else at least 16 evenly spaced z_j.
+    The minimum is over all z_j ≤ n/2 coprime to n. The search tries all z_j
+    if that takes at most 2^24 values of B_2 per component (n up to 5,792).
+    Otherwise it tries at least 16 evenly spaced values of z_j.
     Vectors are kept in memory by (n, d).
 
     References
@@ -251,8 +252,8 @@ class Kronecker(FixedSet):
 
     Notes
     -----
-    Multiples are computed in integer units of 2^-64 modulo 1. This is exact, so the difference
-    of two points depends only on the difference of their indices.
+    Multiples are computed exactly, in integer units of 2^-64 modulo 1.
+    The difference of two points therefore depends only on the difference of their indices.
     Simple fractions such as 0.5 put all points on few lines.
     The sampler does not check that α is irrational.
 

@@ -4,29 +4,29 @@ The variance of an estimator combines the spectrum of its integrand with the sam
 
     Var(I_n) = Σ_m Σ_l conj(f_m) f_l C_ml,     C_ml = ⟨S_m conj(S_l)⟩ − ⟨S_m⟩ conj⟨S_l⟩,
 
-The covariance C_ml is a property of the sampler's law. A sampler states its law once,
-in `Sampler.law`. Closed forms, exact variances, predictions, rates and the fitting basis
-are functions of the law.
+The covariance C_ml is a property of the sampler's law.
+A sampler states its law once, in `Sampler.law`. Functions of the law give
+closed forms, exact variances, predictions, rates and the fitting basis.
 They dispatch on the class at the root of a law, recurse, and never test a sampler's name.
 
 A law is a small tree of frozen classes. Leaves describe how points are drawn:
 
-    Independent   n independent uniform points
-    Strata        one independent motif (one point or a pair) in each cell of a grid
-    PairedAxes    pairs of points that share, or do not share, strata of each axis
-    Fixed         the same set every time
-    Stationary    a set whose law is the same after any translation of the torus
-    Choice        one of several laws, chosen at random
-    GroupedAxes   independent sets in groups of axes, their points paired at random
-    Unknown       points that can only be drawn
+        Independent:  n independent uniform points
+        Strata:       one independent motif (one point or a pair) in each cell of a grid
+        PairedAxes:   pairs of points that share, or do not share, strata of each axis
+        Fixed:        the set is the same every time
+        Stationary:   a set whose law is the same after any translation of the torus
+        Choice:       one of several laws, chosen at random
+        GroupedAxes:  independent sets in groups of axes, with points paired at random
+        Unknown:      points that can only be drawn
 
 Operators describe how a set is randomized:
 
-    Shifted       one uniform translation of all points (Cranley-Patterson)
-    Moved         one fixed translation of all points
-    Scrambled     random permutations of the digits of all points
-    Folded        u → 1 − |2u − 1| of every coordinate
-    Mirrored      reflections of every coordinate
+        Shifted:      one uniform translation of all points (Cranley-Patterson)
+        Moved:        one fixed translation of all points
+        Scrambled:    random permutations of the digits of all points
+        Folded:       the map u → 1 − |2u − 1| of every coordinate
+        Mirrored:     reflections of every coordinate
 
 The order of the points does not belong to the law, because estimates are sums over points.
 """
@@ -360,8 +360,9 @@ def paired_axes_of_array(s: int, dims: int, *, shared_out: bool) -> PairedAxes:
     """Return the law of an orthogonal array of strength 2 with s² points and random level names.
 
     There are s²(s² − 1) ordered pairs of different points. On each axis s²(s − 1) pairs agree,
-    and no pair agrees on two axes. With `shared_out`, the stratum of a level is divided into
-    s parts with one of its s points each; otherwise these points are independent.
+    and no pair agrees on two axes. Each level has one stratum with s points.
+    With `shared_out`, the stratum has s parts with one point each.
+    Otherwise its points are independent.
     """
     if dims == 1 and shared_out:
         return latin_hypercube(s * s, 1)
@@ -404,8 +405,8 @@ class Fixed(Law):
         Whether the digits of the points form a group under addition without carry.
         If so, each point has the same relation to all other points.
     columns
-        Columns of the generator matrices of a digital net in base 2: uint64 (dims, log2 n), as
-        32-bit numbers with the first digit highest. None if they are unknown.
+        Columns of the generator matrices of a digital net in base 2: uint64 (dims, log2 n).
+        They are 32-bit numbers with the first digit highest, or None if they are unknown.
     seed
         Seed of the set, if one realization of a sampler stands for all realizations.
     """
@@ -827,8 +828,8 @@ def mean_of_terms(n: int, nu: Array, terms: Callable[[Array], Array]) -> Array:
 def independent_sets(law: Law) -> int | None:
     """Return the number of different sets, or None if every realization is a new set.
 
-    A randomization makes new realizations from a few sets. However, power spectra, distances of
-    points and variances depend on the sets only.
+    A randomization makes new realizations from a few sets.
+    However, power spectra, distances of points and variances depend on the sets only.
     Standard errors must therefore be based on the number of sets.
     If there are K sets, realization r uses set r modulo K.
     """

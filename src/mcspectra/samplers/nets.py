@@ -1,7 +1,7 @@
 """Digital nets: Sobol', Niederreiter, Larcher and Pillichshammer, Faure, and given matrices.
 
-Digit r of coordinate j of point i is the r-th entry of C_j·(digits of i, lowest first) modulo
-the base b.
+Let C_j be the generator matrix of coordinate j in base b. Digit r of coordinate j of point i
+is the r-th entry of C_j·(digits of i, lowest first) modulo b.
 """
 
 from __future__ import annotations
@@ -89,15 +89,15 @@ class Sobol(_BinaryNet):
     Notes
     -----
     The order is natural: dimension 0 is the van der Corput sequence of the index,
-    not of the index's Gray code. Counts that are not powers of the base cause a
-    `NotPowerOfTwoWarning`, because such sets are not balanced in elementary intervals.
+    not of the index's Gray code. If a count is not a power of the base, the set is not balanced
+    in elementary intervals. This causes a `NotPowerOfTwoWarning`.
 
     A file has one line per dim with these entries: the number of the dim, the degree s of the
     polynomial, the polynomial a, and m_1 … m_s. Headings and text after ``#`` are ignored.
     In base 2, a contains the inner coefficients (as in Joe and Kuo's table).
     Degree 0 is van der Corput's sequence; it is inserted if the numbers of the dims begin at 2.
-    In base 3, the digits of a are all coefficients, and p_i is the coefficient of x^i. Then
-    m_k = m_(k−s) − Σ_j 3^j p_(s−j) m_(k−j), digit by digit modulo 3.
+    In base 3, the digits of a are all coefficients, and p_i is the coefficient of x^i.
+    The recurrence m_k = m_(k−s) − Σ_j 3^j p_(s−j) m_(k−j) holds digit by digit, modulo 3.
 
     References
     ----------
@@ -241,13 +241,13 @@ class Niederreiter(_BinaryNet):
 
     Notes
     -----
-    Coordinate j belongs to the j-th irreducible polynomial p over the field of two elements
-    (x, x + 1, x² + x + 1, …); its degree is e_j. Row q·e_j + u of the matrix, with u < e_j,
-    holds the coefficients of x^-1, x^-2, … in x^u / p^(q+1).
+    Coordinate j belongs to the j-th irreducible polynomial p over the field of two elements:
+    x, x + 1, x² + x + 1, … The degree of this polynomial is e_j. For u < e_j,
+    row q·e_j + u of the matrix holds the coefficients of x^-1, x^-2, … in x^u / p^(q+1).
     This is the order of Bratley, Fox and Niederreiter.
 
-    The sequence has t = Σ (e_j − 1). A single axis of degree e > 1 is guaranteed to be balanced
-    only at n = 2^k with k divisible by e; scrambling does not change this condition.
+    The sequence has quality parameter t = Σ (e_j − 1). A single axis of degree e > 1 is guaranteed
+    to be balanced only at n = 2^k with k divisible by e. Scrambling does not change this condition.
 
     References
     ----------

@@ -55,9 +55,10 @@ class OptimisedSampler(Sampler, ABC):
     ----------
     sets
         With None, every realization is a new set, made from its own random numbers.
-        With K, only K sets are made, the same for every seed. Realization r is set r mod K
-        under a random translation of the torus. Means and variances are still right on average,
-        but the sample has only K sets, also for standard errors of spectra.
+        With K, only K sets are made, the same for every seed.
+        Realization r is then set r mod K under a random translation of the torus.
+        Means and variances are still right on average.
+        However, the sample has only K sets, also for standard errors of spectra.
     """
 
     costly: ClassVar[bool] = True

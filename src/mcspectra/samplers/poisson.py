@@ -1,23 +1,24 @@
 """Random points that keep apart: Poisson disks, classic dart throwing, best candidates.
 
-Dart throwing is random sequential addition: a dart, uniform on the domain, becomes a point
-if all earlier points are at least r away.
+Dart throwing is random sequential addition of darts that are uniform on the domain.
+A dart becomes a point if all earlier points are at least r away.
 On the torus this law is invariant under translation, so every point is uniform.
 For "exact" Poisson disks, n determines r in advance, and dart throwing stops at the n-th point.
 If a set jams earlier (see `PoissonDisk.radius`), it is discarded and a new set is started.
 This keeps the law invariant under translation.
 
-Darts are thrown only where they can be accepted. A grid of cells with diagonal r has at most
-one point per cell, and lists the cells that may have room. From time to time, the remaining
-cells are halved along every axis, and the parts that a disk covers are dropped [Ebeida2012]_.
+Darts are thrown only where they can be accepted. The cells of a grid have diagonal r,
+so that each cell has at most one point. Cells that may have room are kept in a list.
+From time to time, these cells are halved along every axis.
+Parts that a disk covers are dropped [Ebeida2012]_.
 Accepted darts are still uniform on the uncovered region, so the law does not change.
 The set is maximal when no cell remains.
 
-For "maximal" sets, increasing radii are tried. The radius r is the first at which the darts
-jam with at most n points. The missing points, a few percent, are placed one by one
-at the center of the largest empty disk. The radius of this disk is the largest minimum distance
-that has room for one more point [Schloemer2011]_. Hence no place in the domain is farther from
-all n points than the n-th point is from the others: no further disk fits.
+For "maximal" sets, increasing radii are tried, until the darts jam with at most n points.
+The missing points, a few percent, are placed one by one at the center of the largest empty disk.
+The radius of this disk is the largest minimum distance at which one more point fits
+[Schloemer2011]_. At the end no further disk fits: no place in the domain is farther
+from all n points than the last point is from the others.
 """
 
 from __future__ import annotations
@@ -46,14 +47,16 @@ Disks: TypeAlias = tuple[float, int, int, Array, bool, int]
 """Radius, cells per axis, reach of a disk, touched cells, whether on torus, darts per cell."""
 
 Throw: TypeAlias = Callable[[Any, Any, int, Array], tuple[int, int]]
-"""Function that fills points (n, d), given the keys of a realization and the index of the next
-random number. It returns the number of points placed, and the index of the next random number."""
+"""Function that fills an array of points (n, d).
+
+Its other arguments are the keys of a realization, and the index of the next random number.
+It returns the number of points placed, and the new index."""
 
 DENSEST = (1.0, 2.0 / 3.0**0.5, 2.0**0.5, 2.0, 2.0 * 2.0**0.5, 8.0 / 3.0**0.5, 8.0, 16.0)
 """n·r^d of the densest known packings of n spheres of diameter r in 1 to 8 dims.
 
-The packings are line, hexagons, fcc, D4, D5, E6, E7 and E8 (table 1.2 of
-[Conway, Sloane (1999), "Sphere Packings, Lattices and Groups"])."""
+The packings are line, hexagons, fcc, D4, D5, E6, E7 and E8. They are listed in table 1.2 of
+[Conway, Sloane (1999), "Sphere Packings, Lattices and Groups"]."""
 
 _DEFAULT_RADIUS = (0.7, 0.75, 0.75, 0.75)
 """Slightly below the radius at which darts jam: 0.748, 0.777, 0.803, 0.806 [Torquato2006]_."""
@@ -77,16 +80,16 @@ class PoissonDisk(Sampler):
         Number of dims: 1 to 4; for maximal sets 1 to 3.
     boundary
         ``"toroidal"``: distances are on the torus. ``"bounded"``: distances are in the cube.
-        In that case disks extend beyond the domain, points near the boundary are more likely,
-        and `unbiased` is False.
+        In the cube disks extend beyond the domain, and points near the boundary are more likely.
+        Therefore `unbiased` is False.
     mode
         ``"exact"``: the minimum distance is the same for all sets, see `radius`.
         ``"maximal"``: no further disk fits into a set, and each set has its own minimum distance.
     radius_
-        Minimum distance in mode ``"exact"``, from 0.25 to 1, relative to the distance in the
-        densest known packing of n points [Lagae2008]_. The default is 0.7 in 1-D, else 0.75.
-        This is near the limit of dart throwing, which jams on average at 0.748, 0.777, 0.803
-        and 0.806 in 1 to 4 dims.
+        Minimum distance in mode ``"exact"``, from 0.25 to 1. The unit is the distance
+        in the densest known packing of n points [Lagae2008]_.
+        The default is 0.7 in 1-D, else 0.75. This is near the limit of dart throwing,
+        which on average jams at 0.748, 0.777, 0.803 and 0.806 in 1 to 4 dims.
 
     References
     ----------
@@ -187,9 +190,9 @@ class DartThrowing(Sampler):
     dims
         Number of dims, 1 to 8.
     radius_
-        Minimum distance, above 0 and at most 1, relative to the densest known packing of n points
-        [Lagae2008]_. Dart throwing jams at about 0.75 in 1-D, 0.78 in 2-D and 0.8 in more dims,
-        and classic rejection becomes slow before that.
+        Minimum distance relative to the densest known packing of n points [Lagae2008]_.
+        It is above 0 and at most 1. Dart throwing jams at about 0.75 in 1-D, 0.78 in 2-D,
+        and 0.8 in more dims. Classic rejection becomes slow before that.
 
     References
     ----------

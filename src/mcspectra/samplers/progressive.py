@@ -1,10 +1,10 @@
 """Progressive multi-jittered sequences in the plane: stratified at every power of two points.
 
 Each pass of a sequence doubles the number of points. Before pass k, each of 2^k equal intervals
-along an axis has one point, in one of its halves. Pass k fills the free halves.
+of an axis has one point, which lies in one half of the interval. Pass k fills the other half.
 The assignment of new points to intervals determines the further stratification.
-The position within the half is random, so that the sequence is Owen-scrambled
-without digit permutations [Helmer2021]_.
+The position within the half is random.
+This makes the sequence Owen-scrambled without digit permutations [Helmer2021]_.
 
 Notation of the kernels: ``keys`` uint64 (R, 2) from `Stream.keys`; ``out`` float64 (R, n, 2).
 A coordinate is a word of 53 bits; its level-ℓ bit is worth 2^-(ℓ+1).
@@ -134,9 +134,10 @@ class PMJ02BlueNoise(_PlaneSequence):
 
     Notes
     -----
-    The random bits of pmj02 are chosen by descent. Pass by pass, from coarse to fine, the bits of a
-    whole strip of the square are flipped if this lowers the sum of distance^-8 over pairs on the
-    torus. In the whole set, the nearest two points are two to three times as far apart as in pmj02.
+    The random bits of pmj02 are chosen by descent, pass by pass, from coarse to fine.
+    The bits of a whole strip of the square are flipped if this lowers an energy,
+    the sum of distance^-8 over all pairs on the torus.
+    In the whole set, the nearest two points are two to three times as far apart as in pmj02.
     The first points of a set are also a (0,2)-sequence, but spread no better than in pmj02.
     The mean is unbiased up to the width of the intervals, because each interval has one point.
     A single point is not uniform: over sixteenths of an axis its density varies by up to a tenth.
@@ -159,13 +160,14 @@ def pairings() -> Array:
     """Return the partners of points in pmj02 as out, uint64 (2, 31).
 
     The partner of point i on axis j in pass k is i xor out[j, k].
-    Consider the bits of the index as coefficients over GF(2), with b = t² + t,
-    in the basis 1, t, b, b·t, b², b²·t, …. They define a polynomial in t.
-    The digits of x are its coefficients in powers of t, and the digits of y in powers of t + 1.
+    Let b = t² + t. The bits of the index are coefficients, over GF(2), of a polynomial in t,
+    in the basis 1, t, b, b·t, b², b²·t, …
+    The digits of x are the polynomial's coefficients in powers of t.
+    The digits of y are its coefficients in powers of t + 1.
     These are the first two axes of Sobol'.
 
-    Multiples of b^m do not change the first m digits of x or y.
-    Thus the m-th four blocks of points share the cells of the first four.
+    Multiples of b^m do not change the first m digits of x or y. Therefore the points come
+    in groups of four blocks, and each group shares the cells of the first four blocks.
     The partner differs in digit k only: by t^k, or (t + 1)^k, in that basis.
     """
     even = 0x5555555555555555

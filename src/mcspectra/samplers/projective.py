@@ -2,10 +2,10 @@
 
 Method
 ------
-Dart throwing: a dart is accepted if, for each k from 1 to d, its distance from all earlier points
-is at least r_k in every projection on k of the d axes.
+Dart throwing: a dart is accepted if it keeps a distance of at least r_k from all earlier points
+in every projection on k of the d axes, for each k from 1 to d.
 Let g_1 ≤ … ≤ g_d be the sorted gaps of two points along the axes.
-Of all projections on k axes, the distance is smallest on the axes of the k smallest gaps.
+On k axes the distance is smallest in the projection on the axes of the k smallest gaps.
 Therefore d conditions on partial sums, g_1² + … + g_k² ≥ r_k², check all 2^d − 1 projections.
 
 The projections on single axes leave little room, but these axes are independent.
@@ -49,8 +49,8 @@ class ProjectiveBlueNoise(Sampler):
     dims
         Number of dims, 1 to 6.
     radius_
-        Minimum distance in every projection on k axes, from 0.01 to 1, relative to the distance
-        in the densest known packing of n points in k dims.
+        Minimum distance in every projection on k axes, from 0.01 to 1.
+        The unit is the distance in the densest known packing of n points in k dims.
         The default is 0.65, 0.6, 0.5, 0.4, 0.33 and 0.25 in 1 to 6 dims.
         This is slightly below the largest value at which darts place 1000 points.
 

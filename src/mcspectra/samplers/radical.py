@@ -92,8 +92,9 @@ class Halton(RadicalInverses):
     skip
         Index of the first point.
     scramble
-        ``"none"``: the same points every time. ``"permute"`` or ``"owen"``: the points of
-        ``halton | permute`` or ``halton | owen``, all of them uniform.
+        ``"none"``: the same points every time.
+        With ``"permute"`` or ``"owen"`` every point is uniform;
+        these are short for the randomization of the same name.
 
     References
     ----------
@@ -158,11 +159,10 @@ class Hammersley(RadicalInverses):
 
     Notes
     -----
-    For n = 2^m the first coordinates i/n are scrambled in base 2.
-    For other n they have no distinct binary digits,
-    so ``| permute`` and ``| owen`` raise an error.
-    With `scramble`, the coordinates i/n keep their order for such n, and only an offset below 1/n
-    is random. It is the same for all points (``"permute"``) or different (``"owen"``).
+    For n = 2^m the first coordinates i/n are scrambled in base 2. For other n they have
+    no distinct binary digits, and a randomization by permute or owen raises an error.
+    The parameter `scramble` keeps the order of i/n for such n, and adds a random offset below 1/n.
+    This offset is the same for all points (``"permute"``) or different (``"owen"``).
     In both cases each interval [i/n, (i+1)/n) of the first axis contains one point.
 
     References

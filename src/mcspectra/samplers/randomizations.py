@@ -133,17 +133,18 @@ class RandomRotation(Randomization):
     Attributes
     ----------
     boundary
-        ``"toroidal"``: one of the d!·2^d symmetries of the cube (axes permuted and reflected
-        at random), which are the only rotations of the torus. They preserve distances
-        on the torus, strata of equal sides, and elementary intervals (with permuted shapes).
-        ``"clipped"`` (2-D): the periodically repeated points are rotated by a uniform angle
-        and clipped to a square window at a random place. The window just excludes
-        an (n + 1)-th point. It is scaled to the unit square, and translated at random on the torus.
+        ``"toroidal"``: one of the d!·2^d symmetries of the cube, which permute and reflect axes.
+        The torus has no other rotations. They preserve distances on the torus,
+        strata of equal sides, and elementary intervals (with permuted shapes).
+        ``"clipped"`` (2-D): the periodically repeated points are rotated by a uniform angle,
+        and clipped to a square window at a random place.
+        The size of the window is the largest at which it has n points.
+        The window is scaled to the unit square, and translated at random on the torus.
 
     Notes
     -----
-    If a unit square is rotated by any other angle and wrapped, it covers a part of the torus twice
-    and leaves another part empty. The window avoids this.
+    If a unit square is rotated by another angle and wrapped, it covers a part of the torus twice
+    and another part not at all. The window avoids this.
     Inside the window, distances are preserved up to a scale of 1 + O(n^-1/2) for random points.
     Distances across the window's border are not preserved.
     The translation moves this border to a random place, and makes every point exactly uniform.
@@ -285,9 +286,9 @@ class Mirror(Randomization):
 
     References
     ----------
-    [Hickernell2002]_ for the baker's transform. The other modes are our interpretation of mirrored
-    samples; the uniform mode is the antithetic variate of [HammersleyMorton1956]_ in each
-    coordinate.
+    [Hickernell2002]_ for the baker's transform.
+    The other modes are our interpretation of mirrored samples.
+    The uniform mode is the antithetic variate of [HammersleyMorton1956]_ in each coordinate.
     """
 
     pointwise: ClassVar[bool] = True
@@ -401,8 +402,8 @@ class Decorrelate(Randomization):
 
     A mask has one number per dim, which suffices for shift, and for digital-shift in base 2.
     In one pixel every point is uniform with any mask.
-    In each dim, the shifts of the width² pixels of a blue-noise mask lie in the width² equal
-    intervals of [0,1), one in each.
+    In each dim, the shifts of the width² pixels of a blue-noise mask are stratified:
+    each of width² equal intervals of [0,1) contains one shift.
 
     References
     ----------

@@ -2,8 +2,8 @@
 
 Lloyd's method repeatedly moves each point to the centroid of its Voronoi cell.
 Blue noise through optimal transport instead uses the power diagram whose cells have equal areas.
-This descent lowers the cost of transporting the uniform density to the points. The gradient for
-a point is 2/n times its distance from the centroid of its cell [deGoes2012]_.
+This descent lowers the cost of transporting the uniform density to the points.
+The gradient for a point is 2/n times its distance from the centroid of its cell [deGoes2012]_.
 Gaussian blue noise lowers an energy of pairs.
 Farthest-point optimization moves each point to the place farthest from all others.
 """
@@ -119,8 +119,8 @@ class Bnot(_CentroidSampler):
     iterations
         Largest number of moves of all points.
     tolerance
-        The method stops at this root-mean-square distance of points from the centroids
-        of their cells, as a multiple of n^(−1/2).
+        The method stops at this root-mean-square distance between points and centroids,
+        as a multiple of n^(−1/2).
         Smaller values order the points into crystals.
     sets
         Largest number of different sets, see `OptimisedSampler`.
@@ -171,8 +171,9 @@ def relax(
 def transport_cost(points: object) -> float:
     """Return the cost of transporting the uniform density to the points, with equal masses.
 
-    The cost is W₂², the smallest mean square distance on the torus over all equal partitions of the
-    unit square. It is computed by sorting in 1-D, and by the power diagram with equal areas in 2-D.
+    The cost is W₂², the smallest mean square distance on the torus over all equal partitions
+    of the unit square. In 1-D it is computed by sorting,
+    in 2-D by the power diagram with equal areas.
     A square grid has n · cost = 1/6. The lower bound is the cost of a hexagonal grid:
     n · cost = 0.1604 (5/(18√3)).
 
@@ -184,9 +185,9 @@ def transport_cost(points: object) -> float:
     Raises
     ------
     DomainError
-        If there are more than 2 dims or no points in [0,1). Also if the points are so far from
-        uniform that Newton's method takes more than 100 steps, or longer than some seconds.
-        Random points take 10 steps.
+        If there are more than 2 dims or no points in [0,1).
+        Also if Newton's method takes more than 100 steps, or longer than some seconds,
+        because the points are far from uniform. Random points take 10 steps.
 
     References
     ----------

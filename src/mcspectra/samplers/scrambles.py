@@ -1,7 +1,7 @@
 """Randomizations of digits: they preserve elementary intervals, and strata with suitable sides.
 
-The sides of these strata are powers of the base. All randomizations act in the base of the
-sampler's digits (`digit_bases`): 2, or for instance the primes of halton or the base of faure.
+The sides of these strata are powers of the base. All randomizations act in the base of
+the sampler's digits, which is 2, or for instance the primes of halton or the base of faure.
 """
 
 from __future__ import annotations
@@ -166,8 +166,8 @@ class _OfPlaces(_OfDigits):
 class DigitalShift(_OfPlaces):
     """Digital shift: one random digit added to each digit modulo the base, the same for all points.
 
-    Elementary intervals map to elementary intervals, and every point becomes uniform. In base 2
-    this is the XOR of all 53 bits with one random word per coordinate.
+    Elementary intervals map to elementary intervals, and every point becomes uniform.
+    In base 2 this is the XOR of all 53 bits with one random word per coordinate.
 
     Attributes
     ----------
@@ -188,8 +188,8 @@ class DigitalShift(_OfPlaces):
 class Permute(_OfPlaces):
     """Random digit permutations: one for each place of each coordinate, the same for all points.
 
-    Elementary intervals map to elementary intervals, and every point becomes uniform. In base 2
-    this equals digital-shift.
+    Elementary intervals map to elementary intervals, and every point becomes uniform.
+    In base 2 this equals digital-shift.
 
     Attributes
     ----------
@@ -209,16 +209,17 @@ class Permute(_OfPlaces):
 class Owen(_OfDigits):
     """Owen's nested uniform scrambling: the permutation of a digit depends on all digits above it.
 
-    Digits are scrambled down to 2^-32 (32 bits in base 2); lower digits become independent
-    and uniform. Scrambling preserves the balance of nets in the same base.
+    Digits are scrambled down to 2^-32 (32 bits in base 2).
+    Lower digits become independent and uniform.
+    Scrambling preserves the balance of nets in the same base.
     Other sets keep little more than their counts in the elementary intervals of each axis.
 
     Attributes
     ----------
     method
         ``"nested"``: all permutations are independent, up to a 64-bit hash of the higher digits.
-        ``"hash"``, in base 2 only, is about six times as fast. It scrambles all bits by a few
-        multiplications in which lower bits of the reversed word change only higher ones.
+        ``"hash"``, in base 2 only, is about six times as fast. A few multiplications scramble
+        all bits. In each, lower bits of the reversed word change only higher bits.
         Points are exactly uniform and nets stay nets. Variances depend on pairs of points.
         For pairs, the flips below the first different digit pass tests of independence.
         The joint flips of many points fail these tests.
@@ -228,8 +229,8 @@ class Owen(_OfDigits):
     Notes
     -----
     The hash is from Laine and Karras, in the form and with the constants of Vegdahl (2021).
-    The seed is longer: 126 random bits for two rounds, each with a random summand
-    and a random odd factor.
+    The seed is longer: 126 random bits for two rounds.
+    Each round has a random summand and a random odd factor.
 
     Halton, hammersley and van-der-corput points are drawn from the top of their trees of digits.
     Each point derives from the earlier point with which it shares the most digits [Helmer2021]_.
@@ -274,8 +275,8 @@ class Owen(_OfDigits):
 class Lms(_OfDigits):
     """Random linear matrix scrambling: each generator matrix times a random lower triangular one.
 
-    The digits of each coordinate are multiplied by a random lower triangular matrix
-    with nonzero diagonal, modulo the base, which must be a prime. Nets stay nets.
+    The digits of each coordinate are multiplied by a random lower triangular matrix.
+    Its diagonal is nonzero. Arithmetic is modulo the base, which must be a prime. Nets stay nets.
     Pairs of points of a net have the same law as with owen.
     Variances are therefore the same, at lower cost.
     There are fewer different sets, and these are more regular.

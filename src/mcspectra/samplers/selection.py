@@ -46,8 +46,7 @@ class Subset(Randomization):
 
     Notes
     -----
-    Minimum distances remain. Strata and elementary intervals with one point each remain
-    only if n = N.
+    Minimum distances remain. Strata and intervals with one point each remain only if n = N.
 
     References
     ----------
@@ -123,8 +122,8 @@ class Skip(Randomization):
     -----
     The sampler must be a sequence (sobol, halton, kronecker, random, …) or points from outside.
     Other sets are refused, because without their first points they cover only a part of the domain.
-    A run of b^m points of a sequence in base b has the balance of a net only if `count`
-    is a multiple of b^m. If only the origin is omitted, the balance is lost.
+    If only the origin is omitted, the balance of a net is lost. A run of b^m points
+    of a sequence in base b has this balance only if `count` is a multiple of b^m.
     Skipped points are computed and discarded.
 
     References

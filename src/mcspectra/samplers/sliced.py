@@ -35,8 +35,9 @@ class SlicedOptimalTransport(OptimisedSampler):
 
     Notes
     -----
-    On every direction θ, the k-th point in the order of θ·x moves toward the quantile (k − ½)/n
-    of the projected cube. The paper uses a ball as target, and maps the ball to the cube.
+    The points are sorted by θ·x on every direction θ. The k-th point moves toward the quantile
+    (k − ½)/n of the projected cube.
+    The paper uses a ball as target, and maps the ball to the cube.
     Here the target is the cube: its projection is a sum of d uniform numbers of widths |θ_j|.
     Points near the faces and corners of the cube are not quite uniform, so means are not exact.
     A `shift` makes means exact, and so does a number of `sets`, which are translated.

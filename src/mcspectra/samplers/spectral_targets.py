@@ -1,7 +1,7 @@
 """Sets in 2-D for a given target: a step, a radial power spectrum or a pair correlation.
 
-Frequencies are given as ν = |m|/√n and distances as r√n, where 1/√n is the mean distance
-of the points, so that one target applies to every count.
+Frequencies are given as ν = |m|/√n and distances as r√n.
+The unit is the mean distance 1/√n of the points, so that one target applies to every count.
 """
 
 from __future__ import annotations
@@ -130,9 +130,9 @@ class TargetSpectrum(_MatchedSampler):
 
     Notes
     -----
-    The descent starts from independent uniform points, and fits the mean power of rings of
-    frequencies. The rings have width one. Single sets therefore follow the curve more closely
-    than random fluctuations would allow.
+    The descent starts from independent uniform points.
+    It fits the mean power of rings of frequencies of width one.
+    Single sets therefore follow the curve more closely than random fluctuations would allow.
     If the pair correlation of the target (its Hankel transform) is negative somewhere,
     no such sets exist, and the target is refused. `misfit` measures the remaining difference.
 
@@ -244,8 +244,9 @@ def piecewise_linear(places: Any, values: Any) -> Profile:
 def hankel(profile: Profile, places: Array, at: Array) -> Array:
     """Return 1 + 2π ∫ (profile(t) − 1) J0(2π t s) t dt at every s in `at`.
 
-    The function converts power to pair correlation and back: power − 1 is the transform of
-    pair correlation − 1, and vice versa. `places` are the knots of the profile, including its end.
+    The function converts power to pair correlation and back:
+    each, minus 1, is the Hankel transform of the other, minus 1.
+    `places` are the knots of the profile, including its end.
     """
     from scipy.special import j0
 
@@ -263,10 +264,11 @@ def hankel(profile: Profile, places: Array, at: Array) -> Array:
 class RingLoss:
     """Squared difference between the mean power of rings of frequencies and a target, in 2-D.
 
-    Ring r holds the frequencies with |m| within ½ of r. The loss is Σ (mean power − target)² over
-    rings, where the target is averaged over the same frequencies. Rings have equal weights:
-    with weights by number of frequencies, the lowest rings, which matter most,
-    would miss their target by ten times as much.
+    Ring r holds the frequencies with |m| within ½ of r.
+    The loss is Σ (mean power − target)² over rings.
+    The target is averaged over the same frequencies. Rings have equal weights,
+    because the lowest rings matter most. With weights by number of frequencies,
+    they would miss their target by ten times as much.
 
     Parameters
     ----------

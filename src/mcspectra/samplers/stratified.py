@@ -321,8 +321,9 @@ class AntitheticJittered(Sampler):
 
     Notes
     -----
-    The linear part of the integrand cancels within each pair. The variance of smooth integrands
-    therefore falls like n^(−1 − 4/d), compared with n^(−1 − 2/d) for jittered.
+    The linear part of the integrand cancels within each pair.
+    The variance of smooth integrands therefore falls like n^(−1 − 4/d).
+    For jittered points it falls like n^(−1 − 2/d).
 
     References
     ----------
@@ -516,8 +517,8 @@ class Hexagonal(PlaneSampler, FixedSet):
     The points form 2b rows of a points; every other row is moved by half a step.
     The set is deterministic.
     On a square torus no such array is exactly regular, because that needs b = a/√3.
-    The chosen b differs from a/√3 by at most ½. At the first six counts, the ratio of the two
-    distances between neighbors is 1.41, 1.12, 1.11, 1.12, 1.03 and 1.12.
+    The chosen b differs from a/√3 by at most ½. The ratio of the two distances between neighbors
+    is 1.41, 1.12, 1.11, 1.12, 1.03 and 1.12 at the first six counts.
     The ratio is at most 1.06 for n ≥ 56 and 1.02 for n ≥ 780.
 
     References
@@ -614,9 +615,10 @@ def _moved_centers(sides: tuple[int, ...], displacements: Array) -> Array:
 class SharedCells(Sampler):
     """One of W sets of n cells, chosen at random; together they cover a grid of W n cells once.
 
-    A realization draws one offset, a uniform point of a cell. Each cell of the realization's set
-    uses this offset, possibly reflected along some axes. Every point is uniform on [0,1)^d
-    for any sets, so estimates are unbiased. The function `design` makes such sets.
+    A realization draws one offset, a uniform point of a cell.
+    Each cell of the realization's set uses this offset, possibly reflected along some axes.
+    Every point is uniform on [0,1)^d for any sets, so estimates are unbiased.
+    The function `design` makes such sets.
 
     Attributes
     ----------
