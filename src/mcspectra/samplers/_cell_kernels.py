@@ -400,13 +400,12 @@ def balance(
     """Return weights whose cells have areas `masses`, and their power diagram.
 
     Newton steps start at `weights`, or at 0 if `weights` leave a cell empty.
-    Newton steps start at `weights`, or at 0 if `weights` leave a cell empty.
     They end after `steps` steps, or when all areas are right within `tolerance` times their mass,
     or when the areas no longer improve, or when the work exceeds `most_work`.
     This work includes the linear solver; `Diagram` defines the unit.
     No step is taken if some sites are so close that a cell is empty with equal weights.
 
-    The weights maximize a concave function, the dual of the transport cost from the uniform density.
+    The weights maximize a concave function, the dual of a transport cost (see `transport_cost`).
     Damped Newton steps find the maximum from any weights that leave no cell empty [Kitagawa2019]_.
     """
     weights, diagram = weights.copy(), power_diagram(points, weights)

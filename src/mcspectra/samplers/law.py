@@ -7,26 +7,27 @@ The variance of an estimator combines the spectrum of its integrand with the sam
 The covariance C_ml is a property of the sampler's law.
 A sampler states its law once, in `Sampler.law`. Functions of the law give
 closed forms, exact variances, predictions, rates and the fitting basis.
-They dispatch on the class at the root of a law, recurse, and never test a sampler's name.
+These functions dispatch on the class at the root of a law, and recurse.
+They never test a sampler's name.
 
 A law is a small tree of frozen classes. Leaves describe how points are drawn:
 
-        Independent:  n independent uniform points
-        Strata:       one independent motif (one point or a pair) in each cell of a grid
-        PairedAxes:   pairs of points that share, or do not share, strata of each axis
-        Fixed:        the set is the same every time
-        Stationary:   a set whose law is the same after any translation of the torus
-        Choice:       one of several laws, chosen at random
-        GroupedAxes:  independent sets in groups of axes, with points paired at random
-        Unknown:      points that can only be drawn
+    Independent:  n independent uniform points
+    Strata:       one independent motif (one point or a pair) in each cell of a grid
+    PairedAxes:   pairs of points that share, or do not share, strata of each axis
+    Fixed:        the set is the same every time
+    Stationary:   a set whose law is the same after any translation of the torus
+    Choice:       one of several laws, chosen at random
+    GroupedAxes:  independent sets in groups of axes, with points paired at random
+    Unknown:      points that can only be drawn
 
 Operators describe how a set is randomized:
 
-        Shifted:      one uniform translation of all points (Cranley-Patterson)
-        Moved:        one fixed translation of all points
-        Scrambled:    random permutations of the digits of all points
-        Folded:       the map u → 1 − |2u − 1| of every coordinate
-        Mirrored:     reflections of every coordinate
+    Shifted:      one uniform translation of all points (Cranley-Patterson)
+    Moved:        one fixed translation of all points
+    Scrambled:    random permutations of the digits of all points
+    Folded:       the map u → 1 − |2u − 1| of every coordinate
+    Mirrored:     reflections of every coordinate
 
 The order of the points does not belong to the law, because estimates are sums over points.
 """

@@ -436,7 +436,7 @@ class _SpectrumSums:
 @final
 @dataclass(frozen=True)
 class _PolarMeans:
-    """Power is averaged over rings of one frequency step and, in two dims, over wedges."""
+    """Rings (and in two dims wedges) of frequencies, over which power is averaged."""
 
     # Cell of each frequency of the half grid: ring · (wedges + 1) + wedge, int64 (H,).
     # A further cell holds m = 0 and frequencies beyond the rings.
