@@ -209,8 +209,8 @@ class Diagram(NamedTuple):
         Offsets of the centroids from the sites, (n, 2).
     rows, neighbors, couplings
         Cell i has the faces rows[i, 0] … rows[i, 1] − 1. The neighbor of a face is the site beyond.
-        The coupling of a face is length / (2 distance). By this amount the area of cell i decreases
-        if the neighbor's weight increases by one unit.
+        The coupling of a face is length / (2 distance).
+        The area of cell i decreases by this amount per unit of the neighbor's weight.
     work
         Amount of work: the number of corners of the cell, summed over visited sites and grid cells.
     """
@@ -400,8 +400,8 @@ def balance(
     """Return weights whose cells have areas `masses`, and their power diagram.
 
     Newton steps start at `weights`, or at 0 if `weights` leave a cell empty.
-    They end after `steps` steps, or when all areas are right within `tolerance` times their mass,
-    or when the areas no longer improve, or when the work exceeds `most_work`.
+    They end after `steps` steps, or when all areas are right within `tolerance` times their mass.
+    They also end when the areas no longer improve, or when the work exceeds `most_work`.
     This work includes the linear solver; `Diagram` defines the unit.
     No step is taken if some sites are so close that a cell is empty with equal weights.
 

@@ -70,8 +70,8 @@ def fill_binary(directions: Array, out: Array) -> None:
 def fill_base(columns: Array, base: int, out: Array) -> None:
     """Fill `out` with points 0 … n − 1 of a digital net; columns int64 (d, m, rows).
 
-    The kernel counts like an odometer. A digit of the index may increase by one, or return from
-    base − 1 to 0, which also is an increase modulo the base. In both cases its column is added.
+    The kernel counts like an odometer. When a digit of the index increases by one, its column
+    is added. The return from base − 1 to 0 also is an increase by one modulo the base.
     The largest number, base^rows, is at most 2^53.
     """
     n, dims = out.shape

@@ -10,8 +10,9 @@ In any base b, a coordinate x is read as the whole number v = ⌊x b^m⌋.
 The number of digits m is the smallest with b^m ≥ 2^32.
 Before that, x is increased by 2^-52, because the float for k/b^p may have been rounded down.
 
-Let v' be the scrambled number. The result is (v' + (t + ½) 2^-k)/b^m, where t < 2^k is random
-and b^m 2^k ≤ 2^50. This number is uniform to 50 bits, and far from every multiple of b^-p.
+Let v' be the scrambled number, and t a random number with t < 2^k and b^m 2^k ≤ 2^50.
+The result is (v' + (t + ½) 2^-k)/b^m.
+This result is uniform to 50 bits, and far from every multiple of b^-p.
 Therefore neither rounding nor a float ⌊x b^p⌋ moves it to another interval.
 
 Random numbers with addresses below 2^62 or at least 2^63 are used for binary digits.

@@ -171,7 +171,8 @@ class Sampler(Component, ABC):
         """Return the joint distribution of the points of one realization of `n` points.
 
         All predictions follow from the law of the sampler: closed forms of spectra and covariances,
-        exact variances, rates, and whether they are refused (`mcspectra.samplers.law`).
+        exact variances and rates. The law also decides which predictions are refused.
+        See `mcspectra.samplers.law`.
 
         Raises
         ------

@@ -1,8 +1,8 @@
 """Blue noise in the cells of a toroidal grid: void and cluster, dither masks, low discrepancy.
 
 Void and cluster fills the cells of a fine grid, always at the emptiest place.
-Low-discrepancy blue noise starts from a blue-noise set. It moves the points
-within their cells, so that they form a low-discrepancy set.
+Low-discrepancy blue noise starts from a blue-noise set.
+It moves the points within their cells, so that they form a low-discrepancy set.
 
 Notation of the kernels: a ``pattern`` bool (s, s) on the torus has ones at the points.
 ``energy`` float64 (s, s) is the sum of Gaussians around the ones.
@@ -285,13 +285,13 @@ class LowDiscrepancyBlueNoise(PlaneSampler, OptimisedSampler):
     Notes
     -----
     The set has one point in each cell, and one in each of n equal intervals of either axis.
-    It also has one point in each interval that is 2^j cells long and 2^−j cells wide,
-    for all 2^j ≥ chunk; chunk = 2 makes a (0,2)-net.
+    For all 2^j ≥ chunk, it also has one point in each interval of 2^j by 2^−j cells.
+    With chunk = 2 the set is a (0,2)-net.
     The points are uniform over cells and along each axis, but slightly less so within cells.
     Add shift for unbiased means.
 
-    The blue-noise set is a jittered set. Its points are relaxed within their cells
-    until Gaussians of half a cell's width around the points overlap least.
+    The blue-noise set is a jittered set, with points relaxed within their cells.
+    Relaxation makes Gaussians of half a cell's width around the points overlap least.
     It is computed for every realization.
     The authors instead keep a table of one set.
 

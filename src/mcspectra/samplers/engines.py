@@ -47,8 +47,8 @@ class ScipySampler(OneByOne):
     Attributes
     ----------
     engine
-        Name of a class in `scipy.stats.qmc`, a subclass of its QMCEngine,
-        or a function ``generator -> engine`` that makes engines.
+        Name of a class in `scipy.stats.qmc`, or a subclass of its QMCEngine.
+        Also a function ``generator -> engine`` that makes engines.
     dims
         Number of dims, the engine's ``d``.
     scramble
@@ -58,8 +58,8 @@ class ScipySampler(OneByOne):
 
     Notes
     -----
-    Scrambled Sobol, Halton and LatinHypercube engines without `optimization` count as unbiased;
-    other engines do not.
+    Scrambled Sobol, Halton and LatinHypercube engines without `optimization` count as unbiased.
+    Other engines do not count as unbiased.
     """
 
     name: ClassVar[str] = "scipy"
@@ -262,10 +262,10 @@ class QmcpySampler(OneByOne):
 
     Notes
     -----
-    QMCPy keeps up to 63 binary digits. A coordinate that rounds up to 1.0 becomes
-    the largest double below 1; larger coordinates are errors.
-    Points of QMCPy's own classes count as uniform if ``randomize`` is a shift,
-    a digital shift, a digital permutation or nested scrambling.
+    QMCPy keeps up to 63 binary digits. Coordinates that round up to 1.0
+    are replaced by the largest double below 1. Larger coordinates are errors.
+    Points of QMCPy's own classes count as uniform after some randomizations:
+    shifts, digital shifts, digital permutations and nested scrambling.
 
     References
     ----------

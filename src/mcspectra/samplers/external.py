@@ -142,16 +142,17 @@ class GivenPoints(Sampler):
     name_
         Label in pictures and tables: ``name=`` in a spec.
     sets
-        All sets by number of points, (R, n, d) each. Digital nets in base 2, 3 or 5, and lattices,
-        are recognized, for predictions and for randomizations of digits.
+        All sets by number of points, (R, n, d) each.
+        Digital nets in base 2, 3 or 5 are recognized, and so are lattices.
+        Predictions and randomizations of digits use this.
     digest
         First 12 digits of the SHA-256 of shapes and coordinates.
 
     Raises
     ------
     FileFormatError
-        If a file is not a point set, if no file matches a pattern,
-        or if the n of a file differs from the n in its name.
+        If a file is not a point set, or if no file matches a pattern.
+        Also if the n of a file differs from the n in its name.
     ParameterError
         If neither `path` nor `points` is given, or sets have different dims.
     DomainError
@@ -265,9 +266,9 @@ def net_quality(points: Array, like: tuple[int, int] | None = None) -> tuple[int
 
     A set of b^m points is a (t, m, d)-net if each elementary interval of volume b^(t − m)
     contains b^t points. Every set is a net for t = m.
-    Therefore a set counts as a net only if m − t is at least 3 in base 2 (4 below 64 points),
-    or at least 2 in bases 3 and 5. A set also counts if the larger net `like` of the same file
-    has the same base, and if t is no worse.
+    Therefore a set counts as a net only if m − t is large enough:
+    at least 3 in base 2 (4 below 64 points), and at least 2 in bases 3 and 5.
+    A set also counts if the same file has a larger net, `like`, in this base with no smaller t.
     Blue noise of 16 points or more does not count: in tests, at most one of 200 such sets did.
     """
     n, dims = points.shape

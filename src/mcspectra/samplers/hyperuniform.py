@@ -63,8 +63,8 @@ class PerturbedLattice(GridSampler):
     Notes
     -----
     The field is periodic, and is computed from white noise by a fast Fourier transform.
-    For independent displacements n⟨|S_m|²⟩ = 1 − exp(−4π²|m|²(width/s)²),
-    except at the frequencies of the grid, m ≡ 0 modulo s.
+    For independent displacements n⟨|S_m|²⟩ = 1 − exp(−4π²|m|²(width/s)²).
+    The frequencies of the grid, m ≡ 0 modulo s, are an exception.
 
     References
     ----------

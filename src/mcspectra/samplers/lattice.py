@@ -79,14 +79,14 @@ class Rank1Lattice(_Lattice):
 
     Notes
     -----
-    The construction chooses one component after another, so that the squared worst-case error P_2
-    of the shifted lattice is smallest. The error is taken over a Korobov space
-    with smoothness α = 2 and product weights γ_j = 1/j²:
+    The construction chooses one component after another, and minimizes P_2.
+    P_2 is the squared worst-case error of the shifted lattice in a Korobov space.
+    The space has smoothness α = 2 and product weights γ_j = 1/j²:
 
         P_2 = −1 + (1/n) Σ_k Π_j (1 + γ_j 2π² B_2({k z_j/n})),   B_2(x) = x² − x + 1/6,
 
-    The minimum is over all z_j ≤ n/2 coprime to n. The search tries all z_j
-    if that takes at most 2^24 values of B_2 per component (n up to 5,792).
+    The minimum is over all z_j ≤ n/2 coprime to n.
+    The search tries all z_j if this takes at most 2^24 values of B_2 (n up to 5,792).
     Otherwise it tries at least 16 evenly spaced values of z_j.
     Vectors are kept in memory by (n, d).
 
@@ -151,8 +151,9 @@ class Korobov(_Lattice):
     -----
     The search minimizes P_2, as in `Rank1Lattice` but with equal weights γ_j = 1.
     Candidates are all a ≤ n/2 coprime to n, since n − a gives the reflected lattice.
-    The search tries all of them if that takes at most 2^24 values of B_2 (n up to 4,096 in 2-D),
-    else at least 16 evenly spaced values of a. Generators are kept in memory by (n, d).
+    The search tries all of them if that takes at most 2^24 values of B_2 (n up to 4,096 in 2-D).
+    Otherwise it tries at least 16 evenly spaced values of a.
+    Generators are kept in memory by (n, d).
 
     References
     ----------

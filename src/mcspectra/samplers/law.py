@@ -5,7 +5,7 @@ The variance of an estimator combines the spectrum of its integrand with the sam
     Var(I_n) = Σ_m Σ_l conj(f_m) f_l C_ml,     C_ml = ⟨S_m conj(S_l)⟩ − ⟨S_m⟩ conj⟨S_l⟩,
 
 The covariance C_ml is a property of the sampler's law.
-A sampler states its law once, in `Sampler.law`. Functions of the law give
+A sampler states its law once, in `Sampler.law`. All else is computed by functions of the law:
 closed forms, exact variances, predictions, rates and the fitting basis.
 These functions dispatch on the class at the root of a law, and recurse.
 They never test a sampler's name.
@@ -397,8 +397,8 @@ class Fixed(Law):
     vector
         Generating vector z of a rank-1 lattice {k z / n}; None for other sets.
     sides, corner
-        Number of grid cells along each axis, and the position of the point in its cell,
-        in units of cells. None for sets that are not grids.
+        Number of grid cells along each axis, and position of the point in its cell.
+        The unit is a cell. None for sets that are not grids.
     even
         Whether the evenness of the set depends only on differences of points on the torus,
         as for lattices and Kronecker points. Translations then preserve the evenness.
@@ -656,13 +656,13 @@ class Scrambled(Law):
     inner
         The law of the set before the digits are randomized.
     kind
-        Kind of randomization. Nested and linear scrambles have the same law of pairs of points,
-        and therefore the same variances.
+        Kind of randomization. Nested and linear scrambles have the same variances,
+        because they have the same law of pairs of points.
     bases
         Base of the digits of each coordinate.
     shifts
-        Whether every point becomes uniform. Matrices alone do not make points uniform,
-        because they map the origin to itself.
+        Whether every point becomes uniform.
+        Matrices alone do not make points uniform, because they map the origin to itself.
     """
 
     inner: Law
@@ -789,8 +789,8 @@ def bases_to_scramble(laws: Sequence[Law]) -> tuple[int, ...] | None:
     """Return bases in which sets of all these laws are nets, so that scrambling is the best choice.
 
     The result is None for lattices, which scrambling breaks, and for sets that are not nets.
-    A shift suits both. A set of a few points can be both a net and a lattice;
-    the other sets then decide.
+    A shift suits both. A set of a few points can be both a net and a lattice.
+    In that case the other sets decide.
     """
     found = {law.bases if isinstance(law, Fixed | Unknown) else None for law in laws}
     if len(found) > 1 or all(isinstance(law, Fixed) and law.even for law in laws):

@@ -1,7 +1,7 @@
 """Digital nets: Sobol', Niederreiter, Larcher and Pillichshammer, Faure, and given matrices.
 
-Let C_j be the generator matrix of coordinate j in base b. Digit r of coordinate j of point i
-is the r-th entry of C_j·(digits of i, lowest first) modulo b.
+Coordinate j has a generator matrix C_j in base b. The digits of point i on this axis are
+C_j·(digits of i, lowest first) modulo b: entry r of the product is digit r.
 """
 
 from __future__ import annotations
@@ -89,8 +89,8 @@ class Sobol(_BinaryNet):
     Notes
     -----
     The order is natural: dimension 0 is the van der Corput sequence of the index,
-    not of the index's Gray code. If a count is not a power of the base, the set is not balanced
-    in elementary intervals. This causes a `NotPowerOfTwoWarning`.
+    not of the index's Gray code. Counts that are not powers of the base cause a warning.
+    Such sets are not balanced in elementary intervals.
 
     A file has one line per dim with these entries: the number of the dim, the degree s of the
     polynomial, the polynomial a, and m_1 … m_s. Headings and text after ``#`` are ignored.
@@ -246,8 +246,9 @@ class Niederreiter(_BinaryNet):
     row q·e_j + u of the matrix holds the coefficients of x^-1, x^-2, … in x^u / p^(q+1).
     This is the order of Bratley, Fox and Niederreiter.
 
-    The sequence has quality parameter t = Σ (e_j − 1). A single axis of degree e > 1 is guaranteed
-    to be balanced only at n = 2^k with k divisible by e. Scrambling does not change this condition.
+    The sequence has quality parameter t = Σ (e_j − 1). For degree e > 1, a single axis
+    is sure to be balanced only at n = 2^k with k divisible by e.
+    Scrambling does not change this condition.
 
     References
     ----------
@@ -454,8 +455,8 @@ class DigitalNet(_AnyBaseNet):
     base
         The base b; a file that states its base overrides it.
     digits
-        Number of rows of matrices that are given as columns. Each column has this number of digits,
-        from highest to lowest. The default is the number of columns.
+        Number of rows of matrices that are given as columns. Each column has this number of digits.
+        Its highest digit comes first. The default is the number of columns.
     dims
         Number of dims, by default the number of matrices. If it is smaller, the last are ignored.
 
@@ -465,8 +466,8 @@ class DigitalNet(_AnyBaseNet):
     each of the first four lines has a number (base, dims, largest n, digits).
     After that, each line has the columns of one matrix, as whole numbers.
     Text after the four numbers and lines that start with ``#`` are ignored.
-    The second format, of MatBuilder, has only square matrices of digits, one below the other,
-    with one row per line. For these files give the base.
+    MatBuilder uses the second format: square matrices of digits, one below the other,
+    with one row per line. These files do not state the base, so give it.
 
     References
     ----------

@@ -182,8 +182,8 @@ def _orthogonal(n: int, dims: int, strength: int, jitter: str, keys: Array) -> A
 def _slots(s: int, dims: int, strength: int, jitter: str) -> Array:
     """Return the stratum of each point on each axis before shuffles: int32 (s^t, dims), read-only.
 
-    An axis has s strata (its levels) or n = s^t strata. The n strata are numbered by the level,
-    then by the rank of the point within the level.
+    An axis has s strata (its levels) or n = s^t strata.
+    The n strata are numbered by level, and within a level by the rank of the point.
     This rank follows from the levels on t − 1 other axes.
     """
     slots = np.empty((s**strength, max(dims, strength)), np.int32)

@@ -17,8 +17,8 @@ The set is maximal when no cell remains.
 For "maximal" sets, increasing radii are tried, until the darts jam with at most n points.
 The missing points, a few percent, are placed one by one at the center of the largest empty disk.
 The radius of this disk is the largest minimum distance at which one more point fits
-[Schloemer2011]_. At the end no further disk fits: no place in the domain is farther
-from all n points than the last point is from the others.
+[Schloemer2011]_. At the end no further disk fits, because no place is farther away:
+the last point was put at the place farthest from all others.
 """
 
 from __future__ import annotations
@@ -86,8 +86,8 @@ class PoissonDisk(Sampler):
         ``"exact"``: the minimum distance is the same for all sets, see `radius`.
         ``"maximal"``: no further disk fits into a set, and each set has its own minimum distance.
     radius_
-        Minimum distance in mode ``"exact"``, from 0.25 to 1. The unit is the distance
-        in the densest known packing of n points [Lagae2008]_.
+        Minimum distance in mode ``"exact"``, from 0.25 to 1.
+        The unit is the distance in the densest known packing of n points [Lagae2008]_.
         The default is 0.7 in 1-D, else 0.75. This is near the limit of dart throwing,
         which on average jams at 0.748, 0.777, 0.803 and 0.806 in 1 to 4 dims.
 

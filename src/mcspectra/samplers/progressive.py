@@ -142,8 +142,9 @@ class PMJ02BlueNoise(_PlaneSequence):
     The mean is unbiased up to the width of the intervals, because each interval has one point.
     A single point is not uniform: over sixteenths of an axis its density varies by up to a tenth.
 
-    The papers choose the best of some candidates for each point in turn. At that time, however,
-    the choices are only as wide as the intervals. Flips of strips avoid this restriction.
+    The papers choose the best of some candidates for each point in turn.
+    At that time, however, the choices are only as wide as the intervals.
+    Flips of strips avoid this restriction.
 
     References
     ----------
@@ -160,14 +161,14 @@ def pairings() -> Array:
     """Return the partners of points in pmj02 as out, uint64 (2, 31).
 
     The partner of point i on axis j in pass k is i xor out[j, k].
-    Let b = t² + t. The bits of the index are coefficients, over GF(2), of a polynomial in t,
-    in the basis 1, t, b, b·t, b², b²·t, …
+    The bits of the index are the coefficients of a polynomial in t over GF(2).
+    Its basis is 1, t, b, b·t, b², b²·t, … with b = t² + t.
     The digits of x are the polynomial's coefficients in powers of t.
     The digits of y are its coefficients in powers of t + 1.
     These are the first two axes of Sobol'.
 
-    Multiples of b^m do not change the first m digits of x or y. Therefore the points come
-    in groups of four blocks, and each group shares the cells of the first four blocks.
+    Multiples of b^m do not change the first m digits of x or y.
+    Each group of four blocks of points therefore shares the cells of the first group.
     The partner differs in digit k only: by t^k, or (t + 1)^k, in that basis.
     """
     even = 0x5555555555555555

@@ -2,8 +2,8 @@
 
 Method
 ------
-Dart throwing: a dart is accepted if it keeps a distance of at least r_k from all earlier points
-in every projection on k of the d axes, for each k from 1 to d.
+Dart throwing: a dart is accepted if it is far enough from all earlier points in all projections.
+For each k from 1 to d, the distance in every projection on k of the d axes must be at least r_k.
 Let g_1 ≤ … ≤ g_d be the sorted gaps of two points along the axes.
 On k axes the distance is smallest in the projection on the axes of the k smallest gaps.
 Therefore d conditions on partial sums, g_1² + … + g_k² ≥ r_k², check all 2^d − 1 projections.

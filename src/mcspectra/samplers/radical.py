@@ -22,7 +22,7 @@ __all__ = ["Halton", "Hammersley", "RadicalInverses", "VanDerCorput"]
 
 
 class RadicalInverses(FixedSet):
-    """Abstract sampler of radical inverses; ``scramble`` abbreviates ``| permute`` or ``| owen``.
+    """Abstract sampler of radical inverses, which a parameter may scramble.
 
     Attributes
     ----------
@@ -93,8 +93,7 @@ class Halton(RadicalInverses):
         Index of the first point.
     scramble
         ``"none"``: the same points every time.
-        With ``"permute"`` or ``"owen"`` every point is uniform;
-        these are short for the randomization of the same name.
+        ``"permute"`` and ``"owen"`` apply the randomization of this name and make points uniform.
 
     References
     ----------
@@ -159,8 +158,8 @@ class Hammersley(RadicalInverses):
 
     Notes
     -----
-    For n = 2^m the first coordinates i/n are scrambled in base 2. For other n they have
-    no distinct binary digits, and a randomization by permute or owen raises an error.
+    For n = 2^m the first coordinates i/n are scrambled in base 2.
+    For other n they have no distinct binary digits, and permute and owen raise an error.
     The parameter `scramble` keeps the order of i/n for such n, and adds a random offset below 1/n.
     This offset is the same for all points (``"permute"``) or different (``"owen"``).
     In both cases each interval [i/n, (i+1)/n) of the first axis contains one point.

@@ -171,9 +171,9 @@ def relax(
 def transport_cost(points: object) -> float:
     """Return the cost of transporting the uniform density to the points, with equal masses.
 
-    The cost is W₂², the smallest mean square distance on the torus over all equal partitions
-    of the unit square. In 1-D it is computed by sorting,
-    in 2-D by the power diagram with equal areas.
+    The unit square is partitioned into equal parts, one for each point. The cost is W₂²,
+    the smallest mean square distance on the torus between points and their parts.
+    In 1-D it is computed by sorting, in 2-D by the power diagram with equal areas.
     A square grid has n · cost = 1/6. The lower bound is the cost of a hexagonal grid:
     n · cost = 0.1604 (5/(18√3)).
 
@@ -186,8 +186,8 @@ def transport_cost(points: object) -> float:
     ------
     DomainError
         If there are more than 2 dims or no points in [0,1).
-        Also if Newton's method takes more than 100 steps, or longer than some seconds,
-        because the points are far from uniform. Random points take 10 steps.
+        Also if the points are so far from uniform that Newton's method takes too long:
+        more than 100 steps, or some seconds. Random points take 10 steps.
 
     References
     ----------
@@ -238,8 +238,8 @@ class GaussianBlueNoise(OptimisedSampler):
     -----
     The paper descends along the gradient. Here the gradient drives limited-memory BFGS,
     which needs fewer steps. In up to 3 dims, pairs are cut off at 6 σ, and work grows like n.
-    In more dims, all images count, through the Fourier series of the Gaussian on the torus;
-    work then grows like n².
+    In more dims, all images count, through the Fourier series of the Gaussian on the torus.
+    Then work grows like n².
     The start is random and the energy is invariant under translation, so every point is uniform.
 
     References
@@ -304,8 +304,8 @@ def series_energy(sigma: float, points: Array) -> tuple[float, Array]:
 class FarthestPoint(PlaneSampler, OptimisedSampler):
     """Farthest-point optimized points: minimum distance near the densest packing (2-D torus).
 
-    The points start at random. Each point in turn is moved to the center of the largest empty disk,
-    the place farthest from all others. The minimum distance never decreases.
+    The points start at random. Each point in turn is moved to the place farthest from all others,
+    the center of the largest empty disk. The minimum distance never decreases.
     One sweep over n points takes O(n²) with a small constant: 1024 points and 30 sweeps take 2 s.
 
     Attributes

@@ -1,7 +1,7 @@
 """Randomizations of digits: they preserve elementary intervals, and strata with suitable sides.
 
-The sides of these strata are powers of the base. All randomizations act in the base of
-the sampler's digits, which is 2, or for instance the primes of halton or the base of faure.
+The sides of these strata are powers of the base. Each sampler has a base for its digits:
+usually 2, but for instance primes for halton. All randomizations act in this base.
 """
 
 from __future__ import annotations
@@ -218,8 +218,9 @@ class Owen(_OfDigits):
     ----------
     method
         ``"nested"``: all permutations are independent, up to a 64-bit hash of the higher digits.
-        ``"hash"``, in base 2 only, is about six times as fast. A few multiplications scramble
-        all bits. In each, lower bits of the reversed word change only higher bits.
+        ``"hash"``, in base 2 only, is about six times as fast.
+        A few multiplications scramble all bits of the reversed word.
+        In each multiplication, lower bits change only higher bits.
         Points are exactly uniform and nets stay nets. Variances depend on pairs of points.
         For pairs, the flips below the first different digit pass tests of independence.
         The joint flips of many points fail these tests.
@@ -284,8 +285,8 @@ class Lms(_OfDigits):
     Attributes
     ----------
     shift
-        Whether a digital shift follows. Without the shift the origin does not move,
-        and points are not uniform.
+        Whether a digital shift follows.
+        Without the shift points are not uniform, because the origin does not move.
     base
         Same as for digital-shift.
 

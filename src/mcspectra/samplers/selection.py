@@ -122,8 +122,8 @@ class Skip(Randomization):
     -----
     The sampler must be a sequence (sobol, halton, kronecker, random, …) or points from outside.
     Other sets are refused, because without their first points they cover only a part of the domain.
-    If only the origin is omitted, the balance of a net is lost. A run of b^m points
-    of a sequence in base b has this balance only if `count` is a multiple of b^m.
+    If only the origin is omitted, the balance of a net is lost. In base b,
+    a run of b^m points has this balance only if `count` is a multiple of b^m.
     Skipped points are computed and discarded.
 
     References

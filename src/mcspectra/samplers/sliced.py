@@ -35,8 +35,8 @@ class SlicedOptimalTransport(OptimisedSampler):
 
     Notes
     -----
-    The points are sorted by θ·x on every direction θ. The k-th point moves toward the quantile
-    (k − ½)/n of the projected cube.
+    For every direction θ, the points are sorted by θ·x.
+    The k-th point moves toward the quantile (k − ½)/n of the projected cube.
     The paper uses a ball as target, and maps the ball to the cube.
     Here the target is the cube: its projection is a sum of d uniform numbers of widths |θ_j|.
     Points near the faces and corners of the cube are not quite uniform, so means are not exact.

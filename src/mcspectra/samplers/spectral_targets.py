@@ -266,9 +266,9 @@ class RingLoss:
 
     Ring r holds the frequencies with |m| within ½ of r.
     The loss is Σ (mean power − target)² over rings.
-    The target is averaged over the same frequencies. Rings have equal weights,
-    because the lowest rings matter most. With weights by number of frequencies,
-    they would miss their target by ten times as much.
+    The target is averaged over the same frequencies.
+    Rings have equal weights, because the lowest rings matter most.
+    Weights by number of frequencies would make these miss their target by ten times as much.
 
     Parameters
     ----------

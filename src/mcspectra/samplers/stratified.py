@@ -352,7 +352,7 @@ class AntitheticJittered(Sampler):
 
 @kernel
 def _fill_antithetic(keys: Array, corners: Array, side: float, out: Array) -> None:
-    # Fill out (R, cells, 2, d) with pairs, given corners (cells, d) and `side` from `cell_side`.
+    # Fill out (R, cells, 2, d) with pairs of points, given the corners (cells, d) of the cells.
     count, cells, _, dims = out.shape
     for r in range(count):
         for i in range(cells):
@@ -517,8 +517,8 @@ class Hexagonal(PlaneSampler, FixedSet):
     The points form 2b rows of a points; every other row is moved by half a step.
     The set is deterministic.
     On a square torus no such array is exactly regular, because that needs b = a/√3.
-    The chosen b differs from a/√3 by at most ½. The ratio of the two distances between neighbors
-    is 1.41, 1.12, 1.11, 1.12, 1.03 and 1.12 at the first six counts.
+    The chosen b differs from a/√3 by at most ½. There are two distances between neighbors.
+    Their ratio is 1.41, 1.12, 1.11, 1.12, 1.03 and 1.12 at the first six counts.
     The ratio is at most 1.06 for n ≥ 56 and 1.02 for n ≥ 780.
 
     References

@@ -1,7 +1,8 @@
 """Numba kernels of spectra at listed frequencies; arguments are not checked.
 
-Indices: point k, axis j, frequency f, factor u. Only the nonzero axes of a frequency are stored,
-in compressed rows: start (F+1,) holds the first entry of each frequency.
+Indices: point k, axis j, frequency f, factor u.
+Only the nonzero axes of a frequency are stored, in compressed rows.
+The array start (F+1,) holds the first entry of each frequency.
 Points are stored axis by axis, (d, n), because inner loops then access neighbors in memory.
 Loops process blocks of points that fit into the first-level cache.
 """

@@ -14,8 +14,8 @@ The transform of a grid of s points is A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/
   over the points ξ of one motif, in units of cells.
   The mean is ⟨S_ν⟩ = A(ν) ⟨M(ν/s)⟩, and the covariance is
   C_ml = (1/N) A(m − l) [⟨M(m/s) conj M(l/s)⟩ − ⟨M(m/s)⟩ conj⟨M(l/s)⟩].
-  Random points are n motifs in one cell. The sampler antithetic-jittered has two points
-  in each cell; jittered, box-jitter and gaussian-jitter have one point in each cell.
+  Random points are n motifs in one cell. Motifs of jittered, box-jitter and gaussian-jitter
+  are single points; motifs of antithetic-jittered are pairs of points.
 * Sets that are the same every time, and grids with a common offset: S_ν itself is known.
 * Sets with a known law of pairs: C_ml + ⟨S_m⟩ conj⟨S_l⟩ is (1/n²) times the sum of
   ⟨exp(−2πi (m·x − l·y))⟩ over all ordered pairs of points x, y.
@@ -508,9 +508,10 @@ def _levels(x: Array, base: int) -> int:
 def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, other: Array) -> Array:
     """Return (1/n²) Σ over pairs of different points if each digit is changed at random.
 
-    With `shifted` a random digit is added at each place, and the images of two digits depend
-    only on their difference. Otherwise the digits of each place are permuted at random,
-    and the images of two digits depend only on whether they are equal.
+    With `shifted` a random digit is added at each place.
+    The images of two digits then depend only on their difference.
+    Otherwise the digits of each place are permuted at random.
+    The images of two digits then depend only on whether the digits are equal.
     Places are independent, so each place contributes a factor.
     All digits below these places are shifted by one uniform number.
     If the digits form a group, the pairs that contain one given point represent all pairs.

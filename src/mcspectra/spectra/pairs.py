@@ -71,8 +71,8 @@ def pair_correlation(
     xarray.Dataset
         ``pair_correlation`` and its standard error ``pair_correlation_se`` on dim r (bin centers).
         ``pair_correlation_ci`` is the 95 % interval by Student's t of the logarithm.
-        This interval is 0 to 0 for bins without pairs. If the sampler has fewer sets
-        than realizations, standard errors and t are based on the number of sets.
+        This interval is 0 to 0 for bins without pairs. The number of sets determines
+        standard errors and t if the sampler has fewer sets than realizations.
 
     Notes
     -----

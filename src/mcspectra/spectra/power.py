@@ -98,10 +98,10 @@ def power_spectrum(
     engine
         See `mcspectra.spectra.transforms`.
     eps
-        Relative accuracy of the transforms. The default is single precision, with 1e-5 or 1e-6,
-        if its error is far below the statistical error, else 1e-9.
-        The first two realizations decide: the error must be less than 0.02 standard errors
-        on every ring. The attribute ``transform_error`` is the largest of these errors.
+        Relative accuracy of the transforms. The default is 1e-5 or 1e-6, in single precision,
+        if this error is far below the statistical error; else the default is 1e-9.
+        The first two realizations decide: on every ring, the error must be less than
+        0.02 standard errors. The attribute ``transform_error`` is the largest of these errors.
         The attribute ``eps`` is the accuracy that was used.
     workers
         Number of threads; by default all processors. Results do not depend on it.
@@ -118,10 +118,9 @@ def power_spectrum(
         Errors are computed from the ring means of the realizations,
         since frequencies of one set are not independent.
         ``radial_power_ci`` is the 95 % interval by Student's t of the logarithm,
-        power · exp(±t se/power). The attribute ``student_t`` is this t,
-        for realizations − 1 degrees of freedom. It applies to ``power_se`` as well.
-        If the sampler has fewer sets than realizations,
-        errors and t are based on the number of sets.
+        power · exp(±t se/power). The attribute ``student_t`` is this t. It has
+        realizations − 1 degrees of freedom, and applies to ``power_se`` as well.
+        The number of sets determines errors and t if the sampler has fewer sets than realizations.
 
         In two dims also ``wedge_power``, its standard error and its interval, see `wedge_means`.
         With `mean` also the complex ``mean_coefficient`` and its standard error, on m0, m1, …
@@ -129,18 +128,18 @@ def power_spectrum(
     Raises
     ------
     ParameterError
-        If a value is out of range, if dims disagree, if the grid is too large,
-        or if a set has more than 2^26 coordinates.
+        If a value is out of range, dims disagree, or the grid is too large.
+        Also if a set has more than 2^26 coordinates.
     ConfigError
         If more memory is needed than is available.
 
     Notes
     -----
-    Power is ⟨|S_m|²⟩, as in the slides. For the convention of UTK (1 for random points),
-    multiply it by n.
+    Power is ⟨|S_m|²⟩, as in the slides.
+    Multiply power by n for the convention of UTK, where the power of random points is 1.
     The cost is O(n log^d(1/eps) + M log M) for a pair of realizations with M frequencies.
-    Memory does not depend on the number of realizations. A thread takes at most 100 M bytes,
-    and its points (and phases, in the direct engine) take up to 64 MB,
+    Memory does not depend on the number of realizations. A thread takes at most 100 M bytes.
+    Points (and phases, in the direct engine) take up to 64 MB more per thread,
     or 100 n d bytes if two sets are larger than that.
 
     Examples

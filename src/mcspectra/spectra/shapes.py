@@ -128,9 +128,10 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        On dim radius, rings of one frequency step; values are NaN for rings with one direction
-        or without power. The standard error ``radial_power_se`` of the mean ``radial_power``
-        is taken from the spectrum or, if missing there, computed for uncorrelated frequencies.
+        Values are on dim radius, for rings of one frequency step.
+        They are NaN for rings with one direction or without power.
+        ``radial_power`` is the mean, and ``radial_power_se`` its standard error.
+        The spectrum supplies this error; if it does not, frequencies count as uncorrelated.
         ``anisotropy`` is the variance over direction, divided by the mean² [Ulichney1988]_.
         ``anisotropy_db`` is 10 log10 of the anisotropy.
         ``anisotropy_noise_db`` is the same value for noise alone in an isotropic spectrum.
@@ -229,8 +230,8 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
     xarray.Dataset
         ``wedge_power`` and its standard error ``wedge_power_se`` on dim angle:
         degrees at the centers of the wedges. Values are NaN for wedges without frequencies.
-        If the number of wedges is not the spectrum's, errors treat frequencies as uncorrelated
-        for uniform points, and are NaN with a density.
+        For another number of wedges than the spectrum's, errors with a density are NaN.
+        Errors for uniform points then treat frequencies as uncorrelated.
     """
     half = _HalfSpectrum.of(spectrum)
     wedges = as_integer("wedges", wedges, least=1, most=MAX_WEDGES)
@@ -262,14 +263,14 @@ def low_frequency_exponent(
     ----------
     spectrum
         Result of `power_spectrum` with at least two realizations.
-        Between the integers ⟨S_ν⟩ is not 0. Then ``mean=True`` is needed,
-        and the fit is to ⟨|S_ν|²⟩ − |⟨S_ν⟩|².
+        Between the integers ⟨S_ν⟩ is not 0. The fit is then to ⟨|S_ν|²⟩ − |⟨S_ν⟩|²,
+        which needs ``mean=True``.
     up_to
         Largest |ν| of the fit. The default is a quarter of the points' mean frequency n^(1/d),
         but it includes at least three lengths and is at most the half width.
     axis
-        Axis along which to fit. The default is a fit over all directions or, if directions differ,
-        over the directions with the largest power at the lowest frequency.
+        Axis along which to fit. The default is a fit over all directions. If directions differ,
+        the default is the directions with the largest power at the lowest frequency.
 
     Returns
     -------
@@ -293,8 +294,8 @@ def low_frequency_exponent(
     The method is weighted least squares of log power on log |ν|.
     All frequencies of one length (and class of directions) are averaged.
     With k classes, the interval of each class has the level 1 − 0.05/k.
-    The exponent depends on the window: for 1 − sinc² of jittered points, b is 2 at 0,
-    and 1.8 at n^(1/d)/4.
+    The exponent depends on the window.
+    For 1 − sinc² of jittered points, b is 2 at 0 and 1.8 at n^(1/d)/4.
 
     Examples
     --------
@@ -472,8 +473,7 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
     float
         The variance, for randomly shifted sets at *integer* frequencies (``frequency_step=1``).
         It is exact up to the truncation of the grid. Between the integers ⟨S_ν⟩ is not 0.
-        The sum then includes the bias of a finite window, and does not fall below this bias
-        for any n [Singh2019]_.
+        The sum then includes the bias of a finite window, and never falls below it [Singh2019]_.
 
     Raises
     ------
