@@ -5,8 +5,8 @@ Each cell starts as the square bounded by the bisectors between a point and its 
 The bisectors with nearby points then cut the cell.
 Removing or inserting a point changes only the adjacent cells.
 
-Notation for farthest points: n points in 2 dims; buckets as in `_spacing_kernels`;
-cells as for power diagrams. Each row of the array holes (n, 4) describes a cell.
+Notation for farthest points: n points in 2 dims. Buckets are as in `_spacing_kernels`,
+and cells as for power diagrams. Each row of the array holes (n, 4) describes a cell.
 The row holds the coordinates of the corner farthest from the cell's point,
 the squared distance of this corner, and the squared distance of the nearest neighbor.
 
@@ -17,8 +17,8 @@ The cuts end when the remaining sites are too far away.
 
 Notation for power diagrams: n sites in 2 dims; points (n, 2) in [0,1), weights w (n,).
 The array sites (n, 3) holds points and weights in the order of the grid.
-A cell (K, 4) is a counterclockwise polygon relative to its site. Each row describes a corner:
-its x and y, the distance of the site beyond the edge to the next corner,
+A cell (K, 4) is a counterclockwise polygon relative to its site. Each row describes a corner.
+The row holds x, y, the distance of the site beyond the edge to the next corner,
 and the number of that site (−1 for an image of the site itself).
 The array `spare` has the same shape and holds the corners before a cut.
 
@@ -359,7 +359,7 @@ def _solve(diagram: Diagram, rest: Array) -> tuple[Array, int]:
             break
         work += _PRODUCTS * (n + diagram.couplings.size)
 
-        # image = L direction
+        # The image is L times the direction
         product = 0.0
         for i in range(n):
             total = 0.0
@@ -400,7 +400,7 @@ def balance(
     """Return weights whose cells have areas `masses`, and their power diagram.
 
     Newton steps start at `weights`, or at 0 if `weights` leave a cell empty.
-    They end after `steps` steps, or when all areas are right within `tolerance` times their mass.
+    They end after the given number of steps, or when all areas are right within the tolerance.
     They also end when the areas no longer improve, or when the work exceeds `most_work`.
     This work includes the linear solver; `Diagram` defines the unit.
     No step is taken if some sites are so close that a cell is empty with equal weights.

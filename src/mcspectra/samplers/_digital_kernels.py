@@ -46,7 +46,7 @@ def direction_numbers(polynomials: Array, initial: Array, out: Array) -> None:
 
 @kernel
 def double_words(columns: Array, words: Array) -> None:
-    """Write the points 0, 1, … of a binary net as words (n,); each index bit doubles them."""
+    """Write points 0, 1, … of a binary net as words (n,); each index bit doubles their number."""
     k, size = 0, 1
     while size < words.size:
         new = words[size : 2 * size]
@@ -70,8 +70,8 @@ def fill_binary(directions: Array, out: Array) -> None:
 def fill_base(columns: Array, base: int, out: Array) -> None:
     """Fill `out` with points 0 … n − 1 of a digital net; columns int64 (d, m, rows).
 
-    The kernel counts like an odometer. When a digit of the index increases by one, its column
-    is added. The return from base − 1 to 0 also is an increase by one modulo the base.
+    The kernel counts like an odometer. A column is added whenever its digit increases by one.
+    A return from base − 1 to 0 also counts, because it is an increase by one modulo the base.
     The largest number, base^rows, is at most 2^53.
     """
     n, dims = out.shape
@@ -107,7 +107,7 @@ def leading_digits(x: Array, base: int, places: int) -> Array:
 
 @kernel
 def _next_parts(parts: Array) -> bool:
-    # Advance to the next composition, in place; False after the last, (0, …, 0, level).
+    # Advance to the next composition in place; return False after the last, (0, …, 0, level).
     h = 0
     while parts[h] == 0:
         h += 1

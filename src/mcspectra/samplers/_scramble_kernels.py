@@ -114,7 +114,7 @@ def _flip_two_levels(
 def _nest(
     k0: np.uint64, k1: np.uint64, dim: int, dims: int, start: int, w: Array, out: Array
 ) -> None:
-    # Write the nested uniform scramble of points start, start + 1, …, 32-bit words w, to out.
+    # Apply nested scrambling to the 32-bit words w of points start, start + 1, …; result in out.
     # The flip of a bit depends on all higher bits. One 64-bit hash holds the flips of six levels.
     words = w.copy()
     root: Any = (np.uint64(dim) << _S32) | _ONE
@@ -160,7 +160,7 @@ def _hashed(word: Any, add: Any, factor: Any, add_2: Any, factor_2: Any) -> Any:
 
 @kernel
 def _hash_keys(k0: np.uint64, k1: np.uint64, out: Array) -> None:
-    # out uint32 (d, 4)
+    # Fill out uint32 (d, 4) with two summands and two odd factors for each coordinate
     for j in range(out.shape[0]):
         for part in range(2):
             bits = mix_bits(k0, k1, 2 * j + part)
@@ -448,8 +448,8 @@ def fill_nested(keys: Array, bases: Array, out: Array) -> None:
 def _image(k0: np.uint64, k1: np.uint64, node: Any, digit: int, base: int) -> int:
     # Return the image of a digit under the random permutation of a node.
     # The digit is followed through the swaps of Fisher and Yates.
-    # A number below c is the upper word of c times 64 random bits.
-    # The lower word serves for the next number, until a factor of 2^32 is used up.
+    # A random number below c is the upper word of the product of c and 64 random bits.
+    # The lower word gives the next number, until the product of all c exceeds 2^32.
     position, used, drawn = digit, 1, 0
     bits = mix_bits(k0, k1, node)
     for t in range(base - 1):

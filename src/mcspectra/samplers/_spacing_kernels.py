@@ -1,16 +1,16 @@
 """Numba kernels of samplers that keep points apart; arguments are not checked.
 
-There are three groups of kernels. Dart throwing uses a grid whose cells contain at most one point
-(see `samplers.poisson` for the method).
+There are three groups of kernels.
+Dart throwing uses a grid whose cells contain at most one point; see `samplers.poisson`.
 Buckets are cells over the first axes of the domain, each with a chain of its points.
 They give distances from arbitrary places to points.
 Selection by such distances yields darts, best candidates and largest empty disks.
 
 Notation: R realizations, n points, d dims; ``out`` float64 (R, n, d), ``keys`` uint64 (R, 2).
-The index of the next random number of a realization is `at`.
-With `wrap`, distances are on the torus.
+The argument at is the index of the next random number of a realization.
+If wrap is true, distances are on the torus.
 Buckets are a tuple (side, axes, head, chain).
-There are `side` cells along each of the first `axes` axes.
+Here side is the number of cells along an axis, and axes the number of axes that are divided.
 The array head (cells,) holds the last point put into each cell.
 The array chain (n,) holds the point put in before each point, or −1 at the end.
 """
@@ -64,7 +64,7 @@ def add_to_buckets(i: int, x: Array, buckets: Any) -> None:
 
 @kernel
 def _shell_cell(x: Array, code: int, ring: int, buckets: Any, wrap: bool) -> int:
-    # Return cell number `code` of the cube of cells within `ring` of x.
+    # Return one cell, given by its number (code), of the cube of cells around x.
     # Return −1 for cells outside the domain, and for cells inside the shell, visited before.
     side, axes = buckets[0], buckets[1]
     cell, reach = 0, 0
@@ -165,7 +165,7 @@ def throw_set(disks: Any, k0: Any, k1: Any, at: int, points: Array) -> tuple[int
     """Throw darts until `points` (n, d) are placed, or no further point fits.
 
     Return the number of points and the index of the next random number.
-    The tuple `disks` is described in `poisson`.
+    See `poisson.Disks` for the data of the disks.
     """
     radius, side, reach, near, wrap, throws = disks
     n, dims = points.shape
@@ -226,7 +226,7 @@ def throw_darts(
 ) -> tuple[int, int]:
     """Throw darts until n are accepted or `trials` darts in a row are rejected.
 
-    A dart is accepted at squared distances ≥ `limit`, and written to `points` (n, d).
+    Accepted darts have squared distances ≥ `limit`, and are written to points (n, d).
     Return the number of points and the index of the next random number.
     """
     n, dims = points.shape
@@ -265,7 +265,7 @@ def _lower_ceilings(x: Array, side: int, ceilings: Array) -> None:
 
 @kernel
 def _grids(points: Array, placed: int, room: int) -> Any:
-    # Make buckets for `room` points, about one per bucket when full; add the first `placed` points.
+    # Make buckets, with about one point per bucket when full; add the points that are placed.
     # Also make ceilings, which are bounds for much smaller cells.
     # In many dims there is a single ceiling, without effect.
     dims = points.shape[1]
@@ -322,7 +322,7 @@ def _push(heap: Array, size: int, row: Array) -> None:
 
 @kernel
 def _pop(heap: Array, size: int, row: Array) -> None:
-    # Move the top of the heap of `size` rows to `row`.
+    # Remove the top row of the heap, and copy it to `row`.
     row[:] = heap[0]
     last = heap[size - 1]
     i, child = 0, 1
@@ -345,7 +345,7 @@ def _set_bound(box: Array, points: Array, buckets: Any, wrap: bool) -> None:
 
 @kernel
 def fill_holes(points: Array, placed: int, wrap: bool) -> None:
-    """Place the points (n, d) after the first `placed`, each as far as possible from all others.
+    """Place all points (n, d) but the first `placed`, each as far as possible from all others.
 
     The method is branch and bound, on the torus or in the cube.
     No place in a box is farther from all points than the box's center plus half the diagonal.

@@ -1,8 +1,8 @@
 """The interface of samplers and randomizations.
 
-A `Sampler` draws realizations of a point set.
-A `Randomization` changes the points of another sampler;
-``sampler.then(randomization)`` chains them.
+A sampler draws realizations of a point set.
+A randomization changes the points of another sampler;
+the method `then` of the sampler chains both.
 Subclasses implement the drawing of points and declare their properties.
 The base classes handle checks, seeds and shapes.
 """
@@ -74,7 +74,7 @@ class Sampler(Component, ABC):
     fixed
         Whether all realizations are the same set.
     structure
-        The `Structure` that randomizations of this sampler must preserve.
+        The structure that randomizations of this sampler must preserve.
     sequence
         Whether the first k of n points equal the set of k points, and each such prefix is good.
     antithetic
@@ -343,7 +343,7 @@ class Randomization(Component, ABC):
     independent: ClassVar[bool] = True
     """Whether the randomizations of different realizations are independent."""
     fits: ClassVar[Mapping[Structure, Structure]] = {s: s for s in Structure}
-    """Structure that remains, for each allowed structure; other samplers are refused."""
+    """Map from each allowed structure to the structure that remains; others are refused."""
 
     @abstractmethod
     def apply(self, points: Array, stream: Stream, first: int) -> Array:

@@ -254,7 +254,7 @@ def _rank_all(grid: Any, order: Array) -> None:
 @kernel
 def _jitter_cells(k0: np.uint64, k1: np.uint64, cells: Array, side: int, out: Array) -> None:
     # Fill out (n, 2) with uniform points in cells (n,), moved together by random whole cells.
-    number = side * side  # the first pattern used the lower indices
+    number = side * side  # lower numbers were used for the first pattern
     down, across = _mix_below(k0, k1, number, side), _mix_below(k0, k1, number + 1, side)
     for p in range(cells.size):
         number += 2

@@ -52,7 +52,7 @@ class ScipySampler(OneByOne):
     dims
         Number of dims, the engine's ``d``.
     scramble
-        The engine's argument `scramble`; with None the engine uses its default.
+        The engine's option for scrambling; with None the engine uses its default.
     options
         Further arguments of the engine, such as ``{'strength': 2}``.
 
@@ -246,7 +246,7 @@ def _arguments_of(engine: Any) -> dict[str, Any]:
 class QmcpySampler(OneByOne):
     """A generator of QMCPy, created for each realization with its own seed.
 
-    The limits ``d_limit`` and ``n_limit`` of the generator limit dims and counts.
+    The generator's attributes ``d_limit`` and ``n_limit`` limit dims and counts.
     Counts are powers of two if the order of the generator is the radical inverse.
     Other errors of a generator occur when points are drawn.
 

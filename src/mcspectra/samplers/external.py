@@ -130,7 +130,7 @@ class GivenPoints(Sampler):
         The wildcards ``*`` and ``?`` match any characters of a file name.
         The placeholder ``{n}``, as in ``sets/n{n}_*.dat``, matches the number of points,
         and the number in the name is then checked.
-        If `points` are given, `path` is only a name for them.
+        If points are given, the path is only a name for them.
     points
         The sets, shape (R, n, d) or (n, d), in [0,1). They are copied and read-only.
         If the sets have several counts, `points` has the sets with the fewest points.
@@ -144,7 +144,7 @@ class GivenPoints(Sampler):
     sets
         All sets by number of points, (R, n, d) each.
         Digital nets in base 2, 3 or 5 are recognized, and so are lattices.
-        Predictions and randomizations of digits use this.
+        Predictions and randomizations of digits use this structure.
     digest
         First 12 digits of the SHA-256 of shapes and coordinates.
 
@@ -154,7 +154,7 @@ class GivenPoints(Sampler):
         If a file is not a point set, or if no file matches a pattern.
         Also if the n of a file differs from the n in its name.
     ParameterError
-        If neither `path` nor `points` is given, or sets have different dims.
+        If neither a path nor points are given, or sets have different dims.
     DomainError
         If points lie outside [0,1) or are not finite, or there are no points.
     """
@@ -687,7 +687,7 @@ def loaded_function(name: object) -> Callable[..., Any]:
         found = getattr(importlib.import_module(module), attribute)
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # external code may raise anything
+    except BaseException as error:  # external code may raise any exception
         hint = "; name its folder in PYTHONPATH" if isinstance(error, ModuleNotFoundError) else ""
         raise ParameterError(
             f"The function {name!r} cannot be imported: {reason_of(error, 200)}{hint}."

@@ -144,7 +144,7 @@ def _gains(sides: tuple[int, ...], beta: float) -> Array:
 
 @kernel
 def fill_normals(keys: Array, start: int, out: Array) -> None:
-    """Fill out (R, size) with independent standard normal numbers; random numbers from `start`."""
+    """Fill out (R, size) with standard normals, made from the random numbers after `start`."""
     for r in range(out.shape[0]):
         k0, k1 = keys[r, 0], keys[r, 1]
         for i in range(0, out.shape[1], 2):
@@ -196,7 +196,7 @@ class StealthyHyperuniform(OptimisedSampler):
             )
 
     def constrained(self, n: int) -> Array:
-        """Return the constrained frequencies for `n` points: int64 (K, dims), one per ±m."""
+        """Return the constrained frequencies of `n` points, one per pair ±m: int64 (K, dims)."""
         most = int(self.stealthiness * self.dims * (self.check_count(n) - 1))
         return half_shells(most, self.dims)
 
@@ -343,7 +343,7 @@ class Determinantal(Sampler):
 
 @kernel
 def _add_block(re: Array, im: Array, vr: Array, vi: Array, cr: Array, ci: Array) -> float:
-    # Compute the coefficients of a feature vector for one block of the basis; return Σ |…|².
+    # Compute coefficients of a feature vector in one block of the basis, and their sum of squares.
     cr[:] = 0.0
     ci[:] = 0.0
     for k in range(re.size):

@@ -400,8 +400,8 @@ class Fixed(Law):
         Number of grid cells along each axis, and position of the point in its cell.
         The unit is a cell. None for sets that are not grids.
     even
-        Whether the evenness of the set depends only on differences of points on the torus,
-        as for lattices and Kronecker points. Translations then preserve the evenness.
+        Whether the evenness of the set depends only on differences of points on the torus.
+        Examples are lattices and Kronecker points. Translations preserve their evenness.
     digital
         Whether the digits of the points form a group under addition without carry.
         If so, each point has the same relation to all other points.
@@ -512,8 +512,9 @@ class Choice(Law):
 class GroupedAxes(Law):
     """Independent sets in groups of axes, whose points are paired in random orders.
 
-    Point i of the whole set combines the points π_g(i) of the sets of all groups g,
-    with independent random permutations π_g. A Latin hypercube is made of strata of single axes.
+    Point i of the whole set combines the points π_g(i) of the sets of all groups g.
+    The permutations π_g are random and independent.
+    A Latin hypercube is made of strata of single axes.
 
     Attributes
     ----------

@@ -1,7 +1,7 @@
 """Digital nets: Sobol', Niederreiter, Larcher and Pillichshammer, Faure, and given matrices.
 
-Coordinate j has a generator matrix C_j in base b. The digits of point i on this axis are
-C_j·(digits of i, lowest first) modulo b: entry r of the product is digit r.
+Coordinate j has a generator matrix C_j in base b.
+The digits of coordinate j of point i are C_j times the digits of i (lowest first), modulo b.
 """
 
 from __future__ import annotations

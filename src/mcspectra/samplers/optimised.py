@@ -1,6 +1,6 @@
 """Base of samplers with optimized sets: a cache, progress reports, reuse of sets, and descent.
 
-`minimize` is limited-memory BFGS with reproducible bits [Nocedal1980]_.
+The function `minimize` is limited-memory BFGS with reproducible bits [Nocedal1980]_.
 Linear algebra libraries may sum in another order on other numbers of threads or processors.
 Here every sum is NumPy's own, so a set depends only on its random numbers (docs/decisions/0015).
 """
@@ -126,7 +126,7 @@ def _source(cls: type) -> str:
 
 
 def _exact(value: object) -> object:
-    """Return a value whose `repr` is complete; the `repr` of a long array omits numbers."""
+    """Return a value whose text is complete; the text of a long array omits numbers."""
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 

@@ -17,8 +17,8 @@ The set is maximal when no cell remains.
 For "maximal" sets, increasing radii are tried, until the darts jam with at most n points.
 The missing points, a few percent, are placed one by one at the center of the largest empty disk.
 The radius of this disk is the largest minimum distance at which one more point fits
-[Schloemer2011]_. At the end no further disk fits, because no place is farther away:
-the last point was put at the place farthest from all others.
+[Schloemer2011]_. At the end no further disk fits,
+because the last point was put at the place farthest from all others.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class PoissonDisk(Sampler):
     boundary
         ``"toroidal"``: distances are on the torus. ``"bounded"``: distances are in the cube.
         In the cube disks extend beyond the domain, and points near the boundary are more likely.
-        Therefore `unbiased` is False.
+        Points are then not uniform.
     mode
         ``"exact"``: the minimum distance is the same for all sets, see `radius`.
         ``"maximal"``: no further disk fits into a set, and each set has its own minimum distance.

@@ -66,7 +66,7 @@ class PMJ(_PlaneSequence):
     Any count. The first 2^k points have one point in each interval of width 2^-k along either axis.
     If 2^k is a square 4^j, there is also one point in each of 2^j × 2^j cells.
     If 2^k is 2·4^j, there are two diagonal points in each of these cells.
-    Other counts cause a `NotPowerOfTwoWarning`.
+    Other counts cause a warning (`NotPowerOfTwoWarning`).
 
     Notes
     -----
@@ -97,7 +97,7 @@ class PMJ02(_PlaneSequence):
     """Progressive multi-jittered (0,2)-sequence (2-D).
 
     Any count. The first 2^k points have one point in each elementary interval of area 2^-k.
-    Other counts cause a `NotPowerOfTwoWarning`.
+    Other counts cause a warning (`NotPowerOfTwoWarning`).
 
     Notes
     -----
@@ -140,7 +140,7 @@ class PMJ02BlueNoise(_PlaneSequence):
     In the whole set, the nearest two points are two to three times as far apart as in pmj02.
     The first points of a set are also a (0,2)-sequence, but spread no better than in pmj02.
     The mean is unbiased up to the width of the intervals, because each interval has one point.
-    A single point is not uniform: over sixteenths of an axis its density varies by up to a tenth.
+    A single point is not uniform: its density over sixteenths of an axis varies by up to a tenth.
 
     The papers choose the best of some candidates for each point in turn.
     At that time, however, the choices are only as wide as the intervals.
@@ -184,7 +184,7 @@ def pairings() -> Array:
 
 @kernel
 def _complete(k0: np.uint64, k1: np.uint64, number: int, high: Any, level: int) -> Any:
-    # Return the bits of the word `high` down to bit `level`, followed by random bits.
+    # Keep the bits of a word down to bit `level`, and replace the lower bits by random bits.
     low = (_ONE << np.uint64(52 - level)) - _ONE
     return (high & ~low) | ((mix_bits(k0, k1, number) >> _S11) & low)
 
@@ -239,7 +239,7 @@ def _fill_pmj(keys: Array, out: Array) -> None:
                     coin = np.int64(bits & _ONE) ^ (i >= cells)
                     to[0, i], to[1, i] = column ^ coin, row ^ coin ^ 1
 
-            # Assign the free intervals of these columns and rows
+            # Assign the free intervals of these columns and rows to the points
             free, starts = np.empty(size, np.int64), np.empty(columns + 1, np.int64)
             for j in range(2):
                 k = k0 ^ mix_bits(k0, k1, _SHUFFLES + j)
@@ -331,7 +331,7 @@ def _fill_pmj02(keys: Array, xors: Array, sweeps: int, out: Array) -> None:
                 own[j, level] = np.int64(xors[j, level] ^ ((xors[j, level] >> _ONE) & coins))
 
         for level in range(passes):
-            # Each point goes to the other half of the interval, of width 2^-level, of its partner
+            # Each point goes to the free half of its partner's interval, which has width 2^-level
             size, half = 2 << level, _ONE << np.uint64(52 - level)
             for i in range(size >> 1, min(size, room)):
                 for j in range(2):

@@ -53,11 +53,11 @@ class RadicalInverses(FixedSet):
         return int(self.scramble != "none")
 
     def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        """Draw the nested-scrambled points from the top of their trees: (count, n, dims)."""
+        """Draw points with nested scrambling, from the top of their trees: (count, n, dims)."""
         return _nested(self.digit_bases, n, stream.keys(first, count))
 
     def as_chain(self, n: int) -> Sampler:  # noqa: ARG002
-        """Return the chain that ``scramble=`` abbreviates."""
+        """Return the chain of steps for which the parameter `scramble` is short."""
         if self.scramble == "none":
             return self
         plain: Sampler = replace(self, scramble="none")  # type: ignore[type-var]
@@ -191,7 +191,7 @@ class Hammersley(RadicalInverses):
         return out
 
     def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        """Draw the nested-scrambled points; with n = 2^m, i/n inverts the bit-reversed index."""
+        """Draw points with nested scrambling; i/n is the radical inverse of the reversed index."""
         reversed_ = (_inverses((2,), 0, n)[:, 0] * n).astype(np.int64)
         nths = _nested((2,), n, stream.child(0).keys(first, count))[:, reversed_]
         rest = _nested(self.digit_bases[1:], n, stream.keys(first, count))

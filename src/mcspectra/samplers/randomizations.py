@@ -134,7 +134,7 @@ class RandomRotation(Randomization):
     ----------
     boundary
         ``"toroidal"``: one of the d!·2^d symmetries of the cube, which permute and reflect axes.
-        The torus has no other rotations. They preserve distances on the torus,
+        The torus has no other rotations. These symmetries preserve distances on the torus,
         strata of equal sides, and elementary intervals (with permuted shapes).
         ``"clipped"`` (2-D): the periodically repeated points are rotated by a uniform angle,
         and clipped to a square window at a random place.
@@ -143,8 +143,8 @@ class RandomRotation(Randomization):
 
     Notes
     -----
-    If a unit square is rotated by another angle and wrapped, it covers a part of the torus twice
-    and another part not at all. The window avoids this.
+    If a unit square is rotated by another angle and wrapped, it covers parts of the torus twice,
+    and leaves other parts empty. The window avoids this.
     Inside the window, distances are preserved up to a scale of 1 + O(n^-1/2) for random points.
     Distances across the window's border are not preserved.
     The translation moves this border to a random place, and makes every point exactly uniform.
@@ -277,7 +277,7 @@ class Mirror(Randomization):
     This function is continuous across all faces and has period 2.
     A sample x can be placed at k + x for one random image k, or for all images.
     Alternatively, the whole set can be stretched over [0,2)^d.
-    The result contains the arguments of f for each sample.
+    The randomized points are the arguments at which f is evaluated.
 
     Uniform samples remain exactly uniform. Each half-open cell of a grid maps to the opposite cell.
 
@@ -286,7 +286,7 @@ class Mirror(Randomization):
 
     References
     ----------
-    [Hickernell2002]_ for the baker's transform.
+    See [Hickernell2002]_ for the baker's transform.
     The other modes are our interpretation of mirrored samples.
     The uniform mode is the antithetic variate of [HammersleyMorton1956]_ in each coordinate.
     """

@@ -83,8 +83,8 @@ class Lloyd(_CentroidSampler):
     iterations
         Largest number of moves of all points.
     tolerance
-        The method stops at this root-mean-square distance of points from their centroids,
-        as a multiple of n^(−1/2).
+        Root-mean-square distance of points from their centroids at which the method stops.
+        The unit is n^(−1/2).
     sets
         Largest number of different sets, see `OptimisedSampler`.
 
@@ -119,8 +119,8 @@ class Bnot(_CentroidSampler):
     iterations
         Largest number of moves of all points.
     tolerance
-        The method stops at this root-mean-square distance between points and centroids,
-        as a multiple of n^(−1/2).
+        Root-mean-square distance between points and centroids at which the method stops.
+        The unit is n^(−1/2).
         Smaller values order the points into crystals.
     sets
         Largest number of different sets, see `OptimisedSampler`.
@@ -157,7 +157,7 @@ def relax(
     tolerance: float,
     report: Report,
 ) -> Array:
-    """Move points by the `offsets` until the offsets are small, at most `iterations` times."""
+    """Move points by their offsets until the offsets are small, at most `iterations` times."""
     for i in range(iterations):
         if i % max(1, iterations // _REPORTS) == 0:
             report(i / iterations)

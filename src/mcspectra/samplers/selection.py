@@ -201,7 +201,7 @@ class Skip(Randomization):
 class Shuffle(Randomization):
     """Shuffle: the same points in random order, every order with the same probability.
 
-    Sets in different dims that are combined are then uncorrelated.
+    Shuffled sets can be combined, each for some of the dims, and are uncorrelated.
     The first points are a random subset.
 
     References
@@ -236,7 +236,7 @@ def _picked(
     first: int,
     out: Array,
 ) -> Array:
-    """Fill out (R, n, d) with ``pick(sets, first, out)``, a few sets of `size` points at a time."""
+    """Fill out (R, n, d) with the function `pick`, which gets a few sets at a time."""
     block = max(1, _NUMBERS // (size * sampler.dims))
     for start in range(0, len(out), block):
         part = out[start : start + block]

@@ -40,7 +40,7 @@ class SlicedOptimalTransport(OptimisedSampler):
     The paper uses a ball as target, and maps the ball to the cube.
     Here the target is the cube: its projection is a sum of d uniform numbers of widths |θ_j|.
     Points near the faces and corners of the cube are not quite uniform, so means are not exact.
-    A `shift` makes means exact, and so does a number of `sets`, which are translated.
+    Means are exact after a shift, or if `sets` is a number, because sets are then translated.
 
     References
     ----------
@@ -93,7 +93,7 @@ def projected_quantiles(direction: Array, n: int) -> Array:
     below = np.clip(t / widths[0] + 0.5, 0.0, 1.0)
     for width in widths[1:]:
         if width > _NARROW:
-            # Average `below` over the width around each t; `below` is 1 beyond the table
+            # Average the distribution over the width around each t; it is 1 beyond the table
             strips = np.cumsum((below[1:] + below[:-1]) * ((t[1] - t[0]) / 2))
             primitive = np.concatenate([[0.0], strips])
             upper, lower = t + width / 2, t - width / 2

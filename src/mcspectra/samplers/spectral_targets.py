@@ -206,7 +206,7 @@ def _least_transform(sampler: Any, places: str, values: str) -> tuple[float, flo
     """Convert both fields to tuples of floats; check increasing places and nonnegative values.
 
     Return the smallest value of the transformed target, and its place.
-    The transform is power or pair correlation.
+    Power and pair correlation are transforms of each other.
     """
     x, y = (as_real_array(name, getattr(sampler, name)) for name in (places, values))
     if x.ndim != 1 or x.shape != y.shape or not 0 < x.size <= _MOST_KNOTS:
@@ -228,7 +228,7 @@ def _least_transform(sampler: Any, places: str, values: str) -> tuple[float, flo
 
 @lru_cache(maxsize=8)  # one target serves many small sets
 def _power_of_pcf(distances: tuple[float, ...], pcf: tuple[float, ...]) -> Array:
-    """Return the power along `_LINE` that belongs to a pair correlation."""
+    """Return the power that belongs to a pair correlation, at the frequencies `_LINE`."""
     return np.maximum(hankel(piecewise_linear(distances, pcf), np.array(distances), _LINE), 0.0)
 
 
@@ -245,8 +245,8 @@ def hankel(profile: Profile, places: Array, at: Array) -> Array:
     """Return 1 + 2π ∫ (profile(t) − 1) J0(2π t s) t dt at every s in `at`.
 
     The function converts power to pair correlation and back:
-    each, minus 1, is the Hankel transform of the other, minus 1.
-    `places` are the knots of the profile, including its end.
+    power − 1 and pair correlation − 1 are Hankel transforms of each other.
+    The knots of the profile, including its end, are given as `places`.
     """
     from scipy.special import j0
 
@@ -268,7 +268,7 @@ class RingLoss:
     The loss is Σ (mean power − target)² over rings.
     The target is averaged over the same frequencies.
     Rings have equal weights, because the lowest rings matter most.
-    Weights by number of frequencies would make these miss their target by ten times as much.
+    With weights by number of frequencies, their error would be ten times as large.
 
     Parameters
     ----------

@@ -4,8 +4,8 @@ The unit cube is divided into n cells of equal volume, s per side (n = s^d),
 unless other sides are given.
 Points come in row-major order of their cells, the last coordinate fastest.
 
-Notation of the kernels: R realizations, n points, d dims; ``out`` float64 (R, n, d);
-``keys`` uint64 (R, 2) from `Stream.keys`.
+Notation of the kernels: R realizations, n points, d dims.
+Arrays ``out`` are float64 (R, n, d), and ``keys`` are uint64 (R, 2) from `Stream.keys`.
 Random number i·d + j of a realization belongs to coordinate j of point i.
 The numbers for shuffles come after these.
 """
@@ -143,7 +143,7 @@ class Regular(FixedSet, GridSampler):
     Attributes
     ----------
     position
-        ``"center"`` or ``"corner"`` (next to the origin) of each cell.
+        Position in each cell: ``"center"`` or ``"corner"`` (next to the origin).
     sides
         Number of cells along each axis; by default s on every axis.
 
@@ -359,7 +359,7 @@ def _fill_antithetic(keys: Array, corners: Array, side: float, out: Array) -> No
             for j in range(dims):
                 u = mix_uniform(keys[r, 0], keys[r, 1], i * dims + j)
                 out[r, i, 0, j] = corners[i, j] + side * u
-                # Reflect the number k/2^53 exactly, so that the reflection is as uniform
+                # Reflect the number k/2^53 exactly, so that the reflection is also uniform
                 out[r, i, 1, j] = corners[i, j] + side * (BELOW_ONE - u)
 
 
@@ -429,8 +429,8 @@ class CorrelatedMultiJittered(PlaneSampler):
     For counts n = a·b with a ≤ b ≤ 2a, the sampler takes the most nearly square a × b.
     Each of the a × b cells, and each of n intervals of either axis, contains one point.
 
-    Other counts follow the memo's code: a = ⌊√n⌋ columns and b = ⌈n/a⌉ rows of height a/n,
-    of which the last is incomplete. Each of n intervals of the second axis contains one point.
+    Other counts follow the memo's code: a = ⌊√n⌋ columns and b = ⌈n/a⌉ rows of height a/n.
+    The last row is incomplete. Each of n intervals of the second axis contains one point.
     Each cell, and each of a·b intervals of the first axis, contains at most one.
 
     Digit scrambles need a full rectangle.
@@ -491,7 +491,7 @@ def _fill_correlated(
     # Use one shuffle of the columns and one of the rows, for all points.
     # Point p is in stratum p of n strata of the second axis, and so in row ⌊p / columns⌋.
     # The last row may be incomplete.
-    # `wide` and `high` are the sides of the strata of the two axes.
+    # The strata of the two axes have the sides `wide` and `high`.
     n, slots = out.shape[1], columns * rows
     across, down = np.empty(columns, np.int64), np.empty(rows, np.int64)
     for r in range(out.shape[0]):

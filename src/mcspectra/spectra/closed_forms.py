@@ -110,16 +110,17 @@ def closed_form_power(
     Parameters
     ----------
     sampler, n
-        Sampler (or spec string) and number of points. Supported samplers are random, jittered,
-        regular grids, lattices, Latin hypercubes, orthogonal arrays of strength 2, multi-jittered,
-        jitters around a grid, determinantal sets and nets. Each may be followed by shift.
+        Sampler (or spec string) and number of points. A shift may follow each sampler.
+        Supported samplers are random, regular grids, lattices, Latin hypercubes, nets,
+        orthogonal arrays of strength 2, jittered, multi-jittered, determinantal sets,
+        and jitters around a grid.
     frequencies
         Real frequencies ν, shape (..., d), in cycles per unit. Frequencies must be integers
         if a shift is applied, or if sets are wrapped around the torus.
     density
-        Importance density. Random points allow any density. At integer frequencies, jittered,
-        latin-hypercube and grids, alone or with shift or strata-shift, allow products over the
-        axes.
+        Importance density. Random points allow any density.
+        Jittered, latin-hypercube and grids, alone or with shift or strata-shift,
+        allow products over the axes at integer frequencies.
 
     Returns
     -------
@@ -672,7 +673,7 @@ class _StrataAxis:
     weights: Array
 
     def mean_product(self, of: Callable[[Array], Array], m: Array, other: Array) -> Array:
-        """Return the weighted mean over the starts of `of(m)` times the conjugate `of(other)`*."""
+        """Return the weighted mean, over the starts, of `of(m)` times the conjugate `of(other)`."""
         known, back = np.unique(np.stack([m, other]), return_inverse=True)
         row, column = back.reshape(2, -1)
         if float(self.starts.size) * max(row.size, known.size * self.sides) > _MAX_STRATA_WORK:

@@ -56,7 +56,8 @@ def gain_coefficients(
     Returns
     -------
     xarray.Dataset
-        The variable ``gain`` on dims ``level0``, ``level1``, …; levels are counted from 0.
+        The gains, in a variable ``gain`` with one dim of levels for each axis (``level0``, …).
+        Levels are counted from 0.
         At level 0 on all axes (the mean) the gain is 0.
 
     Raises

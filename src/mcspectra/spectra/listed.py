@@ -9,12 +9,12 @@ On axes and diagonals only ν is listed and −ν is not, since S_{−ν} = conj
 Engines
 -------
 ``direct``
-    Sums of n F phases, computed from the nonzero components of each frequency only.
+    Sums of n times F phases, computed from the nonzero components of each frequency only.
     If frequencies share components, their phases are products of tabulated factors.
     The sums are exact to rounding.
 ``nufft``
     FINUFFT's type 3 [Barnett2019]_ in one to three dims, with a relative l2 error of about `eps`.
-    The cost is O(n + F) with a large constant, plus a grid of the volume that the frequencies span.
+    The cost is O(n + F) with a large constant, plus the cost of a grid over all frequencies.
 ``auto``
     The engine that should be faster according to measured constants.
     In three or more dims this is direct, because type 3 has no advantage there.
@@ -99,8 +99,8 @@ def power_at(
     sampler, n
         Sampler (or spec string, which gets the dims of `frequencies`) and number of points.
     frequencies
-        Real frequencies ν, shape (F, d), in cycles per unit. Lists of slices, planes and subsets
-        are made by `axis_frequencies`, `diagonal_frequencies` and similar functions.
+        Real frequencies ν, shape (F, d), in cycles per unit.
+        Functions such as `axis_frequencies` make lists of slices, planes and subsets.
     density
         Importance density p (or spec string): points are warped and weighted 1/(n p).
     realizations
@@ -116,7 +116,7 @@ def power_at(
     -------
     xarray.Dataset
         Power, complex mean coefficient and their standard errors, on the dim frequency:
-        ``power``, ``power_se``, ``mean_coefficient``, ``mean_coefficient_se``.
+        These variables are ``power``, ``power_se``, ``mean_coefficient``, ``mean_coefficient_se``.
         The coordinates m_0, m_1, … are the components of each frequency.
         Standard errors are computed as in `power_spectrum`.
 

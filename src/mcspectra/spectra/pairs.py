@@ -71,8 +71,8 @@ def pair_correlation(
     xarray.Dataset
         ``pair_correlation`` and its standard error ``pair_correlation_se`` on dim r (bin centers).
         ``pair_correlation_ci`` is the 95 % interval by Student's t of the logarithm.
-        This interval is 0 to 0 for bins without pairs. The number of sets determines
-        standard errors and t if the sampler has fewer sets than realizations.
+        This interval is 0 to 0 for bins without pairs.
+        If the sampler has fewer sets than realizations, errors and t are based on the sets.
 
     Notes
     -----
@@ -182,8 +182,9 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
 def count_pairs(points: Array, edges: Array, *, wrap: bool) -> Array:
     """Count pairs of points (n, d) by distance, in equal bins from 0: float64 (bins,).
 
-    With `wrap`, distances are on the torus and each pair counts once. Otherwise pairs are ordered,
-    and the first point is at least as far from the border as the bin extends.
+    With `wrap`, distances are on the torus and each pair counts once.
+    Otherwise pairs are ordered, and count only if the first point is far from the border:
+    its distance must be at least the upper end of the bin.
     """
     n, bins = len(points), len(edges) - 1
     limit = min(float(edges[-1]), 0.5) if wrap else float(edges[-1])

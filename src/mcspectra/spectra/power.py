@@ -100,8 +100,8 @@ def power_spectrum(
     eps
         Relative accuracy of the transforms. The default is 1e-5 or 1e-6, in single precision,
         if this error is far below the statistical error; else the default is 1e-9.
-        The first two realizations decide: on every ring, the error must be less than
-        0.02 standard errors. The attribute ``transform_error`` is the largest of these errors.
+        The first two realizations decide: on all rings, errors must be below 0.02 standard errors.
+        The attribute ``transform_error`` is the largest of these errors.
         The attribute ``eps`` is the accuracy that was used.
     workers
         Number of threads; by default all processors. Results do not depend on it.
@@ -118,9 +118,9 @@ def power_spectrum(
         Errors are computed from the ring means of the realizations,
         since frequencies of one set are not independent.
         ``radial_power_ci`` is the 95 % interval by Student's t of the logarithm,
-        power · exp(±t se/power). The attribute ``student_t`` is this t. It has
-        realizations − 1 degrees of freedom, and applies to ``power_se`` as well.
-        The number of sets determines errors and t if the sampler has fewer sets than realizations.
+        power · exp(±t se/power), with realizations − 1 degrees of freedom.
+        The attribute ``student_t`` is this t, which applies to ``power_se`` as well.
+        If the sampler has fewer sets than realizations, errors and t are based on the sets.
 
         In two dims also ``wedge_power``, its standard error and its interval, see `wedge_means`.
         With `mean` also the complex ``mean_coefficient`` and its standard error, on m0, m1, …
@@ -415,7 +415,7 @@ class PowerSums:
         self.power.count += 1
 
     def coefficient(self, sets: int | None = None) -> tuple[Array, Array]:
-        """Return mean S and its standard error (root mean |error|²); see `MeanSums` for `sets`."""
+        """Return mean S and its standard error (root mean |error|²), based on the given sets."""
         assert self.mean is not None
         count = self.power.count
         mean = self.mean / count
@@ -470,7 +470,7 @@ class _PolarMeans:
         return int(rings + wedges - 1)
 
     def rings(self, values: Array) -> Array:
-        """Return sums of values (H,) over the rings, (rings,)."""
+        """Return the sums over the rings, (rings,), of values (H,) at the frequencies."""
         return np.asarray(
             np.bincount(self.label, values)[:-1].reshape(self.cells.shape).sum(axis=1)
         )

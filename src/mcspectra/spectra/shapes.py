@@ -47,7 +47,7 @@ __all__ = [
 
 _MAX_SLICE_DIMS = 4
 _LEVEL = 0.95
-# Largest (spread over directions / mean)² beyond noise that counts as isotropic; jittered: 0.001
+# Largest (spread over directions / mean)² beyond noise that counts as isotropic; jittered has 0.001
 _ISOTROPIC = 0.1
 _CLASS_WEDGES = 8
 _SUSPECT = 3.0  # χ² per degree of freedom above which directions are compared
@@ -61,7 +61,7 @@ _SINGLE_ROUNDING = 1e-7
 @final
 @dataclass(frozen=True)
 class _HalfSpectrum:
-    """One frequency of each pair ν, −ν of a spectrum, without ν = 0."""
+    """Half of a spectrum: one frequency of each pair ν, −ν, without ν = 0."""
 
     index: Array  # ν / step, int64 (H, d)
     power: Array  # (H,)
@@ -228,9 +228,10 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        ``wedge_power`` and its standard error ``wedge_power_se`` on dim angle:
-        degrees at the centers of the wedges. Values are NaN for wedges without frequencies.
-        For another number of wedges than the spectrum's, errors with a density are NaN.
+        ``wedge_power`` and its standard error ``wedge_power_se`` on dim angle.
+        Angles are in degrees, at the centers of the wedges.
+        Values are NaN for wedges without frequencies.
+        If the spectrum has another number of wedges, errors with a density are NaN.
         Errors for uniform points then treat frequencies as uncorrelated.
     """
     half = _HalfSpectrum.of(spectrum)
@@ -418,7 +419,7 @@ def _over_directions(half: _HalfSpectrum, label: Array, lengths: Array) -> _LowF
     spread = (half.power[several] - own) ** 2 * k / (k - 1)
     excess = float(np.mean((spread - half.se[several] ** 2) / own**2)) if several.any() else 0.0
     # Some lengths have several directions, such as (3, 4) and (5, 0).
-    # If no length has, unequal powers show as a misfit of the line.
+    # If no length does, unequal powers show as a misfit of the line.
     if half.grid.dims == 1 or (excess <= _ISOTROPIC and whole.chi2 <= _SUSPECT):
         return whole
     # Classify frequencies by their nonzero axes and, in 2-D if both are nonzero, by wedges

@@ -295,7 +295,7 @@ class Transform:
     ) -> None:
         """Add a block's sums of |S_m|², |S_m|⁴ and S_m to the given arrays (H,).
 
-        `groups` gets the sums of |S_m|² over the frequencies of each `label` (H,).
+        The function `groups` gets the sums of |S_m|² over all frequencies with the same label.
         Its argument is an array (sets, number of labels) for one or two sets.
         """
         # S_0 is exactly the sum of the weights
