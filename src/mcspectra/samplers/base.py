@@ -1,8 +1,8 @@
 """The interface of samplers and randomizations.
 
 A sampler draws realizations of a point set.
-A randomization changes the points of another sampler;
-the method `then` of the sampler chains both.
+A randomization changes the points of another sampler.
+The method `then` of a sampler appends a randomization.
 Subclasses implement the drawing of points and declare their properties.
 The base classes handle checks, seeds and shapes.
 """

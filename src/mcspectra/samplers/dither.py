@@ -1,6 +1,6 @@
 """Blue noise in the cells of a toroidal grid: void and cluster, dither masks, low discrepancy.
 
-Void and cluster fills the cells of a fine grid, always at the emptiest place.
+Void and cluster fills the cells of a fine grid one by one, always at the emptiest place.
 Low-discrepancy blue noise starts from a blue-noise set.
 It moves the points within their cells, so that they form a low-discrepancy set.
 

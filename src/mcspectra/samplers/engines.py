@@ -32,7 +32,7 @@ from mcspectra.samplers.external import OneByOne, qualified_name
 
 __all__ = ["QmcpySampler", "ScipySampler", "is_engine", "is_generator"]
 
-_RANDOMNESS = ("rng", "seed")  # names of the generator argument; `seed` before scipy 1.15
+_RANDOMNESS = ("rng", "seed")  # names of the argument for the generator: seed before scipy 1.15
 _SET_ELSEWHERE = ("dimension", "replications", "seed")  # arguments that this class sets
 _UNBIASED = ("Halton", "LatinHypercube", "Sobol")  # scrambled engines of scipy with uniform points
 _UNIFORM = ("TRUE", "SHIFT", "DS", "LMS DS", "DP", "LMS DP", "NUS")  # values of QMCPy's `randomize`
@@ -47,8 +47,8 @@ class ScipySampler(OneByOne):
     Attributes
     ----------
     engine
-        Name of a class in `scipy.stats.qmc`, or a subclass of its QMCEngine.
-        Also a function ``generator -> engine`` that makes engines.
+        Name of a class in `scipy.stats.qmc`, or a subclass of its QMCEngine,
+        or a function that makes an engine from a generator.
     dims
         Number of dims, the engine's ``d``.
     scramble

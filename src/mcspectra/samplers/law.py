@@ -397,8 +397,8 @@ class Fixed(Law):
     vector
         Generating vector z of a rank-1 lattice {k z / n}; None for other sets.
     sides, corner
-        Number of grid cells along each axis, and position of the point in its cell.
-        The unit is a cell. None for sets that are not grids.
+        Number of grid cells along each axis, and position of the point in units of its cell.
+        None for sets that are not grids.
     even
         Whether the evenness of the set depends only on differences of points on the torus.
         Examples are lattices and Kronecker points. Translations preserve their evenness.
@@ -814,7 +814,7 @@ def mean_of_terms(n: int, nu: Array, terms: Callable[[Array], Array]) -> Array:
     NoClosedForm
         If there are too many terms.
     """
-    if float(n) * max(64, nu[..., 0].size) > _MOST_TERMS:  # at least 64, since points take memory
+    if float(n) * max(64, nu[..., 0].size) > _MOST_TERMS:  # count 64 or more: points take memory
         raise NoClosedForm(
             f"The exact transform of {n} points at {nu[..., 0].size} frequencies would take more "
             f"than {_MOST_TERMS:.2g} terms; use ",

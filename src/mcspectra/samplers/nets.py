@@ -92,8 +92,8 @@ class Sobol(_BinaryNet):
     not of the index's Gray code. Counts that are not powers of the base cause a warning.
     Such sets are not balanced in elementary intervals.
 
-    A file has one line per dim with these entries: the number of the dim, the degree s of the
-    polynomial, the polynomial a, and m_1 … m_s. Headings and text after ``#`` are ignored.
+    A file has one line per dim. Its entries are the number of the dim, a polynomial's degree s,
+    the polynomial itself (a), and the numbers m_1 … m_s. Headings and text after ``#`` are ignored.
     In base 2, a contains the inner coefficients (as in Joe and Kuo's table).
     Degree 0 is van der Corput's sequence; it is inserted if the numbers of the dims begin at 2.
     In base 3, the digits of a are all coefficients, and p_i is the coefficient of x^i.

@@ -95,7 +95,7 @@ def sampler_from_calls(calls: Sequence[Call], dims: int | None = None) -> Sample
 
 
 def as_sampler(source: Any, dims: int | None = None) -> Sampler:
-    """Convert `source` to a sampler with `dims` dims (or any number of dims if this is None).
+    """Convert a source of points to a sampler with `dims` dims (any number of dims if None).
 
     Parameters
     ----------

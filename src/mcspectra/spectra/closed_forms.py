@@ -14,8 +14,9 @@ The transform of a grid of s points is A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/
   over the points ξ of one motif, in units of cells.
   The mean is ⟨S_ν⟩ = A(ν) ⟨M(ν/s)⟩, and the covariance is
   C_ml = (1/N) A(m − l) [⟨M(m/s) conj M(l/s)⟩ − ⟨M(m/s)⟩ conj⟨M(l/s)⟩].
-  Random points are n motifs in one cell. Motifs of jittered, box-jitter and gaussian-jitter
-  are single points; motifs of antithetic-jittered are pairs of points.
+  Random points are n motifs in one cell.
+  Motifs of jittered, box-jitter and gaussian-jitter are single points.
+  Motifs of antithetic-jittered are pairs of points.
 * Sets that are the same every time, and grids with a common offset: S_ν itself is known.
 * Sets with a known law of pairs: C_ml + ⟨S_m⟩ conj⟨S_l⟩ is (1/n²) times the sum of
   ⟨exp(−2πi (m·x − l·y))⟩ over all ordered pairs of points x, y.
@@ -92,7 +93,7 @@ _TERMS_AT_ONCE = 2**22
 
 # Constants of closed forms with a density
 _BLOCK = 2**20  # number of values processed at a time
-_MAX_STRATA_WORK = 2**31  # largest number of strata × frequency pairs; minutes
+_MAX_STRATA_WORK = 2**31  # largest number of strata × frequency pairs; takes minutes
 _ORDER = 16
 _CELLS = 64
 _HIGHEST = 2**16

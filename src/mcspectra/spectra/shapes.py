@@ -264,8 +264,8 @@ def low_frequency_exponent(
     ----------
     spectrum
         Result of `power_spectrum` with at least two realizations.
-        Between the integers ⟨S_ν⟩ is not 0. The fit is then to ⟨|S_ν|²⟩ − |⟨S_ν⟩|²,
-        which needs ``mean=True``.
+        Between the integers ⟨S_ν⟩ is not 0. The fit is then to ⟨|S_ν|²⟩ − |⟨S_ν⟩|².
+        This needs the means of S, that is ``mean=True``.
     up_to
         Largest |ν| of the fit. The default is a quarter of the points' mean frequency n^(1/d),
         but it includes at least three lengths and is at most the half width.

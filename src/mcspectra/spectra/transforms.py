@@ -3,12 +3,12 @@
 Engines
 -------
 ``nufft``
-    Type-1 non-uniform FFT. FINUFFT [Barnett2019]_ spreads points onto a fine grid,
-    with one reused plan per Python thread, and SciPy transforms the grid.
+    Type-1 non-uniform FFT. FINUFFT [Barnett2019]_ spreads points onto a fine grid.
+    SciPy transforms the grid. Each Python thread reuses one plan of FINUFFT.
     Along each axis, the grid is 1.25 times as fine as the frequencies.
     If there are many points per frequency, it is twice as fine.
-    The relative l2 error is 1e-9. With ``eps=1e-12`` the grid is twice as fine,
-    and the transform takes 2.3 times as long (512²).
+    The relative l2 error is 1e-9. With ``eps=1e-12`` the grid is twice as fine.
+    The transform then takes 2.3 times as long (512²).
 
     Single precision halves the time: its error is at best 1e-6 of the peak.
     On a grid 1.12 times as fine the error is 1e-5, and the time is a fifth less.
