@@ -1,22 +1,29 @@
 """Numba kernels that relax points by their cells or neighbors; arguments are not checked.
 
-Farthest points: the center of a largest empty disk is a corner of a Voronoi cell. Each cell starts
-as the square around its point, bounded by the bisectors with the point's own images. The bisectors
-with nearby points cut the cell. Removing or inserting a point changes only the adjacent cells.
-Notation: n points, 2 dims; buckets as in `_spacing_kernels`; cells as for power diagrams. A row of
-holes (n, 4) describes a cell: the coordinates of the corner farthest from the cell's point, the
-squared distance of this corner, and the squared distance of the nearest neighbor.
+Farthest points: the center of a largest empty disk is a corner of a Voronoi cell.
+Each cell starts as the square bounded by the bisectors between a point and its own images.
+The bisectors with nearby points then cut the cell.
+Removing or inserting a point changes only the adjacent cells.
 
-Power diagrams: the cell of site i contains the x with |x − x_i|² − w_i ≤ |x − x_j|² − w_j for all
-sites j and their images. Nearby sites, taken ring by ring from a grid, cut the cell until the
-remaining sites are too far away. Notation: n sites, 2 dims; points (n, 2) in [0,1), weights w (n,);
-sites (n, 3) hold points and weights in the order of the grid. A cell (K, 4) is a counterclockwise
-polygon relative to its site. Its rows are x and y of a corner, the distance of the site beyond the
-edge to the next corner, and the number of that site (−1 for an image of the site itself). `spare`
-is scratch space of the same shape that holds the corners before a cut.
+Notation for farthest points: n points in 2 dims. Buckets are as in `_spacing_kernels`,
+and cells as for power diagrams. Each row of the array holes (n, 4) describes a cell.
+The row holds the coordinates of the corner farthest from the cell's point,
+the squared distance of this corner, and the squared distance of the nearest neighbor.
 
-Gaussian blue noise: the energy of all pairs of points and its gradient. Notation: n points, d dims;
-`points` float64 in [0,1); `force` is overwritten with the gradient.
+Power diagrams: the cell of site i contains all x that satisfy the inequality
+|x − x_i|² − w_i ≤ |x − x_j|² − w_j for all sites j and their images.
+Nearby sites, taken ring by ring from a grid, cut the cell.
+The cuts end when the remaining sites are too far away.
+
+Notation for power diagrams: n sites in 2 dims; points (n, 2) in [0,1), weights w (n,).
+The array sites (n, 3) holds points and weights in the order of the grid.
+A cell (K, 4) is a counterclockwise polygon relative to its site. Each row describes a corner.
+The row holds x, y, the distance of the site beyond the edge to the next corner,
+and the number of that site (−1 for an image of the site itself).
+The array `spare` has the same shape and holds the corners before a cut.
+
+Gaussian blue noise: the energy of all pairs of points, and the gradient of the energy.
+Notation: n points, d dims; `points` float64 in [0,1); `force` gets the gradient.
 """
 
 from __future__ import annotations
@@ -43,10 +50,10 @@ __all__ = [
 _CORNERS = 64  # largest number of corners of a Voronoi cell; six on average
 _LOAD = 2.0  # number of sites per cell of the grid; 1 to 3 take the same time
 _SOLVED = 1e-3  # relative residual of the linear equations; enough for Newton steps
-_LONGER = 4.0  # largest ratio of a step to the previous step; short steps come in series
+_LONGER = 4.0  # largest ratio of a step to the previous step, because short steps come in series
 _HALVINGS = 40
 _UNLIMITED = 2**62
-_PRODUCTS = 4  # cost of a product in the linear solver, in visits of a site
+_PRODUCTS = 4  # cost of a product in the linear solver, relative to the visit of a site
 
 
 @kernel
@@ -85,7 +92,7 @@ def _cut(
                 cell[count, c] = spare[k, c]
             count += 1
         if (u <= 0.0) != (v <= 0.0):
-            # The new edge starts where an edge leaves the half-plane, and ends where an edge enters
+            # The new edge starts where the border leaves the half-plane, and ends where it returns
             t = u / (u - v)
             cell[count, 0] = spare[k, 0] + t * (spare[after, 0] - spare[k, 0])
             cell[count, 1] = spare[k, 1] + t * (spare[after, 1] - spare[k, 1])
@@ -201,11 +208,11 @@ class Diagram(NamedTuple):
     offsets
         Offsets of the centroids from the sites, (n, 2).
     rows, neighbors, couplings
-        Cell i has the faces rows[i, 0] … rows[i, 1] − 1. Each face has a neighbor, the site beyond
-        the face, and a coupling, length / (2 distance): the decrease of the area of cell i per unit
-        of the neighbor's weight.
+        Cell i has the faces rows[i, 0] … rows[i, 1] − 1. The neighbor of a face is the site beyond.
+        The coupling of a face is length / (2 distance).
+        The area of cell i decreases by this amount per unit of the neighbor's weight.
     work
-        Work: the sum, over visited sites and grid cells, of the corners of the cell at that time.
+        Amount of work: the number of corners of the cell, summed over visited sites and grid cells.
     """
 
     areas: Array
@@ -229,8 +236,8 @@ def _cut_by_bucket(
     spare: Array,
 ) -> Any:
     # Cut the cell of site s by the sites in a bucket that are near enough to reach the cell.
-    # `place` is the position of site s relative to the bucket. Return the squared distance of the
-    # farthest corner and the number of corners.
+    # `place` is the position of site s relative to the bucket.
+    # Return the squared distance of the farthest corner, and the number of corners.
     for t in range(bucket[0], bucket[1]):
         dx, dy = sites[t, 0] - place[0], sites[t, 1] - place[1]
         d2 = dx * dx + dy * dy
@@ -338,8 +345,8 @@ def _divide(x: Array, diagonal: Array, out: Array) -> float:
 
 @kernel
 def _solve(diagram: Diagram, rest: Array) -> tuple[Array, int]:
-    # Return the change of weights that changes areas by `rest` (overwritten), and the work.
-    # Conjugate gradients for the Laplacian L of the graph of neighbors, weighted by couplings.
+    # Return the change of weights that changes the areas by `rest` (overwritten), and the work.
+    # The method is conjugate gradients for the Laplacian L of the neighbor graph with couplings.
     n = rest.size
     change, direction, image, diagonal = np.zeros(n), np.empty(n), np.empty(n), np.zeros(n)
     for i in range(n):
@@ -352,7 +359,7 @@ def _solve(diagram: Diagram, rest: Array) -> tuple[Array, int]:
             break
         work += _PRODUCTS * (n + diagram.couplings.size)
 
-        # image = L direction
+        # The image is L times the direction
         product = 0.0
         for i in range(n):
             total = 0.0
@@ -372,7 +379,7 @@ def _solve(diagram: Diagram, rest: Array) -> tuple[Array, int]:
 
 @kernel
 def _compare(areas: Array, masses: Array, rest: Array) -> Any:
-    # Write masses minus areas to `rest`; return its largest entry relative to a mass, and |rest|².
+    # Write masses − areas to `rest`; return its largest entry relative to a mass, and |rest|².
     worst, square = 0.0, 0.0
     for i in range(areas.size):
         rest[i] = masses[i] - areas[i]
@@ -392,11 +399,13 @@ def balance(
 ) -> Any:
     """Return weights whose cells have areas `masses`, and their power diagram.
 
-    Newton steps start at `weights`, or at 0 if `weights` leave a cell empty. They end after `steps`
-    steps; after `most_work` visits (see `Diagram`; the linear solver counts as well); when all
-    areas are right within `tolerance` times their mass; or when the areas no longer improve. No
-    step is taken if some sites are so close that a cell is empty with equal weights. The weights
-    maximize a concave function, the dual of the transport of the uniform density to the sites.
+    Newton steps start at `weights`, or at 0 if `weights` leave a cell empty.
+    They end after the given number of steps, or when all areas are right within the tolerance.
+    They also end when the areas no longer improve, or when the work exceeds `most_work`.
+    This work includes the linear solver; `Diagram` defines the unit.
+    No step is taken if some sites are so close that a cell is empty with equal weights.
+
+    The weights maximize a concave function, the dual of a transport cost (see `transport_cost`).
     Damped Newton steps find the maximum from any weights that leave no cell empty [Kitagawa2019]_.
     """
     weights, diagram = weights.copy(), power_diagram(points, weights)
@@ -434,7 +443,7 @@ def balance(
 def _add_cell_pair(
     points: Array, a: Array, b: Array, image: Array, sigma: float, force: Array
 ) -> float:
-    # Energy between points a and the points b moved by `image`; if a is b, each pair counts once.
+    # Energy of points a with points b translated by `image`; if a is b, each pair counts once.
     factor, far = -0.5 / sigma**2, 72.0 * sigma**2 / 2.0
     same = image[0] == 0.0 and image[1] == 0.0 and image[2] == 0.0
     energy = 0.0
@@ -465,8 +474,8 @@ def _add_cell_pair(
 def near_energy(points: Array, cells: Array, offsets: Array, sigma: float, force: Array) -> float:
     """Return the energy of pairs of points (n, 3) up to 6 σ apart; unused dims are zeros.
 
-    `offsets` (K, 3) are the steps to neighboring cells: zero first, then one of each opposite pair.
-    Steps may go around the torus several times, so that all images of a point count.
+    `offsets` (K, 3) are the steps to neighboring cells: zero, then one step of each opposite pair.
+    Steps may go around the torus several times, so that all images count.
     """
     n = points.shape[0]
     cell = np.empty(n, np.int64)
@@ -498,7 +507,7 @@ def near_energy(points: Array, cells: Array, offsets: Array, sigma: float, force
 
 @kernel
 def series_energy(points: Array, weights: Array, force: Array) -> float:
-    """Return Σ over pairs of Π_j (1 + Σ_m weights[m−1] cos 2πm(x_j − y_j)) in any dims."""
+    """Return the energy Σ over pairs of Π_j (1 + Σ_m weights[m−1] cos 2πm(x_j − y_j)), any dims."""
     n, dims = points.shape
 
     # Tabulate cos and sin of 2π m x for m = 1, 2, …: (n, d, orders)

@@ -1,7 +1,8 @@
 """Numba kernels of digital nets: points from generator matrices, and tests of balance.
 
-Notation: n points, d dims; ``directions`` uint32 (d, 32): column k of each generator matrix with
-its first digit in the highest bit, so that 2^31 means ½; ``out`` float64 (n, d).
+Notation: n points, d dims; ``out`` float64 (n, d).
+The array ``directions`` uint32 (d, 32) holds the columns of each generator matrix.
+The first digit of a column is its highest bit, so that 2^31 means ½.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ def direction_numbers(polynomials: Array, initial: Array, out: Array) -> None:
 
 @kernel
 def double_words(columns: Array, words: Array) -> None:
-    """Fill the words (n,) of points 0, 1, … of a binary net; each index bit doubles them."""
+    """Write points 0, 1, … of a binary net as words (n,); each index bit doubles their number."""
     k, size = 0, 1
     while size < words.size:
         new = words[size : 2 * size]
@@ -69,9 +70,9 @@ def fill_binary(directions: Array, out: Array) -> None:
 def fill_base(columns: Array, base: int, out: Array) -> None:
     """Fill `out` with points 0 … n − 1 of a digital net; columns int64 (d, m, rows).
 
-    The kernel counts like an odometer. When a digit of the index increases by one, or returns from
-    base − 1 to 0 (also an increase modulo the base), its column is added once. base^rows is at most
-    2^53.
+    The kernel counts like an odometer. A column is added whenever its digit increases by one.
+    A return from base − 1 to 0 also counts, because it is an increase by one modulo the base.
+    The largest number, base^rows, is at most 2^53.
     """
     n, dims = out.shape
     _, places, rows = columns.shape
@@ -106,7 +107,7 @@ def leading_digits(x: Array, base: int, places: int) -> Array:
 
 @kernel
 def _next_parts(parts: Array) -> bool:
-    # Advance to the next composition, in place; False after the last, (0, …, 0, level).
+    # Advance to the next composition in place; return False after the last, (0, …, 0, level).
     h = 0
     while parts[h] == 0:
         h += 1
@@ -143,8 +144,8 @@ def _balanced(digits: Array, base: int, places: int, parts: Array, cells: Array)
 def all_balanced(digits: Array, base: int, places: int, level: int) -> bool:
     """Return whether every elementary interval of volume base^-level contains n/base^level points.
 
-    The shapes of these intervals are the ways to write `level` as a sum of d ordered parts
-    k_j ≥ 0, enumerated in the order of Nijenhuis and Wilf's NEXCOM.
+    The shapes of these intervals are the ways to write `level` as a sum of d ordered parts k_j ≥ 0.
+    They are enumerated in the order of Nijenhuis and Wilf's NEXCOM.
 
     digits int64 (d, n): the first `places` ≥ level digits of each coordinate as a whole number.
     """

@@ -1,8 +1,9 @@
 """Numba kernels shared by the samplers; arguments are not checked.
 
-Notation: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`; ``out`` is
-float64 (R, n, d) unless stated otherwise. Random number i·d + j of a realization belongs to
-coordinate j of point i; the numbers for shuffles come after these.
+Notation: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`.
+Arrays ``out`` are float64 (R, n, d) unless stated otherwise.
+Random number i·d + j of a realization belongs to coordinate j of point i.
+The numbers for shuffles come after these.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ def _shuffle(k0: np.uint64, k1: np.uint64, start: int, order: Array) -> None:
 
 @kernel
 def fill_jittered(keys: Array, corners: Array, side: float, out: Array) -> None:
-    """Place one point in each cell; lower corners (n·d,), out (R, n·d), side from `cell_side`."""
+    """Place one point in each cell, given lower corners (n·d,) and the side; out (R, n·d)."""
     for r in range(out.shape[0]):
         k0, k1 = keys[r, 0], keys[r, 1]
         row = out[r]
@@ -73,8 +74,8 @@ def translated(points: Array, offsets: Array) -> Array:
 
 @kernel
 def _translate(points: Array, offsets: Array, out: Array) -> None:
-    # x + δ is at most 2 − 2^-52, a float64. For 1 ≤ x + δ < 2 the subtraction is exact, so the
-    # result is below 1.
+    # x + δ is at most 2 − 2^-52, a float64. For 1 ≤ x + δ < 2 the subtraction is exact,
+    # so the result is below 1.
     count, n, dims = out.shape
     for r in range(count):
         offset, one = offsets[r % offsets.shape[0]], points[r % points.shape[0]]

@@ -1,18 +1,22 @@
 """Numba kernels that scramble digits: XOR, permutations, nested, hash-based, random matrices.
 
-Notation: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`; ``bases``
-int64 (d,); ``points`` float64 (R, n, d), or (1, n, d) if all realizations share a set; ``out``
-float64 (R, n, d).
+Notation: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`;
+the bases of the digits are int64 (d,), and the results float64 (R, n, d).
+The given points are float64 (R, n, d), or (1, n, d) if all realizations share a set.
 
 The first kernels are for base 2. A coordinate is a word of 32 or 53 bits; the highest bit means ½.
 
-In any base, a coordinate x is read as v = ⌊x b^m⌋ with the smallest m such that b^m ≥ 2^32. First,
-x is increased by 2^-52, because k/b^p with p ≤ m is not a float and may have been rounded down. The
-result is (v' + (t + ½) 2^-k)/b^m with t < 2^k and b^m 2^k ≤ 2^50. It is uniform to 50 bits, and so
-far from every k/b^p that neither rounding nor a float ⌊x b^p⌋ moves it to another interval.
+In any base b, a coordinate x is read as the whole number v = ⌊x b^m⌋.
+The number of digits m is the smallest with b^m ≥ 2^32.
+Before that, x is increased by 2^-52, because the float for k/b^p may have been rounded down.
 
-Random numbers with addresses below 2^62 or at least 2^63 are used for binary digits. The addresses
-between are used for nodes of trees in other bases.
+Let v' be the scrambled number, and t a random number with t < 2^k and b^m 2^k ≤ 2^50.
+The result is (v' + (t + ½) 2^-k)/b^m.
+This result is uniform to 50 bits, and far from every multiple of b^-p.
+Therefore neither rounding nor a float ⌊x b^p⌋ moves it to another interval.
+
+Random numbers with addresses below 2^62 or at least 2^63 are used for binary digits.
+The addresses in between are used for nodes of trees in other bases.
 """
 
 from __future__ import annotations
@@ -42,7 +46,7 @@ __all__ = [
 
 _ONE, _TREE, _TAIL = np.uint64(1), np.uint64(1 << 62), np.uint64(1 << 63)
 _S11, _S21, _S32, _S43 = np.uint64(11), np.uint64(21), np.uint64(32), np.uint64(43)
-_S34 = np.uint64(34)  # node numbers are below 2^33: on each level b^level + v, v < 2^32
+_S34 = np.uint64(34)  # node numbers are below 2^33: b^level + v with v < 2^32 on each level
 _LOW32 = np.uint64(0xFFFFFFFF)
 _TO_53, _UNIT_53, _TO_32 = 2.0**53, 2.0**-53, 2.0**32
 _WORDS = 512  # number of words per block: 4 kB
@@ -76,9 +80,10 @@ def _with_tail(k0: np.uint64, k1: np.uint64, number: int, word: Any) -> Any:
 
 @kernel
 def _six_flips(bits: Any, piece: Any) -> Any:
-    # Return the flips of six bits, the highest first. The higher bits determine the node that holds
-    # the flip. Nodes are numbered as in a heap: node v has the children 2v and 2v + 1. Each flip is
-    # moved directly to its place.
+    # Return the flips of six bits, the highest first.
+    # The higher bits determine the node that holds the flip of a bit.
+    # Nodes are numbered as in a heap: node v has the children 2v and 2v + 1.
+    # Each flip is moved directly to its place.
     moved = bits << np.uint64(4)
     flips = (moved & np.uint64(32)) | (
         (moved >> (np.uint64(2) + (piece >> np.uint64(5)))) & np.uint64(16)
@@ -93,7 +98,7 @@ def _six_flips(bits: Any, piece: Any) -> Any:
 def _flip_two_levels(
     k0: np.uint64, k1: np.uint64, dim: int, level: int, w: Array, out: Array
 ) -> None:
-    # Two subtrees of six levels each, for all words; without branches, the loop is vectorized
+    # Flip two groups of six levels in all words; the loop has no branches, so it is vectorized
     root, six = np.uint64(dim) << _S32, np.uint64(63)
     upper, lower = root | (_ONE << np.uint64(level)), root | (_ONE << np.uint64(level + 6))
     above, between, below = np.uint64(32 - level), np.uint64(26 - level), np.uint64(20 - level)
@@ -109,7 +114,7 @@ def _flip_two_levels(
 def _nest(
     k0: np.uint64, k1: np.uint64, dim: int, dims: int, start: int, w: Array, out: Array
 ) -> None:
-    # Write the nested uniform scramble of 32-bit words w of points start, start + 1, … to out.
+    # Apply nested scrambling to the 32-bit words w of points start, start + 1, …; result in out.
     # The flip of a bit depends on all higher bits. One 64-bit hash holds the flips of six levels.
     words = w.copy()
     root: Any = (np.uint64(dim) << _S32) | _ONE
@@ -142,9 +147,9 @@ def _reversed(word: Any) -> Any:
 
 @kernel
 def _hashed(word: Any, add: Any, factor: Any, add_2: Any, factor_2: Any) -> Any:
-    # Hash a reversed word so that every bit depends only on the bits below. XOR with
-    # products by even numbers, and odd multiples of sums, have this property. All uint32, factors
-    # odd.
+    # Hash a reversed word so that every bit depends only on the bits below.
+    # Two operations have this property: XOR with the product by an even number,
+    # and multiplication of a sum by an odd factor. All numbers are uint32.
     x = np.uint32(word)
     x = np.uint32(x ^ np.uint32(x * np.uint32(0x3D20ADEA)))
     x = np.uint32(np.uint32(x + add) * factor)
@@ -155,7 +160,7 @@ def _hashed(word: Any, add: Any, factor: Any, add_2: Any, factor_2: Any) -> Any:
 
 @kernel
 def _hash_keys(k0: np.uint64, k1: np.uint64, out: Array) -> None:
-    # out uint32 (d, 4)
+    # Fill out uint32 (d, 4) with two summands and two odd factors for each coordinate
     for j in range(out.shape[0]):
         for part in range(2):
             bits = mix_bits(k0, k1, 2 * j + part)
@@ -189,7 +194,7 @@ def scramble_hashed(keys: Array, points: Array, out: Array) -> None:
 
 @kernel
 def _draw_matrices(k0: np.uint64, k1: np.uint64, shift: bool, columns: Array, words: Array) -> None:
-    # Make lower triangular matrices with unit diagonal: columns uint64 (d, 53); shift words (d,)
+    # Make lower triangular matrices with unit diagonal: columns uint64 (d, 53), shift words (d,)
     dims = words.size
     for j in range(dims):
         for c in range(53):
@@ -200,7 +205,7 @@ def _draw_matrices(k0: np.uint64, k1: np.uint64, shift: bool, columns: Array, wo
 
 @kernel
 def _product(columns: Array, digits: Any) -> Any:
-    # Multiply a matrix by bits; the highest of 64 bits is the first
+    # Multiply a matrix by the bits of a 64-bit word, whose highest bit is the first digit
     product, c = np.uint64(0), 0
     while digits:
         if digits & _TAIL:
@@ -213,7 +218,7 @@ def _product(columns: Array, digits: Any) -> Any:
 def mix_matrices(keys: Array, shift: bool, points: Array, out: Array) -> None:
     """Multiply the 53 bits of points by random lower triangular matrices with unit diagonal.
 
-    With `shift`, a random word, the same for all points, is then added (XOR).
+    With `shift`, one random word, the same for all points, is then added (XOR).
     """
     count, n, dims = out.shape
     columns, words = np.empty((dims, 53), np.uint64), np.empty(dims, np.uint64)
@@ -229,7 +234,7 @@ def mix_matrices(keys: Array, shift: bool, points: Array, out: Array) -> None:
 
 @kernel
 def fill_mixed(keys: Array, shift: bool, directions: Array, out: Array) -> None:
-    """Same as `mix_matrices` for points 0 … n − 1 of the sequence with uint32 (d, 32) columns."""
+    """Same as `mix_matrices` for points 0 … n − 1 of a sequence with columns uint32 (d, 32)."""
     count, n, dims = out.shape
     columns, words = np.empty((dims, 53), np.uint64), np.empty(dims, np.uint64)
     points, mixed = np.empty(n, np.uint64), np.empty(32, np.uint64)
@@ -248,7 +253,7 @@ def fill_mixed(keys: Array, shift: bool, directions: Array, out: Array) -> None:
 
 @kernel
 def _format(base: int) -> tuple[int, float, float, float]:
-    # Return the number of digits m, b^m, the nudge added before ⌊·⌋, and the unit 2^-k of the tail.
+    # Return the number of digits m, b^m, the nudge that is added before ⌊·⌋, and the tail's unit.
     places, scale, unit = 0, 1.0, 1.0
     while scale < _LEAST:
         places, scale = places + 1, scale * base
@@ -276,7 +281,7 @@ def _write(v: int, tail: float, scale: float, unit: float) -> Any:
 
 @kernel
 def _quotient(v: int, inverse: float) -> Any:
-    # ⌊v/b⌋ by the float 1/b, for v < 2^45: the error is below 2^-7/b; up to ½/b would do
+    # Compute ⌊v/b⌋ with the float 1/b. For v < 2^45 the error is below 2^-7/b, and ½/b is allowed.
     return np.int64((np.float64(v) + 0.5) * inverse)
 
 
@@ -291,8 +296,8 @@ def _draw_permutation(k0: np.uint64, k1: np.uint64, number: int, order: Array) -
 
 @kernel
 def _draw_images(k0: Any, k1: Any, number: int, places: int, base: int, shift: bool) -> Any:
-    # Make the image of each digit in each place, the lowest place first: int64 (m, b). Also make a
-    # uniform number for the digits below, the same for all points.
+    # Make the image of each digit in each place, the lowest place first: int64 (m, b).
+    # Also make one uniform number for the digits below, the same for all points.
     out = np.empty((places, base), np.int64)
     for k in range(places):
         if shift:
@@ -349,11 +354,11 @@ def permute_digits(keys: Array, bases: Array, shift: bool, points: Array, out: A
 
 @kernel
 def _invert_digits(images: Array, start: int, scale: float, tail: float, out: Array) -> None:
-    # Radical inverses of start, start + 1, … with the images (m, b) of their digits, and a tail in
-    # units of b^-m = 1/scale. Sums are exact; out (n,).
+    # Write the radical inverses of start, start + 1, … with digits replaced by their images (m, b).
+    # A tail is added, in units of b^-m = 1/scale. Sums are exact; out (n,).
     (places, base), n = images.shape, out.size
 
-    # Tabulate the images of the index's lowest digits, while the table saves time
+    # Tabulate the images of the lowest digits of the index, as long as the table saves time
     size, low = base, 1
     while low < places and size * base <= min(n, _TABLE):
         size, low = size * base, low + 1
@@ -406,9 +411,9 @@ def fill_permuted(keys: Array, bases: Array, shift: bool, start: int, out: Array
 def fill_nested(keys: Array, bases: Array, out: Array) -> None:
     """Fill radical inverses of 0, 1, … (or any run) after Owen's nested uniform scrambling.
 
-    Point v + c b^l, with v < b^l and 0 < c < b, shares l digits with point v. No two of these b
-    points share the next digit, and lower digits are uniform. So the first points do not depend on
-    n.
+    Point v + c b^l, with v < b^l and 0 < c < b, shares its first l digits with point v.
+    No two of these b points share the next digit, and lower digits are uniform.
+    Each point is derived from an earlier point only, so the first points do not depend on n.
     """
     n, dims = out.shape[1:]
     for r in range(out.shape[0]):
@@ -441,9 +446,10 @@ def fill_nested(keys: Array, bases: Array, out: Array) -> None:
 
 @kernel
 def _image(k0: np.uint64, k1: np.uint64, node: Any, digit: int, base: int) -> int:
-    # Return the image of a digit under the random permutation of a node. The digit is followed
-    # through the swaps of Fisher and Yates. A number below c is the upper word of c times 64 random
-    # bits; the lower word serves for the next number, until a factor of 2^32 is used up.
+    # Return the image of a digit under the random permutation of a node.
+    # The digit is followed through the swaps of Fisher and Yates.
+    # A random number below c is the upper word of the product of c and 64 random bits.
+    # The lower word gives the next number, until the product of all c exceeds 2^32.
     position, used, drawn = digit, 1, 0
     bits = mix_bits(k0, k1, node)
     for t in range(base - 1):
@@ -464,10 +470,9 @@ def _image(k0: np.uint64, k1: np.uint64, node: Any, digit: int, base: int) -> in
 
 @kernel
 def _climb(k0: np.uint64, k1: np.uint64, dim: int, base: int, places: int, v: int) -> int:
-    # Apply the nested uniform scramble to the number v, from its last digit to its first. The node
-    # above a digit gives its permutation. Nodes of a level are numbered from b^level, so numbers
-    # are
-    # unique.
+    # Apply the nested uniform scramble to the number v, from its last digit to its first.
+    # The node above a digit gives its permutation.
+    # Nodes of a level are numbered from b^level, so all numbers are different.
     scrambled, weight, inverse = 0, 1, 1.0 / base
     width = base ** (places - 1)
     for _ in range(places):
@@ -505,7 +510,7 @@ def scramble_trees(keys: Array, bases: Array, points: Array, out: Array) -> None
 
 @kernel
 def _draw_triangle(k0: np.uint64, k1: np.uint64, number: int, base: int, out: Array) -> None:
-    # Random lower triangular matrix, 1 … b − 1 on the diagonal; out int64 (m, m) has its columns
+    # Draw a lower triangular matrix with diagonal from 1 to b − 1; out int64 (m, m) is its columns
     for c in range(out.shape[0]):
         for row in range(c, out.shape[0]):
             least = 1 if c == row else 0
@@ -515,8 +520,8 @@ def _draw_triangle(k0: np.uint64, k1: np.uint64, number: int, base: int, out: Ar
 
 @kernel
 def _multiply(matrix: Array, base: int, v: int, out: Array) -> None:
-    # Add the matrix times the digits of v to out (m,), without reduction modulo the base. Skip zero
-    # digits, such as all digits below the points of a net.
+    # Add the matrix times the digits of v to out (m,), without reduction modulo the base.
+    # Skip zero digits, such as all digits below the points of a net.
     inverse = 1.0 / base
     for c in range(out.size - 1, -1, -1):
         above = _quotient(v, inverse)
@@ -531,8 +536,8 @@ def _multiply(matrix: Array, base: int, v: int, out: Array) -> None:
 def mix_triangles(keys: Array, bases: Array, shift: bool, points: Array, out: Array) -> None:
     """Multiply the digits of points by random lower triangular matrices modulo prime bases.
 
-    With `shift`, a random digit is added in each place, and a uniform number below the last place,
-    the same for all points.
+    With `shift`, one random digit is added in each place.
+    Below the last place, one uniform number is added. Both are the same for all points.
     """
     for r in range(out.shape[0]):
         k0, k1 = keys[r, 0], keys[r, 1]

@@ -1,15 +1,18 @@
 """Numba kernels of samplers that keep points apart; arguments are not checked.
 
-There are three groups of kernels. Dart throwing uses a grid whose cells contain at most one point
-(method: `samplers.poisson`). Buckets are cells over the first axes of the domain, each with a chain
-of its points; buckets give distances to points at arbitrary places. Selection by such distances
-yields darts, best candidates and largest empty disks.
+There are three groups of kernels.
+Dart throwing uses a grid whose cells contain at most one point; see `samplers.poisson`.
+Buckets are cells over the first axes of the domain, each with a chain of its points.
+They give distances from arbitrary places to points.
+Selection by such distances yields darts, best candidates and largest empty disks.
 
-Notation: R realizations, n points, d dims; ``out`` float64 (R, n, d), ``keys`` uint64 (R, 2). `at`
-is the index of the next random number of a realization. With `wrap`, distances are on the torus.
-Buckets are a tuple (side, axes, head, chain): `side` is the number of cells along each of the first
-`axes` axes, head (cells,) is the last point put into each cell, and chain (n,) is the point put in
-before each point, −1 at the end.
+Notation: R realizations, n points, d dims; ``out`` float64 (R, n, d), ``keys`` uint64 (R, 2).
+The argument at is the index of the next random number of a realization.
+If wrap is true, distances are on the torus.
+Buckets are a tuple (side, axes, head, chain).
+Here side is the number of cells along an axis, and axes the number of axes that are divided.
+The array head (cells,) holds the last point put into each cell.
+The array chain (n,) holds the point put in before each point, or −1 at the end.
 """
 
 from __future__ import annotations
@@ -33,11 +36,11 @@ __all__ = [
 
 _FINEST = 2**40
 _NOWHERE = 9.0  # coordinate that marks an empty cell, farther away than any radius
-_AXES = 3  # most axes of buckets and grids; with more axes, cells are mostly empty
-# Reach of a new point in cells, each about a quarter of the spacing: beyond any nearest distance
+_AXES = 3  # largest number of axes of buckets and grids; with more, cells are mostly empty
+# Reach of a new point, in cells of a quarter of the spacing; nearest distances are shorter
 _REACH = 7
 _ROUNDING = 1e-9  # fraction of a cell added to bounds, because of rounding
-_FAR = 16.0  # squared distance larger than any in the domain, in up to 4 dims
+_FAR = 16.0  # larger than any squared distance in the domain, in up to 4 dims
 _SHARP = 1e-10  # tolerance of the center of a hole, relative to the hole's radius
 
 
@@ -61,8 +64,8 @@ def add_to_buckets(i: int, x: Array, buckets: Any) -> None:
 
 @kernel
 def _shell_cell(x: Array, code: int, ring: int, buckets: Any, wrap: bool) -> int:
-    # Return cell number `k` of the cube of cells within `ring` of x; −1 for cells outside the
-    # domain and for cells inside the shell, which were visited before.
+    # Return one cell, given by its number (code), of the cube of cells around x.
+    # Return −1 for cells outside the domain, and for cells inside the shell, visited before.
     side, axes = buckets[0], buckets[1]
     cell, reach = 0, 0
     for j in range(axes):
@@ -82,11 +85,11 @@ def _shell_cell(x: Array, code: int, ring: int, buckets: Any, wrap: bool) -> int
 def _clearance(
     x: Array, points: Array, buckets: Any, wrap: bool, stop: float, most: float
 ) -> float:
-    # Return the squared distance from x to the nearest point, or `most` if that is smaller. The
-    # search ends as soon as a point is nearer than `stop` (squared), and returns this distance.
+    # Return the squared distance from x to the nearest point, or `most` if that is smaller.
+    # The search ends as soon as a point is nearer than `stop` (squared), and returns its distance.
     side, axes, head, chain = buckets
 
-    # Distance from x to the nearest wall of its cell, in cells
+    # Distance from x to the nearest wall of its cell, in units of cells
     edge = 0.5
     for j in range(axes):
         inside = x[j] * side - min(int(x[j] * side), side - 1)
@@ -161,7 +164,8 @@ def _place(x: Array, side: int, reach: int, wrap: bool, grid: Array) -> None:
 def throw_set(disks: Any, k0: Any, k1: Any, at: int, points: Array) -> tuple[int, int]:
     """Throw darts until `points` (n, d) are placed, or no further point fits.
 
-    Return the number of points and the index of the next random number. `disks`: see `poisson`.
+    Return the number of points and the index of the next random number.
+    See `poisson.Disks` for the data of the disks.
     """
     radius, side, reach, near, wrap, throws = disks
     n, dims = points.shape
@@ -222,8 +226,8 @@ def throw_darts(
 ) -> tuple[int, int]:
     """Throw darts until n are accepted or `trials` darts in a row are rejected.
 
-    A dart is accepted at squared distances ≥ `limit`; `points` (n, d) is filled. Return the number
-    of points and the index of the next random number.
+    Accepted darts have squared distances ≥ `limit`, and are written to points (n, d).
+    Return the number of points and the index of the next random number.
     """
     n, dims = points.shape
     buckets = empty_buckets(n, dims, side)
@@ -243,8 +247,9 @@ def throw_darts(
 
 @kernel
 def _lower_ceilings(x: Array, side: int, ceilings: Array) -> None:
-    # Lower the bounds of the cells around a new point at x. No place in a cell is farther from the
-    # point than the cell's center plus half the diagonal. Cells beyond the reach keep their bounds.
+    # Lower the bounds of the cells around a new point at x.
+    # No place in a cell is farther from x than the cell's center plus half the diagonal.
+    # Cells beyond the reach keep their bounds.
     dims = x.size
     half = 0.5 * np.sqrt(dims) + _ROUNDING
     reach = min(_REACH, side // 2)
@@ -260,9 +265,9 @@ def _lower_ceilings(x: Array, side: int, ceilings: Array) -> None:
 
 @kernel
 def _grids(points: Array, placed: int, room: int) -> Any:
-    # Buckets for `room` points, about one point in each when full, of which the first `placed`
-    # exist; and ceilings, bounds for much smaller cells (for a single cell in many dims, without
-    # effect).
+    # Make buckets, with about one point per bucket when full; add the points that are placed.
+    # Also make ceilings, which are bounds for much smaller cells.
+    # In many dims there is a single ceiling, without effect.
     dims = points.shape[1]
     buckets = empty_buckets(room, dims, max(1, int(room ** (1.0 / min(dims, _AXES)))))
     side = 4 * buckets[0] if dims <= _AXES else 1
@@ -275,7 +280,7 @@ def _grids(points: Array, placed: int, room: int) -> Any:
 
 @kernel
 def pick_candidates(keys: Array, candidates: int, out: Array) -> None:
-    """Fill out (R, n, d): of candidates·i places, point i is the farthest from earlier points."""
+    """Fill out (R, n, d): point i is the best of candidates·i, farthest from earlier points."""
     count, n, dims = out.shape
     x = np.empty(dims)
     for r in range(count):
@@ -307,7 +312,7 @@ def pick_candidates(keys: Array, candidates: int, out: Array) -> None:
 
 @kernel
 def _push(heap: Array, size: int, row: Array) -> None:
-    # Insert a row into the heap of `size` rows, whose top has the largest first column.
+    # Insert a row into the heap of `size` rows; the top row has the largest first column.
     i = size
     while i > 0 and heap[(i - 1) // 2, 0] < row[0]:
         heap[i] = heap[(i - 1) // 2]
@@ -317,7 +322,7 @@ def _push(heap: Array, size: int, row: Array) -> None:
 
 @kernel
 def _pop(heap: Array, size: int, row: Array) -> None:
-    # Move the top of the heap of `size` rows to `row`.
+    # Remove the top row of the heap, and copy it to `row`.
     row[:] = heap[0]
     last = heap[size - 1]
     i, child = 0, 1
@@ -333,19 +338,19 @@ def _pop(heap: Array, size: int, row: Array) -> None:
 
 @kernel
 def _set_bound(box: Array, points: Array, buckets: Any, wrap: bool) -> None:
-    # A box (d + 2,) has bound, half the side length, center.
+    # A box is an array (d + 2,): bound, half the side length, center.
     near = _clearance(box[2:], points, buckets, wrap, -1.0, _FAR)
     box[0] = np.sqrt(near) + box[1] * np.sqrt(box.size - 2)
 
 
 @kernel
 def fill_holes(points: Array, placed: int, wrap: bool) -> None:
-    """Place the points (n, d) after the first `placed`, each as far as possible from all others.
+    """Place all points (n, d) but the first `placed`, each as far as possible from all others.
 
-    The method is branch and bound, on the torus or in the cube. The distance of a box's center from
-    all points, plus half the diagonal, bounds the distance of any place in the box. Boxes wait in a
-    heap, the largest bound on top. New points only lower bounds, so stale bounds are updated when
-    their box is popped.
+    The method is branch and bound, on the torus or in the cube.
+    No place in a box is farther from all points than the box's center plus half the diagonal.
+    Boxes wait in a heap, with the largest bound on top.
+    New points only lower bounds, so stale bounds are updated when their box is popped.
     """
     n, dims = points.shape
     buckets = empty_buckets(n, dims, max(1, int(n ** (1.0 / dims))))

@@ -1,8 +1,10 @@
 """The interface of samplers and randomizations.
 
-A `Sampler` draws realizations of a point set. A `Randomization` changes the points of another
-sampler; ``sampler.then(randomization)`` chains them. Implementations write `_points` (or `_set`, or
-`apply`) and declare their properties. Checks, seeds and shapes are handled here.
+A sampler draws realizations of a point set.
+A randomization changes the points of another sampler.
+The method `then` of a sampler appends a randomization.
+Subclasses implement the drawing of points and declare their properties.
+The base classes handle checks, seeds and shapes.
 """
 
 from __future__ import annotations
@@ -39,7 +41,7 @@ __all__ = [
 ]
 
 MAX_COUNT = 2**31
-"""Largest numbers of points per realization and of numbers per `draw` of a sampler (16 GiB)."""
+"""Largest number of points per realization, and of numbers per `draw` of a sampler (16 GiB)."""
 
 FIRST_STEP = 1 << 16
 """Label of the first randomization's stream; lower labels are free for the samplers."""
@@ -72,7 +74,7 @@ class Sampler(Component, ABC):
     fixed
         Whether all realizations are the same set.
     structure
-        The `Structure` that randomizations of this sampler must preserve.
+        The structure that randomizations of this sampler must preserve.
     sequence
         Whether the first k of n points equal the set of k points, and each such prefix is good.
     antithetic
@@ -80,8 +82,9 @@ class Sampler(Component, ABC):
     independent
         Whether the realizations of a seed are independent.
     min_dims, max_dims, max_count
-        Smallest and largest number of dims, and largest number of points. Larger sets would take
-        too much time or memory. `other_dims` is the advice in the error message.
+        Smallest and largest number of dims, and largest number of points.
+        Larger sets would take too much time or memory.
+        The error message contains the advice `other_dims`.
     scrambles
         Number of built-in randomizations, such as owen in ``halton(scramble='owen')``.
     """
@@ -117,11 +120,11 @@ class Sampler(Component, ABC):
 
     @property
     def powers_only(self) -> bool:
-        """Whether randomizations of digits preserve the set only if n is a power of the base."""
+        """Whether randomizations of digits keep the structure only if n is a power of the base."""
         return self.structure is Structure.STRATA
 
     def digit_strata(self, n: int, base: int) -> bool:
-        """Whether the sides of the strata of `n` points are powers of `base`, and `n` too."""
+        """Whether the number of points and the sides of the strata are powers of `base`."""
         del n, base
         return True
 
@@ -161,14 +164,15 @@ class Sampler(Component, ABC):
         return self._points(n, Stream.from_rng(rng), start, count)
 
     def draw_stream(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        """Draw `count` realizations without checks of `n`, for the inner loops of estimators."""
+        """Draw `count` realizations for the inner loops of estimators, without a check of `n`."""
         return self._points(n, stream, first, count)
 
     def law(self, n: int) -> Law:
         """Return the joint distribution of the points of one realization of `n` points.
 
-        All predictions follow from the law of the sampler: closed forms of spectra and
-        covariances, exact variances, rates and refusals (`mcspectra.samplers.law`).
+        All predictions follow from the law of the sampler: closed forms of spectra and covariances,
+        exact variances and rates. The law also decides which predictions are refused.
+        See `mcspectra.samplers.law`.
 
         Raises
         ------
@@ -199,7 +203,7 @@ class Sampler(Component, ABC):
         return ()
 
     def as_chain(self, n: int) -> Sampler:  # noqa: ARG002
-        """Return the chain that this sampler abbreviates for n points, or the sampler itself."""
+        """Return the chain of steps that this sampler abbreviates for n points, or this sampler."""
         return self
 
     @property
@@ -256,7 +260,7 @@ class Sampler(Component, ABC):
         """Make realizations first … first + count − 1: float64 (count, n, dims)."""
 
     def _before(self, randomization: Randomization) -> Sampler:
-        """Return the sampler that `randomization` is applied to; given points may be reused."""
+        """Return the sampler to which `randomization` is applied; given points may be reused."""
         del randomization
         return self
 
@@ -276,7 +280,7 @@ class Sampler(Component, ABC):
 
     @staticmethod
     def from_files(*paths: str | PathLike[str]) -> Sampler:
-        """Make a sampler from point files, folders or patterns, in order: `GivenPoints`."""
+        """Make a sampler from point files, folders or patterns, taken in order: `GivenPoints`."""
         return samplers.GivenPoints.from_files(*paths)
 
     @staticmethod
@@ -286,12 +290,12 @@ class Sampler(Component, ABC):
 
     @staticmethod
     def from_command(run: str, *, dims: int, unbiased: bool = True) -> Sampler:
-        """Make a sampler from a program, as ``./mine {n} {seed}``: `CommandSampler`."""
+        """Make a sampler from a program such as ``./mine {n} {seed}``; see `CommandSampler`."""
         return samplers.CommandSampler(run=run, dims=dims, unbiased_=unbiased)
 
     @staticmethod
     def from_scipy(engine: object, **arguments: object) -> Sampler:
-        """Make a sampler from a `scipy.stats.qmc` engine, its class, or a factory of ``rng``."""
+        """Make a sampler from an engine of scipy.stats.qmc, its class, or a function of ``rng``."""
         return samplers.ScipySampler.from_engine(engine, **arguments)
 
     @staticmethod
@@ -339,14 +343,14 @@ class Randomization(Component, ABC):
     independent: ClassVar[bool] = True
     """Whether the randomizations of different realizations are independent."""
     fits: ClassVar[Mapping[Structure, Structure]] = {s: s for s in Structure}
-    """Structure that remains, by allowed structure; samplers with other structures are refused."""
+    """Map from each allowed structure to the structure that remains; others are refused."""
 
     @abstractmethod
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
         """Return new points (count, n, d) in [0,1) for realizations first … first + count − 1."""
 
     def law_of(self, law: Law, n: int) -> Law:
-        """Return the law of `n` randomized points whose law before was `law`."""
+        """Return the law of `n` randomized points, given the `law` before."""
         return Unknown(n=n, dims=law.dims, is_uniform=law.uniform or self.debiases)
 
     def count_inside(self, sampler: Sampler, n: int) -> int:  # noqa: ARG002
@@ -376,7 +380,7 @@ class Randomization(Component, ABC):
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
-        """Draw realizations of `sampler` from `stream` and randomize them with the stream `own`.
+        """Draw realizations of `sampler` from `stream`, and randomize them with their own stream.
 
         Override this method if the randomization draws other counts or realizations of `sampler`.
         """
@@ -387,7 +391,7 @@ class Randomization(Component, ABC):
         return sampler._counts_near(n)
 
     def max_count(self, sampler: Sampler) -> int:
-        """Return the largest count of randomized points with `sampler`."""
+        """Return the largest number of randomized points for `sampler`."""
         return sampler.max_count
 
     def count_warning(self, sampler: Sampler, n: int) -> str | None:
@@ -448,7 +452,7 @@ class Randomized(Sampler):
 
     @property
     def powers_only(self) -> bool:
-        """Same as for the inner sampler if the chain keeps part of the inner structure."""
+        """Same as for the inner sampler if strata or elementary intervals remain, else False."""
         return self.base.powers_only and self.structure in (Structure.STRATA, Structure.DIGITS)
 
     def digit_strata(self, n: int, base: int) -> bool:

@@ -1,19 +1,22 @@
 """Blue noise in the cells of a toroidal grid: void and cluster, dither masks, low discrepancy.
 
-Void and cluster fills the cells of a fine grid, always at the emptiest place. Low-discrepancy blue
-noise moves the points of a blue-noise set within their cells to a low-discrepancy set.
+Void and cluster fills the cells of a fine grid one by one, always at the emptiest place.
+Low-discrepancy blue noise starts from a blue-noise set.
+It moves the points within their cells, so that they form a low-discrepancy set.
 
-Notation of the kernels: a ``pattern`` bool (s, s) on the torus has ones at the points. ``energy``
-float64 (s, s) is the sum of Gaussians around the ones. ``weights`` (2·reach + 1,) is one Gaussian
-along an axis. ``heads`` int64 (2, s) holds two columns for each row: the column of the one with the
-highest energy (tightest cluster), and the column of the zero with the lowest energy (largest void);
-−1 if the row has no such cell. A ``grid`` is the tuple of pattern, energy and heads; cell (i, j)
-has the number i·s + j. Other ``points`` float64 (s, s, 2) have one point in each of s × s cells, in
-units of cells: the point of cell (i, j) is in [i, i+1) × [j, j+1), on the torus.
+Notation of the kernels: a ``pattern`` bool (s, s) on the torus has ones at the points.
+``energy`` float64 (s, s) is the sum of Gaussians around the ones.
+``weights`` (2·reach + 1,) is one Gaussian along an axis.
+``heads`` int64 (2, s) holds two columns for each row, −1 if the row has no such cell.
+They are the column of the one with the highest energy (tightest cluster),
+and the column of the zero with the lowest energy (largest void).
+A ``grid`` is the tuple of pattern, energy and heads; cell (i, j) has the number i·s + j.
+Other ``points`` float64 (s, s, 2) have one point in each of s × s cells, in units of cells:
+the point of cell (i, j) is in [i, i+1) × [j, j+1), on the torus.
 
-The width of the Gaussian is 1.5 cells, as in Ulichney's paper. If the spacing of the ones exceeds
-three cells, the width grows with the spacing, because a Gaussian must reach the next point to
-locate it.
+The width of the Gaussian is 1.5 cells, as in Ulichney's paper.
+If the spacing of the ones exceeds three cells, the width grows with the spacing,
+because a Gaussian must reach the next point to locate it.
 """
 
 from __future__ import annotations
@@ -38,8 +41,8 @@ __all__ = ["LowDiscrepancyBlueNoise", "VoidAndCluster", "dither_mask", "snap_in_
 _MOST_SIDE = 2048
 _ONES = 0.1  # fraction of ones in the first pattern of a mask, Ulichney (1993)
 _SIGMA = 1.5  # width of the Gaussian in cells, Ulichney (1993)
-_SIGMA_PER_SPACING = 0.47  # width per spacing: 1.5 cells for one point in ten cells, as Ulichney
-_WIDTHS = 6.0  # radius at which the Gaussian is cut off, in widths; it is 1.5e-8 there
+_SIGMA_PER_SPACING = 0.47  # width per spacing; 1.5 cells for one point in ten cells (Ulichney)
+_WIDTHS = 6.0  # cutoff radius of the Gaussian, in widths; its value there is 1.5e-8
 _CLEAR = 1e-9  # smallest gain of energy above rounding; ensures that relaxation ends
 _CLUSTER, _VOID = 0, 1
 _REPELLING = 0.5  # width in cells of the Gaussians by which points repel each other
@@ -61,8 +64,8 @@ def dither_mask(size: int, keys: Array) -> Array:
     Returns
     -------
     ndarray
-        int64 (size, size): the ranks 0 … size² − 1. For every k, the k cells of rank below k form a
-        blue-noise set.
+        The ranks 0 … size² − 1, int64 (size, size).
+        For every k, the k cells of rank below k form a blue-noise set.
 
     References
     ----------
@@ -85,16 +88,17 @@ def dither_mask(size: int, keys: Array) -> Array:
 class VoidAndCluster(PlaneSampler, OptimisedSampler):
     """Void and cluster: blue noise in cells of a fine grid, jittered within; 2-D, progressive.
 
-    Makes up to 65,536 points, in the order of their ranks: for every k, the first k points are
-    spread evenly. A set of 4096 points takes a quarter of a second, and of 16,384 two seconds.
+    Makes up to 65,536 points, in the order of their ranks.
+    For every k, the first k points are spread evenly.
+    A set of 4096 points takes a quarter of a second, and a set of 16,384 points two seconds.
 
     Attributes
     ----------
     cells
         Number of grid cells per point, from 4 to 256; more cells make the grid less visible.
     sets
-        Largest number of different sets; None for a new set per realization. See
-        `OptimisedSampler`.
+        Largest number of different sets, see `OptimisedSampler`.
+        None makes a new set for each realization.
 
     References
     ----------
@@ -110,7 +114,7 @@ class VoidAndCluster(PlaneSampler, OptimisedSampler):
         rounds = 0
         while not _relax(grid, weights, n):
             rounds += 1
-            report(1.0 - 0.5 ** (rounds / 4))  # how many further rounds follow is unknown
+            report(1.0 - 0.5 ** (rounds / 4))  # the number of further rounds is unknown
         order, points = np.empty(n, np.int64), np.empty((n, 2))
         _rank_ones(grid, order)
         _jitter_cells(keys[0], keys[1], order, side, points)
@@ -215,8 +219,8 @@ def _relax(grid: Any, weights: Array, steps: int) -> bool:
 
 @kernel
 def _rank_ones(grid: Any, order: Array) -> None:
-    # Clear the pattern, tightest cluster first; write its cells to order (ones,), the first cleared
-    # last.
+    # Clear the pattern, tightest cluster first.
+    # Write its cells to order (ones,) in reverse order: the cell cleared first comes last.
     weights, again = _start(grid), order.size // 2
     for rank in range(order.size - 1, -1, -1):
         order[rank] = _head(_CLUSTER, grid)
@@ -227,7 +231,7 @@ def _rank_ones(grid: Any, order: Array) -> None:
 
 @kernel
 def _rank_all(grid: Any, order: Array) -> None:
-    # Rank all cells from a relaxed pattern of at most half of them: order (s²,).
+    # Rank all cells, given a relaxed pattern of at most half of them; out is order (s²,).
     pattern, energy, heads = grid
     ones, half = np.count_nonzero(pattern), order.size // 2
     first = pattern.copy()
@@ -249,8 +253,8 @@ def _rank_all(grid: Any, order: Array) -> None:
 
 @kernel
 def _jitter_cells(k0: np.uint64, k1: np.uint64, cells: Array, side: int, out: Array) -> None:
-    # Fill out (n, 2) with uniform points in cells (n,), translated by random whole cells.
-    number = side * side  # the first pattern used the lower indices
+    # Fill out (n, 2) with uniform points in cells (n,), moved together by random whole cells.
+    number = side * side  # lower numbers were used for the first pattern
     down, across = _mix_below(k0, k1, number, side), _mix_below(k0, k1, number + 1, side)
     for p in range(cells.size):
         number += 2
@@ -264,30 +268,32 @@ def _jitter_cells(k0: np.uint64, k1: np.uint64, cells: Array, side: int, out: Ar
 class LowDiscrepancyBlueNoise(PlaneSampler, OptimisedSampler):
     """Low-discrepancy blue noise in s × s cells, s a power of two (2-D).
 
-    Counts are 4^k up to 65,536. Points come in row-major order of their cells. A set of 1024 points
-    takes a quarter of a second; the time is proportional to n.
+    Counts are 4^k up to 65,536. Points come in row-major order of their cells.
+    A set of 1024 points takes a quarter of a second; the time is proportional to n.
 
     Attributes
     ----------
     chunk
-        Number of consecutive cells that keep the order of the blue-noise set, a power of two up to
-        64. More cells give cleaner blue noise, fewer cells a lower discrepancy.
+        Number of consecutive cells that keep the order of the blue-noise set, a power of two ≤ 64.
+        More cells give cleaner blue noise, fewer cells a lower discrepancy.
     sweeps
         Number of attempts to move each point of the blue-noise set.
     sets
-        Largest number of different sets; None for a new set per realization. See
-        `OptimisedSampler`.
+        Largest number of different sets, see `OptimisedSampler`.
+        None makes a new set for each realization.
 
     Notes
     -----
-    The set has one point in each cell, and one in each n-th of either axis. It also has one point
-    in each interval that is 2^j cells long and 2^−j cells wide, for all 2^j ≥ chunk;
-    chunk = 2 makes a (0,2)-net. The points are uniform over cells and along each axis, but
-    slightly less so within cells. Add shift for unbiased means.
+    The set has one point in each cell, and one in each of n equal intervals of either axis.
+    For all 2^j ≥ chunk, it also has one point in each interval of 2^j by 2^−j cells.
+    With chunk = 2 the set is a (0,2)-net.
+    The points are uniform over cells and along each axis, but slightly less so within cells.
+    Add shift for unbiased means.
 
-    The blue-noise set is a jittered set, relaxed within its cells until Gaussians of half a cell's
-    width around the points overlap least. It is computed for every realization; the authors keep a
-    table of one set.
+    The blue-noise set is a jittered set, with points relaxed within their cells.
+    Relaxation makes Gaussians of half a cell's width around the points overlap least.
+    It is computed for every realization.
+    The authors instead keep a table of one set.
 
     References
     ----------
@@ -327,7 +333,7 @@ class LowDiscrepancyBlueNoise(PlaneSampler, OptimisedSampler):
 
 @kernel
 def _energy(i: int, j: int, x: float, y: float, points: Array) -> float:
-    # Return the energy of the point of cell (i, j) if this point were at (x, y).
+    # Return the energy that the point of cell (i, j) would have at (x, y).
     side, total = points.shape[0], 0.0
     reach = min(_REACH, (side - 1) // 2)
     for u in range(i - reach, i + reach + 1):
@@ -360,20 +366,20 @@ def _relax_in_cells(k0: np.uint64, k1: np.uint64, number: int, step: float, poin
 @kernel
 def _snap_line(low: int, chunk: int, line: int, positions: Array, out: Array) -> None:
     # Divide the width of a line of s cells into s intervals, and assign one interval to each cell.
-    # `positions` (s,) are the coordinates of the cells' points across the line. `out` (s,) gets
-    # the index of each cell's interval. The digits of `low` shift
-    # those of a van der Corput sequence.
+    # `positions` (s,) are the coordinates of the cells' points across the line.
+    # `out` (s,) gets the index of each cell's interval.
+    # The digits of `low` shift the digits of a van der Corput sequence.
     side, digits = positions.size, 0
     while chunk << digits < side:
         digits += 1
     for block in range(side // chunk):
-        # Low digits, common to the chunk: the chunk's number with reversed and shifted digits
+        # The low digits are common to the chunk: the chunk's number, digits reversed and shifted
         mine = 0
         for k in range(digits):
             mine |= ((block >> k) & 1) << (digits - 1 - k)
         mine ^= low & ((1 << digits) - 1)
 
-        # High digits: the rank of the point within the chunk
+        # The high digits are the rank of the point within the chunk
         start = block * chunk
         for rank, index in enumerate(np.argsort(positions[start : start + chunk])):
             out[start + index] = line * side + ((rank << digits) | mine)
@@ -385,10 +391,11 @@ def snap_in_chunks(
 ) -> None:
     """Move points to a low-discrepancy set, keeping their order in chunks; out (s, s, 2).
 
-    The s cells of each column divide the s intervals of the column's width among themselves;
-    likewise the cells of each row. Within a chunk, intervals follow the order of the points. Chunks
-    follow the van der Corput sequence with randomly shifted digits. A point is random within its
-    interval.
+    The s cells of each column divide the s intervals of the column's width among themselves.
+    The same holds for the cells of each row.
+    Within a chunk, intervals follow the order of the points.
+    Chunks follow the van der Corput sequence with randomly shifted digits.
+    A point is uniform within its interval.
     """
     side = points.shape[0]
     for line in range(side):

@@ -1,7 +1,7 @@
 """Engines of scipy.stats.qmc and generators of QMCPy as samplers.
 
-Each realization is drawn separately, with fresh randomness. `scipy.stats` (half a second) and
-`qmcpy` are imported when an engine is first used.
+Each realization is drawn separately, with fresh randomness.
+The modules `scipy.stats` (half a second) and `qmcpy` are imported at the first use.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from mcspectra.samplers.external import OneByOne, qualified_name
 
 __all__ = ["QmcpySampler", "ScipySampler", "is_engine", "is_generator"]
 
-_RANDOMNESS = ("rng", "seed")  # names of the generator argument; `seed` before scipy 1.15
+_RANDOMNESS = ("rng", "seed")  # names of the argument for the generator: seed before scipy 1.15
 _SET_ELSEWHERE = ("dimension", "replications", "seed")  # arguments that this class sets
 _UNBIASED = ("Halton", "LatinHypercube", "Sobol")  # scrambled engines of scipy with uniform points
 _UNIFORM = ("TRUE", "SHIFT", "DS", "LMS DS", "DP", "LMS DP", "NUS")  # values of QMCPy's `randomize`
@@ -47,19 +47,19 @@ class ScipySampler(OneByOne):
     Attributes
     ----------
     engine
-        Name of a class in `scipy.stats.qmc`, a subclass of its QMCEngine, or a factory
-        ``generator -> engine``.
+        Name of a class in `scipy.stats.qmc`, or a subclass of its QMCEngine,
+        or a function that makes an engine from a generator.
     dims
         Number of dims, the engine's ``d``.
     scramble
-        The engine's argument of that name; with None the engine uses its default.
+        The engine's option for scrambling; with None the engine uses its default.
     options
         Further arguments of the engine, such as ``{'strength': 2}``.
 
     Notes
     -----
-    Scrambled Sobol, Halton and LatinHypercube engines without `optimization` count as unbiased;
-    other engines do not.
+    Scrambled Sobol, Halton and LatinHypercube engines without `optimization` count as unbiased.
+    Other engines do not count as unbiased.
     """
 
     name: ClassVar[str] = "scipy"
@@ -98,10 +98,10 @@ class ScipySampler(OneByOne):
         Parameters
         ----------
         engine
-            For an instance, only its class and arguments are used; its generator and its position
-            in the sequence are ignored.
+            For an instance, only its class and arguments are used.
+            Its generator and its position in the sequence are ignored.
         arguments
-            Arguments of a class: ``d`` (or ``dims``), ``scramble``, ...
+            Arguments of a class, such as its number of dims or ``scramble``.
 
         Raises
         ------
@@ -148,7 +148,7 @@ class ScipySampler(OneByOne):
 
 
 def is_engine(source: object) -> bool:
-    """Return whether this is a QMCEngine or its class; without an import of qmc none exists."""
+    """Return whether this is a QMCEngine or its class; False if qmc is not imported."""
     return _is_of(source, getattr(sys.modules.get("scipy.stats.qmc"), "QMCEngine", None))
 
 
@@ -225,7 +225,7 @@ def _arguments_of(engine: Any) -> dict[str, Any]:
     for name, parameter in inspect.signature(cls).parameters.items():
         if name in _RANDOMNESS:
             continue
-        # scipy stores some arguments only in the dict for qmc_quad, where scramble is always True
+        # scipy stores some arguments only for qmc_quad, in a dict where scramble is always True
         handed = getattr(engine, "_init_quad", {}) if name != "scramble" else {}
         kept = {**handed, **vars(engine)}
         variadic = parameter.kind in (parameter.VAR_KEYWORD, parameter.VAR_POSITIONAL)
@@ -246,15 +246,15 @@ def _arguments_of(engine: Any) -> dict[str, Any]:
 class QmcpySampler(OneByOne):
     """A generator of QMCPy, created for each realization with its own seed.
 
-    Dims and counts are limited by the generator's ``d_limit`` and ``n_limit``. Counts are powers of
-    two if the order of the generator is the radical inverse. Other errors occur when points are
-    drawn.
+    The generator's attributes ``d_limit`` and ``n_limit`` limit dims and counts.
+    Counts are powers of two if the order of the generator is the radical inverse.
+    Other errors of a generator occur when points are drawn.
 
     Attributes
     ----------
     generator
-        Name of a class in `qmcpy`, the class, or an instance. Instances are only patterns; QMCPy's
-        own ``spawn`` makes fresh copies.
+        Name of a class in `qmcpy`, the class, or an instance.
+        An instance is only a pattern: its method ``spawn`` makes fresh copies.
     dims
         Number of dims, the generator's ``dimension``.
     options
@@ -262,10 +262,10 @@ class QmcpySampler(OneByOne):
 
     Notes
     -----
-    QMCPy keeps up to 63 binary digits. A coordinate that rounds up to 1.0 is replaced by the
-    largest double below 1; larger coordinates are errors. Points count as uniform for QMCPy's own
-    classes if ``randomize`` is a shift, a digital shift, a digital permutation or nested
-    scrambling.
+    QMCPy keeps up to 63 binary digits. Coordinates that round up to 1.0
+    are replaced by the largest double below 1. Larger coordinates are errors.
+    Points of QMCPy's own classes count as uniform after some randomizations:
+    shifts, digital shifts, digital permutations and nested scrambling.
 
     References
     ----------
@@ -301,7 +301,7 @@ class QmcpySampler(OneByOne):
         generator
             Name, class, or instance; the seed and replications of an instance are ignored.
         arguments
-            Arguments of a class: ``dimension`` (or ``dims``), ``randomize``, ...
+            Arguments of a class, such as its number of dims or ``randomize``.
 
         Raises
         ------
@@ -396,7 +396,7 @@ class QmcpySampler(OneByOne):
 
 
 def is_generator(source: object) -> bool:
-    """Return whether this is a QMCPy generator or its class; none exists before QMCPy's import."""
+    """Return whether this is a QMCPy generator or its class; False if QMCPy is not imported."""
     return _is_of(source, getattr(sys.modules.get("qmcpy"), "AbstractDiscreteDistribution", None))
 
 

@@ -1,7 +1,7 @@
 """Points from outside the package: given arrays and files, functions, and programs.
 
-Functions and programs make one realization at a time, each with fresh randomness. A spec that names
-code runs only if that code is allowed: `allow_code`, ``--allow-code``.
+Functions and programs make one realization at a time, each with fresh randomness.
+A spec that names code runs only if `allow_code` or the option ``--allow-code`` allows the code.
 """
 
 from __future__ import annotations
@@ -61,14 +61,14 @@ __all__ = [
 
 _PLACEHOLDER = re.compile(r"\{(\w*)\}")
 _PLACEHOLDERS = ("n", "seed", "dims")
-_COORDINATE_BYTES = 64  # most bytes of a printed number and its separator
+_COORDINATE_BYTES = 64  # largest size of a printed number with its separator
 _SEED_BITS = 31  # number of bits of a seed; programs read the seed as int
 
 # Recognition of nets and lattices among given sets
 _NET_BASES = (2, 3, 5)
 _LEAST_CELLS, _LEAST_CELLS_OF_FEW = 8, 16  # least number of balanced elementary intervals
 _FEW = 64  # sets with fewer points than this need more intervals
-_MOST_WORK = 2**26  # largest product of points and interval shapes; about a second
+_MOST_WORK = 2**26  # largest product of points and interval shapes; takes about a second
 _WORD = 53  # number of bits of a coordinate
 _OFF_LATTICE = 0.01  # rounding tolerance of coordinates of a lattice, in units of 1/n
 
@@ -117,41 +117,44 @@ class PointSets(dict[int, Array]):
 class GivenPoints(Sampler):
     """Given points: realization r is set r of an array or of point-set files.
 
-    It is an error to draw more realizations than sets exist, or a count that no set has. With a
-    randomization that makes every point uniform (shift, digital-shift, owen), sets are used
-    repeatedly with fresh randomness. One set then suffices for any number of realizations.
+    It is an error to draw more realizations than there are sets, or a count that no set has.
+    If a randomization makes every point uniform (shift, digital-shift, owen),
+    sets are used repeatedly with fresh randomness.
+    One set then suffices for any number of realizations.
 
     Attributes
     ----------
     path
-        File, files or folder (.dat, .bin, .npz, .npy, .csv) with the sets, in order of names
-        (numbers in names are sorted by value). ``*`` and ``?`` match any characters of a file name,
-        and
-        ``{n}`` matches the number of points, which is then checked, as in ``sets/n{n}_*.dat``.
-        If `points` are given, `path` is only a name for them.
+        File, files or folder (.dat, .bin, .npz, .npy, .csv) with the sets.
+        Files are taken in the order of their names; numbers in names are sorted by value.
+        The wildcards ``*`` and ``?`` match any characters of a file name.
+        The placeholder ``{n}``, as in ``sets/n{n}_*.dat``, matches the number of points,
+        and the number in the name is then checked.
+        If points are given, the path is only a name for them.
     points
-        The sets, shape (R, n, d) or (n, d), in [0,1). They are copied and read-only. If the sets
-        have several counts, `points` has the sets with the fewest points.
+        The sets, shape (R, n, d) or (n, d), in [0,1). They are copied and read-only.
+        If the sets have several counts, `points` has the sets with the fewest points.
     cycle
-        Whether realization r is set r mod R. Without a randomization this repeats data: a variance
-        is then that of R sets, however many are drawn.
+        Whether realization r is set r mod R. Without a randomization this repeats data:
+        a variance is then the variance of R sets, however many are drawn.
     dims
-        Number of coordinates. By default it is that of the sets; a given number must agree.
+        Number of coordinates, by default as in the sets; a given number must agree with them.
     name_
         Label in pictures and tables: ``name=`` in a spec.
     sets
-        All sets by number of points, (R, n, d) each. Digital nets in base 2, 3 or 5 and
-        lattices are recognized, for predictions and for randomizations of digits.
+        All sets by number of points, (R, n, d) each.
+        Digital nets in base 2, 3 or 5 are recognized, and so are lattices.
+        Predictions and randomizations of digits use this structure.
     digest
         First 12 digits of the SHA-256 of shapes and coordinates.
 
     Raises
     ------
     FileFormatError
-        If a file is not a point set, no file matches a pattern, or the n of a file differs from
-        the n in its name.
+        If a file is not a point set, or if no file matches a pattern.
+        Also if the n of a file differs from the n in its name.
     ParameterError
-        If neither `path` nor `points` is given, or sets have different dims.
+        If neither a path nor points are given, or sets have different dims.
     DomainError
         If points lie outside [0,1) or are not finite, or there are no points.
     """
@@ -261,11 +264,12 @@ class GivenPoints(Sampler):
 def net_quality(points: Array, like: tuple[int, int] | None = None) -> tuple[int, int] | None:
     """Return base and quality t of a digital net in base 2, 3 or 5; None for other sets (n, d).
 
-    A set of b^m points is a (t, m, d)-net if each elementary interval of volume b^(t − m) contains
-    b^t points. Every set is a net for t = m. A set counts as a net if m − t is at least 3 in base 2
-    (4 below 64 points) or 2 in bases 3 and 5. Alternatively, it counts if it has the base of the
-    larger net `like` of the same file, and a t that is no worse. Blue noise of 16 points or more
-    does not count: in tests, at most one of 200 such sets did.
+    A set of b^m points is a (t, m, d)-net if each elementary interval of volume b^(t − m)
+    contains b^t points. Every set is a net for t = m.
+    Therefore a set counts as a net only if m − t is large enough:
+    at least 3 in base 2 (4 below 64 points), and at least 2 in bases 3 and 5.
+    A set also counts if the same file has a larger net, `like`, in this base with no smaller t.
+    Blue noise of 16 points or more does not count: in tests, at most one of 200 such sets did.
     """
     n, dims = points.shape
     for base in _NET_BASES if like is None else (like[0],):
@@ -288,8 +292,8 @@ def net_quality(points: Array, like: tuple[int, int] | None = None) -> tuple[int
 def recognized(points: Array, bases: tuple[int, ...] | None) -> Fixed:
     """Return the law of one given set (n, d), a net in the given bases if there are any.
 
-    The set is digital if its digits form a group, and a lattice if its differences form a group on
-    the torus.
+    The set is digital if its digits form a group.
+    It is a lattice if its differences form a group on the torus.
     """
     n, dims = points.shape
 
@@ -323,9 +327,9 @@ def _is_group(
     add: Callable[[Array, Array], Array],
     multiples: Callable[[Array, int], Array],
 ) -> bool:
-    """Return whether distinct rows of whole numbers (n, d), one of them 0, are closed under `add`.
+    """Return whether distinct rows of whole numbers (n, d) are closed under `add`; one must be 0.
 
-    ``multiples(row, count)`` are 0, row, row + row, … (count, d).
+    ``multiples(row, count)`` are 0, row, row + row, … as an array (count, d).
     """
     count, dims = rows.shape
     weights = np.random.default_rng(0).integers(1, 2**63, dims, np.uint64) | np.uint64(1)
@@ -361,7 +365,7 @@ def _as_paths(given: object) -> tuple[str, ...]:
 
 
 def _read(paths: Sequence[str]) -> Iterator[tuple[str, Array]]:
-    """Yield the sets of all files in order, with file names; check n against the name."""
+    """Yield all sets of all files in order, with file names; compare n with the name."""
     for file, n in (found for path in paths for found in matching_files(path)):
         for points in read_points(file):
             if n is not None and len(points) != n:
@@ -373,7 +377,7 @@ def _read(paths: Sequence[str]) -> Iterator[tuple[str, Array]]:
 
 
 def _by_count(sets: Iterable[tuple[str, object]]) -> dict[int, Array]:
-    """Stack named sets (n, d) by n, ascending: (R, n, d); all must have the same dims."""
+    """Stack named sets (n, d) by ascending n, as arrays (R, n, d); all need the same dims."""
     found: dict[int, list[Array]] = {}
     dims = None
     for k, (name, given) in enumerate(sets):
@@ -464,12 +468,12 @@ class FunctionSampler(_OfCode):
     Attributes
     ----------
     function
-        The callable. All its randomness must come from the generator, which is fresh and
-        reproducible for each realization. Threads may call it concurrently.
+        The callable. All its randomness must come from the generator.
+        Each realization has a fresh, reproducible generator. Threads may call it concurrently.
     dims
         Number of coordinates of the returned points.
     unbiased_
-        Whether each of its points, taken alone, is uniform on [0,1)^d.
+        Whether each point, taken alone, is uniform on [0,1)^d.
     """
 
     name: ClassVar[str] = "function"
@@ -501,12 +505,12 @@ class PythonSampler(_OfCode):
     Attributes
     ----------
     function
-        ``module:function``; modules are found on Python's path (PYTHONPATH). The function is
-        called as in `FunctionSampler`.
+        The name as ``module:function``. Modules are found on Python's path (PYTHONPATH).
+        The function is called as in `FunctionSampler`.
     dims
         Number of coordinates of the returned points.
     unbiased_
-        Whether each of its points, taken alone, is uniform on [0,1)^d: ``unbiased=`` in a spec.
+        Whether each point, taken alone, is uniform on [0,1)^d: ``unbiased=`` in a spec.
     name_
         Label in pictures and tables: ``name=`` in a spec.
 
@@ -545,16 +549,16 @@ class CommandSampler(_OfCode):
     Attributes
     ----------
     run
-        Program and arguments. ``{n}`` stands for the number of points, ``{dims}`` for the number
-        of dims, and ``{seed}`` for a whole number from 0 to 2^31 − 1 that belongs to the
-        realization. No shell is used. Without ``{seed}`` all realizations are one set, and
-        the program runs once per draw.
+        Program and arguments; no shell is used. There are three placeholders:
+        ``{n}`` stands for the number of points, and ``{dims}`` for the number of dims.
+        ``{seed}`` stands for the seed of the realization, a whole number from 0 to 2^31 − 1.
+        Without ``{seed}`` all realizations are one set, and the program runs once per draw.
     dims
         Number of coordinates that the program prints per point, separated by blanks or commas.
     timeout
         Seconds after which the program is stopped.
     unbiased_
-        Whether each of its points, taken alone, is uniform on [0,1)^d: ``unbiased=`` in a spec.
+        Whether each point, taken alone, is uniform on [0,1)^d: ``unbiased=`` in a spec.
         Without ``{seed}`` points do not count as uniform.
     name_
         Label in pictures and tables: ``name=`` in a spec.
@@ -683,7 +687,7 @@ def loaded_function(name: object) -> Callable[..., Any]:
         found = getattr(importlib.import_module(module), attribute)
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # external code may raise anything
+    except BaseException as error:  # external code may raise any exception
         hint = "; name its folder in PYTHONPATH" if isinstance(error, ModuleNotFoundError) else ""
         raise ParameterError(
             f"The function {name!r} cannot be imported: {reason_of(error, 200)}{hint}."
@@ -696,8 +700,9 @@ def loaded_function(name: object) -> Callable[..., Any]:
 def allow_code(*names: str) -> None:
     """Allow specs of this process to run the named code: whole commands, programs, or functions.
 
-    ``command('./mine {n} {seed}')`` may run if ``'./mine {n} {seed}'`` is allowed, or ``'./mine'``
-    for any arguments. ``python('module:function')`` may run if ``'module:function'`` is allowed.
+    The name ``'./mine {n} {seed}'`` allows the spec ``command('./mine {n} {seed}')``.
+    The name ``'./mine'`` allows this program with any arguments.
+    The name ``'module:function'`` allows the spec ``python('module:function')``.
     Samplers made from the classes in Python need no permission, and allow their own specs.
 
     Raises
@@ -709,7 +714,7 @@ def allow_code(*names: str) -> None:
 
 
 def allow_own_code(name: str) -> None:
-    """Allow specs to run code that a Python class or the `Trust` of a study already allows."""
+    """Allow specs to run code that a Python class, or the `Trust` of a study, already allows."""
     _own.add(name)
 
 

@@ -27,9 +27,9 @@ class SamplerFacts:
     Attributes
     ----------
     dims
-        For instance ``any``, ``2`` or ``1–1111``; ``as given`` if parameters determine them.
+        Allowed numbers of dims, such as ``any`` or ``1–1111``; ``as given`` if parameters decide.
     counts
-        For instance ``any`` or ``1, 4, 9, 16, 25, 36, …`` (in 2-D if the sampler allows 2-D).
+        Allowed counts, such as ``any`` or ``1, 4, 9, 16, …`` (in 2-D if the sampler allows 2-D).
     sources
         References of the docstring in one line: authors, year, title and address of each work.
     """

@@ -2,9 +2,9 @@
 
 In a hyperuniform set, the power n⟨|S_m|²⟩ goes to 0 with the frequency |m|.
 
-Notation of the kernels: R realizations, n points, d dims, K frequencies. Complex numbers are stored
-as two real arrays, so that inner loops access neighbors in memory, without a running sum, and
-compilers vectorize them.
+Notation of the kernels: R realizations, n points, d dims, K frequencies.
+Complex numbers are stored as two real arrays, so that inner loops access neighbors in memory.
+Inner loops have no running sum, so that compilers vectorize them.
 """
 
 from __future__ import annotations
@@ -39,11 +39,11 @@ __all__ = [
     "summed_power",
 ]
 
-_GOAL = 1e-22  # sum of powers that counts as zero; rounding is 1e-28, random points have 1
+_GOAL = 1e-22  # sum of powers that counts as zero; rounding gives 1e-28, random points give 1
 _STARTS = 20
 _PAIRS = 2**20  # number of pairs of waves and frequencies compared at a time
 _BLOCK = 16  # number of basis vectors between two tests of the proposals
-_BATCH = 8  # number of proposals tested together, reading the basis once
+_BATCH = 8  # number of proposals that are tested together, with one pass over the basis
 
 
 @final
@@ -56,14 +56,15 @@ class PerturbedLattice(GridSampler):
     width
         Standard deviation of each coordinate's displacement, as a multiple of the spacing 1/s.
     correlation
-        Exponent β, −2 ≤ β ≤ 2: the power spectrum of the displacements is proportional to
-        |k|^(−β), so the power of the points grows like |m|^(2−β). 0: independent displacements.
+        Exponent β, −2 ≤ β ≤ 2; 0 makes displacements independent.
+        The power spectrum of the displacements is proportional to |k|^(−β),
+        so the power of the points grows like |m|^(2−β).
 
     Notes
     -----
-    The field is periodic, computed from white noise by a fast Fourier transform. For independent
-    displacements n⟨|S_m|²⟩ = 1 − exp(−4π²|m|²(width/s)²), except at the frequencies of the grid,
-    m ≡ 0 modulo s.
+    The field is periodic, and is computed from white noise by a fast Fourier transform.
+    For independent displacements n⟨|S_m|²⟩ = 1 − exp(−4π²|m|²(width/s)²).
+    The frequencies of the grid, m ≡ 0 modulo s, are an exception.
 
     References
     ----------
@@ -76,7 +77,7 @@ class PerturbedLattice(GridSampler):
     correlation: float = real(0.0, least=-2.0, most=2.0)
 
     def displacement_correlation(self, n: int) -> Array:
-        """Correlation of the displacements of two points, by their distance on the grid: s^d."""
+        """Correlation of the displacements of two grid points, by their offset: shape (s, …, s)."""
         sides = self.sides(n)
         if n == 1 or self.correlation == 0.0:
             return np.asarray(np.arange(n) == 0, float).reshape(sides)
@@ -86,11 +87,11 @@ class PerturbedLattice(GridSampler):
         return Stationary(n=n, dims=self.dims, power=lambda m: self._power(n, m))
 
     def _power(self, n: int, m: Array) -> Array:
-        """⟨|S_m|²⟩ at integer m, of shape (..., d); a common translation does not change the power.
+        """Return ⟨|S_m|²⟩ at integer m (..., d), which a common translation does not change.
 
-        The power is (1/n) Σ_r exp(−2πi m·r/s) exp(−4π² |m|² (width/s)² (1 − ρ(r))) over the
-        positions r of the grid. ρ is the correlation of displacements at distance r
-        ([Gabrielli2004]_, Gaussian case).
+        The power is (1/n) Σ_r exp(−2πi m·r/s) exp(−4π² |m|² (width/s)² (1 − ρ(r))).
+        The sum is over the positions r of the grid.
+        ρ(r) is the correlation of displacements at offset r ([Gabrielli2004]_, Gaussian case).
         """
         sides = self._sides(n)
         if self.correlation == 0.0:
@@ -114,7 +115,7 @@ class PerturbedLattice(GridSampler):
         fill_normals(keys, self.dims, moves)
         field = moves.reshape(count, n, self.dims)
 
-        # Filter the white noise: power becomes proportional to |k|^(−β), the variance is unchanged
+        # Filter the white noise, so that its power is proportional to |k|^(−β); the variance stays
         if self.correlation != 0.0 and n == 1:
             field = np.zeros_like(field)  # the only frequency of the field is 0
         elif self.correlation != 0.0:
@@ -143,7 +144,7 @@ def _gains(sides: tuple[int, ...], beta: float) -> Array:
 
 @kernel
 def fill_normals(keys: Array, start: int, out: Array) -> None:
-    """Fill out (R, size) with independent standard normal numbers, from random number `start`."""
+    """Fill out (R, size) with standard normals, made from the random numbers after `start`."""
     for r in range(out.shape[0]):
         k0, k1 = keys[r, 0], keys[r, 1]
         for i in range(0, out.shape[1], 2):
@@ -162,8 +163,9 @@ class StealthyHyperuniform(OptimisedSampler):
     Attributes
     ----------
     stealthiness
-        χ, the number of constrained frequencies per degree of freedom, below ½. K is the largest
-        radius that contains at most χ d (n − 1) pairs ±m. Points crystallize at χ ≥ ½ (1-D: ⅓).
+        χ, the number of constrained frequencies per degree of freedom, below ½.
+        K is the largest radius that contains at most χ d (n − 1) pairs ±m.
+        At χ ≥ ½ (in 1-D at χ ≥ ⅓) the points crystallize.
     iterations
         Largest number of descent steps before a restart from other points.
     sets
@@ -171,9 +173,9 @@ class StealthyHyperuniform(OptimisedSampler):
 
     Notes
     -----
-    Limited-memory BFGS starts from independent uniform points and lowers Σ n|S_m|² over the
-    constrained frequencies below 1e-22. Neither the start nor the sum prefers a position, so every
-    point is uniform.
+    Limited-memory BFGS starts from independent uniform points.
+    It lowers the sum of n|S_m|² over the constrained frequencies to below 1e-22.
+    Neither the start nor the sum prefers a position, so every point is uniform.
 
     References
     ----------
@@ -194,7 +196,7 @@ class StealthyHyperuniform(OptimisedSampler):
             )
 
     def constrained(self, n: int) -> Array:
-        """Return the constrained frequencies for `n` points: int64 (K, dims), one per ±m."""
+        """Return the constrained frequencies of `n` points, one per pair ±m: int64 (K, dims)."""
         most = int(self.stealthiness * self.dims * (self.check_count(n) - 1))
         return half_shells(most, self.dims)
 
@@ -265,7 +267,7 @@ def _power_sum(points: Array, frequencies: Array, orders: int, gradient: Array) 
                 re[i] = a * cj[i] - sign * b * sj[i]
                 im[i] = sign * a * sj[i] + b * cj[i]
 
-        # Compute the power of the sum over the points, and its slope
+        # Compute the power |Σ_i exp(2π i m·x_i)|²/n, and its derivative for each point
         a, b = 0.0, 0.0
         for i in range(n):
             a += re[i]
@@ -285,16 +287,18 @@ def _power_sum(points: Array, frequencies: Array, orders: int, gradient: Array) 
 class Determinantal(Sampler):
     """Points of the projection determinantal process of n Fourier waves on the torus; any dims.
 
-    The kernel is K(x, y) = Σ exp(2πi m·(x − y)) over M, the n frequencies of smallest norm; ties
-    are broken lexicographically. M need not be symmetric, so any count up to 4096 is possible.
+    The kernel is K(x, y) = Σ exp(2πi m·(x − y)) over M, the n frequencies of smallest norm.
+    Ties between norms are broken lexicographically.
+    The set M need not be symmetric, so any count up to 4096 is possible.
     An exact draw takes about n³ log n steps.
 
     Notes
     -----
-    Points are drawn exactly, one after another (Hough et al., algorithm 18; Lavancier et al.,
-    algorithm 1), each by rejection from uniform proposals. The process is stationary with pair
-    density n² − |K(x, y)|² and n⟨|S_k|²⟩ = 1 − #{(m, m') in M × M: m − m' = k}/n. It is thus
-    hyperuniform with power ∝ |k|: variances of smooth integrands fall as n^(−1−1/d).
+    Points are drawn exactly, one after another, each by rejection from uniform proposals.
+    See Hough et al., algorithm 18, and Lavancier et al., algorithm 1.
+    The process is stationary. Its pair density is n² − |K(x, y)|², and its power is
+    n⟨|S_k|²⟩ = 1 − #{(m, m') in M × M: m − m' = k}/n.
+    It is thus hyperuniform with power ∝ |k|: variances of smooth integrands fall as n^(−1−1/d).
 
     References
     ----------
@@ -314,12 +318,12 @@ class Determinantal(Sampler):
         return Stationary(n=n, dims=self.dims, power=lambda m: self._power(n, m))
 
     def _power(self, n: int, m: Array) -> Array:
-        """⟨|S_m|²⟩ at integer m, (..., d): 1/n minus the share of waves that m maps onto waves."""
+        """Return ⟨|S_m|²⟩ at integer m (..., d): (1 − share of waves that m maps onto waves)/n."""
         waves = self.frequencies(n)
         flat = np.rint(m).reshape(-1, self.dims).astype(np.int64)
         rows, back = np.unique(flat, axis=0, return_inverse=True)
 
-        # Give each frequency a distinct number: a sum over its coordinates
+        # Identify each frequency by one number, a random linear combination of its components
         factors = np.random.default_rng(n).integers(2**63, size=self.dims)
         numbers = np.sort(waves @ factors)
         pairs = np.zeros(len(rows))
@@ -375,8 +379,8 @@ def _append(re: Array, im: Array, basis: tuple[Array, Array], i: int, cr: Array,
 
 @kernel
 def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], out: Array) -> None:
-    # Draw one realization. Proposals that are untested when a point is found remain for later
-    # points, since the tests that they passed remain valid.
+    # Draw one realization. Untested proposals are kept for later points when a point is found,
+    # because the tests that they have passed remain valid.
     n, dims = out.shape
     x, most, within = np.empty((_BATCH, dims)), np.empty(_BATCH), np.empty(_BATCH)
     re, im = np.empty((_BATCH, n)), np.empty((_BATCH, n))
@@ -424,9 +428,10 @@ def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], ou
 
 @kernel
 def _fill_determinantal(keys: Array, m: Array, out: Array) -> None:
-    # Draw from the projection process of the frequencies m (n, d); out (R, n, d). After i points,
-    # the density of the next point is ‖P φ(x)‖²/(n − i). φ(x) is the feature vector, and P projects
-    # out the feature vectors of the drawn points. The bound of the rejection is ‖φ‖² = n.
+    # Draw from the projection process of the frequencies m (n, d); out (R, n, d).
+    # After i points, the density of the next point is ‖P φ(x)‖²/(n − i), with feature vector φ(x).
+    # The projection P removes the feature vectors of the drawn points.
+    # The bound for the rejection is ‖φ‖² = n.
     n = out.shape[1]
     shape = ((n + _BLOCK - 1) // _BLOCK, n, _BLOCK)
     basis = np.empty(shape), np.empty(shape)
@@ -437,7 +442,7 @@ def _fill_determinantal(keys: Array, m: Array, out: Array) -> None:
 
 
 def frequencies_within(square: int, dims: int) -> Array:
-    """Return all integer vectors with |m|² ≤ `square`, int64 (K, dims), ordered by |m|², then m."""
+    """Return integer vectors with |m|² ≤ `square`, in order of |m|², then m: int64 (K, dims)."""
     reach = math.isqrt(square)
     axis = np.arange(-reach, reach + 1)
     found, norms = np.zeros((1, 0), np.int64), np.zeros(1, np.int64)
@@ -464,7 +469,7 @@ def nearest_frequencies(count: int, dims: int) -> Array:
 def half_shells(most: int, dims: int) -> Array:
     """Return vectors with 0 < |m|² ≤ K², one per ±m, for the largest K with at most `most` pairs.
 
-    The vector chosen of each pair has a positive first nonzero component.
+    Each pair is represented by the vector whose first nonzero component is positive.
     """
     found = nearest_frequencies(2 * most + 2, dims)
     norms = np.sum(found**2, axis=1)

@@ -53,7 +53,7 @@ class _Lattice(FixedSet):
 
 @kernel
 def _fill_lattice(vector: Array, out: Array) -> None:
-    # Fill out (n, d) with k z / n, k = 0 … n − 1, by adding z modulo n: vector int64 (d,), z_j < n
+    # Fill out (n, d) with k z / n, k = 0 … n − 1, by repeated addition of z; vector int64 (d,) is z
     n, dims = out.shape
     for j in range(dims):
         step, multiple = vector[j], 0
@@ -74,20 +74,21 @@ class Rank1Lattice(_Lattice):
     Attributes
     ----------
     vector
-        Generating vector z, one whole number per dim. The default is built component by
-        component for each n.
+        Generating vector z, one whole number per dim.
+        The default is built component by component for each n.
 
     Notes
     -----
-    The construction chooses one component after another. Each choice minimizes the squared
-    worst-case error of the shifted lattice in the Korobov space of smoothness α = 2 with product
-    weights γ_j = 1/j²,
+    The construction chooses one component after another, and minimizes P_2.
+    P_2 is the squared worst-case error of the shifted lattice in a Korobov space.
+    The space has smoothness α = 2 and product weights γ_j = 1/j²:
 
         P_2 = −1 + (1/n) Σ_k Π_j (1 + γ_j 2π² B_2({k z_j/n})),   B_2(x) = x² − x + 1/6,
 
-    over the z_j ≤ n/2 coprime to n. The search tries all z_j if that takes at most 2^24 values of
-    B_2 per component (n up to 5,792), else at least 16 evenly spaced values of z_j. Vectors are
-    kept in memory by (n, d).
+    The minimum is over all z_j ≤ n/2 coprime to n.
+    The search tries all z_j if this takes at most 2^24 values of B_2 (n up to 5,792).
+    Otherwise it tries at least 16 evenly spaced values of z_j.
+    Vectors are kept in memory by (n, d).
 
     References
     ----------
@@ -148,9 +149,10 @@ class Korobov(_Lattice):
 
     Notes
     -----
-    The search minimizes P_2, as in `Rank1Lattice` but with equal weights γ_j = 1, over the a ≤ n/2
-    coprime to n (n − a gives the reflected lattice). The search tries all a if that takes at most
-    2^24 values of B_2 (n up to 4,096 in 2-D), else at least 16 evenly spaced values of a.
+    The search minimizes P_2, as in `Rank1Lattice` but with equal weights γ_j = 1.
+    Candidates are all a ≤ n/2 coprime to n, since n − a gives the reflected lattice.
+    The search tries all of them if that takes at most 2^24 values of B_2 (n up to 4,096 in 2-D).
+    Otherwise it tries at least 16 evenly spaced values of a.
     Generators are kept in memory by (n, d).
 
     References
@@ -246,14 +248,15 @@ class Kronecker(FixedSet):
     Attributes
     ----------
     alpha
-        The vector α, one number per dim. The default is that of the R-sequence: α_j = φ^(−j), where
-        φ is the root greater than 1 of φ^(d+1) = φ + 1; in 1-D, φ is the golden ratio.
+        The vector α, one number per dim. The default is the vector of the R-sequence: α_j = φ^(−j),
+        where φ is the root greater than 1 of φ^(d+1) = φ + 1; in 1-D, φ is the golden ratio.
 
     Notes
     -----
-    Multiples are computed in integer units of 2^-64 modulo 1. This is exact, and differences of
-    points depend on differences of indices only. Simple fractions such as 0.5 put all points on few
-    lines; the sampler does not check that α is irrational.
+    Multiples are computed exactly, in integer units of 2^-64 modulo 1.
+    The difference of two points therefore depends only on the difference of their indices.
+    Simple fractions such as 0.5 put all points on few lines.
+    The sampler does not check that α is irrational.
 
     References
     ----------
@@ -301,7 +304,7 @@ class Kronecker(FixedSet):
 @lru_cache(maxsize=64)
 def golden_steps(dims: int) -> Array:
     """Return φ^(−1) … φ^(−d) in units of 2^-64, φ^(d+1) = φ + 1: uint64 (dims,), read-only."""
-    bits = _BITS + 32  # extra bits, since powers increase the error
+    bits = _BITS + 32  # extra bits, because the powers of φ increase the error
     one = 1 << bits
 
     # Find 1/φ by bisection: x = 1/φ solves x^(d+1) + x^d = 1

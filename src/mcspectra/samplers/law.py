@@ -1,31 +1,33 @@
 """The law of a sampler: the joint distribution of the points of one realization.
 
-The variance of an estimator is the spectrum of its integrand times the covariance of the sampler,
+The variance of an estimator combines the spectrum of its integrand with the sampler's covariance:
 
     Var(I_n) = Σ_m Σ_l conj(f_m) f_l C_ml,     C_ml = ⟨S_m conj(S_l)⟩ − ⟨S_m⟩ conj⟨S_l⟩,
 
-and C_ml is a property of the sampler's law. A sampler states its law once, in `Sampler.law`.
-Closed forms, exact variances, predictions, rates and the fitting basis are functions of the law.
-They dispatch on the class at the root of a law, recurse, and never test a sampler's name.
+The covariance C_ml is a property of the sampler's law.
+A sampler states its law once, in `Sampler.law`. All else is computed by functions of the law:
+closed forms, exact variances, predictions, rates and the fitting basis.
+These functions dispatch on the class at the root of a law, and recurse.
+They never test a sampler's name.
 
 A law is a small tree of frozen classes. Leaves describe how points are drawn:
 
-    Independent   n independent uniform points
-    Strata        one independent motif (one point or a pair) in each cell of a grid
-    PairedAxes    pairs of points that share, or do not share, strata of each axis
-    Fixed         the same set every time
-    Stationary    a set whose law is the same after any translation of the torus
-    Choice        one of several laws, chosen at random
-    GroupedAxes   independent sets in groups of axes, their points paired at random
-    Unknown       points that can only be drawn
+    Independent:  n independent uniform points
+    Strata:       one independent motif (one point or a pair) in each cell of a grid
+    PairedAxes:   pairs of points that share, or do not share, strata of each axis
+    Fixed:        the set is the same every time
+    Stationary:   a set whose law is the same after any translation of the torus
+    Choice:       one of several laws, chosen at random
+    GroupedAxes:  independent sets in groups of axes, with points paired at random
+    Unknown:      points that can only be drawn
 
 Operators describe how a set is randomized:
 
-    Shifted       one uniform translation of all points (Cranley-Patterson)
-    Moved         one fixed translation of all points
-    Scrambled     random permutations of the digits of all points
-    Folded        u → 1 − |2u − 1| of every coordinate
-    Mirrored      reflections of every coordinate
+    Shifted:      one uniform translation of all points (Cranley-Patterson)
+    Moved:        one fixed translation of all points
+    Scrambled:    random permutations of the digits of all points
+    Folded:       the map u → 1 − |2u − 1| of every coordinate
+    Mirrored:     reflections of every coordinate
 
 The order of the points does not belong to the law, because estimates are sums over points.
 """
@@ -162,8 +164,8 @@ class Motif(ABC):
     size
         Number of points.
     wraps
-        Whether points may leave their cell and are then wrapped around the torus. If so, transforms
-        are valid only at integer frequencies.
+        Whether points may leave their cell and are then wrapped around the torus.
+        If so, transforms are valid only at integer frequencies.
     uniform
         Whether a point of the motif is uniform in its cell, or on the torus if points wrap.
     """
@@ -174,16 +176,19 @@ class Motif(ABC):
 
     @abstractmethod
     def mean(self, a: Array) -> Array:
-        """Return ⟨M(a)⟩ at a (..., d); M(a) is the mean of exp(−2πi a·ξ) over the points ξ."""
+        """Return the mean ⟨M(a)⟩ at frequencies a (..., d).
+
+        M(a) is the mean of exp(−2πi a·ξ) over the points ξ of one motif.
+        """
 
     @abstractmethod
     def second(self, a: Array, b: Array) -> Array:
-        """⟨M(a) conj M(b)⟩."""
+        """Return ⟨M(a) conj M(b)⟩ for the frequencies a and b (..., d)."""
 
 
 @dataclass(frozen=True)
 class _Point(Motif):
-    """One point with independent coordinates; `axis` is the transform of a coordinate."""
+    """One point with independent coordinates; `axis` gives the transform of a coordinate."""
 
     @abstractmethod
     def axis(self, a: Array) -> Array:
@@ -217,7 +222,7 @@ class BoxPoint(_Point):
 
     @property
     def wraps(self) -> bool:  # type: ignore[override]
-        """Boxes wider than a cell wrap."""
+        """Boxes wider than a cell wrap around the torus."""
         return self.width > 1.0
 
     @property
@@ -256,7 +261,7 @@ class AntitheticPair(Motif):
         return UniformPoint().mean(a)
 
     def second(self, a: Array, b: Array) -> Array:
-        """Return the moment; M(a) = exp(−iπ Σ a) cos(2π a·η), η uniform in the centered cell."""
+        """Return the moment of M(a) = exp(−iπ Σ a) cos(2π a·η), η uniform in the centered cell."""
         mean = 0.5 * (np.prod(np.sinc(a - b), axis=-1) + np.prod(np.sinc(a + b), axis=-1))
         return np.asarray(np.prod(_center(a - b), axis=-1) * mean)
 
@@ -294,8 +299,10 @@ class Strata(Law):
 
 
 Relation: TypeAlias = Literal["apart", "same", "mates"]
-"""Relation of two points on one axis: independent in two different strata (apart), independent in
-one stratum (same), or uniform in two different parts of one stratum (mates)."""
+"""Relation of two points on one axis.
+
+They are independent in two different strata (apart), independent in one stratum (same),
+or uniform in two different parts of one stratum (mates)."""
 
 
 @final
@@ -306,7 +313,7 @@ class PairPattern:
     Attributes
     ----------
     share
-        Number of pairs in the group divided by n².
+        Number of pairs in the group, divided by n².
     axes
         Relation of the two points on each axis; the axes are independent.
     """
@@ -344,7 +351,7 @@ class PairedAxes(Law):
 
 
 def latin_hypercube(n: int, dims: int) -> PairedAxes:
-    """Return the law of a Latin hypercube: one point in each stratum of every axis [McKay1979]_."""
+    """Return the law of a Latin hypercube: one point per stratum on every axis [McKay1979]_."""
     apart: list[Relation] = ["apart"] * dims
     pattern = PairPattern(1.0 - 1.0 / n, tuple(apart))
     return PairedAxes(n=n, dims=dims, strata=(n,) * dims, parts=(1,) * dims, patterns=(pattern,))
@@ -353,9 +360,10 @@ def latin_hypercube(n: int, dims: int) -> PairedAxes:
 def paired_axes_of_array(s: int, dims: int, *, shared_out: bool) -> PairedAxes:
     """Return the law of an orthogonal array of strength 2 with s² points and random level names.
 
-    Of the s²(s² − 1) ordered pairs of different points, s²(s − 1) agree on each axis, and no pair
-    agrees on two. With `shared_out`, a level's stratum has s parts with one of its s points in
-    each; otherwise these points are independent.
+    There are s²(s² − 1) ordered pairs of different points. On each axis s²(s − 1) pairs agree,
+    and no pair agrees on two axes. Each level has one stratum with s points.
+    With `shared_out`, the stratum has s parts with one point each.
+    Otherwise its points are independent.
     """
     if dims == 1 and shared_out:
         return latin_hypercube(s * s, 1)
@@ -384,22 +392,22 @@ class Fixed(Law):
     Attributes
     ----------
     bases
-        Base of the digits of each coordinate if the set fills elementary intervals evenly. None if
-        the set is not a digital construction.
+        Base of the digits of each coordinate if the set fills elementary intervals evenly.
+        None if the set is not a digital construction.
     vector
         Generating vector z of a rank-1 lattice {k z / n}; None for other sets.
     sides, corner
-        Number of grid cells along each axis, and the position of the point in its cell, in units of
-        cells. None for sets that are not grids.
+        Number of grid cells along each axis, and position of the point in units of its cell.
+        None for sets that are not grids.
     even
-        Whether the evenness of the set depends only on differences of points on the torus, as for
-        lattices and Kronecker points. Translations then preserve the evenness.
+        Whether the evenness of the set depends only on differences of points on the torus.
+        Examples are lattices and Kronecker points. Translations preserve their evenness.
     digital
-        Whether the digits of the points form a group under addition without carry. If so, each
-        point has the same relation to all other points.
+        Whether the digits of the points form a group under addition without carry.
+        If so, each point has the same relation to all other points.
     columns
-        Columns of the generator matrices of a digital net in base 2, as 32-bit numbers with the
-        first digit highest, uint64 (dims, log2 n); None if they are unknown.
+        Columns of the generator matrices of a digital net in base 2: uint64 (dims, log2 n).
+        They are 32-bit numbers with the first digit highest, or None if they are unknown.
     seed
         Seed of the set, if one realization of a sampler stands for all realizations.
     """
@@ -424,10 +432,10 @@ class Fixed(Law):
         return np.asarray(self.draw(Stream.from_rng(self.seed), 0, 1)[0])
 
     def agreements(self, bases: Sequence[int], levels: int) -> Array:
-        """Return the mean number of points with the first digits of a point, including itself.
+        """Return how many points, on average, share the first digits of a point (itself included).
 
-        Entry (l_1, …, l_d) of the array (levels + 1, …) is a mean over the points: the number of
-        points whose coordinate j has the same first l_j digits in base j, for all j.
+        Entry (l_1, …, l_d) of the array (levels + 1, …) is a mean over the points.
+        It counts the points whose coordinate j has the same first l_j digits in base j, for all j.
 
         Raises
         ------
@@ -447,7 +455,7 @@ class Fixed(Law):
                 found[at] = np.sum(np.bincount(cells).astype(float) ** 2) / self.n
                 return
             for level in range(levels + 1):
-                # First digits as whole numbers; k/b^level counts as k even if rounded down
+                # First digits as whole numbers; k/b^level counts as k even if it was rounded down
                 base, scale = bases[axis], float(bases[axis] ** level)
                 nudge = 0.0 if base & (base - 1) == 0 else scale * 2.0**-50
                 digits = np.floor(points[:, axis] * scale + nudge)
@@ -504,8 +512,9 @@ class Choice(Law):
 class GroupedAxes(Law):
     """Independent sets in groups of axes, whose points are paired in random orders.
 
-    Point i of the whole set has the coordinates of point π_g(i) of the set of each group g, with
-    independent random permutations π_g. A Latin hypercube is a product of strata of single axes.
+    Point i of the whole set combines the points π_g(i) of the sets of all groups g.
+    The permutations π_g are random and independent.
+    A Latin hypercube is made of strata of single axes.
 
     Attributes
     ----------
@@ -560,9 +569,9 @@ class Unknown(Law):
     sets
         Number of different sets; None if every realization is a new set.
     strata
-        Number of strata of each axis that hold one point each; None if it is unknown.
+        Number of strata of each axis that hold one point each, None if it is unknown.
     bases
-        Base of the digits of each coordinate in which every set is a net; None if it is unknown.
+        Base of the digits of each coordinate in which every set is a net, None if it is unknown.
     """
 
     is_uniform: bool = True
@@ -628,9 +637,12 @@ class Moved(_Image):
 
 
 Scramble: TypeAlias = Literal["digital-shift", "permutation", "linear", "nested"]
-"""Kind of randomization of digits; each kind includes the kinds before. A digital shift adds one
-random digit to each place. A permutation permutes the digits of each place. A linear scramble is a
-random lower triangular matrix and a shift. Nested permutations depend on all higher digits."""
+"""Kind of randomization of digits; each kind includes the kinds before.
+
+A digital shift adds one random digit to each place.
+A permutation permutes the digits of each place.
+A linear scramble is a random lower triangular matrix and a shift.
+Nested permutations depend on all higher digits."""
 
 _SCRAMBLES: tuple[Scramble, ...] = ("digital-shift", "permutation", "linear", "nested")
 
@@ -645,13 +657,13 @@ class Scrambled(Law):
     inner
         The law of the set before the digits are randomized.
     kind
-        Kind of randomization. Nested and linear scrambles have the same law of pairs of points,
-        hence the same variances.
+        Kind of randomization. Nested and linear scrambles have the same variances,
+        because they have the same law of pairs of points.
     bases
         Base of the digits of each coordinate.
     shifts
-        Whether every point becomes uniform. Matrices alone do not make points uniform: they map the
-        origin to itself.
+        Whether every point becomes uniform.
+        Matrices alone do not make points uniform, because they map the origin to itself.
     """
 
     inner: Law
@@ -691,8 +703,8 @@ class Mirrored(_Image):
     inner
         The law of the set before the reflections.
     mode
-        ``"random"``: each coordinate of each point is reflected with probability ½. ``"uniform"``:
-        each of n/2^d points is replaced by its 2^d reflections.
+        ``"random"``: each coordinate of each point is reflected with probability ½.
+        ``"uniform"``: each of n/2^d points is replaced by its 2^d reflections.
     """
 
     mode: Literal["random", "uniform"]
@@ -727,8 +739,8 @@ def scrambled(law: Law, kind: Scramble, bases: Sequence[int], *, shifts: bool = 
     """Return the law after the digits in the given bases are randomized.
 
     If the sides of strata (also of single axes) are powers of the base, the law does not change:
-    cells map to cells, in which points are already uniform. Samplers refuse scrambles that break
-    their strata.
+    cells map to cells, in which points are already uniform.
+    Samplers refuse scrambles that break their strata.
     """
     digits = tuple(map(int, bases))
     if isinstance(law, Scrambled) and law.bases == digits:
@@ -744,8 +756,9 @@ def scrambled(law: Law, kind: Scramble, bases: Sequence[int], *, shifts: bool = 
 def as_scrambled(law: Law) -> Law:
     """Convert the law of an orthogonal array with shared-out levels to that of a scrambled net.
 
-    The second digits are permuted within each first digit [Tang1993]_, so the digits of one
-    realization describe all realizations. Other laws are returned unchanged.
+    The second digits are permuted within each first digit [Tang1993]_.
+    The digits of one realization therefore describe all realizations.
+    Other laws are returned unchanged.
     """
     if not isinstance(law, PairedAxes) or law.base is None or law.source is None:
         return law
@@ -757,7 +770,7 @@ def as_scrambled(law: Law) -> Law:
 
 
 def unmoved(law: Law) -> tuple[Law, Array]:
-    """Return the law without its last translations, and the sum of the fixed ones among them."""
+    """Return the law without its last translations, and the sum of the fixed translations."""
     by = np.zeros(law.dims)
     while isinstance(law, Moved | Shifted):
         if isinstance(law, Moved):
@@ -776,9 +789,9 @@ def leaf_of(law: Law) -> Law:
 def bases_to_scramble(laws: Sequence[Law]) -> tuple[int, ...] | None:
     """Return bases in which sets of all these laws are nets, so that scrambling is the best choice.
 
-    The result is None for lattices, which scrambling breaks, and for sets that are not nets; a
-    shift suits both. A set of a few points can be both a net and a lattice; the other sets then
-    decide.
+    The result is None for lattices, which scrambling breaks, and for sets that are not nets.
+    A shift suits both. A set of a few points can be both a net and a lattice.
+    In that case the other sets decide.
     """
     found = {law.bases if isinstance(law, Fixed | Unknown) else None for law in laws}
     if len(found) > 1 or all(isinstance(law, Fixed) and law.even for law in laws):
@@ -787,7 +800,7 @@ def bases_to_scramble(laws: Sequence[Law]) -> tuple[int, ...] | None:
 
 
 def is_power(n: int, base: int) -> bool:
-    """Whether n is a power of the base; 1 is one."""
+    """Whether n is a power of the base; 1 counts as a power."""
     while n % base == 0:
         n //= base
     return n == 1
@@ -801,7 +814,7 @@ def mean_of_terms(n: int, nu: Array, terms: Callable[[Array], Array]) -> Array:
     NoClosedForm
         If there are too many terms.
     """
-    if float(n) * max(64, nu[..., 0].size) > _MOST_TERMS:  # at least 64, since points take memory
+    if float(n) * max(64, nu[..., 0].size) > _MOST_TERMS:  # count 64 or more: points take memory
         raise NoClosedForm(
             f"The exact transform of {n} points at {nu[..., 0].size} frequencies would take more "
             f"than {_MOST_TERMS:.2g} terms; use ",
@@ -817,9 +830,10 @@ def mean_of_terms(n: int, nu: Array, terms: Callable[[Array], Array]) -> Array:
 def independent_sets(law: Law) -> int | None:
     """Return the number of different sets, or None if every realization is a new set.
 
-    A randomization makes new realizations from a few sets. However, power spectra, distances of
-    points and variances depend on the sets only, so standard errors must be based on the number of
-    sets. If there are K sets, realization r uses set r modulo K.
+    A randomization makes new realizations from a few sets.
+    However, power spectra, distances of points and variances depend on the sets only.
+    Standard errors must therefore be based on the number of sets.
+    If there are K sets, realization r uses set r modulo K.
     """
     match law:
         case Stationary() | Choice() | Unknown():

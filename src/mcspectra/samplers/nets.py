@@ -1,7 +1,7 @@
 """Digital nets: Sobol', Niederreiter, Larcher and Pillichshammer, Faure, and given matrices.
 
-Digit r of coordinate j of point i is the r-th entry of C_j·(digits of i, lowest first) modulo
-the base b.
+Coordinate j has a generator matrix C_j in base b.
+The digits of coordinate j of point i are C_j times the digits of i (lowest first), modulo b.
 """
 
 from __future__ import annotations
@@ -88,16 +88,16 @@ class Sobol(_BinaryNet):
 
     Notes
     -----
-    The order is natural: dimension 0 is the van der Corput sequence of the index, not of the
-    index's Gray code. Counts that are not powers of the base cause a `NotPowerOfTwoWarning`,
-    because such sets are not balanced in elementary intervals.
+    The order is natural: dimension 0 is the van der Corput sequence of the index,
+    not of the index's Gray code. Counts that are not powers of the base cause a warning.
+    Such sets are not balanced in elementary intervals.
 
-    A file has one line per dim with these entries: the number of the dim, the degree s of the
-    polynomial, the polynomial a, and m_1 … m_s. Headings and text after ``#`` are ignored. In base
-    2, a contains the inner coefficients (as in Joe and Kuo's table). Degree 0 is van der Corput's
-    sequence, which is inserted first if the numbers of the dims begin at 2. In base 3, the digits
-    of a are all coefficients, and m_k = m_(k−s) − Σ_j 3^j p_(s−j) m_(k−j), digit by digit modulo 3,
-    where p_i is the coefficient of x^i.
+    A file has one line per dim. Its entries are the number of the dim, a polynomial's degree s,
+    the polynomial itself (a), and the numbers m_1 … m_s. Headings and text after ``#`` are ignored.
+    In base 2, a contains the inner coefficients (as in Joe and Kuo's table).
+    Degree 0 is van der Corput's sequence; it is inserted if the numbers of the dims begin at 2.
+    In base 3, the digits of a are all coefficients, and p_i is the coefficient of x^i.
+    The recurrence m_k = m_(k−s) − Σ_j 3^j p_(s−j) m_(k−j) holds digit by digit, modulo 3.
 
     References
     ----------
@@ -153,7 +153,7 @@ def _sobol_directions() -> Array:
 
 
 def _binary_directions(polynomials: Array, initial: Array) -> Array:
-    """Return direction numbers, uint32 (d, 32), from polynomials (d,) and first numbers (d, s)."""
+    """Return direction numbers uint32 (d, 32), given polynomials (d,) and first numbers (d, s)."""
     out = np.zeros((len(polynomials), _BITS), np.uint32)
     _digital_kernels.direction_numbers(polynomials.astype(np.int64), initial.astype(np.int64), out)
     out.setflags(write=False)
@@ -181,7 +181,7 @@ def _read_directions(path: str, base: int, stamp: int) -> Array:
     ]
     rows = [(k, words) for k, words in rows if words[0] != "d"]
 
-    # Check each line: a polynomial of degree s, and numbers of k digits whose last digit is not 0
+    # Check each line: the polynomial has degree s; number k has k digits, the last of them not 0
     least = 0 if base == 2 else 1
     digits = _BITS if base == 2 else _TERNARY_DIGITS
     table: list[tuple[int, list[int]]] = []
@@ -212,7 +212,7 @@ def _read_directions(path: str, base: int, stamp: int) -> Array:
             initial[j, : len(first)] = first
         return _binary_directions(np.array([p for p, _ in table]), initial)
 
-    # Continue by the recurrence on digits, lowest first, and convert the digits to columns
+    # Continue with the recurrence on digits, lowest first, and convert the digits to columns
     out = np.zeros((len(table), digits, digits), np.int64)
     for j, (polynomial, first) in enumerate(table):
         degree = len(first)
@@ -241,11 +241,14 @@ class Niederreiter(_BinaryNet):
 
     Notes
     -----
-    Coordinate j has the j-th irreducible polynomial p over the field of two elements (x, x + 1,
-    x² + x + 1, …), of degree e_j. Row q·e_j + u of its matrix holds the coefficients of
-    x^-1, x^-2, … in x^u / p^(q+1), u < e_j, in the order of Bratley, Fox and Niederreiter. The
-    sequence has t = Σ (e_j − 1). A single axis of degree e > 1 is guaranteed to be balanced only at
-    n = 2^k with k divisible by e; scrambling does not change this condition.
+    Coordinate j belongs to the j-th irreducible polynomial p over the field of two elements:
+    x, x + 1, x² + x + 1, … The degree of this polynomial is e_j. For u < e_j,
+    row q·e_j + u of the matrix holds the coefficients of x^-1, x^-2, … in x^u / p^(q+1).
+    This is the order of Bratley, Fox and Niederreiter.
+
+    The sequence has quality parameter t = Σ (e_j − 1). For degree e > 1, a single axis
+    is sure to be balanced only at n = 2^k with k divisible by e.
+    Scrambling does not change this condition.
 
     References
     ----------
@@ -276,7 +279,7 @@ def _niederreiter_directions(dims: int) -> Array:
         power = 1
         while len(rows) < _BITS:
             power = _times(power, polynomial)
-            series = _quotient(1 << (_BITS + degree), power)  # x^-1 … x^-(32 + e)
+            series = _quotient(1 << (_BITS + degree), power)  # coefficients of x^-1 … x^-(32 + e)
             rows += [(series >> (degree - u)) & (2**_BITS - 1) for u in range(degree)]
         for k in range(_BITS):  # column k of the matrix is bit 31 − k of each row
             bits = [(row >> (_BITS - 1 - k)) & 1 for row in rows[:_BITS]]
@@ -286,7 +289,7 @@ def _niederreiter_directions(dims: int) -> Array:
 
 
 def _times(a: int, b: int) -> int:
-    """Return the product of two polynomials over two elements; bit k is the coefficient of x^k."""
+    """Return the product of two polynomials over GF(2); bit k is the coefficient of x^k."""
     product = 0
     while b:
         product ^= a if b & 1 else 0
@@ -295,7 +298,7 @@ def _times(a: int, b: int) -> int:
 
 
 def _quotient(a: int, b: int) -> int:
-    """Return the quotient of two polynomials over two elements, without the remainder."""
+    """Return the quotient of two polynomials over GF(2), without the remainder."""
     quotient, width = 0, b.bit_length()
     while a.bit_length() >= width:
         shift = a.bit_length() - width
@@ -324,8 +327,9 @@ def _irreducible() -> tuple[int, ...]:
 class LarcherPillichshammer(PlaneSampler, _BinaryNet):
     """Larcher and Pillichshammer's (0, m, 2)-net of n = 2^m points, deterministic (2-D).
 
-    The first coordinate is i/n. The matrix of the second is the upper triangle of ones, which gives
-    a smaller star discrepancy than hammersley. Randomize with owen or digital-shift.
+    The first coordinate is i/n. The matrix of the second is the upper triangle of ones,
+    which gives a smaller star discrepancy than hammersley.
+    Randomize with owen or digital-shift.
 
     References
     ----------
@@ -376,8 +380,8 @@ class _AnyBaseNet(FixedSet):
 class Faure(_AnyBaseNet):
     """Faure points 0 … n−1, deterministic: a (0, d)-sequence in a prime base b ≥ d.
 
-    Up to 1000 dims; any count, with a warning if it is not a power of b. Randomize with owen,
-    lms or digital-shift.
+    Up to 1000 dims; any count, with a warning if it is not a power of b.
+    Randomize with owen, lms or digital-shift.
 
     Attributes
     ----------
@@ -386,8 +390,8 @@ class Faure(_AnyBaseNet):
 
     Notes
     -----
-    Matrix j is the (j−1)-th power of Pascal's matrix modulo b: the entry in row r and column c is
-    binomial(c, r) (j−1)^(c−r).
+    Matrix j is the (j−1)-th power of Pascal's matrix modulo b.
+    The entry in row r and column c is binomial(c, r) (j−1)^(c−r).
 
     References
     ----------
@@ -439,29 +443,31 @@ def _pascal_powers(base: int, dims: int, digits: int) -> Array:
 class DigitalNet(_AnyBaseNet):
     """Digital net from given generator matrices, deterministic; randomize with owen or lms.
 
-    The number of dims is at most the number of matrices. Matrices with m columns make at most b^m
-    points. Sets can be balanced if n is a power of b.
+    The number of dims is at most the number of matrices.
+    Matrices with m columns make at most b^m points. Sets can be balanced if n is a power of b.
 
     Attributes
     ----------
     matrices
-        One matrix per dim: a list of its rows of digits, or a list of its columns as whole numbers
-        whose highest digit belongs to the first row. Alternatively, the path of a text file.
+        One matrix per dim: a list of its rows of digits, or a list of its columns.
+        A column is a whole number whose highest digit belongs to the first row.
+        Alternatively, the path of a text file with matrices.
     base
         The base b; a file that states its base overrides it.
     digits
-        Number of rows of matrices given as columns: digits of each number, from highest to lowest;
-        by default the number of columns.
+        Number of rows of matrices that are given as columns. Each column has this number of digits.
+        Its highest digit comes first. The default is the number of columns.
     dims
-        Number of dims. By default the number of matrices; if smaller, the last are ignored.
+        Number of dims, by default the number of matrices. If it is smaller, the last are ignored.
 
     Notes
     -----
-    There are two formats of files. In the first, each of the first four lines has a number: base,
-    dims, largest n, digits. Text after the number and lines that start with ``#`` are ignored. Then
-    each line has the columns of one matrix, as whole numbers. LatNet Builder, the Magic Point Shop
-    and QMCPy use this format. The second format, of MatBuilder, has only square matrices of digits,
-    one below the other, with one row per line. For these files give the base.
+    There are two formats of files. LatNet Builder, the Magic Point Shop and QMCPy use the first:
+    each of the first four lines has a number (base, dims, largest n, digits).
+    After that, each line has the columns of one matrix, as whole numbers.
+    Text after the four numbers and lines that start with ``#`` are ignored.
+    MatBuilder uses the second format: square matrices of digits, one below the other,
+    with one row per line. These files do not state the base, so give it.
 
     References
     ----------
@@ -573,7 +579,7 @@ def _matrix(j: int, matrix: tuple[Any, ...], base: int, digits: int | None) -> A
 def _net_of_file(path: str, given: int) -> tuple[int, Array]:
     """Return base and columns (d, m, rows) of a file of matrices; `given` is the default base."""
     with opened(path, "generator matrices") as (stream, size, name, _):
-        check_decoded_size(name, size, 128 * size)  # decoded text and integers
+        check_decoded_size(name, size, 128 * size)  # size of the decoded text and the integers
         lines = stream.read().decode().splitlines()
     kept = [line.partition("#")[0].split() for line in lines]
     kept = [words for words in kept if words]

@@ -1,8 +1,8 @@
 """Base of samplers with optimized sets: a cache, progress reports, reuse of sets, and descent.
 
-`minimize` is limited-memory BFGS with reproducible bits [Nocedal1980]_. With other numbers of
-threads or processors, linear algebra libraries may sum in another order. Here every sum is NumPy's
-own, so a set depends on its random numbers only (docs/decisions/0015).
+The function `minimize` is limited-memory BFGS with reproducible bits [Nocedal1980]_.
+Linear algebra libraries may sum in another order on other numbers of threads or processors.
+Here every sum is NumPy's own, so a set depends only on its random numbers (docs/decisions/0015).
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ Report: TypeAlias = Callable[[float], None]
 """Function that is called at intervals with the fraction of the work done."""
 
 _CHILD = 1  # label of the stream that translates reused sets
-_MEMORY = 10  # number of stored pairs of step and gradient change; 5 to 20 are usual
+_MEMORY = 10  # number of stored steps, each with its change of the gradient; 5 to 20 are usual
 _DECREASE = 1e-4  # least decrease of an accepted step, relative to the slope
 _HALVINGS = 20
 _REPORTS = 50
@@ -54,10 +54,11 @@ class OptimisedSampler(Sampler, ABC):
     Attributes
     ----------
     sets
-        With None, every realization is a new set, made from its own random numbers. With K, only K
-        sets are made, the same for every seed; realization r is set r mod K under a random
-        translation of the torus. Means and variances are still right on average. However, the
-        sample has only K sets, also for standard errors of spectra.
+        With None, every realization is a new set, made from its own random numbers.
+        With K, only K sets are made, the same for every seed.
+        Realization r is then set r mod K under a random translation of the torus.
+        Means and variances are still right on average.
+        However, the sample has only K sets, also for standard errors of spectra.
     """
 
     costly: ClassVar[bool] = True
@@ -103,7 +104,7 @@ class OptimisedSampler(Sampler, ABC):
         return cached_array(self._key(n, keys), make)
 
     def _key(self, n: int, keys: Array) -> str:
-        """Return all that determines a set as text: name, version, parameters, n, dims, keys."""
+        """Return a text that determines the set: name, version, parameters, n, dims and keys."""
         names = sorted(field.name for field in fields(self) if field.name != "sets")
         values: dict[str, Any] = {name: _exact(getattr(self, name)) for name in names}
         words = ", ".join(f"{int(word):016x}" for word in keys)
@@ -112,7 +113,7 @@ class OptimisedSampler(Sampler, ABC):
 
 @lru_cache
 def _source(cls: type) -> str:
-    """Return name and digest of the module of an external class, which may not update `version`."""
+    """Return name and digest of an external class's module, as its `version` may be outdated."""
     if cls.__module__.startswith("mcspectra."):
         return ""
     try:
@@ -125,7 +126,7 @@ def _source(cls: type) -> str:
 
 
 def _exact(value: object) -> object:
-    """Return a value whose `repr` is complete; the `repr` of a long array omits numbers."""
+    """Return a value whose text is complete; the text of a long array omits numbers."""
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
@@ -151,7 +152,7 @@ def minimize(
     goal: float = -np.inf,
     gain: float = 0.0,
 ) -> Array:
-    """Return a point near `start` where `function` is small, by L-BFGS.
+    """Return a point near `start` at which `function` is small, by limited-memory BFGS.
 
     Parameters
     ----------
@@ -168,7 +169,7 @@ def minimize(
     goal
         Value of `function` at which the descent ends.
     gain
-        The descent ends with a step of smaller gain, relative to the value or to 1.
+        The descent ends when a step gains less than this, relative to the value or to 1.
     """
     x, (value, gradient) = start, function(start)
     memory: deque[tuple[Array, Array, float]] = deque(maxlen=_MEMORY)
@@ -178,7 +179,7 @@ def minimize(
         if value <= goal or not gradient.any():
             break
 
-        # Halve the step until the value falls by a fraction of the decrease predicted by the slope
+        # Halve the step until the value falls by a fraction of the decrease that the slope predicts
         direction = _direction(gradient, memory)
         slope = _dot(direction, gradient)
         length = longest / float(np.abs(direction).max())

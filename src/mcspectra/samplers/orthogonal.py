@@ -37,9 +37,9 @@ class LatinHypercube(Sampler):
 
     Notes
     -----
-    Strength 2 is Tang's construction: an orthogonal array determines the p-th part of each
-    coordinate, and the p points in each part are shuffled over p sub-strata. This equals
-    orthogonal-array with its default jitter.
+    Strength 2 is Tang's construction: an orthogonal array divides each coordinate into p parts,
+    and the p points in each part are shuffled over p sub-strata.
+    This equals orthogonal-array with its default jitter.
 
     References
     ----------
@@ -111,8 +111,9 @@ class OrthogonalArray(Sampler):
     strength
         The strength t, from 2 to 8.
     jitter
-        Position of a point within its stratum (one of s) of each axis. ``"jittered"``:
-        uniform. ``"multi-jittered"``: the points of each stratum are shuffled over its sub-strata,
+        Position of a point within its stratum (one of s) of each axis.
+        ``"jittered"``: uniform in the stratum.
+        ``"multi-jittered"``: the points of each stratum are shuffled over its sub-strata,
         so each of n intervals of the axis contains one point [Tang1993]_.
         ``"correlated-multi-jittered"``: the sub-strata follow the levels on the next t − 1 axes,
         with one shuffle for all strata.
@@ -120,10 +121,12 @@ class OrthogonalArray(Sampler):
     Notes
     -----
     The arrays were found by Bush [Bush1952]_ (for t = 2 by Bose), over the integers modulo s.
-    Row i contains the values of a polynomial of degree below t at 0 … s − 1, and its leading
-    coefficient. Any t columns contain each of the s^t combinations of levels once. The levels of
-    each column are renamed by a random permutation, as in [Owen1992]_. Points come in the order of
-    the array. Powers of primes are not supported; they need arithmetic in finite fields.
+    Each row contains the leading coefficient of a polynomial of degree below t,
+    and the polynomial's values at 0 … s − 1.
+    Any t columns contain each of the s^t combinations of levels once.
+    The levels of each column are renamed by a random permutation, as in [Owen1992]_.
+    Points come in the order of the array.
+    Powers of primes are not supported, because they need arithmetic in finite fields.
 
     References
     ----------
@@ -175,13 +178,13 @@ def _orthogonal(n: int, dims: int, strength: int, jitter: str, keys: Array) -> A
     return out
 
 
-@lru_cache(maxsize=4)  # analyses draw many blocks for a few n; takes half the memory of points
+@lru_cache(maxsize=4)  # analyses draw many blocks for a few n; an entry is half as large as points
 def _slots(s: int, dims: int, strength: int, jitter: str) -> Array:
     """Return the stratum of each point on each axis before shuffles: int32 (s^t, dims), read-only.
 
-    An axis has s strata (its levels) or n = s^t strata. The n strata are numbered by the level,
-    then by the rank of the point within the level, which follows from the levels on t − 1 other
-    axes.
+    An axis has s strata (its levels) or n = s^t strata.
+    The n strata are numbered by level, and within a level by the rank of the point.
+    This rank follows from the levels on t − 1 other axes.
     """
     slots = np.empty((s**strength, max(dims, strength)), np.int32)
     _bush_levels(s, strength, slots)
@@ -196,7 +199,7 @@ def _slots(s: int, dims: int, strength: int, jitter: str) -> Array:
 
 
 def _prime_powers_near(n: int, power: int, dims: int) -> tuple[int | None, int]:
-    """Return the largest s^power ≤ n (None if there is none) and the smallest ≥ n, s prime."""
+    """Return the largest s^power ≤ n for primes s (None if there is none), and the smallest ≥ n."""
     least = prime_from(max(dims, power) - 1)
     s = root(n, power)
     while s > least and not is_prime(s):
@@ -209,9 +212,9 @@ def _prime_powers_near(n: int, power: int, dims: int) -> tuple[int | None, int]:
 
 @kernel
 def _bush_levels(s: int, strength: int, out: Array) -> None:
-    # Bush's array: row i has the values of a polynomial whose coefficients are the digits of i in
-    # base s. Out int32 (s^strength, d), d ≤ s + 1: column 0 is the leading coefficient ("the value
-    # at infinity"), column j + 1 is the value at j modulo the prime s.
+    # Bush's array: row i belongs to the polynomial with the base-s digits of i as coefficients.
+    # The result is out int32 (s^strength, d), d ≤ s + 1.
+    # Column 0 is the leading coefficient, column j + 1 is the value at j modulo the prime s.
     n, dims = out.shape
     for i in range(n):
         out[i, 0] = i // (n // s)
@@ -227,10 +230,10 @@ def _bush_levels(s: int, strength: int, out: Array) -> None:
 def _fill_orthogonal(
     keys: Array, slots: Array, levels: int, shared: bool, side: float, out: Array
 ) -> None:
-    # Place point i at random in stratum slots[i, j] of axis j, after a shuffle. A level is a run of
-    # strata; all runs have the same length. Levels are shuffled, and so are the strata within each
-    # level: equally in all levels if `shared`. Slots int32 (n, d); out (R, n, d); `side` of a
-    # stratum.
+    # Place point i at random in stratum slots[i, j] of axis j, after a shuffle.
+    # A level is a run of strata; all runs have the same length.
+    # Levels are shuffled, and so are the strata in each level (equally in all levels if `shared`).
+    # slots int32 (n, d); `side` is the side of a stratum; out (R, n, d).
     count, n, dims = out.shape
     strata = slots[:, 0].max() + 1
     width = strata // levels

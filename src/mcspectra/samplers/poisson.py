@@ -1,22 +1,24 @@
 """Random points that keep apart: Poisson disks, classic dart throwing, best candidates.
 
-Dart throwing is random sequential addition: a dart, uniform on the domain, becomes a point if all
-earlier points are at least r away. On the torus this law is invariant under translation, so every
-point is uniform. For "exact" Poisson disks, n determines r in advance, and the dart throwing stops
-at the n-th point. A set that jams earlier (see `PoissonDisk.radius`) is discarded, and a new set is
-started, which keeps the law translation-invariant.
+Dart throwing is random sequential addition of darts that are uniform on the domain.
+A dart becomes a point if all earlier points are at least r away.
+On the torus this law is invariant under translation, so every point is uniform.
+For "exact" Poisson disks, n determines r in advance, and dart throwing stops at the n-th point.
+If a set jams earlier (see `PoissonDisk.radius`), it is discarded and a new set is started.
+This keeps the law invariant under translation.
 
-Darts are thrown only where they can be accepted. A grid of cells of diagonal r (at most one point
-per cell) lists the cells that may have room. From time to time, the remaining cells are halved
-along every axis, and children that a disk covers are dropped [Ebeida2012]_. Accepted darts are
-still uniform on the uncovered region, so this changes the time but not the law. The set is maximal
-when no cell remains.
+Darts are thrown only where they can be accepted. The cells of a grid have diagonal r,
+so that each cell has at most one point. Cells that may have room are kept in a list.
+From time to time, these cells are halved along every axis.
+Parts that a disk covers are dropped [Ebeida2012]_.
+Accepted darts are still uniform on the uncovered region, so the law does not change.
+The set is maximal when no cell remains.
 
-For "maximal" sets, r is the smallest of an increasing sequence at which the darts jam with at most
-n points. The missing points, a few percent, are placed one by one at the center of the largest
-empty disk. The radius of this disk is the largest minimum distance that has room for one more point
-[Schloemer2011]_. Hence no place in the domain is farther from all n points than the n-th point is
-from the others: no further disk of the set's minimum distance fits.
+For "maximal" sets, increasing radii are tried, until the darts jam with at most n points.
+The missing points, a few percent, are placed one by one at the center of the largest empty disk.
+The radius of this disk is the largest minimum distance at which one more point fits
+[Schloemer2011]_. At the end no further disk fits,
+because the last point was put at the place farthest from all others.
 """
 
 from __future__ import annotations
@@ -45,13 +47,16 @@ Disks: TypeAlias = tuple[float, int, int, Array, bool, int]
 """Radius, cells per axis, reach of a disk, touched cells, whether on torus, darts per cell."""
 
 Throw: TypeAlias = Callable[[Any, Any, int, Array], tuple[int, int]]
-"""Function of the keys of a realization, the index of the next random number, and points (n, d) to
-fill; it returns the number of points placed and the index of the next random number."""
+"""Function that fills an array of points (n, d).
+
+Its other arguments are the keys of a realization, and the index of the next random number.
+It returns the number of points placed, and the new index."""
 
 DENSEST = (1.0, 2.0 / 3.0**0.5, 2.0**0.5, 2.0, 2.0 * 2.0**0.5, 8.0 / 3.0**0.5, 8.0, 16.0)
-"""n·r^d of the densest known packings of n spheres of diameter r in 1 to 8 dims: line, hexagons,
-fcc, D4, D5, E6, E7, E8 [Conway, Sloane (1999), "Sphere Packings, Lattices and Groups", table
-1.2]."""
+"""n·r^d of the densest known packings of n spheres of diameter r in 1 to 8 dims.
+
+The packings are line, hexagons, fcc, D4, D5, E6, E7 and E8. They are listed in table 1.2 of
+[Conway, Sloane (1999), "Sphere Packings, Lattices and Groups"]."""
 
 _DEFAULT_RADIUS = (0.7, 0.75, 0.75, 0.75)
 """Slightly below the radius at which darts jam: 0.748, 0.777, 0.803, 0.806 [Torquato2006]_."""
@@ -59,9 +64,9 @@ _DEFAULT_RADIUS = (0.7, 0.75, 0.75, 0.75)
 _FIRST_RADIUS = (0.755, 0.785, 0.81, 0.815)  # first radius tried for maximal sets
 _NEXT_RADIUS = 1.01  # ratio of successive radii; each has 2 % fewer points in 2-D
 _MOST_MAXIMAL = 3  # largest number of dims: 1000 points take 0.8 s in 3-D, a minute in 4-D
-_LEAST_RADIUS = 0.25  # smallest radius; below, points are like random points
+_LEAST_RADIUS = 0.25  # smallest radius; points at a smaller distance are like random points
 _OFFSETS = 1  # label of the stream that translates maximal sets
-_TRIALS = 100_000  # number of misses in a row: then less than 1/10,000 is uncovered
+_TRIALS = 100_000  # number of misses in a row after which less than 1/10,000 is uncovered
 
 
 @final
@@ -74,16 +79,17 @@ class PoissonDisk(Sampler):
     dims
         Number of dims: 1 to 4; for maximal sets 1 to 3.
     boundary
-        ``"toroidal"``: distances are on the torus. ``"bounded"``: distances are in the cube. Then
-        disks extend beyond the domain, points near the boundary are more likely, and `unbiased` is
-        False.
+        ``"toroidal"``: distances are on the torus. ``"bounded"``: distances are in the cube.
+        In the cube disks extend beyond the domain, and points near the boundary are more likely.
+        Points are then not uniform.
     mode
-        ``"exact"``: the minimum distance is the same for all sets, see `radius`. ``"maximal"``: no
-        further disk fits into a set, and each set has its own minimum distance.
+        ``"exact"``: the minimum distance is the same for all sets, see `radius`.
+        ``"maximal"``: no further disk fits into a set, and each set has its own minimum distance.
     radius_
-        Minimum distance in mode ``"exact"``, relative to the distance in the densest known packing
-        of n points [Lagae2008]_, 0.25 to 1. The default is 0.7 in 1-D, else 0.75. This is near the
-        limit of dart throwing, which jams on average at 0.748, 0.777, 0.803, 0.806 in 1 to 4 dims.
+        Minimum distance in mode ``"exact"``, from 0.25 to 1.
+        The unit is the distance in the densest known packing of n points [Lagae2008]_.
+        The default is 0.7 in 1-D, else 0.75. This is near the limit of dart throwing,
+        which on average jams at 0.748, 0.777, 0.803 and 0.806 in 1 to 4 dims.
 
     References
     ----------
@@ -139,7 +145,7 @@ class PoissonDisk(Sampler):
         keys = stream.keys(first, count)
         if self.mode == "maximal":
             points = np.stack([self._maximal_set(n, each) for each in keys])
-            # With few points, some holes have equal size; the choice depends on their positions
+            # With few points, some holes have equal size, and the choice depends on their positions
             own = stream.child(_OFFSETS).uniforms(first, count, self.dims)
             return points if self.boundary == "bounded" else translated(points, own)
         attempts = 3 + 3000 // n  # a small set often jams at the default radius
@@ -158,10 +164,10 @@ class PoissonDisk(Sampler):
         return points[:n]
 
     def _disks(self, radius: float) -> Disks:
-        """Return the data of the disks and of the grid of cells around them for the kernels."""
+        """Return the data of the disks, and of the grid of cells around them, for the kernels."""
         side = max(1, int(np.ceil(self.dims**0.5 / radius)))
 
-        # Steps to the cells that a disk can touch, nearest first, in the padded grid
+        # Steps to the cells of the padded grid that a disk can touch, nearest first
         reach = int(np.ceil(radius * side))
         offsets = np.array(list(product(range(-reach, reach + 1), repeat=self.dims)))
         gaps = np.maximum(np.abs(offsets) - 1, 0) / side
@@ -184,9 +190,9 @@ class DartThrowing(Sampler):
     dims
         Number of dims, 1 to 8.
     radius_
-        Minimum distance relative to the densest known packing of n points [Lagae2008]_,
-        above 0, at most 1. Dart throwing jams at about 0.75 in 1-D, 0.78 in 2-D and 0.8 above, and
-        classic rejection becomes slow earlier.
+        Minimum distance relative to the densest known packing of n points [Lagae2008]_.
+        It is above 0 and at most 1. Dart throwing jams at about 0.75 in 1-D, 0.78 in 2-D,
+        and 0.8 in more dims. Classic rejection becomes slow before that.
 
     References
     ----------
@@ -221,13 +227,13 @@ class DartThrowing(Sampler):
 class BestCandidate(Sampler):
     """Each point is the best of random candidates: the farthest from all earlier points.
 
-    Progressive: the first points of a set have the same law as a smaller set. Distances are on the
-    torus. The time is O(candidates · n²).
+    Progressive: the first points of a set have the same law as a smaller set.
+    Distances are on the torus. The time is O(candidates · n²).
 
     Attributes
     ----------
     dims
-        Any number.
+        Any number of dims.
     candidates
         Number of candidates per existing point: point i (from 0) is chosen from candidates · i.
 
@@ -253,7 +259,7 @@ class BestCandidate(Sampler):
 def thrown(
     throw: Throw, sampler: Sampler, n: int, keys: Array, attempts: int, advice: str
 ) -> Array:
-    """Return R sets of n points from keys (R, 2): (R, n, d); a set that jams is restarted.
+    """Return R sets of n points (R, n, d) from keys (R, 2); a set that jams is restarted.
 
     Raises
     ------

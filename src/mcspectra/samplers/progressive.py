@@ -1,13 +1,15 @@
 """Progressive multi-jittered sequences in the plane: stratified at every power of two points.
 
 Each pass of a sequence doubles the number of points. Before pass k, each of 2^k equal intervals
-along an axis has one point; pass k fills the free half of each interval. The assignment of new
-points to intervals determines the further stratification. The position within the half is random,
-so that the sequence is Owen-scrambled without digit permutations [Helmer2021]_.
+of an axis has one point, which lies in one half of the interval. Pass k fills the other half.
+The assignment of new points to intervals determines the further stratification.
+The position within the half is random.
+This makes the sequence Owen-scrambled without digit permutations [Helmer2021]_.
 
-Notation of the kernels: ``keys`` uint64 (R, 2) from `Stream.keys`; ``out`` float64 (R, n, 2). A
-coordinate is a word of 53 bits; its level-ℓ bit is worth 2^-(ℓ+1). Random numbers 2i and 2i + 1 of
-a realization are the low bits of point i. Other random numbers have higher addresses.
+Notation of the kernels: ``keys`` uint64 (R, 2) from `Stream.keys`; ``out`` float64 (R, n, 2).
+A coordinate is a word of 53 bits; its level-ℓ bit is worth 2^-(ℓ+1).
+Random numbers 2i and 2i + 1 of a realization are the low bits of point i.
+Other random numbers have higher addresses.
 """
 
 from __future__ import annotations
@@ -32,13 +34,13 @@ _PASSES = 31
 _SETS = 16  # number of sets that represent all sets in the law of pmj
 _ONE, _S11 = np.uint64(1), np.uint64(11)
 _EVEN_BITS = np.uint64(0x5555555555555555)
-_BITS = 5  # number of chosen bits below the cell's; finer bits matter little
+_BITS = 5  # number of bits below the cell's bits that are chosen; finer bits matter little
 _UNIT_53 = 2.0**-53
-_CHOICES, _SHUFFLES = 1 << 40, 1 << 41  # first addresses of other random numbers
+_CHOICES, _SHUFFLES = 1 << 40, 1 << 41  # first addresses of numbers for choices and for shuffles
 
 
 class _PlaneSequence(PlaneSampler):
-    """Points in the plane that are balanced at powers of two; (0,2)-sequences with `sweeps`."""
+    """Points in the plane that are balanced at powers of two; with `sweeps`, (0,2)-sequences."""
 
     structure: ClassVar[Structure] = Structure.DIGITS
     other_dims: ClassVar[str] = "for other dims use sobol | owen"
@@ -62,8 +64,9 @@ class PMJ(_PlaneSequence):
     """Progressive multi-jittered sequence (2-D).
 
     Any count. The first 2^k points have one point in each interval of width 2^-k along either axis.
-    If 2^k is a square 4^j, there is also one point in each of 2^j × 2^j cells; if 2^k is 2·4^j,
-    there are two diagonal points in each cell. Other counts cause a `NotPowerOfTwoWarning`.
+    If 2^k is a square 4^j, there is also one point in each of 2^j × 2^j cells.
+    If 2^k is 2·4^j, there are two diagonal points in each of these cells.
+    Other counts cause a warning (`NotPowerOfTwoWarning`).
 
     Notes
     -----
@@ -77,8 +80,8 @@ class PMJ(_PlaneSequence):
     sequence: ClassVar[bool] = True
 
     def _law(self, n: int) -> Law:
-        # Sets are Owen-scrambled by construction. It is random which digits agree; a few sets
-        # represent all sets
+        # Sets are Owen-scrambled by construction. It is random which digits agree,
+        # and a few sets represent all sets.
         sets = (Fixed(n=n, dims=2, bases=(2, 2), seed=k).of(self) for k in range(_SETS))
         return Choice(n=n, dims=2, laws=tuple(scrambled(each, "nested", (2, 2)) for each in sets))
 
@@ -94,13 +97,13 @@ class PMJ02(_PlaneSequence):
     """Progressive multi-jittered (0,2)-sequence (2-D).
 
     Any count. The first 2^k points have one point in each elementary interval of area 2^-k.
-    Other counts cause a `NotPowerOfTwoWarning`.
+    Other counts cause a warning (`NotPowerOfTwoWarning`).
 
     Notes
     -----
-    The points are those of the Sobol' sequence in another order, Owen-scrambled. As in Christensen
-    et al., the second point of a cell is diagonal to its first. Whether the third point shares the
-    columns or the rows of the first is random for each pass.
+    The points are those of the Sobol' sequence in another order, Owen-scrambled.
+    As in Christensen et al., the second point of a cell is diagonal to its first.
+    In each pass it is random whether the third point is in the column or in the row of the first.
 
     References
     ----------
@@ -131,15 +134,17 @@ class PMJ02BlueNoise(_PlaneSequence):
 
     Notes
     -----
-    The random bits of pmj02 are chosen by descent. Pass by pass, from coarse to fine, the bits of a
-    whole strip of the square are flipped if this lowers the sum of distance^-8 over pairs on the
-    torus. In the whole set, the nearest two points are two to three times as far apart as in pmj02.
-    The first points of a set are also a (0,2)-sequence, but spread no better than in pmj02. The
-    mean is unbiased up to the width of the intervals, because each interval has one point. A single
-    point is not uniform: over sixteenths of an axis its density varies by up to a tenth.
+    The random bits of pmj02 are chosen by descent, pass by pass, from coarse to fine.
+    The bits of a whole strip of the square are flipped if this lowers an energy,
+    the sum of distance^-8 over all pairs on the torus.
+    In the whole set, the nearest two points are two to three times as far apart as in pmj02.
+    The first points of a set are also a (0,2)-sequence, but spread no better than in pmj02.
+    The mean is unbiased up to the width of the intervals, because each interval has one point.
+    A single point is not uniform: its density over sixteenths of an axis varies by up to a tenth.
 
-    The papers choose the best of some candidates for each point in turn. But at that time, the
-    choices are only as wide as the intervals. Flips of strips avoid this restriction.
+    The papers choose the best of some candidates for each point in turn.
+    At that time, however, the choices are only as wide as the intervals.
+    Flips of strips avoid this restriction.
 
     References
     ----------
@@ -153,13 +158,18 @@ class PMJ02BlueNoise(_PlaneSequence):
 
 @lru_cache(maxsize=1)
 def pairings() -> Array:
-    """Return partners of pmj02, uint64 (2, 31): i xor out[j, k] for point i, axis j, pass k.
+    """Return the partners of points in pmj02 as out, uint64 (2, 31).
 
-    Consider the bits of the index as coefficients, over GF(2), in the basis 1, t, b, b·t, b², b²·t,
-    … with b = t² + t. The digits of x are the coefficients of this polynomial in powers of t, and
-    the digits of y in powers of t + 1: the first two axes of Sobol'. Multiples of b^m do not change
-    the first m digits of x or y. Thus the m-th four blocks of points share the cells of the first
-    four. The partner differs in digit k only: by t^k, or (t + 1)^k, in that basis.
+    The partner of point i on axis j in pass k is i xor out[j, k].
+    The bits of the index are the coefficients of a polynomial in t over GF(2).
+    Its basis is 1, t, b, b·t, b², b²·t, … with b = t² + t.
+    The digits of x are the polynomial's coefficients in powers of t.
+    The digits of y are its coefficients in powers of t + 1.
+    These are the first two axes of Sobol'.
+
+    Multiples of b^m do not change the first m digits of x or y.
+    Each group of four blocks of points therefore shares the cells of the first group.
+    The partner differs in digit k only: by t^k, or (t + 1)^k, in that basis.
     """
     even = 0x5555555555555555
     out = np.empty((2, _PASSES), np.uint64)
@@ -174,7 +184,7 @@ def pairings() -> Array:
 
 @kernel
 def _complete(k0: np.uint64, k1: np.uint64, number: int, high: Any, level: int) -> Any:
-    # Return the word with the bits of `high` down to bit `level`, and random bits below.
+    # Keep the bits of a word down to bit `level`, and replace the lower bits by random bits.
     low = (_ONE << np.uint64(52 - level)) - _ONE
     return (high & ~low) | ((mix_bits(k0, k1, number) >> _S11) & low)
 
@@ -183,8 +193,9 @@ def _complete(k0: np.uint64, k1: np.uint64, number: int, high: Any, level: int) 
 def _free_intervals(
     k0: np.uint64, k1: np.uint64, level: int, words: Array, free: Array, starts: Array
 ) -> None:
-    # List the intervals of width 2^-(level+1) that points 0 … 2^level − 1 leave free. The intervals
-    # in each of the equal columns are listed together and shuffled; starts (columns + 1,).
+    # List the intervals of width 2^-(level+1) that points 0 … 2^level − 1 leave free.
+    # The intervals in each of the equal columns are listed together and shuffled.
+    # The entries of column c begin at starts[c], where starts has shape (columns + 1,).
     size, columns = 1 << level, starts.size - 1
     width = 2 * size // columns
     taken = np.zeros(2 * size, np.bool_)
@@ -212,9 +223,9 @@ def _fill_pmj(keys: Array, out: Array) -> None:
             words[j, 0] = mix_bits(k0, k1, j) >> _S11
         level = 0
         while 1 << level < n:
-            # Choose column and row of the quarter of a cell for each point of the pass. The second
-            # point of a cell is diagonal to its first; the third takes one of the other two
-            # quarters
+            # Choose column and row of the quarter of a cell for each point of the pass.
+            # The second point of a cell is diagonal to its first.
+            # The third takes one of the other two quarters.
             size, side = 1 << level, level // 2 + 1
             columns, cells, shift = 1 << side, 1 << (2 * side - 2), np.uint64(53 - side)
             to = np.empty((2, size), np.int64)
@@ -228,7 +239,7 @@ def _fill_pmj(keys: Array, out: Array) -> None:
                     coin = np.int64(bits & _ONE) ^ (i >= cells)
                     to[0, i], to[1, i] = column ^ coin, row ^ coin ^ 1
 
-            # Assign the free intervals of these columns and rows
+            # Assign the free intervals of these columns and rows to the points
             free, starts = np.empty(size, np.int64), np.empty(columns + 1, np.int64)
             for j in range(2):
                 k = k0 ^ mix_bits(k0, k1, _SHUFFLES + j)
@@ -244,7 +255,7 @@ def _fill_pmj(keys: Array, out: Array) -> None:
 
 @kernel
 def _pair_energy(dx: float, dy: float) -> float:
-    # On the torus; at this high power, only the smallest distances matter.
+    # Distances are on the torus; at this high power, only the smallest distances matter.
     dx, dy = dx - np.rint(dx), dy - np.rint(dy)
     square = dx * dx + dy * dy
     return 1.0 / (square * square * square * square)
@@ -252,9 +263,9 @@ def _pair_energy(dx: float, dy: float) -> float:
 
 @kernel
 def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array) -> float:
-    # Return the decrease of the energy of point i by a flip of `bit` in all words of a strip.
-    # `members` is the number of the strip and the shift that numbers words; owner (columns, rows)
-    # has the point of each cell.
+    # Return the decrease of the energy of point i if `bit` is flipped in all words of a strip.
+    # `members` holds the number of the strip, and the shift that turns a word into this number.
+    # owner (columns, rows) is the point in each cell.
     strip, shift = members
     columns, rows = owner.shape
     here = np.float64(words[axis, i]) * _UNIT_53
@@ -282,7 +293,7 @@ def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array)
 
 @kernel
 def _try_flips(axis: int, level: int, size: int, words: Array, owner: Array) -> None:
-    # Swap the halves of each strip of width 2^-level if the energy of `size` points falls.
+    # Swap the halves of a strip of width 2^-level if this lowers the energy of `size` points.
     order = np.empty(size, np.int64)
     shift = np.uint64(53 - level)
     bit = _ONE << np.uint64(52 - level)
@@ -301,8 +312,8 @@ def _try_flips(axis: int, level: int, size: int, words: Array, owner: Array) -> 
 
 @kernel
 def _fill_pmj02(keys: Array, xors: Array, sweeps: int, out: Array) -> None:
-    # (0,2)-sequence; the partner of i on axis j in pass k is i xor xors[j, k]. With `sweeps`, the
-    # existing points are spread out before the points of the next pass are made.
+    # Fill a (0,2)-sequence; the partner of i on axis j in pass k is i xor xors[j, k].
+    # With `sweeps`, existing points are spread out before the points of the next pass are made.
     count, n, _ = out.shape
     passes = 0
     while 1 << passes < n:
@@ -312,7 +323,7 @@ def _fill_pmj02(keys: Array, xors: Array, sweeps: int, out: Array) -> None:
     for r in range(count):
         k0, k1 = keys[r, 0], keys[r, 1]
 
-        # Random bit for each pass: the axis along which the third point of a cell is placed
+        # One random bit for each pass: the axis along which the third point of a cell is placed
         coins = mix_bits(k0, k1, _CHOICES) & _EVEN_BITS
         for j in range(2):
             words[j, 0] = mix_bits(k0, k1, j) >> _S11
@@ -320,7 +331,7 @@ def _fill_pmj02(keys: Array, xors: Array, sweeps: int, out: Array) -> None:
                 own[j, level] = np.int64(xors[j, level] ^ ((xors[j, level] >> _ONE) & coins))
 
         for level in range(passes):
-            # Place each point in the other half of the interval of its partner, of width 2^-level
+            # Each point goes to the free half of its partner's interval, which has width 2^-level
             size, half = 2 << level, _ONE << np.uint64(52 - level)
             for i in range(size >> 1, min(size, room)):
                 for j in range(2):
@@ -329,7 +340,7 @@ def _fill_pmj02(keys: Array, xors: Array, sweeps: int, out: Array) -> None:
             if not sweeps:
                 continue
 
-            # Flip bits below the bits that number the cells, each with one point
+            # Flip bits below the bits that number the cells, where each cell has one point
             down = (level + 1) // 2
             across = level + 1 - down
             columns, rows = 1 << across, 1 << down

@@ -1,17 +1,17 @@
-"""Projective blue noise: points that are apart in the domain and in all its projections on axes.
+"""Projective blue noise: points keep a distance in the domain and in all projections on axes.
 
 Method
 ------
-Dart throwing: a dart is accepted if, for each k from 1 to d, its distance from all earlier points
-is at least r_k in every projection on k of the d axes. Let g_1 ≤ … ≤ g_d be the sorted gaps of two
-points along the axes. Of all projections on k axes, the projection on the axes of the k smallest
-gaps has the smallest distance. So d conditions on partial sums, g_1² + … + g_k² ≥ r_k², check all
-2^d − 1 projections.
+Dart throwing: a dart is accepted if it is far enough from all earlier points in all projections.
+For each k from 1 to d, the distance in every projection on k of the d axes must be at least r_k.
+Let g_1 ≤ … ≤ g_d be the sorted gaps of two points along the axes.
+On k axes the distance is smallest in the projection on the axes of the k smallest gaps.
+Therefore d conditions on partial sums, g_1² + … + g_k² ≥ r_k², check all 2^d − 1 projections.
 
-The projections on single axes leave little room, but these axes are independent. Each coordinate is
-therefore drawn until it is free on its own axis, before the other projections are checked. This
-saves time and does not change the law. On the torus the law is invariant under translation, so
-every point is uniform.
+The projections on single axes leave little room, but these axes are independent.
+Each coordinate is therefore drawn until it is free on its own axis.
+The other projections are checked after that. This saves time and does not change the law.
+On the torus the law is invariant under translation, so every point is uniform.
 """
 
 from __future__ import annotations
@@ -47,11 +47,12 @@ class ProjectiveBlueNoise(Sampler):
     Attributes
     ----------
     dims
-        1 to 6.
-    Minimum distance in every projection on k axes, relative to the distance in the densest known
-    packing of n points in k dims; 0.01 to 1. The default is 0.65, 0.6, 0.5, 0.4, 0.33 and 0.25 in 1
-    to 6 dims, slightly below the largest value at which darts place 1000 points.
-        0.25 in 1 to 6 dims, slightly below the largest value at which darts place 1000 points.
+        Number of dims, 1 to 6.
+    radius_
+        Minimum distance in every projection on k axes, from 0.01 to 1.
+        The unit is the distance in the densest known packing of n points in k dims.
+        The default is 0.65, 0.6, 0.5, 0.4, 0.33 and 0.25 in 1 to 6 dims.
+        This is slightly below the largest value at which darts place 1000 points.
 
     References
     ----------
@@ -84,9 +85,9 @@ class ProjectiveBlueNoise(Sampler):
 def _free_coordinate(
     k0: Any, k1: Any, at: int, radius: float, column: Array, cells: Array
 ) -> tuple[float, int]:
-    # Draw x until no point of the axis is nearer than `radius`; return −1 if that fails. `cells`
-    # has the number of the point in each cell of the axis, −1 if there is none. A cell is at most
-    # as large as the radius, and larger than half the radius.
+    # Draw x until no point of the axis is nearer than `radius`; return −1 if that fails.
+    # `cells` has the number of the point in each cell of the axis, −1 if there is none.
+    # A cell is at most as large as the radius, and larger than half the radius.
     side = cells.size
     for _ in range(_DRAWS):
         x = mix_uniform(k0, k1, at)
@@ -104,7 +105,7 @@ def _free_coordinate(
 
 @kernel
 def _is_apart(x: Array, y: Array, limits: Array, gaps: Array) -> bool:
-    # Whether the squared distances of x and y are at least `limits` in all projections.
+    # Return whether the squared distances of x and y are at least `limits` in all projections.
     for j in range(x.size):
         gap = abs(x[j] - y[j])
         gap = min(gap, 1.0 - gap)

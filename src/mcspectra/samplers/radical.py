@@ -22,7 +22,7 @@ __all__ = ["Halton", "Hammersley", "RadicalInverses", "VanDerCorput"]
 
 
 class RadicalInverses(FixedSet):
-    """Abstract sampler of radical inverses; ``scramble`` abbreviates ``| permute`` or ``| owen``.
+    """Abstract sampler of radical inverses, which a parameter may scramble.
 
     Attributes
     ----------
@@ -53,11 +53,11 @@ class RadicalInverses(FixedSet):
         return int(self.scramble != "none")
 
     def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        """Draw the nested-scrambled points from the top of their trees: (count, n, dims)."""
+        """Draw points with nested scrambling, from the top of their trees: (count, n, dims)."""
         return _nested(self.digit_bases, n, stream.keys(first, count))
 
     def as_chain(self, n: int) -> Sampler:  # noqa: ARG002
-        """Return the chain that ``scramble=`` abbreviates."""
+        """Return the chain of steps for which the parameter `scramble` is short."""
         if self.scramble == "none":
             return self
         plain: Sampler = replace(self, scramble="none")  # type: ignore[type-var]
@@ -92,8 +92,8 @@ class Halton(RadicalInverses):
     skip
         Index of the first point.
     scramble
-        ``"permute"`` or ``"owen"``: the points of ``halton | permute`` or ``halton | owen``, all
-        of them uniform. ``"none"``: the same points every time.
+        ``"none"``: the same points every time.
+        ``"permute"`` and ``"owen"`` apply the randomization of this name and make points uniform.
 
     References
     ----------
@@ -158,11 +158,11 @@ class Hammersley(RadicalInverses):
 
     Notes
     -----
-    The first coordinates i/n have distinct binary digits only for n = 2^m, and are then scrambled
-    in base 2. For other n, ``| permute`` and ``| owen`` raise an error. With `scramble`, the
-    coordinates i/n then keep their order, and only an offset below 1/n is random: one for all
-    points (``"permute"``) or one for each point (``"owen"``). In both cases each interval [i/n,
-    (i+1)/n) of the first axis contains one point.
+    For n = 2^m the first coordinates i/n are scrambled in base 2.
+    For other n they have no distinct binary digits, and permute and owen raise an error.
+    The parameter `scramble` keeps the order of i/n for such n, and adds a random offset below 1/n.
+    This offset is the same for all points (``"permute"``) or different (``"owen"``).
+    In both cases each interval [i/n, (i+1)/n) of the first axis contains one point.
 
     References
     ----------
@@ -191,14 +191,14 @@ class Hammersley(RadicalInverses):
         return out
 
     def draw_nested(self, n: int, stream: Stream, first: int, count: int) -> Array:
-        """Draw the nested-scrambled points; i/n with n = 2^m inverts the bit-reversed index."""
+        """Draw points with nested scrambling; i/n is the radical inverse of the reversed index."""
         reversed_ = (_inverses((2,), 0, n)[:, 0] * n).astype(np.int64)
         nths = _nested((2,), n, stream.child(0).keys(first, count))[:, reversed_]
         rest = _nested(self.digit_bases[1:], n, stream.keys(first, count))
         return np.concatenate([nths, rest], axis=2)
 
     def as_chain(self, n: int) -> Sampler:
-        """Return the chain for n = 2^m; for other n there is none."""
+        """Return the chain for n = 2^m; other n have no chain, so return this sampler."""
         return self if n & (n - 1) else RadicalInverses.as_chain(self, n)
 
     def _points(self, n: int, stream: Stream, first: int, count: int) -> Array:

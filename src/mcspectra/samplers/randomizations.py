@@ -1,7 +1,7 @@
 """Randomizations that move all points of a set: shifts, rotations, mirror images, pixels.
 
-A reflection is u → 1 − 2^-53 − u, because 1 − u would leave [0,1) for u = 0. It maps multiples of
-2^-53 to multiples of 2^-53 one to one; float64 points are such multiples.
+A reflection is u → 1 − 2^-53 − u, because 1 − u would leave [0,1) for u = 0.
+It maps multiples of 2^-53 one to one to multiples of 2^-53; float64 points are such multiples.
 """
 
 from __future__ import annotations
@@ -35,12 +35,13 @@ from mcspectra.samplers.law import (
 __all__ = ["Decorrelate", "Mirror", "RandomRotation", "Shift", "StrataShift", "folded"]
 
 _MOST_IMAGED = 30  # largest number of dims of the uniform mode, which makes 2^d images
-_MASK_KEY = 0x3A5C  # arbitrary key: the mask is fixed, and its place is random
+_MASK_KEY = 0x3A5C  # arbitrary key of the mask, which is always the same; its place is random
 _FIRST_REACH = 0.6  # half-side of a window of area 1.44, which nearly always has n + 1 points
-_REACH = 1.12  # half-side that always has: a disk of radius √5/2 contains two domains
+_REACH = 1.12  # half-side that always suffices: a disk of radius √5/2 contains two domains
 
-# Structures that remain. A translation of the torus moves strata and elementary intervals away
-# from the origin. A rotation preserves digits, but exchanges coordinates of different bases.
+# Structures that remain after a randomization.
+# A translation of the torus moves strata and elementary intervals away from the origin.
+# A rotation preserves digits, but exchanges coordinates of different bases.
 # Reflections map cells to cells, but images of points near a face lie close to each other.
 _ALL: dict[Structure, Structure] = {s: s for s in Structure}
 _TRANSLATED = _ALL | dict.fromkeys((Structure.STRATA, Structure.DIGITS), Structure.TORUS)
@@ -132,20 +133,21 @@ class RandomRotation(Randomization):
     Attributes
     ----------
     boundary
-        ``"toroidal"``: one of the d!·2^d symmetries of the cube, which are the only rotations of
-        the torus: axes permuted and reflected at random. It preserves distances on the torus,
+        ``"toroidal"``: one of the d!·2^d symmetries of the cube, which permute and reflect axes.
+        The torus has no other rotations. These symmetries preserve distances on the torus,
         strata of equal sides, and elementary intervals (with permuted shapes).
-        ``"clipped"`` (2-D): the periodically repeated points are rotated by a uniform angle and
-        clipped to a square window at a random place. The window just excludes an (n + 1)-th point;
-        it is scaled to the unit square and translated at random on the torus.
+        ``"clipped"`` (2-D): the periodically repeated points are rotated by a uniform angle,
+        and clipped to a square window at a random place.
+        The size of the window is the largest at which it has n points.
+        The window is scaled to the unit square, and translated at random on the torus.
 
     Notes
     -----
-    A unit square that is rotated by any other angle and wrapped covers a part of the torus twice
-    and leaves another part empty, hence the window. Inside the window, distances are preserved up
-    to a scale of 1 + O(n^-1/2) for random points. Distances across the window's seam are not
-    preserved; the translation moves the seam to a random place. Because of the translation every
-    point is exactly uniform.
+    If a unit square is rotated by another angle and wrapped, it covers parts of the torus twice,
+    and leaves other parts empty. The window avoids this.
+    Inside the window, distances are preserved up to a scale of 1 + O(n^-1/2) for random points.
+    Distances across the window's border are not preserved.
+    The translation moves this border to a random place, and makes every point exactly uniform.
     """
 
     fits: ClassVar[Mapping[Structure, Structure]] = _TURNED
@@ -157,7 +159,7 @@ class RandomRotation(Randomization):
             settle(self, fits=_TRANSLATED, debiases=True, stationary=True, pointwise=False)
 
     def fit(self, sampler: Sampler) -> Randomization:
-        """Check that `sampler` has 2 dims if rotations are by any angle."""
+        """Check that `sampler` has 2 dims if the angle of rotation is arbitrary."""
         if self.boundary == "clipped" and sampler.dims != 2:
             raise ParameterError(
                 f"random-rotation(boundary='clipped') needs 2 dims, but {sampler.spec} has "
@@ -212,7 +214,7 @@ def _turn(keys: Array, points: Array, out: Array) -> None:
 
 @kernel
 def _seen(points: Array, center: Array, turn: Array, reach: float, found: Array) -> int:
-    # Write rotations with max(|x|, |y|) ≤ reach around the center to found (25n, 3): x, y, norm
+    # Write x, y and norm of the rotated points with max(|x|, |y|) ≤ reach to found (25n, 3)
     size = 0
     for i in range(points.shape[0]):
         x0, y0 = points[i, 0] - center[0], points[i, 1] - center[1]
@@ -229,8 +231,8 @@ def _seen(points: Array, center: Array, turn: Array, reach: float, found: Array)
 
 @kernel
 def _clip_all(keys: Array, points: Array, out: Array) -> None:
-    # Fill out (R, n, 2) with the points in the window whose edge passes through the (n + 1)-th
-    # nearest point to the window's center
+    # Fill out (R, n, 2) with the points in the window.
+    # Its edge passes through the point that is the (n + 1)-th nearest to the window's center.
     count, n, _ = points.shape
     found = np.empty((25 * n, 3))
     numbers = np.empty(5)
@@ -244,7 +246,7 @@ def _clip_all(keys: Array, points: Array, out: Array) -> None:
             size = _seen(points[r], numbers[:2], turn, _REACH, found)
         edge = np.partition(found[:size, 2].copy(), n)[n]
         inside = np.count_nonzero(found[:size, 2] < edge)
-        taken, ties = 0, n - inside  # if several points lie on the edge, the first ones count
+        taken, ties = 0, n - inside  # if several points lie on the edge, the first of them count
         for i in range(size):
             on_edge = found[i, 2] == edge
             if found[i, 2] > edge or (on_edge and ties == 0):
@@ -266,27 +268,27 @@ class Mirror(Randomization):
     mode
         ``"random"``: every coordinate of every sample is reflected with probability ½.
         ``"uniform"``: each of n/2^d samples is replaced by its 2^d reflections, in order.
-        ``"fold"``: u → 1 − |2u − 1| in every coordinate (the baker's transform), without
-        randomness.
+        ``"fold"``: u → 1 − |2u − 1| in every coordinate (the baker's transform), not random.
 
     Notes
     -----
-    Reflected at its upper faces, an integrand f on [0,1)^d becomes g(k + x) = f(x reflected in the
-    coordinates with k_j = 1), k ∈ {0,1}^d. g is continuous across all faces and has period 2. A
-    sample x can be placed at k + x for one random image k, or for all images. Alternatively, the
-    whole set can be stretched over [0,2)^d. The result contains the arguments of f for each sample.
+    Reflections at its upper faces extend an integrand f on [0,1)^d to a function g on [0,2)^d:
+    for k ∈ {0,1}^d, g(k + x) = f(x reflected in the coordinates with k_j = 1).
+    This function is continuous across all faces and has period 2.
+    A sample x can be placed at k + x for one random image k, or for all images.
+    Alternatively, the whole set can be stretched over [0,2)^d.
+    The randomized points are the arguments at which f is evaluated.
 
-    Uniform samples remain exactly uniform, and each half-open cell of a grid maps to the opposite
-    cell.
+    Uniform samples remain exactly uniform. Each half-open cell of a grid maps to the opposite cell.
 
-    Random reflection and folding destroy strata, elementary intervals and differences. The uniform
-    mode preserves strata and intervals, with 2^d times as many points in each stratum or interval.
+    Random reflection and folding destroy strata, elementary intervals and differences.
+    The uniform mode preserves strata and intervals; each then has 2^d times as many points.
 
     References
     ----------
-    [Hickernell2002]_ for the baker's transform. The other modes are our interpretation of mirrored
-    samples; the uniform mode is the antithetic variate of [HammersleyMorton1956]_ in each
-    coordinate.
+    See [Hickernell2002]_ for the baker's transform.
+    The other modes are our interpretation of mirrored samples.
+    The uniform mode is the antithetic variate of [HammersleyMorton1956]_ in each coordinate.
     """
 
     pointwise: ClassVar[bool] = True
@@ -313,7 +315,7 @@ class Mirror(Randomization):
         return Mirrored(n=n, dims=law.dims, inner=law, mode=self.mode)  # type: ignore[arg-type]
 
     def count_inside(self, sampler: Sampler, n: int) -> int:
-        """Return the number of points before mirroring: the uniform mode makes n images of them."""
+        """Return the number of points before mirroring; the uniform mode makes n images of them."""
         return n // self._images(sampler)
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
@@ -385,21 +387,23 @@ class Decorrelate(Randomization):
         Randomization of the shared set per pixel: ``"shift"``, ``"digital-shift"`` or ``"owen"``.
     mask
         Source of the random numbers. ``"white"``: independent in all pixels.
-        ``"blue-noise"``: a repeated void-and-cluster dither mask at a random place per dim, so
-        that neighbors get very different shifts and the error of the image is blue noise.
+        ``"blue-noise"``: a repeated void-and-cluster dither mask, at a random place for each dim.
+        Neighbors get very different shifts, and the error of the image is blue noise.
         ``"r2"``: Roberts's R-sequence indexed by the number of the pixel, from a random start.
     width
         Width of the image, and side of the blue-noise mask, in pixels.
 
     Notes
     -----
-    The realizations of one seed are the pixels of one image. All pixels share a set, and with a
-    mask their shifts share one pattern. Variances over the pixels are variances within an image,
-    and do not converge to variances over seeds.
+    The realizations of one seed are the pixels of one image.
+    All pixels share a set, and with a mask their shifts share one pattern.
+    Variances over the pixels are variances within an image.
+    They do not converge to variances over seeds.
 
-    A mask has one number per dim, which suffices for shift, and for digital-shift in base 2. In one
-    pixel every point is uniform with any mask. In each dim, the shifts of the width² pixels of a
-    blue-noise mask lie in the width² equal intervals of [0,1), one in each.
+    A mask has one number per dim, which suffices for shift, and for digital-shift in base 2.
+    In one pixel every point is uniform with any mask.
+    In each dim, the shifts of the width² pixels of a blue-noise mask are stratified:
+    each of width² equal intervals of [0,1) contains one shift.
 
     References
     ----------
@@ -443,7 +447,7 @@ class Decorrelate(Randomization):
         return self._step().law_of(law, n)
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
-        """Move each of `points`, one set per pixel, by the shift of its pixel."""
+        """Move the given sets, one per pixel, by the shift of their pixel."""
         return self._moved(self._step(), points, stream, first)
 
     def draw(
@@ -456,7 +460,7 @@ class Decorrelate(Randomization):
         return self._step().fit(sampler).counts_near(sampler, n)
 
     def offsets(self, stream: Stream, first: int, count: int, dims: int) -> Array:
-        """Return the masks' shifts for pixels first … first + count − 1: float64 (count, dims)."""
+        """Return the mask's shifts (count, dims) for pixels first … first + count − 1."""
         pixels = np.arange(first, first + count)
         places = stream.child(0).uniforms(0, 1, 2 * dims)[0]
         if self.mask == "r2":

@@ -1,4 +1,4 @@
-"""Names of samplers and randomizations, and conversion of descriptions to a `Sampler`."""
+"""Names of samplers and randomizations, and conversion of other objects to a `Sampler`."""
 
 from __future__ import annotations
 
@@ -68,8 +68,8 @@ def sampler(spec: str | Sampler, dims: int | None = None) -> Sampler:
     Parameters
     ----------
     spec
-        A sampler, then any number of randomizations after ``|``. Everything that `as_sampler`
-        accepts is also accepted.
+        A sampler, followed by any number of randomizations, each after a ``|``.
+        Everything that `as_sampler` accepts is also accepted.
     dims
         Number of dims. With None the spec decides, or else the sampler's default (2).
 
@@ -95,13 +95,13 @@ def sampler_from_calls(calls: Sequence[Call], dims: int | None = None) -> Sample
 
 
 def as_sampler(source: Any, dims: int | None = None) -> Sampler:
-    """Convert `source` to a sampler of `dims` dims (of any number of dims if None).
+    """Convert a source of points to a sampler with `dims` dims (any number of dims if None).
 
     Parameters
     ----------
     source
-        A sampler, a spec string, an array of points (n, d) or (R, n, d), an engine of
-        `scipy.stats.qmc`, a generator of QMCPy, or the class of an engine or generator.
+        A sampler, a spec string, an array of points (n, d) or (R, n, d),
+        an engine of `scipy.stats.qmc`, a generator of QMCPy, or the class of either.
     dims
         Required number of dims.
 

@@ -1,10 +1,11 @@
 """Points moved until they are spread evenly: Lloyd, bnot, Gaussian blue noise, farthest points.
 
-Lloyd's method repeatedly moves each point to the centroid of its Voronoi cell. Blue noise through
-optimal transport uses the power diagram whose cells have equal areas instead. This is a descent of
-the cost of transporting the uniform density to the points. The gradient with respect to a point is
-2/n times its distance from the centroid of its cell [deGoes2012]_. Gaussian blue noise lowers an
-energy of pairs. Farthest-point optimization moves each point to the place farthest from all others.
+Lloyd's method repeatedly moves each point to the centroid of its Voronoi cell.
+Blue noise through optimal transport instead uses the power diagram whose cells have equal areas.
+This descent lowers the cost of transporting the uniform density to the points.
+The gradient for a point is 2/n times its distance from the centroid of its cell [deGoes2012]_.
+Gaussian blue noise lowers an energy of pairs.
+Farthest-point optimization moves each point to the place farthest from all others.
 """
 
 from __future__ import annotations
@@ -38,17 +39,17 @@ __all__ = [
     "transport_cost",
 ]
 
-_NEWTON = 100  # largest number of Newton steps; random points take 10, a move 2 or 3
+_NEWTON = 100  # largest number of Newton steps; random points take 10, moved points 2 or 3
 _BALANCED = 1e-3  # tolerance of areas while points move
-_EXACT = 1e-9  # tolerance of areas for the cost; the cost's error is its square
-_CLOSE = 1e-4  # tolerance of areas if rounding interferes; the cost's error is 1e-6
-# Most visits (see `kernels.Diagram`) for a transport cost: some seconds. 8192 random points take
-# 2^24 visits; points in a quarter of the square take more than 2^30.
+_EXACT = 1e-9  # tolerance of areas for the cost; the error of the cost is its square
+_CLOSE = 1e-4  # tolerance of areas if rounding interferes; the error of the cost is 1e-6
+# Largest number of visits (see `kernels.Diagram`) for a transport cost; takes some seconds.
+# 8192 random points take 2^24 visits; points in a quarter of the square take more than 2^30.
 _MOST_WORK = 2**32
 _REPORTS = 50
 _CHUNK = 4096  # number of moves between reports of progress
 _CUTOFF = 6.0  # cutoff distance in σ: exp(−18) = 1.5e-8, as for the spectrum
-_SERIES_END = 6.0  # cutoff of the Fourier series in many dims: terms of e^(−½ 6²)
+_SERIES_END = 6.0  # cutoff of the Fourier series in many dims, at terms of e^(−½ 6²)
 _CELLS = 4  # number of cells along a cutoff distance
 
 
@@ -61,7 +62,7 @@ class _CentroidSampler(PlaneSampler, OptimisedSampler):
 
     @abstractmethod
     def _offsets(self, n: int) -> Callable[[Array], Array]:
-        """Return a function of `n` points that returns offsets to the centroids of cells."""
+        """Return a function that returns the offsets of `n` points to the centroids of cells."""
 
     def _optimize(self, n: int, keys: Array, report: Report) -> Array:
         start, offsets = random_points(keys, n, 2), self._offsets(n)
@@ -82,8 +83,8 @@ class Lloyd(_CentroidSampler):
     iterations
         Largest number of moves of all points.
     tolerance
-        The method stops at this root-mean-square distance of points from their centroids, as a
-        multiple of n^(−1/2).
+        Root-mean-square distance of points from their centroids at which the method stops.
+        The unit is n^(−1/2).
     sets
         Largest number of different sets, see `OptimisedSampler`.
 
@@ -118,17 +119,18 @@ class Bnot(_CentroidSampler):
     iterations
         Largest number of moves of all points.
     tolerance
-        The method stops at this root-mean-square distance of points from the centroids of their
-        cells, as a multiple of n^(−1/2). Smaller values order the points into crystals.
+        Root-mean-square distance between points and centroids at which the method stops.
+        The unit is n^(−1/2).
+        Smaller values order the points into crystals.
     sets
         Largest number of different sets, see `OptimisedSampler`.
 
     Notes
     -----
     The start is random, and the method does not depend on the origin, so every point is uniform.
-    The paper also jitters regions that have become regular; here the descent ends earlier. An
-    earlier, discrete form of the method is capacity-constrained Voronoi tessellations
-    [Balzer2009]_, which swap samples of the density between points.
+    The paper also jitters regions that have become regular; here the descent ends earlier instead.
+    An earlier, discrete form is capacity-constrained Voronoi tessellation [Balzer2009]_.
+    It swaps samples of the density between points.
 
     References
     ----------
@@ -155,7 +157,7 @@ def relax(
     tolerance: float,
     report: Report,
 ) -> Array:
-    """Move points by the `offsets` until the offsets are small, at most `iterations` times."""
+    """Move points by their offsets until the offsets are small, at most `iterations` times."""
     for i in range(iterations):
         if i % max(1, iterations // _REPORTS) == 0:
             report(i / iterations)
@@ -169,10 +171,11 @@ def relax(
 def transport_cost(points: object) -> float:
     """Return the cost of transporting the uniform density to the points, with equal masses.
 
-    The cost is W₂², the smallest mean square distance on the torus over all equal partitions of the
-    unit square. It is computed by sorting in 1-D, and by the power diagram with equal areas in 2-D.
-    n times the cost is 1/6 for a square grid. The lower bound is the cost of a hexagonal grid:
-    0.1604 (5/(18√3)).
+    The unit square is partitioned into equal parts, one for each point. The cost is W₂²,
+    the smallest mean square distance on the torus between points and their parts.
+    In 1-D it is computed by sorting, in 2-D by the power diagram with equal areas.
+    A square grid has n · cost = 1/6. The lower bound is the cost of a hexagonal grid:
+    n · cost = 0.1604 (5/(18√3)).
 
     Parameters
     ----------
@@ -182,9 +185,9 @@ def transport_cost(points: object) -> float:
     Raises
     ------
     DomainError
-        If there are more than 2 dims or no points in [0,1), or if the points are so far from
-        uniform that Newton's method takes more than 100 steps, or longer than some seconds. Random
-        points take 10 steps.
+        If there are more than 2 dims or no points in [0,1).
+        Also if the points are so far from uniform that Newton's method takes too long:
+        more than 100 steps, or some seconds. Random points take 10 steps.
 
     References
     ----------
@@ -197,7 +200,7 @@ def transport_cost(points: object) -> float:
         )
     n = len(x)
     if x.shape[1] == 1:
-        # Intervals of 1/n in the order of the points, shifted along the circle to minimize the cost
+        # Each point gets an interval of 1/n, in order; a shift along the circle minimizes the cost
         distances = np.sort(x[:, 0]) - (np.arange(n) + 0.5) / n
         return float(distances.var() + 1.0 / (12.0 * n * n))
 
@@ -212,7 +215,7 @@ def transport_cost(points: object) -> float:
             f"The transport cost was not found in {_NEWTON} Newton steps or some seconds: the "
             "points are too far from uniform; transform them to be nearly uniform, or give fewer."
         )
-    # Dual value: missing areas count with their weights, so that errors are of second order
+    # The dual value counts missing areas with their weights, so that errors are of second order
     return float(np.sum(diagram.moments) + np.sum(weights * lacking))
 
 
@@ -224,8 +227,8 @@ class GaussianBlueNoise(OptimisedSampler):
     Attributes
     ----------
     sigma
-        σ as a multiple of the mean distance n^(−1/d). A larger σ removes more low frequencies and
-        takes more iterations.
+        σ as a multiple of the mean distance n^(−1/d).
+        A larger σ removes more low frequencies and takes more iterations.
     iterations
         Largest number of descent steps.
     sets
@@ -233,9 +236,10 @@ class GaussianBlueNoise(OptimisedSampler):
 
     Notes
     -----
-    The paper descends along the gradient. Here the gradient drives limited-memory BFGS, which needs
-    fewer steps. In up to 3 dims, pairs are cut off at 6 σ, and work grows like n. In more dims, all
-    images count through the Fourier series of the Gaussian on the torus, and work grows like n².
+    The paper descends along the gradient. Here the gradient drives limited-memory BFGS,
+    which needs fewer steps. In up to 3 dims, pairs are cut off at 6 σ, and work grows like n.
+    In more dims, all images count, through the Fourier series of the Gaussian on the torus.
+    Then work grows like n².
     The start is random and the energy is invariant under translation, so every point is uniform.
 
     References
@@ -272,14 +276,14 @@ def near_energy(sigma: float, points: Array) -> tuple[float, Array]:
 
 @lru_cache(maxsize=4)
 def _neighbor_cells(sigma: float, dims: int) -> tuple[Array, Array]:
-    """Return the number of cells along 3 axes, and steps to half of the neighbors, 0 first."""
+    """Return the number of cells along 3 axes, and the steps to half of the neighbors, 0 first."""
     reach = _CUTOFF * sigma
     side = max(1, min(int(_CELLS / reach), 1024))
     steps = math.ceil(reach * side)
     axes = [range(-steps, steps + 1) if j < dims else range(1) for j in range(3)]
 
     def gap(offset: tuple[int, ...]) -> float:
-        """Return the smallest distance, in cells, between points of two cells with this offset."""
+        """Return the smallest distance between points of two cells with this offset, in cells."""
         return math.hypot(*(max(abs(step) - 1, 0) for step in offset))
 
     found = itertools.product(*axes)
@@ -288,7 +292,7 @@ def _neighbor_cells(sigma: float, dims: int) -> tuple[Array, Array]:
 
 
 def series_energy(sigma: float, points: Array) -> tuple[float, Array]:
-    """Return energy (divided by its mean) and gradient in any number of dims, by Fourier series."""
+    """Return energy (divided by its mean) and gradient in any dims, from the Fourier series."""
     orders = np.arange(1, max(2, math.ceil(_SERIES_END / (2 * math.pi * sigma))) + 1)
     weights = 2.0 * np.exp(-2.0 * (math.pi * sigma * orders) ** 2)
     force = np.empty(points.shape)
@@ -300,17 +304,17 @@ def series_energy(sigma: float, points: Array) -> tuple[float, Array]:
 class FarthestPoint(PlaneSampler, OptimisedSampler):
     """Farthest-point optimized points: minimum distance near the densest packing (2-D torus).
 
-    Starting from random points, each point in turn is moved to the center of the largest empty
-    disk, the place farthest from all others. The minimum distance never decreases. One sweep over n
-    points takes O(n²) with a small constant: 1024 points and 30 sweeps take 2 s.
+    The points start at random. Each point in turn is moved to the place farthest from all others,
+    the center of the largest empty disk. The minimum distance never decreases.
+    One sweep over n points takes O(n²) with a small constant: 1024 points and 30 sweeps take 2 s.
 
     Attributes
     ----------
     dims
         2.
     sweeps
-        Largest number of moves of every point; fewer if no point moves. After 30 sweeps the minimum
-        distance is about 0.92 times the distance in the hexagonal packing.
+        Largest number of moves of every point; the method ends earlier if no point moves.
+        After 30 sweeps the minimum distance is about 0.92 times that of the hexagonal packing.
 
     References
     ----------
@@ -332,5 +336,5 @@ class FarthestPoint(PlaneSampler, OptimisedSampler):
                 kernels.move_points(start, stop, points, buckets, holes)
             if np.array_equal(points, before):
                 break
-        # With few points, some holes have equal size; which hole is used depends on its position
+        # With few points, some holes have equal size, and the choice depends on their positions
         return wrap(points + offset)

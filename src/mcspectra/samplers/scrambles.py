@@ -1,7 +1,7 @@
-"""Randomizations of digits: they keep elementary intervals, and strata whose sides are powers.
+"""Randomizations of digits: they preserve elementary intervals, and strata with suitable sides.
 
-All of them act in the base of the sampler's digits (`digit_bases`): 2, or for instance the primes
-of halton or the base of faure.
+The sides of these strata are powers of the base. Each sampler has a base for its digits:
+usually 2, but for instance primes for halton. All randomizations act in this base.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def _as_base(name: str, base: object) -> Base:
 
 
 class _OfDigits(Randomization):
-    """A randomization of digits in the given `base`, else the sampler's base, else base 2."""
+    """A randomization of digits in the given `base`; by default in the sampler's base, else 2."""
 
     pointwise: ClassVar[bool] = True
     fits: ClassVar[Mapping[Structure, Structure]] = {
@@ -93,7 +93,7 @@ class _OfDigits(Randomization):
         if not self._fill(keys, sampler, n, out):
             points = sampler.draw_stream(n, stream, first, 1 if sampler.fixed else count)
             if count == 1 and isinstance(sampler, FixedSet):
-                out = points  # no one else uses this array
+                out = points  # these points are not used elsewhere
             self._scramble(keys, np.array(self._bases(sampler.dims)), points, out)
         return out
 
@@ -166,8 +166,8 @@ class _OfPlaces(_OfDigits):
 class DigitalShift(_OfPlaces):
     """Digital shift: one random digit added to each digit modulo the base, the same for all points.
 
-    Elementary intervals map to elementary intervals, and every point becomes uniform. In base 2
-    this is the XOR of all 53 bits with one random word per coordinate.
+    Elementary intervals map to elementary intervals, and every point becomes uniform.
+    In base 2 this is the XOR of all 53 bits with one random word per coordinate.
 
     Attributes
     ----------
@@ -188,8 +188,8 @@ class DigitalShift(_OfPlaces):
 class Permute(_OfPlaces):
     """Random digit permutations: one for each place of each coordinate, the same for all points.
 
-    Elementary intervals map to elementary intervals, and every point becomes uniform. In base 2
-    this equals digital-shift.
+    Elementary intervals map to elementary intervals, and every point becomes uniform.
+    In base 2 this equals digital-shift.
 
     Attributes
     ----------
@@ -209,27 +209,29 @@ class Permute(_OfPlaces):
 class Owen(_OfDigits):
     """Owen's nested uniform scrambling: the permutation of a digit depends on all digits above it.
 
-    Digits are scrambled down to 2^-32 (32 bits in base 2); lower digits become independent and
-    uniform. Scrambling preserves the balance of nets in the same base. Other sets keep little more
-    than their counts in the elementary intervals of each axis.
+    Digits are scrambled down to 2^-32 (32 bits in base 2).
+    Lower digits become independent and uniform.
+    Scrambling preserves the balance of nets in the same base.
+    Other sets keep little more than their counts in the elementary intervals of each axis.
 
     Attributes
     ----------
     method
         ``"nested"``: all permutations are independent, up to a 64-bit hash of the higher digits.
-        ``"hash"``, in base 2 only, is about six times as fast. It scrambles all bits by a few
-        multiplications in which lower bits of the reversed word change only higher ones. Points
-        are exactly uniform and nets stay nets. Variances depend on pairs of points: for pairs, the
-        flips below the first different digit pass tests of independence. The joint flips of many
-        points fail these tests.
+        ``"hash"``, in base 2 only, is about six times as fast.
+        A few multiplications scramble all bits of the reversed word.
+        In each multiplication, lower bits change only higher bits.
+        Points are exactly uniform and nets stay nets. Variances depend on pairs of points.
+        For pairs, the flips below the first different digit pass tests of independence.
+        The joint flips of many points fail these tests.
     base
         Same as for digital-shift.
 
     Notes
     -----
-    The hash is that of Laine and Karras, in the form and with the constants of Vegdahl (2021), but
-    with a longer seed: 126 random bits for two rounds, each with a random summand and a random odd
-    factor.
+    The hash is from Laine and Karras, in the form and with the constants of Vegdahl (2021).
+    The seed is longer: 126 random bits for two rounds.
+    Each round has a random summand and a random odd factor.
 
     Halton, hammersley and van-der-corput points are drawn from the top of their trees of digits.
     Each point derives from the earlier point with which it shares the most digits [Helmer2021]_.
@@ -257,7 +259,7 @@ class Owen(_OfDigits):
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
-        """Make scrambled radical inverses, with the `stream` that plain inverses ignore."""
+        """Make scrambled radical inverses from the `stream`, which plain inverses do not use."""
         if self.method == "nested" and isinstance(sampler, RadicalInverses) and sampler.fixed:
             return sampler.draw_nested(n, stream, first, count)
         return _OfDigits.draw(self, sampler, n, stream, own, first, count)
@@ -274,16 +276,17 @@ class Owen(_OfDigits):
 class Lms(_OfDigits):
     """Random linear matrix scrambling: each generator matrix times a random lower triangular one.
 
-    The digits of each coordinate are multiplied by a random lower triangular matrix with nonzero
-    diagonal, modulo the base, a prime. Nets stay nets. Pairs of points of a net have the same law
-    as with owen, hence variances are the same, at lower cost. There are fewer different sets, and
-    these are more regular.
+    The digits of each coordinate are multiplied by a random lower triangular matrix.
+    Its diagonal is nonzero. Arithmetic is modulo the base, which must be a prime. Nets stay nets.
+    Pairs of points of a net have the same law as with owen.
+    Variances are therefore the same, at lower cost.
+    There are fewer different sets, and these are more regular.
 
     Attributes
     ----------
     shift
-        Whether a digital shift follows. Without the shift the origin does not move, and points are
-        not uniform.
+        Whether a digital shift follows.
+        Without the shift points are not uniform, because the origin does not move.
     base
         Same as for digital-shift.
 

@@ -38,16 +38,15 @@ class Subset(Randomization):
     Attributes
     ----------
     of
-        Number N of points of the whole set. By default it is the sampler's smallest count ≥ n, so
-        that any n is possible with any sampler.
+        Number N of points of the whole set. The default is the sampler's smallest count ≥ n,
+        which makes any n possible with any sampler.
     pick
-        ``"random"``: every subset of n of the N points has the same probability. ``"run"``: n
-        successive points from a random start, continued cyclically.
+        ``"random"``: every subset of n of the N points has the same probability.
+        ``"run"``: n successive points from a random start, continued cyclically.
 
     Notes
     -----
-    Minimum distances remain. Strata and elementary intervals with one point each do not remain,
-    unless n = N.
+    Minimum distances remain. Strata and intervals with one point each remain only if n = N.
 
     References
     ----------
@@ -121,11 +120,11 @@ class Skip(Randomization):
 
     Notes
     -----
-    Allowed are sequences (sobol, halton, kronecker, random, …) and points from outside. Other sets
-    are refused, because without their first points they cover only a part of the domain. A run of
-    b^m points of a sequence in base b has the balance of a net only if `count` is a multiple of
-    b^m. If only the origin is omitted, the balance is lost. Skipped points are computed and
-    discarded.
+    The sampler must be a sequence (sobol, halton, kronecker, random, …) or points from outside.
+    Other sets are refused, because without their first points they cover only a part of the domain.
+    If only the origin is omitted, the balance of a net is lost. In base b,
+    a run of b^m points has this balance only if `count` is a multiple of b^m.
+    Skipped points are computed and discarded.
 
     References
     ----------
@@ -187,7 +186,7 @@ class Skip(Randomization):
         return max(sampler.max_count - self.count, 0)
 
     def count_warning(self, sampler: Sampler, n: int) -> str | None:
-        """Return the warning of `sampler`, or that the run does not start at a multiple of n."""
+        """Return the warning of `sampler`, or a warning if n does not divide the number skipped."""
         sentence = sampler._count_warning(n)
         if sentence is None and sampler.structure is Structure.DIGITS and self.count % n:
             return (
@@ -202,7 +201,8 @@ class Skip(Randomization):
 class Shuffle(Randomization):
     """Shuffle: the same points in random order, every order with the same probability.
 
-    Sets combined in different dims are then uncorrelated, and the first points are a random subset.
+    Shuffled sets can be combined, each for some of the dims, and are uncorrelated.
+    The first points are a random subset.
 
     References
     ----------
@@ -236,7 +236,7 @@ def _picked(
     first: int,
     out: Array,
 ) -> Array:
-    """Fill out (R, n, d) by ``pick(sets, first, out)``, a few sets of `size` points at a time."""
+    """Fill out (R, n, d) with the function `pick`, which gets a few sets at a time."""
     block = max(1, _NUMBERS // (size * sampler.dims))
     for start in range(0, len(out), block):
         part = out[start : start + block]

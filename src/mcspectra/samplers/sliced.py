@@ -15,7 +15,7 @@ from mcspectra.samplers.optimised import OptimisedSampler, random_points
 
 __all__ = ["SlicedOptimalTransport", "projected_quantiles"]
 
-_TABLE = 2049  # number of points of the table of a projected cube's distribution
+_TABLE = 2049  # number of points at which a projected cube's distribution is tabulated
 _NARROW = 1e-3  # smaller components are ignored; quantiles change by at most 1e-7
 
 
@@ -27,7 +27,7 @@ class SlicedOptimalTransport(OptimisedSampler):
     Attributes
     ----------
     iterations
-        Number of moves of all points, each by the mean over its directions.
+        Number of moves of all points; each move is a mean over random directions.
     directions
         Number of random directions per iteration.
     sets
@@ -35,11 +35,12 @@ class SlicedOptimalTransport(OptimisedSampler):
 
     Notes
     -----
-    On every direction θ, the k-th point in the order of θ·x moves toward the quantile (k − ½)/n of
-    the projected cube. The paper uses a ball as target, and maps the ball to the cube. Here the
-    target is the cube itself: its projection is a sum of d uniform numbers of widths |θ_j|. Points
-    near the faces and corners of the cube are not quite uniform, so means are not exact. A `shift`
-    makes means exact, and so does a number of `sets`, which are translated.
+    For every direction θ, the points are sorted by θ·x.
+    The k-th point moves toward the quantile (k − ½)/n of the projected cube.
+    The paper uses a ball as target, and maps the ball to the cube.
+    Here the target is the cube: its projection is a sum of d uniform numbers of widths |θ_j|.
+    Points near the faces and corners of the cube are not quite uniform, so means are not exact.
+    Means are exact after a shift, or if `sets` is a number, because sets are then translated.
 
     References
     ----------
@@ -62,11 +63,11 @@ class SlicedOptimalTransport(OptimisedSampler):
         normals = np.empty((1, self.directions * self.dims))
         for i in range(self.iterations):
             fill_normals(keys[None], used, normals)
-            used += normals.size + 1  # an odd number of normals uses up an extra number
+            used += normals.size + 1  # an odd number of normals uses up one more number
             directions = normals.reshape(self.directions, self.dims)
             directions = directions / np.sqrt(np.sum(directions**2, axis=1))[:, None]
 
-            # Move points by the mean, over directions, of the moves to the quantiles
+            # Move each point by the mean, over directions, of its moves to the quantiles
             move = np.zeros(points.shape)
             for direction in directions:
                 # NumPy's own sum gives the same bits everywhere
@@ -81,10 +82,10 @@ class SlicedOptimalTransport(OptimisedSampler):
 
 
 def projected_quantiles(direction: Array, n: int) -> Array:
-    """Return the quantiles (k − ½)/n, k = 1 … n, of θ·(x − ½), x uniform in the cube.
+    """Return the quantiles (k − ½)/n, k = 1 … n, of θ·(x − ½) for x uniform in the cube.
 
-    The start is the distribution of the widest component. For each further component, it is
-    averaged over an interval of that component's width.
+    The distribution of the widest component is the start. For each further component,
+    the distribution is averaged over an interval of that component's width.
     """
     widths = np.sort(np.abs(direction))[::-1]
     end = widths.sum() / 2
@@ -92,7 +93,7 @@ def projected_quantiles(direction: Array, n: int) -> Array:
     below = np.clip(t / widths[0] + 0.5, 0.0, 1.0)
     for width in widths[1:]:
         if width > _NARROW:
-            # Means of `below` over the width around each t; `below` is 1 beyond the table
+            # Average the distribution over the width around each t; it is 1 beyond the table
             strips = np.cumsum((below[1:] + below[:-1]) * ((t[1] - t[0]) / 2))
             primitive = np.concatenate([[0.0], strips])
             upper, lower = t + width / 2, t - width / 2

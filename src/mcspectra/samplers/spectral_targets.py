@@ -1,7 +1,7 @@
 """Sets in 2-D for a given target: a step, a radial power spectrum or a pair correlation.
 
-Frequencies are given as ν = |m|/√n and distances as r√n, in units of the mean distance 1/√n of the
-points, so that one target applies to every count.
+Frequencies are given as ν = |m|/√n and distances as r√n.
+The unit is the mean distance 1/√n of the points, so that one target applies to every count.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ Profile: TypeAlias = Callable[[Array], Array]
 """Function with limit 1 at infinity: power as a function of ν, or pair correlation of r."""
 
 _REACH = 2.0  # largest |m|/√n at which power is matched
-_PCF_REACH = 4.0  # same for pair correlations; resolves 1/8 of the mean distance
+_PCF_REACH = 4.0  # largest |m|/√n for pair correlations; resolves 1/8 of the mean distance
 _TRIED = np.linspace(0.0, 6.0, 601)  # places at which transforms of targets are checked
 _LINE = np.linspace(0.0, 2 * _PCF_REACH, 1601)  # reaches the corners of the square of frequencies
-_NEGATIVE = -1e-6  # values below this are negative; quadrature errors are 1e-9
+_NEGATIVE = -1e-6  # values below this count as negative; quadrature errors are 1e-9
 _LARGEST_STEP = 1 / math.sqrt(math.pi)
 _MOST_KNOTS, _LARGEST_PLACE = 200, 4.0
 _EPS = 1e-9  # tolerance of the non-uniform transforms
@@ -56,9 +56,10 @@ class _MatchedSampler(PlaneSampler, OptimisedSampler):
         """Return the loss that measures the distance of `n` points from the target."""
 
     def misfit(self, points: object) -> float:
-        """Return the root-mean-square difference of the power of `points` (n, 2) from the target.
+        """Return the root-mean-square difference between the power of `points` and the target.
 
-        The mean is over frequencies; each frequency has the mean power of its ring.
+        The mean is over frequencies, each of which has the mean power of its ring.
+        The points have shape (n, 2).
         """
         x = as_unit_points(points, dims=2)
         power, target, sizes = self._loss(len(x)).rings(x)
@@ -84,8 +85,8 @@ class StepBlueNoise(_MatchedSampler):
     Attributes
     ----------
     cutoff
-        ν, in units of √n: mean power is 0 for |m| < ν √n, and 1 above. ν is at most 1/√π = 0.564,
-        since a higher step would need a negative density of pairs.
+        Cutoff ν in units of √n: mean power is 0 for |m| < ν √n, and 1 above.
+        It is at most 1/√π = 0.564, since a higher cutoff would need a negative density of pairs.
     iterations
         Largest number of descent steps.
     sets
@@ -118,10 +119,10 @@ class TargetSpectrum(_MatchedSampler):
     Attributes
     ----------
     frequencies
-        |m|/√n of the knots, increasing, 0 to 4.
+        Values of |m|/√n at the knots: increasing, from 0 to 4.
     power
-        n⟨|S_m|²⟩ at the knots; constant before the first knot, 1 after the last knot. The power is
-        matched up to |m| = 2 √n.
+        Values of n⟨|S_m|²⟩ at the knots; constant before the first knot, 1 after the last knot.
+        The power is matched up to |m| = 2 √n.
     iterations
         Largest number of descent steps.
     sets
@@ -129,11 +130,11 @@ class TargetSpectrum(_MatchedSampler):
 
     Notes
     -----
-    The descent starts from independent uniform points and fits the mean power of rings of
-    frequencies of width one. Single sets therefore follow the curve more closely than random
-    fluctuations would allow. If the pair correlation of the target (its Hankel transform) is
-    negative somewhere, no such sets exist, and the target is refused. `misfit` measures the
-    remaining difference.
+    The descent starts from independent uniform points.
+    It fits the mean power of rings of frequencies of width one.
+    Single sets therefore follow the curve more closely than random fluctuations would allow.
+    If the pair correlation of the target (its Hankel transform) is negative somewhere,
+    no such sets exist, and the target is refused. `misfit` measures the remaining difference.
 
     References
     ----------
@@ -166,8 +167,8 @@ class TargetPcf(_MatchedSampler):
     distances
         Distances of the knots, r√n: increasing, from 0 to 4.
     pcf
-        Pair correlation at the knots, 1 for independent points; constant before the first knot,
-        1 after the last knot.
+        Pair correlation at the knots: 1 for independent points.
+        It is constant before the first knot, and 1 after the last knot.
     iterations
         Largest number of descent steps.
     sets
@@ -175,8 +176,9 @@ class TargetPcf(_MatchedSampler):
 
     Notes
     -----
-    A Hankel transform converts the curve to radial power, which is matched up to |m| = 4 √n as in
-    `target-spectrum`. A curve with negative power somewhere is refused.
+    A Hankel transform converts the curve to radial power.
+    The power is matched up to |m| = 4 √n, as in `target-spectrum`.
+    A curve with negative power somewhere is refused.
 
     References
     ----------
@@ -203,7 +205,8 @@ class TargetPcf(_MatchedSampler):
 def _least_transform(sampler: Any, places: str, values: str) -> tuple[float, float]:
     """Convert both fields to tuples of floats; check increasing places and nonnegative values.
 
-    Return the smallest value of the transformed target (power or pair correlation), and its place.
+    Return the smallest value of the transformed target, and its place.
+    Power and pair correlation are transforms of each other.
     """
     x, y = (as_real_array(name, getattr(sampler, name)) for name in (places, values))
     if x.ndim != 1 or x.shape != y.shape or not 0 < x.size <= _MOST_KNOTS:
@@ -225,12 +228,12 @@ def _least_transform(sampler: Any, places: str, values: str) -> tuple[float, flo
 
 @lru_cache(maxsize=8)  # one target serves many small sets
 def _power_of_pcf(distances: tuple[float, ...], pcf: tuple[float, ...]) -> Array:
-    """Return the power of a pair correlation along `_LINE`."""
+    """Return the power that belongs to a pair correlation, at the frequencies `_LINE`."""
     return np.maximum(hankel(piecewise_linear(distances, pcf), np.array(distances), _LINE), 0.0)
 
 
 def piecewise_linear(places: Any, values: Any) -> Profile:
-    """Return the linear interpolant, constant before the first place and 1 after the last."""
+    """Return the linear interpolant that is constant before the first place, 1 after the last."""
 
     def profile(x: Array) -> Array:
         return np.asarray(np.interp(x, places, values, right=1.0))
@@ -239,10 +242,11 @@ def piecewise_linear(places: Any, values: Any) -> Profile:
 
 
 def hankel(profile: Profile, places: Array, at: Array) -> Array:
-    """Return 1 + 2π ∫ (profile(t) − 1) J0(2π t s) t dt at every s of `at`.
+    """Return 1 + 2π ∫ (profile(t) − 1) J0(2π t s) t dt at every s in `at`.
 
-    The function converts power to pair correlation and back: each, minus 1, is the transform of the
-    other minus 1. `places` are the knots of the profile, including its end.
+    The function converts power to pair correlation and back:
+    power − 1 and pair correlation − 1 are Hankel transforms of each other.
+    The knots of the profile, including its end, are given as `places`.
     """
     from scipy.special import j0
 
@@ -260,17 +264,18 @@ def hankel(profile: Profile, places: Array, at: Array) -> Array:
 class RingLoss:
     """Squared difference between the mean power of rings of frequencies and a target, in 2-D.
 
-    Ring r holds the frequencies with |m| within ½ of r. The loss is Σ (mean power − target)² over
-    rings, with the target averaged over the same frequencies. If rings were weighted by their
-    number of frequencies, the lowest rings, which matter most, would miss their target by ten times
-    as much.
+    Ring r holds the frequencies with |m| within ½ of r.
+    The loss is Σ (mean power − target)² over rings.
+    The target is averaged over the same frequencies.
+    Rings have equal weights, because the lowest rings matter most.
+    With weights by number of frequencies, their error would be ten times as large.
 
     Parameters
     ----------
     n
         Number of points.
     target
-        n⟨|S_m|²⟩ as a function of |m|/√n.
+        The function n⟨|S_m|²⟩ of |m|/√n.
     reach
         The largest |m|/√n that is used.
     """

@@ -1,11 +1,13 @@
 """Random points, square and hexagonal grids, jittered and multi-jittered sets, shared cells.
 
-The unit cube is divided into n cells of equal volume, s per side (n = s^d) unless other sides are
-given. Points come in row-major order of their cells, the last coordinate fastest.
+The unit cube is divided into n cells of equal volume, s per side (n = s^d),
+unless other sides are given.
+Points come in row-major order of their cells, the last coordinate fastest.
 
-Notation of the kernels: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from
-`Stream.keys`; ``out`` float64 (R, n, d). Random number i·d + j of a realization belongs to
-coordinate j of point i; the numbers for shuffles come after these.
+Notation of the kernels: R realizations, n points, d dims.
+Arrays ``out`` are float64 (R, n, d), and ``keys`` are uint64 (R, 2) from `Stream.keys`.
+Random number i·d + j of a realization belongs to coordinate j of point i.
+The numbers for shuffles come after these.
 """
 
 from __future__ import annotations
@@ -64,7 +66,7 @@ __all__ = [
 ]
 
 _SLACK = 2.0**-52
-_MOST_WIDTH = 1000.0  # largest width in cells; float64 wraps exactly up to this width
+_MOST_WIDTH = 1000.0  # largest width in cells; up to this width float64 wraps exactly
 
 
 @final
@@ -91,7 +93,7 @@ class Random(Sampler):
 
 
 class GridSampler(Sampler):
-    """Abstract sampler on a grid of s^d cells, or of `sides_` cells along the axes."""
+    """Abstract sampler on a grid of s^d cells, or with `sides_` cells along the axes."""
 
     sides_: Sequence[int] | None = None
 
@@ -141,7 +143,7 @@ class Regular(FixedSet, GridSampler):
     Attributes
     ----------
     position
-        ``"center"`` or ``"corner"`` (next to the origin) of each cell.
+        Position in each cell: ``"center"`` or ``"corner"`` (next to the origin).
     sides
         Number of cells along each axis; by default s on every axis.
 
@@ -243,9 +245,10 @@ class BoxJitter(GridSampler):
     Notes
     -----
     Every point is uniform if the boxes tile the torus, that is for whole widths of at least 1.
-    Other widths leave gaps or overlaps at the same places of every cell; shift makes the points
-    uniform. Points that leave the domain at one end enter at the other end. The default is chosen
-    to look different from jittered, and is not from a paper.
+    Other widths leave gaps or overlaps at the same places of every cell.
+    Shift makes the points uniform.
+    Points that leave the domain at one end enter at the other end.
+    The default is chosen to look different from jittered, and is not from a paper.
 
     References
     ----------
@@ -285,8 +288,8 @@ class GaussianJitter(GridSampler):
     -----
     A point is not uniform. Its density along each axis is 1 + 2 exp(−2π² width²) cos(2πsx) + …,
     which varies by 58 % at width 0.25 and by 10^-8 at width 1. Shift makes the point uniform.
-    Points may leave their cells; a point that leaves the domain enters at the other end. The
-    default is about the standard deviation of jittered, 0.29, and is not from a paper.
+    Points may leave their cells; a point that leaves the domain enters at the other end.
+    The default is close to the standard deviation of jittered, 0.29, and is not from a paper.
 
     References
     ----------
@@ -318,8 +321,9 @@ class AntitheticJittered(Sampler):
 
     Notes
     -----
-    The linear part of the integrand cancels within each pair. The variance of smooth integrands
-    therefore falls like n^(−1 − 4/d), compared with n^(−1 − 2/d) for jittered.
+    The linear part of the integrand cancels within each pair.
+    The variance of smooth integrands therefore falls like n^(−1 − 4/d).
+    For jittered points it falls like n^(−1 − 2/d).
 
     References
     ----------
@@ -348,14 +352,14 @@ class AntitheticJittered(Sampler):
 
 @kernel
 def _fill_antithetic(keys: Array, corners: Array, side: float, out: Array) -> None:
-    # Fill pairs: corners (cells, d), out (R, cells, 2, d); `side` from `cell_side`.
+    # Fill out (R, cells, 2, d) with pairs of points, given the corners (cells, d) of the cells.
     count, cells, _, dims = out.shape
     for r in range(count):
         for i in range(cells):
             for j in range(dims):
                 u = mix_uniform(keys[r, 0], keys[r, 1], i * dims + j)
                 out[r, i, 0, j] = corners[i, j] + side * u
-                # Reflect the number k/2^53 exactly, so that reflections are as uniform
+                # Reflect the number k/2^53 exactly, so that the reflection is also uniform
                 out[r, i, 1, j] = corners[i, j] + side * (BELOW_ONE - u)
 
 
@@ -422,13 +426,16 @@ class CorrelatedMultiJittered(PlaneSampler):
 
     Notes
     -----
-    For counts n = a·b with a ≤ b ≤ 2a, the sampler takes the most nearly square a × b: each of the
-    a × b cells and each of n intervals of either axis contains one point. Other counts follow the
-    memo's code: a = ⌊√n⌋ columns and b = ⌈n/a⌉ rows of height a/n, of which the last is incomplete.
-    Then each of n intervals of the second axis contains one point; each cell, and each of a·b
-    intervals of the first axis, contains at most one. Digit scrambles need a full rectangle.
-    Shuffles are true random permutations, whereas the memo hashes indices. Points come in the order
-    of their second coordinate; add shuffle for a random order.
+    For counts n = a·b with a ≤ b ≤ 2a, the sampler takes the most nearly square a × b.
+    Each of the a × b cells, and each of n intervals of either axis, contains one point.
+
+    Other counts follow the memo's code: a = ⌊√n⌋ columns and b = ⌈n/a⌉ rows of height a/n.
+    The last row is incomplete. Each of n intervals of the second axis contains one point.
+    Each cell, and each of a·b intervals of the first axis, contains at most one.
+
+    Digit scrambles need a full rectangle.
+    Shuffles are true random permutations, whereas the memo hashes indices.
+    Points come in the order of their second coordinate; add shuffle for a random order.
 
     References
     ----------
@@ -481,9 +488,10 @@ def _fill_multi_jittered(keys: Array, columns: int, rows: int, side: float, out:
 def _fill_correlated(
     keys: Array, columns: int, rows: int, wide: float, high: float, out: Array
 ) -> None:
-    # Use one shuffle of the columns and one of the rows, for all points. Point p is in stratum p of
-    # n strata of the second axis, and so in row ⌊p / columns⌋; the last row may be incomplete.
-    # `wide` and `high` are the sides of the strata of the two axes.
+    # Use one shuffle of the columns and one of the rows, for all points.
+    # Point p is in stratum p of n strata of the second axis, and so in row ⌊p / columns⌋.
+    # The last row may be incomplete.
+    # The strata of the two axes have the sides `wide` and `high`.
     n, slots = out.shape[1], columns * rows
     across, down = np.empty(columns, np.int64), np.empty(rows, np.int64)
     for r in range(out.shape[0]):
@@ -501,16 +509,17 @@ def _fill_correlated(
 class Hexagonal(PlaneSampler, FixedSet):
     """Triangular lattice (hexagonal cells) stretched to fit the torus; randomize with shift.
 
-    2-D; counts n = 2ab for a = 1, 2, 3, …, where b is the whole number nearest to a/√3, at least 1:
-    2, 4, 12, 16, 30, 36, 56, 80, …
+    2-D; counts n = 2ab for a = 1, 2, 3, …, where b is the whole number nearest to a/√3, but not 0.
+    These are 2, 4, 12, 16, 30, 36, 56, 80, …
 
     Notes
     -----
-    The points form 2b rows of a points; every other row is moved by half a step. The set is
-    deterministic. On a square torus no such array is exactly regular, because that needs b = a/√3.
-    The chosen b differs from a/√3 by at most ½. The ratio of the two distances between neighbors is
-    then 1.41, 1.12, 1.11, 1.12, 1.03 and 1.12 at the first six counts. The ratio is at most 1.06
-    for n ≥ 56 and 1.02 for n ≥ 780.
+    The points form 2b rows of a points; every other row is moved by half a step.
+    The set is deterministic.
+    On a square torus no such array is exactly regular, because that needs b = a/√3.
+    The chosen b differs from a/√3 by at most ½. There are two distances between neighbors.
+    Their ratio is 1.41, 1.12, 1.11, 1.12, 1.03 and 1.12 at the first six counts.
+    The ratio is at most 1.06 for n ≥ 56 and 1.02 for n ≥ 780.
 
     References
     ----------
@@ -542,7 +551,7 @@ def _hexagonal_count(across: int) -> int:
 
 
 def _largest_across(n: int) -> int:
-    """Return the largest row length whose count is at most `n`, 0 if there is none."""
+    """Return the largest row length whose count is at most `n`, or 0 if there is no such length."""
     across = math.isqrt(n) + 2  # for a > 1, a count is at least a²
     while across and _hexagonal_count(across) > n:
         across -= 1
@@ -558,7 +567,7 @@ def root(n: int, dims: int) -> int:
 
 
 def nearly_square(n: int) -> int:
-    """Return the largest divisor a of n with n/2 ≤ a² ≤ n, 0 if there is none."""
+    """Return the largest divisor a of n with n/2 ≤ a² ≤ n, or 0 if there is no such divisor."""
     candidates = np.arange(math.isqrt(n), math.isqrt((n - 1) // 2), -1)
     found = candidates[n % candidates == 0]
     return int(found[0]) if found.size else 0
@@ -578,20 +587,20 @@ def corners(sides: tuple[int, ...]) -> Array:
 def cell_side(s: int) -> float:
     """Return 1/s minus 2^-52, so that k/s + side·u stays below (k + 1)/s for all u < 1.
 
-    k/s, the product, the sum and (k + 1)/s are each rounded by at most 2^-54 below 1; the
-    subtracted 2^-52 is four times that.
+    The quotient k/s, the product, the sum and (k + 1)/s are each rounded by at most 2^-54 below 1.
+    The subtracted 2^-52 is four times this error.
     """
     return 1.0 / s - _SLACK
 
 
 def _in_cells(sides: tuple[int, ...], shares: Array) -> Array:
-    """Return points at `shares` (R, n or 1, d) of the sides of their cells."""
+    """Return points at the fractions `shares` (R, n or 1, d) of the sides of their cells."""
     points: Array = corners(sides) + shares * [cell_side(s) for s in sides]
     return points
 
 
 def _moved_centers(sides: tuple[int, ...], displacements: Array) -> Array:
-    """Return the cell centers plus displacements in cells, (count, n·d), on the torus."""
+    """Return cell centers on the torus, moved by displacements (count, n·d) in units of cells."""
     points = displacements.reshape(-1, math.prod(sides), len(sides))
     points += 0.5
     points /= sides[0]
@@ -606,18 +615,19 @@ def _moved_centers(sides: tuple[int, ...], displacements: Array) -> Array:
 class SharedCells(Sampler):
     """One of W sets of n cells, chosen at random; together they cover a grid of W n cells once.
 
-    A realization draws one offset, a uniform point of a cell. Each cell of the realization's set
-    uses this offset, possibly reflected along some axes. Every point is uniform on [0,1)^d for any
-    sets, so estimates are unbiased. `design` makes such sets.
+    A realization draws one offset, a uniform point of a cell.
+    Each cell of the realization's set uses this offset, possibly reflected along some axes.
+    Every point is uniform on [0,1)^d for any sets, so estimates are unbiased.
+    The function `design` makes such sets.
 
     Attributes
     ----------
     path
-        File .npz with an array ``cells`` of integers of shape (W, n, d). An entry is 1 + the index
-        of the cell along an axis, negative if the offset is reflected. The number of cells along an
-        axis is the largest absolute value of an entry.
+        File .npz with an array ``cells`` of integers of shape (W, n, d).
+        An entry is 1 + the index of the cell along an axis, negative if the offset is reflected.
+        The number of cells along an axis is the largest absolute value of an entry.
     dims
-        Number of coordinates. By default it is that of the file; a given number must agree.
+        Number of coordinates, by default as in the file; a given number must agree with it.
 
     Raises
     ------
@@ -661,7 +671,7 @@ class SharedCells(Sampler):
 
 
 def _cells_of_file(path: str) -> Array:
-    """Return the cells of a file, each of which must be in one set: int64 (W, n, d)."""
+    """Return the cells of a file as int64 (W, n, d); each cell must be in exactly one set."""
     with opened(path, "a file of cells", (".npz",)) as (stream, size, name, _):
         cells = read_npz(stream, size, name, "cells")
     if cells.ndim != 3 or cells.dtype.kind != "i" or not cells.all() or cells.size == 0:

@@ -1,7 +1,8 @@
 """Numba kernels of the spectra; arguments are not checked.
 
-Indices: realization r, flat index h over the half spectrum, point k, axis j. The half spectrum
-holds the frequencies up to and including 0 in C order; index M − 1 − h is the frequency −m_h.
+Indices: r for realizations, h for the half spectrum, k for points, j for axes.
+The half spectrum holds the frequencies up to and including 0, flattened in C order.
+In the full spectrum of M frequencies, index M − 1 − h is the frequency −m_h.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ UNLABELLED = np.empty(0, np.int64)
 def crop_scaled(
     negative: Array, others: Array, rows: Array, row_factors: Array, factors: Array, out: Array
 ) -> None:
-    """Scale rows of frequencies −K … −1 (F, K) and 0 … K (F, K + 1) into out (rows, 2K + 1)."""
+    """Write scaled rows of the frequencies −K … −1 and 0 … K to out, shape (rows, 2K + 1)."""
     width = negative.shape[1]
     for r in range(rows.size):
         row, factor = rows[r], row_factors[r]
@@ -35,7 +36,7 @@ def crop_scaled(
 def split_pair(packed: Array, first: Array, second: Array) -> None:
     """Split the transform F = S1 + i S2 of two real-weighted sets by Hermitian symmetry.
 
-    packed (M,) over the full grid; first, second (H,), H = (M+1)/2:
+    packed (M,) is F on the full grid; first and second, (H,) with H = (M+1)/2, are the results:
     S1(m) = (F(m) + conj F(−m))/2, S2(m) = (F(m) − conj F(−m))/(2i).
     """
     last = packed.size - 1
@@ -75,7 +76,7 @@ def power_sums(
 
 @kernel
 def pair_mean(packed: Array, total: Array) -> None:
-    """Add S1 + S2 of a pair F = S1 + i S2 to total (H,), see `split_pair`."""
+    """Add both transforms of a pair, packed as F = S1 + i S2, to total (H,); see `split_pair`."""
     last = packed.size - 1
     for h in range(total.size):
         a = packed[h]
@@ -85,7 +86,7 @@ def pair_mean(packed: Array, total: Array) -> None:
 
 @kernel
 def bin_weights(points: Array, weights: Array, size: int, out: Array) -> None:
-    """Add the weights (R, n) of points (R, n, d) to size^d equal cells: zeros out (R, size^d)."""
+    """Add the weights of points (R, n, d) to size^d equal cells; out (R, size^d) starts at 0."""
     count, n, dims = points.shape
     for r in range(count):
         for k in range(n):

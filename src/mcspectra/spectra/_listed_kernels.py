@@ -1,9 +1,10 @@
 """Numba kernels of spectra at listed frequencies; arguments are not checked.
 
-Indices: point k, axis j, frequency f, factor u. A frequency is stored as a list of its nonzero axes
-in compressed rows; start (F+1,) indexes the entries. Points are stored axis by axis, (d, n), so
-that the innermost loops access neighbors in memory. Loops process blocks of points that fit into
-the first-level cache.
+Indices: point k, axis j, frequency f, factor u.
+Only the nonzero axes of a frequency are stored, in compressed rows.
+The array start (F+1,) holds the first entry of each frequency.
+Points are stored axis by axis, (d, n), because inner loops then access neighbors in memory.
+Loops process blocks of points that fit into the first-level cache.
 """
 
 from __future__ import annotations
@@ -19,18 +20,18 @@ __all__ = ["phase_sum", "product_sum", "unit_phases"]
 
 _BLOCK = 256
 _ROUND = 1.5 * 2.0**52  # t + _ROUND − _ROUND rounds |t| < 2^51 without a function call
-# Taylor coefficients in a²: of cos a, and of (−sin a)/a
+# Taylor coefficients of cos a and of (−sin a)/a, in powers of a²
 _C = tuple((-1) ** i / math.factorial(2 * i) for i in range(9))
 _S = tuple(-((-1) ** i) / math.factorial(2 * i + 1) for i in range(8))
 
 
 @kernel
 def unit_phases(turns: Array, real: Array, imag: Array) -> None:
-    """Compute exp(−2πi t) of each t of `turns`, accurate to 1e-15 and without branches.
+    """Compute exp(−2πi t) of each number of turns t, accurate to 1e-15 and without branches.
 
-    A quarter of the turn, reduced to |t| ≤ 1/8, is evaluated by a Taylor series whose first
-    omitted term is (π/4)^17/17! = 5e-17, and squared twice. Compilers vectorize this loop; they
-    cannot vectorize divisions and calls of sin and cos.
+    Reduce the turn to |t| ≤ 1/8, evaluate a quarter of it by a Taylor series, and square twice.
+    The first omitted term of the series is (π/4)^17/17! = 5e-17.
+    Compilers vectorize this loop; they cannot vectorize divisions and calls of sin and cos.
     """
     for k in range(turns.size):
         t = turns[k]
@@ -97,9 +98,9 @@ def product_sum(
     values: Array,
     out: Array,
 ) -> None:
-    """Same as `phase_sum`, but phases are products of factors exp(−2πi v_u x_{a_u}).
+    """Same as `phase_sum`, but each phase is a product of tabulated factors exp(−2πi v_u x_{a_u}).
 
-    entries: factors of each frequency; axes, values (U,): axis and frequency of each factor.
+    entries lists the factors of each frequency; axes and values (U,) describe each factor.
     """
     n = weights.size
     table = np.empty((axes.size, 2, _BLOCK))

@@ -1,7 +1,7 @@
 """Numba kernels of pair correlations; arguments are not checked.
 
-Notation: d axes; n points; N ≥ n points including copies; bins of width 1/`per_unit`. `most` is the
-number of bins, and also the index of the bin for larger distances.
+Notation: d axes; n points; N ≥ n points including copies; bins of width 1/`per_unit`.
+`most` is the number of bins, and also the index of the bin for larger distances.
 """
 
 from __future__ import annotations
@@ -37,8 +37,9 @@ def _fill_bins(
     coordinates: Array, a: int, start: int, stop: int, wrap: bool, per_unit: float, most: int,
     work: Work,
 ) -> Array:  # fmt: skip
-    """Return the bins of the distances of point a to points start … stop − 1; `most` beyond bins.
+    """Return the bins of the distances from point a to points start … stop − 1.
 
+    Distances beyond the last bin get the number `most`.
     Bins are unsigned, because numba tests every signed index for a negative value.
     """
     squares, bins = work[0][: stop - start], work[1][: stop - start]
@@ -76,8 +77,9 @@ def count_distances(
 ) -> None:
     """Count the toroidal distances of all pairs of points.
 
-    coordinates (d, N), the first axis ascending: n points, followed by copies of the first points
-    moved by one along this axis. `limit` is the largest difference along the first axis.
+    coordinates (d, N): n points in ascending order of the first coordinate.
+    Copies of the first points follow, moved by one along the first axis.
+    `limit` is the largest difference along the first axis.
     counts (4, bins + 1): four partial counts, to be added; the last bin has larger distances.
     """
     total = coordinates.shape[1]
@@ -99,9 +101,9 @@ def count_distances(
 def count_ordered_pairs(
     coordinates: Array, per_unit: float, limit: float, last: Array, counts: Array
 ) -> None:
-    """Count non-toroidal distances of ordered pairs; point a contributes up to bin last[a].
+    """Count non-toroidal distances of ordered pairs; point a contributes only up to bin last[a].
 
-    coordinates (d, n), the first axis ascending; counts (bins,).
+    coordinates (d, n), in ascending order along the first axis; counts (bins,).
     """
     n = coordinates.shape[1]
     work = _scratch()

@@ -1,9 +1,9 @@
 """Orthonormal bases of functions on the unit cube, in which a variance is decomposed.
 
 With an orthonormal basis φ_m of L²([0,1]^d), f_m = ∫ f conj(φ_m) and S_m = Σ_k w_k conj(φ_m(x_k)).
-In any basis, the estimate is Σ_m conj(f_m) S_m, and its variance is dc + power + cross
-(docs/theory.md). Bases differ in the size of the cross term, which measures how badly a basis fits
-the sampler's randomization, and in the rate of convergence of the sum over m:
+In any basis, the estimate is Σ_m conj(f_m) S_m, and its variance is dc + power + cross term
+(see docs/theory.md). The cross term measures how badly a basis fits the sampler's randomization.
+Bases also differ in how fast the sum over m converges:
 
 =========  ==========================================  =====================================
 basis      φ_m, in each dim                            no cross term for
@@ -14,10 +14,10 @@ walsh      (−1)^(Σ_i m_i x_{i+1}), m < 2K (Paley)       digital shifts, neste
 haar       1, 2^(j/2) ψ(2^j x − t), m = 2^j + t < 2K   jittered sets with 2^k strata per side
 =========  ==========================================  =====================================
 
-K is the half width: all four bases have about (2K)^d functions with up to K oscillations. The
-dims of a product basis are transformed one after another. Walsh and Haar functions are constant in
-dyadic cells of side 1/2K. Points are counted in these cells and transformed by butterflies, exactly
-and in O(n + M log M).
+K is the half width: all four bases have about (2K)^d functions with up to K oscillations.
+The dims of a product basis are transformed one after another.
+Walsh and Haar functions are constant in dyadic cells of side 1/2K.
+Points are counted in these M cells and transformed by butterflies, exactly and in O(n + M log M).
 """
 
 from __future__ import annotations
@@ -58,12 +58,12 @@ Its arguments are points (R, n, d) and weights (R, n), or None if each weight is
 
 @dataclass(frozen=True)
 class Basis(IndexGrid, ABC):
-    """Basis of products of one-variable functions with up to `half_width` oscillations."""
+    """Basis of products of 1-D functions, each with up to `half_width` oscillations."""
 
     name: ClassVar[str] = ""
 
     def oscillations(self) -> Array:
-        """Smallest half width that includes each stored function, by axis: (stored, dims)."""
+        """Smallest half width that includes each stored function, on each axis: (stored, dims)."""
         flat = np.unravel_index(np.arange(self.stored), self.shape)
         return np.stack([self._axis_oscillations()[place] for place in flat], axis=-1)
 
@@ -77,11 +77,11 @@ class Basis(IndexGrid, ABC):
 
     @abstractmethod
     def integrand(self, f: Integrand) -> tuple[Array, str]:
-        """Return coefficients of f, (channels or 1, stored), and the name of the method."""
+        """Return coefficients of f, (channels or 1, stored), and the method that computed them."""
 
     @abstractmethod
     def _axis_oscillations(self) -> Array:
-        """Return the smallest half width that includes each index of an axis: int64 (N,)."""
+        """Return the half width at which each index of an axis is first included: int64 (N,)."""
 
 
 @final
@@ -118,7 +118,7 @@ class CosineBasis(Basis):
     name: ClassVar[str] = "cosine"
 
     def transform(self, n: int, engine: str, eps: float) -> tuple[Coefficients, str]:
-        """Return the NUFFT at half-integer frequencies, averaged over the signs: Re exp = cos."""
+        """Return the NUFFT at half-integer frequencies; averages over their signs give cosines."""
         grid = FrequencyGrid(self.dims, 2 * self.half_width, 0.5)
         transform = Transform(grid, n, engine=engine, eps=eps)
         scale = np.full(grid.half_width + 1, np.sqrt(2.0))
@@ -212,7 +212,7 @@ class WalshBasis(_Dyadic):
     name: ClassVar[str] = "walsh"
 
     def _along_last(self, values: Array) -> Array:
-        """Hadamard butterflies with index bits reversed: lowest bit for the first digit of x."""
+        """Apply Hadamard butterflies, then reverse the bits of the indices (Paley order)."""
         order = np.zeros(1, np.int64)
         while len(order) < values.shape[-1]:
             order = np.concatenate([2 * order, 2 * order + 1])
@@ -239,7 +239,7 @@ class HaarBasis(_Dyadic):
 
 
 def hadamard(values: Array) -> Array:
-    """Return Σ_x values(x) wal_m(x) along the last axis, m in the order of the butterflies."""
+    """Return the sums Σ_x values(x) wal_m(x) along the last axis, m in Hadamard's order."""
     step = 1
     while step < values.shape[-1]:
         pairs = values.reshape(*values.shape[:-1], -1, 2, step)
@@ -271,17 +271,20 @@ def make_basis(name: str, dims: int, half_width: int) -> Basis:
 def fitting_basis(law: Law, half_width: int) -> str:
     """Return the name of a basis that fits the last randomization of a sampler.
 
-    The Fourier basis fits shifts, and sets whose law is invariant under translations. The Walsh
-    basis fits randomizations of binary digits, if the half width is a power of two. For mirrored
-    points, the cosine basis fits if a shift came before. Otherwise the Walsh basis fits, because
-    reflections and folding permute Walsh functions up to signs. In all these cases the cross
-    term vanishes (for strata only if their number per side is 2^k).
+    The Fourier basis fits shifts, and sets whose law is invariant under translations.
+    The Walsh basis fits randomizations of binary digits, if the half width is a power of two.
+    The cosine basis fits mirrored points if they were shifted before.
+    For mirrored points without a shift the Walsh basis fits,
+    because reflections and folding permute Walsh functions up to signs.
+    In all these cases the cross term vanishes (for strata only if their number per side is 2^k).
 
-    In all other cases cosine is a compromise. For smooth functions and jittered sets its cross term
-    is small, and the sum over m converges fast because it has no boundary term. For discontinuous
-    functions the cross term is as large as in Fourier (a disk, n = 64: −0.40 of the variance). With
-    2^k strata per side, the cross term vanishes in Haar and Walsh, but for smooth functions their
-    sums converge slowly.
+    In all other cases cosine is a compromise.
+    For smooth functions and jittered sets its cross term is small,
+    and the sum over m converges fast because it has no boundary term.
+    For discontinuous functions its cross term is as large as in the Fourier basis
+    (a disk, n = 64: −0.40 of the variance).
+    In Haar and Walsh, the cross term vanishes with 2^k strata per side,
+    but the sums over m converge slowly for smooth functions.
     """
     mirrored = False
     while isinstance(law, Folded | Mirrored | Moved):

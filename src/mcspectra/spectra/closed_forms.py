@@ -1,32 +1,39 @@
 """Exact expected power spectra and covariances of S_m, for samplers with a known law.
 
-Random, jittered and lattice points are derived in docs/theory.md, "Closed forms". At *integer* m, a
-Cranley-Patterson shift multiplies S_m by a random phase. It does not change the power, and makes
-C_ml diagonal.
+Random, jittered and lattice points are derived in docs/theory.md, "Closed forms".
+At *integer* m, a Cranley-Patterson shift multiplies S_m by a random phase.
+It does not change the power, and makes C_ml diagonal.
 
 Method
 ------
-Three kinds of sets are covered. Notation: χ(ν) = sinc(πν) exp(−iπν) is the transform of the unit
-interval, and A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/s) is the transform of a grid. Both are products
-over the axes.
+Three kinds of sets are covered. They use two transforms, which are products over the axes.
+The transform of the unit interval is χ(ν) = sinc(πν) exp(−iπν).
+The transform of a grid of s points is A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/s).
 
-* Independent motifs, one in each of N cells. M(ν) is the mean of exp(−2πi ν·ξ) over the points of
-  one motif, in units of cells. Then ⟨S_ν⟩ = A(ν) ⟨M(ν/s)⟩ and C_ml = (1/N) A(m − l) [⟨M(m/s) conj
-  M(l/s)⟩ − ⟨M(m/s)⟩ conj⟨M(l/s)⟩]. Random points are n motifs in one cell. Jittered, box-jitter and
-  gaussian-jitter have one point in each cell, antithetic-jittered has two.
+* Independent motifs, one in each of N cells: M(ν) is the mean of exp(−2πi ν·ξ)
+  over the points ξ of one motif, in units of cells.
+  The mean is ⟨S_ν⟩ = A(ν) ⟨M(ν/s)⟩, and the covariance is
+  C_ml = (1/N) A(m − l) [⟨M(m/s) conj M(l/s)⟩ − ⟨M(m/s)⟩ conj⟨M(l/s)⟩].
+  Random points are n motifs in one cell.
+  Motifs of jittered, box-jitter and gaussian-jitter are single points.
+  Motifs of antithetic-jittered are pairs of points.
 * Sets that are the same every time, and grids with a common offset: S_ν itself is known.
-* Sets with a known law of pairs: C_ml + ⟨S_m⟩ conj⟨S_l⟩ = (1/n²) Σ over ordered pairs of points of
-  ⟨exp(−2πi (m·x − l·y))⟩. A point with itself contributes χ(m − l) on each axis. For two different
-  points the axes are independent, given the strata they share, and each axis has one of three laws.
-  *Free* points are independent and uniform: χ(m) conj χ(l). *Same* points are independent in one of
-  s strata: A_s(m − l) χ(m/s) conj χ(l/s). *Apart* points lie in two different strata of s:
-  (s free − same) / (s − 1). Determinantal sets also have a known law of pairs.
+* Sets with a known law of pairs: C_ml + ⟨S_m⟩ conj⟨S_l⟩ is (1/n²) times the sum of
+  ⟨exp(−2πi (m·x − l·y))⟩ over all ordered pairs of points x, y.
+  A point paired with itself contributes χ(m − l) on each axis.
+  For two different points the axes are independent, given the strata they share.
+  Each axis then has one of three laws:
+  *free* points are independent and uniform and contribute χ(m) conj χ(l);
+  *same* points are independent in one of s strata: A_s(m − l) χ(m/s) conj χ(l/s);
+  *apart* points lie in two different strata of s: (s free − same) / (s − 1).
+  Determinantal sets also have a known law of pairs.
 
-Importance-sampled points, x = T(u) with weights 1/(n p), are covered for densities that are
-products over the axes with monotone warps. The transform M_t(m) of the stratum that starts at t
-replaces that of the interval. *Same* and *apart* are means over the strata, or over all t if a
-random shift follows. A grid with one offset δ has C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0
-δ_l0, where A_δ(m) is the S_m of the grid of offset δ on one axis.
+Importance-sampled points, x = T(u) with weights 1/(n p), are covered for some densities:
+these must be products over the axes, with monotone warps.
+For them, the transform M_t(m) of the stratum that starts at t replaces the interval's transform.
+The terms *same* and *apart* are means over the strata, or over all t after a random shift.
+A grid with one offset δ has C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0 δ_l0,
+where A_δ(m) is the coefficient S_m of the grid with offset δ on one axis.
 """
 
 from __future__ import annotations
@@ -86,7 +93,7 @@ _TERMS_AT_ONCE = 2**22
 
 # Constants of closed forms with a density
 _BLOCK = 2**20  # number of values processed at a time
-_MAX_STRATA_WORK = 2**31  # largest number of strata × frequency pairs; minutes
+_MAX_STRATA_WORK = 2**31  # largest number of strata × frequency pairs; takes minutes
 _ORDER = 16
 _CELLS = 64
 _HIGHEST = 2**16
@@ -104,16 +111,17 @@ def closed_form_power(
     Parameters
     ----------
     sampler, n
-        Sampler (or spec string) and number of points. Supported samplers are random, jittered,
-        regular grids, lattices, Latin hypercubes, orthogonal arrays of strength 2, multi-jittered,
-        jitters around a grid, determinantal sets and nets. Each may be followed by shift.
+        Sampler (or spec string) and number of points. A shift may follow each sampler.
+        Supported samplers are random, regular grids, lattices, Latin hypercubes, nets,
+        orthogonal arrays of strength 2, jittered, multi-jittered, determinantal sets,
+        and jitters around a grid.
     frequencies
-        Real frequencies ν, shape (..., d), in cycles per unit. Only integers are allowed after a
-        shift, and for sets that are wrapped around the torus.
+        Real frequencies ν, shape (..., d), in cycles per unit. Frequencies must be integers
+        if a shift is applied, or if sets are wrapped around the torus.
     density
-        Importance density. Random points allow any density. At integer frequencies, jittered,
-        latin-hypercube and grids, alone or with shift or strata-shift, allow products over the
-        axes.
+        Importance density. Random points allow any density.
+        Jittered, latin-hypercube and grids, alone or with shift or strata-shift,
+        allow products over the axes at integer frequencies.
 
     Returns
     -------
@@ -236,7 +244,7 @@ def moments_of(law: Law, name: str, *frequencies: Array) -> SpectralMoments:
 def points_at(
     sampler: Sampler | str, frequencies: Any, density: Density | str | None = None
 ) -> tuple[Sampler, Density | None, Array]:
-    """Convert specs to sampler and density, with the dims of the frequencies; check all."""
+    """Convert specs to a sampler and a density with the dims of the frequencies, and check all."""
     # An empty list has no dims; `as_frequencies` raises the error
     dims = np.shape(frequencies)[-1] or None if np.ndim(frequencies) else None
     drawn = getattr(density, "primary_dims", dims)
@@ -297,7 +305,7 @@ def _(law: PairedAxes) -> SpectralMoments:
 
 @_moments.register
 def _(law: GroupedAxes) -> SpectralMoments | None:
-    # Pairs of different points, and single points, are independent between groups of axes
+    # Between groups of axes, pairs of different points are independent, and so are single points
     n, parts = law.n, []
     for part, axes in zip(law.parts, law.axes, strict=True):
         moments = _moments(part)
@@ -383,7 +391,7 @@ def _(law: Fixed) -> SpectralMoments:
             corner = np.exp(-2j * np.pi * np.remainder(law.corner * nu / s, 1.0))
             return _product(_comb(nu, s) * corner)
         if law.vector is not None and np.array_equal(nu, np.rint(nu)):
-            # S_ν is 1 where ν·z ≡ 0 modulo n; products of residues do not overflow
+            # S_ν is 1 at frequencies with ν·z ≡ 0 modulo n; products of residues do not overflow
             n, vector = law.n, np.asarray(law.vector, np.int64)
             residues = np.rint(np.remainder(nu, n)).astype(np.int64) * (vector % n) % n
             return np.asarray((residues.sum(axis=-1) % n == 0) + 0j)
@@ -423,7 +431,7 @@ def _apart(m: Array, other: Array, s: int | Array) -> Array:
 
 
 def _level_mates(m: Array, other: Array, s: int | Array, parts: int | Array | None = None) -> Array:
-    """Two points in the same one of s strata, in different ones of its `parts` (default s)."""
+    """Two points in the same stratum of s, but in different ones of its `parts` (default s)."""
     return _comb(m - other, s) * _apart(m / s, other / s, s if parts is None else parts)
 
 
@@ -449,8 +457,9 @@ def _(law: Scrambled) -> SpectralMoments | None:
 def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> Array:
     """Return (1/n²) Σ over pairs of different points after nested scrambling.
 
-    Two coordinates whose first a digits agree, and no more, lie in the same one of b^a strata, in
-    different ones of its b parts. They are uniform in these parts [Owen1997]_.
+    Suppose that two coordinates agree in their first a digits, and differ in the next.
+    They then lie in one of b^a strata, and are uniform in two different parts of its b parts
+    [Owen1997]_.
     """
     n, levels = law.n, [_levels(law.points[:, j], b) for j, b in enumerate(bases)]
     most = max(levels)
@@ -501,11 +510,13 @@ def _levels(x: Array, base: int) -> int:
 def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, other: Array) -> Array:
     """Return (1/n²) Σ over pairs of different points if each digit is changed at random.
 
-    With `shifted` a random digit is added at each place; otherwise the digits of each place are
-    permuted at random. The images of two digits depend on their difference, or on whether they are
-    equal. Places are independent, so each place contributes a factor. The digits below all places
-    are shifted by one uniform number. If the digits form a group, the pairs with one point
-    represent all pairs.
+    With `shifted` a random digit is added at each place.
+    The images of two digits then depend only on their difference.
+    Otherwise the digits of each place are permuted at random.
+    The images of two digits then depend only on whether the digits are equal.
+    Places are independent, so each place contributes a factor.
+    All digits below these places are shifted by one uniform number.
+    If the digits form a group, the pairs that contain one given point represent all pairs.
     """
     n, dims, points = net.n, net.dims, net.points
     flat, far = (np.broadcast_to(a, m.shape).reshape(-1, dims) for a in (m, other))
@@ -518,7 +529,7 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
             Function("power_spectrum"),
             ", or ask for fewer.",
         )
-    # Factors (b, frequencies) of each place of each axis, for each difference of two digits
+    # Factors (b, frequencies) of each place on each axis, one for each difference of two digits
     factors = list[list[Array]]()
     for axis, b in enumerate(bases):
         digit, own = np.arange(b), list[Array]()
@@ -538,8 +549,8 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
         factors.append(own)
 
     total = np.zeros(len(flat), complex)
-    # Digits of each axis, the highest first; the nudge corrects coordinates that were rounded to
-    # just below a multiple of b^-places
+    # Digits of each axis, the highest first.
+    # The nudge corrects coordinates that were rounded to just below a multiple of b^-places.
     digits = []
     for axis, b in enumerate(bases):
         nudge = 0.0 if b & (b - 1) == 0 else 2.0**-52
@@ -637,7 +648,7 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
             Function("variance_terms"),
             ".",
         )
-    # Each axis: strata at their positions, or at all offsets if a random shift follows
+    # Each axis uses the strata at their positions, or at all offsets if a random shift follows
     highest, pairs = _highest(m, other), np.ones(m.shape[:-1])
     for i, (p, s) in enumerate(zip(_factors(density), sides, strict=True)):
         rule = np.remainder(np.arange(s) / s + offset[i], 1.0), np.full(s, 1.0 / s)
@@ -655,7 +666,7 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
 @final
 @dataclass(frozen=True)
 class _StrataAxis:
-    """An axis with s strata or points: starts t of strata, weights of starts, and 1-D density."""
+    """Strata or points of one axis: their starts t, weights of the starts, and the 1-D density."""
 
     density: Density
     sides: int
@@ -663,7 +674,7 @@ class _StrataAxis:
     weights: Array
 
     def mean_product(self, of: Callable[[Array], Array], m: Array, other: Array) -> Array:
-        """Return the weighted mean over the starts of `of(m)` times the conjugate `of(other)`*."""
+        """Return the weighted mean, over the starts, of `of(m)` times the conjugate `of(other)`."""
         known, back = np.unique(np.stack([m, other]), return_inverse=True)
         row, column = back.reshape(2, -1)
         if float(self.starts.size) * max(row.size, known.size * self.sides) > _MAX_STRATA_WORK:
@@ -680,14 +691,14 @@ class _StrataAxis:
         return out.reshape(m.shape)
 
     def of_stratum(self, m: Array) -> Array:
-        """Return M_t(m), (frequencies, starts); strata that pass 1 continue at 0."""
+        """Return the transforms M_t(m), (frequencies, starts); strata that pass 1 continue at 0."""
         end = self.starts + 1.0 / self.sides
         over = np.maximum(end - 1.0, 0.0)
         first = _strips(m, self._warp(self.starts), self._warp(np.minimum(end, 1.0)))
         return np.asarray(self.sides * (first + _strips(m, np.zeros(1), self._warp(over))))
 
     def of_grid(self, m: Array) -> Array:
-        """Return A_δ(m), (frequencies, offsets), where the starts are the offsets."""
+        """Return A_δ(m), shape (frequencies, offsets); the starts serve as offsets."""
         total = np.zeros((m.size, self.starts.size), complex)
         for j in range(self.sides):
             x = self._warp(self.starts + j / self.sides)

@@ -1,11 +1,13 @@
 """Exact results for scrambled nets: gain coefficients, nested variances, and Walsh power.
 
-Owen [Owen1997]_ splits f into parts ν_l, l = (l_1, …, l_d), by the digits of the coordinates on
-which it depends (docs/theory.md, "Gains of scrambled nets"). (His u is {j: l_j > 0}, and his k_j is
-l_j − 1.) In base 2, ν_l is the part of f in the Walsh functions of index 2^(l_j − 1) ≤ m_j < 2^l_j.
-All of these have the expected power Γ_l / n. A digital shift does not change the power of a Walsh
-function: it is 1 on the dual net and 0 elsewhere. The dual net has the indices to which all columns
-of the generator matrices are orthogonal.
+Owen [Owen1997]_ splits f into parts ν_l with levels l = (l_1, …, l_d).
+The part ν_l depends on the first l_j digits of coordinate j.
+See docs/theory.md, "Gains of scrambled nets".
+(In the notation of Owen, u is {j: l_j > 0}, and k_j is l_j − 1.)
+In base 2, ν_l is the part of f in the Walsh functions of index 2^(l_j − 1) ≤ m_j < 2^l_j.
+All these Walsh functions have the expected power Γ_l / n under nested scrambling.
+A digital shift does not change the power of a Walsh function: 1 on the dual net, 0 elsewhere.
+The dual net has the indices to which all columns of the generator matrices are orthogonal.
 """
 
 from __future__ import annotations
@@ -42,7 +44,7 @@ def gain_coefficients(
     Parameters
     ----------
     sampler
-        Net or sequence with one base for all axes or one per axis, with or without owen.
+        Net or sequence, with or without owen. The base is the same for all axes, or one per axis.
     n
         Number of points.
     levels
@@ -54,8 +56,9 @@ def gain_coefficients(
     Returns
     -------
     xarray.Dataset
-        ``gain`` on dims ``level0``, ``level1``, …, each from 0. The gain of the mean (level 0 on
-        all axes) is 0.
+        The gains, in a variable ``gain`` with one dim of levels for each axis (``level0``, …).
+        Levels are counted from 0.
+        At level 0 on all axes (the mean) the gain is 0.
 
     Raises
     ------
@@ -93,8 +96,8 @@ def gain_coefficients(
 def gains_at(net: Fixed, bases: Sequence[int], levels: int) -> Array:
     """Return the gains (levels + 1, …) of a set that is scrambled in the given bases.
 
-    The gains are computed from differences, along each axis, of the numbers of pairs that agree.
-    Raises the errors of `gain_coefficients`.
+    The gains are differences, along each axis, of the numbers of pairs whose leading digits agree.
+    The errors are the same as for `gain_coefficients`.
     """
     gains = net.agreements(bases, levels)
     for axis, base in enumerate(bases):
@@ -120,8 +123,8 @@ def nested_variances(
     Returns
     -------
     ndarray
-        float64 (levels + 1, …), or (channels, levels + 1, …); 0 at level 0 of all axes. The sum is
-        the variance of f without its finer levels.
+        float64 (levels + 1, …), or (channels, levels + 1, …), with 0 at level 0 of all axes.
+        The sum is the variance of f without its finer levels.
 
     Raises
     ------
@@ -152,12 +155,12 @@ def closed_form_walsh_power(sampler: Sampler | str, n: int, indices: Any) -> Arr
     n
         Number of points, a power of two.
     indices
-        m in Paley order, whole numbers from 0 to 2^32 − 1, shape (..., d).
+        Indices m in Paley order: whole numbers from 0 to 2^32 − 1, shape (..., d).
 
     Returns
     -------
     ndarray
-        float64 (...): with digital-shift 1 on the dual net and 0 elsewhere, with owen Γ/n.
+        float64 (...): 1 on the dual net and 0 elsewhere for digital-shift, Γ/n for owen.
 
     Raises
     ------

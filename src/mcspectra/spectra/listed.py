@@ -1,21 +1,23 @@
 """Expected power at listed frequencies, real or integer, in any number of dims.
 
-Grids of frequencies are limited to a few dims; lists are not. Examples of lists are slices along
-the axes, planes of two axes (the projections of a set), and the frequencies of one ANOVA subset.
-`power_at` takes any list. `axis_frequencies` and similar functions return such lists, float64 (F,
-d). If a whole line contains both ν and −ν, only one is listed, since S_{−ν} = conj S_ν.
+Grids of frequencies are limited to a few dims; lists are not.
+Examples of lists are slices along the axes, planes of two axes (the projections of a set),
+and the frequencies of one ANOVA subset.
+`power_at` takes any list; `axis_frequencies` and similar functions return float64 lists (F, d).
+On axes and diagonals only ν is listed and −ν is not, since S_{−ν} = conj S_ν.
 
 Engines
 -------
 ``direct``
-    Sums of n F phases, from only the nonzero components of each frequency. If frequencies share
-    components, their phases are products of tabulated factors. Exact to rounding.
+    Sums of n times F phases, computed from the nonzero components of each frequency only.
+    If frequencies share components, their phases are products of tabulated factors.
+    The sums are exact to rounding.
 ``nufft``
-    FINUFFT's type 3 [Barnett2019]_, one to three dims, relative l2 error of about `eps`: O(n + F)
-    with a large constant, plus a grid of the volume that the frequencies span.
+    FINUFFT's type 3 [Barnett2019]_ in one to three dims, with a relative l2 error of about `eps`.
+    The cost is O(n + F) with a large constant, plus the cost of a grid over all frequencies.
 ``auto``
-    The engine that should be faster according to measured constants; direct in three or more dims,
-    where type 3 has no advantage.
+    The engine that should be faster according to measured constants.
+    In three or more dims this is direct, because type 3 has no advantage there.
 """
 
 from __future__ import annotations
@@ -97,8 +99,8 @@ def power_at(
     sampler, n
         Sampler (or spec string, which gets the dims of `frequencies`) and number of points.
     frequencies
-        Real frequencies ν, shape (F, d), in cycles per unit: any, or those from `axis_frequencies`,
-        `diagonal_frequencies`, `plane_frequencies`, `subset_frequencies`.
+        Real frequencies ν, shape (F, d), in cycles per unit.
+        Functions such as `axis_frequencies` make lists of slices, planes and subsets.
     density
         Importance density p (or spec string): points are warped and weighted 1/(n p).
     realizations
@@ -106,15 +108,17 @@ def power_at(
     rng
         Seed (SPEC 7).
     engine, eps
-        ``auto``, ``direct`` or ``nufft`` (one to three dims) and its accuracy.
+        Engine (``auto``, ``direct`` or ``nufft``) and its accuracy; nufft works in 1 to 3 dims.
     workers
         Number of threads; by default all processors. Results do not depend on it.
 
     Returns
     -------
     xarray.Dataset
-        ``power``, ``power_se``, ``mean_coefficient`` (complex) and ``mean_coefficient_se`` on dim
-        frequency, with coordinates m_0, m_1, … Standard errors are computed as in `power_spectrum`.
+        Power, complex mean coefficient and their standard errors, on the dim frequency:
+        These variables are ``power``, ``power_se``, ``mean_coefficient``, ``mean_coefficient_se``.
+        The coordinates m_0, m_1, … are the components of each frequency.
+        Standard errors are computed as in `power_spectrum`.
 
     Raises
     ------
@@ -188,7 +192,7 @@ def listed_transform(
         )
     if engine == "auto":
         engine = "direct"
-        if dims <= 2:  # in nanoseconds, measured on one core of a 2024 server
+        if dims <= 2:  # costs in nanoseconds, measured on one core of a 2024 server
             volume = np.prod(2.5 * np.ptp(frequencies, axis=0) + 30.0)
             nufft = (n + len(frequencies)) * 200.0 * 10.0 ** (dims - 1) + 100.0 * volume
             engine = "nufft" if nufft < 10.0 * n * len(frequencies) else "direct"
@@ -216,7 +220,7 @@ def _type_3(frequencies: Array, eps: float) -> Listed:
 
 
 def _direct(frequencies: Array) -> Listed:
-    """Return a transform by shared factors if these are few, else by a phase per frequency."""
+    """Return a transform by shared factors if there are few; else by one phase per frequency."""
     rows, axes = np.nonzero(frequencies)
     values = frequencies[rows, axes]
     start = np.searchsorted(rows, np.arange(len(frequencies) + 1))
@@ -255,7 +259,7 @@ def axis_frequencies(dims: int, half_width: int, *, step: float = 1.0) -> Array:
 def diagonal_frequencies(
     dims: int, half_width: int, *, signs: Sequence[int] | None = None, step: float = 1.0
 ) -> Array:
-    """Return frequencies step · t · signs for t = 1 … half_width; by default on the main diagonal.
+    """Return frequencies step · t · signs for t = 1 … half_width; by default the main diagonal.
 
     Parameters
     ----------
@@ -286,7 +290,7 @@ def plane_frequencies(
 ) -> Array:
     """Return frequencies step · {−half_width … half_width} on some axes, 0 elsewhere, in C order.
 
-    For two axes they give the spectrum of the set's projection onto their plane.
+    For two axes, the power at these frequencies is the spectrum of the set's projection onto them.
 
     Examples
     --------

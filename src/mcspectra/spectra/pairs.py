@@ -58,8 +58,9 @@ def pair_correlation(
     rng
         Seed (SPEC 7).
     boundary
-        ``"toroidal"``: distances wrap around. ``"border"``, for sets that end at the border:
-        distances do not wrap, and pairs count only for points at least r from the border.
+        ``"toroidal"``: distances wrap around the torus.
+        ``"border"`` is for sets that end at the border: distances do not wrap,
+        and pairs count only for points at least r from the border.
     max_distance
         Largest r, at most 1/2; by default 1/2, or 1/4 with the border correction.
     workers
@@ -68,18 +69,19 @@ def pair_correlation(
     Returns
     -------
     xarray.Dataset
-        ``pair_correlation``, ``pair_correlation_se`` on dim r (bin centers), and
-        ``pair_correlation_ci``, the 95 % interval by Student's t of the logarithm (0 to 0 for bins
-        without pairs). If the sampler has fewer sets than realizations, standard errors and t are
-        based on the number of sets.
+        ``pair_correlation`` and its standard error ``pair_correlation_se`` on dim r (bin centers).
+        ``pair_correlation_ci`` is the 95 % interval by Student's t of the logarithm.
+        This interval is 0 to 0 for bins without pairs.
+        If the sampler has fewer sets than realizations, errors and t are based on the sets.
 
     Notes
     -----
-    g = pairs in a shell / (n(n−1)/2 · volume of the shell). With the border correction, g = ordered
-    pairs / (n(n−1) · volume of the shell · (1−2r)^d), where (1−2r)^d is the volume in which the
-    first point may lie; this is unbiased if the set is stationary. Only points whose first
-    coordinates differ by less than max_distance are compared. The cost is O(n log n + n²
-    max_distance) per realization.
+    On the torus, g = pairs in a shell / (n(n−1)/2 · volume of the shell).
+    With the border correction, g = ordered pairs / (n(n−1) · volume of the shell · (1−2r)^d),
+    where (1−2r)^d is the volume in which the first point may lie.
+    This estimate is unbiased if the set is stationary.
+    Only points whose first coordinates differ by less than max_distance are compared.
+    The cost is O(n log n + n² max_distance) per realization.
     """
     analysis = PairCorrelation.of(locals())
     return compute(analysis, Subject(None, as_sampler(sampler)), rng, workers)
@@ -123,11 +125,11 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
                 Parameter("max_distance"),
                 " is 0.5; with the border correction give less: no point is that far inside.",
             )
-        # Memory per bin: counts of four neighbors at a time, sums, edge and expected number
+        # Memory per bin: four partial counts, sums, the edge of the bin, and the expected count
         return Need(cost=self._cost, memory=memory_of(self.n, source.dims) + 128 * self.bins)
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[MeanSums]:
-        """Return the reduction; a block is one set."""
+        """Return the reduction, in which each block is one set."""
         source, n, wrap = subject.sampler, self.n, self.boundary == "toroidal"
         edges = np.linspace(0.0, self._most, self.bins + 1)
         # Volume of the unit ball
@@ -141,8 +143,7 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
             return MeanSums.of(count_pairs(points, edges, wrap=wrap) / expected)
 
         def result(total: MeanSums) -> xr.Dataset:
-            # Translations preserve distances, so realizations that reuse few sets repeat their
-            # counts
+            # Translations preserve distances, so realizations that reuse sets repeat the counts
             sets = independent_sets(source.law(n))
             count = self.realizations if sets is None else min(self.realizations, sets)
             mean, se = total.mean_and_error(sets)
@@ -181,8 +182,9 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
 def count_pairs(points: Array, edges: Array, *, wrap: bool) -> Array:
     """Count pairs of points (n, d) by distance, in equal bins from 0: float64 (bins,).
 
-    With `wrap`, pairs are unordered, on the torus. Otherwise pairs are ordered, and the first point
-    is at least as far from the border as the bin extends.
+    With `wrap`, distances are on the torus and each pair counts once.
+    Otherwise pairs are ordered, and count only if the first point is far from the border:
+    its distance must be at least the upper end of the bin.
     """
     n, bins = len(points), len(edges) - 1
     limit = min(float(edges[-1]), 0.5) if wrap else float(edges[-1])
@@ -220,10 +222,10 @@ def closed_form_pair_correlation(sampler: Sampler | str, n: int, r: Any) -> Arra
 
     Notes
     -----
-    Two points of a jittered set are independent, except that they cannot lie in one cell. Two
-    places at offset h lie in one cell of sides 1/s_i with probability Π max(0, 1 − s_i |h_i|). An
-    axis with one cell contributes a factor of 1, also across the border of the torus. g is n/(n−1)
-    times 1 minus the mean of this probability over directions.
+    Two points of a jittered set are independent, except that they cannot lie in the same cell.
+    Two places at offset h lie in one cell of sides 1/s_i with probability Π max(0, 1 − s_i |h_i|).
+    An axis with one cell contributes a factor of 1, also across the border of the torus.
+    The correlation g is n/(n−1) times 1 minus the mean of this probability over directions.
 
     Examples
     --------

@@ -1,8 +1,9 @@
 """Expected power spectra of point sets, uniform or importance-sampled, by simulation.
 
 Power is summed by frequency, and over rings and wedges of frequencies, for each realization.
-Frequencies of one set are not independent: with a density, the fluctuation of the weights affects
-all of them. Errors of means over many frequencies are therefore computed from the means themselves.
+Frequencies of one set are not independent: with a density, the fluctuation of the weights
+affects all frequencies. Means over many frequencies are therefore summed as well,
+and their errors are computed from these means.
 """
 
 from __future__ import annotations
@@ -97,44 +98,49 @@ def power_spectrum(
     engine
         See `mcspectra.spectra.transforms`.
     eps
-        Relative accuracy of the transforms. By default it is 1e-5 or 1e-6 in single precision if
-        that is far below the statistical error, else 1e-9. The first two realizations decide: on
-        every ring the error must be less than 0.02 standard errors (the largest is the attribute
-        ``transform_error``). The attribute ``eps`` is the accuracy that was used.
+        Relative accuracy of the transforms. The default is 1e-5 or 1e-6, in single precision,
+        if this error is far below the statistical error; else the default is 1e-9.
+        The first two realizations decide: on all rings, errors must be below 0.02 standard errors.
+        The attribute ``transform_error`` is the largest of these errors.
+        The attribute ``eps`` is the accuracy that was used.
     workers
         Number of threads; by default all processors. Results do not depend on it.
 
     Returns
     -------
     xarray.Dataset
-        ``power``, ``power_se`` on dims m0, m1, …; m = 0 holds ⟨S_0²⟩. The power of random points is
-        1/n, or ∫1/p / n with a density (attribute ``random_level`` over n).
+        ``power`` and its standard error ``power_se`` on dims m0, m1, …
+        The power at m = 0 is ⟨S_0²⟩. The power of random points is 1/n, or ∫1/p / n with a density.
+        The attribute ``random_level``, divided by n, has this value.
 
-        ``radial_power``, ``radial_power_se`` on dim radius: |m| in cycles per unit, rings of one
-        frequency step, without m = 0. Errors are computed from the ring means of the realizations,
-        since frequencies of one set are not independent. ``radial_power_ci`` is the 95 % interval
-        by Student's t of the logarithm, power · exp(±t se/power). t has realizations − 1 degrees of
-        freedom (attribute ``student_t``) and applies to ``power_se`` as well. If the sampler has
-        fewer sets than realizations, errors and t are based on the number of sets.
+        ``radial_power`` and its standard error ``radial_power_se`` on dim radius.
+        The radius is |m| in cycles per unit; rings are one frequency step wide and exclude m = 0.
+        Errors are computed from the ring means of the realizations,
+        since frequencies of one set are not independent.
+        ``radial_power_ci`` is the 95 % interval by Student's t of the logarithm,
+        power · exp(±t se/power), with realizations − 1 degrees of freedom.
+        The attribute ``student_t`` is this t, which applies to ``power_se`` as well.
+        If the sampler has fewer sets than realizations, errors and t are based on the sets.
 
-        In two dims also ``wedge_power`` with ``_se`` and ``_ci``, see `wedge_means`. With `mean`
-        also ``mean_coefficient`` (complex) and ``mean_coefficient_se`` on dims m0, m1, …
+        In two dims also ``wedge_power``, its standard error and its interval, see `wedge_means`.
+        With `mean` also the complex ``mean_coefficient`` and its standard error, on m0, m1, …
 
     Raises
     ------
     ParameterError
-        If a value is out of range, the grid is too large, dims disagree, or a set has more than
-        2^26 coordinates.
+        If a value is out of range, dims disagree, or the grid is too large.
+        Also if a set has more than 2^26 coordinates.
     ConfigError
         If more memory is needed than is available.
 
     Notes
     -----
-    Power is ⟨|S_m|²⟩, as in the slides. Multiply by n for the convention of UTK (1 for random
-    points). The cost is O(n log^d(1/eps) + M log M) for a pair of realizations with M frequencies.
-    Memory does not depend on the number of realizations: a thread takes at most 100 M bytes. Its
-    points (and phases, in the direct engine) take up to 64 MB, or 100 n d bytes if two sets are
-    larger.
+    Power is ⟨|S_m|²⟩, as in the slides.
+    Multiply power by n for the convention of UTK, where the power of random points is 1.
+    The cost is O(n log^d(1/eps) + M log M) for a pair of realizations with M frequencies.
+    Memory does not depend on the number of realizations. A thread takes at most 100 M bytes.
+    Points (and phases, in the direct engine) take up to 64 MB more per thread,
+    or 100 n d bytes if two sets are larger than that.
 
     Examples
     --------
@@ -234,7 +240,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 return double, None
             points, weights = weighted_points(source, p, self.n, stream, (0, 2))
             exact = _powers(double, points, weights)
-            # The mean distance of two exponential numbers equals their standard deviation
+            # Two exponential numbers differ on average by their standard deviation
             spread = polar.rings(np.abs(exact[0] - exact[1])) / self.realizations**0.5
             for single in singles:
                 error = polar.rings(np.abs(_powers(single, points, weights) - exact).mean(axis=0))
@@ -244,7 +250,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                     return single, worst
             return double, None
 
-        # A block holds its points and two half spectra
+        # Memory of a block: its points and two half spectra
         numbers = max(self.n * source.dims, grid.size // 8)
         blocks = realization_blocks(self.realizations, numbers, multiple=2, least=_BLOCKS)
 
@@ -261,7 +267,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
             return sums
 
         def result(total: _SpectrumSums) -> xr.Dataset:
-            # Realizations that are translations of a few sets have the power of these sets
+            # Translations of a few sets have the same power as these sets
             law = source.law(self.n)
             sets = independent_sets(law)
             count = self.realizations if sets is None else min(self.realizations, sets)
@@ -287,7 +293,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 found[name], found[f"{name}_se"] = ((dim,), mean), ((dim,), se)
                 found[f"{name}_ci"] = (dim, "bound"), log_mean_interval(mean, se, count)
             if self.mean:
-                # Translations change the coefficient, so each realization counts
+                # Translations change the coefficients, so each realization counts
                 mean, mean_se = total.frequencies.coefficient(None if law.stationary else sets)
                 found["mean_coefficient"] = grid.names, grid.full(mean, conjugate=True)
                 found["mean_coefficient_se"] = grid.names, grid.full(mean_se)
@@ -363,7 +369,7 @@ def _powers(transform: Transform, points: Array, weights: Array | None) -> Array
 def weighted_points(
     sampler: Sampler, density: Density | None, n: int, stream: Stream, block: Block
 ) -> tuple[Array, Array | None]:
-    """Draw a block: points (R, n, d), warped by the density, and weights 1/(n p), None for 1/n."""
+    """Draw a block of warped points (R, n, d), and weights 1/(n p), or None for weights 1/n."""
     points = sampler.draw_stream(n, stream, *block)
     if density is None:
         return points, None
@@ -409,7 +415,7 @@ class PowerSums:
         self.power.count += 1
 
     def coefficient(self, sets: int | None = None) -> tuple[Array, Array]:
-        """Return mean S and its standard error, the root mean |error|²; `sets` as in `MeanSums`."""
+        """Return mean S and its standard error (root mean |error|²), based on the given sets."""
         assert self.mean is not None
         count = self.power.count
         mean = self.mean / count
@@ -429,11 +435,11 @@ class _SpectrumSums:
 @final
 @dataclass(frozen=True)
 class _PolarMeans:
-    """Rings of one frequency step and, in two dims, wedges, over which power is averaged."""
+    """Rings (and in two dims wedges) of frequencies, over which power is averaged."""
 
-    # Cell of each frequency of the half grid: ring · (wedges + 1) + wedge, int64 (H,). A further
-    # cell holds m = 0 and frequencies beyond the rings. The last wedge is outside the circle of the
-    # half width
+    # Cell of each frequency of the half grid: ring · (wedges + 1) + wedge, int64 (H,).
+    # A further cell holds m = 0 and frequencies beyond the rings.
+    # The last wedge lies outside the circle of the half width.
     label: Array
     cells: Array  # number of frequencies in each cell: (rings, wedges + 1)
     radius: Array  # mean |m|/step of each ring
@@ -464,13 +470,13 @@ class _PolarMeans:
         return int(rings + wedges - 1)
 
     def rings(self, values: Array) -> Array:
-        """Return sums of values (H,) over the rings, (rings,)."""
+        """Return the sums over the rings, (rings,), of values (H,) at the frequencies."""
         return np.asarray(
             np.bincount(self.label, values)[:-1].reshape(self.cells.shape).sum(axis=1)
         )
 
     def add(self, sums: MeanSums, power: Array) -> None:
-        """Add the means of sets, given power (sets, …) summed by label; NaN for empty wedges."""
+        """Add the means of sets from power (sets, …) summed by label; NaN for empty wedges."""
         for own in power[:, :-1].reshape(-1, *self.cells.shape):
             with np.errstate(invalid="ignore"):
                 rings = own.sum(axis=1) / self.cells.sum(axis=1)
@@ -481,7 +487,7 @@ class _PolarMeans:
 
 
 def wedge_labels(index: Array, wedges: int) -> Array:
-    """Return the wedge of the half turn for each index (H, 2); wedge 0 is centered on axis m0."""
+    """Return the wedge of each index (H, 2) in the half turn; wedge 0 is centered on axis m0."""
     turn = np.arctan2(index[:, 1], index[:, 0]) / np.pi
     return np.asarray(np.floor(turn * wedges + 0.5).astype(np.int64) % wedges)
 

@@ -1,12 +1,12 @@
-"""Shape of a measured spectrum: rings, slices, wedges and exponent; and the predicted variance.
+"""Shape of a measured spectrum (rings, slices, wedges, exponent), and the predicted variance.
 
-All functions take the dataset of `power_spectrum`. Standard errors are over realizations, of the
-means over rings and wedges of each realization.
+All functions take the dataset of `power_spectrum`.
+Standard errors are those over realizations, of the means over rings and wedges.
 
-Directions may have different exponents. A Latin hypercube has m² along its axes and the power of
-random points elsewhere; the largest power decides. If the power of a length depends on direction,
-each class of directions is fitted separately: frequencies by the axes that they involve and, in
-2-D, by wedges.
+Directions may have different exponents; the largest power decides.
+A Latin hypercube has power ∝ m² along its axes and the power of random points elsewhere.
+If the power at one length depends on direction, each class of directions is fitted separately.
+Classes are the sets of axes that frequencies involve and, in 2-D, the wedges.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ __all__ = [
 
 _MAX_SLICE_DIMS = 4
 _LEVEL = 0.95
-# Largest (spread over directions / mean)² beyond noise if isotropic; 0.001 if jittered
+# Largest (spread over directions / mean)² beyond noise that counts as isotropic; jittered has 0.001
 _ISOTROPIC = 0.1
 _CLASS_WEDGES = 8
 _SUSPECT = 3.0  # χ² per degree of freedom above which directions are compared
@@ -61,7 +61,7 @@ _SINGLE_ROUNDING = 1e-7
 @final
 @dataclass(frozen=True)
 class _HalfSpectrum:
-    """One frequency of each pair ν, −ν of a spectrum, without ν = 0."""
+    """Half of a spectrum: one frequency of each pair ν, −ν, without ν = 0."""
 
     index: Array  # ν / step, int64 (H, d)
     power: Array  # (H,)
@@ -128,12 +128,14 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        On dim radius, rings of one frequency step. ``radial_power`` is the mean;
-        ``radial_power_se`` is the standard error from the spectrum or, if missing there, that of
-        uncorrelated frequencies. ``anisotropy`` is the variance over direction divided by the mean²
-        [Ulichney1988]_, and ``anisotropy_db`` is 10 log10 of the anisotropy.
-        ``anisotropy_noise_db`` is the value from noise alone in an isotropic spectrum (−10 log10 of
-        the realizations for Gaussian S). NaN for rings with one direction or without power.
+        Values are on dim radius, for rings of one frequency step.
+        They are NaN for rings with one direction or without power.
+        ``radial_power`` is the mean, and ``radial_power_se`` its standard error.
+        The spectrum supplies this error; if it does not, frequencies count as uncorrelated.
+        ``anisotropy`` is the variance over direction, divided by the mean² [Ulichney1988]_.
+        ``anisotropy_db`` is 10 log10 of the anisotropy.
+        ``anisotropy_noise_db`` is the same value for noise alone in an isotropic spectrum.
+        It is −10 log10 of the number of realizations for Gaussian S.
 
     Examples
     --------
@@ -153,7 +155,7 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
     spread = np.bincount(ring[used], (half.power[used] - mean[ring[used]]) ** 2, minlength=size)
     with np.errstate(invalid="ignore", divide="ignore"):
         anisotropy = np.where(count > 1, spread / (count - 1), np.nan) / mean**2
-        noise = count * (se / mean) ** 2  # mean squared error divided by mean²
+        noise = count * (se / mean) ** 2  # ratio of mean squared error to mean²
         decibels = [10 * np.log10(values) for values in (anisotropy, noise)]
     if "radial_power_se" in spectrum:
         se = spectrum["radial_power_se"].to_numpy()
@@ -178,10 +180,10 @@ def slices(spectrum: xr.Dataset) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        ``slice_power`` and ``slice_power_se`` on dims slice and multiple: the power at
-        ν = multiple · frequency step · direction. slice is labeled by its direction, such as
-        (1, -1), axes first. The coordinate ``slice_radius`` is |ν|. There are 1, 4, 13 or 40 slices
-        in one to four dims.
+        ``slice_power`` and its standard error ``slice_power_se`` on dims slice and multiple.
+        This is the power at ν = multiple · frequency step · direction.
+        Each slice is labeled by its direction, such as (1, -1), axes first.
+        The coordinate ``slice_radius`` is |ν|. There are 1, 4, 13 or 40 slices in 1 to 4 dims.
     """
     half = _HalfSpectrum.of(spectrum)
     grid = half.grid
@@ -220,15 +222,17 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
     spectrum
         Result of `power_spectrum` in two dims.
     wedges
-        Number of wedges in the half turn; the first is centered on the m0 axis. Standard errors
-        need the number that was given to `power_spectrum`.
+        Number of wedges in the half turn; the first is centered on the m0 axis.
+        Standard errors need the number that was given to `power_spectrum`.
 
     Returns
     -------
     xarray.Dataset
-        ``wedge_power`` and ``wedge_power_se`` on dim angle (degrees, centers of the wedges); NaN
-        for wedges without frequencies. For numbers of wedges other than the spectrum's, errors are
-        NaN for points with a density, and treat frequencies as uncorrelated for uniform points.
+        ``wedge_power`` and its standard error ``wedge_power_se`` on dim angle.
+        Angles are in degrees, at the centers of the wedges.
+        Values are NaN for wedges without frequencies.
+        If the spectrum has another number of wedges, errors with a density are NaN.
+        Errors for uniform points then treat frequencies as uncorrelated.
     """
     half = _HalfSpectrum.of(spectrum)
     wedges = as_integer("wedges", wedges, least=1, most=MAX_WEDGES)
@@ -259,24 +263,27 @@ def low_frequency_exponent(
     Parameters
     ----------
     spectrum
-        Result of `power_spectrum` with at least two realizations. Between the integers ⟨S_ν⟩ is not
-        0, so ``mean=True`` is needed there, and the fit is to ⟨|S_ν|²⟩ − |⟨S_ν⟩|².
+        Result of `power_spectrum` with at least two realizations.
+        Between the integers ⟨S_ν⟩ is not 0. The fit is then to ⟨|S_ν|²⟩ − |⟨S_ν⟩|².
+        This needs the means of S, that is ``mean=True``.
     up_to
-        Largest |ν| of the fit. By default it is a quarter of n^(1/d), the mean frequency of the
-        points, but includes at least three lengths and is at most the half width.
+        Largest |ν| of the fit. The default is a quarter of the points' mean frequency n^(1/d),
+        but it includes at least three lengths and is at most the half width.
     axis
-        Axis along which to fit. By default the fit is over all directions or, if directions differ,
-        over the directions with the largest power at the lowest frequency.
+        Axis along which to fit. The default is a fit over all directions. If directions differ,
+        the default is the directions with the largest power at the lowest frequency.
 
     Returns
     -------
     xarray.Dataset
-        ``low_frequency_exponent``, its 95 % interval on dim bound, and ``exponent_fit_chi2``, the
-        lack of fit, χ² per degree of freedom. If χ² exceeds 1, the interval is widened by √χ².
-        Attributes ``up_to``, ``lengths`` and ``directions`` describe the fit. The attribute
-        ``reason`` explains why the exponent is NaN: some lengths have no power (as for a lattice),
-        the power is the same in all realizations, or χ² per degree of freedom is above 10. It also
-        explains if the exponent is unresolved because its interval is wider than ±0.5.
+        ``low_frequency_exponent`` with its 95 % interval on dim bound.
+        ``exponent_fit_chi2`` is the lack of fit, χ² per degree of freedom.
+        If this χ² exceeds 1, the interval is widened by √χ².
+        Attributes ``up_to``, ``lengths`` and ``directions`` describe the fit.
+        The attribute ``reason`` explains why the exponent is NaN or unresolved.
+        NaN has three possible reasons: some lengths have no power (as for a lattice),
+        the power is the same in all realizations, or χ² per degree of freedom is above 10.
+        The exponent is unresolved if its interval is wider than ±0.5.
 
     Raises
     ------
@@ -285,10 +292,11 @@ def low_frequency_exponent(
 
     Notes
     -----
-    The method is weighted least squares of log power on log |ν|. The frequencies of one length (and
-    class of directions) are averaged. If there are k classes, the interval of each has level 1 −
-    0.05/k. The exponent depends on the window: for 1 − sinc² of jittered points, b is 2 at 0 and
-    1.8 at n^(1/d)/4.
+    The method is weighted least squares of log power on log |ν|.
+    All frequencies of one length (and class of directions) are averaged.
+    With k classes, the interval of each class has the level 1 − 0.05/k.
+    The exponent depends on the window.
+    For 1 − sinc² of jittered points, b is 2 at 0 and 1.8 at n^(1/d)/4.
 
     Examples
     --------
@@ -404,13 +412,14 @@ def _over_directions(half: _HalfSpectrum, label: Array, lengths: Array) -> _LowF
     """Fit all directions if they agree, else the class with the largest low-frequency power."""
     whole = _fit_class(half, label, lengths, "all", 1)
     assert whole is not None
-    # Relative variance over direction beyond noise, averaged over lengths with several directions
+    # Relative variance over direction beyond noise: the mean over lengths with several directions
     mean, _, count = half.mean_by(label, len(lengths))
     several = (label >= 0) & (count[label] > 1)
     own, k = mean[label[several]], count[label[several]]
     spread = (half.power[several] - own) ** 2 * k / (k - 1)
     excess = float(np.mean((spread - half.se[several] ** 2) / own**2)) if several.any() else 0.0
-    # Few lengths have several directions, like (3, 4) and (5, 0); else unequal powers misfit a line
+    # Some lengths have several directions, such as (3, 4) and (5, 0).
+    # If no length does, unequal powers show as a misfit of the line.
     if half.grid.dims == 1 or (excess <= _ISOTROPIC and whole.chi2 <= _SUSPECT):
         return whole
     # Classify frequencies by their nonzero axes and, in 2-D if both are nonzero, by wedges
@@ -463,10 +472,9 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
     Returns
     -------
     float
-        The variance, exact up to the truncation of the grid, for randomly shifted sets at *integer*
-        frequencies (``frequency_step=1``). Between the integers ⟨S_ν⟩ is not 0. The sum then
-        includes the bias of a finite window, and stops falling with n below this bias, as the
-        paper's slides show [Singh2019]_.
+        The variance, for randomly shifted sets at *integer* frequencies (``frequency_step=1``).
+        It is exact up to the truncation of the grid. Between the integers ⟨S_ν⟩ is not 0.
+        The sum then includes the bias of a finite window, and never falls below it [Singh2019]_.
 
     Raises
     ------
@@ -501,7 +509,7 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
             f"coefficients have shape {f.shape} and type {f.dtype}; give finite numbers of shape "
             f"{grid.shape}, one for each frequency."
         )
-    # Warn if the points are not stationary; a spec of given points does not determine this.
+    # Warn if the points are not stationary; a spec of given points does not show whether they are.
     # Between the integers the sum is not the variance (see Returns)
     try:
         source = None if spec is None else as_sampler(spec, grid.dims)

@@ -3,25 +3,34 @@
 Engines
 -------
 ``nufft``
-    Type-1 non-uniform FFT. FINUFFT [Barnett2019]_ spreads points onto a grid 1.25 times as fine
-    along each axis (twice as fine if there are many points per frequency), with one reused plan per
-    Python thread, and SciPy transforms the grid. The relative l2 error is 1e-9. With ``eps=1e-12``
-    the grid is twice as fine, and the transform takes 2.3 times as long (512²). Single precision
-    halves the time: its error is at best 1e-6 of the peak, or 1e-5 on a grid 1.12 times as fine,
-    which takes a fifth less time. Coordinates are then rounded to 2^-25. Real frequencies on a grid
-    of step s are integer frequencies of the coordinates s·x. Two realizations share a transform
-    with complex weights: the weights of the first plus i times the weights of the second; Hermitian
-    symmetry separates the two. Cost O(n log^d(1/eps) + M log M) per pair. In four dims there is a
-    3-D transform for each frequency of the first axis, one realization at a time.
-``direct``
-    Separable direct summation by matrix products, exact to rounding. It is the reference, and the
-    faster engine for few points. Cost O(n M).
-``auto``
-    Direct if n M < 4000 (where arithmetic takes about a microsecond less than a plan call), in four
-    dims below about a thousand points, and in more than four dims; else NUFFT.
+    Type-1 non-uniform FFT. FINUFFT [Barnett2019]_ spreads points onto a fine grid.
+    SciPy transforms the grid. Each Python thread reuses one plan of FINUFFT.
+    Along each axis, the grid is 1.25 times as fine as the frequencies.
+    If there are many points per frequency, it is twice as fine.
+    The relative l2 error is 1e-9. With ``eps=1e-12`` the grid is twice as fine.
+    The transform then takes 2.3 times as long (512²).
 
-Real weights make S_{−m} = conj S_m, so results cover *half* the grid: the flat C-order indices up
-to and including m = 0, which comes last.
+    Single precision halves the time: its error is at best 1e-6 of the peak.
+    On a grid 1.12 times as fine the error is 1e-5, and the time is a fifth less.
+    Coordinates are rounded to 2^-25 in single precision.
+
+    Real frequencies on a grid of step s are integer frequencies of the coordinates s·x.
+    Two realizations share a transform with complex weights:
+    the weights of the first plus i times the weights of the second.
+    Hermitian symmetry separates the two.
+    The cost is O(n log^d(1/eps) + M log M) per pair, for n points and M frequencies.
+    In four dims there is one 3-D transform for each frequency of the first axis.
+    Realizations are then transformed one at a time.
+``direct``
+    Separable direct summation by matrix products, exact to rounding, at cost O(n M).
+    It is the reference for tests, and the faster engine for few points.
+``auto``
+    NUFFT, except in three cases. The direct engine is used if n M < 4000,
+    where its arithmetic is about a microsecond faster than a plan call.
+    It is also used below about a thousand points in four dims, and in more than four dims.
+
+Real weights make S_{−m} = conj S_m, so results cover *half* the grid:
+the flat C-order indices up to and including m = 0, which comes last.
 """
 
 from __future__ import annotations
@@ -68,7 +77,7 @@ class IndexGrid:
     Attributes
     ----------
     dims, half_width
-        d and K.
+        Number of dims d and half width K.
     """
 
     dims: int
@@ -76,9 +85,9 @@ class IndexGrid:
     label: ClassVar[str] = "index of the basis function"
     units: ClassVar[str] = "1"
     hermitian: ClassVar[bool] = False
-    """Whether indices run from −K, and coefficient −m is the conjugate of coefficient m.
+    """Whether indices run from −K to K, and coefficient −m is the conjugate of coefficient m.
 
-    Then only the first half is stored, up to and including m = 0."""
+    If so, only the first half is stored, up to and including m = 0."""
 
     @property
     def side(self) -> int:
@@ -145,7 +154,7 @@ class IndexGrid:
         return full.reshape(self.size, *full.shape[self.dims :])[: self.stored]
 
     def whole(self) -> tuple[Array, Array]:
-        """Return for every index, in C order, its stored position and whether it is a conjugate."""
+        """Return the stored position of every index in C order, and whether it is a conjugate."""
         place = np.arange(self.size)
         return np.where(place < self.stored, place, self.size - 1 - place), place >= self.stored
 
@@ -242,8 +251,8 @@ class Transform:
         self._sparse = density < _SPARSE
         self._packs = engine == "nufft" and grid.dims <= 3
         self.single = single and self._packs
-        # A finer grid is more accurate; its transform takes longer and its spreading less time: in
-        # double precision its kernels have 11 cells per side instead of 15
+        # A finer grid is more accurate. Its transform takes longer, but its spreading less time:
+        # in double precision its kernels have 11 cells per side instead of 15.
         spreading = 0.0 if self.single else density * (15.0**dims - 11.0**dims)
         finer = self.eps < 1e-9 or spreading > _CELL_COST * (2.0**dims - 1.25**dims)
         coarse = 1.12 if self.single and self.eps >= 1e-5 else 1.25
@@ -284,10 +293,10 @@ class Transform:
         label: Array = UNLABELLED,
         groups: Callable[[Array], None] | None = None,
     ) -> None:
-        """Add Σ_r |S_m|², Σ_r |S_m|⁴ and Σ_r S_m of a block to `total`, `squares` and `mean`, (H,).
+        """Add a block's sums of |S_m|², |S_m|⁴ and S_m to the given arrays (H,).
 
-        `groups` gets the sums of |S_m|² of one or two sets by `label` (H,): (sets, number of
-        labels).
+        The function `groups` gets the sums of |S_m|² over all frequencies with the same label.
+        Its argument is an array (sets, number of labels) for one or two sets.
         """
         # S_0 is exactly the sum of the weights
         sums = given_or_equal(weights, points).sum(axis=1)
@@ -308,10 +317,10 @@ class Transform:
             mean[-1] = mean_at_zero
 
     def _packed(self, points: Array, weights: Array | None) -> Iterator[tuple[Array, bool]]:
-        """Yield flat transforms S1 + i S2 of pairs of sets on the full grid, or S1 of a last set.
+        """Yield flat full-grid transforms S1 + i S2 of pairs of sets, or S1 of a last single set.
 
-        Each array is valid until the next is requested. For a single set at least half the grid is
-        filled.
+        Each array is valid until the next is requested.
+        For a single set at least half the grid is filled.
         """
         sets, n, dims = points.shape
         weights = given_or_equal(weights, points)
@@ -336,7 +345,7 @@ class Transform:
         return self._execute(strengths, self._local.out)
 
     def _slabs(self, points: Array, strengths: Array) -> Array:
-        """Transform in four dims: apply the phases of each m0 ≤ 0, then transform other axes."""
+        """Transform in four dims: apply the phases of each m0 ≤ 0, then transform three axes."""
         grid = self.grid
         self._set_points(points[:, 1:])
         out = np.empty((grid.half_width + 1, *grid.shape[1:]), np.complex128)
@@ -359,9 +368,9 @@ class Transform:
     def _execute(self, strengths: Array, out: Array) -> Array:
         """Transform the current points to `out`, a grid of frequencies, and return it flat.
 
-        FINUFFT only spreads. Its own FFT is FFTW, whose fast plans depend on timings and hence vary
-        between runs. SciPy's FFT of only the needed frequencies takes half the time of FFTW plans
-        that are reproducible (648²).
+        FINUFFT only spreads. Its own FFT is FFTW, whose fast plans vary between runs,
+        because they depend on timings. SciPy's FFT computes only the needed frequencies.
+        It takes half the time of reproducible FFTW plans (648²).
         """
         from scipy.fft import fft
 
@@ -389,9 +398,9 @@ class Transform:
     def _unspread(self) -> tuple[Array, Array, Array]:
         """Rows of the fine grid that hold the frequencies, and factors that undo the spreading."""
         dims, side = len(self._fine), self._fine[0]
-        # The kernel along the last axis also depends on the number of axes. The other axes are as
-        # short as possible, and odd if the last axis is odd. Transforms are divided by products of
-        # this kernel's coefficients
+        # The kernel along the last axis also depends on the number of axes.
+        # The other axes are as short as possible, and odd if the last axis is odd.
+        # Transforms are divided by products of this kernel's coefficients.
         plan = self._new_plan((_LEAST_FINE + side % 2,) * (dims - 1) + (side,))
         origin = np.zeros((dims, 1), np.zeros(0, self._number).real.dtype)
         plan.setpts(*origin)
@@ -409,8 +418,8 @@ class Transform:
         """Return a plan that spreads onto a fine grid."""
         import finufft
 
-        # With spread_sort=2, FINUFFT decides by the density of points whether to sort. Few points
-        # are spread in parts of the fine grid that fit into the cache (0: all at once).
+        # With spread_sort=2, FINUFFT decides by the density of points whether to sort.
+        # At low density it spreads to parts of the grid that fit into the cache (0: all at once).
         return finufft.Plan(
             1,
             shape,
@@ -428,8 +437,8 @@ class Transform:
     def _direct(self, points: Array, weights: Array) -> Array:
         """Sum directly: multiply the phases of the first axes with the phases of the other axes.
 
-        Axes are divided evenly, so that in four dims each factor has n (2K+1)² numbers. Blocks of
-        points keep the factors below `_DIRECT_NUMBERS`.
+        Axes are divided evenly, so that in four dims each factor has n (2K+1)² numbers.
+        Points are processed in blocks, to keep the factors below `_DIRECT_NUMBERS`.
         """
         grid = self.grid
         split = max(1, grid.dims // 2)
