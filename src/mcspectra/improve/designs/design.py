@@ -83,7 +83,7 @@ class DesignSettings:
     check_realizations: int = 32
     check_evaluations: int = 2**24
     # Number of groups of members of a certificate. Each group has its own realizations.
-    # Errors have 19 degrees of freedom, and intervals by Student's t are 7 % wider than normal ones.
+    # Errors have 19 degrees of freedom, so intervals by Student's t are 7 % wider than normal ones.
     groups: int = 20
 
 
