@@ -4,8 +4,8 @@ An estimator has techniques t = 0 … T−1. For technique t it draws n_t = n ·
 of a sampler, and it returns I = Σ_t (1/n_t) Σ_k g_t(u_tk). There are two views of an estimator:
 
 * *primary space*: integrands g_t on the unit cube, with the sampler's own points;
-* *domain*: one integrand f, with all warped points x_tk = T_t(u_tk). Their weights
-  are w_t/(p_t n_t), so that I = Σ_tk weight_tk f(x_tk).
+* *domain*: one integrand f, with all warped points x_tk = T_t(u_tk).
+  Each point has the weight w_t/(p_t n_t), so that I = Σ_tk weight_tk f(x_tk).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Color: importance sampling with a density for each channel, or with one density for all.
 
-If all channels share one density p, such as that of the luminance, f_c/p jumps wherever p jumps
-and f_c does not. A density for each channel removes these jumps,
+If all channels share one density p, f_c/p jumps wherever p jumps and f_c does not.
+The density of the luminance is an example. A density for each channel removes these jumps,
 and the rate then depends on the rest of f_c. `channel_estimators` makes four estimators:
 
 ``one``
@@ -49,8 +49,8 @@ _SETS = ("independent", "shared")
 class ChannelSampling(DomainEstimator):
     """An estimator of each channel with its own density, I_c = (1/n) Σ_k f_c(x_ck)/p_c(x_ck).
 
-    Each channel is a technique. There is no common domain, because the points of different
-    channels have different spectra. Analyses use primary space.
+    Each channel is a technique. Analyses use primary space. There is no common domain,
+    because the points of different channels have different spectra.
 
     Parameters
     ----------

@@ -10,11 +10,11 @@ With q_t = n_t p_t, these heuristics are described in [Veach1997]_ §9.2:
 * ``cutoff(alpha=0.1)``: balance among techniques with q_t ≥ α max_s q_s; others have weight 0.
 * ``maximum``: weight 1 for the largest q_t. Ties have equal shares, as in ``cutoff(alpha=1)``.
 
-``optimal`` and ``variance-aware`` use a pilot of f. The pilot is a quadrature,
-or random points that the estimate does not use. The weights do not depend on the samples
-of the estimate, so the estimate is unbiased. The progressive estimator of [Kondapaneni2019]_
-solves for α from the samples that it weights. It is consistent but biased,
-and it is not implemented.
+``optimal`` and ``variance-aware`` use a pilot of f.
+The pilot is a quadrature, or random points that the estimate does not use.
+The weights do not depend on the samples of the estimate, so the estimate is unbiased.
+The progressive estimator of [Kondapaneni2019]_ is not implemented. It solves for α
+from the samples that it weights, and is consistent but biased.
 """
 
 from __future__ import annotations
@@ -372,15 +372,16 @@ class Optimal(_Piloted):
 
         α_t + n_t (f − Σ_s α_s p_s)/q,
 
-    This is the balance heuristic for f with Σ α_s p_s as a control variate. In this form
-    f may be 0, and each channel has its own α. If densities are identical or nearly identical,
-    A is singular. The solution of least norm is then used; its Σ α_s p_s is the same.
+    This is the balance heuristic for f with Σ α_s p_s as a control variate.
+    In this form f may be 0, and each channel has its own α.
+    If densities are identical or nearly identical, A is singular.
+    The solution of least norm is then used; its Σ α_s p_s is the same.
 
     Attributes
     ----------
     pilot
-        Source of A and b. ``"samples"`` uses random points of all techniques in proportion to
-        their counts. ``"quadrature"`` gives α with the accuracy of the quadrature.
+        Source of A and b. ``"samples"``: random points of all techniques in proportion to
+        the counts. ``"quadrature"``: α has the accuracy of the quadrature.
     samples
         Number of pilot points of all techniques together, at least 2; n does not include them.
     seed
@@ -413,14 +414,15 @@ class VarianceAware(_Piloted):
 
     v_t is the second moment over the variance of technique t, for one random sample of f/p_t.
     The weights are w_t = v_t n_t p_t / Σ_s v_s n_s p_s with v_t = 1 + μ_t²/σ_t², at most 10⁸.
-    A technique of low variance has more weight than by the balance heuristic,
-    which uses second moments. If f has several channels, their mean is used.
+    The balance heuristic uses second moments instead of v_t.
+    Here a technique of low variance has more weight.
+    If f has several channels, their mean is used.
 
     Attributes
     ----------
     pilot
-        Source of the moments. ``"samples"`` uses the same number of random points
-        of each technique; ``"quadrature"`` computes integrals.
+        Source of the moments. ``"samples"``: the same number of random points of each technique.
+        ``"quadrature"``: numerical integrals.
     samples
         Number of pilot points of all techniques together, at least 2; n does not include them.
     seed

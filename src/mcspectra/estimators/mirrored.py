@@ -40,8 +40,9 @@ class Mirrored(AbstractEstimator):
         The estimator to mirror, with any number of techniques; or an integrand, or its spec.
     mode
         ``"integrand"`` spreads the sampler's points u over the 2^d mirror images, at 2u,
-        and folds them back to 1 − |2u − 1|. ``"random"`` reflects each coordinate of each point
-        with probability ½. ``"uniform"`` puts n/2^d points into each of the 2^d images.
+        and folds them back to 1 − |2u − 1|.
+        ``"random"`` reflects each coordinate of each point with probability ½.
+        ``"uniform"`` puts n/2^d points into each of the 2^d images.
     dims
         Number of dims; needed for spec strings without ``dims``.
 
@@ -53,10 +54,11 @@ class Mirrored(AbstractEstimator):
     Notes
     -----
     In all modes n counts evaluations of the integrand, so variances at one n have equal cost.
-    `samples_per_point` is the number of evaluations for each point of the sampler. In d dims,
-    mirroring spreads n evaluations more thinly. With ``"integrand"`` they cover 2^d times
-    the volume, so that strata are twice as long in units of f. With ``"uniform"``
-    there are only n/2^d points.
+    `samples_per_point` is the number of evaluations for each point of the sampler.
+    In d dims, mirroring spreads n evaluations more thinly.
+    With ``"integrand"`` they cover 2^d times the volume,
+    so that strata are twice as long in units of f.
+    With ``"uniform"`` there are only n/2^d points.
 
     The mirrored integrand has period 2. If f is continuous on the closed cube,
     the mirrored integrand is continuous across all faces.
@@ -64,10 +66,12 @@ class Mirrored(AbstractEstimator):
     A shift in the sampler is applied before mirroring, in the doubled domain:
     u + δ becomes 2u + 2δ. In the other modes the images k + u + δ modulo 2 have
     the same distribution as the images of (u + δ modulo 1).
-    Therefore wrap-around does not cause a discontinuity. A mirrored estimator with a sampler
-    ``S`` equals the inner estimator with ``S | mirror(mode=...)``, point by point
-    (``mode='fold'`` for ``"integrand"``). In contrast, ``S | mirror(...) | shift`` moves
-    folded points across the jump between f(1) and f(0).
+    Therefore wrap-around does not cause a discontinuity.
+
+    A mirrored estimator with a sampler ``S`` equals the inner estimator with
+    ``S | mirror(mode=...)``, point by point. For ``"integrand"`` the mode is ``'fold'``.
+    In contrast, ``S | mirror(...) | shift`` moves folded points across the jump
+    between f(1) and f(0).
 
     In ``"random"`` mode the reflections are independent. Their variance is 1/n times the variance
     of f over the images of a point, so it decreases as 1/n for every sampler.

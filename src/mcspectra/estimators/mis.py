@@ -3,9 +3,10 @@
 As in renderers, counts are per technique: n light samples *and* n BSDF samples.
 In the one-sample model, each point selects its technique:
 
-I = (1/n) Σ_k w_t f/(P_t p_t), where t has the probability P_t ([VeachGuibas1995]_ and
-[Veach1997]_ §9.2.4). With the balance heuristic w_t = P_t p_t / Σ_s P_s p_s, this is the same
-as sampling from the mixture Σ_s P_s p_s.
+I = (1/n) Σ_k w_t f/(P_t p_t), where technique t has the probability P_t.
+This estimator is described in [VeachGuibas1995]_ and in §9.2.4 of [Veach1997]_.
+With the balance heuristic w_t = P_t p_t / Σ_s P_s p_s,
+it is the same as sampling from the mixture Σ_s P_s p_s.
 No other weights have less variance with random points (Theorem 9.4 of Veach).
 """
 
@@ -415,8 +416,8 @@ def split_mixture(
     MultipleImportance
         The parts, with counts in proportion to their shares and the balance heuristic.
         Every point has the weight 1/p of the mixture. With counts c_t there are n Σ c_t points.
-        For random points, the variance is at most that of the mixture
-        (a stratified mixture, [OwenZhou2000]_ §3.2).
+        It is a stratified mixture ([OwenZhou2000]_ §3.2).
+        For random points, its variance is at most that of the mixture.
 
     Raises
     ------

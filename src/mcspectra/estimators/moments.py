@@ -1,7 +1,7 @@
 """Mergeable moments: mean, variance and confidence interval, computed block by block.
 
-Blocks are merged by the formulas of [ChanGolubLeVeque1983]_ and Pébay (2008), which avoid
-cancellation. All arrays have the realization axis first.
+All arrays have the realization axis first. Blocks are merged by the formulas
+of [ChanGolubLeVeque1983]_ and Pébay (2008), which avoid cancellation.
 """
 
 from __future__ import annotations
@@ -41,10 +41,11 @@ _BEYOND = {16: 0.005, 64: 0.02, 256: 0.15}
 # Largest squared error. For larger ones there is less than one degree of freedom,
 # and the upper end of the variance is above 100 s²
 _MOST_ERROR = 2.0
-# Three limits for tails. If the tail index is above the first number, the upper end of the variance
-# accounts for the tail. The second is the standard error of an index from 64 tail values.
-# If the index is above the third number, the variance is unbounded. At index ¼ the kurtosis is
-# infinite. For values u^−0.3 and 1,000 realizations, the interval holds in 96 % of cases,
+# Three limits for tails. If the tail index is above the first number,
+# the upper end of the variance accounts for the tail.
+# The second number is the standard error of an index from 64 tail values.
+# If the index is above the third number, the variance is unbounded.
+# At index ¼ the kurtosis is infinite. For 1,000 values u^−0.3 the interval holds in 96 % of cases,
 # and in 85 % with the kurtosis alone. For uniform, normal and exponential values it is the same.
 _TAILED, _INDEX_ERROR, _MOST_INDEX = 0.05, 0.16, 0.32
 # Quantile of log(σ²/s²) at 97.5 %, for R values u^−k with uniform u. Rows are R and columns are k;
@@ -293,9 +294,9 @@ class Moments:
     def relative_se(self) -> Array:
         """Relative standard error of the variance, from the kurtosis of the values.
 
-        Var(s²)/σ⁴ = (κ − (R−3)/(R−1))/R [Kenney & Keeping 1951]. Few values underestimate
-        the kurtosis κ. Therefore κ is moved toward 3, its value for a normal law,
-        with the weight of 20 values.
+        Var(s²)/σ⁴ = (κ − (R−3)/(R−1))/R [Kenney & Keeping 1951].
+        Few values underestimate the kurtosis κ. Therefore κ is moved toward 3,
+        its value for a normal law, with the weight of 20 values.
         If stored sets are reused, the result is at least the error from the jackknife.
         """
         return np.maximum(self._alone_se, self._stored_errors()[0])
@@ -389,9 +390,9 @@ class Moments:
     def tail_index(self) -> Array:
         """Index k̂ of a generalized Pareto distribution that is fitted to the farthest values.
 
-        An index of 0 means an exponential tail, and ½ means infinite variance. The index is
-        estimated by probability-weighted moments [HoskingWallis1987]_. They are computed
-        from the 63 largest values minus the 64th, on the side of the mean that reaches farther.
+        An index of 0 means an exponential tail, and ½ means infinite variance.
+        It is estimated by probability-weighted moments [HoskingWallis1987]_ of the distances
+        of the 63 largest values from the 64th, on the side of the mean that reaches farther.
         The two sides are not combined, because one tail may end where the other begins.
         The index is NaN for fewer than 300 values, or without `tails`.
         """

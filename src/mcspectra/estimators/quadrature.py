@@ -1,7 +1,7 @@
 """Quadrature of primary-space integrands: means over strata and shifted grids, and ∫g².
 
-Strata are cut at the discontinuities that the integrand declares (`breaks`), and at the seam
-of the torus. They are cut more finely toward 0 and 1, where warps are singular.
+Strata are cut at the seam of the torus, and at the discontinuities that the integrand declares
+(`breaks`). They are cut more finely toward 0 and 1, where warps are singular.
 Pieces are integrated by Gauss-Legendre rules.
 If the integrand has closed-form moments over boxes, they are integrated exactly.
 """

@@ -11,9 +11,9 @@ All probes are the same in each run:
   the largest one in each interval.
 
 A density that is 0 only at points passes, such as a power at 0 or a tent at its ends,
-because no probe lies at these points. The search misses regions without a probe in 2-D and more,
-and gaps of the density that its warp does not have. A warp that is computed from a pdf alone
-has all gaps wider than 2^-18 (`mcspectra.densities.NumericalDensity`).
+because no probe lies at these points. In 2-D and more, the search misses regions
+without a probe. It also misses gaps of the density that the warp does not have.
+A warp from a pdf alone has all gaps wider than 2^-18 (`mcspectra.densities.NumericalDensity`).
 """
 
 from __future__ import annotations

@@ -4,9 +4,10 @@
 As an example, let f = 1, and let p be normal about ½ with σ = 0.02. Then ∫f²/p is 4e131,
 and 99.8 % of it come from x within 0.005 of the ends. One sample in 3e134 falls there.
 
-If f grows without bound toward a face of the cube, the outermost stratum causes most of the
-variance of stratified points. For f ∝ t^−κ at the distance t, the error of a set has
-the distribution of u^−κ with uniform u, up to scale. Student's t of few such errors is skewed.
+If f grows without bound toward a face of the cube,
+the outermost stratum causes most of the variance of stratified points.
+For f ∝ t^−κ at the distance t, the error of a set has the distribution of u^−κ
+with uniform u, up to scale. Student's t of few such errors is skewed.
 Its quantiles depend only on κ and on the number of sets.
 `growing_interval` computes these quantiles by simulation.
 """
@@ -79,9 +80,10 @@ class TailSettings:
     # Probability that the integral is beyond the end on the side of the growth.
     # The other end comes from Student's t, and the integral is hardly ever beyond it
     beyond: float = 0.04
-    # Number of values that may hold half of the variance at points. If fewer values do, most sets
-    # miss important regions. Among 8,192 points, 700 or more hold half for smooth functions, 60 for
-    # x^−0.3, 45 for a peak of 1 % of the square, and one for three narrow peaks in 8 dims
+    # If fewer values than this hold half of the variance, most sets miss important regions.
+    # Among 8,192 points, half of the variance is held by 700 or more for smooth functions,
+    # by 60 for x^−0.3, by 45 for a peak of 1 % of the square,
+    # and by one for three narrow peaks in 8 dims
     few: int = 4
     # Number of simulated values of Student's t. Quantiles at 4 % then have errors of 1 %
     samples: int = 40_000
@@ -180,8 +182,9 @@ def growing_interval(
 ) -> tuple[float, float]:
     """Return a 95 % interval of the mean of estimates (R,) by strata, for a growing function.
 
-    The interval is `mean_interval`. On the side of the growth, it is extended to the quantile
-    of Student's t for errors u^−κ. It is infinite if the exponent is close to ½ or above.
+    The interval is `mean_interval`, extended on the side of the growth:
+    it reaches the quantile of Student's t for errors u^−κ.
+    It is infinite if the exponent is close to ½ or above.
     """
     low, high = mean_interval(estimates)
     mean = float(estimates.mean())

@@ -87,9 +87,9 @@ class CauseSettings:
     itself.
     """
 
-    # Least number of scrambled nets. A variance of 20 normal estimates has a relative
-    # standard error of a third. With 40 nets of half the size, one of 152 causes is wrong;
-    # 10 nets are also enough.
+    # Least number of scrambled nets.
+    # A variance of 20 normal estimates has a relative standard error of a third.
+    # With 40 nets of half the size, one of 152 causes is wrong; 10 nets are also enough.
     nets: int = 20
     # For more evaluations than this, the number of nets grows as the square root of evaluations.
     # Nets then have 512 points or more, so a curve has at least ten counts.
@@ -102,8 +102,8 @@ class CauseSettings:
     # Values from 0.075 to 0.15 give the same results.
     # With 0.3 nets have fewer evaluations, and one of 152 causes is wrong.
     check_share: float = 0.15
-    # Fraction of the budget that is spent on the given sampler if nets cannot estimate
-    # its variance. The nets then get 40 % of the budget.
+    # If nets cannot estimate the variance of the given sampler, this fraction of the budget
+    # is spent on the sampler. The nets then get 40 % of the budget.
     # Values from 0.125 to 0.5 give the same results.
     given_share: float = 0.25
     # Largest fraction of the lines' evaluations that is spent on the search for a pole.
@@ -116,12 +116,12 @@ class CauseSettings:
     # Number of points at which values are computed again to detect noise.
     # A function that is random at half of all points is detected with probability 1 − 2^−8 = 0.996.
     again: int = 8
-    # Two values at a point count as equal if their difference is below this
-    # fraction of the largest value. Rounding is smaller: for sums of 1e6 terms in float64
+    # Two values at a point are equal if their relative difference is below this number.
+    # Rounding is smaller: for sums of 1e6 terms in float64,
     # and for sums of a few terms in float32, in any order.
     same_value: float = 1e-6
-    # In many dims, a pole is searched for only if the largest squared deviation
-    # is above this number times the variance.
+    # In many dims, the largest squared deviation must be above this number times the variance,
+    # or no pole is searched for.
     # Values from 150 to 600 give the same results.
     climbed: float = 300.0
     # Smallest and largest allowed size of g. The squares of such values,
@@ -178,8 +178,8 @@ class CauseSettings:
     # a parallel line with a jump at the same coordinate.
     # Values from 0.35 to 0.7 give the same results; above 1, no jump is parallel to an axis.
     straight: float = 0.7
-    # Number of lines through jumps, divided by the number of lines through cusps, above which
-    # g jumps. One line in 100 through a cusp of order ½ appears to be a jump by chance.
+    # g jumps if the lines through jumps are more than this fraction of the lines through cusps.
+    # One line in 100 through a cusp of order ½ appears to be a jump by chance.
     jumps_of_cusps: float = 0.05
     # The function oscillates if more than this fraction of places along a line are local extremes.
     # The fraction is ⅔ for noise. Values from 0.165 to 0.33 give the same results;
@@ -222,18 +222,19 @@ class CauseSettings:
     # Rounding of means is about 1e-16. For a scrambled net of up to 400,000 points,
     # the mean of x along an axis varies by more than 1e-9: by 0.29 n^−1.5.
     rounding: float = 1e-9
-    # Rounding matters if the distance between floating-point numbers is above this fraction
-    # of the spread of g. Steps of 1 % of the spread change the variance by 1e-5.
+    # Rounding matters if floating-point numbers differ by more than this fraction of g's spread.
+    # Steps of 1 % of the spread change the variance by 1e-5.
     # The same fraction is the least variance along a line, relative to the largest one.
     # Values from 0.005 to 0.02 give the same results.
     coarse: float = 1e-2
-    # Two limits of a technique's part of the variance. Above the first limit the technique
-    # is the cause; above the second, it is the cause if its rate is also slower.
+    # Two limits of a technique's part of the variance.
+    # Above the first limit, the technique is the cause.
+    # Above the second, it is the cause if its rate is also slower.
     # For the first, values from 0.4 to 1.6 give the same results; for the second, from 0.25 to 1.
     dominant: float = 0.8
     largest_part: float = 0.5
-    # Number of standard errors by which the rate of a technique must be slower
-    # than other rates, for 95 % confidence.
+    # With 95 % confidence, a technique has a slower rate if the rates differ by this number
+    # of standard errors.
     slower: float = 2.0
     # Settings of lines, of the search for poles, and of curves of variance
     lines: LineSettings = LINE_SETTINGS

@@ -1,8 +1,7 @@
 """Causes of noise of an estimator with its sampler, and reasons why a change lowers the noise.
 
 The causes are the same as in a profile. There are two further reasons why a change may help:
-unbounded weights 1/p, and a primary-space integrand g with a part that is odd
-about the center of the cube.
+unbounded weights 1/p, and a primary-space integrand g that is partly odd about the center.
 """
 
 from __future__ import annotations
@@ -146,9 +145,9 @@ def diagnose(
     """Find the causes of noise, within `most` evaluations of a user's function."""
     with counting("The diagnosis", most):
         causes, unseen = _looked_for(estimator, sampler, stream, most)
-        # Compute the fraction of the variance of g that cancels in the mean over all 2^d
-        # reflections about the center. The points are fixed. In many dims,
-        # or if g is constant or cannot be evaluated, the fraction is None
+        # Compute which fraction of the variance of g cancels in the mean over all 2^d reflections
+        # about the center, at fixed points. The fraction is None in many dims,
+        # or if g is constant or cannot be evaluated
         odd, whole, even = None, 0.0, 0.0
         with suppress(McspectraError):
             few = estimator.dims <= _SETTINGS.odd_dims

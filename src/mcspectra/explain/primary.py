@@ -1,7 +1,7 @@
 """The primary-space integrand as an image, with jumps that explain slow rates.
 
-Jumps of g make the rate of correlated samplers slower, both inside the square and between
-opposite sides. Mirroring removes the jumps between opposite sides, but not the jumps inside.
+Jumps of g make the rate of correlated samplers slower. They lie inside the square
+or between its opposite sides. Mirroring removes only the jumps between opposite sides.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ class PictureSettings:
     # 2^−40 is 2^14 times closer, and still exact next to 1.
     near: float = 2.0**-26
     nearer: float = 2.0**-40
-    # A difference between opposite faces is a jump if at least this fraction remains
-    # at the smaller distance from the faces. A jump remains in full. Without a jump, the fraction
-    # is 2^−14 for a smooth g, and 2^−7 for a square root.
+    # Fraction of a difference between opposite faces that remains at the smaller distance.
+    # Above this limit, the difference is a jump. A jump remains in full. Without a jump,
+    # the fraction is 2^−14 for a smooth g, and 2^−7 for a square root.
     stays: float = 0.5
     # g has a pole at a face if it grows by this factor from the larger to the smaller distance.
     # The power t^−a grows by more than this for a > 1/14; bounded functions grow less.
@@ -88,8 +88,8 @@ def primary_picture(
         ``primary_jump`` (axis, u0, u1) is the size of the jump to the next cell along each axis,
         and 0 where g is continuous.
         ``face_jump`` (axis[, along]) is the size of the jump from u_axis = 0 to u_axis = 1,
-        at centers along the other axis. It matters for samplers that wrap around,
-        and is infinite at poles. For the two kinds ``interior`` and ``boundary``,
+        at centers along the other axis. This jump matters for samplers that wrap around.
+        It is infinite at poles. For the two kinds ``interior`` and ``boundary``,
         ``primary_jump_length`` is the length of the curves on which g jumps (in 1-D their number),
         and ``primary_jump_height`` is the mean height of the jumps.
         If g is unbounded, the height is infinite and ``primary_pole`` is 1.

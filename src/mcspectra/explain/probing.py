@@ -62,10 +62,10 @@ class LineSettings:
     # Values from 8 to 16 give the same results.
     # With 32 steps there are half as many lines, and two of 152 causes are wrong.
     steps: int = 16
-    # Number of halvings of the step around the roughest place. The last step is 2^−12 of a step,
-    # or 1.5e-5 of the line. This is far above rounding, and far below the distance
-    # between features that 16 steps can find. With 6 halvings 29 of 152 causes are wrong;
-    # values from 12 to 24 give the same results.
+    # Number of halvings of the step around the roughest place.
+    # The last step is 2^−12 of a step, or 1.5e-5 of the line. This is far above rounding,
+    # and far below the distance between features that 16 steps can find.
+    # With 6 halvings 29 of 152 causes are wrong; values from 12 to 24 give the same results.
     halvings: int = 12
     # The second differences of this number of last halvings give the exponent.
     # Values from 3 to 6 give the same results; with 12 two of 152 causes are wrong.
@@ -101,9 +101,10 @@ class LineSettings:
     # After 12 halvings, the second difference of a smooth g is about 1e-9 of the spread.
     # Values from 5e-10 to 2e-9 give the same results.
     negligible: float = 1e-9
-    # Second differences also count as rounding below this number of spacings of floating-point
-    # numbers. The spacing is taken at the values of g. A sum of a thousand terms in random order
-    # is off by about √1000 = 32 spacings. Values from 16 to 64 give the same results.
+    # Second differences also count as rounding below this number of spacings of float numbers.
+    # Spacings are taken at the values of g.
+    # A sum of a thousand terms in random order is off by about √1000 = 32 spacings.
+    # Values from 16 to 64 give the same results.
     grains: float = 32.0
     # g grows up to the end of a line if the last gain, divided by the gain before, is above this.
     # The ratio is 2^−10 for a bounded function, 1 for ln t, and 2^(10a) for t^−a.
@@ -120,8 +121,8 @@ class LineSettings:
     # to be normal to an axis with probability 1/3. With more axes this probability is smaller.
     groups: int = 3
     # Distances from both ends at which g is evaluated on a line along an axis.
-    # The last two have the ratio 2^10, so that even t^−0.08 grows by a factor of 1.7
-    # between them. 2^−40 is still exact next to 1. Half and twice the value give the same results.
+    # The last two have the ratio 2^10. Even t^−0.08 grows by a factor of 1.7 between them.
+    # 2^−40 is still exact next to 1. Half and twice the value give the same results.
     ends: tuple[float, ...] = (2.0**-4, 2.0**-12, 2.0**-20, 2.0**-30, 2.0**-40)
     # Distance from an end of a line at which g must be computable;
     # samples of a few thousand points come as close.
@@ -161,8 +162,8 @@ class PoleSettings:
     # Number of halvings in a group. The climb is judged by the medians of its last three groups.
     # With 2, one of 18 poles is wrong; values from 3 to 6 give the same results.
     group: int = 3
-    # The climb ends because g is bounded if the ratio of the last gain to the gain before
-    # is below this value. Near a smooth top, gains fall by 4^−3 in a group of three halvings.
+    # Ratio of the last gain to the gain before. Below this value g is bounded, and the climb ends.
+    # Near a smooth top, gains fall by 4^−3 in a group of three halvings.
     # For ln r, gains stay equal. Values from 0.15 to 0.6 give the same results.
     bounded: float = 0.3
     # Number of rays from the top. The median of their exponents is used.
@@ -182,8 +183,8 @@ class PoleSettings:
     # The top is not a pole if g rises outward on more than this fraction of the rays.
     # Values from 0.125 to 0.5 give the same results.
     rising: float = 0.25
-    # Growth toward one face is measured at this distance from all other faces,
-    # in units of the last step. The distance is half of the first step,
+    # Distance from all other faces at which growth toward one face is measured.
+    # Its unit is the last step. The distance is half of the first step,
     # and 2^7 times the largest of the first three radii.
     # Values from 2^14 to 2^16 give the same results.
     away: float = 2.0**15
@@ -200,8 +201,8 @@ class PoleSettings:
     # Number of the largest heights that are compared before a climb.
     # Values from 8 to 32 give the same results.
     compared: int = 16
-    # A climb starts if the largest and the last of these heights differ by more
-    # than this fraction. Values from 0.05 to 0.2 give the same results.
+    # A climb starts only if the largest and the last of these heights differ by this fraction.
+    # Values from 0.05 to 0.2 give the same results.
     stands_out: float = 0.1
     # Growth with an exponent below this value counts as logarithmic. Exponents below the negative
     # of this value mean that there is no pole. Measured exponents are right to 0.02

@@ -8,9 +8,9 @@ their values is the variance of jittered points. In the same way, slabs of an ax
 the variance of Latin hypercubes, and the whole cube gives that of random points.
 Products of values from the same net are omitted, because these values are correlated.
 
-Errors come from a jackknife over the nets. The error of the rate therefore includes
-the correlation between counts. In the model of the rate, the rate is constant over
-the last octaves, and drifts by a random walk over earlier octaves.
+Errors come from a jackknife over the nets, so the error of the rate includes
+the correlation between counts. The model of the rate is constant over the last octaves,
+and drifts by a random walk over earlier octaves.
 The likelihood of the curve gives weights to several step sizes of the walk.
 All counts of a straight curve contribute to its rate,
 but the rate of a bent curve depends on the last counts only.
@@ -80,8 +80,8 @@ class CurveSettings:
     # If a rate is not known, −1 is used with this standard error.
     # Rates from −2 to 0 are within two standard errors.
     unknown: float = 0.5
-    # Least standard error of a logarithm of the variance. Real curves deviate from lines
-    # by 2 % or more. With 0.01 and 0.04, rates are the same to 0.01.
+    # Least standard error of a logarithm of the variance.
+    # Real curves deviate from lines by 2 % or more. With 0.01 and 0.04, rates are the same to 0.01.
     floor: float = 0.02
     # A measured rate agrees with a theoretical rate if it is within this number of standard errors.
     # The value corresponds to 95 % of a normal law.

@@ -216,12 +216,14 @@ def best_alignment(
     Returns
     -------
     xarray.Dataset
-        A dataset on the dim candidate: ``"unshifted"``, ``"offset"`` and, with `edges`,
-        ``"aligned"``. ``strata_offset(candidate, axis)`` is the offset of each candidate.
+        A dataset on the dim candidate, which is ``"unshifted"``, ``"offset"`` or ``"aligned"``;
+        the last one exists only with `edges`.
+        ``strata_offset(candidate, axis)`` is the offset of each candidate.
         ``predicted_variance`` and ``measured_variance`` have sums over channels.
         ``variance_ratio`` is the ratio of the measured variance to that of the first candidate.
-        ``improvement`` is 1 if the interval ``variance_ratio_ci`` is below 1, −1 if it is above 1,
-        and 0 otherwise. ``best`` names the candidate with the least predicted variance,
+        ``improvement`` is 1 if its interval ``variance_ratio_ci`` is below 1,
+        −1 if the interval is above 1, and 0 otherwise.
+        The attribute ``best`` names the candidate with the least predicted variance,
         or with the least measured variance if a candidate has no prediction.
         The attribute ``improved`` is yes, no or undecided for the best candidate.
 

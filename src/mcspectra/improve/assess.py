@@ -49,8 +49,8 @@ class AssessSettings:
     # estimates, it reduces the scatter of standard errors from 12 to 10 %.
     # For any weight from 0 to 40, intervals contain the truth in 93 to 95 % of cases.
     prior: int = 20
-    # Equal estimates count as exact if they are within this number of standard errors
-    # of the mean of the given set-up. A normal mean is beyond 4 with probability 6e-5.
+    # Equal estimates count as exact within this number of standard errors of the given mean.
+    # A normal mean is beyond 4 standard errors with probability 6e-5.
     sigmas: float = 4.0
 
 

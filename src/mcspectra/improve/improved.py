@@ -1,8 +1,8 @@
 """Changes of estimators by evaluations of g: densities, control variates, rotations, smoothing.
 
-All changes apply to the primary-space integrand g on the unit cube, so they exist
-for any estimator of one technique. Changes of these kinds keep the integral,
-whatever the evaluations of g are:
+All changes apply to the primary-space integrand g on the unit cube,
+so they can be used with any estimator of one technique.
+The changes of these kinds keep the integral, whatever the evaluations of g are:
 
 * *fitted*: g(T(u))/q(T(u)) with uniform u. The density q consists of splines
   (`mcspectra.improve.learned`), or it is a normal density of z = Φ⁻¹(u)
@@ -10,10 +10,11 @@ whatever the evaluations of g are:
 * *order*: the same with an orthogonal matrix and q = 1. The directions of z along
   which g varies most come first ([Liu2023]_), since the first coordinates of nets are the best;
 * *regression*: g minus fitted polynomials of mean 0;
-* *preintegrated*: means along the first direction. Along it, g jumps or leaves 0 at one point.
+* *preintegrated*: means along the first direction, in which g jumps or leaves 0 at one point.
   The means are taken on both sides of this point, and over a bracket that contains it.
-  Each of these three parts is sampled at one or two points. The bracket depends
-  on the other coordinates only, so the sum over the parts has the expectation of g.
+  Each of these three parts is sampled at one or two points.
+  The bracket depends on the other coordinates only,
+  so the sum over the parts has the expectation of g.
 
 `Cubic` needs no pilot: it subtracts polynomials from g.
 These polynomials go through the values of g at the centers of cells.
@@ -104,8 +105,8 @@ class RegressionSettings:
     # It is relative to the mean squares of the basis, which are 1.
     # Results are the same to three digits for values from 1e-12 to 1e-4.
     ridge: float = 1e-9
-    # Maximum number of terms of a basis. It limits the cost of an evaluation
-    # of the control variate. Results are the same for 128 and 512.
+    # Maximum number of terms of a basis, which limits the cost of an evaluation.
+    # Results are the same for 128 and 512.
     most_terms: int = 256
     # Candidate degrees of polynomials: the largest degree in one coordinate,
     # and the largest total degree of products of two coordinates.
@@ -121,8 +122,8 @@ class RegressionSettings:
         (6, 6),
         (8, 8),
     )
-    # Highest degree of Hermite polynomials. Higher degrees have most of their variance in tails
-    # that few evaluations reach: half of E z⁸ comes from |z| > 2.9, a region of probability 0.004.
+    # Highest degree of Hermite polynomials. Higher degrees have most of their variance in tails:
+    # half of E z⁸ comes from |z| > 2.9, a region of probability 0.004.
     most_normal_degree: int = 3
     # Number of leading directions of z for which separate bases are tried,
     # because a basis of few coordinates may have more terms.
@@ -651,8 +652,9 @@ def _order(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:
 def _preintegrated(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:  # noqa: ARG001
     """Take means along the axis that leaves the least variance, or along the first direction.
 
-    The remaining variance is at least the part that a regression assigns to the other
-    coordinates alone. It is at most the variance without the main effect of this coordinate.
+    The remaining variance has two bounds. The lower bound is the part that a regression assigns
+    to the other coordinates alone.
+    The upper bound is the variance without the main effect of this coordinate.
     The expected variance is the geometric mean of both bounds.
     Squared coefficients are estimated by products of coefficients from two halves.
     """

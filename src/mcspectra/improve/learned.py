@@ -61,10 +61,10 @@ class LearnSettings:
     """Settings of fits of splines, and of the choice between fitted densities."""
 
     # Candidates of the two kinds, from smooth to fine. Each has three numbers: cells of each axis;
-    # parts of a mixture, or 0 for a flow; weight of the smoothness penalty. The first candidate
-    # also places the points of the first rounds. Evaluations that were not used in any fit
-    # choose one candidate. If any one of them is left out, the variance of a peak in 2-D
-    # and of two bells in 3-D changes by −30 to +6 %.
+    # parts of a mixture, or 0 for a flow; weight of the smoothness penalty.
+    # The first candidate also places the points of the first rounds.
+    # Evaluations that were not used in any fit choose one candidate. Without any one of them,
+    # the variance of a peak in 2-D and of two bells in 3-D changes by −30 to +6 %.
     mixture: tuple[tuple[int, int, float], ...] = (
         (12, 4, 1e-3),
         (8, 4, 1e-1),
@@ -79,8 +79,9 @@ class LearnSettings:
     )
     # Maximum number of dims of a learned density. The fit of a flow in 24-D takes 9 s.
     most_dims: int = 24
-    # Least allowed number of evaluations. Of 256, one half is for the fit. A quarter is for
-    # the choice: six sets of two points for each of five candidates. A quarter is for the check.
+    # Least allowed number of evaluations. Of 256, one half is for the fit.
+    # A quarter is for the choice: six sets of two points for each of five candidates.
+    # Another quarter is for the check.
     least_evaluations: int = 256
     # Least number of evaluations by default: `most_fitted` for the fit,
     # and the same number for the choice and the check together.
@@ -108,8 +109,9 @@ class LearnSettings:
     # Maximum number of steps of L-BFGS in a fit.
     # Half or twice as many steps change the variances by 5 % at most.
     steps: int = 120
-    # Largest change of the logarithm of a weight in one step of L-BFGS. With 1, a weight changes
-    # by a factor of at most e. With 0.5 or 2 variances change by 1 %, and one falls by 18 %.
+    # Largest change of the logarithm of a weight in one step of L-BFGS.
+    # With 1, a weight changes by a factor of at most e.
+    # With 0.5 or 2 variances change by 1 %, and one falls by 18 %.
     longest: float = 1.0
     # L-BFGS ends if the entropy decreases by less than this number.
     # For values from 2e-10 to 2e-8, the variances are the same to three digits.
@@ -385,8 +387,8 @@ def learned_density(
     dims
         Number of dims, up to 24. It is needed if neither f nor the sampler has a number of dims.
     evaluations
-        Maximum number of evaluations of f, at least 256. Half of them, but at most 8192,
-        are for the fit. The remaining evaluations are divided into two halves:
+        Maximum number of evaluations of f, at least 256.
+        Half of them are for the fit, but at most 8192. The others are divided into two halves:
         one half chooses between candidates, and the other half checks the result.
         The default is 16 n + 8192, and at least 24576.
     defensive

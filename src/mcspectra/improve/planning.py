@@ -2,8 +2,9 @@
 
 For known integrands, the variance is predicted at powers of two.
 Between two powers, it is predicted at counts from bisection.
-For a user's function the variance is measured. Scrambled nets give the variance of several
-samplers at once (`mcspectra.explain.samples`); other samplers draw their own sets.
+For a user's function the variance is measured.
+Scrambled nets give the variance of several samplers at once (`mcspectra.explain.samples`).
+Other samplers draw their own sets.
 A measurement has stages. Each stage doubles the evaluations, and none is repeated.
 The measurement ends at the first stage whose interval of n is narrow enough.
 A smaller error never takes fewer points: every search uses the error in comparisons only,
@@ -51,8 +52,9 @@ _TINY = float(np.finfo(float).tiny)
 class PlanSettings:
     """Settings of the search for the least count by predictions."""
 
-    # Largest power of two at which variances are predicted. For larger n the curve is extrapolated
-    # by its rate. `predict` also searches for the asymptotic rate up to this count.
+    # Largest power of two at which variances are predicted.
+    # For larger n the curve is extrapolated by its rate.
+    # `predict` also searches for the asymptotic rate up to this count.
     octaves: int = 16
     # The predicted curve extends below the target variance by this factor,
     # so that the upper ends of intervals also reach the target.
@@ -830,8 +832,8 @@ def plan(
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Maximum number of evaluations of a function or of a costly integrand. All samplers
-        share them; the default is 2^18. A plan starts with 4,096 evaluations
+        Maximum number of evaluations of a function or of a costly integrand.
+        All samplers share these evaluations; the default is 2^18. A plan starts with 4,096
         and doubles this number until the ends of the interval of n differ by a factor below 1.5.
 
     Returns
@@ -839,17 +841,19 @@ def plan(
     xarray.Dataset
         A dataset. ``planned_n`` is the least count whose RMSE is at most the target,
         or NaN if it is not known.
-        For nets (such as sobol and pmj02) it is a power of their base, because other counts
-        are unbalanced. For other samplers of known integrands, it is accurate to 0.4 %.
+        For nets (such as sobol and pmj02) it is a power of their base,
+        because nets of other counts are unbalanced.
+        For other samplers of known integrands, it is accurate to 0.4 %.
         With the same seed, a smaller target never has a smaller ``planned_n``.
         ``planned_n_ci(bound)`` is the count for the ends of the 95 % interval of the variance.
         If the values do not bound the variance, the upper end is infinite,
         and the attribute ``note`` gives the reason. ``planned_error`` is the RMSE at ``planned_n``.
         ``target_variance`` is the square of the target.
-        The curve ``predicted_variance(n)`` with ``predicted_variance_ci(n, bound)`` has allowed
-        powers of two. It ends at a quarter of the target variance or at 2^16 points.
-        Beyond the predicted or measured counts, n is extrapolated by the last slope;
-        ``how`` reports this. The coordinates ``method`` and ``how`` are the same as in `predict`.
+        ``predicted_variance(n)`` with ``predicted_variance_ci(n, bound)`` is the curve of variance.
+        Its counts are allowed powers of two.
+        The curve ends at a quarter of the target variance or at 2^16 points.
+        For larger n it is extrapolated by the last slope, which ``how`` reports.
+        The coordinates ``method`` and ``how`` are the same as in `predict`.
         For measurements they are ``"measured"`` and the number of evaluations.
         For a single sampler they are attributes. A list of samplers adds the dim sampler.
         The attribute ``answer`` is a sentence.

@@ -47,9 +47,9 @@ class RemedySettings:
     # Number of budgets at which each set-up is measured. From the five budgets B/256, B/64, B/16,
     # B/4 and B, a rate is fitted, with three degrees of freedom for the lack of fit.
     steps: int = 5
-    # Ratio of successive budgets. The total cost is 1/(1 − 1/ratio) times the largest budget,
-    # which is 4/3 here. A smaller ratio costs more. With a larger ratio,
-    # only two or three budgets would be large enough for two points.
+    # Ratio of successive budgets. A smaller ratio costs more: the total is 1/(1 − 1/ratio) times
+    # the largest budget, which is 4/3 here.
+    # With a larger ratio, only two or three budgets would be large enough for two points.
     ratio: int = 4
     # Expected number of changes of each kind, for estimates of cost and memory before a run.
     # For functions in 2-D, all 15 kinds together make 17 to 24 changes; ``sampler`` makes eight.
@@ -62,8 +62,8 @@ class RemedySettings:
     # whose estimated error can be too small.
     # Equal estimates that miss a rare event differ from the integral by far more than this.
     quadrature_tolerance: float = 1e-3
-    # The same limit in standard errors of such an integral, if this exceeds
-    # `quadrature_tolerance`. A normal error is beyond 4 standard errors with probability 6e-5.
+    # If this number of standard errors of such an integral exceeds `quadrature_tolerance`,
+    # it is the limit instead. A normal error is beyond 4 with probability 6e-5.
     sigmas: float = 4.0
 
 
@@ -284,8 +284,9 @@ def remedies(
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
         Maximum number of evaluations of the integrand. If the given set-up and its diagnosis need
-        more, an error is raised before any evaluation. The kinds share the remaining evaluations
-        equally. A change that needs more than the share of its kind is not tried.
+        more, an error is raised before any evaluation.
+        All kinds have equal shares of the remaining evaluations.
+        A change that needs more than the share of its kind is not tried.
 
     Returns
     -------
@@ -318,8 +319,9 @@ def remedies(
     The pilot takes an eighth of the budget, but at most 4096 evaluations.
 
     If no count of points costs exactly the budget, the largest count below it is measured,
-    and the error is extrapolated to the budget along the fitted rate. The interval includes
-    the uncertainty of the slope. Errors are not extrapolated for changes with a pilot.
+    and the error is extrapolated to the budget along the fitted rate.
+    The interval includes the uncertainty of the slope.
+    Errors are not extrapolated for changes with a pilot.
 
     A user's function is evaluated at most 4/3 · budget · realizations times for each set-up,
     and 7/3 · budget · realizations times for the given set-up with its diagnosis.

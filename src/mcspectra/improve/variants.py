@@ -41,8 +41,8 @@ _ORIGINAL = "original"
 class SmoothingSettings:
     """Settings of scans over widths of smoothed edges."""
 
-    # Maximum number of widths in one scan. With 64 points and the default 1000 realizations,
-    # 256 widths take 1.6e7 evaluations.
+    # Maximum number of widths in one scan.
+    # With 64 points and the default 1000 realizations, 256 widths take 1.6e7 evaluations.
     most_widths: int = 256
 
 
@@ -82,9 +82,10 @@ def smoothing_scan(
     Returns
     -------
     xarray.Dataset
-        A dataset. ``variance(width, n)`` with ``variance_ci``, and its rate ``rate(width)``
-        with ``rate_ci``. ``smoothing_bias(width)`` is the change of the integral.
-        ``bias_squared(width)`` is its square. The interval ``bias_squared_ci`` follows
+        A dataset. ``variance(width, n)`` with ``variance_ci`` is the variance,
+        and ``rate(width)`` with ``rate_ci`` is its rate.
+        ``smoothing_bias(width)`` is the change of the integral.
+        ``bias_squared(width)`` is its square, and its interval ``bias_squared_ci`` is computed
         from the errors of the integrals.
         ``mse(width, n)`` with ``mse_ci`` is the mean squared error, bias² + variance.
         ``best_width(n)`` is the width with the least mse. ``best_width_range(n, bound)`` is

@@ -2,12 +2,13 @@
 
 All evaluations are within a budget.
 
-Most of the budget goes to scrambled nets, which give the variances of several samplers at once
-(`samples`). A fifth goes to lines that detect discontinuities and kinks (`probing`).
+Most of the budget goes to scrambled nets (`samples`).
+These give the variances of several samplers at once.
+A fifth goes to lines that detect discontinuities and kinks (`probing`).
 If the nets do not give the variance of the given sampler, a part goes to this sampler.
-`causes` finds the causes in these evaluations. The rest of the budget measures changes
-that answer the causes, and one more sampler. This is a lattice, or for smooth functions
-of one dim, antithetic pairs in strata.
+`causes` finds the causes in these evaluations.
+The rest of the budget measures changes that answer the causes, and one more sampler.
+This is a lattice, or antithetic pairs in strata for smooth functions of one dim.
 """
 
 from __future__ import annotations
@@ -85,11 +86,11 @@ class ProfileSettings:
     # Width of the text of a cause in columns, one line of a usual terminal or page.
     width: int = 100
     # Points of each net to which changes are fitted; 20 nets take 1280 evaluations.
-    # Half or double this number gave the same advice in 12 profiles of 8192 evaluations
-    # (six functions, two seeds). The RMSE after one fitted change differed by a factor of 2.4.
+    # In 12 profiles of 8192 evaluations (six functions, two seeds), half or double this number
+    # gave the same advice. The RMSE after one fitted change differed by a factor of 2.4.
     fitted_points: int = 64
-    # Dependence of draws is a cause if their effective number, divided by all draws of a chain,
-    # is at most this ratio. The upper end of the interval of the ratio is compared.
+    # Dependence of draws is a cause if the ratio of effective draws to all draws is at most this.
+    # The upper end of the interval of the ratio is compared.
     # At this ratio, standard errors are 20 % larger than for independent draws.
     dependent: float = 0.7
     # Least number of points of each net in measurements of a change.
@@ -120,16 +121,17 @@ class ProfileSettings:
     # standard errors from the mean of the nets. A normal mean is beyond 4 with probability 6e-5.
     off_sigmas: float = 4.0
     # If a net has fewer points than this, the rate of a change is limited to `steepest_rate`.
-    # Few points do not show whether a steep rate continues, and the gain at the budget
-    # would be exaggerated. The advice of 12 profiles did not change for 8 or 32 points,
-    # nor for rates of −1.5 or −3. The RMSE after one change differed by a factor of up to 1.9.
+    # Few points do not show whether a steep rate continues,
+    # and the gain at the budget would be exaggerated.
+    # The advice of 12 profiles was the same for 8 or 32 points, and for rates of −1.5 or −3.
+    # The RMSE after one change differed by a factor of up to 1.9.
     few_points: int = 16
     steepest_rate: float = -2.0
     # If g grows at the border or has a heavy tail, the log variance of a change at the budget
     # must be lower by this number of its errors.
-    # This was tested in 112 profiles of 4096 evaluations: seven such functions,
-    # two samplers and eight seeds. With 1, none of 88 recommendations had a larger variance than
-    # the given set-up; with 0.5, one of 99; and with 0, five of 109.
+    # This was tested in 112 profiles: seven such functions, two samplers and eight seeds,
+    # with 4096 evaluations each. The change was worse than the given set-up in none of 88
+    # recommendations with 1, in one of 99 with 0.5, and in five of 109 with 0.
     tail_errors: float = 1.0
     # Number of sets of a lattice at each count. It is small because the remaining budget is small
     # and more counts are needed: rates of lattices change with n.
@@ -418,9 +420,10 @@ def profile(
     ----------
     f
         A vectorized function of points (…, d) to values (…), an integrand, an estimator, or a spec.
-        Three functions (f, pdf, sample) on the unit cube are also allowed: points are drawn
-        by sample(u) and weighted by 1/pdf. Draws of Markov chains or independent estimates
-        are analyzed as in `chain_error`, without any sampling.
+        Three functions (f, pdf, sample) on the unit cube are also allowed:
+        points are drawn by sample(u) and weighted by 1/pdf.
+        Draws of Markov chains or independent estimates are analyzed as in `chain_error`,
+        without any sampling.
     sampler
         The sampler in use.
     dims
@@ -432,8 +435,8 @@ def profile(
     rng
         Seed (SPEC 7).
     vectorized, workers, cache
-        Options for slow functions; see `mcspectra.integrands.Calls`. An interrupted profile
-        continues from the cache.
+        Options for slow functions; see `mcspectra.integrands.Calls`.
+        An interrupted profile continues from the cache.
     on_error
         For functions: ``"raise"`` raises an error if f fails or is not finite.
         ``"skip"`` counts such points, replaces their values by the mean of all others,
@@ -443,8 +446,8 @@ def profile(
     Returns
     -------
     Profile
-        The results; ``print`` shows them. `Profile.to_dict` has all numbers, and
-        `Profile.dataset` has the curves.
+        The results; ``print`` shows them.
+        `Profile.to_dict` has all numbers, and `Profile.dataset` has the curves.
 
     Raises
     ------
@@ -789,8 +792,9 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
         return replace(curve, rate=math.nan, rate_se=math.nan, vanishes=vanishes)
     first = _shape(causes)
     if name in {_LATTICE, _FOLDED} and math.isfinite(curve.rate):
-        # In theory, the variance for smooth functions is n^−4 (log n)^(2d − 2). Assume two thirds
-        # of the logarithms. In many dims, few points may show a steeper rate: limit the rate
+        # In theory, the variance for smooth functions is n^−4 (log n)^(2d − 2).
+        # Assume two thirds of the logarithms.
+        # Limit the rate, because few points may show a steeper rate in many dims
         third = (dims - 1) / (3.0 * math.log(max(curve.counts[-1], 2.0)))
         limit = min(-4.0 + 4.0 * third, -1.0)
         curve = replace(curve, rate=max(curve.rate, limit))

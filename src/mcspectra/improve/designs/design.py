@@ -142,20 +142,21 @@ def design(
         ``"polynomial-lattice"`` and ``"digital-net"``: generator matrices.
         ``"owen"``: 64 flipped trees of Sobol' points with the same t.
         ``"strata"``: the shape of strata, and combinations of points of different strata.
-        ``"points"``: sets that divide a grid among them, or one set on the torus,
-        optimized by gradient. ``"density"``: see `learned_density`.
+        ``"points"``: sets that divide a grid among them, or one set on the torus by gradient.
+        ``"density"``: an importance density, see `learned_density`.
     objective
         The integrand of a density, or the class of integrands of a sampler. A class is one of:
         a spec whose parameters may be ``uniform(a, b)`` or ``normal(mean, sd)``,
-        drawn for each axis if possible;
+        which are drawn for each axis if possible;
         ``"gaussians"``, short for ``"gaussian(center=uniform(0, 1), width=uniform(0.1, 0.4))"``;
-        ``"disks"``; ``"half-spaces"``, with a uniform direction through a uniform point;
+        ``"disks"``, with random centers and radii;
+        ``"half-spaces"``, with a uniform direction through a uniform point;
         a function ``generator -> integrand``;
         a list of classes and integrands with equal shares, such as the pixels of a scene;
-        ``{"spectrum": P}`` with the powers P(m) = E|f_m|² for m = −h … h, as an array (2h + 1, …),
-        or, with ``"half_width": h``, as a callable of m (k, d);
-        ``{"covariance": C}`` with C_ml = E[f_m conj(f_l)], as a matrix with m in C order,
-        or as a callable of m and l.
+        ``{"spectrum": P}``, where P contains the powers P(m) = E|f_m|² for m = −h … h.
+        P is an array (2h + 1, …), or with ``"half_width": h`` a callable of m (k, d);
+        ``{"covariance": C}``, where C contains C_ml = E[f_m conj(f_l)].
+        C is a matrix with the frequencies m in C order, or a callable of m and l.
     n
         Number of points. Nets and trees require powers of two.
     dims
@@ -178,8 +179,8 @@ def design(
         The sampler is unbiased for every integrand. Its `spec` creates the sampler again;
         if the sampler has stored sets, the spec names their file.
         A usual sampler may have less variance over fresh members of the class.
-        If this is certain at 95 %, the usual sampler is returned with a `NoGainWarning`,
-        unless `settings.return_rival` is false.
+        If this is certain at 95 % and `settings.return_rival` is true,
+        the usual sampler is returned with a `NoGainWarning`.
 
     Raises
     ------

@@ -1,7 +1,8 @@
 """Searches for each kind of sampler. A search yields samplers with less and less variance.
 
-Let P(m) = E|f_m|² be the mean power of the class. A set that is shifted at random has
-the variance Σ_{m≠0} P(m) |S_m|². For a lattice, this is the sum of P over its dual lattice.
+Let P(m) = E|f_m|² be the mean power of the class.
+A set that is shifted at random has the variance Σ_{m≠0} P(m) |S_m|².
+For a lattice, this is the sum of P over its dual lattice.
 A digital shift has the same property in the Walsh basis, where κ is the Walsh series of P:
 the variance is (1/n²) Σ_ij κ(x_i xor x_j). For a digital net it is the mean of κ over the points.
 If sets are folded after the shift, both statements hold for g(x) = f(1 − |2x − 1|),
@@ -88,8 +89,8 @@ class SearchSettings:
     # the ratio of lattices is 0.020 to 0.021 in 2-D, and 0.27 to 0.30 in 3-D.
     frequencies: int = 2**16
     # Number of initial vectors in the search of lattices in three dims or more.
-    # One vector is built axis by axis, and the others are random. In 3-D the ratio
-    # is 0.295 for 24 and 48 vectors. It is 0.274 for 96 vectors, which take twice the time.
+    # One vector is built axis by axis, and the others are random. In 3-D
+    # 24 and 48 vectors give the ratio 0.295. 96 vectors give 0.274 in twice the time.
     vectors: int = 48
     # Number of vectors that are measured: the best ones of this search.
     # In 3-D the ratio is the same for 6 and 24 vectors.
