@@ -1,7 +1,8 @@
 """The interface of estimators: techniques, each with a warp, a weight and an integrand.
 
-An estimator has techniques t = 0 … T−1. For technique t it draws n_t = n · counts[t] points u_tk
-of a sampler, and it returns I = Σ_t (1/n_t) Σ_k g_t(u_tk). There are two views of an estimator:
+An estimator has techniques t = 0 … T−1.
+For technique t it draws n_t = n · counts[t] points u_tk of a sampler.
+The estimate is I = Σ_t (1/n_t) Σ_k g_t(u_tk). There are two views of an estimator:
 
 * *primary space*: integrands g_t on the unit cube, with the sampler's own points;
 * *domain*: one integrand f, with all warped points x_tk = T_t(u_tk).

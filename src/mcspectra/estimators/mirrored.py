@@ -64,17 +64,17 @@ class Mirrored(AbstractEstimator):
     the mirrored integrand is continuous across all faces.
 
     A shift in the sampler is applied before mirroring, in the doubled domain:
-    u + δ becomes 2u + 2δ. In the other modes the images k + u + δ modulo 2 have
-    the same distribution as the images of (u + δ modulo 1).
+    u + δ becomes 2u + 2δ. In the other modes, the images k + u + δ modulo 2
+    have the same distribution as the images of (u + δ modulo 1).
     Therefore wrap-around does not cause a discontinuity.
 
     A mirrored estimator with a sampler ``S`` equals the inner estimator with
     ``S | mirror(mode=...)``, point by point. For ``"integrand"`` the mode is ``'fold'``.
-    In contrast, ``S | mirror(...) | shift`` moves folded points across the jump
-    between f(1) and f(0).
+    In contrast, the shift in ``S | mirror(...) | shift`` moves folded points
+    across the jump between f(1) and f(0).
 
-    In ``"random"`` mode the reflections are independent. Their variance is 1/n times the variance
-    of f over the images of a point, so it decreases as 1/n for every sampler.
+    In ``"random"`` mode the reflections are independent. Their part of the variance is 1/n times
+    the variance of f over the images of a point, so it falls as 1/n for every sampler.
 
     References
     ----------

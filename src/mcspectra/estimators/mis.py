@@ -212,9 +212,10 @@ class OneSampleMIS(Combined):
     probabilities
         Probabilities P_t of the techniques, above 0 and with the sum 1; all equal by default.
     heuristic
-        Same as in `MultipleImportance`, with P_t instead of n_t. ``"optimal"`` is the balance
-        heuristic with the control variate Σ α_t p_t. The sum Σ α_t is added to the estimate
-        directly ([OwenZhou2000]_ §4), because adding α_t/P_t would add variance.
+        Same as in `MultipleImportance`, with P_t instead of n_t.
+        ``"optimal"`` is the balance heuristic with the control variate Σ α_t p_t.
+        The sum Σ α_t is added to the estimate directly ([OwenZhou2000]_ §4),
+        because adding α_t/P_t would increase the variance.
     selection
         ``"extra"``: the last of d + 1 coordinates selects the technique.
         ``"coordinate"``: the first of d coordinates selects it, and is stretched for reuse.
@@ -231,8 +232,8 @@ class OneSampleMIS(Combined):
 
     Notes
     -----
-    The primary-space integrand usually jumps where the selection changes. This jump along
-    an axis makes the rate of stratified points slower.
+    The primary-space integrand usually jumps where the selection changes.
+    This jump along an axis makes the rate of stratified points slower.
     `MultipleImportance` does not have this jump, because its techniques have separate sets.
 
     Examples

@@ -175,10 +175,11 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
     Returns
     -------
     ndarray
-        0 if the sums agree with the integrals by a rule that resolves g and detects regions
-        between nodes (`mcspectra.integrands._quadrature.adaptive_integral`).
-        Also 0 if the sums agree with a closed form of ∫g.
-        Otherwise it is the difference plus the error of the integrals.
+        The difference from integrals by a second rule, plus the error of these integrals.
+        The second rule detects regions between nodes
+        (`mcspectra.integrands._quadrature.adaptive_integral`).
+        The result is 0 if the sums agree with the second rule and it resolves g,
+        or if the sums agree with a closed form of ∫g.
     """
     mean, square = means.mean(axis=0), squares.mean(axis=0)
     exact = g._integral()
@@ -203,8 +204,8 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
 
     They have a closed form, or come from the rule that detects regions between nodes.
     They are cached. With a learned density, f is integrated over the domain.
-    There the knots of the density are on planes normal to the axes,
-    while in primary space they are on curves.
+    Knots of the density are on planes normal to the axes in the domain,
+    but on curves in primary space.
     """
     cache = g._cache
     if cache.moments is None:
@@ -242,7 +243,7 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
 @final
 @dataclass(frozen=True)
 class Rule:
-    """Order of a Gauss-Legendre rule, maximum number of evaluations, and an order to compare."""
+    """Order of a Gauss-Legendre rule, its maximum number of evaluations, and a second order."""
 
     order: int
     most: float = MOST_EVALUATIONS
@@ -280,10 +281,10 @@ def beyond_points(g: Integrand) -> Array:
     """Return the part of ∫g² next to poles that the probe's points miss, (channels or 1,).
 
     It is 0 without poles. A pole is assumed if g is `unbounded` on lines,
-    or if its largest values follow a power law: they fall from rank 4 to 32 by about
-    the same factor as from 32 to 256. For bells, the logarithm of the first factor
-    is only an eighth of that of the second. If values follow t^-a, ranks above k
-    contribute k g_k² / (N (1 − 2a)) to ∫g², where N is the number of points.
+    or if its largest values follow a power law.
+    Such values fall from rank 4 to 32 by about the same factor as from 32 to 256.
+    For bells, the logarithm of the first factor is only an eighth of the second logarithm.
+    For N points with values t^-a, ranks above k contribute k g_k² / (N (1 − 2a)) to ∫g².
     """
     none = np.zeros(max(1, g.channels))
     if g.costly or in_closed_form(g):
@@ -358,8 +359,8 @@ def strata(
     Strata are displaced by `offset` on the torus.
 
     The shapes are (strata, channels), (channels,) and (channels,). The error is the `blindness`.
-    If jumps are unknown, two orders may agree by chance in the mean. In this case the error
-    also contains twice the standard error of their differences in independent strata.
+    If jumps are unknown, two orders may agree by chance in the mean.
+    In this case, twice the standard error of their differences in independent strata is added.
     """
     means, squares = stratum_moments(g, sides, offset, rule.order, rule.most)
     unseen = blindness(g, means, squares)
@@ -472,9 +473,10 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     The result is infinite if g grows too fast toward a plane normal to an axis (`growth`).
     Otherwise it comes from `moments`. In 1-D and 2-D there is a second quadrature by levels,
     which records the unresolved part of each level (`mcspectra.densities.adaptive`).
-    If g = f/p, it integrates f²/p over the domain, because double precision has few points
-    next to 1 in primary space. The integral is infinite if the unresolved part does not shrink
-    and is not explained by a pole along a plane normal to an axis.
+    If g = f/p, it integrates f²/p over the domain:
+    in primary space, double precision has few points next to 1.
+    The integral is infinite if the unresolved part does not shrink,
+    unless a pole along a plane normal to an axis explains this.
     Otherwise the result with the smaller error is used.
     In more dims, other poles are visible at best as a large error.
     """
@@ -547,8 +549,8 @@ def _inside(g: Integrand) -> tuple[Integrand, bool]:
 def growth(g: Integrand) -> Array:
     """Return the largest exponent a of g ~ t^-a near an end of an axis or a break; 0 if bounded.
 
-    Here t is the distance. The exponents, (channels or 1,), come from slopes of log |g| over
-    the last distances on some lines. The slopes must agree.
+    Here t is the distance. The exponents, (channels or 1,), are slopes of log |g|
+    over the last distances on some lines. The slopes must agree.
     ∫g² diverges for a ≥ ½, and ∫g⁴ for a ≥ ¼. Integrands in closed form have no such poles.
     Integrands that are costly or warped by a density are not tested.
     """

@@ -4,12 +4,13 @@
   Covariances between techniques are 0.
 * ``"shared"``: all techniques use the same primary points, so their counts must be equal.
   Errors cancel if techniques vary in opposite ways, and add up otherwise.
-* ``"joint"``: one set of n · Σ counts points is divided among the techniques. Each technique t
-  gets n · counts[t] consecutive points of a *sequence* (`Sampler.sequence`), in order.
-  Other sets are distributed in groups of Σ counts consecutive points: from each group,
-  counts[t] points chosen at random go to technique t. Consecutive points of strata are neighbors
-  in space, so each technique has points in every neighborhood. The random choice makes
-  the points of each technique uniform, so the estimates are unbiased.
+* ``"joint"``: one set of n · Σ counts points is divided among the techniques.
+  From a *sequence* (`Sampler.sequence`), technique t gets n · counts[t] consecutive points.
+  Other sets are divided into groups of Σ counts consecutive points.
+  From each group, technique t gets counts[t] points that are chosen at random.
+  Consecutive points of strata are neighbors in space,
+  so each technique has points in every neighborhood.
+  The random choice makes the points of each technique uniform, so estimates are unbiased.
 """
 
 from __future__ import annotations
@@ -29,8 +30,8 @@ __all__ = ["SETS", "check_sets", "draw_sets", "set_sizes"]
 
 SETS = ("independent", "shared", "joint")
 
-_TECHNIQUE = 1 << 20  # Stream label of the second technique; others follow
-_DEAL = (1 << 20) - 1  # Stream label for the choice from joint sets
+_TECHNIQUE = 1 << 20  # Random stream of the second technique
+_DEAL = (1 << 20) - 1  # Random stream that divides joint sets
 
 
 def check_sets(sets: object, counts: tuple[int, ...]) -> str:

@@ -6,13 +6,13 @@ All probes are the same in each run:
 * points next to faces and corners, at distances 2^-4, 2^-8 and 2^-12;
 * known zeros of the densities (empty cells of tables at any position);
 * landmarks of integrands: both sides of their breaks, and the brightest pixels of an image;
-* in 1-D, and in 1-D parts of products and mixtures, gaps of the warp T, which jumps over a region
-  with p = 0. Bisection of 1024 intervals of u finds jumps wider than 2^-30,
-  the largest one in each interval.
+* gaps of warps in 1-D, and in 1-D parts of products and mixtures.
+  A warp T has a gap where it jumps over a region with p = 0. Bisection of 1024 intervals of u
+  finds the largest jump in each interval, if it is wider than 2^-30.
 
-A density that is 0 only at points passes, such as a power at 0 or a tent at its ends,
-because no probe lies at these points. In 2-D and more, the search misses regions
-without a probe. It also misses gaps of the density that the warp does not have.
+A density may be 0 at single points, such as a power at 0 or a tent at its ends,
+because no probe lies at these points. Regions without a probe are missed in 2-D and more.
+The search also misses gaps of the density that the warp does not have.
 A warp from a pdf alone has all gaps wider than 2^-18 (`mcspectra.densities.NumericalDensity`).
 """
 

@@ -6,8 +6,8 @@ and 99.8 % of it come from x within 0.005 of the ends. One sample in 3e134 falls
 
 If f grows without bound toward a face of the cube,
 the outermost stratum causes most of the variance of stratified points.
-For f ∝ t^−κ at the distance t, the error of a set has the distribution of u^−κ
-with uniform u, up to scale. Student's t of few such errors is skewed.
+For f ∝ t^−κ at the distance t, errors of sets are distributed as u^−κ with uniform u,
+up to a scale. Student's t of few such errors is skewed.
 Its quantiles depend only on κ and on the number of sets.
 `growing_interval` computes these quantiles by simulation.
 """
@@ -51,16 +51,16 @@ _LARGE = 0.1  # Above this share of the second moment there is a note
 class TailSettings:
     """Settings that detect from values at points whether f grows at the border."""
 
-    # Two limits of the points closest to a face, whose values are fitted: their largest number,
-    # and the inverse of their largest share of all points. 1/16 of the cube is close to a face
+    # The values at the points closest to a face are fitted. These are the largest number
+    # of such points, and the inverse of their largest share of all points
     most: int = 64
     part: int = 16
     # Least number of these points; a fit has three parameters
     least: int = 16
     # Candidates for the exponent κ, from −1 for a smooth function to values above a pole of order 1
     exponents: tuple[float, float, int] = (-1.0, 1.3, 116)
-    # Exponent above which errors of strata are skewed. The exponent is −1 for bounded smooth
-    # functions, −½ for square roots, and 0 for logarithms
+    # Exponent above which errors of strata are skewed.
+    # It is −1 for bounded smooth functions, −½ for square roots, and 0 for logarithms
     skewed: float = -0.25
     # Least slope in units of its standard error. The value allows for up to 100 faces
     sure: float = 4.0
@@ -72,8 +72,8 @@ class TailSettings:
     no_integral: float = 0.95
     # Least exponent for which ∫f⁴ is infinite, so that the error of a variance is unknown: ¼
     infinite_error: float = 0.25
-    # Largest exponent whose quantiles are computed. If the exponent is larger and the lower end
-    # of its interval exceeds `surely`, the interval of the mean is unbounded.
+    # Largest exponent whose quantiles are computed. For a larger exponent, the interval
+    # of the mean is unbounded if the lower end of the exponent exceeds `surely`.
     # Among 2,700 integrals of exp(x + y), five exceeded the first limit by chance
     largest: float = 0.46
     surely: float = 0.25
@@ -81,9 +81,9 @@ class TailSettings:
     # The other end comes from Student's t, and the integral is hardly ever beyond it
     beyond: float = 0.04
     # If fewer values than this hold half of the variance, most sets miss important regions.
-    # Among 8,192 points, half of the variance is held by 700 or more for smooth functions,
-    # by 60 for x^−0.3, by 45 for a peak of 1 % of the square,
-    # and by one for three narrow peaks in 8 dims
+    # Of 8,192 values, the numbers that hold half of the variance are: 700 or more for smooth
+    # functions; 60 for x^−0.3; 45 for a peak of 1 % of the square;
+    # and one for three narrow peaks in 8 dims
     few: int = 4
     # Number of simulated values of Student's t. Quantiles at 4 % then have errors of 1 %
     samples: int = 40_000
@@ -131,8 +131,8 @@ def border_growth(
 ) -> list[BorderGrowth]:
     """Return the faces toward which f grows, from its values (N,) at points (N, d).
 
-    The model c + b (t^−κ − 1)/κ is fitted to the values closest to each face. Errors are assumed
-    to be proportional to the distance of a value from the median.
+    The model c + b (t^−κ − 1)/κ is fitted to the values closest to each face.
+    The error of a value is assumed to be proportional to its distance from the median.
     """
     count = min(settings.most, len(values) // settings.part)
     if count < settings.least:
@@ -297,8 +297,8 @@ def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:
 
     Notes
     -----
-    Means are taken over points of an additive recurrence. Their number is the number of samples,
-    but at least 4096 and at most 65,536, so this costs no more than the simulation.
+    Means are taken over as many points of an additive recurrence as there are samples.
+    The number is at least 4096 and at most 65,536, so this costs no more than the simulation.
     A region without any of these points counts as empty,
     so in many dims the share is more likely too small than too large.
     With several channels the largest share is returned.

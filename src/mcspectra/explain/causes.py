@@ -2,8 +2,8 @@
 
 `Evidence.of` evaluates the integrand. Detectors do not evaluate it again:
 they take the evidence and return a `Cause` or None.
-`CAUSES` lists the detectors, beginning with the most harmful cause,
-and `causes_of` keeps that order.
+`CAUSES` lists the detectors, beginning with the most harmful cause.
+`causes_of` returns causes in the same order.
 """
 
 from __future__ import annotations
@@ -102,8 +102,8 @@ class CauseSettings:
     # Values from 0.075 to 0.15 give the same results.
     # With 0.3 nets have fewer evaluations, and one of 152 causes is wrong.
     check_share: float = 0.15
-    # If nets cannot estimate the variance of the given sampler, this fraction of the budget
-    # is spent on the sampler. The nets then get 40 % of the budget.
+    # Fraction of the budget that is spent on the given sampler,
+    # if nets cannot estimate its variance. The nets then get 40 % of the budget.
     # Values from 0.125 to 0.5 give the same results.
     given_share: float = 0.25
     # Largest fraction of the lines' evaluations that is spent on the search for a pole.
@@ -117,15 +117,15 @@ class CauseSettings:
     # A function that is random at half of all points is detected with probability 1 − 2^−8 = 0.996.
     again: int = 8
     # Two values at a point are equal if their relative difference is below this number.
-    # Rounding is smaller: for sums of 1e6 terms in float64,
+    # Rounding is smaller, both for sums of 1e6 terms in float64
     # and for sums of a few terms in float32, in any order.
     same_value: float = 1e-6
-    # In many dims, the largest squared deviation must be above this number times the variance,
-    # or no pole is searched for.
+    # A pole is searched for in many dims only if the largest squared deviation is above
+    # this number times the variance.
     # Values from 150 to 600 give the same results.
     climbed: float = 300.0
-    # Smallest and largest allowed size of g. The squares of such values,
-    # summed over any number of points, stay within the range 1e-308 to 1e308 of float64.
+    # Smallest and largest allowed size of g. For any number of points, the sum of squares
+    # of such values is within the range 1e-308 to 1e308 of float64.
     smallest: float = 1e-120
     largest: float = 1e120
     # Least number of dims in which the mean dimension is estimated.
@@ -135,8 +135,8 @@ class CauseSettings:
     # Number of points at which the law of the sampler is read.
     # The kind of law is the same for all n (tested with 32 and 128).
     law_at: int = 64
-    # Error of a measured exponent of growth. The variance is infinite for exponents above ½;
-    # with this error, exponents above 0.48 are reported as infinite.
+    # Error of a measured exponent of growth. The variance is infinite for exponents above ½.
+    # Because of this error, exponents above 0.48 are also reported as infinite variance.
     # Exponents of poles are right to 0.02 in all of 18 cases.
     # Values from 0.01 to 0.04 give the same results.
     exponent_error: float = 0.02
@@ -151,9 +151,9 @@ class CauseSettings:
     # Slower growth is listed after all other causes. With 0.04, two of 152 causes are wrong.
     # Values from 0.08 to 0.16 give the same results.
     grows: float = 0.08
-    # A tail is heavy if the kurtosis of g is above this limit
-    # and few values hold most of the variance. The kurtosis is 3 for normal, 9 for exponential
-    # and 114 for lognormal values with σ = 1.
+    # A tail is heavy if few values hold most of the variance
+    # and the kurtosis of g is above this limit. The kurtosis is 3 for normal values,
+    # 9 for exponential values, and 114 for lognormal values with σ = 1.
     # Values from 15 to 60 give the same results.
     heavy_kurtosis: float = 30.0
     # A tail is also heavy if a single value has more than this fraction of the sum of squares.
@@ -170,12 +170,12 @@ class CauseSettings:
     # This is the largest number of different values, as a fraction of all evaluations.
     # Values from 0.025 to 0.1 give the same results.
     few_different: float = 0.05
-    # Least number of lines for the conclusion that there is no problem. With 4 lines,
-    # a feature that half of all lines cross is missed with probability 1/16.
+    # Least number of lines for the conclusion that there is no problem.
+    # 4 lines miss a feature that half of all lines cross with probability 1/16.
     # Values from 2 to 8 give the same results.
     least_lines: int = 4
-    # Jumps count as parallel to axes if this fraction of lines with a jump has
-    # a parallel line with a jump at the same coordinate.
+    # Fraction of lines with a jump that have a parallel line with a jump at the same coordinate.
+    # Above this limit, jumps count as parallel to axes.
     # Values from 0.35 to 0.7 give the same results; above 1, no jump is parallel to an axis.
     straight: float = 0.7
     # g jumps if the lines through jumps are more than this fraction of the lines through cusps.
@@ -196,31 +196,32 @@ class CauseSettings:
     # Each axis with waves doubles this number.
     # Values from 8 to 32 give the same results.
     coarse_cube: float = 16.0
-    # Mean dimension above which g varies with many axes at once. The mean dimension is 1
-    # for additive functions, and 2 for functions of pairs of axes.
+    # Mean dimension above which g varies with many axes at once.
+    # The mean dimension is 1 for additive functions, and 2 for functions of pairs of axes.
     # Values from 0.9 to 3.6 give the same results.
     low_dimension: float = 1.8
     # If the gain of nets over random points is above this value, many dims are not a problem.
     # Values from 4 to 16 give the same results.
     little_gain: float = 8.0
-    # A shift around the torus costs precision if opposite faces differ by more than this:
-    # the mean squared difference of g divided by its variance.
+    # A shift around the torus costs precision if opposite faces differ by more than this.
+    # The difference is the mean squared difference of g, divided by the variance of g.
     # Values from 5e-4 to 2e-3 give the same results.
     opposite: float = 1e-3
-    # Number of points that measure the integral of a wrong density. A net of this size
-    # is accurate to the four printed digits if 1/p is smooth. No decision depends on this number.
+    # Number of points that measure the integral of a wrong density. If 1/p is smooth, a net
+    # of this size is accurate to the four printed digits. No decision depends on this number.
     pdf_points: int = 4096
     # Least number of sets from which a variance is estimated.
     # With 95 % confidence, 8 sets determine the variance within the factors 0.44 and 4.1.
     few_sets: int = 8
-    # Numbers of standard errors that exclude chance: for the correlation between consecutive sets,
-    # and for the mean over sets. For 4.5 the probability of a false alarm is 3e-6.
-    # For 6 it is 1e-5, by Student's t with 19 degrees of freedom.
+    # Numbers of standard errors that exclude chance. The first number is for the correlation
+    # between consecutive sets. It has a probability of a false alarm of 3e-6.
+    # The second number is for the mean over sets. Its probability is 1e-5,
+    # by Student's t with 19 degrees of freedom.
     serial: float = 4.5
     away: float = 6.0
     # Means over sets count as equal if their standard deviation is below this value.
-    # Rounding of means is about 1e-16. For a scrambled net of up to 400,000 points,
-    # the mean of x along an axis varies by more than 1e-9: by 0.29 n^−1.5.
+    # Rounding of means is about 1e-16. The mean of x along an axis varies by 0.29 n^−1.5
+    # for a scrambled net, which is more than 1e-9 for up to 400,000 points.
     rounding: float = 1e-9
     # Rounding matters if floating-point numbers differ by more than this fraction of g's spread.
     # Steps of 1 % of the spread change the variance by 1e-5.
@@ -909,8 +910,8 @@ def _limited(seen: Evidence, limit: float) -> str:
 def _cusps_and_kinks(seen: Evidence) -> tuple[Array, Array]:
     """Return lines through cusps, and lines through kinks; only the more frequent kind counts.
 
-    The exponent of a cusp or a kink has an error of about 0.1 on a single line,
-    and a jump next to a steep part may look like either of them.
+    The exponent of a cusp or a kink has an error of about 0.1 on a single line.
+    A jump next to a steep part may look like a cusp or a kink.
     """
     each = [(lines.cusps(), lines.kinks()) for lines in seen.lines]
     return tuple(map(np.concatenate, zip(*each, strict=True)))  # type: ignore[return-value]
@@ -921,8 +922,8 @@ def _cusp(seen: Evidence) -> Cause | None:
     if not cusps.sum() > kinks.sum():
         return None
     order, d = float(np.median(seen.each("exponent")[cusps])), seen.sets.dims
-    # The variance in a cell of side h next to the cusp is ∝ h^(2a),
-    # and there are about n^(1 − 1/d) such cells
+    # Cells of side h next to the cusp have a variance ∝ h^(2a).
+    # The number of these cells is about n^(1 − 1/d)
     limit = -1.0 - min(1.0 + 2.0 * order, 2.0) / d
     return Cause(
         "cusp",

@@ -36,8 +36,8 @@ class DiagnosisSettings:
     # Maximum number of dims in which the odd part is measured,
     # because all 2^d reflections of each point are evaluated.
     odd_dims: int = 4
-    # Number of points for this measurement. It determines the odd part
-    # of the variance to about 1 %, which is enough for both limits.
+    # Number of points for this measurement.
+    # It determines the odd part of the variance to about 1 %, enough for both limits.
     odd_points: int = 2**12
 
 
@@ -145,9 +145,9 @@ def diagnose(
     """Find the causes of noise, within `most` evaluations of a user's function."""
     with counting("The diagnosis", most):
         causes, unseen = _looked_for(estimator, sampler, stream, most)
-        # Compute which fraction of the variance of g cancels in the mean over all 2^d reflections
-        # about the center, at fixed points. The fraction is None in many dims,
-        # or if g is constant or cannot be evaluated
+        # Compute the fraction of the variance of g that cancels in a mean over reflections.
+        # All 2^d reflections about the center are used, at fixed points. The fraction is None
+        # in many dims, and for functions g that are constant or cannot be evaluated
         odd, whole, even = None, 0.0, 0.0
         with suppress(McspectraError):
             few = estimator.dims <= _SETTINGS.odd_dims

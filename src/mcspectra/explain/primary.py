@@ -1,7 +1,7 @@
 """The primary-space integrand as an image, with jumps that explain slow rates.
 
-Jumps of g make the rate of correlated samplers slower. They lie inside the square
-or between its opposite sides. Mirroring removes only the jumps between opposite sides.
+Jumps of g make the rate of correlated samplers slower, inside the square or on its border.
+Mirroring removes the jumps between opposite sides, but not the jumps inside.
 """
 
 from __future__ import annotations
@@ -87,9 +87,10 @@ def primary_picture(
         A dataset. ``primary_value`` (u0, u1[, channel]) is g at the centers of cells.
         ``primary_jump`` (axis, u0, u1) is the size of the jump to the next cell along each axis,
         and 0 where g is continuous.
-        ``face_jump`` (axis[, along]) is the size of the jump from u_axis = 0 to u_axis = 1,
-        at centers along the other axis. This jump matters for samplers that wrap around.
-        It is infinite at poles. For the two kinds ``interior`` and ``boundary``,
+        ``face_jump`` (axis[, along]) is the size of the jump from u_axis = 0 to u_axis = 1.
+        It is computed at centers along the other axis, and is infinite at poles.
+        This jump matters for samplers that wrap around.
+        The following variables have the two kinds ``interior`` and ``boundary``:
         ``primary_jump_length`` is the length of the curves on which g jumps (in 1-D their number),
         and ``primary_jump_height`` is the mean height of the jumps.
         If g is unbounded, the height is infinite and ``primary_pole`` is 1.
@@ -126,8 +127,8 @@ def primary_picture(
     face_poles = np.zeros(faces.shape, bool)
     along = grid_centers(side, found.dims - 1) if found.dims > 1 else np.empty((1, 0))
     for axis in range(found.dims):
-        # Values (2, k, channels) on both faces: first at the larger distance,
-        # and again at the smaller distance
+        # Values (2, k, channels) on both faces at two distances: first the larger distance,
+        # next the smaller distance
         near, nearer = (
             np.stack([g(np.insert(along, axis, end, axis=1)) for end in (gap, 1.0 - gap)])
             for gap in (_SETTINGS.near, _SETTINGS.nearer)

@@ -1,15 +1,17 @@
 """Roughness of a black-box function: jumps, cusps and kinks on lines, and poles.
 
-g is evaluated in equal steps along a line, and close to its ends. Around the largest
-second difference, the step is halved repeatedly, with two evaluations for each halving.
-The second difference shrinks with the square of the step where the function is smooth,
-with the step at a kink, and with the step to the power a at a cusp |t|^a.
+g is evaluated in equal steps along a line, and close to its ends.
+The step is halved repeatedly around the largest second difference,
+with two evaluations for each halving.
+The second difference shrinks with the square of the step where the function is smooth.
+At a kink it shrinks with the step, and at a cusp |t|^a with the step to the power a.
 It stays constant at a jump, and it grows at a pole.
 Steps shrink faster toward the ends of lines along the axes.
 There the slope of log |g| is the exponent with which g grows at the border.
 
-Another search climbs to poles. It starts at the largest or the smallest known value
-and moves in random directions in which |g| grows. If no direction climbs, the step is halved.
+Another search climbs to poles. It starts at the largest or the smallest known value,
+and it moves in random directions in which |g| grows.
+If no direction climbs, the step is halved.
 The ellipsoid of directions adapts to the moves ([Hansen2001]_).
 The climb ends early if the function is bounded.
 A function that grows as r^−a toward a set of codimension k leads the climb to that set.
@@ -19,8 +21,8 @@ They determine a for any additive constant.
 Each face that contains the top contributes one to the rank.
 
 The volume in which |g| > λ is ∝ λ^(−k/a). Therefore ∫g² is infinite for a/k ≥ ½,
-and the integral does not exist for a/k ≥ 1. At the meeting of several faces,
-a product of powers of the distances to some of them has one of two tails:
+and the integral does not exist for a/k ≥ 1. A product of powers of the distances
+to several faces has one of two tails where these faces meet:
 the tail of the largest power toward one face, or the tail of the mean power of all faces.
 """
 
@@ -74,14 +76,14 @@ class LineSettings:
     # A jump has the exponent 0, and a pole r^−a has the exponent −a.
     # Values from −0.3 to −0.075 give the same results.
     pole: float = -0.15
-    # Exponent below which the roughest place may be a jump. A jump has the exponent 0,
-    # or up to 0.3 next to a steep part, and a kink has the exponent 1.
+    # Exponent below which the roughest place may be a jump. A kink has the exponent 1.
+    # A jump has the exponent 0, or up to 0.3 next to a steep part.
     # Values from 0.2 to 0.8 give the same results.
     jump: float = 0.4
     # If a line may cross a jump, its last step is bisected this number of times.
     # A jump keeps at least this fraction of its height.
-    # A cusp of order 0.15 keeps 2^(−8 · 0.15) = 0.44 on average. After 8 bisections
-    # the step is 6e-8 of the line, so a smooth step wider than 1e-7 counts as a jump.
+    # A cusp of order 0.15 keeps 2^(−8 · 0.15) = 0.44 on average. A smooth step wider than 1e-7
+    # counts as a jump, because the step after 8 bisections is 6e-8 of the line.
     bisections: int = 8
     kept: float = 0.75
     # Exponent below which the roughest place is a cusp, unless it is a jump or a pole.
@@ -90,11 +92,11 @@ class LineSettings:
     cusp: float = 0.8
     # Exponent below which the roughest place is a kink.
     # A kink has the exponent 1, and a smooth function has the exponent 2.
-    # With 0.8, 14 of 152 causes are wrong. With 3.2, smooth functions count as kinks,
-    # and 36 causes are wrong.
+    # With 0.8, 14 of 152 causes are wrong.
+    # With 3.2, smooth functions count as kinks, and 36 causes are wrong.
     kink: float = 1.6
-    # Smallest height of a jump, as a fraction of the spread of g. A jump of 1e-4 of the spread
-    # has 1e-8 of the variance, which is too little to matter at any count of a profile.
+    # Smallest height of a jump, as a fraction of the spread of g. A smaller jump does not matter
+    # at any count of a profile, as a jump of 1e-4 of the spread has 1e-8 of the variance.
     # Values from 5e-5 to 2e-4 give the same results.
     least_jump: float = 1e-4
     # Second differences below this fraction of the spread of g count as rounding.
@@ -117,8 +119,8 @@ class LineSettings:
     # Values from 0.0025 to 0.01 give the same results.
     aside: float = 0.005
     # Number of groups of axes; a displacement moves the roughest place along one group.
-    # An edge normal to an axis moves with one group only. An edge oblique to two axes appears
-    # to be normal to an axis with probability 1/3. With more axes this probability is smaller.
+    # An edge normal to an axis moves with one group only. An edge that is oblique to two axes
+    # seems normal to an axis with probability 1/3. With more axes this probability is smaller.
     groups: int = 3
     # Distances from both ends at which g is evaluated on a line along an axis.
     # The last two have the ratio 2^10. Even t^−0.08 grows by a factor of 1.7 between them.
@@ -151,8 +153,8 @@ class PoleSettings:
     Numbers of cases come from ``python -m benchmarks settings``, as in `CauseSettings`.
     """
 
-    # Maximum number of halvings of the step of a climb. The largest radius of the rays (`radii`)
-    # is then 1/16 of the first step, which is the distance between neighboring points.
+    # Maximum number of halvings of the step of a climb. After them, the largest radius
+    # of the rays (`radii`) is 1/16 of the first step, the distance between neighboring points.
     # With 8 halvings 30 of 152 causes and 10 of 18 poles are wrong.
     # Values from 16 to 32 give the same results.
     halvings: int = 16
@@ -184,15 +186,15 @@ class PoleSettings:
     # Values from 0.125 to 0.5 give the same results.
     rising: float = 0.25
     # Distance from all other faces at which growth toward one face is measured.
-    # Its unit is the last step. The distance is half of the first step,
-    # and 2^7 times the largest of the first three radii.
+    # Its unit is the last step. The distance is half of the first step.
+    # It is 2^7 times the largest of the first three radii.
     # Values from 2^14 to 2^16 give the same results.
     away: float = 2.0**15
     # If the exponent is above this value, the function grows toward one face alone.
     # Values from 0.025 to 0.1 give the same results.
     alone: float = 0.05
-    # The codimension is the number of eigenvalues of the quadratic form that are above
-    # this fraction of the largest one. Values from 0.002 to 0.008 give the same results.
+    # Eigenvalues of the quadratic form above this fraction of the largest one count for
+    # the codimension. Values from 0.002 to 0.008 give the same results.
     rank: float = 0.004
     # A move is accepted if the height grows by more than this factor.
     # Values down to 0.5 give the same results.
@@ -204,8 +206,8 @@ class PoleSettings:
     # A climb starts only if the largest and the last of these heights differ by this fraction.
     # Values from 0.05 to 0.2 give the same results.
     stands_out: float = 0.1
-    # Growth with an exponent below this value counts as logarithmic. Exponents below the negative
-    # of this value mean that there is no pole. Measured exponents are right to 0.02
+    # Growth with an exponent below this value counts as logarithmic. If the exponent is below
+    # minus this value, there is no pole. Measured exponents are right to 0.02
     # (`test_exponents_and_codimensions_of_poles_are_measured`).
     # Values from 0.01 to 0.04 give the same results.
     least_exponent: float = 0.02
@@ -413,8 +415,8 @@ def lines_of(
     ends[straight] = outer[1, :, 1] - outer[0, :, 1]
 
     # Halve the steps around the largest second difference.
-    # Near an end this requires that g does not grow there. Every other line uses the largest
-    # fourth difference, in which a kink is visible even if g is steep elsewhere
+    # Near an end this requires that g does not grow there. In every other line use
+    # the largest fourth difference, which shows a kink even if g is steep elsewhere
     wide = np.full((2, len(axis)), np.nan)
     wide[:, straight] = np.where(grows, np.nan, outer[..., 1])
     t = np.column_stack([np.full(len(axis), gaps[1]), t, np.full(len(axis), 1.0 - gaps[1])])
@@ -463,8 +465,9 @@ def lines_of(
         ends_y = np.where(left, np.hstack([ends_y[:, :1], new]), np.hstack([new, ends_y[:, 1:]]))
     kept[may] = np.abs(np.diff(ends_y, axis=1)[:, 0]) / np.maximum(height[may], 1e-300)
 
-    # Displace the last window toward the inside. A line along an axis is displaced along
-    # all other axes, and a chord along one group of axes after another.
+    # Displace the last window toward the inside.
+    # A line parallel to an axis is displaced along all other axes,
+    # and a chord is displaced along one group of axes after another.
     # A discontinuity that is not normal to an axis moves away
     stays = np.ones(len(axis), bool)
     if dims > 1:
@@ -515,8 +518,9 @@ def _bends(t: Array, y: Array) -> Array:
 def mean_dimension(g: Function, points: Array, values: Array, rng: np.random.Generator) -> float:
     """Return the mean dimension Σ_i T_i/Var g, where T_i is the total variance of coordinate i.
 
-    T_i is half the mean squared change of g when coordinate i is redrawn. At the points (k, d),
-    g has the given values (k,). It is evaluated at d more points for each of them.
+    T_i is half the mean squared change of g when coordinate i is redrawn.
+    The values of g at the points (k, d) are given, (k,).
+    For each of these points, g is evaluated at d more points.
     """
     k, d = points.shape
     total = 0.0

@@ -1,15 +1,16 @@
 """Variances of several samplers at all counts, from one array of evaluations.
 
-R scrambled nets of N points are evaluated once. If 2^k successive points of a net start
-at a multiple of 2^k, they form a scrambled net. Means over such runs therefore have
-the variance of nets of all sizes.
-Different nets have independent points in a cell of the strata, so the variance between
-their values is the variance of jittered points. In the same way, slabs of an axis give
-the variance of Latin hypercubes, and the whole cube gives that of random points.
+R scrambled nets of N points are evaluated once. A run of 2^k successive points of a net
+is a scrambled net itself, if the run starts at a multiple of 2^k.
+Therefore means over runs have the variance of nets of all sizes.
+Different nets have independent points in each cell of the strata.
+Therefore the variance between their values is the variance of jittered points.
+In the same way, slabs of an axis give the variance of Latin hypercubes,
+and the whole cube gives the variance of random points.
 Products of values from the same net are omitted, because these values are correlated.
 
-Errors come from a jackknife over the nets, so the error of the rate includes
-the correlation between counts. The model of the rate is constant over the last octaves,
+Errors come from a jackknife over the nets, which includes the correlation between counts.
+In the model of the rate, the rate is constant over the last octaves,
 and drifts by a random walk over earlier octaves.
 The likelihood of the curve gives weights to several step sizes of the walk.
 All counts of a straight curve contribute to its rate,
@@ -54,13 +55,13 @@ class CurveSettings:
     """Settings of curves of variance from nets, and of fits of rates to these curves.
 
     "The same results" refers to ``python -m benchmarks settings``, as in `CauseSettings`.
-    Numbers for rates come from ``python -m benchmarks settings --rates``,
-    with five functions of known rates and 50 repetitions of each.
+    Numbers for rates come from ``python -m benchmarks settings --rates``.
+    It repeats five functions with known rates 50 times each.
     """
 
     # Number of slabs along an axis that replace the strata of a Latin hypercube.
     # Values from 16 to 64 give the same results.
-    # For additive functions with n > 32 points, the estimate is an upper bound:
+    # The estimate is an upper bound for additive functions with n > 32 points:
     # it is (n/32)² times too large.
     slabs: int = 32
     # Largest number of dims in which the variance of jittered points is estimated.
@@ -73,9 +74,9 @@ class CurveSettings:
     # With 6 octaves, they contain the rate in 63 % instead of 93 % of cases.
     octaves: int = 3
     # Candidate standard deviations of the drift of the rate in an octave, weighted by likelihood.
-    # They range from 1/20 for a straight curve to values with which a rate changes
-    # by its usual range, 1 to 3, in a few octaves. Intervals contain the rate in 94 %
-    # of cases with half of these values, and in 92 % with double values or 0.2 alone.
+    # They range from 1/20, for a straight curve, to values that change a rate by 1 to 3 (its
+    # usual range) in a few octaves. With half of these values, intervals contain the rate
+    # in 94 % of cases; with double values or 0.2 alone, in 92 %.
     drifts: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
     # If a rate is not known, −1 is used with this standard error.
     # Rates from −2 to 0 are within two standard errors.
@@ -102,8 +103,8 @@ class Curve:
     counts, variance, relative_se
         Arrays (N,). The standard error belongs to the logarithm of the variance.
     rate, rate_se
-        Slope over the last octaves, and its standard error. Both are NaN if there is no fit,
-        for example because the variance is zero.
+        Slope over the last octaves, and its standard error.
+        Both are NaN if there is no fit, for example because the variance is zero.
     degrees
         Degrees of freedom of the errors.
     drift
@@ -116,8 +117,7 @@ class Curve:
         and standard deviation of the logarithms of the variance about the line.
         Both are needed to extrapolate curves that are not lines.
     bend
-        Expected change of the slope beyond the measured counts,
-        with the standard error of this change.
+        Expected change of the slope beyond the measured counts, and its standard error.
     """
 
     counts: Array

@@ -50,8 +50,8 @@ class AlignmentSettings:
     most_offsets: int = 4096
     # Default number of offsets along each axis in 1, 2 and more dims.
     # A scan has 16 offsets in 1-D, 64 in 2-D and 4^d in d dims.
-    # For disks and steps in 1-D and 2-D, half or twice as many offsets give the same variance
-    # within 0.1 %, unless the edge can be aligned almost exactly.
+    # Half or twice as many offsets give the same variance within 0.1 % for disks and steps
+    # in 1-D and 2-D, unless the edge can be aligned almost exactly.
     usual_offsets: tuple[int, int, int] = (16, 8, 4)
     # Rounding of an exact variance, as a fraction of I²/n.
     # An exact variance is a difference of means of g² and squared means, each rounded to 1.1e-16.
@@ -62,7 +62,7 @@ class AlignmentSettings:
     # Rates and their intervals agree to 9 digits for values from 1e-9 to 1e-3.
     exact_se: float = 1e-6
     # Number of times that the pattern search halves its step.
-    # The last step is 1/256 of the spacing of the scan. For disks in 1-D at n = 11,
+    # The last step is 1/256 of the spacing of the scan. For 11 points and disks in 1-D,
     # 16 halvings lower the variance by 0.02 %, and 4 halvings raise the variance by 0.3 %.
     halvings: int = 8
 
@@ -117,8 +117,8 @@ def strata_shift_scan(
     Raises
     ------
     CountError, ParameterError
-        If the sampler cannot draw one of the counts of points, if counts or offsets
-        are not ascending, or if there are too many offsets.
+        If the sampler cannot draw one of the counts, if there are too many offsets,
+        or if counts or offsets are not ascending.
     NoClosedForm
         If ``method="exact"`` and no exact variance is known.
 
@@ -216,8 +216,8 @@ def best_alignment(
     Returns
     -------
     xarray.Dataset
-        A dataset on the dim candidate, which is ``"unshifted"``, ``"offset"`` or ``"aligned"``;
-        the last one exists only with `edges`.
+        A dataset on the dim candidate, which is ``"unshifted"``, ``"offset"`` or ``"aligned"``.
+        The candidate ``"aligned"`` exists only if `edges` are given.
         ``strata_offset(candidate, axis)`` is the offset of each candidate.
         ``predicted_variance`` and ``measured_variance`` have sums over channels.
         ``variance_ratio`` is the ratio of the measured variance to that of the first candidate.
@@ -256,8 +256,8 @@ def best_alignment(
     stream, threads = Stream.from_rng(rng), available_workers(workers)
     found = _Offsets.of(plain, source, [n], method, count, stream.child(0), threads)
 
-    # Scan a grid for the offset with the least predicted variance,
-    # and refine the best offset by a pattern search
+    # Scan a grid for the offset with the least predicted variance.
+    # Refine the best offset by a pattern search
     values = {o: found.total(o, n) for o in itertools.product(places, repeat=source.dims)}
     offset = min(values, key=lambda o: values[o])
     value, step = values[offset], 0.5 / len(places)
@@ -397,8 +397,9 @@ class _Offsets:
         found = _Offsets(estimator, sampler, exact, realizations, stream, workers)
         try:
             if exact:
-                # Raise an error if no closed form is known. At an offset of about half a side,
-                # edges at multiples of the side cut strata, which may have no closed form
+                # Raise an error if no closed form is known.
+                # Edges at multiples of the side cut strata if the offset is about half a side;
+                # such strata may have no closed form
                 for probe, n in itertools.product((0.0, 0.4375), counts):
                     found.at([probe] * estimator.dims, n)
         except NoClosedForm:

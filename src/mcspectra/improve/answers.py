@@ -1,7 +1,7 @@
 """The answer to "what should I use?": candidates, results of candidates, and advice.
 
-A *candidate* is a changed estimator or sampler. Its *result* compares its error
-with the error of the given set-up at a budget of evaluations.
+A *candidate* is a changed estimator or sampler. Its *result* is a comparison with
+the given set-up: both errors at a budget of evaluations.
 An *answer* names the best candidate. It names the given set-up if no candidate is better
 and significantly different.
 `mcspectra.profile`, `mcspectra.remedies`, and studies of pixels and paths print an `Answer`.
@@ -63,7 +63,7 @@ class Candidate:
     kind
         Kind of the change: one of `mcspectra.improve.candidates.KINDS`, or ``"given"``.
     name, change
-        A short label, unique among the compared candidates,
+        A short label that is unique among the compared candidates,
         and an imperative that describes the change.
     setup
         The estimator and the sampler after the change.
@@ -124,8 +124,7 @@ class CandidateResult:
     rate, rate_ci
         Slope of log variance against log n.
     needed, needed_ci
-        Number of evaluations with which the given set-up has this RMSE,
-        and the interval of this number.
+        Number of evaluations that the given set-up needs for this RMSE, with its interval.
     verdict
         Whether the interval of the gain lies above 1 (better), below 1 (worse) or contains 1.
     setup

@@ -1,7 +1,7 @@
 """Assessment of candidates: errors at several costs with common random numbers, and verdicts.
 
-Each realization of a candidate is compared with the same realization of the given set-up,
-by influence functions (docs/theory.md, "Intervals of variances, and stopping").
+Each realization of a candidate is compared with the same realization of the given set-up.
+The comparison uses influence functions (docs/theory.md, "Intervals of variances, and stopping").
 If all estimates are equal, either the estimator has no variance,
 or all estimates have missed a rare event.
 If equal estimates differ from the integral, the error is unknown (NaN), not 0.
@@ -45,8 +45,8 @@ class AssessSettings:
     """Settings of the comparison of candidates."""
 
     # Weight of the prior that estimates are normal (Var(ψ) = 2), as a number of realizations.
-    # The prior is used in fits of rates, not in comparisons. For 100 realizations of normal
-    # estimates, it reduces the scatter of standard errors from 12 to 10 %.
+    # The prior is used in fits of rates, not in comparisons. With 100 normal realizations
+    # the prior reduces the scatter of standard errors from 12 to 10 %.
     # For any weight from 0 to 40, intervals contain the truth in 93 to 95 % of cases.
     prior: int = 20
     # Equal estimates count as exact within this number of standard errors of the given mean.

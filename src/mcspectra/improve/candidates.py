@@ -79,28 +79,30 @@ class CandidateSettings:
     # An offset search computes 96 variances in 2-D, 112 in 3-D and 320 in 4-D.
     # In 3-D, 64 points have four strata along each axis.
     most_aligned_dims: int = 2
-    # Maximum number of dims in which cubic stratification is tried. Order 4 in 4-D
-    # needs at least 4^4 = 256 cells, and its rate n^(−1 − 8/d) gains little over nets.
+    # Maximum number of dims in which cubic stratification is tried.
+    # In 4-D, order 4 needs at least 4^4 = 256 cells.
+    # There its rate n^(−1 − 8/d) gains little over nets.
     most_cubic_dims: int = 3
     # Maximum number of dims in which edges are smoothed by means over boxes.
     # In more dims, means take too many evaluations; smoothing by the distance takes only one.
     most_boxed_dims: int = 2
-    # A pilot takes the budget B divided by this number. With an eighth, the two largest budgets
-    # of `mcspectra.remedies`, B/4 and B, leave evaluations for estimates, which give a rate.
+    # A pilot takes the budget B divided by this number. With an eighth, evaluations remain for
+    # estimates at the two largest budgets of `mcspectra.remedies`, B/4 and B, which give a rate.
     pilot_divisor: int = 8
-    # Least number of points of a pilot. Each half has 32 points, which determine 8 coefficients
-    # if each needs 4 evaluations (`ChangeSettings.evaluations_per_term`).
+    # Least number of points of a pilot. Each half of the pilot has 32 points. They determine
+    # 8 coefficients with 4 evaluations each (`ChangeSettings.evaluations_per_term`).
     least_pilot: int = 64
     # Maximum number of points of a pilot.
-    # With 2048, 4096 and 8192 evaluations, regressions leave 1.08, 0.93 and 0.89 % of the variance
-    # of an Asian option in 16-D. Fitted densities differ by 3 % (`benchmarks improvements`).
+    # For an Asian option in 16-D, 1.08, 0.93 and 0.89 % of the variance remain after regressions
+    # on 2048, 4096 and 8192 evaluations.
+    # Fitted densities differ by 3 % (`benchmarks improvements`).
     most_pilot: int = 4096
     # Widths of smoothed edges that are scanned, in units of the domain: octaves from 2^-10 to 1/4.
     # A wider edge covers most of the domain; a narrower edge is a jump at the budgets in use.
     widths: tuple[float, ...] = tuple(2.0**-k for k in range(10, 1, -1))
     # Maximum number of realizations for each variance in scans for a width and an offset.
-    # The relative standard error is √(2/300) = 8 %,
-    # which is small compared with the factor of two between neighboring widths.
+    # The relative standard error of √(2/300) = 8 % is small:
+    # neighboring widths differ by a factor of two.
     scan_realizations: int = 300
 
 

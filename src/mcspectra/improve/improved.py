@@ -4,11 +4,11 @@ All changes apply to the primary-space integrand g on the unit cube,
 so they can be used with any estimator of one technique.
 The changes of these kinds keep the integral, whatever the evaluations of g are:
 
-* *fitted*: g(T(u))/q(T(u)) with uniform u. The density q consists of splines
-  (`mcspectra.improve.learned`), or it is a normal density of z = Φ⁻¹(u)
-  that is moved and stretched to the moments of |g|;
-* *order*: the same with an orthogonal matrix and q = 1. The directions of z along
-  which g varies most come first ([Liu2023]_), since the first coordinates of nets are the best;
+* *fitted*: g(T(u))/q(T(u)) with uniform u. The density q consists of splines (`learned`),
+  or it is a normal density of z = Φ⁻¹(u).
+  The normal density is moved and stretched to the moments of |g|;
+* *order*: the same with an orthogonal matrix and q = 1. The first directions of z are those
+  along which g varies most ([Liu2023]_), since the first coordinates of nets are the best;
 * *regression*: g minus fitted polynomials of mean 0;
 * *preintegrated*: means along the first direction, in which g jumps or leaves 0 at one point.
   The means are taken on both sides of this point, and over a bracket that contains it.
@@ -59,27 +59,28 @@ __all__ = [
 class ChangeSettings:
     """Settings of changed estimators, and of the densities that are fitted to g."""
 
-    # Number of rounds of a pilot whose points follow g. In `benchmarks improvements`,
-    # two rounds leave several times the variance of a narrow peak in 3-D,
-    # and eight rounds are no better.
+    # Number of rounds of a pilot whose points follow g. After two rounds, the variance of a narrow
+    # peak in 3-D is several times as large, and eight rounds are no better
+    # (`benchmarks improvements`).
     rounds: int = 4
     # Candidates of `fit_splines`: for joint densities, and for products. Each has three numbers:
     # cells of each axis; parts of a mixture, or 0 for a flow; weight of the smoothness.
-    # The first joint candidate also places the points of the rounds. Without the flow,
-    # the variance of a ridge across two axes is 17 times as large. Without the finer product,
-    # the density follows a narrow peak less well. Without the mixture, results are the same.
+    # The first joint candidate also places the points of the rounds.
+    # Without the flow, the variance of a ridge across two axes is 17 times as large.
+    # Without the finer product, the density follows a narrow peak less well.
+    # Without the mixture, results are the same.
     joint: tuple[tuple[int, int, float], ...] = ((16, 0, 1e-4), (12, 4, 1e-3))
     products: tuple[tuple[int, int, float], ...] = ((12, 1, 1e-3), (24, 1, 1e-4))
     # Maximum number of dims in which joint densities are tried.
-    # With 16 cells, a flow of d axes has about 36 d² weights. The 800 weights in 5-D
-    # are a fifth of the evaluations of the largest pilot.
+    # With 16 cells, a flow of d axes has about 36 d² weights. In 5-D these are 800 weights,
+    # a fifth of the evaluations of the largest pilot.
     most_joint_dims: int = 5
     # Share of the uniform density in a fitted density. It limits g/q to 20 |g|, but adds variance:
     # shares of 0.025, 0.05 and 0.1 leave 0.6, 1.1 and 2.2 % of the variance of a ridge.
     defensive: float = 0.05
     # Least variance of a fitted normal density along any direction.
-    # A normal density with a variance below 1, which is the variance of z,
-    # vanishes at the border of the cube, and g/q grows without bound there.
+    # Variances below 1, the variance of z, would make the density vanish at the border of the cube.
+    # There g/q would grow without bound.
     least_spread: float = 1.0
     # Settings of the fits of splines
     splines: LearnSettings = field(default_factory=LearnSettings)
@@ -97,8 +98,9 @@ class ChangeSettings:
 class RegressionSettings:
     """Settings of regressions of g on polynomials."""
 
-    # Least number of evaluations for each coefficient. A fit of p coefficients
-    # to k evaluations multiplies the remaining variance by 1 + p/k, which is at most 1.25 here.
+    # Least number of evaluations for each coefficient.
+    # With k evaluations, a fit of p coefficients multiplies the remaining variance by 1 + p/k.
+    # This factor is at most 1.25 here.
     # Results of four problems of `benchmarks improvements` are the same for 2 and 8.
     evaluations_per_term: int = 4
     # Regularization: a number that is added to the diagonal of the normal equations.
@@ -652,8 +654,8 @@ def _order(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:
 def _preintegrated(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:  # noqa: ARG001
     """Take means along the axis that leaves the least variance, or along the first direction.
 
-    The remaining variance has two bounds. The lower bound is the part that a regression assigns
-    to the other coordinates alone.
+    The remaining variance has two bounds. The lower bound is the part
+    that a regression assigns to the other coordinates alone.
     The upper bound is the variance without the main effect of this coordinate.
     The expected variance is the geometric mean of both bounds.
     Squared coefficients are estimated by products of coefficients from two halves.
@@ -710,8 +712,8 @@ def improvements(
 ) -> Iterator[Candidate]:
     """Yield changed estimators with the same integral, without new evaluations of g.
 
-    Expected ratios of variances hold for random points. For *order* they are ratios
-    of variances without main effects, because nets remove main effects.
+    Expected ratios of variances hold for random points. For *order*, variances are compared
+    without their main effects, because nets remove main effects.
     All ratios are computed from evaluations that were not used in the fit.
 
     Parameters

@@ -1,22 +1,23 @@
 """Importance densities learned from evaluations of an integrand, for a given sampler.
 
-A density p of `mcspectra.densities.learned` is fitted to values f(x_k),
-where the points x_k have density π. The fit minimizes
+A density p of `mcspectra.densities.learned` is fitted to values f(x_k) at points x_k
+that have the density π. The fit minimizes
 
     log Σ_k ρ_k p(x_k) − Σ_k w_k log p(x_k) + smoothness,   ρ_k = 1/π(x_k),   w_k ∝ ρ_k |f(x_k)|.
 
-The sum without smoothness is the relative entropy of |f| and p,
-with both integrals estimated from the *same* points.
+The sum without smoothness is the relative entropy of |f| and p.
+Both of its integrals are estimated from the *same* points.
 If |f| belongs to the family, the minimum is |f| itself for any number of points.
-The mean of log p alone would have the noise of the points. Smoothness is a penalty
-on second differences of the logarithms of the splines' weights, as in P-splines [Eilers1996]_.
+The mean of log p alone would have the noise of the points. The penalty for smoothness uses
+second differences of the logarithms of the splines' weights, as in P-splines [Eilers1996]_.
 
 A candidate is defined by numbers of cells and parts, and by the weight of the penalty.
-Candidates are compared by the variance of f/p with points of the sampler itself,
-on evaluations that were not used in the fit. The integral ∫f²/p alone does not measure
-the roughness of f/p, which causes the variance that nets and strata do not remove.
-The best candidate is checked on fresh points. If its variance is not smaller than with
-uniform points, the result is the uniform density.
+Candidates are compared by the variance of f/p with points of the sampler itself.
+Only evaluations that were not used in the fit are compared.
+The integral ∫f²/p alone does not measure the roughness of f/p.
+This roughness causes the variance that nets and strata do not remove.
+The best candidate is checked on fresh points. The result is the uniform density
+if the variance of the best candidate is not smaller than that of uniform points.
 """
 
 from __future__ import annotations
@@ -97,8 +98,8 @@ class LearnSettings:
     # Maximum number of evaluations in a fit. With 2048 instead of 4096,
     # the variances of the peak in 2-D and the bells in 3-D change by −21 to +12 %.
     most_fitted: int = 2**13
-    # Number of points in a block of the sums of a fit. BLAS does not use threads for products
-    # of blocks of 128 points, so all machines compute the same bits.
+    # Number of points in a block of the sums of a fit. All machines compute the same bits,
+    # because BLAS does not use threads for products of blocks of 128 points.
     block: int = 128
     # Number of bins of the marginal distributions of |f|, by which the knots are placed.
     # Half or twice as many bins change the variances by 1 % at most.
@@ -136,8 +137,8 @@ class LearnSettings:
     # A density is kept only if its variance is at most this fraction of that of uniform points.
     # Smaller gains are within the errors of six sets, and uniform points are always safe.
     most_ratio: float = 0.5
-    # Least number of evaluations for each weight of a flow. With fewer evaluations, weights
-    # would follow the noise of the points, as in regressions
+    # Least number of evaluations for each weight of a flow.
+    # With fewer evaluations, weights would follow the noise of the points, as in regressions
     # (`evaluations_per_term` of `mcspectra.improve.improved.RegressionSettings`).
     # In 2-D and 3-D, results are the same for 2 and 8.
     evaluations_per_gate: int = 4
@@ -233,7 +234,7 @@ class _Seen:
     """The function that a fit minimizes; points are processed in blocks."""
 
     basis: list[Array]  # values of the splines of each axis at the points, (blocks, M, size)
-    rho: Array  # ρ and w, (blocks, size), both of sum 1
+    rho: Array  # arrays ρ and w (blocks, size); each sum is 1
     weight: Array
     uniform: Array  # logarithms of the spline weights of the uniform density, (d, M)
     defensive: float
@@ -380,8 +381,8 @@ def learned_density(
         An integrand with one or more channels, a spec,
         or a function that maps points (k, d) to values (k,).
     kind
-        ``"mixture"`` is a mixture of products of splines. ``"spline-flow"`` has splines
-        of each coordinate, and their weights depend on the coordinates before it.
+        ``"mixture"`` is a mixture of products of splines. In a ``"spline-flow"``, the weights
+        of the splines of each coordinate depend on the coordinates before it.
     sampler, n
         The sampler and the number of points that will be used. The sampler must be random.
     dims
@@ -402,8 +403,8 @@ def learned_density(
     -------
     Density
         A continuous density with an exact inverse and a continuous warp.
-        Its `spec` names the file. It is ``uniform``, with a `NoGainWarning`, if no candidate
-        halves the variance of uniform points or if the check does not confirm the gain.
+        Its `spec` names the file. If no candidate halves the variance of uniform points,
+        or if the check does not confirm the gain, it is ``uniform``, with a `NoGainWarning`.
 
     Raises
     ------
@@ -418,8 +419,8 @@ def learned_density(
 
     Notes
     -----
-    Candidates (`mcspectra.improve.learned.LEARNED`) range from smooth to fine. They are compared
-    by the variance of f/p with at least six realizations of the sampler. Each has n points,
+    Candidates (`mcspectra.improve.learned.LEARNED`) range from smooth to fine. The variance
+    of f/p is compared for at least six realizations of the sampler. Each has n points,
     or as many as the evaluations allow: at least n/16, by default usually n/4.
     The best candidate is checked on fresh points. At least 16 realizations must show,
     with 95 % confidence, that its variance is smaller than that of uniform points.

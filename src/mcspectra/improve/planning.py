@@ -380,8 +380,8 @@ def _least(
     best = float(counts[first]), variances[first], found[first].named()
     before = [k for k in known if k < first]
 
-    # Bisect the octaves between the last count that misses the target
-    # and the first count that reaches it. The curve need not be monotone.
+    # Bisect the octaves between the last count that misses the target and the first count
+    # that reaches it, because the curve need not be monotone.
     # Searches for two targets take the same steps while both are reached or both are missed.
     # After that, only the search for the smaller target continues toward larger n.
     # Nets are balanced only at powers of their base

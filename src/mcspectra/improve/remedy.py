@@ -47,8 +47,8 @@ class RemedySettings:
     # Number of budgets at which each set-up is measured. From the five budgets B/256, B/64, B/16,
     # B/4 and B, a rate is fitted, with three degrees of freedom for the lack of fit.
     steps: int = 5
-    # Ratio of successive budgets. A smaller ratio costs more: the total is 1/(1 − 1/ratio) times
-    # the largest budget, which is 4/3 here.
+    # Ratio of successive budgets. A smaller ratio costs more. The total of all budgets
+    # is 1/(1 − 1/ratio) = 4/3 times the largest budget.
     # With a larger ratio, only two or three budgets would be large enough for two points.
     ratio: int = 4
     # Expected number of changes of each kind, for estimates of cost and memory before a run.
@@ -283,8 +283,8 @@ def remedies(
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Maximum number of evaluations of the integrand. If the given set-up and its diagnosis need
-        more, an error is raised before any evaluation.
+        Maximum number of evaluations of the integrand. An error is raised before any evaluation
+        if the given set-up and its diagnosis need more.
         All kinds have equal shares of the remaining evaluations.
         A change that needs more than the share of its kind is not tried.
 
@@ -296,12 +296,12 @@ def remedies(
         Variables on ``remedy``: ``error`` with ``error_ci`` is the variance at the budget,
         or the mean squared error of a biased change, summed over channels.
         ``error_ratio`` with ``error_ratio_ci`` is the ratio to the error of the given set-up.
-        ``rate`` with ``rate_ci``, and ``rate_difference`` with ``rate_difference_ci``, are
-        rates of the variance, and their differences from the rate of the given set-up.
+        ``rate`` with ``rate_ci`` is the rate of the variance.
+        ``rate_difference`` with ``rate_difference_ci`` is this rate minus that of the given set-up.
         Intervals of ratios and of differences are simultaneous, at 95 %.
         ``rank_by_rate`` is the rank of the rate.
-        Coordinates: ``kind``; ``change`` (an imperative); ``reason``; and ``verdict`` and
-        ``rate_verdict``, which are better, worse, undecided or given.
+        Coordinates are ``kind``, ``change`` (an imperative), ``reason``, ``verdict`` and
+        ``rate_verdict``. Verdicts are better, worse, undecided or given.
         Variables on (remedy, step): ``cost`` and ``error_at_cost``.
         Attributes: ``diagnosis`` and ``answer`` are sentences,
         ``best`` contains the numbers of the answer as JSON,
@@ -314,8 +314,8 @@ def remedies(
 
     Notes
     -----
-    The kinds ``fitted``, ``regression``, ``order`` and ``preintegrated`` change the estimator
-    after a pilot, and keep its integral.
+    The kinds ``fitted``, ``regression``, ``order`` and ``preintegrated`` use a pilot.
+    They change the estimator after the pilot, and keep its integral.
     The pilot takes an eighth of the budget, but at most 4096 evaluations.
 
     If no count of points costs exactly the budget, the largest count below it is measured,

@@ -2,8 +2,8 @@
 
 See docs/theory.md, "Mirroring and smoothing". The bias of smoothing does not fall with n,
 so the width with the least mean squared error depends on n.
-The talk on [Singh2019]_ shows six convergence plots: original, mirror-random
-and mirror-uniform, each with and without a shift of the samples.
+The talk on [Singh2019]_ shows six convergence plots, with and without a shift of the samples:
+original, mirror-random and mirror-uniform.
 """
 
 from __future__ import annotations
@@ -85,8 +85,8 @@ def smoothing_scan(
         A dataset. ``variance(width, n)`` with ``variance_ci`` is the variance,
         and ``rate(width)`` with ``rate_ci`` is its rate.
         ``smoothing_bias(width)`` is the change of the integral.
-        ``bias_squared(width)`` is its square, and its interval ``bias_squared_ci`` is computed
-        from the errors of the integrals.
+        ``bias_squared(width)`` is the square of this change.
+        Its interval ``bias_squared_ci`` is computed from the errors of the integrals.
         ``mse(width, n)`` with ``mse_ci`` is the mean squared error, bias² + variance.
         ``best_width(n)`` is the width with the least mse. ``best_width_range(n, bound)`` is
         the range of widths whose mse may be as small, as judged by the intervals.
@@ -137,8 +137,8 @@ def smoothing_scan(
     low, high = np.maximum(np.abs(bias) - error, 0.0), np.abs(bias) + error
     square_ci = np.stack([low, high], axis=-1) ** 2
 
-    # For each n, find the width with the least error, and the range of widths
-    # whose error may be as small
+    # For each n, find the width with the least error,
+    # and the range of widths that may have an error as small
     mse = measured["variance"].values + np.expand_dims(bias**2, 1)
     mse_ci = measured["variance_ci"].values + np.expand_dims(square_ci, 1)
     total, ci = (mse.sum(axis=2), mse_ci.sum(axis=2)) if f.channels else (mse, mse_ci)

@@ -80,8 +80,8 @@ __all__ = ["Profile", "ProfileSettings", "Profiling", "profile"]
 class ProfileSettings:
     """Settings of a profile."""
 
-    # Least budget, in evaluations. Twenty nets of four points take 80 evaluations. If the given
-    # sampler is also measured, these nets must fit into 40 % of the budget.
+    # Least budget, in evaluations. Twenty nets of four points take 80 evaluations.
+    # They must fit into 40 % of the budget if the given sampler is also measured.
     least_budget: int = 256
     # Width of the text of a cause in columns, one line of a usual terminal or page.
     width: int = 100
@@ -104,8 +104,8 @@ class ProfileSettings:
     # Standard error of a theoretical rate, which holds for large counts only.
     # With 0.04 or 0.16 the RMSE of 12 profiles changed by 14 % at most, and by 1 % in the median.
     theory_error: float = 0.08
-    # Standard error of a slope over few octaves at a jump along an axis. The jump may lie anywhere
-    # between the ends of its stratum, so the variance is a sawtooth function of n.
+    # Standard error of a slope over few octaves at a jump along an axis.
+    # The variance is a sawtooth function of n, because the jump's place in its stratum varies.
     # With 0.25 or 1 the RMSE of 12 profiles changed by 6 % at most.
     teeth_error: float = 0.5
     # The level of such a sawtooth is the mean over this number of its last counts.
@@ -127,18 +127,18 @@ class ProfileSettings:
     # The RMSE after one change differed by a factor of up to 1.9.
     few_points: int = 16
     steepest_rate: float = -2.0
-    # If g grows at the border or has a heavy tail, the log variance of a change at the budget
-    # must be lower by this number of its errors.
-    # This was tested in 112 profiles: seven such functions, two samplers and eight seeds,
-    # with 4096 evaluations each. The change was worse than the given set-up in none of 88
-    # recommendations with 1, in one of 99 with 0.5, and in five of 109 with 0.
+    # Number of errors by which the log variance of a change at the budget must be lower,
+    # if g grows at the border or has a heavy tail.
+    # This was tested in 112 profiles with 4096 evaluations each: seven such functions,
+    # two samplers and eight seeds. With 1, none of 88 recommendations had a larger variance
+    # than the given set-up. With 0.5, one of 99 had, and with 0, five of 109 had.
     tail_errors: float = 1.0
-    # Number of sets of a lattice at each count. It is small because the remaining budget is small
-    # and more counts are needed: rates of lattices change with n.
+    # Number of sets of a lattice at each count. It is small because the remaining budget is small,
+    # and rates of lattices require several counts.
     lattice_sets: int = 10
-    # Standard deviation of the log variance of lattices about a line through all counts,
-    # because each count has another vector. It is 1.3 for smooth functions in 4 to 6 dims,
-    # and 0.6 in 2 and 3 dims.
+    # Standard deviation of the log variance of lattices about a line through all counts.
+    # It is large because each count has another vector: 1.3 for smooth functions
+    # in 4 to 6 dims, and 0.6 in 2 and 3 dims.
     lattice_scatter: float = 1.3
     # Largest number of dims in which antithetic pairs in strata are measured.
     # Folded lattices, with the rate −4, are measured above it.
@@ -164,8 +164,8 @@ _GAINED = {
     "axis-parallel-jump",
 }
 _JUMPS = {"interior-jump", "axis-parallel-jump"}
-# Exponent e for each cause. In theory, variances fall as n^(−1 − e/d) with strata
-# and as n^(−1 − e) with nets
+# Exponent e for each cause. In theory, variances fall as n^(−1 − e/d) with strata;
+# with nets, they fall as n^(−1 − e)
 _EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}
 
 
@@ -430,8 +430,9 @@ def profile(
         Number of dims of a function or a spec.
         The default is the sampler's number of dims, unless the sampler is given as a spec.
     budget
-        Maximum number of evaluations of f in total, at least 256. With 262,144 evaluations,
-        errors of rates are about 0.05 instead of 0.1, in less than a second if f is fast.
+        Maximum number of evaluations of f in total, at least 256.
+        With 262,144 evaluations, errors of rates are about 0.05 instead of 0.1.
+        They take less than a second if f is fast.
     rng
         Seed (SPEC 7).
     vectorized, workers, cache
@@ -793,7 +794,7 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     first = _shape(causes)
     if name in {_LATTICE, _FOLDED} and math.isfinite(curve.rate):
         # In theory, the variance for smooth functions is n^−4 (log n)^(2d − 2).
-        # Assume two thirds of the logarithms.
+        # Use two thirds of the exponent of the logarithm.
         # Limit the rate, because few points may show a steeper rate in many dims
         third = (dims - 1) / (3.0 * math.log(max(curve.counts[-1], 2.0)))
         limit = min(-4.0 + 4.0 * third, -1.0)

@@ -66,8 +66,8 @@ def improve_code(table: Array, columns: Array, bits: int, span: Array) -> float:
 
 @kernel
 def flip_tree(table: Array, codes: Array, axes: int, bits: int) -> bool:
-    # Flip nodes of the trees of all axes if a flip lowers Σ_ij table[codes_i ^ codes_j];
-    # the array codes is (n,)
+    # Flip nodes of the trees of all axes if a flip lowers Σ_ij table[codes_i ^ codes_j].
+    # Argument: codes (n,)
     n, changed = len(codes), False
     inside = np.empty(n, np.bool_)
     for axis in range(axes):
@@ -111,8 +111,8 @@ def swap_cells(
     trials: int,
 ) -> int:
     # Exchange pairs of cells between sets if the exchange lowers Σ |sums|².
-    # Arrays: features float32 (N, r); owner (N,), the set of each cell; place (N,), its stratum;
-    # sums float32 (W, r). Unless free is true, each set keeps one cell of each stratum
+    # Unless free is true, each set keeps one cell of each stratum. Arrays: features float32 (N, r);
+    # owner (N,), the set of each cell; place (N,), its stratum; sums float32 (W, r)
     cells, r = features.shape
     taken = 0
     for t in range(trials):
@@ -151,8 +151,8 @@ def swap_cells(
 
 @kernel
 def reflect(slopes: Array, sets: Array, signs: Array) -> None:
-    # Choose signs ±1, int64 (W, n), that make |Σ_i sign_i slopes[sets_i]|² small for each set;
-    # the array slopes is (N, r)
+    # For each set, choose signs ±1 that make |Σ_i sign_i slopes[sets_i]|² small.
+    # Arrays: signs int64 (W, n), slopes (N, r)
     n, r = sets.shape[1], slopes.shape[1]
     total = np.empty(r)
     for w in range(len(sets)):

@@ -55,9 +55,9 @@ class DesignSettings:
     """Settings of the cache of designs and of certificates."""
 
     # A class is identified in the cache by its text and by the values of members at points.
-    # These are the numbers of points and of members. A text does not identify a function,
-    # and values may be 0 outside a small region: 64 points missed disks of radius 0.1,
-    # and 8192 points miss a region of volume 1e-3 with probability 3e-4.
+    # These are the numbers of points and of members. A text does not identify a function.
+    # Values may be 0 outside a small region: disks of radius 0.1 were missed by 64 points.
+    # A region of volume 1e-3 is missed by 8192 points with probability 3e-4.
     cache_points: int = 2**13
     cache_members: int = 256
     # Samplers with which designs and certificates are compared by default:
@@ -74,11 +74,11 @@ class DesignSettings:
         "rank1-lattice | shift | mirror(mode='fold')",
         "fibonacci | shift | mirror(mode='fold')",
     )
-    # Limits of the comparison of a design with its rivals, before the design is returned:
-    # number of members, number of realizations of each group of members,
-    # and maximum number of evaluations of each sampler.
-    # The members of a group share realizations. With 20 groups of 32 realizations
-    # there are 620 degrees of freedom, and the error is 6 %.
+    # Limits of the comparison of a design with its rivals, before the design is returned.
+    # They are the number of members, the number of realizations of each group of members,
+    # and the maximum number of evaluations of each sampler.
+    # The members of a group share realizations. 20 groups of 32 realizations have
+    # 620 degrees of freedom, which gives an error of 6 %.
     check_members: int = 2000
     check_realizations: int = 32
     check_evaluations: int = 2**24
@@ -317,8 +317,8 @@ def certificate(
     dims
         Number of dims. The default is the number of dims of the sampler.
     rivals
-        Samplers that are compared with the design. The default is sobol | owen, pmj02,
-        pmj02-blue-noise, and shifted Korobov, rank-1 and Fibonacci lattices, folded and not folded.
+        Samplers that are compared with the design. The default is sobol | owen, pmj02 and
+        pmj02-blue-noise, and shifted lattices (Korobov, rank-1 and Fibonacci), also folded.
         Of these, only samplers with sets of n points in these dims are used.
     members
         Number of random members, which are divided into 20 groups.

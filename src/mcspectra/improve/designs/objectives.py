@@ -47,12 +47,12 @@ class ObjectiveSettings:
     # in 8-D such a table has about 2^2 values along each axis.
     most_dims: int = 8
     # Maximum numbers of waves of a spectrum and of eigenvectors of a covariance.
-    # The largest ones are kept. Each wave gives two functions, so that a search
-    # handles twice as many functions as waves.
+    # The largest ones are kept. Each wave gives two functions,
+    # so a search handles twice as many functions as waves.
     most_waves: int = 1024
     # Number of members and number of points of the test for constant members.
-    # A class is refused by mistake if its members vary only in a small region:
-    # in less than about 1/8192 of the volume.
+    # A class is refused by mistake if its members vary only in a region
+    # with less than about 1/8192 of the volume.
     probe_members: int = 16
     probe_points: int = 2**13
     # Default and largest half width h of a spectrum or a covariance given as a function.

@@ -9,8 +9,8 @@ If sets are folded after the shift, both statements hold for g(x) = f(1 − |2x 
 because this function is continuous on the torus [Hickernell2002]_.
 Each search tries plain sets and folded sets, and keeps the better ones.
 
-Sets that divide the cells of a grid among them need no shift. Features φ_t are functions
-with Σ_t φ_t(x) φ_t(y) = Cov(f(x), f(y)) at the centers of cells.
+Sets that divide the cells of a grid among them need no shift. At the centers of cells,
+features are functions φ_t with Σ_t φ_t(x) φ_t(y) = Cov(f(x), f(y)).
 The variance is the mean over sets of Σ_t (mean φ_t)².
 It is lowered by exchanges of cells between sets.
 Exchanges start from random sets, or from the cosets of a digital net if these are better.
@@ -56,9 +56,9 @@ class SearchSettings:
     """Settings of the searches.
 
     Larger numbers make searches longer.
-    Comments give ratios: the mean variance of designs with other values of a setting,
-    divided by the mean variance of ``sobol | owen``. Unless stated otherwise, ratios are means
-    over 400 fresh members of the class ``gaussians`` with about 64 points in 2-D.
+    Comments give ratios. A ratio is the mean variance of designs with another value of a setting,
+    divided by the mean variance of ``sobol | owen``. Unless stated otherwise, it is measured
+    with 400 fresh members of the class ``gaussians`` and about 64 points in 2-D.
     """
 
     # Settings of classes
@@ -89,8 +89,8 @@ class SearchSettings:
     # the ratio of lattices is 0.020 to 0.021 in 2-D, and 0.27 to 0.30 in 3-D.
     frequencies: int = 2**16
     # Number of initial vectors in the search of lattices in three dims or more.
-    # One vector is built axis by axis, and the others are random. In 3-D
-    # 24 and 48 vectors give the ratio 0.295. 96 vectors give 0.274 in twice the time.
+    # One vector is built axis by axis, and the others are random. In 3-D the ratio is the same
+    # with 24 and 48 vectors, 0.295. With 96 vectors it is 0.274, in twice the time.
     vectors: int = 48
     # Number of vectors that are measured: the best ones of this search.
     # In 3-D the ratio is the same for 6 and 24 vectors.
@@ -104,7 +104,7 @@ class SearchSettings:
     # Maximum number of bits in the code of a point, for all axes together.
     # The Walsh table has 2^18 values for each member.
     table_bits: int = 18
-    # Number of initial matrices in the search of nets: Sobol' matrices,
+    # Number of initial matrices in the search of nets. They are Sobol' matrices
     # and random matrices of the same strength. The ratio is the same for 3 and 12.
     net_starts: int = 6
     # Number of trees in a design of kind ``owen``. The trees are independent sets,
@@ -118,7 +118,7 @@ class SearchSettings:
     # Number of cells of the grid. There are cells/n sets of n points, and at least 16 sets.
     # The ratio of strata is 0.033, 0.031 and 0.033 for half, once and twice as many cells.
     cells: int = 2**16
-    # Number of features of the covariance. If n is larger than this setting, n features are used,
+    # Number of features of the covariance. If n is larger, n features are used,
     # but at most twice this setting.
     # The ratio of strata is 0.031 for half or twice as many features.
     features: int = 160
@@ -138,9 +138,8 @@ class SearchSettings:
     # they reach less variance than from random sets (tests/improve/test_design.py).
     cosets: bool = True
     # Number of shapes of strata that are compared, starting with the most even shapes;
-    # and number of realizations in each comparison.
-    # A variance of 32 realizations has a relative error of √(2/31) = 25 %;
-    # good and bad shapes differ by more than that.
+    # and number of realizations in each comparison. A variance of 32 realizations has
+    # a relative error of √(2/31) = 25 %. Good and bad shapes differ by more than 25 %.
     shapes: int = 12
     shape_realizations: int = 32
 
