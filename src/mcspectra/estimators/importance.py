@@ -77,7 +77,7 @@ class Estimator(DomainEstimator):
 
     @property
     def dims(self) -> int:
-        """Number of dims of the sampler, which is larger than that of f if the warp needs more."""
+        """Number of dims of the sampler; a warp may need more dims than f has."""
         return self.integrand.dims if self.density is None else self.density.primary_dims
 
     @property

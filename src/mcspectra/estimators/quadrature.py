@@ -90,7 +90,7 @@ _HEAVY, _AS_POWER, _LARGEST_POWER = 0.1, 0.6, 0.47
 # Growth is unbounded if log2 |g| rises by at least this much from each distance to the next
 _RISES = 0.02
 
-# Panels down to 2^-20 integrate √u near 0 to 1e-6. In 2-D each panel adds a row of panels
+# Panels down to 2^-20 integrate √u near 0 to 1e-6. Each panel adds a row of panels in 2-D
 _GRADED = {
     dims: tuple(x for k in range(1, depth) for x in (0.5**k, 1.0 - 0.5**k))
     for dims, depth in ((1, 40), (2, 14))
@@ -529,7 +529,7 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
         # The rule by levels can miss thin slabs, and the rule by boxes can miss the tips of poles
         more = by_levels - value - level_errors - error
         alike = np.abs(by_levels - value) <= level_errors + error
-    hidden = unseen(g)  # In slabs, which levels miss completely
+    hidden = unseen(g)  # The error in slabs, which levels miss
     better = alike & (level_errors + hidden < error) & (hidden < _HIDDEN * error)
     better |= np.isinf(by_levels) | over_domain & (more > 0.0)
     level_errors = np.where(np.isinf(by_levels), 0.0, level_errors + hidden)

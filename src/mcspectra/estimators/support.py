@@ -32,7 +32,7 @@ __all__ = ["check_support", "probe_points", "uncovered"]
 
 _PROBES = 4096
 _CELLS = 8192
-_NEAR = (2.0**-4, 2.0**-8, 2.0**-12)  # At smaller distances steep powers underflow
+_NEAR = (2.0**-4, 2.0**-8, 2.0**-12)  # Steep powers underflow at smaller distances
 _FACES = 512
 _MOST_CORNERS = 4  # dims
 _BESIDE = 2.0**-30

@@ -329,7 +329,7 @@ class Evidence:
     calls
         Number of evaluations of the integrand.
     missed
-        In words, a position where a density of the user is 0 and f is not; empty if there is none.
+        Description of a position at which a density of the user is 0 and f is not; may be empty.
     failed
         Reason, with a position, why g has no values next to the border; empty if it has values.
     settings

@@ -146,8 +146,8 @@ def diagnose(
     with counting("The diagnosis", most):
         causes, unseen = _looked_for(estimator, sampler, stream, most)
         # Compute the fraction of the variance of g that cancels in a mean over reflections.
-        # All 2^d reflections about the center are used, at fixed points. The fraction is None
-        # in many dims, and for functions g that are constant or cannot be evaluated
+        # All 2^d reflections about the center are used, at fixed points.
+        # In many dims, and if g is constant or cannot be evaluated, the fraction is None
         odd, whole, even = None, 0.0, 0.0
         with suppress(McspectraError):
             few = estimator.dims <= _SETTINGS.odd_dims

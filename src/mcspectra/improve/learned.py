@@ -17,7 +17,7 @@ Only evaluations that were not used in the fit are compared.
 The integral ∫f²/p alone does not measure the roughness of f/p.
 This roughness causes the variance that nets and strata do not remove.
 The best candidate is checked on fresh points. The result is the uniform density
-if the variance of the best candidate is not smaller than that of uniform points.
+unless the best candidate has less variance than uniform points.
 """
 
 from __future__ import annotations
@@ -423,7 +423,7 @@ def learned_density(
     of f/p is compared for at least six realizations of the sampler. Each has n points,
     or as many as the evaluations allow: at least n/16, by default usually n/4.
     The best candidate is checked on fresh points. At least 16 realizations must show,
-    with 95 % confidence, that its variance is smaller than that of uniform points.
+    with 95 % confidence, that it has less variance than uniform points.
     In addition, ∫f²/p must be smaller than ∫f². The effective number of uniform points,
     (Σ|f|)²/Σf², must be at least 16, because peaks may be missed otherwise.
     `mcspectra.improve.learned` describes the method of fitting.

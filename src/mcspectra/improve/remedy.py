@@ -44,8 +44,8 @@ __all__ = ["Remedies", "RemedySettings", "ranked", "remedies"]
 class RemedySettings:
     """Settings of the comparison of remedies."""
 
-    # Number of budgets at which each set-up is measured. From the five budgets B/256, B/64, B/16,
-    # B/4 and B, a rate is fitted, with three degrees of freedom for the lack of fit.
+    # Number of budgets at which each set-up is measured: B/256, B/64, B/16, B/4 and B.
+    # A rate from five budgets leaves three degrees of freedom for the lack of fit.
     steps: int = 5
     # Ratio of successive budgets. A smaller ratio costs more. The total of all budgets
     # is 1/(1 − 1/ratio) = 4/3 times the largest budget.

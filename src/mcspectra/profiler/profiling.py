@@ -89,8 +89,8 @@ class ProfileSettings:
     # In 12 profiles of 8192 evaluations (six functions, two seeds), half or double this number
     # gave the same advice. The RMSE after one fitted change differed by a factor of 2.4.
     fitted_points: int = 64
-    # Dependence of draws is a cause if the ratio of effective draws to all draws is at most this.
-    # The upper end of the interval of the ratio is compared.
+    # Dependence of draws is a cause if the ratio of effective draws to all draws is at most this,
+    # even at the upper end of the interval of the ratio.
     # At this ratio, standard errors are 20 % larger than for independent draws.
     dependent: float = 0.7
     # Least number of points of each net in measurements of a change.
@@ -137,8 +137,8 @@ class ProfileSettings:
     # and rates of lattices require several counts.
     lattice_sets: int = 10
     # Standard deviation of the log variance of lattices about a line through all counts.
-    # It is large because each count has another vector: 1.3 for smooth functions
-    # in 4 to 6 dims, and 0.6 in 2 and 3 dims.
+    # It is large because each count has another vector.
+    # For smooth functions it is 1.3 in 4 to 6 dims, and 0.6 in 2 and 3 dims.
     lattice_scatter: float = 1.3
     # Largest number of dims in which antithetic pairs in strata are measured.
     # Folded lattices, with the rate −4, are measured above it.
@@ -828,7 +828,7 @@ def _is_smooth(causes: Sequence[Cause]) -> bool:
 
 
 def _rival(evidence: Evidence, causes: Sequence[Cause]) -> str:
-    """Return the sampler that may gain more from g than nets do, or "" if there is none.
+    """Return the sampler that may gain more from g than nets do, or "" if no such sampler exists.
 
     Lattices have the rates of Fourier series if g agrees on opposite faces of the cube,
     or if points are folded [Hickernell2002]_. They also gain from kinks, cusps and waves.
@@ -1135,7 +1135,7 @@ def _improved(
             curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
         # Take the geometric mean of two extrapolations: by the rate of the change, and by its gain.
-        # Their half difference counts as an error
+        # Half of the difference of the two extrapolations is an additional error
         points_at_budget = budget // estimator.evaluations_per_point
         (value, error), at_best = curve.at(at_budget), base.at(points_at_budget)[0]
         kept = ours / other * at_best if other > 0.0 else 0.0

@@ -360,7 +360,7 @@ def certificate(
     if not means[best] > 0.0:
         raise ParameterError(f"The variance of {samplers[best].spec} vanishes; there is no ratio.")
     spread = student_t(groups) * sums.std(axis=1, ddof=1) / math.sqrt(groups)
-    # The least of several estimates is biased, so each half uses the rival chosen by the other half
+    # Each half uses the rival that the other half has chosen, because the least estimate is biased
     halves = sums.reshape(len(samplers), -1, 2)
     chosen = 1 + halves.sum(axis=1)[1:, ::-1].argmin(axis=0)
     beaten = halves[chosen, :, (0, 1)].T.ravel()

@@ -104,8 +104,8 @@ class SearchSettings:
     # Maximum number of bits in the code of a point, for all axes together.
     # The Walsh table has 2^18 values for each member.
     table_bits: int = 18
-    # Number of initial matrices in the search of nets. They are Sobol' matrices
-    # and random matrices of the same strength. The ratio is the same for 3 and 12.
+    # Number of initial matrices in the search of nets: Sobol' and random ones of the same strength.
+    # The ratio is the same for 3 and 12.
     net_starts: int = 6
     # Number of trees in a design of kind ``owen``. The trees are independent sets,
     # which allows estimates of errors. The ratio is 0.235 for 32 trees, and 0.224 for 64 and 128.
@@ -466,7 +466,7 @@ def _shared(
             "kind='lattice'.",
             (most,),
         )
-    # A set of n points can balance about n features, which about n members determine
+    # A set of n points can balance about n features. About n members determine these features
     members = min(2 * settings.members, max(settings.members, 8 * n))
     values = objective.functions(members, stream.generator(0))
 
