@@ -88,7 +88,7 @@ class ChannelSampling(DomainEstimator):
 
     @property
     def spec(self) -> str:
-        """``f / sets[densities]``."""
+        """Text of the form ``f / sets[densities]``."""
         shown = ", ".join(density.spec for density in self.densities)
         return f"{self.integrand.spec} / channels, {self.sets}[{shown}]"
 

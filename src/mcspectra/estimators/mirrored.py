@@ -105,7 +105,7 @@ class Mirrored(AbstractEstimator):
 
     @property
     def spec(self) -> str:
-        """``estimator, mirrored: mode``."""
+        """Text of the form ``estimator, mirrored: mode``."""
         return f"{self.estimator.spec}, mirrored: {self.mode}"
 
     @property

@@ -152,7 +152,7 @@ class MultipleImportance(Combined):
 
     @property
     def spec(self) -> str:
-        """``integrand / heuristic[densities]``."""
+        """Text of the form ``integrand / heuristic[densities]``."""
         parts = zip(self.counts, self.densities, strict=True)
         shown = ", ".join(f"{c}×{p.spec}" if c > 1 else p.spec for c, p in parts)
         return f"{self.integrand.spec} / {self.heuristic}[{shown}]{self.sets_label}"
@@ -285,7 +285,7 @@ class OneSampleMIS(Combined):
 
     @property
     def spec(self) -> str:
-        """``integrand / one-sample heuristic[probabilities × densities]``."""
+        """Text of the form ``integrand / one-sample heuristic[probabilities × densities]``."""
         parts = zip(self.probabilities, self.densities, strict=True)
         shown = ", ".join(f"{chance:.6g}×{p.spec}" for chance, p in parts)
         split = ", coordinate" if self.selection == "coordinate" else ""
@@ -388,7 +388,7 @@ class TechniqueSum(AbstractEstimator):
 
     @property
     def spec(self) -> str:
-        """``g_0 + g_1 + …``."""
+        """The specs of all g_t, joined by plus signs."""
         return " + ".join(g.spec for g in self.integrands) + self.sets_label
 
     def _primary(self, technique: int) -> Integrand:

@@ -855,7 +855,8 @@ def plan(
         For larger n it is extrapolated by the last slope, which ``how`` reports.
         The coordinates ``method`` and ``how`` are the same as in `predict`.
         For measurements they are ``"measured"`` and the number of evaluations.
-        For a single sampler they are attributes. A list of samplers adds the dim sampler.
+        For a single sampler, ``method`` and ``how`` are attributes.
+        A list of samplers adds the dim sampler.
         The attribute ``answer`` is a sentence.
 
     Raises

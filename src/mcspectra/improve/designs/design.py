@@ -332,8 +332,8 @@ def certificate(
     xarray.Dataset
         `mean_variance(sampler)` with `mean_variance_ci`, and `design_ratio` with `design_ratio_ci`.
         The ratio is the mean variance of the sampler divided by that of the best rival.
-        For each half of the groups, the rival is chosen by the other half. Intervals at 95 % use
-        Student's t over groups, and the jackknife for the ratio.
+        For each half of the groups, the rival is chosen by the other half.
+        Intervals at 95 % are by Student's t over groups, and by the jackknife for the ratio.
         The attribute `best_rival` names the rival with the least mean variance.
         Use this rival instead of the design if the ratio is above 1.
 
