@@ -408,7 +408,7 @@ def split_mixture(
     integrand
         The integrand f, or its spec string.
     mixture
-        A `Mixture` or `Defensive`, or its spec string. The attribute `selection` has no effect.
+        The mixture, a `Mixture` or `Defensive` density, or its spec. Its `selection` has no effect.
     most
         Largest total of the counts, which is the common denominator of the shares w_t.
 

@@ -346,8 +346,8 @@ class Moments:
         """95 % interval of the variance, (..., 2). Without `resolved`, the upper end is infinite.
 
         The interval is logarithmic and uses the kurtosis, as in [Bonett2006]_.
-        The skewness moves its center, as a trimmed mean does in that work. The interval is
-        wider upward, because values that miss a tail make both s² and its error too small.
+        The skewness moves its center, as a trimmed mean does in that work.
+        It is wider upward, because values that miss a tail make s² and its error too small.
         If the tail index is above 0.05, the upper end is at least the quantile for values u^−k,
         where k is one standard error above the index.
         With these constants, intervals of 20 or more values hold in 93 to 97 % of cases.

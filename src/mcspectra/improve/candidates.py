@@ -186,7 +186,7 @@ def _candidate(
     *,
     biased: bool = False,
 ) -> Candidate | str:
-    """Return the candidate whose estimator, sampler or set-up `make` returns, or the reason."""
+    """Return a candidate with the result of `make`, or the reason why there is none."""
     try:
         made = make()
     except McspectraError as error:
@@ -429,7 +429,7 @@ def separate_channels(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG
 
 
 def improve(kind: Kind, given: Setup, budget: Budget) -> _Candidates:
-    """Yield the changes of g that evaluations suggest; these exist, or a pilot makes them."""
+    """Yield the changes of g that existing evaluations or a pilot suggest."""
     seen, charged = budget.seen, 0
     if seen is None:
         settings, each = budget.settings, given.estimator.evaluations_per_point

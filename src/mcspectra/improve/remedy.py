@@ -300,8 +300,9 @@ def remedies(
         ``rate_difference`` with ``rate_difference_ci`` is this rate minus that of the given set-up.
         Intervals of ratios and of differences are simultaneous, at 95 %.
         ``rank_by_rate`` is the rank of the rate.
-        Coordinates are ``kind``, ``change`` (an imperative), ``reason``, ``verdict`` and
-        ``rate_verdict``. Verdicts are better, worse, undecided or given.
+        The coordinates are the kind, the change as an imperative, the reason and two verdicts:
+        ``kind``, ``change``, ``reason``, ``verdict`` and ``rate_verdict``.
+        A verdict is better, worse, undecided or given.
         Variables on (remedy, step): ``cost`` and ``error_at_cost``.
         Attributes: ``diagnosis`` and ``answer`` are sentences,
         ``best`` contains the numbers of the answer as JSON,

@@ -141,7 +141,7 @@ class ProfileSettings:
     # For smooth functions it is 1.3 in 4 to 6 dims, and 0.6 in 2 and 3 dims.
     lattice_scatter: float = 1.3
     # Largest number of dims in which antithetic pairs in strata are measured.
-    # Folded lattices, with the rate −4, are measured above it.
+    # In more dims, folded lattices are measured, which have the rate −4.
     # Pairs have the rate −5 in 1-D and −3 in 2-D.
     paired_dims: int = 1
     # Number of points of the sample function of a density that are tested to lie in the unit cube.

@@ -89,8 +89,8 @@ class SearchSettings:
     # the ratio of lattices is 0.020 to 0.021 in 2-D, and 0.27 to 0.30 in 3-D.
     frequencies: int = 2**16
     # Number of initial vectors in the search of lattices in three dims or more.
-    # One vector is built axis by axis, and the others are random. In 3-D the ratio is the same
-    # with 24 and 48 vectors, 0.295. With 96 vectors it is 0.274, in twice the time.
+    # One vector is built axis by axis, and the others are random.
+    # In 3-D the ratio is 0.295 with 24 or 48 vectors, and 0.274 with 96 in twice the time.
     vectors: int = 48
     # Number of vectors that are measured: the best ones of this search.
     # In 3-D the ratio is the same for 6 and 24 vectors.
