@@ -1,11 +1,12 @@
 """The interface of estimators: techniques, each with a warp, a weight and an integrand.
 
-An estimator with techniques t = 0 … T−1 draws n_t = n · counts[t] points u_tk of a sampler for each
-technique and returns I = Σ_t (1/n_t) Σ_k g_t(u_tk). Two views of it are analyzed:
+An estimator has techniques t = 0 … T−1.
+For technique t it draws n_t = n · counts[t] points u_tk of a sampler.
+The estimate is I = Σ_t (1/n_t) Σ_k g_t(u_tk). There are two views of an estimator:
 
-* *primary space*: the integrands g_t on the unit cube, with the sampler's own points;
-* *domain*: one integrand f with all warped points x_tk = T_t(u_tk), weighted w_t/(p_t n_t), so that
-  I = Σ_tk weight_tk f(x_tk).
+* *primary space*: integrands g_t on the unit cube, with the sampler's own points;
+* *domain*: one integrand f, with all warped points x_tk = T_t(u_tk).
+  Each point has the weight w_t/(p_t n_t), so that I = Σ_tk weight_tk f(x_tk).
 """
 
 from __future__ import annotations
@@ -57,9 +58,9 @@ class AbstractEstimator(ABC):
     Attributes
     ----------
     counts
-        Number of points of each technique as a multiple of n.
+        For each technique, its number of points as a multiple of n.
     sets
-        Relation between the point sets of the techniques; see `mcspectra.estimators.sets`.
+        How the point sets of the techniques are related; see `mcspectra.estimators.sets`.
     """
 
     counts: tuple[int, ...]
@@ -69,12 +70,12 @@ class AbstractEstimator(ABC):
         return f"{type(self).__name__}({self.spec})"
 
     def _repr_html_(self) -> str | None:
-        """Picture and main numbers of the estimator, for notebooks."""
+        """A picture of the estimator with its main numbers, for notebooks."""
         return html_of(self)
 
     @property
     def sets_label(self) -> str:
-        """The part of `spec` that states `sets`."""
+        """The part of `spec` that states the sets of the techniques."""
         return "" if self.sets == "independent" else f" ({self.sets} sets)"
 
     @property
@@ -84,12 +85,12 @@ class AbstractEstimator(ABC):
 
     @property
     def domain_dims(self) -> int:
-        """Number of dims of the domain view, or `dims` without a domain view."""
+        """Number of dims of the domain; `dims` if there is no domain view."""
         return self.dims if self.domain_integrand is None else self.domain_integrand.dims
 
     @property
     def channels(self) -> int:
-        """0 for a scalar estimate, else its number of channels."""
+        """Number of channels of the estimate, or 0 if it is a single number."""
         return self.primary_integrand().channels
 
     @property
@@ -99,18 +100,18 @@ class AbstractEstimator(ABC):
 
     @property
     def integral(self) -> Any:
-        """The exact value of the integral, Σ_t ∫ g_t: a float or an array (channels,)."""
+        """Exact value of the integral, Σ_t ∫ g_t, as a float or an array (channels,)."""
         return sum(g.integral for g in self._every_primary())
 
     @property
     def integral_source(self) -> str:
-        """``"exact"`` or how `integral` was computed."""
+        """How `integral` was computed; ``"exact"`` for a closed form."""
         sources = {g.integral_source for g in self._every_primary()}
         return sources.pop() if len(sources) == 1 else "quadrature"
 
     @property
     def integral_error(self) -> float:
-        """Standard error of `integral`, or its estimated absolute error; 0 if it is exact."""
+        """Standard error of `integral`, or an estimate of its absolute error; 0 if it is exact."""
         f = self.domain_integrand
         return sum(
             integral_accuracy(g)[1] for g in ([f] if f is not None else self._every_primary())
@@ -118,11 +119,11 @@ class AbstractEstimator(ABC):
 
     @property
     def is_black_box(self) -> bool:
-        """Whether a call of one of its integrands may be expensive (`Integrand.is_black_box`)."""
+        """Whether an integrand may take long to evaluate (`Integrand.is_black_box`)."""
         return any(g.is_black_box for g in self._every_primary())
 
     def known_integral(self) -> tuple[Any, float, str]:
-        """Return `integral`, its error and source; NaN if it would need calls of a black box."""
+        """Return `integral`, its error and source, or NaN if a black box would be evaluated."""
         if self.is_black_box and self.integral_source != "exact":
             unknown = np.full(self.channels, np.nan) if self.channels else np.nan
             return unknown, math.nan, "unknown"
@@ -130,7 +131,7 @@ class AbstractEstimator(ABC):
 
     @property
     def domain_integrand(self) -> Integrand | None:
-        """Integrand f of the domain view, or None if the techniques share no domain."""
+        """Integrand f of the domain view; None if the techniques have no common domain."""
         return None
 
     @property
@@ -140,22 +141,22 @@ class AbstractEstimator(ABC):
 
     @property
     def evaluations_per_point(self) -> int:
-        """Evaluations of the underlying function per sample."""
+        """Number of evaluations of the underlying function for each point of a sample."""
         f = self.domain_integrand
         return 1 if f is None else f.evaluations_per_point
 
     @property
     def cost(self) -> int:
-        """Evaluations of the underlying function per n, summed over the techniques."""
+        """Number of evaluations of the underlying function per n, for all techniques together."""
         return sum(self.counts) * self.evaluations_per_point
 
     @property
     def pilot_evaluations(self) -> int:
-        """Number of evaluations that a pilot used before the first sample."""
+        """Number of evaluations in a pilot, before the first sample."""
         return 0
 
     def primary_integrand(self, technique: int = 0) -> Integrand:
-        """Return g_t of the primary view, cached because it stores results of quadrature."""
+        """Return g_t of the primary view. It is cached, because it stores results of quadrature."""
         if technique not in self._primaries:
             self._primaries[technique] = self._primary(technique)
         return self._primaries[technique]
@@ -169,26 +170,26 @@ class AbstractEstimator(ABC):
 
     @abstractmethod
     def _primary(self, technique: int) -> Integrand:
-        """Make g_t."""
+        """Create the integrand g_t of technique t."""
 
     def primary_breaks(self, technique: int) -> Breaks:
-        """Return positions where g_t may jump or kink, along each axis of primary space."""
+        """Return the positions along each axis of primary space at which g_t may jump or kink."""
         raise NotImplementedError
 
     @abstractmethod
     def primary_values(self, technique: int, u: Array) -> Array:
-        """Return g_t at primary points u (..., d): float64 (...) or (..., channels)."""
+        """Return g_t at primary points u (..., d), as float64 (...) or (..., channels)."""
 
     def warp(self, technique: int, u: Array) -> Array:
         """Return domain points T_t(u)."""
         raise NotImplementedError
 
     def weight(self, technique: int, x: Array) -> Array:
-        """Return weights w_t(x)/p_t(x) of domain points of technique t."""
+        """Return the weights w_t(x)/p_t(x) at domain points of technique t."""
         raise NotImplementedError
 
     def randomized(self, sampler: Sampler) -> Sampler:
-        """Return the sampler that `draw` uses: `sampler`, possibly with more randomizations."""
+        """Return the sampler that `draw` uses: `sampler`, possibly with added randomizations."""
         return sampler
 
     def law(self, sampler: Sampler, n: int) -> Law:
@@ -196,7 +197,7 @@ class AbstractEstimator(ABC):
         return self.randomized(sampler).law(set_sizes(self.sets, self.counts, n)[0])
 
     def check_sampler(self, sampler: Sampler, n: int) -> None:
-        """Raise unless `sampler` has the right dims and can draw every technique's count."""
+        """Raise an error unless `sampler` has the right dims and the counts of all techniques."""
         if sampler.dims != self.dims:
             raise ParameterError(
                 f"The estimator {self.spec} needs a sampler in {self.dims} dims; "
@@ -221,7 +222,7 @@ class AbstractEstimator(ABC):
                 raise CountError(text, error.nearest) from None
 
     def check_independent(self) -> None:
-        """Raise NoClosedForm unless the variance is the sum over the techniques."""
+        """Raise `NoClosedForm` unless the variance is the sum of the techniques' variances."""
         if self.sets != "independent" and len(self.counts) > 1:
             raise NoClosedForm(
                 f"The techniques of {self.spec} are correlated; the variance is known for "
@@ -233,19 +234,19 @@ class AbstractEstimator(ABC):
             )
 
     def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:
-        """Draw realizations first … first+count−1 for each technique: arrays (count, n_t, d).
+        """Draw realizations first … first+count−1. Return an array (count, n_t, d) per technique.
 
-        The first technique uses `stream` itself, so it gets the points of ``sampler.draw(n, rng)``.
-        See `mcspectra.estimators.sets` for the sets of the other techniques.
+        The first technique uses `stream` itself and gets the points of ``sampler.draw(n, rng)``.
+        Point sets of other techniques are described in `mcspectra.estimators.sets`.
         """
         return draw_sets(self.sets, self.counts, sampler, n, stream, first, count)
 
     def estimate(self, points: list[Array]) -> Array:
-        """Return estimates from primary points of each technique: (R,) or (R, channels)."""
+        """Return the estimates from the primary points of all techniques: (R,) or (R, channels)."""
         return self.estimate_of(self.primary_values(t, u) for t, u in enumerate(points))
 
     def estimate_of(self, values: Iterable[Array]) -> Array:
-        """Return estimates from the primary values of each technique, (R, n[, channels])."""
+        """Return estimates from the primary values of all techniques, each (R, n[, channels])."""
         total: Any = 0.0
         for each in values:
             total = total + each.mean(axis=1)
@@ -254,7 +255,7 @@ class AbstractEstimator(ABC):
         return np.asarray(total)
 
     def weighted_points(self, points: list[Array]) -> tuple[Array, Array]:
-        """Return domain points (R, Σn_t, d) and weights w_t/(p_t n_t) (R, Σn_t)."""
+        """Return domain points (R, Σn_t, d), and their weights w_t/(p_t n_t), (R, Σn_t)."""
         xs, weights = [], []
         for technique, u in enumerate(points):
             x = self.warp(technique, u)
@@ -263,12 +264,12 @@ class AbstractEstimator(ABC):
         return np.concatenate(xs, axis=1), np.concatenate(weights, axis=1)
 
     def moments(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> Moments:
-        """Return moments of `count` estimates over realizations."""
+        """Return moments of `count` estimates, one for each realization."""
         return Moments.of(self.estimate(self.draw(sampler, n, stream, first, count)))
 
 
 class DomainEstimator(AbstractEstimator):
-    """An estimator of one integrand f on one domain.
+    """An estimator of the integral of one integrand f on one domain.
 
     Attributes
     ----------
@@ -289,7 +290,7 @@ class DomainEstimator(AbstractEstimator):
 
     @property
     def integral(self) -> Any:
-        """∫ f."""
+        """The integral of f."""
         return self.integrand.integral
 
     @property
@@ -309,12 +310,12 @@ class DomainEstimator(AbstractEstimator):
 @final
 @dataclass(frozen=True)
 class PrimaryIntegrand(Derived):
-    """The primary-space integrand g_t of an estimator of f, as an integrand.
+    """The primary-space integrand g_t of an estimator of f, as an object of its own.
 
     Attributes
     ----------
     density
-        p_t; None if each point selects its technique.
+        The density p_t; None if each point selects its technique.
     """
 
     name: ClassVar[str] = "primary"
@@ -342,7 +343,7 @@ class PrimaryIntegrand(Derived):
 
 
 def carried_breaks(integrand: Integrand, density: Density, weights: Sequence[float] = ()) -> Breaks:
-    """Return breaks of a warp and, in 1-D, breaks of f and of weights mapped by its inverse."""
+    """Return breaks of a warp in primary space; in 1-D, also breaks of f and of the weights."""
     own = density.breaks
     inner = (*integrand.breaks[0], *weights)
     if density.primary_dims > 1 or not inner:
@@ -353,22 +354,22 @@ def carried_breaks(integrand: Integrand, density: Density, weights: Sequence[flo
 
 @runtime_checkable
 class Weighted(Protocol):
-    """An estimator whose techniques a heuristic combines; the heuristic can be replaced."""
+    """An estimator that combines techniques by a heuristic, which can be replaced."""
 
     counts: tuple[int, ...]
 
     def with_heuristic(self, heuristic: str) -> AbstractEstimator:
-        """Return the same techniques, counts and sets with the heuristic of this spec."""
+        """Return a copy with another heuristic, given as a spec."""
 
     def alone(self, technique: int) -> AbstractEstimator:
-        """Return the estimator of one technique alone."""
+        """Return the estimator that uses a single technique."""
 
     def technique_name(self, technique: int) -> str:
         """Return the name of a technique."""
 
 
 def check_counts(counts: Any, techniques: int) -> tuple[int, ...]:
-    """Return counts as a tuple of `techniques` positive ints, all 1 for None."""
+    """Return counts as a tuple with a positive int for each technique; None means all 1."""
     if counts is None:
         return (1,) * techniques
     values = tuple(counts) if isinstance(counts, list | tuple | np.ndarray) else (counts,)

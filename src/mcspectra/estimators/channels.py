@@ -1,18 +1,19 @@
-"""Color: importance sampling of each channel by its own density, or of all by one density.
+"""Color: importance sampling with a density for each channel, or with one density for all.
 
-With one density for all channels, such as the luminance's, f_c/p jumps where p jumps and f_c does
-not. A density for each channel removes these jumps, and the rest of f_c sets the rate.
-`channel_estimators` makes four methods:
+If all channels share one density p, f_c/p jumps wherever p jumps and f_c does not.
+The density of the luminance is an example. A density for each channel removes these jumps,
+and the rate then depends on the rest of f_c. `channel_estimators` makes four estimators:
 
 ``one``
-    All channels use the points of one density (the luminance's): n evaluations of f.
+    All channels use the points of one density, such as the luminance's: n evaluations of f.
 ``own``
-    Channel c uses n independent points of its density p_c: C n evaluations.
+    Channel c uses n independent points of its own density p_c. This takes C n evaluations.
 ``shared``
-    One set of primary points is warped by each density: C n evaluations as well, but the errors of
-    the channels are correlated, so noise has less color.
+    One set of primary points is warped by each density, which also takes C n evaluations.
+    The errors of the channels are correlated, so the noise is less colored.
 ``mis``
-    All points of all densities serve all channels, with the balance heuristic: C n evaluations.
+    All points of all densities are used in all channels, by the balance heuristic.
+    This takes C n evaluations.
 """
 
 from __future__ import annotations
@@ -46,29 +47,29 @@ _SETS = ("independent", "shared")
 
 @final
 class ChannelSampling(DomainEstimator):
-    """Each channel estimated with its own density, I_c = (1/n) Σ_k f_c(x_ck)/p_c(x_ck).
+    """An estimator of each channel with its own density, I_c = (1/n) Σ_k f_c(x_ck)/p_c(x_ck).
 
-    A technique is a channel. There is no common domain, because the spectra of the channels' points
-    differ. Analyses work in primary space.
+    Each channel is a technique. Analyses use primary space. There is no common domain,
+    because the points of different channels have different spectra.
 
     Parameters
     ----------
     integrand
-        f with C channels, or its spec string.
+        An integrand f with C channels, or its spec string.
     densities
-        p_c, one for each channel, or their spec strings.
+        Densities p_c, one for each channel, or their spec strings.
     sets
-        ``"independent"`` gives each channel its own points; ``"shared"`` warps one set for all.
+        ``"independent"`` draws points for each channel. ``"shared"`` warps one set for all.
     dims
-        Number of dims for spec strings without ``dims``.
+        Number of dims; needed for spec strings without ``dims``.
 
     Raises
     ------
     DensityError
-        If a density is zero at points where its channel is not.
+        If a density is zero at points where its channel of f is not zero.
     ParameterError
-        If f is scalar, the numbers of densities and channels differ, the dims differ, or `sets` is
-        unknown.
+        If f is scalar, if the numbers of densities and channels differ,
+        if the dims differ, or if `sets` is unknown.
     """
 
     def __init__(
@@ -87,13 +88,13 @@ class ChannelSampling(DomainEstimator):
 
     @property
     def spec(self) -> str:
-        """``f / sets[densities]``."""
+        """Text of the form ``f / sets[densities]``."""
         shown = ", ".join(density.spec for density in self.densities)
         return f"{self.integrand.spec} / channels, {self.sets}[{shown}]"
 
     @property
     def domain_integrand(self) -> None:
-        """None, because each channel has its own weighted points."""
+        """None, because each channel has weighted points of its own."""
         return
 
     def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:
@@ -103,14 +104,14 @@ class ChannelSampling(DomainEstimator):
         return [sampler.draw_stream(n, stream, first, count)] * len(self.densities)
 
     def _primary(self, technique: int) -> Integrand:
-        """Return g_c(u) = f_c(T_c(u))/p_c(T_c(u)) in channel c, 0 in the others."""
+        """Return g_c(u) = f_c(T_c(u))/p_c(T_c(u)) in channel c, and 0 in other channels."""
         return PrimaryIntegrand(self, technique, self.integrand, self.densities[technique])
 
     def primary_breaks(self, technique: int) -> Breaks:
         return carried_breaks(self.integrand, self.densities[technique])
 
     def primary_values(self, technique: int, u: Array) -> Array:
-        """Return g_c(u): (..., channels), 0 in all channels but one."""
+        """Return g_c(u) as (..., channels), with 0 in all channels but one."""
         x = self.densities[technique].sample(u)
         values = np.zeros((*u.shape[:-1], self.channels))
         own = self.integrand(x)[..., technique]
@@ -126,25 +127,25 @@ def channel_estimators(
     *,
     dims: int | None = None,
 ) -> dict[str, AbstractEstimator]:
-    """Make estimators of a color integrand, to be compared by `mcspectra.convergence`.
+    """Make estimators of a color integrand, which `mcspectra.convergence` can compare.
 
     Parameters
     ----------
     integrand
-        f with C channels, or its spec string.
+        An integrand f with C channels, or its spec string.
     densities
         One density for each channel.
     one
-        A density for all channels, such as the luminance's; None omits this method.
+        A density for all channels, such as the luminance's; None omits this estimator.
     dims
-        Number of dims for spec strings without ``dims``.
+        Number of dims; needed for spec strings without ``dims``.
 
     Returns
     -------
     dict
-        ``one`` (if given), ``own``, ``shared`` and ``mis``; see the module. With n points per
-        technique the last three evaluate f C n times and ``one`` n times, so compare them at equal
-        Σ counts · n.
+        The estimators ``one`` (if given), ``own``, ``shared`` and ``mis``; see the module.
+        With n points per technique, ``one`` evaluates f n times and the others C n times.
+        Therefore compare them at equal Σ counts · n.
 
     Examples
     --------
@@ -168,7 +169,7 @@ def channel_estimators(
 def _matched(
     integrand: Integrand | str, densities: Sequence[Density | str], dims: int | None
 ) -> tuple[Integrand, tuple[Density, ...]]:
-    """Return the integrand with a density for each channel."""
+    """Return an estimator of the integrand with a density for each channel."""
     parts = densities if isinstance(densities, list | tuple) else ()
     f = as_integrand(integrand, known_dims(dims, integrand, *parts))
     if parts and f.channels != len(parts):

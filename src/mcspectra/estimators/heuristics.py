@@ -1,19 +1,20 @@
-"""Heuristics of multiple importance sampling: how the techniques share an integrand.
+"""Heuristics of multiple importance sampling: how techniques share the integral.
 
-A heuristic gives weights w_t(x) that sum to 1 wherever any technique can sample. The estimator is
-I = Σ_t (1/n_t) Σ_k w_t f/p_t [VeachGuibas1995]_. With q_t = n_t p_t and the names of [Veach1997]_
-§9.2:
+A heuristic gives weights w_t(x). They sum to 1 at every point that some technique can sample.
+The estimator is I = Σ_t (1/n_t) Σ_k w_t f/p_t [VeachGuibas1995]_.
+With q_t = n_t p_t, these heuristics are described in [Veach1997]_ §9.2:
 
-* ``balance``: w_t = q_t / Σ_s q_s. With random points, no other weights ≥ 0 have a variance that is
-  lower by more than (1/min n_t − 1/Σ n_t) I² (his Theorem 9.2).
-* ``power(beta=2)``: w_t = q_t^β / Σ_s q_s^β. β = 0 gives equal shares, β → ∞ is `maximum`.
-* ``cutoff(alpha=0.1)``: balance among techniques with q_t ≥ α max_s q_s, 0 for the others.
-* ``maximum``: weight 1 for the largest q_t. Ties share equally, as in ``cutoff(alpha=1)``.
+* ``balance``: w_t = q_t / Σ_s q_s. Other weights ≥ 0 can lower the variance with random points
+  by at most (1/min n_t − 1/Σ n_t) I² (Theorem 9.2 of Veach).
+* ``power(beta=2)``: w_t = q_t^β / Σ_s q_s^β. β = 0 gives equal shares, and β → ∞ is `maximum`.
+* ``cutoff(alpha=0.1)``: balance among techniques with q_t ≥ α max_s q_s; others have weight 0.
+* ``maximum``: weight 1 for the largest q_t. Ties have equal shares, as in ``cutoff(alpha=1)``.
 
-``optimal`` and ``variance-aware`` use f, through a pilot: a quadrature, or random points that the
-estimate does not use. The weights do not depend on the estimate's own samples, so the estimate
-stays unbiased. (The progressive estimator of [Kondapaneni2019]_ solves for α from the samples that
-it weights. It is consistent but biased, and not implemented.)
+``optimal`` and ``variance-aware`` use a pilot of f.
+The pilot is a quadrature, or random points that the estimate does not use.
+The weights do not depend on the samples of the estimate, so the estimate is unbiased.
+The progressive estimator of [Kondapaneni2019]_ is not implemented. It solves for α
+from the samples that it weights, and is consistent but biased.
 """
 
 from __future__ import annotations
@@ -54,32 +55,32 @@ __all__ = [
 
 _GRID = 2049
 _BISECTIONS = 45
-_EDGE = 1e-12  # Distance from the ends of [0,1] within which breaks are dropped
+_EDGE = 1e-12  # Breaks within this distance from the ends of [0,1] are dropped
 
 _MOST_SAMPLES = 2**22
-_SINGULAR = 1e-10  # Relative singular value below which densities share one α
-# Cap of v_t = 1 + μ²/σ² for a technique whose samples are all equal
+_SINGULAR = 1e-10  # Singular values are relative; densities below this share one α
+# Upper limit of v_t = 1 + μ²/σ², reached if all samples of a technique are equal
 _MOST_FACTOR = 1e8
-# Cells of an integral that is only tested for divergence, which shows long before its value
+# Number of cells of a quadrature that only tests whether an integral diverges
 _FEW_CELLS = 2**12
 
 
 class Heuristic(Component, ABC):
-    """A rule that combines techniques: `ratio` gives weights from q_t, `fit` uses f and p_t."""
+    """A rule that combines techniques. `ratio` computes weights from q_t; `fit` uses f and p_t."""
 
     @property
     def bounded(self) -> bool:
-        """Whether w_t/p_t is bounded if at least one density is bounded from below."""
+        """Whether all w_t/p_t are bounded if at least one density is bounded from below."""
         return True
 
     @property
     def smooth(self) -> bool:
-        """Whether weights are as smooth as the densities; otherwise they jump to 0."""
+        """Whether weights are as smooth as the densities; if not, they may jump to 0."""
         return True
 
     @property
     def pilot_evaluations(self) -> int:
-        """Number of evaluations of f by a pilot; 0 if weights do not depend on f."""
+        """Number of evaluations of f in a pilot, or 0 if weights do not depend on f."""
         return 0
 
     def fit(
@@ -88,17 +89,17 @@ class Heuristic(Component, ABC):
         densities: Sequence[Density],
         shares: Sequence[float],
     ) -> Combination:
-        """Return the weights for an integrand, its densities and their counts or probabilities."""
+        """Return weights for an integrand and for densities with their counts or probabilities."""
         del integrand
         return Combination(self, tuple(densities), tuple(map(float, shares)))
 
     def adapt(self, pilot: Pilot) -> tuple[tuple[float, ...], Array | None]:
-        """Return `shares` and `control` of the `Combination` that a pilot suggests."""
+        """Return `shares` and `control` of the `Combination`, estimated by a pilot."""
         return tuple(map(float, pilot.shares)), None
 
     @abstractmethod
     def ratio(self, q: Array, technique: int) -> Array:
-        """Return w_t/q_t (...) for q (T, ...) of all techniques, 0 where all q are 0."""
+        """Return w_t/q_t (...) for the q (T, ...) of all techniques; 0 where all q are 0."""
 
 
 HEURISTICS = Registry(
@@ -112,21 +113,21 @@ HEURISTICS = Registry(
     ),
     base=Heuristic,
 )
-"""Heuristics that spec strings can name."""
+"""Heuristics that can be named in spec strings."""
 
 
 class Pilot(ABC):
-    """Access to f and all p_t at sampled points, for heuristics that use f.
+    """Values of f and of all p_t at sampled points, for heuristics that use f.
 
-    Points are rows of an array that only the pilot interprets: points of a shared domain, or
-    records of a renderer's path.
+    A point is a row of an array whose meaning only the pilot knows: a point of a common domain,
+    or a record of a renderer's path.
 
     Attributes
     ----------
     shares
-        n_t up to a common factor, (T,).
+        Counts n_t of the techniques, up to a common factor, (T,).
     channels
-        Number of channels of f, 0 if it is scalar.
+        Number of channels of f, or 0 if f is scalar.
     """
 
     shares: Array
@@ -134,18 +135,18 @@ class Pilot(ABC):
 
     @abstractmethod
     def points(self, technique: int, count: int, seed: int) -> Array:
-        """Return random points of a technique: (count, …)."""
+        """Return `count` random points of a technique, (count, …)."""
 
     @abstractmethod
     def pdfs(self, x: Array) -> Array:
-        """Return p_t at k points: (T, k)."""
+        """Return the densities p_t at k points, (T, k)."""
 
     @abstractmethod
     def values(self, x: Array) -> Array:
-        """Return f at k points: (k, channels), with one channel for scalars."""
+        """Return f at k points, (k, channels); a scalar f has one channel."""
 
     def system(self, x: Array) -> Array:
-        """Return p_s p_t/q and f p_s/q, concatenated: (k, T, T + C)."""
+        """Return p_s p_t/q, followed by f p_s/q, as (k, T, T + C)."""
         p = self.pdfs(x)
         q = self.shares @ p
         over = np.divide(p, q, out=np.zeros_like(p), where=q > 0)
@@ -153,19 +154,19 @@ class Pilot(ABC):
         return np.asarray(over.T[:, :, None] * right[:, None, :])
 
     def moments(self, x: Array) -> Array:
-        """Return f and f²/p_t where p_t > 0, for f averaged over channels: (k, T, 2)."""
+        """Return f and f²/p_t where p_t > 0, as (k, T, 2); f is the mean over channels."""
         p = self.pdfs(x).T
         f = np.broadcast_to(self.values(x).mean(axis=1)[:, None], p.shape)
         square = np.divide(f * f, p, out=np.zeros_like(p), where=p > 0)
         return np.stack([np.where(p > 0, f, 0.0), square], axis=-1)
 
     def quadrature(self, function: Callable[[Array], Array]) -> Array:  # noqa: ARG002
-        """Return integrals of `system` or `moments` over the domain that the techniques share.
+        """Return the integrals of `system` or `moments` over the common domain.
 
         Raises
         ------
         ParameterError
-            If the techniques share no domain.
+            If the techniques have no common domain.
         """
         raise ParameterError(
             "These techniques share no domain to integrate over; give pilot='samples'."
@@ -175,19 +176,19 @@ class Pilot(ABC):
 @final
 @dataclass(frozen=True, eq=False)
 class Combination:
-    """Weights of one estimator: a heuristic with its densities.
+    """The weights of an estimator, from a heuristic and its densities.
 
     Attributes
     ----------
     heuristic
-        Rule for w_t from q_t = shares[t] p_t.
+        Rule that gives w_t from q_t = shares[t] p_t.
     densities
         p_t.
     shares
-        n_t up to a common factor, times the factors of `variance-aware`.
+        Counts n_t up to a common factor; `variance-aware` also multiplies them by its factors.
     control
-        α_t (T,) or (T, channels) for the control variate of `optimal`, else None. Σ_t α_t p_t is
-        subtracted from f and Σ_t α_t added to the estimate.
+        Coefficients α_t of the control variate of `optimal`, (T,) or (T, channels), or None.
+        Σ_t α_t p_t is subtracted from f, and Σ_t α_t is added to the estimate.
     """
 
     heuristic: Heuristic
@@ -196,23 +197,23 @@ class Combination:
     control: Array | None = None
 
     def over_density(self, technique: int, x: Array) -> Array:
-        """Return w_t/p_t at points x (..., d): (...)."""
+        """Return w_t/p_t (...) at points x (..., d)."""
         q = np.stack([c * p.pdf(x) for c, p in zip(self.shares, self.densities, strict=True)])
         return np.asarray(self.shares[technique] * self.heuristic.ratio(q, technique))
 
     @cached_property
     def infinite(self) -> bool:
-        """Whether ∫ Σ_t (w_t/p_t)² p_t diverges, so that Var(S_0) is infinite.
+        """Whether ∫ Σ_t (w_t/p_t)² p_t diverges. If so, Var(S_0) is infinite.
 
-        One convergent ∫1/p_t is enough for `Heuristic.bounded` weights. If all diverge, the
-        densities may still complement each other, such as two that are 0 at opposite ends.
+        For `Heuristic.bounded` weights, one convergent ∫1/p_t is enough. If all diverge,
+        densities may still complement each other, for example if they are 0 at opposite ends.
         """
         finite = [math.isfinite(p.reciprocal_integral()) for p in self.densities]
         if all(finite) or (any(finite) and self.heuristic.bounded):
             return False
 
         def second_moment(x: Array) -> Array:
-            """Return Σ_t (w_t/p_t)² p_t at points x (..., d): (...)."""
+            """Return Σ_t (w_t/p_t)² p_t (...) at points x (..., d)."""
             pdfs = [density.pdf(x) for density in self.densities]
             with np.errstate(divide="ignore", over="ignore"):
                 parts = [self.over_density(t, x) ** 2 * pdf for t, pdf in enumerate(pdfs)]
@@ -222,16 +223,16 @@ class Combination:
         return not math.isfinite(mean_or_infinity(second_moment, dims, most_cells=_FEW_CELLS))
 
     def weights(self, x: Array) -> Array:
-        """Return w_t at points x (..., d): (T, ...); the sum is 1 where a density is positive."""
+        """Return all w_t (T, ...) at points x (..., d). Their sum is 1 if a density is positive."""
         techniques = range(len(self.densities))
         return np.stack([self.over_density(t, x) * self.densities[t].pdf(x) for t in techniques])
 
     @cached_property
     def breaks(self) -> tuple[float, ...]:
-        """Points of a 1-D domain where the weights may jump or kink; empty in more dims.
+        """Points of a 1-D domain at which the weights may jump or kink; empty in more dims.
 
-        Crossings of densities are found on a grid of 2049 points. Two crossings in one cell are
-        missed.
+        Crossings of densities are found on a grid of 2049 points.
+        If two crossings lie in one cell, both are missed.
         """
         if self.densities[0].dims > 1:
             return ()
@@ -242,7 +243,7 @@ class Combination:
         def active(x: Array) -> Array:
             return np.stack([self.over_density(t, x) > 0 for t in range(len(self.densities))])
 
-        # Bisect for the points where the set of techniques with a positive weight changes
+        # Bisect for points at which a technique gains or loses its positive weight
         grid = np.linspace(0.0, 1.0, _GRID)[:, None]
         changes = (active(grid[:-1]) != active(grid[1:])).any(axis=0)
         low, high = grid[:-1][changes], grid[1:][changes]
@@ -253,8 +254,8 @@ class Combination:
         return tuple(sorted(found | set(high[:, 0].tolist())))
 
     def offset(self, x: Array) -> Array:
-        """Return Σ_t α_t p_t at points x (..., d): (...) or (..., channels)."""
-        assert self.control is not None  # This function is called only with a control variate
+        """Return Σ_t α_t p_t, (...) or (..., channels), at points x (..., d)."""
+        assert self.control is not None  # Only called with a control variate
         pdfs = np.stack([p.pdf(x) for p in self.densities], axis=-1)
         return np.asarray(pdfs @ self.control)
 
@@ -262,12 +263,12 @@ class Combination:
 @final
 @dataclass(frozen=True, kw_only=True)
 class PowerHeuristic(Heuristic):
-    """q_t^β / Σ q_s^β.
+    """The power heuristic: weights q_t^β / Σ q_s^β.
 
     Attributes
     ----------
     beta
-        β ≥ 0; 1 is `balance`.
+        Exponent β ≥ 0; β = 1 is `balance`.
     """
 
     name: ClassVar[str] = "power"
@@ -275,14 +276,14 @@ class PowerHeuristic(Heuristic):
 
     @property
     def bounded(self) -> bool:
-        """Whether β ≥ 1: for p_t → 0, w_t/p_t is proportional to p_t^(β−1)."""
+        """Whether β ≥ 1, because w_t/p_t is proportional to p_t^(β−1) as p_t → 0."""
         return self.beta >= 1.0
 
     def ratio(self, q: Array, technique: int) -> Array:
-        """Return q_t^(β−1) / Σ q_s^β from q/max q, which neither overflows nor underflows."""
+        """Return q_t^(β−1) / Σ q_s^β, computed from q/max q without overflow or underflow."""
         largest = q.max(axis=0)
         scaled = np.divide(q, largest, out=np.zeros_like(q), where=largest > 0)
-        # 0⁰ is 1, but a technique that cannot sample x gets no share
+        # 0⁰ is 1, but a technique that cannot sample x must have no share
         powers = np.where(scaled > 0, scaled**self.beta, 0.0)
         own = scaled[technique]
         part = own ** (self.beta - 1.0) if self.beta >= 1.0 else _divided(powers[technique], own)
@@ -292,7 +293,7 @@ class PowerHeuristic(Heuristic):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Balance(Heuristic):
-    """q_t / Σ q_s: the balance heuristic."""
+    """The balance heuristic: weights q_t / Σ q_s."""
 
     def ratio(self, q: Array, technique: int) -> Array:
         del technique
@@ -302,12 +303,12 @@ class Balance(Heuristic):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Cutoff(Heuristic):
-    """Balance among techniques with q_t ≥ α max q, 0 for the others.
+    """Balance among techniques with q_t ≥ α max q; all other techniques have weight 0.
 
     Attributes
     ----------
     alpha
-        α from 0, which is `balance`, to 1, which is `maximum`.
+        The cutoff α, from 0 (equal to `balance`) to 1 (equal to `maximum`).
     """
 
     alpha: float = real(0.1, least=0.0, most=1.0)
@@ -317,7 +318,7 @@ class Cutoff(Heuristic):
         return self.alpha == 0.0
 
     def ratio(self, q: Array, technique: int) -> Array:
-        """Return 1 over the sum of the q_s above the cutoff, 0 if q_t is below it."""
+        """Return 1 over the sum of the q_s above the cutoff, or 0 if q_t is below the cutoff."""
         kept = q >= self.alpha * q.max(axis=0)
         total = np.where(kept, q, 0.0).sum(axis=0)
         return _divided(kept[technique].astype(np.float64), total)
@@ -326,7 +327,7 @@ class Cutoff(Heuristic):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Maximum(Heuristic):
-    """Weight 1 for the largest q_t, shared equally among ties."""
+    """Weight 1 for the technique with the largest q_t; ties have equal shares."""
 
     @property
     def smooth(self) -> bool:
@@ -338,7 +339,7 @@ class Maximum(Heuristic):
 
 @dataclass(frozen=True, kw_only=True)
 class _Piloted(Heuristic):
-    """The balance heuristic with parameters that `adapt` estimates from a pilot."""
+    """A balance heuristic whose parameters `adapt` estimates from a pilot."""
 
     pilot: str = choice("samples", "quadrature")
     samples: int = whole(4096, least=2, most=_MOST_SAMPLES)
@@ -346,17 +347,17 @@ class _Piloted(Heuristic):
 
     @property
     def pilot_evaluations(self) -> int:
-        """`samples`; a quadrature is not counted."""
+        """Number of pilot points, `samples`; a quadrature counts as 0."""
         return self.samples if self.pilot == "samples" else 0
 
     def ratio(self, q: Array, technique: int) -> Array:
-        """Return the ratio of `balance`."""
+        """Return the same ratio as `balance`."""
         return Balance().ratio(q, technique)
 
     def fit(
         self, integrand: Integrand, densities: Sequence[Density], shares: Sequence[float]
     ) -> Combination:
-        """Estimate shares and control from the pilot."""
+        """Estimate the shares and the control variate from the pilot."""
         parts = _Parts(integrand, tuple(densities), np.asarray(shares, np.float64))
         return Combination(self, parts.densities, *self.adapt(parts))
 
@@ -364,34 +365,35 @@ class _Piloted(Heuristic):
 @final
 @dataclass(frozen=True, kw_only=True)
 class Optimal(_Piloted):
-    """Weights with the least variance for random points; may be negative [Kondapaneni2019]_.
+    """Weights with the least variance for random points [Kondapaneni2019]_; some may be negative.
 
-    With q = Σ n_t p_t, they are w_t = α_t p_t/f + (n_t p_t/q)(1 − Σ_s α_s p_s/f), with A α = b,
-    A_st = ∫ p_s p_t/q and b_t = ∫ f p_t/q. Then w_t f/p_t is
+    Let q = Σ n_t p_t. The weights are w_t = α_t p_t/f + (n_t p_t/q)(1 − Σ_s α_s p_s/f).
+    The coefficients α solve A α = b, with A_st = ∫ p_s p_t/q and b_t = ∫ f p_t/q. Then w_t f/p_t is
 
         α_t + n_t (f − Σ_s α_s p_s)/q,
 
-    the balance heuristic on f with Σ α_s p_s as a control variate. In this form f may be 0, and
-    each channel has its own α. Identical or nearly identical densities make A singular. The
-    solution of least norm is used then, which has the same Σ α_s p_s.
+    This is the balance heuristic for f with Σ α_s p_s as a control variate.
+    In this form f may be 0, and each channel has its own α.
+    If densities are identical or nearly identical, A is singular.
+    The solution of least norm is then used; its Σ α_s p_s is the same.
 
     Attributes
     ----------
     pilot
-        Source of A and b: ``"samples"``, random points of all techniques in proportion to their
-        counts, or ``"quadrature"``, which makes α as exact as the quadrature.
+        Source of A and b. ``"samples"``: random points of all techniques in proportion to
+        the counts. ``"quadrature"``: α has the accuracy of the quadrature.
     samples
-        Total number of pilot points of all techniques, at least 2; not counted in n.
+        Number of pilot points of all techniques together, at least 2; n does not include them.
     seed
-        Seed of the pilot points.
+        Seed of the random points of the pilot.
     """
 
     def adapt(self, pilot: Pilot) -> tuple[tuple[float, ...], Array]:
-        """Return the given counts, and α: (T,) or (T, channels)."""
+        """Return the given counts, and α as (T,) or (T, channels)."""
         if self.pilot == "quadrature":
             found = pilot.quadrature(pilot.system)
         else:
-            # Estimate A and b, (T, T + C), from pilot points weighted by the balance heuristic
+            # Estimate A and b as (T, T + C) from pilot points, weighted by the balance heuristic
             wanted = self.samples * pilot.shares / pilot.shares.sum()
             counts = np.maximum(1, np.rint(wanted).astype(np.int64))
             drawn = [pilot.points(t, m, self.seed) for t, m in enumerate(counts.tolist())]
@@ -408,21 +410,23 @@ class Optimal(_Piloted):
 @final
 @dataclass(frozen=True, kw_only=True)
 class VarianceAware(_Piloted):
-    """Balance with counts times v_t = second moment / variance of technique t [Grittmann2019]_.
+    """The balance heuristic with counts multiplied by factors v_t [Grittmann2019]_.
 
-    w_t = v_t n_t p_t / Σ_s v_s n_s p_s with v_t = 1 + μ_t²/σ_t² of a single random sample of f/p_t,
-    at most 10⁸. A technique of low variance gets more weight than by the balance heuristic, which
-    uses second moments. With several channels their mean is used.
+    v_t is the second moment over the variance of technique t, for one random sample of f/p_t.
+    The weights are w_t = v_t n_t p_t / Σ_s v_s n_s p_s with v_t = 1 + μ_t²/σ_t², at most 10⁸.
+    The balance heuristic uses second moments instead of v_t.
+    Here a technique of low variance has more weight.
+    If f has several channels, their mean is used.
 
     Attributes
     ----------
     pilot
-        Source of the moments: ``"samples"``, equally many random points of each technique, or
-        ``"quadrature"``.
+        Source of the moments. ``"samples"``: the same number of random points of each technique.
+        ``"quadrature"``: numerical integrals.
     samples
-        Total number of pilot points of all techniques, at least 2; not counted in n.
+        Number of pilot points of all techniques together, at least 2; n does not include them.
     seed
-        Seed of the pilot points.
+        Seed of the random points of the pilot.
     """
 
     def adapt(self, pilot: Pilot) -> tuple[tuple[float, ...], None]:
@@ -431,7 +435,7 @@ class VarianceAware(_Piloted):
         if self.pilot == "quadrature":
             found = pilot.quadrature(pilot.moments)
         else:
-            # Estimate mean and mean square of f/p_t from random points of each technique
+            # Estimate the mean and the mean square of f/p_t from random points of each technique
             found = np.empty((techniques, 2))
             for t in range(techniques):
                 x = pilot.points(t, max(2, self.samples // techniques), self.seed)
@@ -447,7 +451,7 @@ class VarianceAware(_Piloted):
 @final
 @dataclass(frozen=True)
 class Residual(Derived):
-    """The residual f − Σ α_t p_t of the control variate: the domain view of optimal weights."""
+    """The residual f − Σ α_t p_t of the control variate, for the domain view of optimal weights."""
 
     text = "{0.integrand.spec} less its control variate"
     integrand: Integrand
@@ -455,7 +459,7 @@ class Residual(Derived):
 
     @property
     def breaks(self) -> Breaks:
-        """Breaks of f and, in 1-D, of the densities."""
+        """Breaks of f; in 1-D also breaks of the densities."""
         return _breaks(self.integrand, self.combination.densities)
 
     def _evaluate(self, x: Array) -> Array:
@@ -470,7 +474,7 @@ class Residual(Derived):
 @final
 @dataclass(frozen=True)
 class _Parts(Pilot):
-    """A pilot for an integrand and densities on the unit cube."""
+    """A pilot for an integrand and densities that are given on the unit cube."""
 
     integrand: Integrand
     densities: tuple[Density, ...]
@@ -500,7 +504,7 @@ class _Parts(Pilot):
 @final
 @dataclass(frozen=True, eq=False)
 class _Packed(Derived):
-    """Several functions as the channels of one integrand, for quadrature."""
+    """An integrand whose channels are several functions, for one quadrature of all of them."""
 
     name: ClassVar[str] = "pilot"
     text = "pilot of {0.integrand.spec}"
@@ -526,16 +530,16 @@ class _Packed(Derived):
 
 
 def _breaks(integrand: Integrand, densities: Sequence[Density]) -> Breaks:
-    """Return breaks of f and, in 1-D, breaks of the warps mapped to the domain."""
+    """Return breaks of f; in 1-D also breaks of the warps, mapped to the domain."""
     if integrand.dims > 1:
         return integrand.breaks
     return (tuple(sorted({*integrand.breaks[0], *_density_breaks(densities)})),)
 
 
 def _density_breaks(densities: Sequence[Density]) -> set[float]:
-    """Return domain points where 1-D densities may jump or kink: the breaks of their warps, warped.
+    """Return domain points at which 1-D densities may jump or kink: their warped breaks.
 
-    Both sides of a break are included, because it may stand for a whole interval with p = 0.
+    Both sides of a break are included, because p may be 0 on a whole interval at the break.
     """
     found: set[float] = set()
     for density in densities:
@@ -547,12 +551,12 @@ def _density_breaks(densities: Sequence[Density]) -> set[float]:
 
 
 def as_heuristic(given: object) -> Heuristic:
-    """Return a heuristic, or make one from a spec string such as ``"power(beta=3)"``.
+    """Return a heuristic, given as an object or as a spec string such as ``"power(beta=3)"``.
 
     Raises
     ------
     UnknownName, SpecError
-        If the spec names no heuristic, or cannot be read.
+        If the spec does not name a heuristic, or if it cannot be read.
     ParameterError
         If a parameter is out of range, or `given` has another type.
     """
@@ -568,5 +572,5 @@ def as_heuristic(given: object) -> Heuristic:
 
 
 def _divided(part: Array, total: Array) -> Array:
-    """Return part/total, 0 where the total is 0."""
+    """Return part/total, or 0 where the total is 0."""
     return np.asarray(np.divide(part, total, out=np.zeros_like(total), where=total > 0))

@@ -1,4 +1,4 @@
-"""Plain and importance-sampled estimators: I = (1/n) Σ f(x_k)/p(x_k)."""
+"""Estimators with one technique: plain and importance-sampled, I = (1/n) Σ f(x_k)/p(x_k)."""
 
 from __future__ import annotations
 
@@ -39,24 +39,24 @@ __all__ = [
 
 @final
 class Estimator(DomainEstimator):
-    """The estimator (1/n) Σ f(x_k)/p(x_k) with x_k = T(u_k).
+    """The importance-sampled estimator (1/n) Σ f(x_k)/p(x_k) with x_k = T(u_k).
 
     Parameters
     ----------
     integrand
-        f, or its spec string.
+        The integrand f, or its spec string.
     density
-        p with its warp T, or its spec string; None is the uniform density.
+        The density p with its warp T, or its spec string; None means the uniform density.
     dims
-        Number of dims for spec strings without ``dims``. By default that of the other argument, or
-        2.
+        Number of dims; needed for spec strings without ``dims``.
+        The default is the number of dims of the other argument, or 2.
 
     Raises
     ------
     DensityError
         If p is zero at points where f is not, as found by probing (`mcspectra.estimators.support`).
-        f is called only at probes where p is 0, at most some thousand times. A region that probing
-        misses is an error when it is sampled, or a bias.
+        Probing calls f only where p is 0, at most a few thousand times. If it misses a region,
+        an error is raised when that region is sampled, or else the estimate is biased.
     ParameterError
         If the numbers of dims differ.
     """
@@ -77,7 +77,7 @@ class Estimator(DomainEstimator):
 
     @property
     def dims(self) -> int:
-        """Number of dims of the sampler: the dims of f, or more if the warp needs more."""
+        """Number of dims of the sampler; a warp may need more dims than f has."""
         return self.integrand.dims if self.density is None else self.density.primary_dims
 
     @property
@@ -86,7 +86,7 @@ class Estimator(DomainEstimator):
 
     @property
     def pilot_evaluations(self) -> int:
-        """Evaluations that were used to make f."""
+        """Number of evaluations in the construction of f."""
         return self.integrand.pilot_evaluations
 
     @property
@@ -94,7 +94,7 @@ class Estimator(DomainEstimator):
         return self.density is not None and not np.isfinite(self.density.reciprocal_integral())
 
     def _primary(self, technique: int) -> Integrand:
-        """Return g(u) = f(T(u))/p(T(u)), or f itself if p is uniform."""
+        """Return g(u) = f(T(u))/p(T(u)); if p is uniform, return f itself."""
         if self.density is None:
             return self.integrand
         return PrimaryIntegrand(self, technique, self.integrand, self.density)
@@ -125,12 +125,12 @@ def is_function(given: Any) -> bool:
 
 
 def function_dims(function: Any, dims: int | None) -> int:
-    """Return the number of dims of a plain function's points, which must be given.
+    """Return the number of dims of the points of a plain function; the user must give it.
 
     Raises
     ------
     ParameterError
-        If `dims` is missing or out of range, or the function is a class.
+        If `dims` is missing or out of range, or if the function is a class.
     """
     if isinstance(function, type):
         raise ParameterError(
@@ -144,20 +144,20 @@ def function_dims(function: Any, dims: int | None) -> int:
 
 
 def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
-    """Return an estimator; an integrand, its spec or a plain function is sampled uniformly.
+    """Return an estimator. Integrands, their specs and plain functions are sampled uniformly.
 
     Parameters
     ----------
     given
-        An estimator, an integrand, its spec string, or a vectorized function of points (…, d) with
-        values (…) or (…, channels), as in `mcspectra.Integrand.from_function`.
+        An estimator, an integrand, its spec string, or a vectorized function that maps
+        points (…, d) to values (…) or (…, channels), as in `mcspectra.Integrand.from_function`.
     dims
-        Number of dims. A function needs it, a spec string may need it, all others must agree.
+        Number of dims. Functions need it and specs may need it. Other objects must agree with it.
 
     Raises
     ------
     ParameterError
-        If `given` has another type or other dims, or the function does not meet its contract.
+        If `given` has another type or other dims, or if the function returns invalid values.
     """
     if isinstance(given, AbstractEstimator):
         if dims is not None and given.dims != as_integer("dims", dims, least=1):
@@ -179,17 +179,17 @@ def as_estimator(given: Any, dims: int | None = None) -> AbstractEstimator:
 def as_subject(
     estimator: Any, sampler: Any, *, dims: int | None = None, lists: bool = False
 ) -> Subject:
-    """Return an estimator and a sampler of equal dims as the subject of an analysis.
+    """Return an estimator and a sampler with equal dims, as the subject of an analysis.
 
     Parameters
     ----------
     estimator, sampler
-        As in `as_estimator` and `mcspectra.samplers.as_sampler`; with `lists`, one or a list of
-        each.
+        Same as in `as_estimator` and `mcspectra.samplers.as_sampler`.
+        With `lists`, each may also be a list.
     dims
-        Number of dims of functions and of spec strings without ``dims``. By default the dims of the
-        first sampler that is not a spec string. Functions and samplers with dims must agree with
-        it.
+        Number of dims; needed for functions and for spec strings without ``dims``.
+        The default is the dims of the first sampler that is not a spec string.
+        Functions and samplers with dims must agree with this number.
 
     Raises
     ------
@@ -213,24 +213,24 @@ def as_subject(
 
 
 def scale(values: Array, weights: Array) -> Array:
-    """Return values (...) or (..., channels) times weights (...)."""
+    """Return values (...) or (..., channels), multiplied by weights (...)."""
     return np.asarray(values * (weights if values.ndim == weights.ndim else weights[..., None]))
 
 
 def known_dims(dims: int | None, *parts: Any) -> int | None:
-    """Return `dims`, or else those of the first integrand or density that is not a spec."""
+    """Return `dims`, or else the dims of the first integrand or density that is not a spec."""
     if dims is not None:
         return dims
     return next((part.dims for part in parts if isinstance(part, Integrand | Density)), None)
 
 
 def as_densities(given: Any, dims: int, need: str = " of one or more") -> tuple[Density, ...]:
-    """Return densities from a list of densities or of their spec strings.
+    """Return densities from a list of densities or spec strings.
 
     Raises
     ------
     ParameterError
-        If `given` is not a list, is empty, or contains None.
+        If `given` is not a list, is an empty list, or contains None.
     """
     if not isinstance(given, list | tuple) or len(given) == 0:
         raise ParameterError(f"densities is {shown(given)}; give a list{need}.")
@@ -241,7 +241,7 @@ def as_densities(given: Any, dims: int, need: str = " of one or more") -> tuple[
 
 
 def check_same_dims(components: list[Any]) -> None:
-    """Raise ParameterError unless all components have the dims of a shared sampler."""
+    """Raise `ParameterError` unless all components have the dims of a shared sampler."""
     if len({component.dims for component in components}) > 1:
         shown = ", ".join(f"{component.spec} has {component.dims}" for component in components)
         raise ParameterError(f"All parts of an estimator need the same number of dims: {shown}.")

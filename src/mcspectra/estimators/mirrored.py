@@ -1,8 +1,9 @@
-"""Mirrored estimators: the primary-space integrand is reflected, then folded or symmetrized.
+"""Mirrored estimators: the primary-space integrand is reflected, and folded or averaged.
 
-Reflection of f at its upper faces gives g(k + x) = f(x reflected in the coordinates with k_j = 1)
-for k ∈ {0,1}^d. g is continuous and has period 2. There are two ways back to period 1: stretching,
-f(1 − |2u − 1|) = g(2u), and averaging over the images, 2^-d Σ_k g(k + u).
+The integrand f is reflected at its upper faces. For k ∈ {0,1}^d this gives
+g(k + x) = f(x reflected in the coordinates with k_j = 1), which is continuous with period 2.
+There are two ways to return to period 1. Stretching gives f(1 − |2u − 1|) = g(2u),
+and averaging over the images gives 2^-d Σ_k g(k + u).
 """
 
 from __future__ import annotations
@@ -26,51 +27,59 @@ from mcspectra.samplers.randomizations import folded
 __all__ = ["MIRRORINGS", "FoldedIntegrand", "Mirrored", "SymmetrizedIntegrand"]
 
 MIRRORINGS = ("integrand", "random", "uniform")
-_MOST_DIMS = 12  # Averaging over all reflections takes 2^d values of the integrand
+_MOST_DIMS = 12  # An average over all reflections takes 2^d values of f
 
 
 @final
 class Mirrored(AbstractEstimator):
-    """An estimator of the same integral with a mirrored primary-space integrand.
+    """An estimator of the same integral whose primary-space integrand is mirrored.
 
     Parameters
     ----------
     estimator
-        The estimator to mirror (any number of techniques), an integrand, or its spec.
+        The estimator to mirror, with any number of techniques; or an integrand, or its spec.
     mode
-        ``"integrand"`` spreads the sampler's points u over the 2^d mirror images, at 2u, and folds
-        them back, u → 1 − |2u − 1|. ``"random"`` reflects each coordinate of each point with
-        probability ½. ``"uniform"`` puts n/2^d points into each of the 2^d images.
+        ``"integrand"`` spreads the sampler's points u over the 2^d mirror images, at 2u,
+        and folds them back to 1 − |2u − 1|.
+        ``"random"`` reflects each coordinate of each point with probability ½.
+        ``"uniform"`` puts n/2^d points into each of the 2^d images.
     dims
-        Number of dims for spec strings without ``dims``.
+        Number of dims; needed for spec strings without ``dims``.
 
     Raises
     ------
     ParameterError
-        If the mode is unknown, or `estimator` is not an estimator or has another number of dims.
+        If the mode is unknown, if `estimator` is not an estimator, or if it has other dims.
 
     Notes
     -----
-    n counts evaluations of the integrand in all modes, so variances at one n have equal cost.
-    `samples_per_point` is the number of evaluations per point of the sampler. In d dims, mirroring
-    spreads n evaluations more thinly: over 2^d times the volume for ``"integrand"`` (strata twice
-    as long, in units of f), or over n/2^d points for ``"uniform"``.
+    In all modes n counts evaluations of the integrand, so variances at one n have equal cost.
+    `samples_per_point` is the number of evaluations for each point of the sampler.
+    In d dims, mirroring spreads n evaluations more thinly.
+    With ``"integrand"`` they cover 2^d times the volume,
+    so that strata are twice as long in units of f.
+    With ``"uniform"`` there are only n/2^d points.
 
-    The mirrored integrand has period 2. It is continuous across all faces if f is continuous on the
-    closed cube. A shift in the sampler is applied before mirroring, in the doubled domain: u + δ
-    goes to 2u + 2δ. In the other modes the images k + u + δ modulo 2 have the same distribution as
-    the images of (u + δ modulo 1). So wrap-around causes no discontinuity. A mirrored estimator
-    with a sampler ``S`` equals the inner estimator with ``S | mirror(mode=...)``, point by point
-    (``mode='fold'`` for ``"integrand"``). In contrast, ``S | mirror(...) | shift`` moves folded
-    points across the jump between f(1) and f(0).
+    The mirrored integrand has period 2. If f is continuous on the closed cube,
+    the mirrored integrand is continuous across all faces.
 
-    In ``"random"`` mode the reflections are independent. Their variance, (1/n) times the variance
-    of f over the images of a point, decreases as 1/n for every sampler.
+    A shift in the sampler is applied before mirroring, in the doubled domain:
+    u + δ becomes 2u + 2δ. In the other modes, the images k + u + δ modulo 2
+    have the same distribution as the images of (u + δ modulo 1).
+    Therefore wrap-around does not cause a discontinuity.
+
+    A mirrored estimator with a sampler ``S`` equals the inner estimator with
+    ``S | mirror(mode=...)``, point by point. For ``"integrand"`` the mode is ``'fold'``.
+    In contrast, the shift in ``S | mirror(...) | shift`` moves folded points
+    across the jump between f(1) and f(0).
+
+    In ``"random"`` mode the reflections are independent. Their part of the variance is 1/n times
+    the variance of f over the images of a point, so it falls as 1/n for every sampler.
 
     References
     ----------
-    The modes are our reading of the talk to [Singh2019]_, which names and illustrates them. Folding
-    is the baker's transform of [Hickernell2002]_.
+    The modes are our interpretation of the talk to [Singh2019]_, which names and illustrates them.
+    Folding is the baker's transform of [Hickernell2002]_.
 
     Examples
     --------
@@ -96,12 +105,12 @@ class Mirrored(AbstractEstimator):
 
     @property
     def spec(self) -> str:
-        """``estimator, mirrored: mode``."""
+        """Text of the form ``estimator, mirrored: mode``."""
         return f"{self.estimator.spec}, mirrored: {self.mode}"
 
     @property
     def samples_per_point(self) -> int:
-        """Evaluations per point of the sampler: 2^d for ``"uniform"``, else 1."""
+        """Number of evaluations for each point of the sampler: 2^d for ``"uniform"``, else 1."""
         return 1 << self.dims if self.mode == "uniform" else 1
 
     @property
@@ -118,7 +127,7 @@ class Mirrored(AbstractEstimator):
 
     @property
     def domain_integrand(self) -> Integrand | None:
-        """f, evaluated at the folded and warped points."""
+        """The integrand f; it is evaluated at the folded and warped points."""
         return self.estimator.domain_integrand
 
     @property
@@ -130,29 +139,29 @@ class Mirrored(AbstractEstimator):
         return self.estimator.infinite_weights
 
     def randomized(self, sampler: Sampler) -> Sampler:
-        """Return the sampler followed by reflections, if the mode reflects points."""
+        """Return the sampler, followed by reflections if the mode reflects points."""
         source = self.estimator.randomized(sampler)
         return source if self.mode == "integrand" else source.then(Mirror(mode=self.mode))
 
     def check_sampler(self, sampler: Sampler, n: int) -> None:
-        """Raise unless the inner estimator accepts the sampler that `randomized` returns."""
+        """Raise an error unless the inner estimator accepts the sampler from `randomized`."""
         self.estimator.check_sampler(self.randomized(sampler), n)
 
     def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:
-        """Draw n_t points of each technique as in the inner estimator, with reflected points."""
+        """Draw n_t points of each technique from the inner estimator, and reflect them."""
         return self.estimator.draw(self.randomized(sampler), n, stream, first, count)
 
     def _primary(self, technique: int) -> Integrand:
-        """Return g_t folded for ``"integrand"``, else g_t, because other modes reflect points."""
+        """Return the folded g_t for ``"integrand"``. Other modes reflect points and return g_t."""
         g = self.estimator.primary_integrand(technique)
         return FoldedIntegrand(g) if self.mode == "integrand" else g
 
     def primary_values(self, technique: int, u: Array) -> Array:
-        """Return g_t at the folded points, or at points that are already reflected."""
+        """Return g_t at the folded points, or at points that the sampler has reflected."""
         return self.estimator.primary_values(technique, self._inside(u))
 
     def warp(self, technique: int, u: Array) -> Array:
-        """Return T_t of the folded points, or of points that are already reflected."""
+        """Return T_t of the folded points, or of points that the sampler has reflected."""
         return self.estimator.warp(technique, self._inside(u))
 
     def weight(self, technique: int, x: Array) -> Array:
@@ -165,7 +174,7 @@ class Mirrored(AbstractEstimator):
 @final
 @dataclass(frozen=True)
 class FoldedIntegrand(Derived):
-    """f(1 − |2u − 1|), folded in every coordinate: periodic and continuous if f is continuous."""
+    """f(1 − |2u − 1|), folded in every coordinate: periodic, and continuous if f is continuous."""
 
     name: ClassVar[str] = "folded"
     text = "folded {0.integrand.spec}"
@@ -173,24 +182,24 @@ class FoldedIntegrand(Derived):
 
     @property
     def breaks(self) -> Breaks:
-        """Both images of each break of f, and the fold."""
+        """Both images of each break of f, and the fold at ½."""
         return tuple(
             tuple(sorted({0.5, *(0.5 * b for b in axis), *(1.0 - 0.5 * b for b in axis)}))
             for axis in self.integrand.breaks
         )
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:
-        """Combine means of f over the parts of each box on either side of the folds."""
+        """Combine the means of f over the parts of each box, which the folds separate."""
         mean: Any = 0.0
         square: Any = 0.0
         for sides in itertools.product((False, True), repeat=self.dims):
-            # Fold the part above (or below) ½, and compute its share of each box
+            # Fold the part above or below ½, and compute its share of each box
             above = np.array(sides)
             low = np.where(above, 1.0 - np.clip(hi, 0.5, 1.0), np.clip(lo, 0.0, 0.5))
             high = np.where(above, 1.0 - np.clip(lo, 0.5, 1.0), np.clip(hi, 0.0, 0.5))
             share = ((high - low) / (hi - lo)).prod(axis=-1)
             share = share[..., None] if self.channels else share
-            empty = ~(high > low)  # An empty part has the share 0, so its box has no effect
+            empty = ~(high > low)  # An empty part has the share 0
             found = self.integrand.box_moments(
                 np.where(empty, 0.0, 2.0 * low), np.where(empty, 1.0, 2.0 * high)
             )
@@ -200,14 +209,14 @@ class FoldedIntegrand(Derived):
         return mean, square
 
     def _evaluate(self, x: Array) -> Array:
-        # At x = 1, which no sample has, rounding gives −2^-53
+        # At x = 1, which no sample reaches, rounding gives −2^-53
         return self.integrand(np.maximum(folded(x), 0.0))
 
 
 @final
 @dataclass(frozen=True)
 class SymmetrizedIntegrand(Derived):
-    """2^-d Σ f(u reflected), the average over all reflections: periodic and continuous."""
+    """2^-d Σ f(u reflected), the average of f over all reflections: periodic and continuous."""
 
     name: ClassVar[str] = "symmetrized"
     text = "symmetrized {0.integrand.spec}"

@@ -1,11 +1,13 @@
-"""Estimators with several techniques: multiple importance sampling, and sums of given techniques.
+"""Estimators with several techniques: multiple importance sampling, and sums of techniques.
 
-Counts are per technique, as in renderers: n light samples *and* n BSDF samples. In the one-sample
-model each point selects its technique:
+As in renderers, counts are per technique: n light samples *and* n BSDF samples.
+In the one-sample model, each point selects its technique:
 
-I = (1/n) Σ_k w_t f/(P_t p_t), with t selected with probability P_t [VeachGuibas1995]_, §9.2.4 of
-[Veach1997]_. With the balance heuristic w_t = P_t p_t / Σ_s P_s p_s, this is sampling from the
-mixture Σ_s P_s p_s. No other weights have less variance with random points (his Theorem 9.4).
+I = (1/n) Σ_k w_t f/(P_t p_t), where technique t has the probability P_t.
+This estimator is described in [VeachGuibas1995]_ and in §9.2.4 of [Veach1997]_.
+With the balance heuristic w_t = P_t p_t / Σ_s P_s p_s,
+it is the same as sampling from the mixture Σ_s P_s p_s.
+No other weights have less variance with random points (Theorem 9.4 of Veach).
 """
 
 from __future__ import annotations
@@ -52,8 +54,8 @@ __all__ = [
 
 SELECTIONS = ("extra", "coordinate")
 
-_SUM = 1e-9  # Largest allowed difference of the sum of probabilities from 1
-_EXACT = 1e-9  # Shares such as 0.1 + 0.2 are replaced by fractions within this distance
+_SUM = 1e-9  # The sum of probabilities may differ from 1 by this
+_EXACT = 1e-9  # Shares are replaced by fractions within this distance
 
 
 class Combined(DomainEstimator):
@@ -62,11 +64,11 @@ class Combined(DomainEstimator):
     Attributes
     ----------
     densities
-        p_t, with the dims of f.
+        The densities p_t, with the dims of f.
     heuristic
-        Spec of the heuristic.
+        Spec string of the heuristic.
     combination
-        The weights of the heuristic.
+        The weights that the heuristic gives.
     """
 
     densities: tuple[Density, ...]
@@ -74,7 +76,7 @@ class Combined(DomainEstimator):
     combination: Combination
 
     def _take(self, integrand: Integrand | str, densities: Any, dims: int | None) -> None:
-        """Set f and the p_t, given as objects or specs, of equal dims; the p_t must cover f."""
+        """Set f and the densities p_t from objects or specs of equal dims; the p_t must cover f."""
         parts = densities if isinstance(densities, list | tuple) else ()
         self.integrand = as_integrand(integrand, known_dims(dims, integrand, *parts))
         self.densities = as_densities(densities, self.integrand.dims)
@@ -92,44 +94,44 @@ class Combined(DomainEstimator):
 
     @property
     def infinite_weights(self) -> bool:
-        """Whether the combined weights have an infinite second moment (`Combination.infinite`)."""
+        """Whether combined weights have an infinite second moment (see `Combination.infinite`)."""
         return self.combination.infinite
 
     @property
     def domain_integrand(self) -> Integrand:
-        """f; with optimal weights the residual f − Σ α_t p_t, which has the same variance."""
+        """f, or the residual f − Σ α_t p_t for optimal weights; both have the same variance."""
         controlled = self.combination.control is not None
         return Residual(self.integrand, self.combination) if controlled else self.integrand
 
 
 @final
 class MultipleImportance(Combined):
-    """Multiple importance sampling, I = Σ_t (1/n_t) Σ_k w_t f/p_t [VeachGuibas1995]_.
+    """Multiple importance sampling: I = Σ_t (1/n_t) Σ_k w_t f/p_t [VeachGuibas1995]_.
 
     Parameters
     ----------
     integrand
-        f, or its spec string.
+        The integrand f, or its spec string.
     densities
-        p_t with their warps, or spec strings.
+        The densities p_t with their warps, or spec strings of densities.
     heuristic
-        ``"balance"`` is w_t = n_t p_t / Σ_s n_s p_s; ``"power"`` is the same with squares (β = 2).
-        See `mcspectra.estimators.heuristics` for others. A spec string or an object.
+        A heuristic or its spec string. ``"balance"`` is w_t = n_t p_t / Σ_s n_s p_s.
+        ``"power"`` uses squares of n_t p_t (β = 2). See `mcspectra.estimators.heuristics` for more.
     counts
-        n_t as multiples of n; equal by default.
+        Numbers of points n_t as multiples of n; all equal by default.
     sets
-        Relation between the point sets of the techniques: ``"independent"``, ``"shared"`` or
+        How the point sets of the techniques are related: ``"independent"``, ``"shared"`` or
         ``"joint"``; see `mcspectra.estimators.sets`.
     dims
-        Number of dims for spec strings without ``dims``.
+        Number of dims; needed for spec strings without ``dims``.
 
     Raises
     ------
     DensityError
         If all densities are zero at points where f is not.
     ParameterError
-        If no density is given, the heuristic is unknown, the counts have another length, or the
-        numbers of dims differ.
+        If no density is given, the heuristic is unknown, the number of counts is wrong,
+        or dims differ.
     """
 
     def __init__(
@@ -150,7 +152,7 @@ class MultipleImportance(Combined):
 
     @property
     def spec(self) -> str:
-        """``integrand / heuristic[densities]``."""
+        """Text of the form ``integrand / heuristic[densities]``."""
         parts = zip(self.counts, self.densities, strict=True)
         shown = ", ".join(f"{c}×{p.spec}" if c > 1 else p.spec for c, p in parts)
         return f"{self.integrand.spec} / {self.heuristic}[{shown}]{self.sets_label}"
@@ -164,7 +166,7 @@ class MultipleImportance(Combined):
         return carried_breaks(self.integrand, density, self.combination.breaks)
 
     def primary_values(self, technique: int, u: Array) -> Array:
-        """Return g_t(u); with optimal weights it is α_t + (f − Σ α_s p_s) w_t/p_t."""
+        """Return g_t(u). With optimal weights it is α_t + (f − Σ α_s p_s) w_t/p_t."""
         x = self.warp(technique, u)
         control = self.combination.control
         if control is None:
@@ -173,7 +175,7 @@ class MultipleImportance(Combined):
         return np.asarray(control[technique] + scale(left, self.weight(technique, x)))
 
     def with_heuristic(self, heuristic: str) -> MultipleImportance:
-        """Return the same techniques, counts and sets with the heuristic of this spec."""
+        """Return a copy with another heuristic, given as a spec."""
         return MultipleImportance(
             self.integrand,
             self.densities,
@@ -183,7 +185,7 @@ class MultipleImportance(Combined):
         )
 
     def alone(self, technique: int) -> Estimator:
-        """Return the estimator of f with one of the densities."""
+        """Return the estimator of f that uses only one of the densities."""
         return Estimator(self.integrand, self.densities[technique])
 
     def technique_name(self, technique: int) -> str:
@@ -193,31 +195,33 @@ class MultipleImportance(Combined):
         return self.densities[technique].sample(u)
 
     def weight(self, technique: int, x: Array) -> Array:
-        """Return w_t/p_t, finite where any p_s is positive; for `domain_integrand` if optimal."""
+        """Return w_t/p_t, finite where any p_s is positive; for the residual if optimal."""
         return self.combination.over_density(technique, x)
 
 
 @final
 class OneSampleMIS(Combined):
-    """Multiple importance sampling with one randomly selected technique per point.
+    """Multiple importance sampling in which each point selects one technique at random.
 
     Parameters
     ----------
     integrand
-        f, or its spec string.
+        The integrand f, or its spec string.
     densities
-        p_t with their warps, or spec strings.
+        The densities p_t with their warps, or spec strings of densities.
     probabilities
-        P_t, above 0 with the sum 1; equal by default.
+        Probabilities P_t of the techniques, above 0 and with the sum 1; all equal by default.
     heuristic
-        As in `MultipleImportance`, with P_t instead of n_t. ``"optimal"`` is the balance heuristic
-        with the control variate Σ α_t p_t. Its integral Σ α_t is added directly [OwenZhou2000]_ §4,
-        because α_t/P_t of the selected technique would add variance.
+        Same as in `MultipleImportance`, with P_t instead of n_t.
+        ``"optimal"`` is the balance heuristic with the control variate Σ α_t p_t.
+        The sum Σ α_t is added to the estimate directly ([OwenZhou2000]_ §4),
+        because adding α_t/P_t would increase the variance.
     selection
-        ``"extra"``: the last of d + 1 coordinates selects the technique. ``"coordinate"``: the
-        first of d coordinates selects it and is stretched for reuse. The borders are Σ_{s<t} P_s.
+        ``"extra"``: the last of d + 1 coordinates selects the technique.
+        ``"coordinate"``: the first of d coordinates selects it, and is stretched for reuse.
+        The borders of the selection are Σ_{s<t} P_s.
     dims
-        Number of dims of f for spec strings without ``dims``.
+        Number of dims of f; needed for spec strings without ``dims``.
 
     Raises
     ------
@@ -228,8 +232,9 @@ class OneSampleMIS(Combined):
 
     Notes
     -----
-    The primary-space integrand usually jumps where the selection changes. This axis-aligned jump
-    lowers the rate of stratified points. The separate sets of `MultipleImportance` do not have it.
+    The primary-space integrand usually jumps where the selection changes.
+    This jump along an axis makes the rate of stratified points slower.
+    `MultipleImportance` does not have this jump, because its techniques have separate sets.
 
     Examples
     --------
@@ -275,23 +280,23 @@ class OneSampleMIS(Combined):
 
     @property
     def dims(self) -> int:
-        """d + 1, or d if a coordinate of the point selects the technique."""
+        """Number of dims: d + 1, or d if a coordinate of the point selects the technique."""
         return self.integrand.dims + (self.selection == "extra")
 
     @property
     def spec(self) -> str:
-        """``integrand / one-sample heuristic[probabilities × densities]``."""
+        """Text of the form ``integrand / one-sample heuristic[probabilities × densities]``."""
         parts = zip(self.probabilities, self.densities, strict=True)
         shown = ", ".join(f"{chance:.6g}×{p.spec}" for chance, p in parts)
         split = ", coordinate" if self.selection == "coordinate" else ""
         return f"{self.integrand.spec} / one-sample {self.heuristic}{split}[{shown}]"
 
     def _primary(self, technique: int) -> Integrand:
-        """Return g(u) of all techniques together."""
+        """Return the single primary-space integrand g of all techniques."""
         return PrimaryIntegrand(self, technique, self.integrand)
 
     def primary_values(self, technique: int, u: Array) -> Array:
-        """Return g(u) = w_t f/(P_t p_t) at T_t of the rest of u; its coordinate selects t."""
+        """Return g(u) = w_t f/(P_t p_t). One coordinate of u selects t, and T_t maps the others."""
         del technique
         x, weights = self._chosen(u)
         values = scale(self.domain_integrand(x), weights)
@@ -303,19 +308,19 @@ class OneSampleMIS(Combined):
         return self._chosen(u)[0]
 
     def weighted_points(self, points: list[Array]) -> tuple[Array, Array]:
-        """Return domain points (R, n, d) and weights w_t/(P_t p_t n) (R, n) of the selected t."""
+        """Return domain points (R, n, d) and their weights w_t/(P_t p_t n), (R, n)."""
         x, weights = self._chosen(points[0])
         return x, weights / x.shape[1]
 
     def primary_breaks(self, technique: int = 0) -> Breaks:  # noqa: ARG002
-        """Return borders of the selection and breaks of every g_t, along each primary axis."""
+        """Return the borders of the selection and the breaks of all g_t, for each primary axis."""
         found: list[set[float]] = [set() for _ in range(self.dims)]
         axis = self.dims - 1 if self.selection == "extra" else 0
         found[axis].update(self._borders[1:-1].tolist())
         for t, density in enumerate(self.densities):
             own = carried_breaks(self.integrand, density, self.combination.breaks)
             for i, places in enumerate(own):
-                if i == axis:  # The part of the axis that selects this technique
+                if i == axis:  # The interval of technique t
                     stretched = (self._borders[t] + b * self.probabilities[t] for b in places)
                     found[i].update(map(float, stretched))
                 else:
@@ -323,7 +328,7 @@ class OneSampleMIS(Combined):
         return tuple(tuple(sorted(places)) for places in found)
 
     def _chosen(self, u: Array) -> tuple[Array, Array]:
-        """Return domain points (..., d) and w_t/(P_t p_t) (...) of primary points (..., dims)."""
+        """Return domain points (..., d) of primary points (..., dims), and w_t/(P_t p_t)."""
         flat = u.reshape(-1, self.dims)
         extra = self.selection == "extra"
         chooser, rest = flat[:, -1 if extra else 0], flat[:, : self.integrand.dims]
@@ -344,20 +349,20 @@ class OneSampleMIS(Combined):
 class TechniqueSum(AbstractEstimator):
     """A sum of separately sampled integrals, I = Σ_t (1/n_t) Σ_k g_t(u_tk).
 
-    Each g_t already contains its warp and weights, such as light and BSDF sampling of a renderer.
-    It is defined on its own unit cube, so there is no common domain.
+    Each g_t includes its warp and weights, such as light and BSDF sampling of a renderer.
+    Each g_t is defined on its own unit cube, so there is no common domain.
 
     Parameters
     ----------
     integrands
-        g_t, or their spec strings.
+        The integrands g_t, or their spec strings.
     counts
-        n_t as multiples of n; equal by default.
+        Numbers of points n_t as multiples of n; all equal by default.
     sets
-        Relation between the point sets of the techniques: ``"independent"``, ``"shared"`` or
+        How the point sets of the techniques are related: ``"independent"``, ``"shared"`` or
         ``"joint"``; see `mcspectra.estimators.sets`.
     dims
-        Number of dims for spec strings without ``dims``.
+        Number of dims; needed for spec strings without ``dims``.
     """
 
     def __init__(
@@ -383,7 +388,7 @@ class TechniqueSum(AbstractEstimator):
 
     @property
     def spec(self) -> str:
-        """``g_0 + g_1 + …``."""
+        """The specs of all g_t, joined by plus signs."""
         return " + ".join(g.spec for g in self.integrands) + self.sets_label
 
     def _primary(self, technique: int) -> Integrand:
@@ -396,29 +401,29 @@ class TechniqueSum(AbstractEstimator):
 def split_mixture(
     integrand: Integrand | str, mixture: Density | str, *, most: int = 1000
 ) -> MultipleImportance:
-    """Estimate with n w_t points for each part of a mixture instead of random selection.
+    """Make an estimator with n w_t points for part t of a mixture, without random selection.
 
     Parameters
     ----------
     integrand
-        f, or its spec string.
+        The integrand f, or its spec string.
     mixture
-        `Mixture` or `Defensive`, or its spec string. Its `selection` has no effect.
+        The mixture, a `Mixture` or `Defensive` density, or its spec. Its `selection` has no effect.
     most
-        Largest total count, which is the common denominator of the shares.
+        Largest total of the counts, which is the common denominator of the shares w_t.
 
     Returns
     -------
     MultipleImportance
-        The parts with counts in proportion to their shares and the balance heuristic, so every
-        point has the weight 1/p of the mixture. With counts c_t there are n Σ c_t points. For
-        random points the variance is at most that of the mixture ([OwenZhou2000]_ §3.2: a
-        stratified mixture).
+        The parts, with counts in proportion to their shares and the balance heuristic.
+        Every point has the weight 1/p of the mixture. With counts c_t there are n Σ c_t points.
+        It is a stratified mixture ([OwenZhou2000]_ §3.2).
+        For random points, its variance is at most that of the mixture.
 
     Raises
     ------
     ParameterError
-        If `mixture` is not a mixture, or the shares have no common denominator up to `most`.
+        If `mixture` is not a mixture, or if no common denominator is at most `most`.
 
     Examples
     --------
@@ -434,7 +439,7 @@ def split_mixture(
             f"{shown(mixture)} is not a mixture; give mixture(parts=[…]) or defensive(density=…)."
         )
 
-    # Find the smallest integers in proportion to the shares
+    # Find the smallest integers in the ratio of the shares
     most, shares = as_integer("most", most, least=1), found.shares
     fractions = [Fraction(share).limit_denominator(most) for share in shares.tolist()]
     total = math.lcm(*(fraction.denominator for fraction in fractions))

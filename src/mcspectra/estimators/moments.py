@@ -1,7 +1,7 @@
-"""Mergeable moments: mean, variance and its confidence interval, computed in blocks.
+"""Mergeable moments: mean, variance and confidence interval, computed block by block.
 
-Blocks are merged by the formulas of [ChanGolubLeVeque1983]_ and Pébay (2008), which avoid
-cancellation. All arrays have the realization axis first.
+All arrays have the realization axis first. Blocks are merged by the formulas
+of [ChanGolubLeVeque1983]_ and Pébay (2008), which avoid cancellation.
 """
 
 from __future__ import annotations
@@ -27,27 +27,29 @@ __all__ = [
     "variance_interval",
 ]
 
-# Weight, in number of values, of the prior that estimates are normal
+# Weight of the prior that estimates are normal, as a number of values
 _PRIOR = 20
-_LEAST = 10  # Least number of values that can show a tail
-# Number of smallest and of largest values that are kept and that a tail index is fitted to
+_LEAST = 10  # Fewer values than this cannot show a tail
+# Number of smallest and of largest values that are stored; the tail index is fitted to these values
 _TAIL = 64
-_LEAST_TAIL = 300  # Least number of values whose smallest or largest values count as a tail
-_CLUMPS = 4.0  # Largest kurtosis at which extreme values do not count as a tail
-_LEAST_POINTS = 3000  # Least number of points whose 256 farthest values count as a tail
-# Largest share of the variance beyond all values, by the number of farthest values that the tail is
-# fitted to. Bounded values have a small share
+_LEAST_TAIL = 300  # With fewer values, the extreme values are not a tail
+_CLUMPS = 4.0  # Up to this kurtosis, extreme values are not a tail
+_LEAST_POINTS = 3000  # With fewer points, the 256 farthest values are not a tail
+# Largest allowed share of the variance beyond all values, which is small for bounded values.
+# The keys are numbers of farthest values to which the tail is fitted
 _BEYOND = {16: 0.005, 64: 0.02, 256: 0.15}
-# Largest squared error: above it there is less than one degree of freedom, and an upper end above
-# 100 s²
+# Largest squared error. For larger ones there is less than one degree of freedom,
+# and the upper end of the variance is above 100 s²
 _MOST_ERROR = 2.0
-# Tail index of the values above which the upper end of a variance accounts for the tail; its
-# standard error for 64 tail values; and the index above which the variance is unbounded. At index ¼
-# the kurtosis is infinite. For values u^−0.3 and 1,000 realizations the interval holds in 96 % of
-# cases (85 % by the kurtosis alone). For uniform, normal and exponential values it does not change.
+# Three limits for tails. If the tail index is above the first number,
+# the upper end of the variance accounts for the tail.
+# The second number is the standard error of an index from 64 tail values.
+# If the index is above the third number, the variance is unbounded.
+# At index ¼ the kurtosis is infinite. For 1,000 values u^−0.3 the interval holds in 96 % of cases,
+# and in 85 % with the kurtosis alone. For uniform, normal and exponential values it is the same.
 _TAILED, _INDEX_ERROR, _MOST_INDEX = 0.05, 0.16, 0.32
-# Quantile at 97.5 % of log(σ²/s²) for R values u^−k: rows by R, columns by k, from 1,200 to 20,000
-# simulated sets of each kind
+# Quantile of log(σ²/s²) at 97.5 %, for R values u^−k with uniform u. Rows are R and columns are k;
+# each entry comes from 1,200 to 20,000 simulated sets
 _TAIL_INDICES = (0.21, 0.26, 0.31, 0.36, 0.41, 0.46)
 _TAIL_COUNTS = (300, 1000, 3000, 10_000, 30_000, 100_000)
 _TAIL_ENDS = (
@@ -58,7 +60,7 @@ _TAIL_ENDS = (
     (0.084, 0.122, 0.188, 0.302, 0.534, 1.114),
     (0.048, 0.073, 0.122, 0.216, 0.415, 0.945),
 )
-_GROUPS = 32  # Maximum number of groups of stored sets for the jackknife
+_GROUPS = 32  # Maximum number of groups of sets in the jackknife
 
 
 @final
@@ -69,7 +71,7 @@ class Measured:
     Attributes
     ----------
     log
-        Whether the interval is symmetric on a logarithmic scale, as for variances.
+        Whether the interval is symmetric on a logarithmic scale, as intervals of variances are.
     """
 
     value: float
@@ -79,7 +81,7 @@ class Measured:
 
     @classmethod
     def normal(cls, value: float, se: float) -> Measured:
-        """Return a number with a normal error of standard deviation `se`."""
+        """Return a number whose error is normal with the standard deviation `se`."""
         value, half = float(value), CONFIDENCE_Z * float(se)
         return cls(value, value - half, value + half)
 
@@ -90,15 +92,15 @@ class Measured:
 
     @classmethod
     def of(cls, data: xr.Dataset, name: str, *, log: bool = False) -> Measured:
-        """Return a variable of a result together with its interval ``NAME_ci``."""
+        """Return a variable of a result, with its interval ``NAME_ci``."""
         low, high = (float(end) for end in data[f"{name}_ci"].values)
         return cls(float(data[name]), low, high, log)
 
     def __truediv__(self, other: Measured | float) -> Measured:
-        """Divide by a number without error, or by another, independent variance.
+        """Divide by a number without error, or by another variance that is independent.
 
-        Common random numbers make the interval too wide, because both variances move together. The
-        ratio is NaN if a variance is not positive or has no upper bound.
+        For common random numbers the interval is too wide, because both variances vary together.
+        If a variance is not positive or has no upper bound, the ratio is NaN.
         """
         if not isinstance(other, Measured):
             return Measured(self.value / other, self.low / other, self.high / other, self.log)
@@ -110,13 +112,13 @@ class Measured:
         return Measured(value, value * math.exp(-half), value * math.exp(half), log=True)
 
     def __sub__(self, other: Measured) -> Measured:
-        """Subtract another, independent number."""
+        """Subtract another number that is independent."""
         value = self.value - other.value
         half = math.hypot(*((each.high - each.low) / 2 for each in (self, other)))
         return Measured(value, value - half, value + half)
 
     def widened(self, factor: float) -> tuple[float, float]:
-        """Return the ends of an interval about the value, wider by the factor."""
+        """Return the ends of the interval after it is made wider by the factor."""
         ends = (self.low, self.high)
         if self.log and min(self.value, *ends) > 0:
             low, high = (self.value * (end / self.value) ** factor for end in ends)
@@ -128,20 +130,20 @@ class Measured:
 @final
 @dataclass(frozen=True)
 class StoredSets:
-    """Moments by groups of stored sets, for samplers that reuse a limited number of sets.
+    """Moments for groups of stored sets, for samplers that reuse a limited number of sets.
 
-    Realization r uses the set r mod `sets`. Realizations of one set are not independent, so errors
-    come from a jackknife that leaves out one group of sets at a time.
+    Realization r uses the set r mod `sets`. Realizations with the same set are not independent,
+    so errors come from a jackknife that omits one group of sets at a time.
     """
 
     sets: int
-    count: Array  # Number of values of each group, (G,)
+    count: Array  # Number of values in each group, (G,)
     mean: Array  # (G, …)
     m2: Array
 
     @staticmethod
     def of(values: Array, first: int, sets: int) -> StoredSets:
-        """Return moments of values (R, …) by groups of sets; `first` is the first realization."""
+        """Return moments of values (R, …) for groups of sets; `first` is the first realization."""
         groups = min(sets, _GROUPS)
         label = (first + np.arange(len(values))) % sets % groups
         count = np.bincount(label, minlength=groups).astype(float)
@@ -154,7 +156,7 @@ class StoredSets:
         return StoredSets(sets, count, mean, m2)
 
     def merge(self, other: StoredSets) -> StoredSets:
-        """Return the merged moments, group by group."""
+        """Return the moments of two such objects, merged for each group."""
         count = self.count + other.count
         part = self._by_group(np.divide(other.count, count, out=0.0 * count, where=count > 0))
         delta = other.mean - self.mean
@@ -162,9 +164,10 @@ class StoredSets:
         return StoredSets(self.sets, count, self.mean + part * delta, m2)
 
     def errors(self) -> tuple[Array, Array]:
-        """Return standard errors of the variance, relative to it, and of the mean of all values.
+        """Return standard errors of the variance and of the mean of all values.
 
-        Both are infinite for a single set. All groups must have values.
+        The error of the variance is relative to the variance.
+        Both errors are infinite for a single set. All groups must have values.
         """
         groups, total = len(self.count), self.count.sum()
         if groups < 2:
@@ -192,20 +195,20 @@ class StoredSets:
 
 @dataclass(frozen=True)
 class Moments:
-    """Count, mean and sums of 2nd, 3rd and 4th powers of deviations, for each column."""
+    """Count, mean, and sums of the 2nd, 3rd and 4th powers of deviations, for each column."""
 
     count: int
     mean: Array
     m2: Array
     m3: Array
     m4: Array
-    # Smallest and largest values, sorted along the first axis, if tails are examined
+    # Smallest and largest values, sorted along the first axis; None if tails are not examined
     extremes: Array | None = None
-    kept: int = field(default=_TAIL, kw_only=True)  # Number of smallest and of largest values
-    # Moments of the values at single points that these values average; they show tails that means
-    # hide
+    kept: int = field(default=_TAIL, kw_only=True)  # Number of extreme values at each end
+    # If these values are means over points, moments of the values at single points.
+    # Single values show tails that are hidden in means
     points: Moments | None = field(default=None, kw_only=True)
-    # Moments by stored sets of samplers with few sets; errors use them once a set is reused
+    # For samplers with few sets: moments by stored sets. Errors use them once a set is reused
     stored: StoredSets | None = field(default=None, kw_only=True)
 
     @staticmethod
@@ -217,9 +220,9 @@ class Moments:
         first: int = 0,
         sets: int | None = None,
     ) -> Moments:
-        """Return moments of values (R, ...) over their first axis; `tails` keeps the extremes.
+        """Return moments of values (R, ...) over their first axis; with `tails`, store extremes.
 
-        `sets` is the number of stored sets of the sampler, and `first` the first realization.
+        `sets` is the number of stored sets of the sampler. `first` is the first realization.
         """
         mean = values.mean(axis=0)
         deviation = values - mean
@@ -237,11 +240,11 @@ class Moments:
 
     @staticmethod
     def of_points(values: Array) -> Moments:
-        """Return moments of values (N, ...) at single points, with the extremes for `beyond`."""
+        """Return moments of values (N, ...) at single points, with extremes for `beyond`."""
         return Moments.of(values, tails=True, kept=max(_BEYOND))
 
     def merge(self, other: Moments) -> Moments:
-        """Return moments of both sets of values together."""
+        """Return the moments of the values of both objects together."""
         a, b = self.count, other.count
         n = a + b
         delta = other.mean - self.mean
@@ -282,31 +285,32 @@ class Moments:
 
     @property
     def largest_share(self) -> Array:
-        """Share of the largest square in Σ (value − mean)²; 0 without spread. Needs `tails`."""
+        """Share of the largest square in Σ (value − mean)², or 0 without spread; needs `tails`."""
         assert self.extremes is not None
         square = np.maximum(self.extremes[-1] - self.mean, self.mean - self.extremes[0]) ** 2
         return np.asarray(np.divide(square, self.m2, out=np.zeros_like(self.m2), where=self.m2 > 0))
 
     @property
     def relative_se(self) -> Array:
-        """Standard error of the variance relative to it, from the kurtosis of the values.
+        """Relative standard error of the variance, from the kurtosis of the values.
 
-        Var(s²)/σ⁴ = (κ − (R−3)/(R−1))/R [Kenney & Keeping 1951]. Few values underestimate κ, so κ
-        is pulled toward a normal's 3 with the weight of 20 values. If stored sets are reused, the
-        result is at least the jackknife error.
+        Var(s²)/σ⁴ = (κ − (R−3)/(R−1))/R [Kenney & Keeping 1951].
+        Few values underestimate the kurtosis κ. Therefore κ is moved toward 3,
+        its value for a normal law, with the weight of 20 values.
+        If stored sets are reused, the result is at least the error from the jackknife.
         """
         return np.maximum(self._alone_se, self._stored_errors()[0])
 
     @property
     def widening(self) -> Array:
-        """Factor, at least 1, by which reused stored sets raise the error of the variance."""
+        """Factor of at least 1 by which reused stored sets increase the error of the variance."""
         alone = self._alone_se
         with np.errstate(invalid="ignore", divide="ignore"):
             return np.where(alone > 0, np.maximum(self.relative_se / alone, 1.0), 1.0)
 
     @property
     def degrees(self) -> int:
-        """Number of independent values, or of groups of stored sets, behind the errors."""
+        """Number of independent values behind the errors, or of groups of stored sets."""
         return len(self.stored.count) if self.stored is not None and self._reused else self.count
 
     @property
@@ -314,7 +318,7 @@ class Moments:
         return self.stored is not None and self.count > self.stored.sets
 
     def _stored_errors(self) -> tuple[Array, Array]:
-        """Return jackknife errors of the relative variance and the mean; 0 without reused sets."""
+        """Return jackknife errors of the relative variance and the mean; 0 if no set is reused."""
         if self.stored is None or not self._reused:
             none = np.zeros_like(self.m2)
             return none, none
@@ -322,7 +326,7 @@ class Moments:
 
     @property
     def _alone_se(self) -> Array:
-        """`relative_se` for independent values."""
+        """The error `relative_se` for independent values."""
         n = self.count
         if n < 2:
             return np.full_like(self.m2, np.nan)
@@ -334,20 +338,22 @@ class Moments:
 
     @property
     def known_se(self) -> Array:
-        """`relative_se`, infinite if the variance is not `resolved`."""
+        """The error `relative_se`, or infinity if the variance is not `resolved`."""
         return np.where(self.resolved, self.relative_se, np.inf)
 
     @property
     def variance_ci(self) -> Array:
-        """95 % interval of the variance, (..., 2); the upper end is inf if it is not `resolved`.
+        """95 % interval of the variance, (..., 2). Without `resolved`, the upper end is infinite.
 
-        The interval is logarithmic and uses the kurtosis, as in [Bonett2006]_, about a center that
-        the skewness moves, like his trimmed mean. It is wider upward, because values without a tail
-        make s² and its error too small together. A tail index above 0.05 moves the upper end to at
-        least the quantile for values u^−k, with k one standard error above the index. The constants
-        give a coverage of 93 to 97 % for 20 or more values and kurtoses up to 10, whether skewed,
-        heavy, flat or two-peaked (``python -m benchmarks coverage``). Their effect vanishes as R
-        grows.
+        The interval is logarithmic and uses the kurtosis, as in [Bonett2006]_.
+        The skewness moves its center, as a trimmed mean does in that work.
+        It is wider upward, because values that miss a tail make s² and its error too small.
+        If the tail index is above 0.05, the upper end is at least the quantile for values u^−k,
+        where k is one standard error above the index.
+        With these constants, intervals of 20 or more values hold in 93 to 97 % of cases.
+        This was tested for kurtoses up to 10 and for laws that are skewed, heavy-tailed, flat
+        or two-peaked (``python -m benchmarks coverage``).
+        The effect of the constants vanishes as the number of values R grows.
         """
         low, high = self._log_errors()
         few = student_t(self.degrees) * self._stored_errors()[0]
@@ -365,11 +371,13 @@ class Moments:
     def resolved(self) -> Array:
         """Whether the values bound their variance from above.
 
-        They do not in three cases. One or two values make up most of the variance. Or the tail
-        index of their squares exceeds 0.64 and their kurtosis 4. Above 0.64 the mean is far from
-        normal for any feasible number of values [Vehtari2024]_; the kurtosis excludes values in a
-        few clumps. Or the values that they average follow a power law, and much of their variance
-        lies beyond all of them.
+        There are three cases in which they do not.
+        First, one or two values may have most of the variance.
+        Second, the tail index of the squared values may exceed 0.64 and the kurtosis 4.
+        Above 0.64 the mean is far from normal for any feasible number of values [Vehtari2024]_.
+        The limit of the kurtosis excludes values in a few clumps.
+        Third, the values may be means over points that follow a power law,
+        with much of the variance beyond all points.
         """
         with np.errstate(invalid="ignore", divide="ignore"):
             few = self._log_errors()[1] ** 2 > _MOST_ERROR
@@ -381,22 +389,23 @@ class Moments:
 
     @property
     def tail_index(self) -> Array:
-        """k̂ of a generalized Pareto distribution of the farthest values.
+        """Index k̂ of a generalized Pareto distribution that is fitted to the farthest values.
 
-        0 means exponential, ½ infinite variance. It is estimated by probability-weighted moments
-        [HoskingWallis1987]_ from the 63 largest values over the 64th, on the side of the mean that
-        reaches farther. Both sides together would not form a tail, as one may end inside the other.
-        NaN for fewer than 300 values, or without `tails`.
+        An index of 0 means an exponential tail, and ½ means infinite variance.
+        It is estimated by probability-weighted moments [HoskingWallis1987]_ of the distances
+        of the 63 largest values from the 64th, on the side of the mean that reaches farther.
+        The two sides are not combined, because one tail may end where the other begins.
+        The index is NaN for fewer than 300 values, or without `tails`.
         """
         if self.extremes is None or self.count < _LEAST_TAIL:
             return np.full_like(self.m2, np.nan)
         return self._farthest(_TAIL)[1]
 
     def beyond(self, many: int) -> Array:
-        """Return the share of the variance beyond all values, from the `many` farthest values.
+        """Return the share of the variance beyond all values, from the `many` farthest ones.
 
-        For values t^-k, with M of N values above a quantile, a fraction M^(2k − 1) of Σ t² lies
-        beyond all.
+        If values follow t^-k and M values are above a quantile, the fraction M^(2k − 1)
+        of their sum of squares lies beyond all values.
         """
         far, index = self._farthest(many)
         share = np.divide((far**2).sum(axis=0), self.m2, out=0.0 * self.m2, where=self.m2 > 0)
@@ -404,15 +413,15 @@ class Moments:
         return np.asarray(np.where(np.isfinite(index), share * law, 0.0))
 
     def _farthest(self, many: int) -> tuple[Array, Array]:
-        """Return distances of the farthest values from the mean, on its longer side, and k̂."""
+        """Return distances of the farthest values from the mean on the longer side, and index k̂."""
         assert self.extremes is not None
         below = (self.mean - self.extremes[:many])[::-1]
         above = self.extremes[-many:] - self.mean
         far = np.where(above[-1] >= below[-1], above, below)
         excess = far[1:] - far[0]
 
-        # Values on a grid, such as shares of hits, stand for grid cells, so the tail begins half a
-        # step below
+        # Values on a grid, such as shares of hits, represent cells of the grid:
+        # the tail begins half a step below the smallest value
         step = np.where(excess > 0, excess, np.inf).min(axis=0)
         grid = (excess[0] == 0) & (far[0] > 0) & np.isfinite(step)
         excess = excess + np.where(grid, step / 2, 0.0)
@@ -422,7 +431,7 @@ class Moments:
             return far, np.asarray(2.0 - first / (first - 2.0 * second))
 
     def _log_errors(self) -> tuple[Array, Array]:
-        """Return standard errors of log s² for the lower and the upper end."""
+        """Return standard errors of log s²: one for the lower end, and one for the upper end."""
         n = self.count
         if n < 2:
             return np.full_like(self.m2, np.nan), np.full_like(self.m2, np.nan)
@@ -430,7 +439,8 @@ class Moments:
         with np.errstate(invalid="ignore", divide="ignore"):
             kurtosis = np.where(self.m2 > 0, n * self.m4 / self.m2**2, 3.0)
             skewness = np.where(self.m2 > 0, np.sqrt(n) * self.m3 / self.m2**1.5, 0.0)
-        # Fourth moment about the mean moved against the skewness, and the part that few values miss
+        # Move the center of the fourth moment against the skewness.
+        # Add the part of the kurtosis that few values miss
         shift = 0.5 * n**-0.25 * skewness
         kurtosis = kurtosis + 4 * shift * skewness + 6 * shift**2 + shift**4
         unseen = 36.0 * n ** (-2 / 3) * np.sqrt(np.maximum(kurtosis - 2.0, 0.0))
@@ -448,11 +458,11 @@ class Moments:
 
 
 def _tail_end(index: Array, count: int) -> Array:
-    """Return the upper end of log(σ²/s²) for values with a tail, from `_TAIL_ENDS`."""
+    """Return the upper end of log(σ²/s²) for values with a tail, interpolated in `_TAIL_ENDS`."""
     k = np.clip(index + _INDEX_ERROR, _TAIL_INDICES[0], _TAIL_INDICES[-1])
     columns = np.arange(len(_TAIL_INDICES))
     place, rows = np.interp(k, _TAIL_INDICES, columns), np.log(_TAIL_COUNTS)
-    # Interpolate powers of the count between rows, and extrapolate the last power
+    # Interpolate by powers of the count between rows, and extrapolate by the last power
     x = math.log(count)
     row = int(np.clip(np.searchsorted(rows, x) - 1, 0, len(rows) - 2))
     part = (x - rows[row]) / (rows[row + 1] - rows[row])
@@ -461,7 +471,7 @@ def _tail_end(index: Array, count: int) -> Array:
 
 
 def _outermost(values: Array, kept: int) -> Array:
-    """Return the smallest and the largest values (R, ...), sorted."""
+    """Return the smallest and the largest of the values (R, ...), in ascending order."""
     if len(values) > 2 * kept:
         parted = np.partition(values, (kept, len(values) - kept - 1), axis=0)
         values = np.concatenate([parted[:kept], parted[-kept:]])
@@ -471,8 +481,8 @@ def _outermost(values: Array, kept: int) -> Array:
 def variance_interval(variance: Array, relative_se: Array) -> Array:
     """Return a 95 % interval of a variance, (..., 2), from χ² quantiles.
 
-    The number of degrees is ν = 2/relative_se². For normal values ν is R − 1 and the interval is
-    exact. Heavier tails have fewer degrees.
+    The number of degrees of freedom is ν = 2/relative_se². For R normal values
+    ν is R − 1, and the interval is exact. For heavier tails ν is smaller.
     """
     from scipy.special import gammaincinv
 
@@ -484,9 +494,9 @@ def variance_interval(variance: Array, relative_se: Array) -> Array:
 def mean_interval(values: Array) -> tuple[float, float]:
     """Return a 95 % interval of the mean of independent estimates, (R,).
 
-    It is the hull of Student's t interval and Hall's transform of it, cubic in the skewness
-    [Hall1992]_. Both agree for normal estimates. For skewed estimates the interval extends farther
-    on the side of the tail.
+    The interval contains Student's t interval and the interval by Hall's cubic transform,
+    which depends on the skewness [Hall1992]_. Both agree for normal estimates.
+    For skewed estimates, the interval extends farther on the side of the tail.
     """
     count = len(values)
     mean, spread = float(values.mean()), float(values.std(ddof=1))

@@ -1,8 +1,9 @@
 """Quadrature of primary-space integrands: means over strata and shifted grids, and ∫g².
 
-Strata are cut at the discontinuities that the integrand declares (`breaks`), at the seam of the
-torus, and more finely toward 0 and 1, where warps are singular. They are integrated by
-Gauss-Legendre rules, or exactly if the integrand has closed-form moments over boxes.
+Strata are cut at the seam of the torus, and at the discontinuities that the integrand declares
+(`breaks`). They are cut more finely toward 0 and 1, where warps are singular.
+Pieces are integrated by Gauss-Legendre rules.
+If the integrand has closed-form moments over boxes, they are integrated exactly.
 """
 
 from __future__ import annotations
@@ -51,44 +52,45 @@ __all__ = [
 ]
 
 MOST_EVALUATIONS = 2.0**26
-"""Maximum number of evaluations of an integrand in a quadrature; more raise an error."""
+"""Maximum number of evaluations of an integrand in a quadrature; above it an error is raised."""
 
 DIVERGES = 0.4995
-"""Exponent of g above which ∫g² is taken as infinite: ½ minus the error of slopes."""
+"""Exponent of g above which ∫g² counts as infinite: ½ minus the error of measured slopes."""
 
-_BLOCK = 2**18  # Evaluations per call
+_BLOCK = 2**18  # Number of evaluations in a call
 _ORDERS = ((12, 20), (6, 10), (4, 6))
-# Number of strata above which orders are lower: nets in 2-D have n² cells, so 10² nodes are too
-# many
+# For more strata than this, orders are lower. Nets in 2-D have n² cells,
+# and 10² nodes in each cell would be too many
 _MANY = 400
-# Least number of panels of the whole axis in integrals over offsets of few strata
+# Least number of panels of the whole axis in means over offsets, for grids with few strata
 _LEAST_PANELS = 32
-# Number of cells per level: enough to resolve jumps along curves, in an eighth of the time
+# Maximum number of cells per level. It is enough to resolve jumps along curves,
+# and takes an eighth of the usual time
 _FEW_CELLS = 2**13
-# Error as a fraction of √∫g² below which a mean resolves all of g
+# If a mean has an error below this fraction of √∫g², the rule resolves all of g
 _SAME = 1e-9
-# Relative error of ∫g² above which g has jumps that boxes did not resolve
+# If ∫g² has a larger relative error, g has jumps that boxes did not resolve
 _RESOLVED = 1e-10
-_CENTER = 2**10  # Number of points for the mean that is subtracted before g is squared
-# Multiple of the largest value at the probe that g² exceeds next to a pole
+_CENTER = 2**10  # Number of points of the mean that is subtracted from g
+# Next to a pole, g² exceeds the largest value at the probe by this factor
 _POLE = 2.0
-# Relative error above which there may be a pole, so that all levels are computed
+# If the relative error is larger, there may be a pole, and all levels are computed
 _SUSPECT = 0.01
 _LOOKED_DIMS = 5
-# Largest fraction of the error that may come from regions that nodes miss
+# Largest fraction of the error that may come from regions between the nodes
 _HIDDEN = 0.1
-# Number of lines, and largest difference of two slopes with one exponent
+# Number of lines, and largest difference of two slopes that count as equal
 _GROWTH_LINES, _STEADY = 4, 0.02
-# log2 of 1/distance from 0, from 1 and from a break
+# Binary logarithm of the inverse distance from 0, from 1 and from a break
 _FAR, _NEAR, _INSIDE = (30, 60, 90, 120), (20, 30, 40, 50), (8, 14, 20, 26)
-# Number of stored largest values at the probe, and rank beyond which the power law is used
+# Number of largest values at the probe that are stored, and rank above which the power law is used
 _TOP, _RANK = 256, 8
-# Least exponent of a power law, least ratio of its two slopes, and largest exponent used
+# Least exponent of a power law, least ratio of its two slopes, and largest exponent that is used
 _HEAVY, _AS_POWER, _LARGEST_POWER = 0.1, 0.6, 0.47
-# Least rise of log2 |g| from one distance to the next that counts as unbounded growth
+# Growth is unbounded if log2 |g| rises by at least this much from each distance to the next
 _RISES = 0.02
 
-# Panels down to 2^-20 integrate √u near 0 to 1e-6. In 2-D every panel costs a row of panels.
+# Panels down to 2^-20 integrate √u near 0 to 1e-6. Each panel adds a row of panels in 2-D
 _GRADED = {
     dims: tuple(x for k in range(1, depth) for x in (0.5**k, 1.0 - 0.5**k))
     for dims, depth in ((1, 40), (2, 14))
@@ -98,13 +100,13 @@ _GRADED = {
 @final
 @dataclass(frozen=True, eq=False)
 class Pointwise(Derived):
-    """A pointwise function of an integrand, with `width` channels or as many as the integrand."""
+    """A pointwise function of an integrand with `width` channels, or as many as the integrand."""
 
     name: ClassVar[str] = "pointwise"
     text = "{0.label}"
     is_black_box = False
     integrand: Integrand
-    values: Callable[[Array], Array]  # Maps points to values
+    values: Callable[[Array], Array]  # Computes values at points
     cuts: Breaks
     label: str
     width: int | None = None
@@ -127,7 +129,7 @@ class Pointwise(Derived):
 @final
 @dataclass(frozen=True, eq=False)
 class _Cut(Derived):
-    """An integrand with its declared and its detected breaks."""
+    """An integrand with its declared breaks and with the breaks that were detected."""
 
     name: ClassVar[str] = "cut"
     text = "{0.integrand.spec}"
@@ -145,10 +147,10 @@ class _Cut(Derived):
 
 
 def looked_at(g: Integrand) -> Integrand:
-    """Return g with the jumps across an axis that line searches detect, if any (`found_breaks`).
+    """Return g with the jumps normal to an axis that line searches detect (`found_breaks`).
 
-    g is returned unchanged if its calls are costly, it has a closed form or its own rule, or over 5
-    dims.
+    g is returned unchanged if its calls are costly, if it has a closed form or its own rule,
+    or if it has more than 5 dims.
     """
     cache = g._cache
     if cache.cut is None:
@@ -161,21 +163,23 @@ def looked_at(g: Integrand) -> Integrand:
 
 
 def blindness(g: Integrand, means: Array, squares: Array) -> Array:
-    """Return the error of a rule for ∫g and ∫g², as a variance: (channels,).
+    """Return the error of a rule for ∫g and ∫g², expressed as a variance, (channels,).
 
     Parameters
     ----------
     g
         The integrand.
     means, squares
-        Means of g and g² over equal parts of the cube by the rule, (parts, channels).
+        Means of g and g² over equal parts of the cube, computed by the rule, (parts, channels).
 
     Returns
     -------
     ndarray
-        0 if the sums agree with integrals by a rule that detects regions between nodes
-        (`mcspectra.integrands._quadrature.adaptive_integral`) and resolves g; or with ∫g, if that
-        has a closed form. Otherwise the difference, plus the error of the integrals.
+        The difference from integrals by a second rule, plus the error of these integrals.
+        The second rule detects regions between nodes
+        (`mcspectra.integrands._quadrature.adaptive_integral`).
+        The result is 0 if the sums agree with the second rule and it resolves g,
+        or if the sums agree with a closed form of ∫g.
     """
     mean, square = means.mean(axis=0), squares.mean(axis=0)
     exact = g._integral()
@@ -189,18 +193,19 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
     square_off = np.abs(square - 2.0 * middle * mean + middle**2 - second) - error - rounding
     largest = np.abs(means - middle).max(axis=0)
     missed = np.maximum(square_off, 0.0) + 2.0 * largest * np.maximum(off, 0.0)
-    # Unresolved integrals may hide as much as their error; jumps are known where breaks were
-    # detected
+    # If an integral is not resolved, the rule may miss as much as its error.
+    # If breaks were detected, g has jumps
     hides = (error > _RESOLVED * second) | isinstance(g, _Cut)
     return np.asarray(missed + np.where(hides, error, 0.0))
 
 
 def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
-    """Return a number a near ∫g, then ∫(g − a), ∫(g − a)² and the error of both: (channels or 1,).
+    """Return a number a near ∫g, with ∫(g − a), ∫(g − a)² and their error, each (channels or 1,).
 
-    They have a closed form, or come from the rule that detects regions between nodes, and are
-    cached. With a learned density, f is integrated over the domain: the density's knots lie across
-    the axes there, but along curves in primary space.
+    They have a closed form, or come from the rule that detects regions between nodes.
+    They are cached. With a learned density, f is integrated over the domain.
+    Knots of the density are on planes normal to the axes in the domain,
+    but on curves in primary space.
     """
     cache = g._cache
     if cache.moments is None:
@@ -216,12 +221,12 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
                 p = density.pdf(x)[..., None] if over_domain else 1.0
                 values = values_at(inside.integrand if over_domain else g, x)
                 first = values / p - middle
-                with np.errstate(over="ignore"):  # Next to a pole
+                with np.errstate(over="ignore"):  # May overflow next to a pole
                     return np.concatenate([first * p, first**2 * p], axis=-1)
 
             label, width = f"moments of {g.spec}", 2 * len(middle)
             both = Pointwise(g, centered, breaks, label, width)
-            if g.dims <= _LOOKED_DIMS and not over_domain:  # In more dims there are no boxes to cut
+            if g.dims <= _LOOKED_DIMS and not over_domain:  # In more dims boxes are not cut
                 both._cache.breaks = found_breaks(g)
             found = integral_estimate(both)
             first, second = np.split(found.value, 2)
@@ -238,18 +243,18 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
 @final
 @dataclass(frozen=True)
 class Rule:
-    """Order of a Gauss-Legendre rule, its most evaluations, and a second order for comparison."""
+    """Order of a Gauss-Legendre rule, its maximum number of evaluations, and a second order."""
 
     order: int
     most: float = MOST_EVALUATIONS
     against: int = 0
 
     def each(self, g: Integrand) -> int:
-        """Return evaluations for one box; closed-form moments count as one per corner."""
+        """Return the evaluations for one box; closed-form moments count as one for each corner."""
         return int((2 if in_closed_form(g) else self.order) ** g.dims)
 
     def check(self, what: str, evaluations: float) -> None:
-        """Raise if the quadrature would take too long; `what` begins the sentence."""
+        """Raise an error if the quadrature would take too long; `what` begins the message."""
         if evaluations > self.most:
             raise NoClosedForm(
                 f"{what} would take {evaluations:.2g} evaluations, more than {self.most:.2g}; use ",
@@ -259,12 +264,12 @@ class Rule:
 
 
 def orders_of(cells: int, dims: int) -> tuple[int, int]:
-    """Return orders of two rules to compare: lower in 2-D and up, and lower for many cells."""
+    """Return two orders of rules to compare; they are lower for d > 1 and for many cells."""
     return _ORDERS[0] if dims == 1 else _ORDERS[1] if cells < _MANY else _ORDERS[2]
 
 
 def unseen(g: Integrand) -> Array:
-    """Return the error of ∫g² from regions that nodes miss, (channels or 1,); see `moments`."""
+    """Return the error of ∫g² from regions between nodes, (channels or 1,); see `moments`."""
     none = np.zeros(max(1, g.channels))
     if g.costly or g.dims > _LOOKED_DIMS or in_closed_form(g):
         return none
@@ -273,12 +278,13 @@ def unseen(g: Integrand) -> Array:
 
 
 def beyond_points(g: Integrand) -> Array:
-    """Return the part of ∫g² next to poles beyond the probe's points, (channels or 1,).
+    """Return the part of ∫g² next to poles that the probe's points miss, (channels or 1,).
 
-    It is 0 without poles. A pole is assumed if g is `unbounded` on lines, or if its largest values
-    follow a power law: from rank 4 to 32 they fall by about the same factor as from 32 to 256. For
-    bells the logarithm of the first factor is only an eighth of that of the second. For values
-    t^-a, ranks beyond k contribute k g_k² / (N (1 − 2a)) to ∫g².
+    It is 0 without poles. A pole is assumed if g is `unbounded` on lines,
+    or if its largest values follow a power law.
+    Such values fall from rank 4 to 32 by about the same factor as from 32 to 256.
+    For bells, the logarithm of the first factor is only an eighth of the second logarithm.
+    For N points with values t^-a, ranks above k contribute k g_k² / (N (1 − 2a)) to ∫g².
     """
     none = np.zeros(max(1, g.channels))
     if g.costly or in_closed_form(g):
@@ -301,7 +307,7 @@ def beyond_points(g: Integrand) -> Array:
 
 
 def constant(g: Integrand) -> str:
-    """Return a sentence if an integrand is equal at all points of the probe, else ''."""
+    """Return a sentence if an integrand has one value at all points of the probe, else ''."""
     if g.costly or in_closed_form(g) or g._integral() is not None:
         return ""
     values = g(probe(g.dims)).reshape(PROBE, -1)
@@ -317,7 +323,7 @@ def constant(g: Integrand) -> str:
 
 
 def closed_moments(g: Integrand) -> tuple[Array, Array] | None:
-    """Return ∫g and ∫g², both (channels or 1,), if g has closed-form moments over boxes."""
+    """Return ∫g and ∫g², each (channels or 1,); None without closed-form moments over boxes."""
     found = g.box_moments(np.zeros((1, g.dims)), np.ones((1, g.dims)))
     if found is None:
         return None
@@ -331,34 +337,34 @@ def in_closed_form(g: Integrand) -> bool:
 
 
 def values_at(g: Integrand, x: Array) -> Array:
-    """Return g at points (…, d): (…, channels or 1)."""
+    """Return g at points (…, d), as (…, channels or 1)."""
     return np.asarray(g(x)).reshape(*x.shape[:-1], -1)
 
 
 def mesh(*axes: Array) -> Array:
-    """Return all points of a grid with these coordinates along the axes: (…, d)."""
+    """Return all points of the grid with the given coordinates along each axis, (…, d)."""
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
 
 
 def grid(axis: Array, dims: int) -> Array:
-    """Return a grid with equal coordinates along each axis, in C order: (k^dims, dims)."""
+    """Return a grid with the same coordinates along each axis, in C order, (k^dims, dims)."""
     return mesh(*[axis] * dims).reshape(-1, dims)
 
 
 def strata(
     g: Integrand, sides: tuple[int, ...], offset: Array, rule: Rule
 ) -> tuple[Array, Array, Array]:
-    """Return means over strata displaced by `offset`, mean variance within strata, and its error.
+    """Return means over displaced strata, the mean variance within strata, and its error.
 
-    The shapes are (strata, channels), (channels,) and (channels,). Displacement is on the torus.
-    The error is the `blindness`. If jumps are unknown, it also contains twice the standard error of
-    the differences between two orders in independent strata, because two orders may agree by chance
-    in the mean.
+    Strata are displaced by `offset` on the torus.
+
+    The shapes are (strata, channels), (channels,) and (channels,). The error is the `blindness`.
+    If jumps are unknown, two orders may agree by chance in the mean.
+    In this case, twice the standard error of their differences in independent strata is added.
     """
     means, squares = stratum_moments(g, sides, offset, rule.order, rule.most)
     unseen = blindness(g, means, squares)
-    # A second pass about the stratum means would cost a second evaluation, so clip cancellation
-    # errors
+    # Rounding can make this negative: clip it, as a second pass would cost more evaluations
     within = np.maximum(squares - means * means, 0.0)
     if rule.against and not in_closed_form(g):
         coarse, squares = stratum_moments(g, sides, offset, rule.against, rule.most)
@@ -374,13 +380,13 @@ def stratum_moments(
     order: int | Array,
     most: float = MOST_EVALUATIONS,
 ) -> tuple[Array, Array]:
-    """Return means of g and g² over strata displaced on the torus: (strata, channels or 1).
+    """Return means of g and g² over strata displaced on the torus, (strata, channels or 1).
 
-    `order` is the order of the Gauss-Legendre rule, or a tuple with the order for each axis.
+    `order` is the order of the Gauss-Legendre rule, or a tuple with an order for each axis.
     """
 
     def cut(graded: tuple[float, ...]) -> list[tuple[Array, Array]]:
-        """Cut at strata borders (j + offset)/sides, breaks and the seam 0; return the ends."""
+        """Return pieces of each axis, cut at strata borders (j + offset)/sides, breaks and 0."""
         axes = []
         for s, displaced, breaks in zip(sides, map(float, offset), g.breaks, strict=True):
             borders = (np.arange(s) / s + displaced) % 1.0
@@ -402,7 +408,7 @@ def stratum_moments(
         both = np.stack([np.asarray(m) for m in g.box_moments(*box) or ()])
         both = both.reshape(2, *(len(low) for low, _ in axes), -1)
     else:
-        # Apply a tensor Gauss-Legendre rule to each piece, and sum along all axes but the first
+        # Apply the Gauss-Legendre rule to each piece, and sum along all axes except the first
         rules = [gauss_rule(each) for each in orders]
         grids = [
             (low[:, None] + (high - low)[:, None] * node).ravel()
@@ -419,7 +425,7 @@ def stratum_moments(
             parts.append(part)
         both = _sums(np.concatenate(parts, axis=1), 1, rules[0][1])
 
-    # Average over strata, axis by axis: pieces count by their share of the stratum
+    # Average over strata, one axis after another, with the size of a piece as its weight
     for i, (low, high) in enumerate(axes):
         middle = (0.5 * (low + high) - float(offset[i])) % 1.0
         stratum = np.minimum(np.floor(middle * sides[i]).astype(np.int64), sides[i] - 1)
@@ -433,13 +439,13 @@ def stratum_moments(
 
 
 def _sums(values: Array, axis: int, weights: Array) -> Array:
-    """Return weighted sums of each len(weights) successive values along an axis."""
+    """Return the weighted sum of each group of len(weights) successive values along an axis."""
     shape = (*values.shape[:axis], -1, len(weights), *values.shape[axis + 1 :])
     return np.asarray(np.moveaxis(values.reshape(shape), axis + 1, -1) @ weights)
 
 
 def offset_rule(g: Integrand, sides: tuple[int, ...], order: int) -> tuple[Array, Array]:
-    """Return Gauss nodes and weights for a uniform offset in one stratum, cut at folded breaks."""
+    """Return Gauss nodes and weights over the offsets of a stratum, cut at the folded breaks."""
     node, weight = gauss_rule(order)
     per_axis = []
     for s, breaks in zip(sides, g.breaks, strict=True):
@@ -456,20 +462,23 @@ def offset_rule(g: Integrand, sides: tuple[int, ...], order: int) -> tuple[Array
 
 
 def grid_values(g: Integrand, sides: tuple[int, ...], offset: Array) -> Array:
-    """Return values of g on the grid (j + offset·sides)/sides: (*sides, channels or 1)."""
+    """Return g on the grid (j + offset·sides)/sides, as (*sides, channels or 1)."""
     x = mesh(*((np.arange(s) / s + o) % 1.0 for s, o in zip(sides, offset, strict=True)))
     return np.asarray(g(x)).reshape(*sides, -1)
 
 
 def square_integral(g: Integrand) -> tuple[Array, Array]:
-    """Return ∫g² and an estimate of its absolute error, both (channels or 1,).
+    """Return ∫g² and an estimate of its absolute error, each (channels or 1,).
 
-    The result is infinite if g grows too fast across an axis (`growth`). Otherwise it comes from
-    `moments`. In 1-D and 2-D a second quadrature records the unresolved part of each level
-    (`mcspectra.densities.adaptive`). It integrates ∫ f²/p over the domain for f/p, because double
-    precision has few points next to 1 in primary space. The integral is infinite if the unresolved
-    part does not shrink and no pole across an axis explains it. Otherwise the smaller error counts.
-    In more dims, other poles appear at best as a large error.
+    The result is infinite if g grows too fast toward a plane normal to an axis (`growth`).
+    Otherwise it comes from `moments`. In 1-D and 2-D there is a second quadrature by levels,
+    which records the unresolved part of each level (`mcspectra.densities.adaptive`).
+    If g = f/p, it integrates f²/p over the domain:
+    in primary space, double precision has few points next to 1.
+    The integral is infinite if the unresolved part does not shrink,
+    unless a pole along a plane normal to an axis explains this.
+    Otherwise the result with the smaller error is used.
+    In more dims, other poles are visible at best as a large error.
     """
     cache = g._cache
     if cache.square is not None:
@@ -482,7 +491,7 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     over_domain = warped and inside.density.dims == g.dims  # type: ignore[attr-defined]
 
     def square(x: Array) -> Array:
-        """Return g² at points (..., d), with channels; over the domain f²/p."""
+        """Return g² at points (..., d), with channels; over the domain return f²/p."""
         with np.errstate(over="ignore", divide="ignore", invalid="ignore"):  # Next to a pole
             if not over_domain:
                 return values_at(g, x) ** 2
@@ -490,7 +499,7 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
             p = inside.density.pdf(x)[..., None]  # type: ignore[attr-defined]
             return np.where(f == 0.0, 0.0, f**2 / p)
 
-    # Integrate by levels, with the unresolved part of each
+    # Integrate by levels, and record the unresolved part of each level
     for c in np.flatnonzero(np.isnan(by_levels)) if not in_closed_form(g) and g.dims <= 2 else ():
         seen = [0.0]
 
@@ -502,8 +511,8 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
         level = positive_integral(of_channel, g.dims, most_cells=_FEW_CELLS)
         if level[1] > _SUSPECT * level[0]:
             level = positive_integral(of_channel, g.dims)
-        # Narrow ridges grow from level to level like poles, but not beyond the probe's values. If
-        # the exponent of a pole is known, it decides
+        # Narrow ridges grow from level to level as poles do, but not above the values of the probe
+        # If the exponent of a pole is known, use it instead
         largest = max(seen)
         pole = largest > _POLE * float(of_channel(probe(g.dims)).max())
         if math.isfinite(level[0]) or (pole and not grows[c] > 0.0):
@@ -517,10 +526,10 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     value = second + 2.0 * middle * first + middle**2
     error = error * (1.0 + 2.0 * np.abs(middle))
     with np.errstate(invalid="ignore"):
-        # The level rule can miss thin slabs; the box rule can miss the tips of poles
+        # The rule by levels can miss thin slabs, and the rule by boxes can miss the tips of poles
         more = by_levels - value - level_errors - error
         alike = np.abs(by_levels - value) <= level_errors + error
-    hidden = unseen(g)  # Slabs, which levels miss completely
+    hidden = unseen(g)  # The error in slabs, which levels miss
     better = alike & (level_errors + hidden < error) & (hidden < _HIDDEN * error)
     better |= np.isinf(by_levels) | over_domain & (more > 0.0)
     level_errors = np.where(np.isinf(by_levels), 0.0, level_errors + hidden)
@@ -532,26 +541,26 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
 
 
 def _inside(g: Integrand) -> tuple[Integrand, bool]:
-    """Return g without detected cuts, and whether a density warps it."""
+    """Return g without detected breaks, and whether g is warped by a density."""
     inside = g.integrand if isinstance(g, _Cut) else g
     return inside, isinstance(inside, PrimaryIntegrand) and isinstance(inside.estimator, Estimator)
 
 
 def growth(g: Integrand) -> Array:
-    """Return the largest exponent a of g ~ t^-a at distance t from an axis end or break, else 0.
+    """Return the largest exponent a of g ~ t^-a near an end of an axis or a break; 0 if bounded.
 
-    One exponent per channel, (channels or 1,), from the slopes of log |g| over the last distances
-    on some lines; the slopes must agree. ∫g² diverges for a ≥ ½, ∫g⁴ for a ≥ ¼. Integrands in
-    closed form have no such poles. Integrands that are costly or warped by a density are not
-    tested.
+    Here t is the distance. The exponents, (channels or 1,), are slopes of log |g|
+    over the last distances on some lines. The slopes must agree.
+    ∫g² diverges for a ≥ ½, and ∫g⁴ for a ≥ ¼. Integrands in closed form have no such poles.
+    Integrands that are costly or warped by a density are not tested.
     """
     return _growth(g)[0]
 
 
 def unbounded(g: Integrand) -> bool:
-    """Return whether g is unbounded toward an axis end or a break, on the lines of `growth`.
+    """Return whether g is unbounded near an end of an axis or a break, on the lines of `growth`.
 
-    Growth slower than any power counts, such as that of logarithms and quantiles.
+    Growth that is slower than any power also counts, such as growth of logarithms and quantiles.
     """
     return bool(_growth(g)[1])
 

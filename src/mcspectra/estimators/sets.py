@@ -1,14 +1,16 @@
-"""Relations between the point sets of several techniques: independent, shared or joint.
+"""Relations between the point sets of the techniques: independent, shared or joint.
 
-* ``"independent"``: each technique draws its own set from its own stream. Covariances between
-  techniques are 0.
-* ``"shared"``: all techniques use the same primary points, so their counts must be equal. Errors
-  cancel between techniques with opposite variation and add up between others.
-* ``"joint"``: one set of n · Σ counts points is split. From a *sequence* (`Sampler.sequence`)
-  technique t gets n · counts[t] consecutive points, beginning with the first technique. Other sets
-  are dealt: from every Σ counts consecutive points, counts[t] chosen at random go to technique t.
-  Consecutive points of strata are neighbors in space, so each technique gets a share of every
-  neighborhood. The random choice makes the points of each technique uniform, hence unbiased.
+* ``"independent"``: each technique draws its own set from its own random stream.
+  Covariances between techniques are 0.
+* ``"shared"``: all techniques use the same primary points, so their counts must be equal.
+  Errors cancel if techniques vary in opposite ways, and add up otherwise.
+* ``"joint"``: one set of n · Σ counts points is divided among the techniques.
+  From a *sequence* (`Sampler.sequence`), technique t gets n · counts[t] consecutive points.
+  Other sets are divided into groups of Σ counts consecutive points.
+  From each group, technique t gets counts[t] points that are chosen at random.
+  Consecutive points of strata are neighbors in space,
+  so each technique has points in every neighborhood.
+  The random choice makes the points of each technique uniform, so estimates are unbiased.
 """
 
 from __future__ import annotations
@@ -28,12 +30,12 @@ __all__ = ["SETS", "check_sets", "draw_sets", "set_sizes"]
 
 SETS = ("independent", "shared", "joint")
 
-_TECHNIQUE = 1 << 20  # Labels of random streams of the second and later techniques
-_DEAL = (1 << 20) - 1  # Stream label for the choice of points of a joint set
+_TECHNIQUE = 1 << 20  # Random stream of the second technique
+_DEAL = (1 << 20) - 1  # Random stream that divides joint sets
 
 
 def check_sets(sets: object, counts: tuple[int, ...]) -> str:
-    """Return `sets` if it is one of `SETS` and possible with these counts."""
+    """Return `sets` if it is one of `SETS` and is possible with these counts."""
     chosen = as_choice("sets", sets, SETS)
     if chosen == "shared" and len(set(counts)) > 1:
         raise ParameterError(
@@ -44,7 +46,7 @@ def check_sets(sets: object, counts: tuple[int, ...]) -> str:
 
 
 def set_sizes(sets: str, counts: tuple[int, ...], n: int) -> list[int]:
-    """Return the sizes of the sets that are drawn from the sampler."""
+    """Return the sizes of the point sets that are drawn from the sampler."""
     if sets == "joint":
         return [n * sum(counts)]
     return [n * counts[0]] if sets == "shared" else [n * count for count in counts]
@@ -59,10 +61,10 @@ def draw_sets(
     first: int,
     count: int,
 ) -> list[Array]:
-    """Return points of each technique, (count, n · counts[t], d), for consecutive realizations.
+    """Return the points of each technique, (count, n · counts[t], d), for several realizations.
 
-    The realizations are first … first+count−1. The first draw uses `stream` itself, so it gets the
-    points of ``sampler.draw(size, rng)``.
+    The realizations are first … first+count−1. The first set is drawn with `stream` itself,
+    so its points equal those of ``sampler.draw(size, rng)``.
     """
     sizes = set_sizes(sets, counts, n)
     streams = [stream, *(stream.child(_TECHNIQUE + t) for t in range(1, len(sizes)))]
@@ -77,7 +79,7 @@ def draw_sets(
     if sampler.sequence:
         return np.split(drawn[0], np.cumsum([n * c for c in counts])[:-1], axis=1)
 
-    # Distribute each group of Σ counts consecutive points to the techniques
+    # Distribute the points of each group of Σ counts consecutive points to the techniques
     total, group = n * sum(counts), sum(counts)
     keys = stream.child(_DEAL).uniforms(first, count, total).reshape(count, n, group)
     order = np.argsort(keys, axis=2)[..., None]

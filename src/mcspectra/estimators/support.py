@@ -1,19 +1,19 @@
-"""Search for a part of the domain where f is not 0 but the density is, by probing.
+"""Search for a region in which f is not 0 but the density is, by evaluations at probes.
 
-All probes are deterministic:
+All probes are the same in each run:
 
-* 4096 points of an additive recurrence, and in 1-D the centers of 8192 cells;
+* 4096 points of an additive recurrence; in 1-D also the centers of 8192 cells;
 * points next to faces and corners, at distances 2^-4, 2^-8 and 2^-12;
 * known zeros of the densities (empty cells of tables at any position);
 * landmarks of integrands: both sides of their breaks, and the brightest pixels of an image;
-* in 1-D, and in 1-D parts of products and mixtures, gaps of the warp. A region with p = 0 is a jump
-  of T. Bisection of 1024 intervals of u finds jumps wider than 2^-30, the largest one in each
-  interval.
+* gaps of warps in 1-D, and in 1-D parts of products and mixtures.
+  A warp T has a gap where it jumps over a region with p = 0. Bisection of 1024 intervals of u
+  finds the largest jump in each interval, if it is wider than 2^-30.
 
-A density that is 0 only at points (a power at 0, a tent at its ends) passes, because no probe lies
-there. The search misses regions without a probe in 2-D and more, and gaps that a density's warp
-does not have. A warp computed from a pdf alone has the gaps wider than 2^-18
-(`mcspectra.densities.NumericalDensity`).
+A density may be 0 at single points, such as a power at 0 or a tent at its ends,
+because no probe lies at these points. Regions without a probe are missed in 2-D and more.
+The search also misses gaps of the density that the warp does not have.
+A warp from a pdf alone has all gaps wider than 2^-18 (`mcspectra.densities.NumericalDensity`).
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ __all__ = ["check_support", "probe_points", "uncovered"]
 
 _PROBES = 4096
 _CELLS = 8192
-_NEAR = (2.0**-4, 2.0**-8, 2.0**-12)  # Closer to 0, steep powers underflow to 0
+_NEAR = (2.0**-4, 2.0**-8, 2.0**-12)  # Steep powers underflow at smaller distances
 _FACES = 512
 _MOST_CORNERS = 4  # dims
 _BESIDE = 2.0**-30
@@ -41,7 +41,7 @@ _BISECTIONS = 32
 
 
 def check_support(integrand: Integrand, densities: Sequence[Density]) -> None:
-    """Raise if every density is 0 at a probe where f is not 0.
+    """Raise an error if every density is 0 at a probe where f is not 0.
 
     Raises
     ------
@@ -62,11 +62,11 @@ def check_support(integrand: Integrand, densities: Sequence[Density]) -> None:
 
 
 def uncovered(integrand: Integrand, densities: Sequence[Density]) -> Array:
-    """Return probes (k, d) at which every density is 0, without calling f."""
+    """Return the probes (k, d) at which every density is 0. This does not call f."""
     dims = integrand.dims
     found = [probe_points(dims)]
 
-    # Add points next to faces, one axis after another, and in few dims next to all corners
+    # Add points next to faces, one axis after another; in few dims, add points next to all corners
     points, k, near = found[0][:_FACES].copy(), np.arange(_FACES), np.resize(_NEAR, _FACES)
     points[k, k % dims] = np.where(k // dims % 2 == 0, near, 1.0 - near)
     found.append(points)
@@ -76,7 +76,7 @@ def uncovered(integrand: Integrand, densities: Sequence[Density]) -> Array:
     if dims == 1:
         found.append(((np.arange(_CELLS) + 0.5) / _CELLS)[:, None])
 
-    # Add both sides of every break of f, at probes for the other axes, and the landmarks of f
+    # Add both sides of every break of f, with other coordinates from probes, and landmarks of f
     found.append(integrand.landmarks())
     for axis, breaks in enumerate(integrand.breaks):
         sides = np.array([*np.subtract(breaks, _BESIDE), *np.add(breaks, _BESIDE)])
@@ -103,9 +103,9 @@ def probe_points(dims: int, count: int = _PROBES) -> Array:
 def _gaps(density: Density) -> Array:
     """Return points in gaps of a 1-D warp, or of 1-D parts of a product or mixture.
 
-    A point is the middle of the largest step of T in one of 1024 intervals of u. Each interval is
-    halved 32 times, each time to the half over which x moves more. At a jump, x moves by the width
-    of the gap; elsewhere the remaining step vanishes.
+    Each point is the middle of the largest step of T in one of 1024 intervals of u.
+    An interval is halved 32 times, and the half in which x moves more is kept.
+    At a jump, x moves by the width of the gap; elsewhere, the step goes to zero.
     """
     if isinstance(density, Product):
         return density.lifted([_gaps(part) for part in density.parts])

@@ -1,13 +1,15 @@
 """Parts of the variance that samples miss: ∫f²/p where no sample falls, and growth at the border.
 
-∫1/p and the variance may be finite and yet far larger than any simulation can measure. For f = 1
-and p normal about ½ with σ = 0.02, ∫f²/p is 4e131. 99.8 % of it come from x within 0.005 of the
-ends, where one sample in 3e134 falls.
+∫1/p and the variance may be finite and yet far larger than any simulation can measure.
+As an example, let f = 1, and let p be normal about ½ with σ = 0.02. Then ∫f²/p is 4e131,
+and 99.8 % of it come from x within 0.005 of the ends. One sample in 3e134 falls there.
 
-If f grows without bound toward a face of the cube, the outermost stratum causes most of the
-variance of stratified points. For f ∝ t^−κ at the distance t, the error of a set is distributed as
-u^−κ, u uniform, at any scale. Student's t for few such errors is skewed. Its quantiles depend only
-on κ and on the number of sets: `growing_interval` computes them by simulation.
+If f grows without bound toward a face of the cube,
+the outermost stratum causes most of the variance of stratified points.
+For f ∝ t^−κ at the distance t, errors of sets are distributed as u^−κ with uniform u,
+up to a scale. Student's t of few such errors is skewed.
+Its quantiles depend only on κ and on the number of sets.
+`growing_interval` computes these quantiles by simulation.
 """
 
 from __future__ import annotations
@@ -41,48 +43,49 @@ __all__ = [
 ]
 
 _LEAST, _POINTS = 2**12, 2**16
-_LARGE = 0.1  # Share of the second moment above which the result has a note
+_LARGE = 0.1  # Above this share of the second moment there is a note
 
 
 @final
 @dataclass(frozen=True)
 class TailSettings:
-    """Settings for the detection of growth at the border from values at points."""
+    """Settings that detect from values at points whether f grows at the border."""
 
-    # Largest number of points closest to a face whose values are fitted, and inverse of their
-    # largest share of all points: 1/16 of the cube is a neighborhood of a face
+    # The values at the points closest to a face are fitted. These are the largest number
+    # of such points, and the inverse of their largest share of all points
     most: int = 64
     part: int = 16
-    # Least number of these points, as a fit has three parameters
+    # Least number of these points; a fit has three parameters
     least: int = 16
-    # Candidate exponents κ, from a smooth function (−1) to beyond a pole of order 1
+    # Candidates for the exponent κ, from −1 for a smooth function to values above a pole of order 1
     exponents: tuple[float, float, int] = (-1.0, 1.3, 116)
-    # Exponent above which errors of strata are skewed. Bounded smooth functions have −1, square
-    # roots −½ and logarithms 0
+    # Exponent above which errors of strata are skewed.
+    # It is −1 for bounded smooth functions, −½ for square roots, and 0 for logarithms
     skewed: float = -0.25
-    # Least slope in units of its standard error, for up to 100 faces
+    # Least slope in units of its standard error. The value allows for up to 100 faces
     sure: float = 4.0
-    # Quantile of all values that the median of the closest 1/64 (or fewer) must exceed
+    # f grows if the median of the closest 1/64 of points exceeds this quantile of all values
     outermost: float = 0.95
-    # Exponents above which f has no variance, and no integral. The limits are ½ and 1, minus the
-    # error of a fit of 64 points
+    # Exponents above which f has no variance, and above which f has no integral.
+    # In theory they are ½ and 1. The error of a fit of 64 points is subtracted
     no_variance: float = 0.48
     no_integral: float = 0.95
-    # Least exponent at which f⁴ has no integral, so the error of a measured variance is unknown: ¼
+    # Least exponent for which ∫f⁴ is infinite, so that the error of a variance is unknown: ¼
     infinite_error: float = 0.25
-    # Largest exponent whose quantiles are computed. Above it the interval is unbounded, if the
-    # lower end of the exponent's own interval exceeds `surely`. Of 2,700 integrals of exp(x + y),
-    # five exceeded the first by chance
+    # Largest exponent whose quantiles are computed. For a larger exponent, the interval
+    # of the mean is unbounded if the lower end of the exponent exceeds `surely`.
+    # Among 2,700 integrals of exp(x + y), five exceeded the first limit by chance
     largest: float = 0.46
     surely: float = 0.25
-    # Probability that the integral is beyond the end on the side of the growth. The other end, from
-    # Student's t, is hardly ever exceeded
+    # Probability that the integral is beyond the end on the side of the growth.
+    # The other end comes from Student's t, and the integral is hardly ever beyond it
     beyond: float = 0.04
-    # Number of values that may hold half of the variance at points. With fewer, most sets miss
-    # important regions. Of 8,192 points, 700 or more hold half for smooth functions, 60 for x^−0.3,
-    # 45 for a peak of 1 % of the square, and one for three narrow peaks in 8 dims
+    # If fewer values than this hold half of the variance, most sets miss important regions.
+    # Of 8,192 values, the numbers that hold half of the variance are: 700 or more for smooth
+    # functions; 60 for x^−0.3; 45 for a peak of 1 % of the square;
+    # and one for three narrow peaks in 8 dims
     few: int = 4
-    # Number of simulated values of Student's t: 4 % quantiles then have errors of 1 %
+    # Number of simulated values of Student's t. Quantiles at 4 % then have errors of 1 %
     samples: int = 40_000
 
 
@@ -93,18 +96,18 @@ TAIL_SETTINGS = TailSettings()
 @final
 @dataclass(frozen=True)
 class BorderGrowth:
-    """Growth of f toward a face of the cube, about as t^−κ with the distance t.
+    """Growth of f toward a face of the cube, about as t^−κ at the distance t.
 
     Attributes
     ----------
     axis, high
-        The face: x_axis = 0, or 1 if `high`.
+        The face: x_axis = 1 if `high`, and x_axis = 0 otherwise.
     exponent, low
-        κ, which is 0 for a logarithm, and the lower end of its 95 % interval.
+        The exponent κ, which is 0 for a logarithm; and the lower end of its 95 % interval.
     sign
-        1 if f grows to +∞, −1 if to −∞.
+        1 if f grows to +∞, and −1 if f falls to −∞.
     nearest
-        Smallest distance of a point from the face.
+        Smallest distance of any point from the face.
     """
 
     axis: int
@@ -115,21 +118,21 @@ class BorderGrowth:
     nearest: float
 
     def endless(self, settings: TailSettings = TAIL_SETTINGS) -> bool:
-        """Return whether the variance may be infinite."""
+        """Return whether the variance may be infinite if f grows like this."""
         return self.exponent > settings.largest and self.low > settings.surely
 
     def without_integral(self, settings: TailSettings = TAIL_SETTINGS) -> bool:
-        """Return whether the integral does not exist if the growth continues."""
+        """Return whether the integral does not exist if f continues to grow like this."""
         return self.low >= settings.no_integral
 
 
 def border_growth(
     points: Array, values: Array, settings: TailSettings = TAIL_SETTINGS
 ) -> list[BorderGrowth]:
-    """Return faces toward which f grows, from its values (N,) at points (N, d).
+    """Return the faces toward which f grows, from its values (N,) at points (N, d).
 
-    c + b (t^−κ − 1)/κ is fitted to the values closest to each face. The assumed errors are
-    proportional to the distance of a value from the median.
+    The model c + b (t^−κ − 1)/κ is fitted to the values closest to each face.
+    The error of a value is assumed to be proportional to its distance from the median.
     """
     count = min(settings.most, len(values) // settings.part)
     if count < settings.least:
@@ -139,7 +142,7 @@ def border_growth(
     centre = float(np.median(values))
 
     def fitted(logs: Array, y: Array) -> tuple[float, float, float, float]:
-        """Fit by weighted least squares: exponent, its lower end, slope, error of the slope."""
+        """Fit by weighted least squares: exponent with lower end, and slope with its error."""
         size, free = np.abs(y - centre), len(y) - 3
         weight = np.maximum(size, 1e-3 * size.max()) ** -2.0
         weight /= weight.sum()
@@ -161,11 +164,11 @@ def border_growth(
         logs, y = np.log(np.maximum(t[closest], 1e-300)), values[closest]
         if not np.ptp(y[1:]) or not np.ptp(logs[1:]) or not (y != centre).any():
             continue
-        # A single value that is large by chance must not count as growth
+        # A single value that is large by chance does not count as growth
         fits = [fitted(logs, y), fitted(logs[1:], y[1:])]
         exponent, low = (min(fit[k] for fit in fits) for k in (0, 1))
         sign = 1 if fits[0][2] > 0.0 else -1
-        # Growth leads away from the median, to values that are rare elsewhere
+        # Growth must lead away from the median, to values that are rare elsewhere
         usual = np.quantile(sign * (values - centre), settings.outermost)
         grows = np.median(sign * (y[: count // 4] - centre)) > usual
         grows &= all(sign * slope > settings.sure * error for _, _, slope, error in fits)
@@ -177,10 +180,11 @@ def border_growth(
 def growing_interval(
     estimates: Array, growths: Sequence[BorderGrowth], settings: TailSettings = TAIL_SETTINGS
 ) -> tuple[float, float]:
-    """Return a 95 % interval of the mean of estimates (R,) by strata of a growing function.
+    """Return a 95 % interval of the mean of estimates (R,) by strata, for a growing function.
 
-    It is `mean_interval`, extended on the side of the growth to the quantile of Student's t for
-    errors u^−κ. It is infinite for exponents close to ½ and above.
+    The interval is `mean_interval`, extended on the side of the growth:
+    it reaches the quantile of Student's t for errors u^−κ.
+    It is infinite if the exponent is close to ½ or above.
     """
     low, high = mean_interval(estimates)
     mean = float(estimates.mean())
@@ -198,7 +202,7 @@ def growing_interval(
 
 @lru_cache(maxsize=256)
 def _growing_quantile(exponent: float, count: int, settings: TailSettings) -> float:
-    """Return by how many standard errors the mean of `count` values u^−κ can be too small."""
+    """Return by how many standard errors a mean of `count` values u^−κ may be too small."""
     rng = np.random.default_rng((count, round(1000.0 * (exponent + 1.0))))
     u = rng.random((max(1000, min(settings.samples, 10_000_000 // count)), count))
     x = -np.log(u) if exponent == 0.0 else (u**-exponent - 1.0) / exponent
@@ -207,9 +211,9 @@ def _growing_quantile(exponent: float, count: int, settings: TailSettings) -> fl
 
 
 def few_note(values: Array, settings: TailSettings = TAIL_SETTINGS) -> str | None:
-    """Return a sentence if half of the variance of values (N,) comes from a few of them."""
+    """Return a sentence if few of the values (N,) cause half of their variance."""
     squares = (values - values.mean()) ** 2
-    if len(values) < settings.least * settings.part:  # These are too few values to show a tail
+    if len(values) < settings.least * settings.part:  # Few values cannot show a tail
         return None
     largest = np.partition(squares, 1 - settings.few)[1 - settings.few :]
     if not 2.0 * largest.sum() > squares.sum() > 0.0:
@@ -247,14 +251,14 @@ def growth_note(
 def doubt(
     points: Array | None, values: Array, settings: TailSettings = TAIL_SETTINGS
 ) -> tuple[str, bool] | None:
-    """Return why values (N, channels) at points (N, d) do not bound their variance from above.
+    """Return why values (N, channels) at points (N, d) give no upper bound of their variance.
 
     Returns
     -------
     tuple or None
-        A sentence, and whether the values give no information on the variance, because it may be
-        infinite or come from a region without points. None if the values bound it. Growth is not
-        tested without points.
+        A sentence, and whether the values give no information on the variance at all:
+        the variance may be infinite, or may come from a region without points.
+        None if the values bound the variance. Without points, growth is not tested.
     """
     for each in values.T:
         if not np.ptp(each):
@@ -282,21 +286,22 @@ def doubt(
 
 
 def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:
-    """Return the share of ∫f²/p in the region of smallest p that holds less than one sample.
+    """Return the share of ∫f²/p where p is smallest, in a region that holds less than one sample.
 
     Parameters
     ----------
     estimator
-        The estimator; without a density the share is 0.
+        The estimator. If it has no density, the share is 0.
     samples
-        Number N of samples over all realizations. The region has the mass 1/N.
+        Number N of samples in all realizations together. The region has the mass 1/N.
 
     Notes
     -----
-    Means are taken over as many points of an additive recurrence as samples, but at least 4096 and
-    at most 65,536, so this costs no more than the simulation. A region without any of these points
-    counts as empty, so in many dims the share is too small rather than too large. With several
-    channels the largest share is returned.
+    Means are taken over as many points of an additive recurrence as there are samples.
+    The number is at least 4096 and at most 65,536, so this costs no more than the simulation.
+    A region without any of these points counts as empty,
+    so in many dims the share is more likely too small than too large.
+    With several channels the largest share is returned.
     """
     if not isinstance(estimator, Estimator) or estimator.density is None:
         return 0.0
@@ -307,7 +312,7 @@ def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:
     unsampled = int(np.searchsorted(np.cumsum(p[order]) / count, 1.0 / samples))
     values = np.asarray(estimator.integrand(x[order])).reshape(count, -1)
 
-    # Compute f²/p relative to the largest of its channel, by logarithms, as p may be 1e-300
+    # Compute f²/p relative to the largest of its channel. Use logarithms, as p may be 1e-300
     with np.errstate(divide="ignore"):
         floor = np.maximum(p[order, None], np.finfo(float).tiny)
         logarithms = 2 * np.log(np.abs(values)) - np.log(floor)
@@ -319,9 +324,9 @@ def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:
 
 
 def unsampled_note(estimator: AbstractEstimator, samples: int) -> str | None:
-    """Return a sentence if at least a tenth of ∫f²/p lies where no sample is expected.
+    """Return a sentence if at least a tenth of ∫f²/p is where no sample is expected.
 
-    A black box is not called; the result is then None.
+    A black box is not called; for it, the result is None.
     """
     share = 0.0 if estimator.is_black_box else unsampled_share(estimator, samples)
     if share < _LARGE:
@@ -334,7 +339,7 @@ def unsampled_note(estimator: AbstractEstimator, samples: int) -> str | None:
 
 
 def tail_note(moments: Moments) -> str | None:
-    """Return a sentence about the worst channel whose tails the estimates do not resolve."""
+    """Return a sentence about the channel whose tails are resolved worst by the estimates."""
     unresolved = ~np.atleast_1d(moments.resolved)
     if not unresolved.any():
         return None

@@ -1,8 +1,9 @@
-"""Causes of noise in an estimator. Each cause has a detector, numbers as evidence and a sentence.
+"""Causes of noise in an estimator. Each cause has a detector, evidence as numbers, and a sentence.
 
-`Evidence.of` evaluates the integrand. Detectors do not evaluate it:
+`Evidence.of` evaluates the integrand. Detectors do not evaluate it again:
 they take the evidence and return a `Cause` or None.
-`CAUSES` lists the detectors with the most harmful cause first, and `causes_of` keeps that order.
+`CAUSES` lists the detectors, beginning with the most harmful cause.
+`causes_of` returns causes in the same order.
 """
 
 from __future__ import annotations
@@ -81,8 +82,8 @@ Name: TypeAlias = Literal[
 class CauseSettings:
     """Fractions of a budget of evaluations, and thresholds above which causes are reported.
 
-    "Values from a to b give the same results" means that the first cause is right with a and with b
-    in all of the 152 cases of ``python -m benchmarks settings``, as with the value of the setting
+    "Values from a to b give the same results" refers to ``python -m benchmarks settings``.
+    With a and with b, the first cause is right in all of its 152 cases, as it is with the setting.
     itself.
     """
 
@@ -90,145 +91,153 @@ class CauseSettings:
     # A variance of 20 normal estimates has a relative standard error of a third.
     # With 40 nets of half the size, one of 152 causes is wrong; 10 nets are also enough.
     nets: int = 20
-    # Number of evaluations of the integrand above which the number of nets grows as the square root
-    # of this number. Nets then have 512 points or more, so that a curve has ten counts,
-    # and additional nets improve the rate more than additional counts.
+    # For more evaluations than this, the number of nets grows as the square root of evaluations.
+    # Nets then have 512 points or more, so a curve has at least ten counts.
+    # For such curves, additional nets improve the rate more than additional counts.
     more_from: int = 16384
-    # Fraction of the budget that is spent on lines and poles. Values from 0.1 to 0.4 give the same
-    # results.
+    # Fraction of the budget that is spent on lines and poles.
+    # Values from 0.1 to 0.4 give the same results.
     lines_share: float = 0.2
-    # Fraction of the budget that is left to check a change of the estimator. Values from 0.075 to
-    # 0.15 give the same results; with 0.3, which leaves less for nets, one of 152 causes is wrong.
+    # Fraction of the budget that is left to check a change of the estimator.
+    # Values from 0.075 to 0.15 give the same results.
+    # With 0.3 nets have fewer evaluations, and one of 152 causes is wrong.
     check_share: float = 0.15
-    # Fraction of the budget that is spent on the given sampler if nets cannot estimate
-    # its variance. The nets then get 40 % of the budget. Values from 0.125 to 0.5 give the same
-    # results.
+    # Fraction of the budget that is spent on the given sampler,
+    # if nets cannot estimate its variance. The nets then get 40 % of the budget.
+    # Values from 0.125 to 0.5 give the same results.
     given_share: float = 0.25
     # Largest fraction of the lines' evaluations that is spent on the search for a pole.
     # Values from 0.4 to 0.8 give the same results; without any lines four of 152 causes are wrong.
     pole_share: float = 0.8
-    # Fraction of the lines' evaluations that is spent on the mean dimension. Values from 0.125 to
-    # 0.25 give the same results; with 0.5, which leaves less for lines, four causes are wrong.
+    # Fraction of the lines' evaluations that is spent on the mean dimension.
+    # Values from 0.125 to 0.25 give the same results.
+    # With 0.5 less is left for lines, and four causes are wrong.
     dimension_share: float = 0.25
-    # Number of points whose values are evaluated twice to detect noise.
-    # A function that is random at half of its points is detected with probability 1 − 2^−8 = 0.996.
+    # Number of points at which values are computed again to detect noise.
+    # A function that is random at half of all points is detected with probability 1 − 2^−8 = 0.996.
     again: int = 8
-    # Difference of two values at a point that counts as rounding,
-    # as a fraction of the largest value. Sums of 1e6 terms in float64,
-    # or of a few terms in float32, whose order changes, differ by less.
+    # Two values at a point are equal if their relative difference is below this number.
+    # Rounding is smaller, both for sums of 1e6 terms in float64
+    # and for sums of a few terms in float32, in any order.
     same_value: float = 1e-6
-    # Largest square of a deviation, in units of the variance,
-    # above which a pole is searched for in many dims. Values from 150 to 600 give the same results.
+    # A pole is searched for in many dims only if the largest squared deviation is above
+    # this number times the variance.
+    # Values from 150 to 600 give the same results.
     climbed: float = 300.0
-    # Smallest and largest values of g whose squares, summed over any number of points,
-    # are within the range of float64 from 1e-308 to 1e308.
+    # Smallest and largest allowed size of g. For any number of points, the sum of squares
+    # of such values is within the range 1e-308 to 1e308 of float64.
     smallest: float = 1e-120
     largest: float = 1e120
     # Least number of dims in which the mean dimension is estimated.
-    # In 1 to 3 dims points fill the cube well enough for interactions of all axes.
-    # Values between 4 and 8 give the same causes; with 2, one of 152 test cases has a wrong cause.
+    # In 1 to 3 dims, points fill the cube well enough for interactions of all axes.
+    # Values from 4 to 8 give the same results; with 2, one of 152 causes is wrong.
     many_dims: int = 4
-    # Number of points for which the law of the sampler is determined.
+    # Number of points at which the law of the sampler is read.
     # The kind of law is the same for all n (tested with 32 and 128).
     law_at: int = 64
-    # Error of a measured exponent of growth. The variance is infinite above ½, and counts
-    # as infinite above 0.48. Measured exponents of poles are right to 0.02 in all of 18 cases.
+    # Error of a measured exponent of growth. The variance is infinite for exponents above ½.
+    # Because of this error, exponents above 0.48 are also reported as infinite variance.
+    # Exponents of poles are right to 0.02 in all of 18 cases.
     # Values from 0.01 to 0.04 give the same results.
     exponent_error: float = 0.02
-    # Error of the measured order of a pole inside the cube, if only lines show the pole.
+    # Error of the order of a pole inside the cube if the pole is found by lines only.
     # Values from 0.04 to 0.16 give the same results.
     bend_error: float = 0.08
-    # Tail index above which the integral does not exist. The theoretical limit is 1; a pole
-    # of order 1 is measured as 0.95 or more. This value affects only the sentence and the remedies.
+    # Tail index above which the integral does not exist. In theory the limit is 1;
+    # a pole of order 1 is measured as 0.95 or more.
+    # This value only affects the sentence and the remedies.
     no_integral: float = 0.95
-    # Exponent of growth at the border above which it is a main cause; slower growth is listed after
-    # all other causes. With 0.04, two of 152 causes are wrong. Values from 0.08 to 0.16 give the
-    # same results.
+    # Exponent of growth at the border above which growth is a main cause.
+    # Slower growth is listed after all other causes. With 0.04, two of 152 causes are wrong.
+    # Values from 0.08 to 0.16 give the same results.
     grows: float = 0.08
-    # Kurtosis of the values of g above which a tail is heavy
-    # if few values hold most of the variance. The kurtosis is 3 for normal,
-    # 9 for exponential and 114 for lognormal values with σ = 1. Values from 15 to 60 give the same
-    # results.
+    # A tail is heavy if few values hold most of the variance
+    # and the kurtosis of g is above this limit. The kurtosis is 3 for normal values,
+    # 9 for exponential values, and 114 for lognormal values with σ = 1.
+    # Values from 15 to 60 give the same results.
     heavy_kurtosis: float = 30.0
-    # Fraction of the sum of squares from a single value above which a tail is heavy.
-    # Values from 0.1 to 0.4 give the same results. The same fraction is used in
-    # `measure/blindness.py`.
+    # A tail is also heavy if a single value has more than this fraction of the sum of squares.
+    # Values from 0.1 to 0.4 give the same results.
+    # The same fraction is used in `measure/blindness.py`.
     large_share: float = 0.2
-    # Two limits of the fraction of values that hold nine tenths of the variance. A tail is heavy
-    # below the first limit, and is the main cause below the second limit. Values from 0.025 to 0.1
-    # and from 0.005 to 0.01 give the same results; with 0.02 two of 152 causes are wrong.
+    # Two limits of the fraction of values that hold nine tenths of the variance.
+    # A tail is heavy below the first limit, and is the main cause below the second limit.
+    # The ranges 0.025 to 0.1 and 0.005 to 0.01 give the same results.
+    # With 0.02 as the second limit, two of 152 causes are wrong.
     few_values: float = 0.05
     very_few_values: float = 0.01
-    # Number of different values, as a fraction of all evaluations,
-    # below which g is a step function. Values from 0.025 to 0.1 give the same results.
+    # A function with few different values is a step function.
+    # This is the largest number of different values, as a fraction of all evaluations.
+    # Values from 0.025 to 0.1 give the same results.
     few_different: float = 0.05
-    # Least number of lines for the conclusion that there is no problem. With 4 lines, a feature
-    # that half of all lines cross is missed with probability 1/16. Values from 2 to 8 give the same
-    # results.
+    # Least number of lines for the conclusion that there is no problem.
+    # 4 lines miss a feature that half of all lines cross with probability 1/16.
+    # Values from 2 to 8 give the same results.
     least_lines: int = 4
-    # Among lines with a jump: fraction for which a parallel line jumps at the same coordinate.
-    # Above this fraction, jumps are parallel to axes. Values from 0.35 to 0.7 give the same
-    # results; above 1, no jump is parallel to an axis.
+    # Fraction of lines with a jump that have a parallel line with a jump at the same coordinate.
+    # Above this limit, jumps count as parallel to axes.
+    # Values from 0.35 to 0.7 give the same results; above 1, no jump is parallel to an axis.
     straight: float = 0.7
-    # Number of lines through jumps, as a fraction of the number of lines through cusps,
-    # above which g jumps. One line in 100 through a cusp of order ½ appears to be a jump by chance.
+    # g jumps if the lines through jumps are more than this fraction of the lines through cusps.
+    # One line in 100 through a cusp of order ½ appears to be a jump by chance.
     jumps_of_cusps: float = 0.05
-    # Fraction of the places along a line that are local extremes, above which g oscillates.
-    # The fraction is ⅔ for noise. Values from 0.165 to 0.33 give the same results; with 0.66, the
-    # value of noise, four causes are wrong.
+    # The function oscillates if more than this fraction of places along a line are local extremes.
+    # The fraction is ⅔ for noise. Values from 0.165 to 0.33 give the same results;
+    # with ⅔, four causes are wrong.
     turns: float = 0.33
     # Least number of waves along a line for an oscillation.
-    # Smaller numbers are resolved by the 16 steps of a line. Values from 3 to 12 give the same
-    # results.
+    # Smaller numbers of waves are resolved by the 16 steps of a line.
+    # Values from 3 to 12 give the same results.
     waves: float = 6.0
-    # Gain of nets over random points above which nets count as resolving g.
+    # Nets resolve g if their gain over random points is above this value.
     # Values from 2 to 8 give the same results.
     resolved: float = 4.0
-    # Number of points that resolve a smooth function,
-    # before multiplication by 2 for each axis with waves. Values from 8 to 32 give the same
-    # results.
+    # Number of points that resolve a smooth function without waves.
+    # Each axis with waves doubles this number.
+    # Values from 8 to 32 give the same results.
     coarse_cube: float = 16.0
-    # Mean dimension above which g varies with many axes at once. The mean dimension is 1
-    # for additive functions, and 2 for functions of pairs of axes. Values from 0.9 to 3.6 give the
-    # same results.
+    # Mean dimension above which g varies with many axes at once.
+    # The mean dimension is 1 for additive functions, and 2 for functions of pairs of axes.
+    # Values from 0.9 to 3.6 give the same results.
     low_dimension: float = 1.8
-    # Gain of nets over random points above which the number of dims is not a problem.
+    # If the gain of nets over random points is above this value, many dims are not a problem.
     # Values from 4 to 16 give the same results.
     little_gain: float = 8.0
-    # Mean squared difference between opposite faces, as a fraction of the variance of g,
-    # above which a shift around the torus costs precision. Values from 5e-4 to 2e-3 give the same
-    # results.
+    # A shift around the torus costs precision if opposite faces differ by more than this.
+    # The difference is the mean squared difference of g, divided by the variance of g.
+    # Values from 5e-4 to 2e-3 give the same results.
     opposite: float = 1e-3
-    # Number of points that measure the integral of a wrong density. A net of this size gives
-    # the four digits of the sentence if 1/p is smooth. No decision depends on this number.
+    # Number of points that measure the integral of a wrong density. If 1/p is smooth, a net
+    # of this size is accurate to the four printed digits. No decision depends on this number.
     pdf_points: int = 4096
-    # Least number of sets whose spread gives a variance:
-    # 8 sets give the variance to a factor of 0.44 to 4.1, with 95 %.
+    # Least number of sets from which a variance is estimated.
+    # With 95 % confidence, 8 sets determine the variance within the factors 0.44 and 4.1.
     few_sets: int = 8
-    # Numbers of standard errors, of the correlation between consecutive sets and of the mean
-    # over sets, that exclude chance. For 4.5 the probability of a false alarm is 3e-6.
-    # For 6 the probability is 1e-5, by Student's t with 19 degrees of freedom.
+    # Numbers of standard errors that exclude chance. The first number is for the correlation
+    # between consecutive sets. It has a probability of a false alarm of 3e-6.
+    # The second number is for the mean over sets. Its probability is 1e-5,
+    # by Student's t with 19 degrees of freedom.
     serial: float = 4.5
     away: float = 6.0
-    # Standard deviation of means over sets below which the means count as equal.
-    # Rounding of means is about 1e-16, and the mean of x along an axis of a scrambled net differs
-    # by 0.29 n^−1.5, which exceeds 1e-9 for up to 400,000 points.
+    # Means over sets count as equal if their standard deviation is below this value.
+    # Rounding of means is about 1e-16. The mean of x along an axis varies by 0.29 n^−1.5
+    # for a scrambled net, which is more than 1e-9 for up to 400,000 points.
     rounding: float = 1e-9
-    # Distance between floating-point numbers above which rounding matters,
-    # as a fraction of the spread of g: steps of 1 % of the spread change the variance by 1e-5.
-    # Also the least variance along a line, as a fraction of the largest variance along a line.
+    # Rounding matters if floating-point numbers differ by more than this fraction of g's spread.
+    # Steps of 1 % of the spread change the variance by 1e-5.
+    # The same fraction is the least variance along a line, relative to the largest one.
     # Values from 0.005 to 0.02 give the same results.
     coarse: float = 1e-2
-    # Two limits of a technique's part of the variance. Above the first limit the technique
-    # is the cause; above the second, it is the cause if its rate is also slower.
-    # Values from 0.4 to 1.6 for the first, and from 0.25 to 1 for the second, give the same
-    # results.
+    # Two limits of a technique's part of the variance.
+    # Above the first limit, the technique is the cause.
+    # Above the second, it is the cause if its rate is also slower.
+    # For the first, values from 0.4 to 1.6 give the same results; for the second, from 0.25 to 1.
     dominant: float = 0.8
     largest_part: float = 0.5
-    # Number of standard errors by which the rate of a technique must be slower than other rates,
-    # for 95 % confidence.
+    # With 95 % confidence, a technique has a slower rate if the rates differ by this number
+    # of standard errors.
     slower: float = 2.0
-    # Settings of lines, of the search for poles, and of curves of variance.
+    # Settings of lines, of the search for poles, and of curves of variance
     lines: LineSettings = LINE_SETTINGS
     poles: PoleSettings = POLE_SETTINGS
     curves: CurveSettings = CURVE_SETTINGS
@@ -238,7 +247,7 @@ CAUSE_SETTINGS = CauseSettings()
 """Default settings of the search for causes."""
 
 # Causes that are also reported for noisy functions.
-# Other causes need lines, which noise makes meaningless
+# All other causes are found on lines, which are meaningless if values are noisy
 _SHAPELESS = frozenset(
     {
         "wrong-pdf",
@@ -258,7 +267,7 @@ class Cause:
     Attributes
     ----------
     name
-        One of `Name`.
+        The name of the cause, one of `Name`.
     sentence
         The cause and its effect in words, with numbers.
     evidence
@@ -276,17 +285,17 @@ class Cause:
 @final
 @dataclass(frozen=True)
 class Replicates:
-    """Sets of a sampler at one count.
+    """Sets that a sampler drew at one count of points.
 
     Attributes
     ----------
     estimates
-        Estimates of the first sets, (R,), where R may be 0.
+        Estimates of the first R sets, (R,); R may be 0.
     waves
-        Means over each set of x − ½, cos 2πx and sin 2πx along every axis, (R, 3d).
-        These functions have mean 0 over uniform points.
+        For each set, the means of x − ½, cos 2πx and sin 2πx along every axis, (R, 3d).
+        The integrals of these functions are 0.
     different
-        Number of distinct sets.
+        Number of different sets.
     """
 
     estimates: Array
@@ -304,25 +313,25 @@ class Evidence:
     estimator, sampler
         The estimator, and the sampler that draws its points.
     sets
-        Evaluations at scrambled nets.
+        Values of g at scrambled nets.
     curves
-        Variances of samplers.
+        Curves of the variances of samplers.
     lines
         Lines through the integrand g of each technique.
     pole
-        The pole of g, if the search found one; searched for a single technique only.
+        The pole of g, or None. A pole is searched for only if there is a single technique.
     mean_dimension
-        Mean dimension of g, or NaN if not estimated.
+        Mean dimension of g, or NaN if it was not estimated.
     replicates
-        Sets of the sampler, if any were drawn.
+        Sets that the sampler drew, or None.
     noise
-        Variance of g at a single point if repeated evaluations differ, else 0.
+        Variance of g at a fixed point, if repeated evaluations differ; otherwise 0.
     calls
         Number of evaluations of the integrand.
     missed
-        A position, in words, where a density of the user is 0 and f is not; else empty.
+        Description of a position at which a density of the user is 0 and f is not; may be empty.
     failed
-        Reason why g has no values next to the border, with a position; else empty.
+        Reason, with a position, why g has no values next to the border; empty if it has values.
     settings
         Thresholds of the detectors.
     """
@@ -349,18 +358,18 @@ class Evidence:
         stream: Stream,
         settings: CauseSettings = CAUSE_SETTINGS,
     ) -> Evidence:
-        """Evaluate nets and lines within a budget of evaluations; `sampler` is not drawn.
+        """Evaluate nets and lines within a budget of evaluations; do not draw from `sampler`.
 
         Raises
         ------
         ParameterError
-            If the budget is too small, or values are too large or too small to be squared.
+            If the budget is too small, or if squares of values exceed the range of float64.
         """
         each, n, nets = shares_of(estimator, sampler, budget, settings)
         sets = Sets.of(estimator, n, nets, stream.child(0))
         calls = nets * n * each
         size = max(float(np.abs(v).max()) for v in sets.values)
-        if not math.isfinite(size):  # At this position f is finite
+        if not math.isfinite(size):  # The pdf has a fault, not f
             raise ParameterError("The pdf is not finite at some samples; give a finite pdf.")
         if size and not settings.smallest <= size <= settings.largest:
             raise ParameterError(
@@ -368,7 +377,7 @@ class Evidence:
                 "powers; divide f by that size."
             )
 
-        # Find a position where a density of the user is 0 and f is not
+        # Find a position that a density of the user misses: it is 0 there, and f is not
         missed = ""
         if isinstance(estimator, Estimator) and isinstance(estimator.density, FunctionDensity):
             places = uncovered(estimator.integrand, [estimator.density])
@@ -377,8 +386,8 @@ class Evidence:
             if len(places) and (met := scalar(estimator, estimator.integrand(places)) != 0.0).any():
                 missed = point_in_words(places[met][0])
 
-        # For a single technique, find the mean dimension and a pole;
-        # then evaluate lines of each technique
+        # If there is a single technique, estimate the mean dimension and search for a pole.
+        # After that, evaluate lines of each technique
         lines: list[Lines] = []
         mean, pole, noise, failed = math.nan, None, 0.0, ""
         allowed = (
@@ -408,7 +417,7 @@ class Evidence:
                 if estimator.dims >= settings.many_dims and some > 1:
                     step = max(1, nets * n // some)
                     mean = mean_dimension(g, points[::step][:some], values[::step][:some], own)
-                # In many dims, a pole matters only if few evaluations dominate the variance
+                # In many dims, search for a pole only if few evaluations dominate the variance
                 squares = (values - values.mean()) ** 2
                 peaked = squares.max() > settings.climbed * squares.mean()
                 if estimator.dims < settings.many_dims or peaked:
@@ -417,7 +426,7 @@ class Evidence:
                         pole = pole_of(g, points, values, most, own, settings.poles)
                     except BudgetError:
                         raise
-                    except ParameterError as error:  # The climb left the region that samples reach
+                    except ParameterError as error:  # The climb left the cube
                         failed = str(error)
             lines.append(lines_of(g, estimator.dims, allowed - made, own, settings.lines))
             calls += made * estimator.evaluations_per_point
@@ -435,17 +444,17 @@ class Evidence:
 
     @property
     def growth(self) -> float:
-        """The largest exponent of g at the ends of lines."""
+        """Largest exponent with which g grows at the ends of lines."""
         return float(np.nanmax(self.each("growth"), initial=0.0))
 
     @property
     def wraps(self) -> bool:
-        """Whether the sampler shifts points around the torus, so that opposite faces meet."""
+        """Whether the sampler shifts points around the torus, which joins opposite faces."""
         law = self.sampler.law(self.sampler.nearest_count(self.settings.law_at))
         while isinstance(law, laws.Folded | laws.Mirrored):
             law = law.inner
         shifted = isinstance(law, laws.Shifted)
-        # A mirrored estimator folds points after the shift, so opposite faces do not meet
+        # After a shift, a mirrored estimator folds the points, so opposite faces are not joined
         return shifted and not isinstance(self.estimator, Mirrored)
 
     @property
@@ -457,16 +466,16 @@ class Evidence:
 
     @property
     def is_periodic(self) -> bool:
-        """Whether opposite faces of the cube meet without a jump, according to the lines."""
+        """Whether g agrees on opposite faces of the cube, according to the lines."""
         return self.opposite <= self.settings.opposite
 
     def each(self, name: str) -> Array:
-        """Return an attribute of the lines of all techniques."""
+        """Return an attribute of the lines, joined for all techniques."""
         return np.concatenate([getattr(lines, name) for lines in self.lines])
 
 
 def is_apart(estimator: AbstractEstimator, sampler: Sampler) -> bool:
-    """Return whether evaluations at nets cannot estimate the variance of a sampler."""
+    """Return whether the sampler must be drawn because nets cannot estimate its variance."""
     told = sampler.spec in {NETS, "random", "jittered", "latin-hypercube"}
     return not told and not estimator.randomized(sampler).fixed
 
@@ -477,18 +486,18 @@ def shares_of(
     budget: int,
     settings: CauseSettings = CAUSE_SETTINGS,
 ) -> tuple[int, int, int]:
-    """Return evaluations per point, points of a net, and number of nets within a budget.
+    """Return the evaluations per point, the points of a net, and the number of nets in a budget.
 
     Raises
     ------
     ParameterError
-        If the budget is too small for nets of four points.
+        If the budget does not allow nets of four points.
     """
     each = estimator.cost
     share = 1.0 - settings.lines_share - settings.check_share
     share -= settings.given_share if is_apart(estimator, sampler) else 0.0
-    # The error of a rate falls only with the number of nets.
-    # The error of the integral also falls with their size
+    # More nets reduce the error of a rate; larger nets do not.
+    # The error of the integral falls with both
     nets = int(settings.nets * max(1.0, math.sqrt(budget / (each * settings.more_from))))
     n = int(share * budget) // (nets * each)
     if n < 4:
@@ -501,7 +510,7 @@ def shares_of(
 
 
 def technique_name(estimator: AbstractEstimator, technique: int) -> str:
-    """Return the name of a technique, or its number if techniques have no names."""
+    """Return the name of a technique, or its number if it has no name."""
     return str(getattr(estimator, "technique_name", lambda t: f"technique {t}")(technique))
 
 
@@ -543,7 +552,7 @@ def _noisy_function(seen: Evidence) -> Cause | None:
 
 
 def _infinite_variance(seen: Evidence) -> Cause | None:
-    # If the climb found no pole, lines give a less precise estimate of the order
+    # If the climb found no pole, take the less precise order of the pole from lines
     poles = np.concatenate([lines.poles() for lines in seen.lines])
     order = -float(np.median(seen.each("exponent")[poles])) if poles.any() else 0.0
     known = seen.settings
@@ -580,7 +589,7 @@ def _infinite_variance(seen: Evidence) -> Cause | None:
 
 
 def _said(pole: Pole) -> str:
-    """Describe the growth of g at a pole, with its tail index."""
+    """Describe with its tail index how g grows at a pole."""
     k, d = pole.codimension, len(pole.place)
     where = "a point" if k == d else f"a set of {d - k} dims"
     side = "of the border" if pole.border else "inside"
@@ -591,7 +600,7 @@ def _said(pole: Pole) -> str:
 
 
 def _tail(seen: Evidence) -> tuple[float, float, float]:
-    """Return the share of the largest square, the tail index and the kurtosis of values of g."""
+    """Return the share of the largest square, the tail index and the kurtosis of the values."""
     values = seen.sets.pooled
     squares = (values - values.mean()) ** 2
     total = float(squares.sum())
@@ -764,7 +773,7 @@ def _slow_technique(seen: Evidence) -> Cause | None:
 
 def _jumps(seen: Evidence) -> Cause | None:
     meets = np.concatenate([lines.jumps(seen.scale) for lines in seen.lines])
-    # A line through a pole of codimension 1 inside the cube looks as if it had a jump
+    # Lines through a pole of codimension 1 inside the cube seem to cross a jump
     if seen.pole is not None and not seen.pole.border:
         meets &= seen.pole.codimension > 1
     cusps = sum(int(lines.cusps().sum()) for lines in seen.lines)
@@ -882,10 +891,10 @@ def _high_dimension(seen: Evidence) -> Cause | None:
 
 
 def _limited(seen: Evidence, limit: float) -> str:
-    """Describe the theoretical rate of stratified points, and reconcile it with measured rates.
+    """Compare the theoretical rate of stratified points with measured rates, in a sentence.
 
-    The theoretical rate holds for large n. If the interval of the measured rate is steeper,
-    the measured rate holds at the measured counts, so the sentence gives both.
+    The theoretical rate holds for large n. If the measured rate is significantly steeper,
+    it holds at the measured counts, so the sentence gives both rates.
     """
     curves = [seen.curves[name] for name in (NETS, "jittered") if name in seen.curves]
     steepest = min((c for c in curves if c.rate_ci[1] < limit), key=lambda c: c.rate, default=None)
@@ -899,10 +908,10 @@ def _limited(seen: Evidence, limit: float) -> str:
 
 
 def _cusps_and_kinks(seen: Evidence) -> tuple[Array, Array]:
-    """Return lines through cusps, and lines through kinks; the more frequent kind is reported.
+    """Return lines through cusps, and lines through kinks; only the more frequent kind counts.
 
-    On a single line the exponent of a cusp or a kink has an error of about 0.1,
-    and a jump next to a steep part resembles either.
+    The exponent of a cusp or a kink has an error of about 0.1 on a single line.
+    A jump next to a steep part may look like a cusp or a kink.
     """
     each = [(lines.cusps(), lines.kinks()) for lines in seen.lines]
     return tuple(map(np.concatenate, zip(*each, strict=True)))  # type: ignore[return-value]
@@ -913,8 +922,8 @@ def _cusp(seen: Evidence) -> Cause | None:
     if not cusps.sum() > kinks.sum():
         return None
     order, d = float(np.median(seen.each("exponent")[cusps])), seen.sets.dims
-    # A cell of side h next to the cusp has a variance ∝ h^(2a),
-    # and n^(1 − 1/d) cells are next to the cusp
+    # Cells of side h next to the cusp have a variance ∝ h^(2a).
+    # The number of these cells is about n^(1 − 1/d)
     limit = -1.0 - min(1.0 + 2.0 * order, 2.0) / d
     return Cause(
         "cusp",
@@ -962,18 +971,18 @@ CAUSES: tuple[Callable[[Evidence], Cause | None], ...] = (
 
 
 def causes_of(seen: Evidence) -> list[Cause]:
-    """Return all detected causes, or the single cause `none`."""
+    """Return all detected causes, or only the cause `none` if there are no others."""
     found = [cause for detect in CAUSES if (cause := detect(seen)) is not None]
     names = {cause.name for cause in found}
-    # Steps between floating-point numbers are not jumps, and noise has no features on lines
+    # Rounding steps are not jumps, and noise has no features on lines
     if "float-drift" in names:
         found = [c for c in found if c.name not in {"interior-jump", "axis-parallel-jump"}]
     if "noisy-function" in names:
         found = [c for c in found if c.name in _SHAPELESS]
-    # Unbounded growth, which is reported, implies a heavy tail
+    # A heavy tail follows from unbounded growth, which is reported already
     if names & {"infinite-variance", "border-growth"}:
         found = [c for c in found if c.name != "heavy-tail"]
-    # Many dims, or a plane beyond which g is 0, explain a tail, unless very few values matter
+    # A tail is explained by many dims, or by a zero region, unless very few values matter
     heavy = next((c for c in found if c.name == "heavy-tail"), None)
     if (
         heavy is not None
@@ -983,7 +992,7 @@ def causes_of(seen: Evidence) -> list[Cause]:
         found = sorted(found, key=lambda c: c.name == "heavy-tail")
     if found:
         return found
-    # Half of the causes can be detected only on lines
+    # Half of all causes can be detected only with lines
     looked, least = len(seen.each("axis")), seen.settings.least_lines
     if looked < least:
         return [

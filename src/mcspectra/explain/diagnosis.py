@@ -1,7 +1,7 @@
 """Causes of noise of an estimator with its sampler, and reasons why a change lowers the noise.
 
-The causes are the same as in a profile. A change may help for two further reasons: unbounded
-weights 1/p, and a part of the primary-space integrand g that is odd about the center of the cube.
+The causes are the same as in a profile. There are two further reasons why a change may help:
+unbounded weights 1/p, and a primary-space integrand g that is partly odd about the center.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ __all__ = ["Diagnosis", "diagnose", "jumps_inside"]
 
 @dataclass(frozen=True)
 class DiagnosisSettings:
-    """Number of evaluations, and the parts of the variance that count as a reason."""
+    """Number of evaluations for the causes, and limits of the odd part of the variance."""
 
-    # Number of evaluations of g for the causes:
-    # the smallest budget with which `python -m benchmarks battery` detects the causes.
+    # Number of evaluations of g in the search for causes.
+    # It is the smallest budget with which `python -m benchmarks battery` detects the causes.
     evaluations: int = 8192
-    # Two fractions of the variance of g.
-    # Above the first, the odd part of g is the reason for a gain: all other variance is below 10 %.
-    # Above the second, the odd part is one of several reasons: it explains at least a tenth.
+    # Two limits of the odd part of g, as fractions of the variance of g. Above the first,
+    # the odd part is the reason for a gain, because all other variance is below 10 %.
+    # Above the second, it is one of several reasons, because it explains at least a tenth.
     mostly: float = 0.9
     partly: float = 0.1
-    # Maximum number of dims in which the odd part is measured:
-    # all 2^d reflections of each point are evaluated.
+    # Maximum number of dims in which the odd part is measured,
+    # because all 2^d reflections of each point are evaluated.
     odd_dims: int = 4
     # Number of points for this measurement.
-    # The odd part of the variance is then known to about 1 %, enough for both limits.
+    # It determines the odd part of the variance to about 1 %, enough for both limits.
     odd_points: int = 2**12
 
 
@@ -48,17 +48,17 @@ _SETTINGS = DiagnosisSettings()
 class Diagnosis:
     """Causes of noise, and other reasons why a change may help."""
 
-    causes: list[Cause]  # causes, the most important first; empty if they could not be found
-    unseen: str = ""  # reason why causes could not be found
+    causes: list[Cause]  # the most important cause first; empty if causes are not known
+    unseen: str = ""  # why causes could not be found
     unbounded: bool = False  # whether ∫1/p diverges
     slow: str = ""  # name of the technique with most of the variance, if any
-    # Fraction of the variance of g that is missing in the mean over all reflections;
-    # None if not known
+    # Fraction of the variance of g that the mean over all reflections removes;
+    # None if it is not known
     odd: float | None = None
 
     @property
     def text(self) -> str:
-        """Sentences that describe the causes."""
+        """Sentences about the causes, joined to one text."""
         found = [cause.sentence for cause in self.causes] or [self.unseen]
         if self.unbounded:
             found.insert(
@@ -71,13 +71,14 @@ class Diagnosis:
     def removes(
         self, kind: str, name: str, *, biased: bool, unbounded: bool, jumps: bool | None
     ) -> str:
-        """Describe the cause that a better change removes; empty if no such cause is known.
+        """Describe the cause that a better change removes, or return "" if no such cause is known.
 
         Parameters
         ----------
         kind, name, biased
-            The estimator and the sampler of the `mcspectra.improve.answers.Candidate`. For other
-            warps: whether ∫1/p diverges, and whether g jumps inside the cube; None if not tested.
+            The estimator and the sampler of the `mcspectra.improve.answers.Candidate`.
+            For another warp: whether ∫1/p diverges, and whether g jumps inside the cube;
+            None if this was not tested.
         """
         # Find the cause that this kind of change removes
         inside = _jumps(self.causes)
@@ -144,9 +145,9 @@ def diagnose(
     """Find the causes of noise, within `most` evaluations of a user's function."""
     with counting("The diagnosis", most):
         causes, unseen = _looked_for(estimator, sampler, stream, most)
-        # Fraction of the variance of g that cancels in its mean over
-        # all 2^d reflections about the center, computed at fixed points;
-        # None in many dims, or if g is constant or cannot be evaluated
+        # Compute the fraction of the variance of g that cancels in a mean over reflections.
+        # All 2^d reflections about the center are used, at fixed points.
+        # In many dims, and if g is constant or cannot be evaluated, the fraction is None
         odd, whole, even = None, 0.0, 0.0
         with suppress(McspectraError):
             few = estimator.dims <= _SETTINGS.odd_dims
@@ -167,7 +168,7 @@ def diagnose(
 
 
 def jumps_inside(estimator: AbstractEstimator, sampler: Sampler) -> bool | None:
-    """Return whether g jumps inside the cube; None if g could not be evaluated."""
+    """Return whether g jumps inside the cube, or None if g could not be evaluated."""
     causes, unseen = _looked_for(estimator, sampler, Stream.from_rng(0), None)
     return None if unseen else _jumps(causes)
 

@@ -1,6 +1,6 @@
 """The primary-space integrand as an image, with jumps that explain slow rates.
 
-Jumps inside the square and jumps between opposite sides reduce the rate of correlated samplers.
+Jumps of g make the rate of correlated samplers slower, inside the square or on its border.
 Mirroring removes the jumps between opposite sides, but not the jumps inside.
 """
 
@@ -27,32 +27,33 @@ if TYPE_CHECKING:
 __all__ = ["KINDS", "primary_picture"]
 
 KINDS = ("interior", "boundary")
-"""Kinds of jumps: within the square, or between opposite sides."""
+"""Kinds of jumps: inside the square, or between its opposite sides."""
 
 
 @dataclass(frozen=True)
 class PictureSettings:
-    """Settings that detect jumps between opposite faces, and densities that reach zero."""
+    """Settings that detect jumps between opposite faces and densities that reach zero."""
 
-    # Distances from a face at which g is evaluated. The square root of float64's spacing,
-    # 2^−26, balances the rounding of u against the change of a smooth g.
-    # 2^−40 is 2^14 times closer and still exact next to 1.
+    # Distances from a face at which g is evaluated. 2^−26 is the square root of float64's spacing,
+    # a compromise between the rounding of u and the change of a smooth g.
+    # 2^−40 is 2^14 times closer, and still exact next to 1.
     near: float = 2.0**-26
     nearer: float = 2.0**-40
-    # Fraction of a difference between opposite faces that must remain at the smaller distance
-    # from the faces for a jump. A jump remains in full. Without a jump,
-    # 2^−14 of the difference of a smooth g remains, and 2^−7 of that of a square root.
+    # Fraction of a difference between opposite faces that remains at the smaller distance.
+    # Above this limit, the difference is a jump. A jump remains in full. Without a jump,
+    # the fraction is 2^−14 for a smooth g, and 2^−7 for a square root.
     stays: float = 0.5
-    # Factor by which g must grow from the larger to the smaller distance for a pole at a face.
-    # The power t^−a grows by more for a > 1/14, and bounded functions grow less.
+    # g has a pole at a face if it grows by this factor from the larger to the smaller distance.
+    # The power t^−a grows by more than this for a > 1/14; bounded functions grow less.
     grows: float = 2.0
-    # Difference between opposite faces that counts as rounding, as a fraction of the range of g.
-    # The smaller distance changes a smooth g by about 1e-8 of its range.
+    # A difference between opposite faces below this fraction of the range of g counts as rounding.
+    # Between the two distances, a smooth g changes by about 1e-8 of its range.
     negligible: float = 1e-7
-    # Number of points along each axis of the grid on which a density is searched for zeros. 64
-    # steps include all multiples of 1/64, where textures and piecewise densities have their zeros.
+    # Number of grid points along each axis for the search of zeros of a density.
+    # The 64 steps include all multiples of 1/64,
+    # where textures and piecewise densities have their zeros.
     probes: int = 65
-    # Value of p, as a fraction of its largest value on the grid, that counts as zero:
+    # A density counts as zero below this fraction of its largest value on the grid:
     # 1/p is then 1e9 times its least value.
     zero: float = 1e-9
 
@@ -72,32 +73,35 @@ def primary_picture(
     Parameters
     ----------
     estimator
-        Estimator, integrand, an integrand's spec string, or a function.
+        Estimator, integrand, spec string of an integrand, or function of points.
     dims
-        Number of dims of a function, or of a spec without ``dims``.
+        Number of dims; needed if the estimator is a function or a spec without ``dims``.
     technique
         Index of the technique whose g is evaluated.
     resolution
-        Number of cells along each axis, 4 to 1024.
+        Number of cells along each axis, from 4 to 1024.
 
     Returns
     -------
     xarray.Dataset
-        ``primary_value`` (u0, u1[, channel]) is g at the centers of cells. ``primary_jump`` (axis,
-        u0, u1) is the size of the jump to the next cell along each axis, 0 where g is continuous.
-        ``face_jump`` (axis[, along]) is the size of the jump from u_axis = 0 to u_axis = 1,
-        at centers along the other axis. This jump affects samplers that wrap around,
-        and is infinite at poles. ``primary_jump_length`` and ``primary_jump_height`` (kind)
-        are the length of the curves of jumps (their number in 1-D) and their mean height,
-        for the kinds ``interior`` and ``boundary``. The height is infinite if g is unbounded there;
-        ``primary_pole`` (kind) is then 1. ``reciprocal_unbounded`` is 1 if 1/p
-        is unbounded because p reaches 0 on a grid. Jumps of several channels are Euclidean lengths.
+        A dataset. ``primary_value`` (u0, u1[, channel]) is g at the centers of cells.
+        ``primary_jump`` (axis, u0, u1) is the size of the jump to the next cell along each axis,
+        and 0 where g is continuous.
+        ``face_jump`` (axis[, along]) is the size of the jump from u_axis = 0 to u_axis = 1.
+        It is computed at centers along the other axis, and is infinite at poles.
+        This jump matters for samplers that wrap around.
+        The following variables have the two kinds ``interior`` and ``boundary``:
+        ``primary_jump_length`` is the length of the curves on which g jumps (in 1-D their number),
+        and ``primary_jump_height`` is the mean height of the jumps.
+        If g is unbounded, the height is infinite and ``primary_pole`` is 1.
+        ``reciprocal_unbounded`` is 1 if 1/p is unbounded because p reaches 0 on a grid.
+        Several channels are combined: jumps are Euclidean lengths over channels.
 
     Raises
     ------
     ParameterError
         If there are more than two dims, if the technique does not exist,
-        or if the resolution is out of range.
+        or if the number of cells is out of range.
     DensityError
         If p is 0 where f is not.
     """
@@ -118,13 +122,13 @@ def primary_picture(
     jumps = find_jumps(g, found.dims, side, scale=scale)
     line = (np.arange(side) + 0.5) / side
 
-    # Jumps (dims[, side]) between opposite faces, and positions on faces with a pole
+    # Jumps (dims[, side]) between opposite faces, and positions on the faces where g has a pole
     faces = np.zeros((found.dims, side ** (found.dims - 1)))
     face_poles = np.zeros(faces.shape, bool)
     along = grid_centers(side, found.dims - 1) if found.dims > 1 else np.empty((1, 0))
     for axis in range(found.dims):
-        # Values (2, k, channels) at the larger distance from both faces,
-        # and at the smaller distance
+        # Values (2, k, channels) on both faces at two distances: first the larger distance,
+        # next the smaller distance
         near, nearer = (
             np.stack([g(np.insert(along, axis, end, axis=1)) for end in (gap, 1.0 - gap)])
             for gap in (_SETTINGS.near, _SETTINGS.nearer)
@@ -139,7 +143,7 @@ def primary_picture(
     poles = np.array([jumps.poles.any(), face_poles.any()])
     heights = [jumps.mean_height, float(finite.mean()) if finite.size else 0.0]
 
-    # Evaluate the density of the technique on a grid that includes the sides
+    # Evaluate the density of the technique on a grid that includes the border
     reaches_zero = False
     density: Density | None = getattr(found.primary_integrand(number), "density", None)
     if density is not None:

@@ -1,22 +1,29 @@
 """Roughness of a black-box function: jumps, cusps and kinks on lines, and poles.
 
-A line is evaluated in equal steps, and close to its ends. Around the largest second difference,
-the step is halved repeatedly, with two evaluations for each halving. Where the function is smooth,
-the second difference shrinks with the square of the step. At a kink it shrinks with the step,
-and at a cusp |t|^a with the step to the power a. The second difference stays constant
-at a jump and grows at a pole. Toward the ends of lines along the axes the steps shrink faster:
-the slope of log |g| is the exponent of the growth of g at the border.
+g is evaluated in equal steps along a line, and close to its ends.
+The step is halved repeatedly around the largest second difference,
+with two evaluations for each halving.
+The second difference shrinks with the square of the step where the function is smooth.
+At a kink it shrinks with the step, and at a cusp |t|^a with the step to the power a.
+It stays constant at a jump, and it grows at a pole.
+Steps shrink faster toward the ends of lines along the axes.
+There the slope of log |g| is the exponent with which g grows at the border.
 
-A search climbs to poles. The search begins at the largest or the smallest known value,
-moves in random directions that climb, and halves the step if no direction climbs. The ellipsoid
-of directions adapts to the moves ([Hansen2001]_). The climb ends early on a bounded function.
+Another search climbs to poles. It starts at the largest or the smallest known value,
+and it moves in random directions in which |g| grows.
+If no direction climbs, the step is halved.
+The ellipsoid of directions adapts to the moves ([Hansen2001]_).
+The climb ends early if the function is bounded.
 A function that grows as r^−a toward a set of codimension k leads the climb to that set.
-Along rays from the top the differences g(r) − g(4r) ∝ r^−a give a, for any additive constant.
-|g|^(−2/a) is a quadratic form of the distance. The rank of this form is k,
-including one for each face that contains the top. The volume where |g| > λ is ∝ λ^(−k/a):
-∫g² is infinite for a/k ≥ ½, and the integral does not exist for a/k ≥ 1. Where faces meet,
-a product of powers of distances to some of them has the tail of the largest power toward one face,
-or of the mean power of all.
+On rays from the top, the differences g(r) − g(4r) are ∝ r^−a.
+They determine a for any additive constant.
+|g|^(−2/a) is a quadratic form of the distance, and its rank is k.
+Each face that contains the top contributes one to the rank.
+
+The volume in which |g| > λ is ∝ λ^(−k/a). Therefore ∫g² is infinite for a/k ≥ ½,
+and the integral does not exist for a/k ≥ 1. A product of powers of the distances
+to several faces has one of two tails where these faces meet:
+the tail of the largest power toward one face, or the tail of the mean power of all faces.
 """
 
 from __future__ import annotations
@@ -48,76 +55,78 @@ __all__ = [
 @final
 @dataclass(frozen=True)
 class LineSettings:
-    """Settings for evaluations on lines, and exponents that distinguish a pole, a jump and a kink.
+    """Settings of lines, and limits of the exponents of a pole, a jump, a cusp and a kink.
 
-    Numbers of cases in the comments are from ``python -m benchmarks settings``,
-    as in `CauseSettings`.
+    Numbers of cases come from ``python -m benchmarks settings``, as in `CauseSettings`.
     """
 
-    # Number of equal steps of a line before steps are halved. Values from 8 to 16 give the same
-    # results; with 32 steps, which allow half as many lines, two of 152 causes are wrong.
+    # Number of equal steps of a line before steps are halved.
+    # Values from 8 to 16 give the same results.
+    # With 32 steps there are half as many lines, and two of 152 causes are wrong.
     steps: int = 16
-    # Number of halvings of the step around the roughest place. 2^−12 of a step is 1.5e-5
-    # of the line: far above rounding, and far below the distance between features that 16 steps can
-    # find. With 6 halvings 29 of 152 causes are wrong; values from 12 to 24 give the same results.
+    # Number of halvings of the step around the roughest place.
+    # The last step is 2^−12 of a step, or 1.5e-5 of the line. This is far above rounding,
+    # and far below the distance between features that 16 steps can find.
+    # With 6 halvings 29 of 152 causes are wrong; values from 12 to 24 give the same results.
     halvings: int = 12
-    # Number of last halvings whose second differences give the exponent.
+    # The second differences of this number of last halvings give the exponent.
     # Values from 3 to 6 give the same results; with 12 two of 152 causes are wrong.
     late: int = 6
     # Exponent below which the roughest place is a pole.
-    # A jump has the exponent 0 and a pole r^−a has −a. Values from −0.3 to −0.075 give the same
-    # results.
+    # A jump has the exponent 0, and a pole r^−a has the exponent −a.
+    # Values from −0.3 to −0.075 give the same results.
     pole: float = -0.15
-    # Exponent below which the roughest place may be a jump. A jump has the exponent 0,
-    # or up to 0.3 next to a steep part, and a kink has 1. Values from 0.2 to 0.8 give the same
-    # results.
+    # Exponent below which the roughest place may be a jump. A kink has the exponent 1.
+    # A jump has the exponent 0, or up to 0.3 next to a steep part.
+    # Values from 0.2 to 0.8 give the same results.
     jump: float = 0.4
-    # Number of bisections of the last step of a line with a possible jump,
-    # and fraction of the height that a jump keeps in the bisections.
-    # A cusp of order 0.15 keeps 2^(−8 · 0.15) = 0.44 on average.
-    # 8 bisections end at 6e-8 of the line, so a smooth step of a width above 1e-7 counts as a jump.
+    # If a line may cross a jump, its last step is bisected this number of times.
+    # A jump keeps at least this fraction of its height.
+    # A cusp of order 0.15 keeps 2^(−8 · 0.15) = 0.44 on average. A smooth step wider than 1e-7
+    # counts as a jump, because the step after 8 bisections is 6e-8 of the line.
     bisections: int = 8
     kept: float = 0.75
-    # Exponent below which a roughest place that is neither a jump nor a pole is a cusp.
+    # Exponent below which the roughest place is a cusp, unless it is a jump or a pole.
     # A cusp |t|^a has the exponent a, with an error of about 0.1 on one line.
     # No line through a kink had an exponent below 0.86.
     cusp: float = 0.8
     # Exponent below which the roughest place is a kink.
-    # A kink has the exponent 1 and a smooth function has 2.
-    # With 0.8, 14 of 152 causes are wrong, and with 3.2, which makes smooth functions kinks, 36.
+    # A kink has the exponent 1, and a smooth function has the exponent 2.
+    # With 0.8, 14 of 152 causes are wrong.
+    # With 3.2, smooth functions count as kinks, and 36 causes are wrong.
     kink: float = 1.6
-    # Smallest height of a jump, as a fraction of the spread of g.
-    # A jump of 1e-4 of the spread has 1e-8 of the variance,
-    # too little to matter at any count of a profile. Values from 5e-5 to 2e-4 give the same
-    # results.
+    # Smallest height of a jump, as a fraction of the spread of g. A smaller jump does not matter
+    # at any count of a profile, as a jump of 1e-4 of the spread has 1e-8 of the variance.
+    # Values from 5e-5 to 2e-4 give the same results.
     least_jump: float = 1e-4
-    # Second difference that counts as rounding, as a fraction of the spread of g.
+    # Second differences below this fraction of the spread of g count as rounding.
     # After 12 halvings, the second difference of a smooth g is about 1e-9 of the spread.
     # Values from 5e-10 to 2e-9 give the same results.
     negligible: float = 1e-9
-    # Second difference that counts as rounding, in units of the spacing
-    # of floating-point numbers at the values of g. A sum of a thousand terms, in random order,
-    # is off by about √1000 = 32 spacings. Values from 16 to 64 give the same results.
+    # Second differences also count as rounding below this number of spacings of float numbers.
+    # Spacings are taken at the values of g.
+    # A sum of a thousand terms in random order is off by about √1000 = 32 spacings.
+    # Values from 16 to 64 give the same results.
     grains: float = 32.0
-    # Ratio of the last gain to the gain before, above which growth continues to the end of the
-    # line. The ratio is 2^−10 for a bounded function, 1 for ln t, and 2^(10a) for t^−a. Values from
-    # 0.33 to 0.65 give the same results; with 1.3 logarithmic growth is missed, and six of 152
-    # causes are wrong.
+    # g grows up to the end of a line if the last gain, divided by the gain before, is above this.
+    # The ratio is 2^−10 for a bounded function, 1 for ln t, and 2^(10a) for t^−a.
+    # Values from 0.33 to 0.65 give the same results.
+    # With 1.3 logarithmic growth is missed, and six of 152 causes are wrong.
     goes_on: float = 0.65
-    # Largest distance to the parallel line that tests whether a discontinuity is normal
-    # to the axis. On the parallel line an edge with a slope of 1 is moved by 0.0025 or more,
-    # a hundred times the last step of the halvings. Values from 0.0025 to 0.01 give the same
-    # results.
+    # Largest distance of the parallel line that tests whether a jump is normal to the axis.
+    # On it, an edge with a slope of 1 is moved by at least 0.0025,
+    # which is a hundred times the last step of the halvings.
+    # Values from 0.0025 to 0.01 give the same results.
     aside: float = 0.005
-    # Number of groups of axes along which the roughest place of a chord is displaced in turn:
-    # an edge normal to an axis moves with one group only. An edge oblique to two axes appears
-    # to be normal to an axis with probability 1/3. With more axes this probability is smaller.
+    # Number of groups of axes; a displacement moves the roughest place along one group.
+    # An edge normal to an axis moves with one group only. An edge that is oblique to two axes
+    # seems normal to an axis with probability 1/3. With more axes this probability is smaller.
     groups: int = 3
     # Distances from both ends at which g is evaluated on a line along an axis.
-    # The last two distances have the ratio 2^10, so even t^−0.08 grows by 1.7 between them,
-    # and 2^−40 is still exact next to 1. Half and twice the value give the same results.
+    # The last two have the ratio 2^10. Even t^−0.08 grows by a factor of 1.7 between them.
+    # 2^−40 is still exact next to 1. Half and twice the value give the same results.
     ends: tuple[float, ...] = (2.0**-4, 2.0**-12, 2.0**-20, 2.0**-30, 2.0**-40)
-    # Distance from an end of a line at which g must not fail;
+    # Distance from an end of a line at which g must be computable;
     # samples of a few thousand points come as close.
     inside: float = 2.0**-12
 
@@ -141,64 +150,64 @@ LINE_SETTINGS = LineSettings()
 class PoleSettings:
     """Settings of the climb to a pole, and of measurements at the pole.
 
-    Numbers of cases in the comments are from ``python -m benchmarks settings``,
-    as in `CauseSettings`.
+    Numbers of cases come from ``python -m benchmarks settings``, as in `CauseSettings`.
     """
 
-    # Maximum number of halvings of the step of a climb. The largest radius of the rays (`radii`)
-    # is then 1/16 of the first step, which is the distance between neighboring points.
-    # With 8 halvings 30 of 152 causes and 10 of 18 poles are wrong; values from 16 to 32 give the
-    # same results.
+    # Maximum number of halvings of the step of a climb. After them, the largest radius
+    # of the rays (`radii`) is 1/16 of the first step, the distance between neighboring points.
+    # With 8 halvings 30 of 152 causes and 10 of 18 poles are wrong.
+    # Values from 16 to 32 give the same results.
     halvings: int = 16
-    # Largest number of moves with one step before the step is halved. Values from 3 to 12 give the
-    # same results.
+    # Largest number of moves with one step before the step is halved.
+    # Values from 3 to 12 give the same results.
     moves: int = 6
-    # Number of halvings in a group: the climb is judged by the medians of its last three groups.
+    # Number of halvings in a group. The climb is judged by the medians of its last three groups.
     # With 2, one of 18 poles is wrong; values from 3 to 6 give the same results.
     group: int = 3
-    # Ratio of the last gain to the gain before, below which the climb ends because g is bounded.
-    # Near a smooth top the gains of three halvings fall to 4^−3, and for ln r the gains stay equal.
-    # Values from 0.15 to 0.6 give the same results.
+    # Ratio of the last gain to the gain before. Below this value g is bounded, and the climb ends.
+    # Near a smooth top, gains fall by 4^−3 in a group of three halvings.
+    # For ln r, gains stay equal. Values from 0.15 to 0.6 give the same results.
     bounded: float = 0.3
-    # Number of rays from the top, whose median exponent is used. Values from 3 to 12 give the same
-    # results.
+    # Number of rays from the top. The median of their exponents is used.
+    # Values from 3 to 12 give the same results.
     rays: int = 6
     # Weight of the last move in the ellipsoid of directions, from 0 to 1.
     # Values from 0.2 to 0.4 give the same results; with 0.8 one of 18 poles is wrong.
     learning_rate: float = 0.4
-    # Radii along the rays, in units of the last step, each 4 times the one before. The smallest
-    # is 16, so that an error of the top by one step changes the distance by 6 % at most.
+    # Radii along the rays, in units of the last step; each is 4 times the previous radius.
+    # The smallest is 16: an error of the top by one step changes the distance by 6 % at most.
     # Half and twice the value give the same results.
     radii: tuple[float, ...] = (2.0**4, 2.0**6, 2.0**8, 2.0**10, 2.0**12)
-    # Number of radii, the smallest ones, at which g is also evaluated toward each face alone:
-    # three radii give one exponent for any additive constant.
+    # At this number of the smallest radii, g is also evaluated toward each face alone.
+    # Three radii determine an exponent for any additive constant.
     # With 2 radii, four of 152 causes are wrong; values from 3 to 6 give the same results.
     near: int = 3
-    # Fraction of the rays on which g may rise outward; if more rays rise, the top is not a pole.
+    # The top is not a pole if g rises outward on more than this fraction of the rays.
     # Values from 0.125 to 0.5 give the same results.
     rising: float = 0.25
-    # Distance from all faces but one at which growth toward that face alone is measured,
-    # in units of the last step. This distance is half of the first step,
-    # and 2^7 times the largest of the first three radii. Values from 2^14 to 2^16 give the same
-    # results.
+    # Distance from all other faces at which growth toward one face is measured.
+    # Its unit is the last step. The distance is half of the first step.
+    # It is 2^7 times the largest of the first three radii.
+    # Values from 2^14 to 2^16 give the same results.
     away: float = 2.0**15
-    # Exponent above which a function grows toward one face alone.
+    # If the exponent is above this value, the function grows toward one face alone.
     # Values from 0.025 to 0.1 give the same results.
     alone: float = 0.05
-    # Fraction of the largest eigenvalue of the quadratic form above which an eigenvalue counts
-    # for the codimension. Values from 0.002 to 0.008 give the same results.
+    # Eigenvalues of the quadratic form above this fraction of the largest one count for
+    # the codimension. Values from 0.002 to 0.008 give the same results.
     rank: float = 0.004
-    # Factor by which the height must grow for a move to be accepted. Values down to 0.5 give the
-    # same results. With 2, few moves are accepted, and 15 of 18 poles are missed.
+    # A move is accepted if the height grows by more than this factor.
+    # Values down to 0.5 give the same results.
+    # With 2, few moves are accepted, and 15 of 18 poles are missed.
     better: float = 1.005
-    # Number of the largest heights that are compared before a climb. Values from 8 to 32 give the
-    # same results.
+    # Number of the largest heights that are compared before a climb.
+    # Values from 8 to 32 give the same results.
     compared: int = 16
-    # Relative difference between the largest and the last of these heights above
-    # which a climb starts. Values from 0.05 to 0.2 give the same results.
+    # A climb starts only if the largest and the last of these heights differ by this fraction.
+    # Values from 0.05 to 0.2 give the same results.
     stands_out: float = 0.1
-    # Exponent below which growth counts as logarithmic; exponents below the negative of this value
-    # mean no pole. Measured exponents are right to 0.02
+    # Growth with an exponent below this value counts as logarithmic. If the exponent is below
+    # minus this value, there is no pole. Measured exponents are right to 0.02
     # (`test_exponents_and_codimensions_of_poles_are_measured`).
     # Values from 0.01 to 0.04 give the same results.
     least_exponent: float = 0.02
@@ -207,7 +216,7 @@ class PoleSettings:
 POLE_SETTINGS = PoleSettings()
 """Default settings of climbs."""
 
-# Distance of the top from a face that contains it: the spacing of float64 below 1
+# Distance of the top from a face, if the top is on the face: the spacing of float64 below 1
 _EDGE = 2.0**-53
 
 Function = Callable[[Array], Array]
@@ -221,34 +230,34 @@ class Lines:
     Attributes
     ----------
     axis
-        Axis that each line runs along, −1 for chords: (K,).
+        Axis to which each line is parallel, or −1 for chords: (K,).
     exponent
-        Exponent of the step in the second difference around the roughest place: (K,).
+        Exponent of the second difference at the roughest place, as a power of the step: (K,).
     kept
-        Fraction of the height that remains after bisections, 0 without bisections: (K,).
+        Fraction of the height of a jump that remains after bisections; 0 without bisections: (K,).
     place
-        Position of the roughest place, (K,), from 0 to 1 along the line.
+        Position of the roughest place along the line, from 0 to 1: (K,).
     height
-        Change of g at the roughest place: (K,).
+        Size of the change of g at the roughest place: (K,).
     straight
-        Whether the change of g stays in place when the line is displaced along other axes,
-        as at a discontinuity normal to one axis: (K,).
+        Whether the change of g stays in place if the line is displaced along other axes.
+        This indicates a discontinuity that is normal to one axis: (K,).
     growth
-        Exponents a of g ~ t^−a at both ends of lines along axes, 0 where g does not grow: (K, 2);
+        Exponents a of g ~ t^−a at both ends of a line, 0 if g does not grow there: (K, 2).
         NaN for chords.
     ends
-        Difference of g between both ends: (K,); NaN for chords.
+        Difference of g between both ends of the line: (K,); NaN for chords.
     waves
-        Number of periods along the line of a cosine with the same variance and the same bend: (K,).
+        Number of periods of a cosine with the same variance and the same second derivative: (K,).
     turns
-        Fraction of the places that are higher or lower than both neighbors: (K,).
+        Fraction of the places on the line that are higher or lower than both neighbors: (K,).
     spread
         Variance along the line: (K,).
     settings
-        The exponents that distinguish a pole, a jump and a kink.
+        Settings of lines, with the limits of the exponents.
     failed
-        Reason why g has no values close to some ends, with a position; else empty.
-        These ends have no growth.
+        Reason, with a position, why g has no values close to some ends; empty if it has values.
+        No growth is reported at these ends.
     """
 
     axis: Array
@@ -267,16 +276,16 @@ class Lines:
 
     @property
     def _rough(self) -> Array:
-        """Return lines whose roughest place is not a jump, and not smoother than a kink."""
+        """Return lines whose roughest place is not smoother than a kink, and is not a jump."""
         jump = self.kept > self.settings.kept
         return np.asarray(~jump & (self.exponent < self.settings.kink))
 
     @property
     def _steep(self) -> tuple[Array, bool]:
-        """Return lines through poles or cusps, and whether they are poles.
+        """Return lines through poles or cusps, and whether they go through poles.
 
-        On a single line through a cusp the exponent may be negative by chance,
-        but the median exponent is not.
+        The exponent of a single line through a cusp may be negative by chance.
+        The median exponent is not negative by chance.
         """
         steep = self._rough & (self.exponent < self.settings.cusp)
         return steep, bool(steep.any() and np.median(self.exponent[steep]) < 0.0)
@@ -302,7 +311,7 @@ class Lines:
 
 
 def grain(values: Array) -> float:
-    """Return the spacing of floats at the largest value, of float32 if it represents all values."""
+    """Return the spacing of floats at the largest value; float32 if it represents all values."""
     size = np.abs(values).max(initial=0.0)
     with np.errstate(over="ignore"):
         single = (values.astype(np.float32) == values).all()
@@ -316,7 +325,7 @@ def lines_of(
     rng: np.random.Generator,
     settings: LineSettings = LINE_SETTINGS,
 ) -> Lines:
-    """Evaluate lines along each axis in turn and, in several dims, an equal number of chords.
+    """Evaluate lines along each axis in turn. In several dims, evaluate as many chords.
 
     Parameters
     ----------
@@ -350,7 +359,7 @@ def lines_of(
     for k, i in enumerate(axis):
         if i >= 0:
             start[k, i], way[k, i] = 0.0, 1.0
-        else:  # A chord in any direction through a point, from face to face
+        else:  # Draw a chord from face to face
             direction = rng.standard_normal(dims)
             with np.errstate(divide="ignore"):
                 near, far = np.sort([-start[k] / direction, (1 - start[k]) / direction], axis=0)
@@ -360,7 +369,7 @@ def lines_of(
             )
 
     def at(t: Array, which: Any = slice(None)) -> Array:
-        """Return values at places (K, m) along all lines, or along selected lines."""
+        """Return values at places (K, m) on all lines, or on selected lines only."""
         x = start[which, None] + t[..., None] * way[which, None]
         return g(np.clip(x, 0.0, BELOW_ONE).reshape(-1, dims)).reshape(t.shape)
 
@@ -375,7 +384,7 @@ def lines_of(
     rows = np.arange(len(axis))
 
     # Examine the ends of lines along the axes.
-    # Growth counts if it continues to the end and exceeds all values inside
+    # g grows at an end if it grows up to the end and exceeds all values inside
     usual, straight = np.abs(y).max(), axis >= 0
     growth, ends = np.full((len(axis), 2), np.nan), np.full(len(axis), np.nan)
     gaps = np.array(settings.ends)
@@ -385,7 +394,7 @@ def lines_of(
         outer = at(both, straight)
     except BudgetError:
         raise
-    except ParameterError:  # g fails next to the border: leave out these ends
+    except ParameterError:  # g fails next to the border: omit these ends
         outer = np.full(both.shape, np.nan)
         for k, row in enumerate(np.flatnonzero(straight)):
             try:
@@ -406,8 +415,8 @@ def lines_of(
     ends[straight] = outer[1, :, 1] - outer[0, :, 1]
 
     # Halve the steps around the largest second difference.
-    # Places near an end count only if g does not grow there. Every other line uses
-    # the largest fourth difference, in which a kink stands out even if g is steep elsewhere
+    # Near an end this requires that g does not grow there. In every other line use
+    # the largest fourth difference, which shows a kink even if g is steep elsewhere
     wide = np.full((2, len(axis)), np.nan)
     wide[:, straight] = np.where(grows, np.nan, outer[..., 1])
     t = np.column_stack([np.full(len(axis), gaps[1]), t, np.full(len(axis), 1.0 - gaps[1])])
@@ -430,18 +439,18 @@ def lines_of(
     scale = max(float(np.sqrt(spread.mean())), 1e-300)
     floor = max(settings.negligible * scale, settings.grains * grain(y[:, 1:-1]))
     rough = size[-1] > floor
-    # Second differences at rounding level are meaningless before the roughest place is reached:
-    # use the first one above that level
+    # Ignore second differences at rounding level: they are meaningless.
+    # If the last one is at this level, use the first one above it
     first = np.argmax(size > floor, axis=0)
     size = np.where(size > floor, size, np.maximum(size[first, rows], 1e-300))
     slope = -np.polyfit(np.arange(settings.late + 1), np.log2(size), 1)[0]
     exponent = np.where(rough, slope, 2.0)
-    # A steep end is neither a jump nor a kink:
+    # At a steep end there is neither a jump nor a kink:
     # bounded functions of normal quantiles have steep ends
     edge = np.abs(window[:, 1] - 0.5) > 0.5 - 4.0 * gaps[1]
     exponent[edge & (exponent >= settings.pole)] = 2.0
 
-    # Bisect the larger change of g: a jump keeps its height, and a cusp does not
+    # Bisect the half-step with the larger change of g: a jump keeps its height, a cusp does not
     height, kept = np.abs(np.diff(values, axis=1)).max(axis=1), np.zeros(len(axis))
     may = np.flatnonzero((exponent >= settings.pole) & (exponent < settings.jump))
     right = np.argmax(np.abs(np.diff(values[may], axis=1)), axis=1)[:, None] + (0, 1)
@@ -456,20 +465,21 @@ def lines_of(
         ends_y = np.where(left, np.hstack([ends_y[:, :1], new]), np.hstack([new, ends_y[:, 1:]]))
     kept[may] = np.abs(np.diff(ends_y, axis=1)[:, 0]) / np.maximum(height[may], 1e-300)
 
-    # Displace the last window toward the inside: along all other axes for a line along an axis,
-    # and along one group of axes after another for chords.
+    # Displace the last window toward the inside.
+    # A line parallel to an axis is displaced along all other axes,
+    # and a chord is displaced along one group of axes after another.
     # A discontinuity that is not normal to an axis moves away
     stays = np.ones(len(axis), bool)
     if dims > 1:
         groups = min(settings.groups, dims)
         group = rng.permuted(np.tile(np.arange(dims) % groups, (len(axis), 1)), axis=1)
-        # Displacements have random lengths, so that changes along a slanted edge do not cancel
+        # Displacements have random lengths, which prevents cancellation along a slanted edge
         steps = settings.aside * rng.uniform(0.5, 1.0, (len(axis), dims))
         pair = start[:, None] + window[:, ::2, None] * way[:, None]
         aside = np.where(pair[:, :1] < 0.5, steps[:, None], -steps[:, None])
 
         def moved(which: Array, along: Array) -> Array:
-            """Return whether lines lose the change of g if displaced along some axes (K, d)."""
+            """Return whether the change of g disappears if lines are displaced along given axes."""
             x = pair[which] + np.where(along[:, None], aside[which], 0.0)
             found = g(np.clip(x, 0.0, BELOW_ONE).reshape(-1, dims)).reshape(-1, 2)
             return np.asarray(np.abs(np.diff(found, axis=1)[:, 0]) <= 0.5 * height[which])
@@ -500,16 +510,17 @@ def lines_of(
 
 
 def _bends(t: Array, y: Array) -> Array:
-    """Return second differences at places (K, m), scaled to equal steps: (K, m − 2)."""
+    """Return second differences at places (K, m), scaled to equal steps, as (K, m − 2)."""
     span = t[:, 2:] - t[:, :-2]
     return np.asarray(0.5 * span * np.abs(np.diff(np.diff(y) / np.diff(t))))
 
 
 def mean_dimension(g: Function, points: Array, values: Array, rng: np.random.Generator) -> float:
-    """Return the mean dimension Σ_i T_i/Var g.
+    """Return the mean dimension Σ_i T_i/Var g, where T_i is the total variance of coordinate i.
 
-    T_i is half the mean squared change when coordinate i is redrawn. g has the given values (k,)
-    at the points (k, d), and is evaluated at d more points for each given point.
+    T_i is half the mean squared change of g when coordinate i is redrawn.
+    The values of g at the points (k, d) are given, (k,).
+    For each of these points, g is evaluated at d more points.
     """
     k, d = points.shape
     total = 0.0
@@ -524,18 +535,18 @@ def mean_dimension(g: Function, points: Array, values: Array, rng: np.random.Gen
 @final
 @dataclass(frozen=True)
 class Pole:
-    """A set where a function grows without bound.
+    """A set toward which a function grows without bound.
 
     Attributes
     ----------
     place
-        A point of the pole, (d,).
+        A point of the set, (d,).
     exponent
-        a of r^−a, where r is the distance to the pole.
+        Exponent a of r^−a, where r is the distance to the pole.
     codimension
-        Codimension k of the pole: 1 for a surface, d for a point.
+        Codimension k of the pole, which is 1 for a surface and d for a point.
     border
-        Whether the pole lies on faces of the cube.
+        Whether the pole lies on the border of the cube.
     """
 
     place: Array
@@ -545,7 +556,7 @@ class Pole:
 
     @property
     def tail(self) -> float:
-        """Tail index a/k."""
+        """Tail index a/k of the values of the function."""
         return self.exponent / self.codimension
 
 
@@ -557,7 +568,7 @@ def pole_of(
     rng: np.random.Generator,
     settings: PoleSettings = POLE_SETTINGS,
 ) -> Pole | None:
-    """Climb to a pole from the value furthest from the median, then from the other extreme.
+    """Climb to a pole from the value furthest from the median, or else from the other extreme.
 
     Parameters
     ----------
@@ -574,7 +585,7 @@ def pole_of(
     def height(x: Array) -> Array:
         return np.abs(g(x) - centre)
 
-    # The largest values of a bounded function are nearly equal
+    # Climb only from values that stand out: the largest values of a bounded function are similar
     measure = settings.rays * len(settings.radii) + d * settings.near + d * (d + 1) // 2
     order = np.argsort(values)
     for largest in sorted((order[::-1], order), key=lambda k: -abs(values[k[0]] - centre)):
@@ -601,14 +612,14 @@ def _climbed(
     rng: np.random.Generator,
     settings: PoleSettings,
 ) -> tuple[Array, float, int]:
-    """The top, the last step (0 if g is bounded), and the number of evaluations."""
+    """Return the top, the last step (0 if g is bounded), and the number of evaluations."""
     d, made, moves, value = len(x), 0, 0, 0.0
     heights, shape = list[float](), np.eye(d)
     while len(heights) < settings.halvings:
         if made + 2 * d > evaluations:
             return x, 0.0, made
         ways = np.linalg.qr(rng.standard_normal((d, d)))[0] @ np.linalg.cholesky(shape).T
-        size = step * rng.uniform(0.8, 1.25)  # Random factors avoid repeated places
+        size = step * rng.uniform(0.8, 1.25)  # A random factor avoids repeated places
         around = np.clip(x + size * np.concatenate([ways, -ways]), 0.5 * step, 1.0 - 0.5 * step)
         new = g(around)
         made += 2 * d
@@ -634,7 +645,7 @@ def _climbed(
 def _measured(
     g: Function, top: Array, step: float, rng: np.random.Generator, settings: PoleSettings
 ) -> Pole | None:
-    """Measure a pole by rays from its top and by the quadratic form about the top."""
+    """Measure a pole by rays from its top, and by a quadratic form around the top."""
     d, radii = len(top), np.array(settings.radii)
     top = np.where(top < 2.0 * step, _EDGE, np.where(top > 1.0 - 2.0 * step, 1.0 - _EDGE, top))
     inward = np.where(top < 0.5, 1.0, -1.0)
@@ -651,7 +662,7 @@ def _measured(
         return None
     if exponent < settings.least_exponent:
         return Pole(top, 0.0, 1, bool(side.any()))
-    if side.sum() > 1:  # Measure growth toward each face alone, away from other faces
+    if side.sum() > 1:  # Compare with growth toward a single face
         faces = np.flatnonzero(side)
         aside = np.where(side, top + settings.away * step * inward, top)
         close = radii[: settings.near]
@@ -662,7 +673,7 @@ def _measured(
         if alone > settings.alone:
             together = Pole(top, exponent, len(faces), True)
             return together if together.tail > alone else Pole(top, alone, 1, True)
-    # Subtract the additive constant. Values at sums of two axes give the quadratic form
+    # Subtract the additive constant. Values on sums of two axes determine the quadratic form
     factor = 4.0**exponent
     rest = float(np.median((factor * values[-1] - values[-2]) / (factor - 1.0)))
     first, second = np.triu_indices(d)
@@ -674,7 +685,7 @@ def _measured(
     table[first, second] = table[second, first] = size
     own = np.diag(table)
     form = 0.5 * (table - own[:, None] - own) + 1.5 * np.diag(own)
-    # A face counts unless the pole continues from this face inward
+    # A face counts unless the pole extends from this face inward
     side &= own > settings.rank * own.max()
     free = np.linalg.eigvalsh(form[np.ix_(~side, ~side)])
     rank = int(side.sum() + (free > settings.rank * own.max()).sum())
@@ -682,6 +693,6 @@ def _measured(
 
 
 def _slopes(values: Array) -> Array:
-    """Return exponents a of values c + b r^−a at radii r, 4r, …, (m, k): (m − 2, k)."""
+    """Return exponents a of values c + b r^−a at radii r, 4r, … (m, k), as (m − 2, k)."""
     falls = np.maximum(values[:-1] - values[1:], 1e-300)
     return np.asarray(np.log(falls[:-1] / falls[1:]) / math.log(4.0))

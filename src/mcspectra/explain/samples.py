@@ -1,17 +1,20 @@
 """Variances of several samplers at all counts, from one array of evaluations.
 
-R scrambled nets of N points are evaluated once.
-Each run of 2^k of their points that starts at a multiple of 2^k is a scrambled net.
-Means over runs therefore have the variance of nets of all sizes. The variance between evaluations
-of different nets in one cell is the variance of jittered points. In the same way, slabs
-of an axis give the variance of Latin hypercubes, and the whole cube gives that of random points.
-Products of values from the same net are left out where values are correlated.
+R scrambled nets of N points are evaluated once. A run of 2^k successive points of a net
+is a scrambled net itself, if the run starts at a multiple of 2^k.
+Therefore means over runs have the variance of nets of all sizes.
+Different nets have independent points in each cell of the strata.
+Therefore the variance between their values is the variance of jittered points.
+In the same way, slabs of an axis give the variance of Latin hypercubes,
+and the whole cube gives the variance of random points.
+Products of values from the same net are omitted, because these values are correlated.
 
-Errors come from a jackknife over the nets, so the error of the rate includes the correlation
-between counts. In the model of the rate, the rate is constant over the last octaves.
-Over earlier octaves it drifts by a random walk, and the likelihood of the curve gives weights
-to several step sizes. Therefore all counts of a straight curve determine its rate,
-but only the last counts determine the rate of a bent curve.
+Errors come from a jackknife over the nets, which includes the correlation between counts.
+In the model of the rate, the rate is constant over the last octaves,
+and drifts by a random walk over earlier octaves.
+The likelihood of the curve gives weights to several step sizes of the walk.
+All counts of a straight curve contribute to its rate,
+but the rate of a bent curve depends on the last counts only.
 """
 
 from __future__ import annotations
@@ -43,44 +46,46 @@ __all__ = [
 ]
 
 NETS = "sobol | owen"
-"""The scrambled nets that are evaluated."""
+"""The scrambled nets at which the estimator is evaluated."""
 
 
 @final
 @dataclass(frozen=True)
 class CurveSettings:
-    """Settings that estimate curves of variance from nets, and fit rates to them.
+    """Settings of curves of variance from nets, and of fits of rates to these curves.
 
     "The same results" refers to ``python -m benchmarks settings``, as in `CauseSettings`.
-    Numbers for rates are those of ``python -m benchmarks settings --rates``:
-    five functions with known rates, 50 times each.
+    Numbers for rates come from ``python -m benchmarks settings --rates``.
+    It repeats five functions with known rates 50 times each.
     """
 
     # Number of slabs along an axis that replace the strata of a Latin hypercube.
-    # Values from 16 to 64 give the same results. For additive functions with n > 32 points the
-    # estimate is an upper bound, (n/32)² times too large.
+    # Values from 16 to 64 give the same results.
+    # The estimate is an upper bound for additive functions with n > 32 points:
+    # it is (n/32)² times too large.
     slabs: int = 32
     # Largest number of dims in which the variance of jittered points is estimated.
-    # Values from 2 to 6 give the same results. In 4 dims a net of 256 points, the most that 8,192
-    # evaluations allow, has 4 cells along an axis, so the curve would have three counts.
+    # Values from 2 to 6 give the same results.
+    # 8,192 evaluations allow nets of at most 256 points, which have 4 cells along each of 4 axes.
+    # The curve in 4 dims has only three counts.
     jittered_dims: int = 3
-    # Number of last octaves over which the rate is constant.
-    # With 2 octaves, intervals of rates are 1.4 times as wide and contain the rate as often.
-    # With 6 octaves they contain the rate in 63 instead of 93 % of cases.
+    # Number of last octaves over which the rate is assumed to be constant. With 2 octaves,
+    # intervals of rates are 1.4 times as wide and contain the rate equally often.
+    # With 6 octaves, they contain the rate in 63 % instead of 93 % of cases.
     octaves: int = 3
     # Candidate standard deviations of the drift of the rate in an octave, weighted by likelihood.
-    # The values range from a straight curve (1/20) to a rate that changes by its usual range,
-    # 1 to 3, in a few octaves. Half of these values,
-    # double and 0.2 alone give intervals that contain the rate in 94, 92 and 92 % of cases.
+    # They range from 1/20, for a straight curve, to values that change a rate by 1 to 3 (its
+    # usual range) in a few octaves. With half of these values, intervals contain the rate
+    # in 94 % of cases; with double values or 0.2 alone, in 92 %.
     drifts: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
-    # Standard error of an unknown rate, for which −1 is used:
-    # rates from −2 to 0 are within two standard errors.
+    # If a rate is not known, −1 is used with this standard error.
+    # Rates from −2 to 0 are within two standard errors.
     unknown: float = 0.5
-    # Least standard error of a logarithm of the variance, because real curves deviate from lines
-    # by 2 % or more. Values of 0.01 and 0.04 give the same rates to 0.01.
+    # Least standard error of a logarithm of the variance.
+    # Real curves deviate from lines by 2 % or more. With 0.01 and 0.04, rates are the same to 0.01.
     floor: float = 0.02
-    # Number of standard errors within which a measured rate agrees with a theoretical rate:
-    # the value is for 95 % of a normal law.
+    # A measured rate agrees with a theoretical rate if it is within this number of standard errors.
+    # The value corresponds to 95 % of a normal law.
     agrees: float = 2.0
 
 
@@ -96,24 +101,23 @@ class Curve:
     Attributes
     ----------
     counts, variance, relative_se
-        Arrays (N,); the standard error is that of log variance.
+        Arrays (N,). The standard error belongs to the logarithm of the variance.
     rate, rate_se
-        Slope over the last octaves and its standard error;
-        NaN if it cannot be fitted, for example because the variance vanishes.
+        Slope over the last octaves, and its standard error.
+        Both are NaN if there is no fit, for example because the variance is zero.
     degrees
         Degrees of freedom of the errors.
     drift
-        Estimated standard deviation of the change of the slope in an octave;
-        it continues beyond the counts.
+        Estimated standard deviation of the change of the slope in an octave.
+        The same drift is assumed beyond the counts.
     vanishes
-        Smallest count at which all sets gave the same estimate.
+        Smallest count at which all sets gave equal estimates.
     level, scatter
         Logarithm of the ratio of the fitted line to the variance at the last count,
-        and standard deviation of logarithms about the line.
-        Both are used in extrapolations of curves that are not lines.
+        and standard deviation of the logarithms of the variance about the line.
+        Both are needed to extrapolate curves that are not lines.
     bend
-        Expected change of the slope beyond the measured counts,
-        and the standard error of this change.
+        Expected change of the slope beyond the measured counts, and its standard error.
     """
 
     counts: Array
@@ -129,9 +133,9 @@ class Curve:
     bend: float = 0.0
 
     def at(self, n: float) -> tuple[float, float]:
-        """Return the variance at n and its logarithmic standard error.
+        """Return the variance at n, and the standard error of its logarithm.
 
-        Beyond the counts, the variance is extrapolated with the rate.
+        Beyond the measured counts, the variance is extrapolated with the rate.
         """
         if n >= self.vanishes or not len(self.counts):
             return 0.0, 0.0
@@ -150,7 +154,7 @@ class Curve:
         return value, math.hypot(float(self.relative_se[-1]), away * error, walk, self.scatter)
 
     def towards(self, rate: float, error: float) -> Curve:
-        """Return the weighted mean of the rate and a theoretical rate, unless both disagree."""
+        """Return the weighted mean of the rate and a theoretical rate if both agree."""
         if not abs(self.rate - rate) <= CURVE_SETTINGS.agrees * math.hypot(self.rate_se, error):
             return self
         share = error**2 / (error**2 + self.rate_se**2)
@@ -174,13 +178,13 @@ class Curve:
 @final
 @dataclass(frozen=True)
 class _Part:
-    """Evaluations of one technique at R nets: points (R, N·c, d) and values (R, N·c)."""
+    """Values of one technique at R nets: points (R, N·c, d) and values (R, N·c)."""
 
     points: Array
     values: Array
 
     def between(self, cell: Array, cells: int) -> Array:
-        """Return the mean of squared means over cells, without products within one net."""
+        """Return the mean over cells of squared means, without products within one net."""
         r = len(self.values)
         place = (np.arange(r)[:, None] * cells + cell).ravel()
         sums = np.bincount(place, self.values.ravel(), r * cells).reshape(r, cells)
@@ -190,32 +194,32 @@ class _Part:
         return np.asarray(np.mean(products / np.maximum(pairs, 1), axis=1, where=pairs > 0))
 
 
-# Estimates from all nets, then from all nets except each single one: (1 + R,)
+# Estimates of all nets together, followed by estimates without each single net: (1 + R,)
 _Estimate = Callable[[_Part, int], Array]
 
 
 def _sums(x: Array) -> Array:
-    """Return sums over all nets, then without each single net: (1 + R, …) from (R, …)."""
+    """Return the sums over all nets and over all nets but one: (1 + R, …) from (R, …)."""
     whole = x.sum(axis=0)
     return np.concatenate([whole[None], whole - x])
 
 
 def _means(x: Array) -> Array:
-    """Return means over all nets, then without each single net: (1 + R,) from (R,)."""
+    """Return the means over all nets and over all nets but one: (1 + R,) from (R,)."""
     return np.asarray(_sums(x) / _sums(np.ones(len(x))))
 
 
 @final
 @dataclass(frozen=True)
 class Sets:
-    """Evaluations of an estimator at R scrambled nets.
+    """Values of an estimator at R scrambled nets, and the variances that they give.
 
     Attributes
     ----------
     points, values
         Points and values of each technique t: (R, N·c_t, d) and (R, N·c_t), with N a power of two.
     counts
-        Counts c_t of points of the techniques.
+        Number c_t of points of technique t for each point of a net.
     """
 
     points: Sequence[Array]
@@ -235,22 +239,22 @@ class Sets:
 
     @property
     def dims(self) -> int:
-        """Number of dims d."""
+        """Number d of dims."""
         return int(self.points[0].shape[2])
 
     @property
     def n(self) -> int:
-        """N, the number of points of each net."""
+        """Number N of points of each net."""
         return int(self.values[0].shape[1]) // self.counts[0]
 
     @cached_property
     def estimates(self) -> Array:
-        """The estimate of each net, (R,)."""
+        """Estimates of the nets, (R,)."""
         return np.asarray(sum(v.mean(axis=1) for v in self.values))
 
     @cached_property
     def pooled(self) -> Array:
-        """All values of g for the technique with the largest variance."""
+        """All values of g, for the technique with the largest variance."""
         return np.asarray(max(self.values, key=lambda v: float(v.var()))).ravel()
 
     @property
@@ -264,7 +268,7 @@ class Sets:
     def curves(
         self, settings: CurveSettings = CURVE_SETTINGS, names: Collection[str] | None = None
     ) -> dict[str, Curve]:
-        """Return the variance of each sampler that the evaluations can estimate, or of `names`."""
+        """Return the curves of all samplers, or of `names`, that these values can estimate."""
         counts = 2 ** np.arange(self.n.bit_length())
         found = {
             NETS: self._curve(_of_strata if self.dims == 1 else _of_nets, counts, settings),
@@ -278,13 +282,13 @@ class Sets:
             of_slabs = partial(_of_slabs, slabs=settings.slabs)
             many = counts[counts >= settings.slabs]
             found["latin-hypercube"] = self._curve(of_slabs, many, settings, -1.0)
-        # The variance between strata is a difference; without significant values there is no curve
+        # A variance between strata is a difference. If no difference is significant, omit the curve
         if len(found["random"].counts):
             found = {name: curve for name, curve in found.items() if len(curve.counts)}
         return found
 
     def technique_curves(self, settings: CurveSettings = CURVE_SETTINGS) -> list[Curve]:
-        """Return the variance of each technique with scrambled nets for all N."""
+        """Return the variance of each technique with scrambled nets of all sizes."""
         counts = 2 ** np.arange(self.n.bit_length())
         parts = zip(self.points, self.values, self.counts, strict=True)
         return [Sets((p,), (v,), (c,))._curve(_of_nets, counts, settings) for p, v, c in parts]
@@ -296,7 +300,7 @@ class Sets:
         settings: CurveSettings,
         rate: float | None = None,
     ) -> Curve:
-        """Return the curve of an estimate, with errors by a jackknife."""
+        """Return the curve of an estimate, with errors from a jackknife."""
         parts = [_Part(p, v - v.mean()) for p, v in zip(self.points, self.values, strict=True)]
 
         found = np.stack([
@@ -326,7 +330,7 @@ def scalar(estimator: AbstractEstimator, values: Array) -> Array:
 def curve_of(
     counts: Sequence[int], estimates: Sequence[Array], settings: CurveSettings = CURVE_SETTINGS
 ) -> Curve:
-    """Return the curve of variances from independent estimates at several counts, (R,) each."""
+    """Return the curve of variances of independent estimates at several counts, each (R,)."""
     found = np.array([e.var(ddof=1) for e in estimates])
     left = np.stack([
         [np.delete(e, r).var(ddof=1) for e in estimates] for r in range(len(estimates[0]))
@@ -346,11 +350,11 @@ def _fitted(
     *,
     exact: bool,
 ) -> Curve:
-    """Return the curve of variances `found`, (N,), with a jackknife.
+    """Return the curve of variances `found`, (N,), with errors from a jackknife.
 
-    `left` are the variances without each realization, (R, N).
-    The rate is fitted unless it is given. With `exact`, a variance of zero is a result;
-    otherwise variances are differences, and zero means that a variance is smaller than its error.
+    `left` contains the variances without each realization, (R, N).
+    If `rate` is None, the rate is fitted. If `exact` is true, a variance of zero is a result.
+    Otherwise variances are differences, and zero means that the variance is below its error.
     """
     degrees = len(left) - 1
     floor = rounding_floor(np.array(size))
@@ -390,19 +394,19 @@ def _fitted(
 
 
 def _of_nets(part: _Part, n: int) -> Array:
-    """Return the variance of the mean over n points of a scrambled net."""
+    """Return the variance of means over n points of a scrambled net."""
     r = len(part.values)
     squares = (part.values.reshape(r, -1, n).mean(axis=2) ** 2).mean(axis=1)
     own = part.values.mean(axis=1)
     mean = _means(own)
-    # The square of a mean is too large by the variance of that mean
+    # Correct the square of a mean, which is too large by the variance of that mean
     return np.asarray(
         _means(squares) - mean**2 + (_means(own**2) - mean**2) / (_sums(np.ones(r)) - 1.0)
     )
 
 
 def _of_strata(part: _Part, n: int) -> Array:
-    """Return the variance of the mean over n jittered points."""
+    """Return the variance of means over n jittered points."""
     side = round(n ** (1.0 / part.points.shape[2]))
     index = np.floor(part.points * side).astype(np.int64)
     cell = index @ side ** np.arange(part.points.shape[2])
@@ -411,7 +415,7 @@ def _of_strata(part: _Part, n: int) -> Array:
 
 
 def _of_slabs(part: _Part, n: int, slabs: int) -> Array:
-    """Return the variance of a mean over a Latin hypercube, from slabs."""
+    """Return the variance of means over n points of a Latin hypercube, estimated from slabs."""
     whole = _of_nets(part, 1)
     mean = part.between(np.zeros(part.values.shape, np.int64), 1)
     for axis in range(part.points.shape[2]):

@@ -45,12 +45,13 @@ METHODS = ("auto", "exact", "measured")
 class AlignmentSettings:
     """Settings of scans over offsets of strata."""
 
-    # Maximum number of offsets in one scan, over all axes. A measured scan of 4096 offsets
-    # of 64 points with the default 1000 realizations takes 2.6e8 evaluations.
+    # Maximum number of offsets in one scan, counted over all axes.
+    # With 64 points and the default 1000 realizations, 4096 offsets take 2.6e8 evaluations.
     most_offsets: int = 4096
-    # Default number of offsets along each axis in 1, 2 and more dims:
-    # 16, 64 and 4^d offsets in all. For disks and steps in 1-D and 2-D, half or twice as many
-    # offsets give the same variance within 0.1 %, unless the edge can be aligned almost exactly.
+    # Default number of offsets along each axis in 1, 2 and more dims.
+    # A scan has 16 offsets in 1-D, 64 in 2-D and 4^d in d dims.
+    # Half or twice as many offsets give the same variance within 0.1 % for disks and steps
+    # in 1-D and 2-D, unless the edge can be aligned almost exactly.
     usual_offsets: tuple[int, int, int] = (16, 8, 4)
     # Rounding of an exact variance, as a fraction of I²/n.
     # An exact variance is a difference of means of g² and squared means, each rounded to 1.1e-16.
@@ -61,7 +62,7 @@ class AlignmentSettings:
     # Rates and their intervals agree to 9 digits for values from 1e-9 to 1e-3.
     exact_se: float = 1e-6
     # Number of times that the pattern search halves its step.
-    # The last step is 1/256 of the spacing of the scan. For disks in 1-D at n = 11,
+    # The last step is 1/256 of the spacing of the scan. For 11 points and disks in 1-D,
     # 16 halvings lower the variance by 0.02 %, and 4 halvings raise the variance by 0.3 %.
     halvings: int = 8
 
@@ -90,34 +91,34 @@ def strata_shift_scan(
     counts
         One number of points n, or several in ascending order. A rate needs at least two.
     dims
-        Number of dims of a function, or of a spec without dims.
-        The default is the number of dims of the sampler, if the sampler is not a spec.
+        Number of dims; needed if the estimator is a function or a spec without dims.
+        The default is the sampler's number of dims, unless the sampler is given as a spec.
     offsets
-        Fractions of the side n^(-1/d) of a stratum: ascending numbers in [0, 1),
-        the same along each axis; or the number of equally spaced offsets from 0.
+        Offsets along each axis, as fractions of the side n^(-1/d) of a stratum.
+        A list contains ascending numbers in [0, 1), and a number asks for equally spaced offsets.
         The default is 16 in 1-D, 8 in 2-D and 4 in more dims. A scan has at most 4096 offsets.
-        The side depends on n, so the position of an offset in the domain does too.
+        The side depends on n, and so does the position of an offset in the domain.
     method
-        ``"exact"`` (`mcspectra.exact_variance`);
-        ``"measured"``, with the same random numbers for all offsets;
-        or ``"auto"``, which is exact if an exact variance is known and f is not a user's function,
-        since exact variances take many calls. The attribute ``method`` names the choice.
+        ``"exact"`` computes exact variances (`mcspectra.exact_variance`);
+        ``"measured"`` measures variances with the same random numbers for all offsets.
+        ``"auto"`` computes exact variances if they are known and f is not a user's function,
+        because exact variances need many calls of f. The attribute ``method`` names the choice.
     realizations, rng, workers
         Options of measured variances; see `mcspectra.convergence`.
 
     Returns
     -------
     xarray.Dataset
-        ``variance`` and ``variance_ci`` on offset0, offset1, … and n,
-        ``rate`` and ``rate_ci`` on the offsets, and a dim channel if f has several channels.
+        A dataset with ``variance`` and ``variance_ci`` for each n, on the dims offset0, offset1, …;
+        ``rate`` and ``rate_ci`` for each offset; and a dim channel if f has several channels.
         Intervals of exact variances have width 0.
-        Intervals of rates of exact variances show how far the variances are from a line.
+        Intervals of the rates of exact variances show how well log variance follows a line.
 
     Raises
     ------
     CountError, ParameterError
-        If the sampler has no set of a count, if counts or offsets are not ascending,
-        or if there are too many offsets.
+        If the sampler cannot draw one of the counts, if there are too many offsets,
+        or if counts or offsets are not ascending.
     NoClosedForm
         If ``method="exact"`` and no exact variance is known.
 
@@ -200,11 +201,12 @@ def best_alignment(
         An estimator, a sampler without a shift, and the number of points.
         A shift would average over all offsets.
     dims
-        Number of dims of a function, or of a spec without dims.
-        The default is the number of dims of the sampler, if the sampler is not a spec.
+        Number of dims; needed if the estimator is a function or a spec without dims.
+        The default is the sampler's number of dims, unless the sampler is given as a spec.
     edges
-        Positions of known edges; see `aligned`. If edges are given, strata with borders
-        at the edges are also tested. This requires an estimator without a density, and n = s^d.
+        Positions of known edges; see `aligned`.
+        With edges, strata whose borders lie at the edges are tested as well.
+        This requires an estimator without a density, and n = s^d points.
     offsets, method
         Same as in `mcspectra.improve.strata_shift_scan`.
         A pattern search, which halves its step 8 times, refines the best offset of the scan.
@@ -214,22 +216,25 @@ def best_alignment(
     Returns
     -------
     xarray.Dataset
-        The dim candidate is ``"unshifted"``, ``"offset"`` and, with `edges`, ``"aligned"``.
-        Variables are ``strata_offset(candidate, axis)``, ``predicted_variance``,
-        ``measured_variance`` with ``measured_variance_ci``, ``variance_ratio`` to the first
-        candidate with ``variance_ratio_ci``, and ``improvement``: 1 if that interval is below 1,
-        −1 if the interval is above 1, else 0. The attribute ``best`` names the candidate
-        with the least predicted variance (measured variance, if a candidate has no prediction),
-        and ``improved`` is yes, no or undecided for it. Variances of several channels are added.
+        A dataset on the dim candidate, which is ``"unshifted"``, ``"offset"`` or ``"aligned"``.
+        The candidate ``"aligned"`` exists only if `edges` are given.
+        ``strata_offset(candidate, axis)`` is the offset of each candidate.
+        ``predicted_variance`` and ``measured_variance`` have sums over channels.
+        ``variance_ratio`` is the ratio of the measured variance to that of the first candidate.
+        ``improvement`` is 1 if its interval ``variance_ratio_ci`` is below 1,
+        −1 if the interval is above 1, and 0 otherwise.
+        The attribute ``best`` names the candidate with the least predicted variance,
+        or with the least measured variance if a candidate has no prediction.
+        The attribute ``improved`` is yes, no or undecided for the best candidate.
 
     Raises
     ------
     CountError, ParameterError, NoClosedForm
-        See `mcspectra.improve.strata_shift_scan` and `aligned`.
+        The same errors as in `mcspectra.improve.strata_shift_scan` and `aligned`.
 
     Notes
     -----
-    Intervals of ratios are for independent measurements.
+    Intervals of ratios assume independent measurements.
     The intervals hold at 95 % for all candidates together.
 
     Examples
@@ -251,8 +256,8 @@ def best_alignment(
     stream, threads = Stream.from_rng(rng), available_workers(workers)
     found = _Offsets.of(plain, source, [n], method, count, stream.child(0), threads)
 
-    # Find the offset with the least predicted variance:
-    # the best on a grid, then a pattern search from there
+    # Scan a grid for the offset with the least predicted variance.
+    # Refine the best offset by a pattern search
     values = {o: found.total(o, n) for o in itertools.product(places, repeat=source.dims)}
     offset = min(values, key=lambda o: values[o])
     value, step = values[offset], 0.5 / len(places)
@@ -287,7 +292,7 @@ def best_alignment(
     least = np.array([float(m.relative_se.max()) for m in moments])
     relative = np.divide(error, measured, out=least, where=measured > 0)
 
-    # Compute ratios of independent variances; a ratio is NaN if both variances are rounding noise
+    # Compute ratios of independent variances; if both variances are rounding noise, return NaN
     z = float(ndtri(1.0 - 0.025 / (len(candidates) - 1)))
     half = z * np.hypot(relative, relative[0])
     floor = float(rounding_floor(moments[0].mean).sum())
@@ -323,7 +328,7 @@ def best_alignment(
 def aligned(
     estimator: AbstractEstimator | Integrand | str, edges: Any, n: int, *, dims: int | None = None
 ) -> Estimator:
-    """Return an estimator without a density whose n = s^d strata have borders at edges.
+    """Return an estimator without a density, with n = s^d strata that have borders at edges.
 
     Parameters
     ----------
@@ -333,7 +338,7 @@ def aligned(
         Positions of the edges, as in the density ``aligned-strata``:
         one list in 1-D, else one list for each dim.
     n
-        Number of points with which the estimator will be used, s^d.
+        Number of points that the estimator will use; a power s^d of an integer s.
 
     Raises
     ------
@@ -392,7 +397,9 @@ class _Offsets:
         found = _Offsets(estimator, sampler, exact, realizations, stream, workers)
         try:
             if exact:
-                # With an offset of about half a side, edges at multiples of the side cut strata
+                # Raise an error if no closed form is known.
+                # Edges at multiples of the side cut strata if the offset is about half a side;
+                # such strata may have no closed form
                 for probe, n in itertools.product((0.0, 0.4375), counts):
                     found.at([probe] * estimator.dims, n)
         except NoClosedForm:
@@ -406,7 +413,7 @@ class _Offsets:
         return self.sampler.then(StrataShift(offset=tuple(offset)))
 
     def at(self, offset: Sequence[float], n: int) -> tuple[Array, Array, Array, Array]:
-        """Return variances (C,), relative errors, rounding floors, intervals (C, 2)."""
+        """Return variances (C,), relative errors, rounding levels, and intervals (C, 2)."""
         source = self.displaced(offset)
         if self.exact:
             size = np.abs(np.atleast_1d(self.estimator.integral))

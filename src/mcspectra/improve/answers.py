@@ -1,8 +1,9 @@
 """The answer to "what should I use?": candidates, results of candidates, and advice.
 
-A *candidate* is a changed estimator or sampler. Its *result* compares its error
-at a budget of evaluations with the given set-up. An *answer* contains the best candidate,
-or the given set-up if no candidate has an error that differs significantly from its error.
+A *candidate* is a changed estimator or sampler. Its *result* is a comparison with
+the given set-up: both errors at a budget of evaluations.
+An *answer* names the best candidate. It names the given set-up if no candidate is better
+and significantly different.
 `mcspectra.profile`, `mcspectra.remedies`, and studies of pixels and paths print an `Answer`.
 """
 
@@ -55,31 +56,31 @@ Verdict = Literal["given", "better", "worse", "undecided"]
 @final
 @dataclass(frozen=True)
 class Candidate:
-    """A changed estimator or sampler.
+    """A changed estimator or sampler that may lower the noise.
 
     Attributes
     ----------
     kind
-        One of `mcspectra.improve.candidates.KINDS`, or ``"given"``.
+        Kind of the change: one of `mcspectra.improve.candidates.KINDS`, or ``"given"``.
     name, change
-        A short label, unique among the compared candidates,
+        A short label that is unique among the compared candidates,
         and an imperative that describes the change.
     setup
         The estimator and the sampler after the change.
     biased
-        Whether the candidate estimates another integral;
-        the error is then relative to the given integral.
+        Whether the candidate estimates another integral.
+        In that case its error is measured about the integral of the given estimator.
     pilot
-        Number of evaluations beyond the budget that found the change.
-        A pilot within the budget is part of the set-up (`Setup.overhead`).
+        Number of evaluations, in addition to the budget, that the search for the change took.
+        A pilot within the budget is counted in the set-up instead (`Setup.overhead`).
     effort
-        Cost of an evaluation relative to the given set-up, for paths of different lengths.
+        Cost of an evaluation divided by its cost in the given set-up; paths can differ in length.
     ratio
         Expected variance divided by that of the given estimator at equal cost, NaN if unknown.
     finite_below
-        Upper limit of the exponent a for a finite variance, if g grows as t^−a at the border.
+        If g grows as t^−a at the border, largest exponent a with a finite variance.
     note
-        A sentence to append to the reason.
+        A sentence that is appended to the reason in the report.
     """
 
     kind: str
@@ -95,7 +96,7 @@ class Candidate:
 
     @property
     def key(self) -> str:
-        """Text that is equal for two changes with the same resulting set-up."""
+        """Text that is the same for two changes that lead to the same set-up."""
         specs = f"{self.setup.estimator.spec} with {self.setup.sampler.spec}"
         return specs if self.setup.at_count is None else f"{specs}, {self.name}"
 
@@ -103,7 +104,7 @@ class Candidate:
 @final
 @dataclass(frozen=True)
 class CandidateResult:
-    """The error of a candidate at a budget, and the ratio of variances to the given set-up.
+    """The error of a candidate at a budget, and its gain in variance over the given set-up.
 
     Attributes
     ----------
@@ -115,7 +116,7 @@ class CandidateResult:
         Number of points of an estimate at the budget.
     rmse, rmse_ci
         Root mean square error of an estimate, and its 95 % interval.
-        The interval includes the error of the rate beyond the measured counts.
+        The interval includes the error of extrapolation beyond the measured counts.
         All are NaN if the error cannot be determined.
     gain, gain_ci
         Ratio of the variances before and after the change, and the interval of this ratio.
@@ -123,12 +124,11 @@ class CandidateResult:
     rate, rate_ci
         Slope of log variance against log n.
     needed, needed_ci
-        Number of evaluations with which the given set-up has this RMSE,
-        and the interval of this number.
+        Number of evaluations that the given set-up needs for this RMSE, with its interval.
     verdict
-        The result of the comparison, as decided by the interval of the gain.
+        Whether the interval of the gain lies above 1 (better), below 1 (worse) or contains 1.
     setup
-        The estimator and the sampler; None in comparisons of draws and in stored results.
+        The estimator and the sampler; None for comparisons of draws and for stored results.
     """
 
     name: str
@@ -189,11 +189,11 @@ class Answer:
     results
         Results of all compared candidates, the given set-up first.
     tried, not_tried
-        Names of the tested candidates; names of untested candidates, with reasons.
+        Names of the tested candidates, and names of untested candidates with reasons.
     instead
-        A sentence that replaces the advice.
+        A sentence that is shown instead of the advice.
     why
-        Sentences after the advice.
+        Sentences that are shown after the advice.
     """
 
     budget: int
@@ -209,9 +209,9 @@ class Answer:
 
     @staticmethod
     def of(budget: int, results: Sequence[CandidateResult], **said: Any) -> Answer:
-        """Make the answer from results: first the given set-up, then others by preference.
+        """Make the answer from results: the given set-up first, then changes by preference.
 
-        `said` are further attributes of the answer.
+        `said` contains values for other fields of the answer.
         """
         given, *others = results
         better = [result for result in others if result.verdict == "better"]
@@ -261,7 +261,7 @@ class Answer:
 
     @property
     def advice(self) -> str:
-        """The first sentence."""
+        """The first sentence of the answer."""
         if self.instead:
             return self.instead
         best, given = self.best, self.given

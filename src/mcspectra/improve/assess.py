@@ -1,8 +1,9 @@
 """Assessment of candidates: errors at several costs with common random numbers, and verdicts.
 
-Candidates are compared with the given set-up realization by realization,
-by influence functions (docs/theory.md, "Intervals of variances, and stopping"). If all estimates
-are equal, either the estimator has no variance, or a rare event occurs in no estimate.
+Each realization of a candidate is compared with the same realization of the given set-up.
+The comparison uses influence functions (docs/theory.md, "Intervals of variances, and stopping").
+If all estimates are equal, either the estimator has no variance,
+or all estimates have missed a rare event.
 If equal estimates differ from the integral, the error is unknown (NaN), not 0.
 """
 
@@ -43,13 +44,13 @@ __all__ = [
 class AssessSettings:
     """Settings of the comparison of candidates."""
 
-    # Weight, in realizations, of the prior that estimates are normal, so that Var(ψ) = 2.
-    # The prior is used in fits of rates, not in comparisons. At 100 realizations
-    # the prior reduces the scatter of standard errors of normal estimates from 12 to 10 %;
-    # intervals contain the truth in 93 to 95 % of cases for any weight from 0 to 40.
+    # Weight of the prior that estimates are normal (Var(ψ) = 2), as a number of realizations.
+    # The prior is used in fits of rates, not in comparisons. With 100 normal realizations
+    # the prior reduces the scatter of standard errors from 12 to 10 %.
+    # For any weight from 0 to 40, intervals contain the truth in 93 to 95 % of cases.
     prior: int = 20
-    # Number of standard errors of the given set-up's mean. Equal estimates that are closer
-    # to this mean count as exact: a normal mean is beyond 4 standard errors with probability 6e-5.
+    # Equal estimates count as exact within this number of standard errors of the given mean.
+    # A normal mean is beyond 4 standard errors with probability 6e-5.
     sigmas: float = 4.0
 
 
@@ -64,11 +65,11 @@ class Errors:
     error: Array  # mean squared error v, summed over channels, (N,)
     mean: Array  # mean estimate, (N, C)
     bias: Array  # mean estimate minus the integral, (N, C), NaN if the integral is not known
-    influence: Array  # ψ, (N, R)
+    influence: Array  # influence functions ψ of the realizations, (N, R)
     noise: Array  # Value of v below which the estimates differ by rounding only, (N,)
     blind: Array  # Whether the estimates are all equal, but differ from the integral, (N,)
     # Number of evaluations before the first point.
-    # The rate excludes these evaluations, because their number does not grow
+    # The fit of the rate excludes these evaluations, because their number does not grow
     overhead: int = 0
 
     @staticmethod
@@ -81,7 +82,7 @@ class Errors:
         tolerance: float = 1e-9,
         overhead: int = 0,
     ) -> Errors:
-        """Compute errors of estimates (R, C) of the integral (C,), with one array for each cost.
+        """Compute errors of estimates (R, C) of the integral (C,); one array (R, C) for each cost.
 
         Errors are relative to the integral if `biased`, else to the mean of the estimates.
         `tolerance` is the relative tolerance of the integral.
@@ -98,7 +99,7 @@ class Errors:
         error = np.array([error for error, _ in parts])
         bias = np.stack([values.mean(axis=0) - integral for values in estimates])
         noise = np.array([rounding_floor(np.abs(v).mean(axis=0)).sum() for v in estimates])
-        miss = ~(np.abs(bias).max(axis=1) <= tolerance * np.abs(integral).max())  # or not known
+        miss = ~(np.abs(bias).max(axis=1) <= tolerance * np.abs(integral).max())  # or NaN
         alike = np.array(
             [
                 np.ptp(v, axis=0).max() <= 4 * math.sqrt(f)
@@ -119,7 +120,7 @@ class Errors:
     def checked(self, reference: Errors) -> Errors:
         """Set the variance to 0 where equal estimates agree with the mean of the reference.
 
-        Used for an unknown integral; the mean of the reference has a standard error.
+        The integral is unknown here, and the mean of the reference has a standard error.
         """
         if not np.isnan(self.bias).any() or reference.blind[-1]:
             return self
@@ -130,7 +131,7 @@ class Errors:
 
     @property
     def used(self) -> Array:
-        """Whether each error exceeds rounding noise, (N,)."""
+        """Whether each error is larger than rounding noise, (N,)."""
         return np.asarray(self.error > self.noise)
 
     @property
@@ -141,8 +142,8 @@ class Errors:
     def rate(self) -> tuple[float, Array]:
         """Fit the slope of log v against log cost without overhead; also return influences (R,).
 
-        The fit uses weighted least squares as in `mcspectra.core.fits`;
-        NaN for fewer than two errors.
+        The fit uses weighted least squares as in `mcspectra.core.fits`.
+        Fewer than two errors give NaN.
         """
         used = self.used
         if used.sum() < 2:
@@ -158,7 +159,7 @@ class Errors:
         return fit_rate(self.cost - self.overhead, self.error, self.relative_se, self.noise)
 
     def at(self, budget: float, *, carry: bool = True) -> tuple[float, Array]:
-        """Return log v at a cost of `budget` and influences (R,), extrapolated along the rate.
+        """Return log v extrapolated along the rate to a cost of `budget`, and influences (R,).
 
         After a pilot the last error is not extrapolated,
         because nets often have only half of the points that the budget allows.
@@ -179,12 +180,12 @@ class Errors:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Ratio of the variances of two set-ups at a budget, and difference of the rates."""
+    """Ratio of the variances of two set-ups at a budget, and difference of their rates."""
 
-    # log(v/v_reference) and its standard error
+    # Logarithm of v/v_reference, and its standard error
     log_ratio: float
     log_ratio_se: float
-    # Rate minus the rate of the reference, and the standard error; NaN if a rate is NaN
+    # Rate minus the rate of the reference, and its standard error; NaN if a rate is NaN
     rate_difference: float
     rate_difference_se: float
 
@@ -192,15 +193,15 @@ class Comparison:
 def compare(errors: Errors, reference: Errors, budget: float, pilot: int = 0) -> Comparison:
     """Compare two set-ups with the same number of realizations and the same random numbers.
 
-    The budget of the reference includes `pilot` evaluations that the other set-up took
-    beyond the budget.
+    `pilot` is the number of evaluations that the other set-up took beyond the budget.
+    The reference may use the same number of evaluations in addition to its budget.
     """
     carry = not errors.overhead and not reference.overhead
     own, own_influence = errors.at(budget, carry=carry)
     other, other_influence = reference.at(budget + pilot, carry=carry)
     rate, slope = errors.rate()
     other_rate, other_slope = reference.rate()
-    # Increase the error of the slope if the curves do not follow a line within their scatter
+    # Increase the error of the slope if the curves deviate from a line by more than their scatter
     points = ((e, int(e.used.sum()) - 2) for e in (errors, reference))
     bend = max(widening(free, e.fit().chi2) if free > 0 else 1.0 for e, free in points)
     return Comparison(
@@ -218,7 +219,7 @@ def estimates_of(
     realizations: int,
     stream: Stream,
 ) -> Array:
-    """Return the estimates of realizations 0 … realizations − 1, (R, channels or 1)."""
+    """Return the estimates of the first realizations, (R, channels or 1)."""
 
     def block(part: Block) -> Array:
         return estimator.estimate(estimator.draw(sampler, n, stream, *part)).reshape(part[1], -1)
@@ -228,7 +229,7 @@ def estimates_of(
 
 
 def _standard_error(influence: Array, prior: int = _SETTINGS.prior) -> float:
-    """Return the root mean square over √R, with a prior of normal estimates."""
+    """Return the root mean square divided by √R, with a prior of normal estimates."""
     count = len(influence)
     square = (np.square(influence).sum() + 2.0 * prior) / (count + prior)
     return math.sqrt(square / count)
@@ -237,7 +238,7 @@ def _standard_error(influence: Array, prior: int = _SETTINGS.prior) -> float:
 @final
 @dataclass(frozen=True)
 class MeasuredCandidate:
-    """A candidate with its errors, in texts and numbers, as stored in states of reductions.
+    """A candidate with its errors as texts and numbers; this form is stored in reductions.
 
     Attributes
     ----------
@@ -246,12 +247,12 @@ class MeasuredCandidate:
     specs
         The estimator and the sampler, as texts.
     n
-        Number of points at the largest number of evaluations.
+        Number of points of an estimate at the largest budget.
     errors
         Errors at several costs.
     infinite_weights, jumps
-        For changed warps: whether weights are infinite, and whether g jumps inside the cube;
-        None if not known.
+        For changes of the warp: whether weights are infinite, and whether g jumps inside the cube.
+        None if this is not known.
     """
 
     kind: str
@@ -292,7 +293,7 @@ class MeasuredCandidate:
 @final
 @dataclass(frozen=True)
 class Assessed:
-    """A candidate with its result, and the difference between its rate and the given rate.
+    """A candidate with its result, and the difference of its rate from the given rate.
 
     Attributes
     ----------
@@ -301,13 +302,13 @@ class Assessed:
     result
         The result of the candidate at the budget.
     error, error_ci
-        Variance or mean squared error at the budget, and the 95 % interval.
+        Variance or mean squared error at the budget, with its 95 % interval.
     ratio, ratio_ci
-        Ratio of the error to the error of the given set-up, and the interval of this ratio.
+        The error divided by the error of the given set-up, with its interval.
     rate_difference, rate_difference_ci
-        Rate minus the rate of the given set-up, and the interval of this difference.
+        The rate minus the rate of the given set-up, with its interval.
     rate_verdict
-        The verdict about the rate, as decided by the interval of the difference.
+        Whether the rate is better or worse, as decided by the interval of the difference.
     """
 
     measured: MeasuredCandidate
@@ -327,8 +328,8 @@ class Assessed:
 
 
 def assessed(measured: Sequence[MeasuredCandidate], budget: int) -> list[Assessed]:
-    """Compare all candidates with the first, the given set-up, by simultaneous 95 % intervals."""
-    # Each change has one comparison of errors and one of rates
+    """Compare all candidates with the given set-up, which is first; intervals are simultaneous."""
+    # Each change takes part in two comparisons: of errors and of rates
     z = simultaneous_z(2 * (len(measured) - 1))
     reference = measured[0].errors
     slope = reference.rate()[0]
@@ -392,6 +393,6 @@ def _around(center: float, half: float) -> tuple[float, float]:
 
 
 def _verdict(interval: tuple[float, float]) -> Verdict:
-    """Return the verdict of an interval of a logarithm or a difference; lower is better."""
+    """Return the verdict of an interval of a log ratio or a difference; lower values are better."""
     low, high = interval
     return "better" if high < 0 else "worse" if low > 0 else "undecided"

@@ -50,9 +50,9 @@ __all__ = [
     "candidates_of",
 ]
 
-# Stream label of pilots; searches for a width and for an offset have the labels 0 and 1
+# Random stream label of pilots; searches for widths and for offsets have the labels 0 and 1
 _PILOTS = 2
-# Kinds that change the estimator inside a mirrored estimator, which is mirrored again afterwards
+# Kinds of change that also apply to a mirrored estimator: its inner estimator is changed
 _INSIDE = frozenset(
     {"smoothed", "warp", "heuristic", "techniques", "compensated", "channels", *CHANGES}
 )
@@ -61,9 +61,9 @@ _INSIDE = frozenset(
 @final
 @dataclass(frozen=True)
 class CandidateSettings:
-    """Settings of the tried changes."""
+    """Settings of the changes that are tried."""
 
-    # Samplers of the kind ``sampler``: the usual sampler of each family in the package
+    # Samplers that the kind ``sampler`` tries: the usual sampler of each family in the package
     samplers: tuple[str, ...] = (
         "random",
         "jittered",
@@ -76,31 +76,33 @@ class CandidateSettings:
         "sobol | owen",
     )
     # Maximum number of dims in which strata are aligned with edges.
-    # A search for an offset computes 96 variances in 2-D, 112 in 3-D and 320 in 4-D.
+    # An offset search computes 96 variances in 2-D, 112 in 3-D and 320 in 4-D.
     # In 3-D, 64 points have four strata along each axis.
     most_aligned_dims: int = 2
-    # Maximum number of dims in which cubic stratification is tried. Order 4 needs
-    # at least 4^d cells, 256 in 4-D, where its rate n^(−1 − 8/d) gains little over nets.
+    # Maximum number of dims in which cubic stratification is tried.
+    # In 4-D, order 4 needs at least 4^4 = 256 cells.
+    # There its rate n^(−1 − 8/d) gains little over nets.
     most_cubic_dims: int = 3
-    # Maximum number of dims in which edges are smoothed by means over boxes. In more dims a mean
-    # takes more evaluations. Smoothing by the distance takes one evaluation for any number of dims.
+    # Maximum number of dims in which edges are smoothed by means over boxes.
+    # In more dims, means take too many evaluations; smoothing by the distance takes only one.
     most_boxed_dims: int = 2
-    # Divisor of the budget that gives the evaluations of a pilot. An eighth allows estimates
-    # at the two largest budgets of `mcspectra.remedies`, B/4 and B, so a rate can be fitted.
+    # A pilot takes the budget B divided by this number. With an eighth, evaluations remain for
+    # estimates at the two largest budgets of `mcspectra.remedies`, B/4 and B, which give a rate.
     pilot_divisor: int = 8
-    # Least number of points of a pilot. Each half of 32 points determines 8 coefficients
-    # with 4 evaluations for each, as required by `ChangeSettings.evaluations_per_term`.
+    # Least number of points of a pilot. Each half of the pilot has 32 points. They determine
+    # 8 coefficients with 4 evaluations each (`ChangeSettings.evaluations_per_term`).
     least_pilot: int = 64
     # Maximum number of points of a pilot.
-    # Regressions on 2048, 4096 and 8192 evaluations leave 1.08, 0.93 and 0.89 % of the variance
-    # of an Asian option in 16-D, and fitted densities differ by 3 % (`benchmarks improvements`).
+    # For an Asian option in 16-D, 1.08, 0.93 and 0.89 % of the variance remain after regressions
+    # on 2048, 4096 and 8192 evaluations.
+    # Fitted densities differ by 3 % (`benchmarks improvements`).
     most_pilot: int = 4096
     # Widths of smoothed edges that are scanned, in units of the domain: octaves from 2^-10 to 1/4.
     # A wider edge covers most of the domain; a narrower edge is a jump at the budgets in use.
     widths: tuple[float, ...] = tuple(2.0**-k for k in range(10, 1, -1))
     # Maximum number of realizations for each variance in scans for a width and an offset.
-    # The relative standard error √(2/300) = 8 % is small compared
-    # with the factor between neighboring widths.
+    # The relative standard error of √(2/300) = 8 % is small:
+    # neighboring widths differ by a factor of two.
     scan_realizations: int = 300
 
 
@@ -111,16 +113,16 @@ _SETTINGS = CandidateSettings()
 class Budget:
     """Evaluations, realizations and random numbers of a search for the best change."""
 
-    evaluations: int  # evaluations of the integrand in one estimate
+    evaluations: int  # number of evaluations of the integrand in one estimate
     realizations: int  # number of estimates of each measurement
     stream: Stream  # random numbers of the search, not reused afterwards
     settings: CandidateSettings = _SETTINGS
-    # Existing evaluations of g at uniform points; without these, fits take a pilot
+    # Existing evaluations of g at uniform points; without them, each fit takes a pilot
     seen: Evaluations | None = None
 
 
 _Candidates: TypeAlias = Iterator[Candidate | str]
-"""Candidates, and sentences why other changes are impossible or have no effect."""
+"""Candidates, and sentences that explain why other changes were not tried."""
 
 Kind: TypeAlias = Literal[
     "unshifted",
@@ -146,7 +148,7 @@ def candidates_of(given: Setup, kinds: Sequence[Kind], budget: Budget) -> _Candi
     """Yield each candidate of the given kinds once, and ``name: reason`` of other changes.
 
     If a kind raises an error, the error is the reason.
-    A change of the estimator inside a mirrored estimator is mirrored again.
+    A mirrored estimator is changed inside and mirrored again.
     """
     seen = {Candidate("given", "given", "", given).key}
     for kind in kinds:
@@ -163,7 +165,7 @@ def candidates_of(given: Setup, kinds: Sequence[Kind], budget: Budget) -> _Candi
                     if outer is not None:
                         setup = replace(setup, estimator=Mirrored(setup.estimator, outer.mode))
                         made = replace(found, setup=setup)
-                    # Raises an error if there are no such points
+                    # Raises an error if the sampler has no suitable points
                     setup.estimator.randomized(setup.sampler)
                 except McspectraError as error:
                     yield f"{made.name}: {error}"
@@ -184,7 +186,7 @@ def _candidate(
     *,
     biased: bool = False,
 ) -> Candidate | str:
-    """Return the candidate with the estimator, sampler or set-up from `make`, or the reason."""
+    """Return a candidate with the result of `make`, or the reason why there is none."""
     try:
         made = make()
     except McspectraError as error:
@@ -216,7 +218,7 @@ def _without_shift(sampler: Sampler) -> Sampler | None:
 
 
 def align_strata(given: Setup, budget: Budget) -> _Candidates:
-    """Yield strata with borders at known edges, and the best offset of strata at the budget."""
+    """Yield strata with borders at known edges, and strata with the best offset at the budget."""
     plain = _without_shift(given.sampler) or given.sampler
     law = plain.law(plain.nearest_count(2**plain.dims))
     stratified = isinstance(law, Strata | PairedAxes)
@@ -226,7 +228,7 @@ def align_strata(given: Setup, budget: Budget) -> _Candidates:
         )
 
     def at_edges() -> Setup:
-        """Put the borders at the known discontinuities of g along the axes."""
+        """Move the borders of strata to the known discontinuities of g along the axes."""
         edges = [list(axis) for axis in given.estimator.primary_integrand(0).breaks]
         jittered = isinstance(law, Strata) and law.jittered
         if len(given.estimator.counts) > 1 or not any(edges) or not jittered:
@@ -267,7 +269,7 @@ def align_strata(given: Setup, budget: Budget) -> _Candidates:
 
 
 def mirror(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
-    """Yield all ways of mirroring."""
+    """Yield the estimator with each way of mirroring."""
     if isinstance(given.estimator, Mirrored):
         raise ParameterError(f"{given.estimator.spec} is mirrored already.")
     changes = {
@@ -281,7 +283,7 @@ def mirror(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
 
 
 def change_sampler(given: Setup, budget: Budget) -> _Candidates:
-    """Yield samplers of all families, and samplers of the renderer of g."""
+    """Yield samplers of all families, and samplers of the renderer that computes g."""
     stock = getattr(getattr(given.estimator, "integrand", None), "stock_samplers", ())
     for spec in (*budget.settings.samplers, *stock):
         make = partial(make_sampler, spec, given.estimator.dims)
@@ -307,7 +309,7 @@ def change_heuristic(given: Setup, budget: Budget) -> _Candidates:
 
 
 def single_techniques(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
-    """Yield each technique alone."""
+    """Yield estimators with a single technique each."""
     estimator = given.estimator
     if not isinstance(estimator, Weighted) or len(estimator.counts) < 2:
         raise ParameterError(f"{estimator.spec} has one technique only.")
@@ -317,7 +319,7 @@ def single_techniques(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG
 
 
 def compensate(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
-    """Yield tables without the part that the other techniques sample ([Karlik2019]_)."""
+    """Yield tabulated densities without the part that other techniques sample ([Karlik2019]_)."""
     estimator = given.estimator
     if not isinstance(estimator, MultipleImportance) or len(estimator.densities) < 2:
         raise ParameterError(f"{estimator.spec} has no table alongside other techniques.")
@@ -349,14 +351,14 @@ def compensate(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
 
 
 def change_warp(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
-    """Yield the same density with other warps, other densities, and the uniform density."""
+    """Yield other warps of the same density, other densities, and the uniform density."""
     estimator = given.estimator
     density = estimator.density if isinstance(estimator, Estimator) else None
     if not isinstance(estimator, Estimator) or density is None:
         raise ParameterError(f"{estimator.spec} has no single density to replace.")
 
-    # List the same pdf with other warps, a pdf without jumps, and a pdf that is bounded from below
-    plain: Any = density  # Only some densities have the parameters that are read below
+    # List the same pdf with other warps, a pdf without jumps, and a pdf that is bounded below
+    plain: Any = density  # The parameters read below exist for some densities only
     others = [dataclasses.replace(plain, warp=w) for w in density.warps if w != plain.warp]
     if isinstance(density, EnvironmentDensity) and density.interpolation == "constant":
         others.append(dataclasses.replace(density, interpolation="bilinear", warp="marginal"))
@@ -374,7 +376,7 @@ def change_warp(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
 
 
 def smooth_edges(given: Setup, budget: Budget) -> _Candidates:
-    """Yield the width of smoothed edges with the least error at the budget, from a scan."""
+    """Scan widths of smoothed edges; yield the width with the least error at the budget."""
     estimator = given.estimator
     n = affordable_count(given, budget.evaluations)
     if not isinstance(estimator, Estimator) or n is None:
@@ -398,14 +400,14 @@ def smooth_edges(given: Setup, budget: Budget) -> _Candidates:
     )
     width = float(scan["best_width"].values[0])
     f = smoothed(estimator.integrand, width, method=method)
-    biased = not isinstance(f, BoxSmoothed)  # Means over boxes keep the integral
+    biased = not isinstance(f, BoxSmoothed)  # Means over boxes do not change the integral
     change = f"smooth the edges of f over a width of {width:.3g}"
     make = partial(Estimator, f, estimator.density)
     yield _candidate(given, "smoothed", f"smoothed by {width:.3g}", change, make, biased=biased)
 
 
 def separate_channels(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG001
-    """Yield densities for each channel."""
+    """Yield a density for each channel, and densities that combine channels."""
     estimator = given.estimator
     density: Any = estimator.density if isinstance(estimator, Estimator) else None
     parameters = set() if density is None else {f.name for f in dataclasses.fields(density)}
@@ -427,7 +429,7 @@ def separate_channels(given: Setup, budget: Budget) -> _Candidates:  # noqa: ARG
 
 
 def improve(kind: Kind, given: Setup, budget: Budget) -> _Candidates:
-    """Yield the changes of g that existing evaluations, or those of a pilot, suggest."""
+    """Yield the changes of g that existing evaluations or a pilot suggest."""
     seen, charged = budget.seen, 0
     if seen is None:
         settings, each = budget.settings, given.estimator.evaluations_per_point
@@ -444,7 +446,7 @@ def improve(kind: Kind, given: Setup, budget: Budget) -> _Candidates:
     if not found:
         raise ParameterError(f"{len(seen.points)} evaluations show no gain from it.")
     yield from found
-    # Combine with the best sampler for the remaining variance, if another sampler is in use
+    # Combine with the best sampler for the remaining variance, unless that sampler is in use
     nets = make_sampler(NETS, given.estimator.dims)
     if nets.spec != given.sampler.spec:
         for alone in found:
@@ -459,7 +461,7 @@ def improve(kind: Kind, given: Setup, budget: Budget) -> _Candidates:
 def stratify_cubes(given: Setup, budget: Budget) -> _Candidates:
     """Yield cubic stratification ([Chopin2024]_) of orders 3 and 4.
 
-    Orders 1 and 2 are samplers: ``jittered`` and ``antithetic-jittered``.
+    Orders 1 and 2 exist as samplers: ``jittered`` and ``antithetic-jittered``.
     """
     d, most = given.estimator.dims, budget.settings.most_cubic_dims
     if d > most:

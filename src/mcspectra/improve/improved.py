@@ -1,20 +1,23 @@
 """Changes of estimators by evaluations of g: densities, control variates, rotations, smoothing.
 
-All changes apply to the primary-space integrand g on the unit cube, so that they work
-for any estimator of one technique. The integral is the same for any evaluations of g:
+All changes apply to the primary-space integrand g on the unit cube,
+so they can be used with any estimator of one technique.
+The changes of these kinds keep the integral, whatever the evaluations of g are:
 
-* *fitted*: g(T(u))/q(T(u)), u uniform.
-  The density q consists of splines (`mcspectra.improve.learned`),
-  or is a normal density of z = Φ⁻¹(u), moved and stretched to the moments of |g|;
-* *order*: the same with an orthogonal matrix, for which q is 1. The directions of z along
-  which g varies most come first ([Liu2023]_), since the first coordinates of nets are the best;
-* *regression*: g minus polynomials of mean 0 that are fitted to it;
-* *preintegrated*: means along the first direction, over both sides of the point where g jumps
-  or leaves 0, and over a bracket of this point. The bracket depends on the other coordinates only,
-  so that the sum of means over the parts, each of one or two points, has the expectation of g.
+* *fitted*: g(T(u))/q(T(u)) with uniform u. The density q consists of splines (`learned`),
+  or it is a normal density of z = Φ⁻¹(u).
+  The normal density is moved and stretched to the moments of |g|;
+* *order*: the same with an orthogonal matrix and q = 1. The first directions of z are those
+  along which g varies most ([Liu2023]_), since the first coordinates of nets are the best;
+* *regression*: g minus fitted polynomials of mean 0;
+* *preintegrated*: means along the first direction, in which g jumps or leaves 0 at one point.
+  The means are taken on both sides of this point, and over a bracket that contains it.
+  Each of these three parts is sampled at one or two points.
+  The bracket depends on the other coordinates only,
+  so the sum over the parts has the expectation of g.
 
-`Cubic` needs no pilot: the estimator uses g minus polynomials through the values of g
-at the centers of cells.
+`Cubic` needs no pilot: it subtracts polynomials from g.
+These polynomials go through the values of g at the centers of cells.
 
 The expected gain of a change is computed from evaluations that were not used in its fit.
 """
@@ -56,34 +59,36 @@ __all__ = [
 class ChangeSettings:
     """Settings of changed estimators, and of the densities that are fitted to g."""
 
-    # Number of rounds of a pilot whose points follow g. In problems of `benchmarks improvements`,
-    # two rounds leave several times the variance of a narrow peak in 3-D,
-    # and eight rounds are no better.
+    # Number of rounds of a pilot whose points follow g. After two rounds, the variance of a narrow
+    # peak in 3-D is several times as large, and eight rounds are no better
+    # (`benchmarks improvements`).
     rounds: int = 4
-    # Candidates of `fit_splines` for joint densities and for products. Each has three numbers:
+    # Candidates of `fit_splines`: for joint densities, and for products. Each has three numbers:
     # cells of each axis; parts of a mixture, or 0 for a flow; weight of the smoothness.
-    # The first of all candidates also places the points of the rounds. Without the flow
-    # the variance of a ridge across two axes is 17 times as large. Without the finer product
-    # the density follows a narrow peak less well. Without the mixture the results were the same.
+    # The first joint candidate also places the points of the rounds.
+    # Without the flow, the variance of a ridge across two axes is 17 times as large.
+    # Without the finer product, the density follows a narrow peak less well.
+    # Without the mixture, results are the same.
     joint: tuple[tuple[int, int, float], ...] = ((16, 0, 1e-4), (12, 4, 1e-3))
     products: tuple[tuple[int, int, float], ...] = ((12, 1, 1e-3), (24, 1, 1e-4))
-    # Maximum number of dims in which joint densities are tried. A flow of d axes has about 36 d²
-    # weights with 16 cells: 800 weights in 5-D, a fifth of the evaluations of the largest pilot.
+    # Maximum number of dims in which joint densities are tried.
+    # With 16 cells, a flow of d axes has about 36 d² weights. In 5-D these are 800 weights,
+    # a fifth of the evaluations of the largest pilot.
     most_joint_dims: int = 5
-    # Share of the uniform density in a fitted density, which bounds g/q by 20 |g|. This share adds
-    # variance: with 0.025, 0.05 and 0.1, 0.6, 1.1 and 2.2 % of the variance of a ridge remain.
+    # Share of the uniform density in a fitted density. It limits g/q to 20 |g|, but adds variance:
+    # shares of 0.025, 0.05 and 0.1 leave 0.6, 1.1 and 2.2 % of the variance of a ridge.
     defensive: float = 0.05
     # Least variance of a fitted normal density along any direction.
-    # A density whose variance is less than 1, the variance of z,
-    # vanishes at the border of the cube, where g/q then grows without bound.
+    # Variances below 1, the variance of z, would make the density vanish at the border of the cube.
+    # There g/q would grow without bound.
     least_spread: float = 1.0
     # Settings of the fits of splines
     splines: LearnSettings = field(default_factory=LearnSettings)
-    # Largest expected share of the variance, before cost, at which a change is offered.
-    # The share is estimated from the pilot, with a relative standard error of √(2/64) = 18 %
-    # for the smallest pilot, so that changes with a larger share may be worse.
+    # Largest expected share of the variance at which a change is offered, without its cost.
+    # The pilot estimates this share. Changes with a larger share may be worse, because
+    # the smallest pilot has a relative standard error of √(2/64) = 18 %.
     most_left: float = 0.8
-    # Number of points that are evaluated at once: a table of 256 polynomials then takes 32 MB.
+    # Number of points that are evaluated at once. A table of 256 polynomials then takes 32 MB.
     # Results do not depend on this number.
     block: int = 2**14
 
@@ -93,19 +98,22 @@ class ChangeSettings:
 class RegressionSettings:
     """Settings of regressions of g on polynomials."""
 
-    # Least number of evaluations for each coefficient. A fit of p coefficients
-    # to k evaluations increases the remaining variance by the factor 1 + p/k, here at most 1.25.
+    # Least number of evaluations for each coefficient.
+    # With k evaluations, a fit of p coefficients multiplies the remaining variance by 1 + p/k.
+    # This factor is at most 1.25 here.
     # Results of four problems of `benchmarks improvements` are the same for 2 and 8.
     evaluations_per_term: int = 4
-    # Regularization that is added to the diagonal of the normal equations, relative to the mean
-    # squares of the basis, which are 1. Results are the same to three digits from 1e-12 to 1e-4.
+    # Regularization: a number that is added to the diagonal of the normal equations.
+    # It is relative to the mean squares of the basis, which are 1.
+    # Results are the same to three digits for values from 1e-12 to 1e-4.
     ridge: float = 1e-9
-    # Maximum number of terms of a basis, which bounds the cost of each evaluation
-    # of the control variate. Results are the same for 128 and 512.
+    # Maximum number of terms of a basis, which limits the cost of an evaluation.
+    # Results are the same for 128 and 512.
     most_terms: int = 256
-    # Candidate degrees of polynomials: the degree in each coordinate alone, and the total degree
-    # of products of two coordinates. Candidates range from a plane to products of degree 8.
-    # Evaluations that were not fitted choose one candidate.
+    # Candidate degrees of polynomials: the largest degree in one coordinate,
+    # and the largest total degree of products of two coordinates.
+    # Candidates range from linear functions to products of degree 8.
+    # One candidate is chosen by evaluations that were not used in the fit.
     degrees: tuple[tuple[int, int], ...] = (
         (1, 0),
         (2, 2),
@@ -116,12 +124,13 @@ class RegressionSettings:
         (6, 6),
         (8, 8),
     )
-    # Highest degree of Hermite polynomials. Most of the variance of higher degrees lies in tails
-    # that few evaluations reach: half of E z⁸ comes from |z| > 2.9, a region of probability 0.004.
+    # Highest degree of Hermite polynomials. Higher degrees have most of their variance in tails:
+    # half of E z⁸ comes from |z| > 2.9, a region of probability 0.004.
     most_normal_degree: int = 3
-    # Number of first directions of z that also have bases of their own, which may have more terms.
-    # With one direction, the remaining variance of a ridge is 1.6 times as large;
-    # with four directions, the remaining variance of an Asian option in 16-D is 1.1 times as large.
+    # Number of leading directions of z for which separate bases are tried,
+    # because a basis of few coordinates may have more terms.
+    # With one direction, the remaining variance of a ridge is 1.6 times as large.
+    # With four, the remaining variance of an Asian option in 16-D is 1.1 times as large.
     turned: int = 2
 
 
@@ -132,7 +141,7 @@ _REGRESSION = RegressionSettings()
 @final
 @dataclass(frozen=True)
 class Evaluations:
-    """Evaluations of g.
+    """Evaluations of g at points of the unit cube.
 
     Attributes
     ----------
@@ -157,22 +166,22 @@ class Evaluations:
 
     @cached_property
     def halves(self) -> tuple[Evaluations, Evaluations]:
-        """Two halves: every second evaluation, and all others, so neighbors are in both halves."""
+        """Two halves: evaluations with even and with odd numbers, so both contain neighbors."""
         odd = np.arange(len(self.points)) % 2 == 1
         return self.part(odd), self.part(~odd)
 
     @cached_property
     def normal(self) -> Array:
-        """Φ⁻¹ of the points."""
+        """Points transformed by Φ⁻¹, coordinate by coordinate."""
         return _quantiles(self.points)
 
     def turned(self, matrix: Array) -> Evaluations:
-        """Return the same values at points that a rotation maps to the present points."""
+        """Return the same values at other points, which the rotation maps to the present points."""
         return replace(self, points=_Normal(matrix.T).sample(self.points))
 
     @cached_property
     def directions(self) -> Array:
-        """Return orthonormal directions of z (columns), with the largest variation of g first."""
+        """Return orthonormal directions of z (columns); g varies most along the first one."""
         d = self.points.shape[1]
         basis = _Basis.of(d, True, 2, 2).cut(len(self.points))
         slopes = np.zeros((d, d))
@@ -204,8 +213,8 @@ class Evaluations:
     def variance(self, pdf: Array | None = None) -> float:
         """Return the variance of g/q at points of density q, by default the uniform density.
 
-        The variance is a mean of squares about a ratio of means,
-        so that nothing cancels if g/q is almost constant.
+        The variance is computed as a mean of squares about a ratio of means.
+        This avoids cancellation if g/q is almost constant.
         """
         q = np.ones(len(self.pdf)) if pdf is None else pdf
         weight, values = q / self.pdf, self.values / q[:, None]
@@ -259,7 +268,7 @@ class _Warped(_Changed):
     def finite_below(self) -> float:
         if not isinstance(self.density, _Normal):
             return 0.5
-        # q grows as t^−(1 − 1/s²) along the direction of the largest spread s of its normal density
+        # Along the largest spread s of its normal density, q grows as t^−(1 − 1/s²)
         return 1.0 - 0.5 / float(np.linalg.norm(self.density.matrix, 2) ** 2)
 
     def _at(self, u: Array) -> Array:
@@ -304,12 +313,12 @@ class _Basis:
     Attributes
     ----------
     normal
-        Whether polynomials are Hermite polynomials of z = Φ⁻¹(u);
-        otherwise they are Legendre polynomials of u, or of Φ of directions of z.
+        Whether polynomials are Hermite polynomials of z = Φ⁻¹(u).
+        Otherwise they are Legendre polynomials of u, or of Φ applied to directions of z.
     axes, degrees
         Two coordinates and two degrees for each term, (terms, 2).
     turn
-        Directions of z that replace the coordinates, one in each column: (d, ·).
+        Directions of z that replace the coordinates, one direction per column, (d, ·).
     """
 
     normal: bool
@@ -319,7 +328,7 @@ class _Basis:
 
     @staticmethod
     def of(dims: int, normal: bool, alone: int, together: int) -> _Basis:
-        """Return degrees up to `alone` of a coordinate, total degrees up to `together` of two."""
+        """Return degrees: up to `alone` for one coordinate, up to `together` for two in total."""
         terms = [(i, i, a, 0) for i in range(dims) for a in range(1, alone + 1)]
         terms += [
             (i, j, a, b)
@@ -332,14 +341,14 @@ class _Basis:
         return _Basis(normal, found[:, :2], found[:, 2:])
 
     def cut(self, count: int) -> _Basis:
-        """Return the basis if `count` evaluations are enough, else only its linear terms."""
+        """Return the basis, or only its linear terms if `count` evaluations are too few."""
         if len(self.axes) * _REGRESSION.evaluations_per_term <= count:
             return self
         linear = self.degrees.sum(axis=1) == 1
         return _Basis(self.normal, self.axes[linear], self.degrees[linear])
 
     def __call__(self, u: Array) -> Array:
-        """Return values at points (k, d): (k, terms)."""
+        """Return the values of all terms at points (k, d), as (k, terms)."""
         from scipy.special import ndtr
 
         if self.turn is not None:
@@ -396,11 +405,11 @@ class _Controlled(_Changed):
 class Cubic(_Changed):
     """Integrand g minus a polynomial in each of side^d cells ([Chopin2024]_).
 
-    The polynomial has degree r − 1 along each axis.
-
-    The polynomial goes through g at the centers of the r nearest cells along each axis,
-    and the mean of the polynomial over the cell is added again. If r is even, means over a point
-    and its image about the center of the cell contain even powers only, and r = 2 needs no centers.
+    The polynomial has degree r − 1 along each axis, and goes through g at cell centers:
+    along each axis, these are the centers of the r nearest cells.
+    The mean of the polynomial over the cell is added again, so the integral does not change.
+    If r is even, each point is averaged with its image about the center of the cell.
+    These means contain even powers only, so r = 2 needs no centers.
     Jittered points in the same cells have a variance ∝ n^(−1 − 2r/d) if g has r derivatives.
 
     Attributes
@@ -408,7 +417,7 @@ class Cubic(_Changed):
     order
         The order r.
     side
-        Number of cells along each axis; 0 before `in_cells`.
+        Number of cells along each axis; 0 until `in_cells` sets it.
     centers
         Values of g at the centers, (side^d, channels or 1).
     """
@@ -421,7 +430,7 @@ class Cubic(_Changed):
 
     @staticmethod
     def of(estimator: AbstractEstimator, order: int) -> Cubic:
-        """Return the change of the primary-space integrand of an estimator of one technique."""
+        """Return the change of the integrand of an estimator that has a single technique."""
         return Cubic(integrand=_single(estimator), order=order)
 
     @property
@@ -429,7 +438,7 @@ class Cubic(_Changed):
         return self.integrand.evaluations_per_point * (1 + (self.order % 2 == 0) + (self.order > 2))
 
     def in_cells(self, side: int) -> Cubic:
-        """Return the same with `side` cells along each axis; evaluate g at centers of cells."""
+        """Return a copy with `side` cells along each axis, with g evaluated at centers of cells."""
         if side < self.order:
             raise ParameterError(
                 f"{side} cells along an axis are too few for order {self.order}; give as many."
@@ -448,8 +457,8 @@ class Cubic(_Changed):
         if self.centers is None:
             return np.asarray(values)
 
-        # Evaluate Lagrange polynomials through nodes 0 … r − 1 along each axis, (…, r),
-        # at the points, and the means of these polynomials over cells
+        # At the points, evaluate Lagrange polynomials through nodes 0 … r − 1 of each axis: (…, r).
+        # Also compute the means of these polynomials over cells
         nodes = np.arange(self.order)
         first = np.clip(cell - (self.order - 1) // 2, 0, self.side - self.order)
 
@@ -460,7 +469,7 @@ class Cubic(_Changed):
         at, weights = np.polynomial.legendre.leggauss(self.order)
         means = lagrange((cell - first)[..., None] + 0.5 * at).swapaxes(-1, -2) @ (0.5 * weights)
 
-        # Multiply the polynomials over the axes, and subtract the products of means: (k, r^d)
+        # Multiply the polynomials of all axes, and subtract the products of their means: (k, r^d)
         stencil = np.indices((self.order,) * self.dims).reshape(self.dims, -1)
         axes = np.arange(self.dims)
         found = [lagrange(x * self.side - 0.5 - first) for x in places]
@@ -476,15 +485,15 @@ class Cubic(_Changed):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Preintegrated(_Changed):
-    """Integrand with means of g along an axis, over both sides of a jump or the edge of a zero.
+    """Integrand with means of g along an axis, on both sides of a jump or of an end of zeros.
 
     Attributes
     ----------
     axis
-        The axis.
+        The number of the axis.
     halvings
-        Number of halvings of the bracket of the point.
-        After 7 halvings, a fraction 2^-7 of the axis remains, which is sampled by one point.
+        Number of times that the bracket of the point is halved.
+        After 7 halvings the bracket is 2^-7 of the axis, and it is sampled by one point.
         The variance of this part is at most 2^-16 of the squared jump.
     """
 
@@ -503,7 +512,7 @@ class _Preintegrated(_Changed):
             x[:, self.axis] = np.clip(t, 0.0, BELOW_ONE)
             return self.integrand(x).reshape(len(u), -1)
 
-        # Keep the half where g leaves 0, else the half with the larger difference
+        # Keep the half in which g leaves 0, or else the half with the larger difference
         low = np.full(len(u), 2.0**-12)
         high = 1.0 - low
         at_low, at_high = g(low), g(high)
@@ -526,7 +535,7 @@ class _Preintegrated(_Changed):
 
 
 _Found: TypeAlias = Iterator[tuple[str, str, _Changed, float]]
-"""Names, changes, changed integrands, and the fractions of variance that remain."""
+"""Each change: its name, its description, the new integrand, and the variance that remains."""
 
 
 def _fitted(
@@ -534,7 +543,7 @@ def _fitted(
 ) -> _Found:
     """Fit the best density of each family.
 
-    If `roughly`, only the first candidate of splines is fitted.
+    If `roughly` is true, only the first candidate of splines is fitted.
     """
     joint = settings.joint if 1 < g.dims <= settings.most_joint_dims else ()
     splines = (*joint, *settings.products)[: 1 if roughly else None]
@@ -580,11 +589,11 @@ def _splines(seen: Evaluations, setting: tuple[int, int, float], settings: Chang
 
 
 def _normal(seen: Evaluations, stretch: str, least_spread: float) -> _Map:
-    """Fit the normal density with the mean, and the variances or covariance, of z under |g|."""
+    """Fit the normal density with the mean and the variances, or covariance, of z under |g|."""
     z, weights = seen.normal, seen.weights
     d, effective = z.shape[1], 1.0 / float((weights**2).sum())
     mean = weights @ z
-    # Shrink means and variances from few points toward the mean 0 and the variance 1 of z
+    # Shrink the means toward 0 and the variances toward 1, as for z, if points are few
     size = float(mean @ mean)
     mean = mean * max(0.0, 1.0 - d / (effective * size)) if size > 0.0 else mean
     covariance = np.eye(d)
@@ -599,7 +608,7 @@ def _normal(seen: Evaluations, stretch: str, least_spread: float) -> _Map:
 
 
 def _regression(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:  # noqa: ARG001
-    """Fit the basis after which the least variance remains."""
+    """Fit all bases, and return the one that leaves the least variance."""
     first, second = seen.halves
     d, own = seen.points.shape[1], _REGRESSION
     few = min(d, own.turned)
@@ -626,7 +635,7 @@ def _regression(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _F
 
 
 def _order(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:  # noqa: ARG001
-    """Sort directions by the variation of g."""
+    """Sort directions, with the largest variation of g first."""
     d = g.dims
     if d == 1:
         raise ParameterError("One dim has no order.")
@@ -643,12 +652,13 @@ def _order(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:
 
 
 def _preintegrated(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:  # noqa: ARG001
-    """Take means along the axis with the least remaining variance, or the first direction.
+    """Take means along the axis that leaves the least variance, or along the first direction.
 
-    The variance that remains is at least the part that a regression assigns to the other
-    coordinates alone, and at most all variance except the main effect of this coordinate.
+    The remaining variance has two bounds. The lower bound is the part
+    that a regression assigns to the other coordinates alone.
+    The upper bound is the variance without the main effect of this coordinate.
     The expected variance is the geometric mean of both bounds.
-    Squares of coefficients are products of the coefficients of two halves.
+    Squared coefficients are estimated by products of coefficients from two halves.
     """
     d = g.dims
     if d == 1:
@@ -689,7 +699,7 @@ CHANGES: dict[str, Callable[[Integrand, Evaluations, ChangeSettings], _Found]] =
     "order": _order,
     "preintegrated": _preintegrated,
 }
-"""Kinds of change, with the functions that make the changes."""
+"""Kinds of change, each with the function that makes its changes."""
 
 
 def improvements(
@@ -702,27 +712,27 @@ def improvements(
 ) -> Iterator[Candidate]:
     """Yield changed estimators with the same integral, without new evaluations of g.
 
-    Expected ratios of variances are for random points. For *order*, the expected ratio
-    is that of the variances without main effects, because nets remove main effects.
-    The ratios are computed from evaluations that were not used in the fit.
+    Expected ratios of variances hold for random points. For *order*, variances are compared
+    without their main effects, because nets remove main effects.
+    All ratios are computed from evaluations that were not used in the fit.
 
     Parameters
     ----------
     given
         A set-up with an estimator of one technique.
     seen
-        Evaluations of its `primary_integrand`; all kinds but ``fitted`` take uniform points.
+        Evaluations of the set-up's `primary_integrand`; only ``fitted`` accepts non-uniform points.
     kinds
-        Some of `CHANGES`.
+        Kinds of change, some of `CHANGES`.
     charged
-        Number of evaluations that count as the pilot of each change; 0 if they were needed anyway.
+        Number of evaluations charged to each change as its pilot; 0 if they were needed anyway.
     settings
         Settings of the changes.
 
     Raises
     ------
     ParameterError
-        If there are several techniques, or too few evaluations.
+        If the estimator has several techniques, or if evaluations are too few.
     """
     g = _single(given.estimator)
     if len(seen.points) < 2 * _REGRESSION.evaluations_per_term:
@@ -751,15 +761,15 @@ def evaluated(
     adapt: bool = False,
     settings: ChangeSettings = _SETTINGS,
 ) -> Evaluations:
-    """Evaluate g at random points: uniform points, or in rounds that follow fitted densities."""
+    """Evaluate g at uniform points, or at points that follow fitted densities in rounds."""
     g = _single(estimator)
     rounds = settings.rounds if adapt else 1
     sizes = [count // rounds] * (rounds - 1) + [count - (rounds - 1) * (count // rounds)]
 
     def follow(points: Array, values: Array, pdf: Array) -> _Map | None:
-        """Fit a density; return None until both halves have a nonzero value.
+        """Fit a density, or return None as long as half of the evaluations may be all zero.
 
-        None stands for uniform points.
+        None means that the next points are uniform.
         """
         seen = Evaluations(points, values, pdf)
         if not all(half.values.any() for half in seen.halves):
@@ -784,7 +794,7 @@ def _single(estimator: AbstractEstimator) -> Integrand:
 
 
 def _quantiles(u: Array) -> Array:
-    """Return finite values of Φ⁻¹."""
+    """Return Φ⁻¹ of the points, without infinite values."""
     from scipy.special import ndtri
 
     return np.asarray(ndtri(np.clip(u, np.finfo(float).tiny, BELOW_ONE)))

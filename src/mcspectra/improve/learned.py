@@ -1,19 +1,23 @@
 """Importance densities learned from evaluations of an integrand, for a given sampler.
 
-A density p of `mcspectra.densities.learned` is fitted to evaluations f(x_k) at points of density π.
-The fit minimizes
+A density p of `mcspectra.densities.learned` is fitted to values f(x_k) at points x_k
+that have the density π. The fit minimizes
 
     log Σ_k ρ_k p(x_k) − Σ_k w_k log p(x_k) + smoothness,   ρ_k = 1/π(x_k),   w_k ∝ ρ_k |f(x_k)|.
 
-This is the relative entropy of |f| and p, with both integrals estimated from the *same* points.
-If |f| belongs to the family, the minimum is |f| itself for any number of points,
-whereas the mean of log p alone has the noise of the points. Smoothness is a penalty
-on second differences of the logarithms of the splines' weights, as in P-splines [Eilers1996]_.
+The sum without smoothness is the relative entropy of |f| and p.
+Both of its integrals are estimated from the *same* points.
+If |f| belongs to the family, the minimum is |f| itself for any number of points.
+The mean of log p alone would have the noise of the points. The penalty for smoothness uses
+second differences of the logarithms of the splines' weights, as in P-splines [Eilers1996]_.
+
 A candidate is defined by numbers of cells and parts, and by the weight of the penalty.
-Candidates are compared by the variance of f/p with points of the sampler itself, on evaluations
-that were not used in the fit. ∫f²/p alone does not measure the roughness of f/p, which causes
-the variance that nets and strata do not remove. The best candidate is checked on fresh points:
-the result is the uniform density unless the variance is less than with uniform points.
+Candidates are compared by the variance of f/p with points of the sampler itself.
+Only evaluations that were not used in the fit are compared.
+The integral ∫f²/p alone does not measure the roughness of f/p.
+This roughness causes the variance that nets and strata do not remove.
+The best candidate is checked on fresh points. The result is the uniform density
+unless the best candidate has less variance than uniform points.
 """
 
 from __future__ import annotations
@@ -57,10 +61,10 @@ __all__ = ["LEARNED", "LearnSettings", "fit_splines", "in_rounds", "learned_dens
 class LearnSettings:
     """Settings of fits of splines, and of the choice between fitted densities."""
 
-    # Candidates of the two kinds. The numbers are: cells of each axis;
-    # parts of a mixture, or 0 for a flow; weight of the smoothness penalty. The first candidate
-    # also places the points of the first rounds. Candidates range from smooth to fine;
-    # evaluations that were not used in any fit choose one. Without any one of the candidates,
+    # Candidates of the two kinds, from smooth to fine. Each has three numbers: cells of each axis;
+    # parts of a mixture, or 0 for a flow; weight of the smoothness penalty.
+    # The first candidate also places the points of the first rounds.
+    # Evaluations that were not used in any fit choose one candidate. Without any one of them,
     # the variance of a peak in 2-D and of two bells in 3-D changes by −30 to +6 %.
     mixture: tuple[tuple[int, int, float], ...] = (
         (12, 4, 1e-3),
@@ -74,29 +78,30 @@ class LearnSettings:
         (8, 0, 1e-2),
         (16, 0, 1e-4),
     )
-    # Maximum number of dims of a learned density. In 24-D a flow takes 9 s to fit.
+    # Maximum number of dims of a learned density. The fit of a flow in 24-D takes 9 s.
     most_dims: int = 24
-    # Least allowed number of evaluations. Half of 256 is for the fit, a quarter is six sets
-    # of two points for each of five candidates, and a quarter checks the best of them.
+    # Least allowed number of evaluations. Of 256, one half is for the fit.
+    # A quarter is for the choice: six sets of two points for each of five candidates.
+    # Another quarter is for the check.
     least_evaluations: int = 256
-    # Least number of evaluations by default:
-    # `most_fitted` for the fit, and the same number for choice and check together.
+    # Least number of evaluations by default: `most_fitted` for the fit,
+    # and the same number for the choice and the check together.
     usual_evaluations: int = 3 * 2**13
     # Default number of evaluations for each of the n points, in addition to `most_fitted`.
-    # With 8 n for the choice, each of five candidates can have six sets of n/4 points;
-    # with 8 n for the check, the result and uniform points can have 16 sets of n/4 points each.
+    # The choice takes half of them: with 8 n, each of five candidates has six sets of n/4 points.
+    # The check takes the other half: the result and uniform points have 16 sets of n/4 points each.
     evaluations_per_point: int = 16
-    # Ratio of n to the smallest count of points at which candidates may be compared.
-    # At n/16 the ratios of variances of nets are already near the ratios at n;
-    # at smaller counts nets do not resolve the splines.
+    # Ratio of n to the smallest number of points at which candidates may be compared.
+    # At n/16, the ratios of variances of nets are already close to the ratios at n.
+    # With fewer points, nets do not resolve the splines.
     fewest_divisor: int = 16
-    # Maximum number of evaluations in a fit. With 2048 instead of 4096 evaluations in the fit,
-    # the variances of the same cases change by −21 to +12 %.
+    # Maximum number of evaluations in a fit. With 2048 instead of 4096,
+    # the variances of the peak in 2-D and the bells in 3-D change by −21 to +12 %.
     most_fitted: int = 2**13
-    # Number of points in a block of the sums of a fit. Products of blocks of 128 points
-    # are too small for the threads of BLAS, so that all machines compute the same bits.
+    # Number of points in a block of the sums of a fit. All machines compute the same bits,
+    # because BLAS does not use threads for products of blocks of 128 points.
     block: int = 128
-    # Number of bins of the marginal distributions of |f| that place the knots.
+    # Number of bins of the marginal distributions of |f|, by which the knots are placed.
     # Half or twice as many bins change the variances by 1 % at most.
     bins: int = 512
     # Number of rounds of Lloyd's method, which groups points to start the parts of a mixture.
@@ -105,43 +110,45 @@ class LearnSettings:
     # Maximum number of steps of L-BFGS in a fit.
     # Half or twice as many steps change the variances by 5 % at most.
     steps: int = 120
-    # Largest change of the logarithm of a weight in one step of L-BFGS: a factor e for the weight.
-    # With 0.5 or 2 the variances change by 1 %, and one variance falls by 18 %.
+    # Largest change of the logarithm of a weight in one step of L-BFGS.
+    # With 1, a weight changes by a factor of at most e.
+    # With 0.5 or 2 variances change by 1 %, and one falls by 18 %.
     longest: float = 1.0
-    # Decrease of the entropy below which L-BFGS ends.
-    # From 2e-10 to 2e-8 the variances are the same to three digits.
+    # L-BFGS ends if the entropy decreases by less than this number.
+    # For values from 2e-10 to 2e-8, the variances are the same to three digits.
     gain: float = 2e-9
-    # Maximum number of dims in which a flow is fitted with all `steps`;
-    # above this, in d dims, the number of steps is multiplied by 4/d.
-    # In many dims longer fits cost more, and the densities are no better.
+    # Maximum number of dims in which a flow is fitted with all `steps`.
+    # For d dims above this limit, the number of steps is multiplied by 4/d,
+    # because longer fits cost more and do not improve the densities.
     most_dims_of_all_steps: int = 4
-    # Least number of sets for the variance of each candidate.
-    # The logarithm of a ratio of two variances of 6 sets has a standard error of √(4/5) = 0.9.
+    # Least number of sets for the variance of each candidate. With 6 sets for each variance,
+    # the logarithm of a ratio of two variances has a standard error of √(4/5) = 0.9.
     least_replicates: int = 6
-    # Least number of fresh sets that check the result, for each of the two variances.
-    # With 16 sets, a measured ratio below 1/2.4 is below 1 with 95 % confidence.
+    # Least number of fresh sets for each of the two variances in the check of the result.
+    # If a ratio measured with 16 sets is below 1/2.4, the true ratio is below 1 at 95 %.
     least_checks: int = 16
-    # Least effective number (Σ|f|)²/Σf² of uniform points, in the fit and in the check. With 16,
-    # a peak that has a third of ∫|f| is missed by all of them with probability e^(−16/3) = 0.5 %.
+    # Least effective number (Σ|f|)²/Σf² of uniform points, in the fit and in the check.
+    # With 16, all points miss a peak with a third of ∫|f| with probability e^(−16/3) = 0.5 %.
     # With 4, one of three equal peaks was missed, and the variance was 2.3 times as large.
     least_effective: float = 16.0
     # Weight that is added to every spline at the start of a fit, so that logarithms are finite.
-    # From 1e-8 to 1e-4 the variances are the same within 0.3 %.
+    # For values from 1e-8 to 1e-4, the variances differ by 0.3 % at most.
     least_weight: float = 1e-6
-    # Largest ratio of the variance to that of uniform points at which a density is kept.
-    # A smaller gain is within the errors of six sets, and uniform points cannot fail.
+    # A density is kept only if its variance is at most this fraction of that of uniform points.
+    # Smaller gains are within the errors of six sets, and uniform points are always safe.
     most_ratio: float = 0.5
-    # Least number of evaluations for each weight of a flow. With fewer, weights follow the noise
-    # of the points; see `evaluations_per_term` of `mcspectra.improve.improved.RegressionSettings`.
-    # In 2-D and 3-D results are the same for 2 and 8.
+    # Least number of evaluations for each weight of a flow.
+    # With fewer evaluations, weights would follow the noise of the points, as in regressions
+    # (`evaluations_per_term` of `mcspectra.improve.improved.RegressionSettings`).
+    # In 2-D and 3-D, results are the same for 2 and 8.
     evaluations_per_gate: int = 4
 
 
 _SETTINGS = LearnSettings()
-_PARTS = 2**16  # stream label of the points that start the parts of a mixture
+_PARTS = 2**16  # random stream of the points that start the parts of a mixture
 
 LEARNED = {"mixture": _SETTINGS.mixture, "spline-flow": _SETTINGS.spline_flow}
-"""Kinds of learned densities, with their candidates."""
+"""Kinds of learned densities, each with its candidates."""
 
 
 def fit_splines(
@@ -159,11 +166,11 @@ def fit_splines(
     Parameters
     ----------
     points, values, pdf
-        Points (N, d); values (N, channels), which are not all 0; and density of the points, (N,).
+        Points (N, d); values (N, channels), not all 0; and the density of the points, (N,).
     setting
         Cells of each axis; parts of a mixture, or 0 for a flow; weight of the smoothness.
     defensive
-        δ, share of the uniform density.
+        Share δ of the uniform density.
     generator
         Random numbers, which choose initial points for the parts of a mixture.
     settings
@@ -179,7 +186,7 @@ def fit_splines(
     w = rho * np.abs(values / np.abs(values).max()).sum(axis=1)
     w, rho = w / w.sum(), rho / rho.sum()
 
-    # Place half of the knots by the mass of |f|, and the other half equally spaced
+    # Place half of the knots at equal masses of |f|, and the other half at equal distances
     bins = settings.bins
     at, knots = np.linspace(0.0, 1.0, bins + 1), np.empty((points.shape[1], cells + 1))
     for line, x in zip(knots, points.T, strict=True):
@@ -201,8 +208,8 @@ def fit_splines(
         settings=settings,
     )
 
-    # Group points with the mass of |f| by Lloyd's method;
-    # the parts of the mixture start from these groups
+    # Group points by Lloyd's method, with |f| as the mass.
+    # The groups give the initial parts of the mixture
     own = np.zeros(len(points), np.int64)
     if parts > 1:
         known = min(parts, int(np.count_nonzero(w)))
@@ -224,18 +231,18 @@ def fit_splines(
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Seen:
-    """The function that a fit minimizes, for points in blocks."""
+    """The function that a fit minimizes; points are processed in blocks."""
 
     basis: list[Array]  # values of the splines of each axis at the points, (blocks, M, size)
-    rho: Array  # ρ and w, (blocks, size), both of sum 1
+    rho: Array  # arrays ρ and w (blocks, size); each sum is 1
     weight: Array
-    uniform: Array  # logarithms of the weights of the uniform density, (d, M)
+    uniform: Array  # logarithms of the spline weights of the uniform density, (d, M)
     defensive: float
     smooth: float
     settings: LearnSettings = _SETTINGS
 
     def mixture(self, own: Array, count: int, steps: int) -> tuple[Array, Array]:
-        """Fit shares (K,) of parts and logarithms of tables (K, d, M), starting from groups."""
+        """Fit shares (K,) of parts and logarithms of tables (K, d, M); start from groups."""
         from scipy.special import log_softmax, softmax
 
         # Start from the means of the splines over the groups
@@ -251,7 +258,7 @@ class _Seen:
         def loss(given: Array) -> tuple[float, Array]:
             shares, logits = log_softmax(given[:count]), given[count:].reshape(tables.shape)
             c = softmax(logits, axis=-1)
-            inner = [  # Densities of the parts at the points
+            inner = [  # Density of each part at the points
                 np.maximum(np.moveaxis(c[:, i] @ b, 1, 0), 1e-300).copy()
                 for i, b in enumerate(self.basis)
             ]
@@ -273,15 +280,15 @@ class _Seen:
         return softmax(best[:count]), log_softmax(best[count:].reshape(tables.shape), axis=-1)
 
     def flow(self, features: Array, start: Array) -> Array:
-        """Fit gates (d, M, 1 + d·DEGREE), starting from logarithms of a product's tables (d, M)."""
+        """Return a mask of the gates, if axes depend on the given axes (d, d), and the loss."""
         shape, before = (*start.shape, features.shape[1]), np.tri(len(start), k=-1, dtype=bool)
 
         def loss_of(followed: Array) -> tuple[Array, Callable[[Array], tuple[float, Array]]]:
-            """Return a mask of the gates if each axis depends on some axes (d, d), and the loss."""
+            """Return which gates are used if axes depend on given axes (d, d), and the loss."""
             columns = np.insert(np.repeat(followed, DEGREE, axis=1), 0, True, axis=1)
             used = np.broadcast_to(columns[:, None], shape)
             seen = [features[:, c] for c in columns]
-            # An axis that depends on no other axis has the same weights at all points
+            # An axis that does not depend on other axes has the same weights at all points
             shown = [f if f.shape[1] > 1 else f[:1, :, :1] for f in seen]
 
             def loss(given: Array) -> tuple[float, Array]:
@@ -311,8 +318,8 @@ class _Seen:
 
             return used, loss
 
-        # Make each axis depend on the axes whose gates change the product most,
-        # as many as the points can determine
+        # Let each axis depend on the axes whose gates change the product most.
+        # The number of such axes is limited by the number of points
         each = self.settings.evaluations_per_gate
         gates, most = np.zeros(shape), self.rho.size // (each * shape[1] * DEGREE)
         gates[:, :, 0] = start
@@ -332,7 +339,7 @@ class _Seen:
     ) -> Array:
         """Minimize by the package's L-BFGS.
 
-        SciPy's L-BFGS uses threads of BLAS at each step, which takes 15 times as long as the rest.
+        SciPy's L-BFGS uses threads of BLAS in each step and takes 15 times as long as the rest.
         """
         longest, gain = self.settings.longest, self.settings.gain
         return minimize(loss, start, iterations=steps, longest=longest, gain=gain)
@@ -371,53 +378,55 @@ def learned_density(
     Parameters
     ----------
     f
-        An integrand (of one or more channels), a spec, or a function of points (k,
-        d) to values (k,).
+        An integrand with one or more channels, a spec,
+        or a function that maps points (k, d) to values (k,).
     kind
-        ``"mixture"`` (a mixture of products of splines) or ``"spline-flow"`` (splines
-        of each coordinate whose weights depend on the coordinates before it).
+        ``"mixture"`` is a mixture of products of splines. In a ``"spline-flow"``, the weights
+        of the splines of each coordinate depend on the coordinates before it.
     sampler, n
         The sampler and the number of points that will be used. The sampler must be random.
     dims
-        Number of dims, up to 24; needed if neither f nor the sampler has a number of dims.
+        Number of dims, up to 24. It is needed if neither f nor the sampler has a number of dims.
     evaluations
-        Maximum number of evaluations of f, at least 256. Half of the evaluations,
-        at most 8192, are for the fit. Of the others, one half chooses between candidates,
-        and the other half checks the result. The default is 16 n + 8192, and at least 24576.
+        Maximum number of evaluations of f, at least 256.
+        Half of them are for the fit, but at most 8192. The others are divided into two halves:
+        one half chooses between candidates, and the other half checks the result.
+        The default is 16 n + 8192, and at least 24576.
     defensive
-        Least value δ of the density, above 0 and below 1: |f|/p is at most |f|/δ.
+        Lower bound δ of the density, between 0 and 1. Then |f|/p is at most |f|/δ.
     rng
         Seed. The same seed gives the same density.
     path
-        File for the density, .json. The default is a file in the cache folder.
+        File for the density, with the suffix .json. The default is a file in the cache folder.
 
     Returns
     -------
     Density
-        A continuous density with an exact inverse and a continuous warp. Its `spec` reads
-        it from its file. It is ``uniform``, with a `NoGainWarning`, if no candidate halves
-        the variance of uniform points, or if the check does not confirm the gain.
+        A continuous density with an exact inverse and a continuous warp.
+        Its `spec` names the file. If no candidate halves the variance of uniform points,
+        or if the check does not confirm the gain, it is ``uniform``, with a `NoGainWarning`.
 
     Raises
     ------
     ParameterError
         If the kind is unknown, a value is out of range, or the sampler is not random;
         if f is NaN or infinite at a point, or 0 at all points;
-        or if evaluations are too few to compare candidates near n.
+        or if there are too few evaluations to compare candidates near n.
     CountError
         If the sampler has no sets of n points.
     FileFormatError
-        If the density cannot be written.
+        If the file of the density cannot be written.
 
     Notes
     -----
-    Candidates (`mcspectra.improve.learned.LEARNED`), from smooth to fine, are compared
-    by the variance of f/p with at least six realizations of the sampler. The count is n,
-    or the largest count that the evaluations allow: at least n/16, by default usually n/4. The best
-    candidate is checked on fresh points: at least 16 realizations must show with 95 % confidence
-    that its variance is smaller than that of uniform points, and ∫f²/p must be smaller than ∫f².
-    The effective number of uniform points (Σ|f|)²/Σf² must be at least 16, since peaks may
-    be missed otherwise. `mcspectra.improve.learned` describes the method of fitting.
+    Candidates (`mcspectra.improve.learned.LEARNED`) range from smooth to fine. The variance
+    of f/p is compared for at least six realizations of the sampler. Each has n points,
+    or as many as the evaluations allow: at least n/16, by default usually n/4.
+    The best candidate is checked on fresh points. At least 16 realizations must show,
+    with 95 % confidence, that it has less variance than uniform points.
+    In addition, ∫f²/p must be smaller than ∫f². The effective number of uniform points,
+    (Σ|f|)²/Σf², must be at least 16, because peaks may be missed otherwise.
+    `mcspectra.improve.learned` describes the method of fitting.
 
     Examples
     --------
@@ -462,7 +471,7 @@ def learned_density(
     stream = Stream.from_rng(rng)
 
     def values_at(x: Array) -> Array:
-        """Return f at points (k, d): (k, channels or 1)."""
+        """Return f at points (k, d), as an array (k, channels or 1)."""
         return integrand(x).reshape(len(x), -1)
 
     # Divide the evaluations between the fit, the choice and the check
@@ -483,7 +492,7 @@ def learned_density(
             )
         counts.append(count)
 
-    # Fit the candidates to points of densities that approximate f better and better
+    # Fit the candidates to points whose density approximates f better in each round
     made = list[Density]()
     first = LEARNED[kind][0]
 
@@ -506,19 +515,19 @@ def learned_density(
         made.append(fit_splines(*seen, setting, defensive, places, settings=settings))
 
     def ratios_at(p: Density, count: int, replicates: int, label: int) -> tuple[Array, Array]:
-        """Return points (replicates, count, d) with density p, and values of f/p there."""
+        """Return points (replicates, count, d) with density p, and the values of f/p."""
         u = source.draw_stream(count, stream.child(label), 0, replicates).reshape(-1, d)
         x, pdf = p.sample_pdf(u)
         ratio = values_at(x) / pdf[:, None]
         return x, ratio.reshape(replicates, count, -1)
 
     def variances_of(ratios: Sequence[Array]) -> Array:
-        """Return the variance over realizations for each density; units of f cancel in ratios."""
+        """Return the variance over realizations for each density, in an arbitrary unit."""
         means = np.array([ratio.mean(axis=1) for ratio in ratios])
-        scale = np.abs(means).max() or 1.0  # Squares of 1e200 would overflow
+        scale = np.abs(means).max() or 1.0  # Prevents overflow of squares
         return np.asarray((means / scale).var(axis=1, ddof=1).sum(axis=-1))
 
-    # Choose a candidate by the next evaluations
+    # Choose a candidate by the evaluations that follow those of the fit
     uniform, count = Uniform(dims=d), counts[0]
     replicates = (evaluations - half - checked) // (count * candidates)
     left = [uniform, *made]
@@ -529,9 +538,9 @@ def learned_density(
         f"no candidate has less than {settings.most_ratio:g} of the variance of uniform points"
     )
 
-    # Check the choice on fresh points: the variances of sets, and the mean squares of single
-    # points. If the fit has missed a peak, the sets of p may miss it too, but then ∫f²/p is large.
-    # If f is nonzero at few uniform points, all points may miss other peaks
+    # Check the choice on fresh points: compare variances of sets, and mean squares of points.
+    # If the fit has missed a peak, the sets of p may miss it as well, but ∫f²/p is large.
+    # If only few uniform points have nonzero f, all points may miss other peaks
     if best is not uniform:
         from scipy.special import fdtri
 
@@ -578,7 +587,7 @@ def learned_density(
             tables=np.full((1, d, 3), 1.0 / 3.0),
         )
 
-    # Keep the density in a file named by a hash of its content
+    # Store the density in a file that is named by a hash of its content
     text = json.dumps(best.to_dict()) + "\n"
     name = hashlib.sha256(text.encode()).hexdigest()[:32]
     target = cached / f"{name}.json" if chosen is None else chosen
@@ -594,11 +603,11 @@ def in_rounds(
     follow: Callable[[Array, Array, Array], Any],
     stream: Stream,
 ) -> tuple[Array, Array, Array]:
-    """Return points (N, d) that follow a function better and better, with values and densities.
+    """Return points (N, d) that follow a function better in each round, with values and densities.
 
-    Before each round but the first, `follow` fits the density of the next points
-    to all evaluations: an object with `sample` and `pdf`, or None for uniform points.
-    All points are one sample of the mixture of all densities.
+    Before each round except the first, `follow` fits a density to all evaluations.
+    It returns an object with `sample` and `pdf`, or None for uniform points.
+    All points together are one sample of the mixture of all densities.
     """
     points, values = np.empty((0, dims)), np.empty((0, 1))
     pdf = np.empty(0)
@@ -616,11 +625,11 @@ def in_rounds(
 
 
 def _padded(given: Array, by: float, block: int) -> Array:
-    """Append entries to fill whole blocks."""
+    """Append the entries that fill the last block."""
     more = [(0, -len(given) % block)] + [(0, 0)] * (given.ndim - 1)
     return np.pad(given, more, constant_values=by)
 
 
 def _columns(given: Array, block: int) -> Array:
-    """Return functions at points (N, M), in blocks: (blocks, M, size)."""
+    """Return the values of functions at points (N, M), in blocks: (blocks, M, size)."""
     return np.ascontiguousarray(given.reshape(-1, block, given.shape[1]).swapaxes(1, 2))

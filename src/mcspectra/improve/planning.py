@@ -1,12 +1,14 @@
 """Planning: the least number of points that reaches an error.
 
-The variance of known integrands is predicted at powers of two,
-and between two powers at counts from bisection. Functions of users are measured.
-Scrambled nets give the variance of several samplers at once (`mcspectra.explain.samples`);
-other samplers draw their own sets. A measurement has stages, each with twice the evaluations
-of the one before, and no evaluation is repeated. The measurement ends at the first stage
-that determines n within a factor. A smaller error never takes fewer points: every search depends
-on the error through comparisons only, and no stage plans less than an earlier one excluded.
+For known integrands, the variance is predicted at powers of two.
+Between two powers, it is predicted at counts from bisection.
+For a user's function the variance is measured.
+Scrambled nets give the variance of several samplers at once (`mcspectra.explain.samples`).
+Other samplers draw their own sets.
+A measurement has stages. Each stage doubles the evaluations, and none is repeated.
+The measurement ends at the first stage whose interval of n is narrow enough.
+A smaller error never takes fewer points: every search uses the error in comparisons only,
+and no stage returns an n that an earlier stage excluded.
 """
 
 from __future__ import annotations
@@ -50,21 +52,22 @@ _TINY = float(np.finfo(float).tiny)
 class PlanSettings:
     """Settings of the search for the least count by predictions."""
 
-    # Largest power of two at which variances are predicted. Beyond it the curve is extrapolated
-    # with its rate. This is also the largest count at which `predict` seeks the limit of rates.
+    # Largest power of two at which variances are predicted.
+    # For larger n the curve is extrapolated by its rate.
+    # `predict` also searches for the asymptotic rate up to this count.
     octaves: int = 16
-    # Factor by which the predicted curve extends below the target variance,
-    # so that upper ends of intervals also reach the target.
+    # The predicted curve extends below the target variance by this factor,
+    # so that the upper ends of intervals also reach the target.
     margin: float = 4.0
-    # Largest planned number of points; larger numbers do not fit a 64-bit integer.
+    # Largest planned number of points. Larger numbers do not fit into a 64-bit integer.
     most: int = 2**62
-    # Inverse of the relative step of the search for n between powers of two. Up to 256,
-    # n is the least count. Beyond 256, n is too large by at most 0.4 %, after eight predictions.
+    # Resolution of the search for n: the next power of two is divided by this number.
+    # Up to n = 256 the least count is found; above, eight predictions find n within 0.4 %.
     steps: int = 256
-    # Ratio of the ends of an interval of n above which the answer contains the interval.
+    # The answer contains the interval of n if the ratio of its ends is larger than this.
     wide: float = 1.25
-    # Number of consecutive counts that are tested for estimators of several techniques,
-    # because the sampler must be able to draw the sets of all techniques.
+    # Number of consecutive counts that are tried for an estimator of several techniques.
+    # At such a count, the sampler must have sets for all techniques.
     tries: int = 256
 
 
@@ -73,28 +76,28 @@ class PlanSettings:
 class MeasuredPlanSettings:
     """Settings of plans that evaluate a function."""
 
-    # Largest number of evaluations under any limit: the points of a stage take 128 MB in 1-D.
+    # Limit on evaluations, whatever the user allows: the points of a stage take 128 MB in 1-D.
     most: int = 2**24
-    # Number of evaluations of the first stage: the default of `profile`.
+    # Number of evaluations of the first stage, equal to the default of `profile`.
     first: int = 2**12
-    # Number of sets of the first stage:
-    # a variance from 32 sets has a relative standard error of a quarter.
+    # Number of sets of the first stage.
+    # A variance from 32 sets has a relative standard error of 25 %.
     nets: int = 32
-    # Interval of stages at which the number of sets is doubled, instead of the number of points.
-    # 2^18 evaluations then have 128 sets, whose variance has a standard error of 12 %.
-    # With 2, sets have half as many points, and rates of jumps become uncertain.
+    # After this many stages the number of sets is doubled; in other stages the number of points is.
+    # With 3, 2^18 evaluations consist of 128 sets, and the variance has a standard error of 12 %.
+    # With 2, sets have half as many points, and rates of functions with jumps become uncertain.
     doubling: int = 3
-    # Least number of points in each set of the first stage:
-    # smaller counts within a set then give a rate.
+    # Least number of points in each set of the first stage.
+    # A rate can then be computed from smaller counts within a set.
     least: int = 8
-    # Least number of sets for a variance, as in `profile`: used for samplers with few stored sets.
+    # Least number of sets for a variance, same as in `profile`; for samplers with few stored sets.
     least_sets: int = 3
-    # Ratio of the ends of an interval of n below which no further stage follows.
+    # The measurement stops if the ratio of the ends of the interval of n is below this value.
     narrow: float = 1.5
-    # Number of sets of n points whose evaluations are enough for any n:
-    # 256 sets give the variance to √(2/256) = 9 %.
+    # Number of sets of n points that is enough for any n:
+    # a variance from 256 sets has a relative standard error of √(2/256) = 9 %.
     enough: int = 256
-    # Number of counts per octave at which a piecewise linear curve is compared with the error.
+    # Number of counts per octave of the piecewise linear curve that is compared with the error.
     parts: int = 16
 
 
@@ -106,9 +109,9 @@ _OF_NETS = {NETS, "random", "jittered"}
 @final
 @dataclass(frozen=True)
 class _Found:
-    """Answer for one sampler: n, the ends of the interval of n, and the variance at n, (channels,).
+    """Answer for one sampler: n with its interval, and the variance at n for each channel.
 
-    `curve` contains the variance and the ends of its interval at `_CURVE`, (N, channels, 3).
+    `curve` contains the variance and its interval at the counts `_CURVE`, (N, channels, 3).
     """
 
     n: float
@@ -120,7 +123,7 @@ class _Found:
 
     @staticmethod
     def none(channels: int, note: str) -> _Found:
-        """Return an answer without n, and with the reason why n is unknown."""
+        """Return an answer without n, together with the reason."""
         nan = math.nan
         curve = np.full((len(_CURVE), channels, 3), nan)
         return _Found(nan, (nan, nan), np.full(channels, nan), ("none", note), curve, (note,))
@@ -184,7 +187,7 @@ class Plan(Counted, frozen=True, kw_only=True):
         return estimator.integral
 
     def _parts(self, subject: Subject) -> list[str]:
-        """Return the samplers that are drawn for a measurement, and share its evaluations."""
+        """Return the samplers that are drawn for a measurement; they share its evaluations."""
         estimator = subject.estimator
         apart = [s.spec for s in subject.samplers if not _of_nets(estimator, s)]
         nets = len(apart) < len(subject.samplers)
@@ -322,7 +325,7 @@ def _by_prediction(predictor: Predictor, sampler: Sampler, target: Array) -> _Fo
     def at(n: int) -> Array:
         """Return the cached predicted variance at a count."""
         cells = predictor.at(sampler, n)
-        if cells.notes[0] == VANISHES:  # The variance is at rounding level, which counts as 0
+        if cells.notes[0] == VANISHES:  # Rounding noise counts as 0
             cells = replace(cells, variance=np.nan_to_num(cells.variance))
         counts.append(n)
         found.append(cells)
@@ -352,7 +355,7 @@ def _least(
     target: Array,
     at: Callable[[int], Array],
 ) -> tuple[float, Array, tuple[str, str]]:
-    """Return the least count that reaches the target, its variance, method and details."""
+    """Return the least count that reaches the target, with its variance, method and details."""
     variances = [each.variance[0] for each in found]
     known = [k for k, v in enumerate(variances) if np.isfinite(v).all()]
     unknown = np.full(len(target), math.nan)
@@ -360,7 +363,7 @@ def _least(
         return math.nan, unknown, found[-1].named() if found else ("none", "")
     first = next((k for k in known if (variances[k] <= target).all()), None)
     if first is None:
-        # Extrapolate with the slope of the last predictions, and round up to an allowed count
+        # Extrapolate by the slope of the last predictions, and round up to an allowed count
         last, earlier = known[-1], known[max(0, len(known) - 4)]
         ends, ratio = variances[last], counts[last] / counts[earlier]
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -378,9 +381,10 @@ def _least(
     before = [k for k in known if k < first]
 
     # Bisect the octaves between the last count that misses the target and the first count
-    # that reaches it. Curves are not monotone. The searches for two targets take
-    # the same path while both targets are met or both are missed; then the search
-    # for the smaller target continues upward. Nets are balanced only at powers of their base
+    # that reaches it, because the curve need not be monotone.
+    # Searches for two targets take the same steps while both are reached or both are missed.
+    # After that, only the search for the smaller target continues toward larger n.
+    # Nets are balanced only at powers of their base
     if not before or _base(estimator.law(sampler, counts[first])):
         return best
     low, high = counts[before[-1]], counts[first]
@@ -409,10 +413,10 @@ def _ends(
     found: list[Cells],
     target: Array,
 ) -> tuple[float, float]:
-    """Return the least counts at which the ends of predicted intervals reach the target.
+    """Return the least counts at which the two ends of the predicted interval reach the target.
 
-    Beyond the last count the ends are extrapolated by the last slopes.
-    A count is infinite if its end never reaches the target.
+    Beyond the last count, the ends are extrapolated by their last slopes.
+    If an end never reaches the target, its count is infinite.
     """
     order = [k for k in np.argsort(counts) if np.isfinite(found[k].variance[0]).all()]
     if not np.isfinite(n) or not order:
@@ -439,22 +443,22 @@ def _ends(
 @final
 @dataclass(frozen=True)
 class _Stage:
-    """Curves of variance by sampler and channel, and the values from which they are computed.
+    """Curves of variance for each sampler and channel, and the data from which they come.
 
     Attributes
     ----------
     curves
-        A list of curves, one for each channel, by the spec of the sampler.
+        A list of curves for each spec of a sampler, with one curve for each channel.
     means
-        Estimates of the largest sets, (R, channels).
+        Estimates from the largest sets, (R, channels).
     points, values
-        Points (N, d) of a single technique, None for several, and the values (N,
-        channels) of the technique with the largest variance.
+        Points (N, d) of a single technique, or None if there are several techniques;
+        and values (N, channels) of the technique with the largest variance.
     largest
-        Number of evaluations of the largest sets divided by evaluations of a point:
-        R times the count.
+        Number of evaluations of the largest sets, divided by the evaluations of a point;
+        this is R times the number of points of a set.
     evaluations
-        Number of evaluations of all stages up to this one.
+        Number of evaluations of this stage and all earlier stages together.
     """
 
     curves: dict[str, list[Curve]]
@@ -466,7 +470,7 @@ class _Stage:
 
 
 def _sizes(stage: int, share: int, each: int) -> tuple[int, int] | None:
-    """Return the number of sets of a stage and the points of a set; None beyond the budget."""
+    """Return how many sets a stage has and how many points a set has; None beyond the budget."""
     first = max(_MEASURED.first // each, _MEASURED.nets * _MEASURED.least)
     points = first << stage
     if points > share:
@@ -479,7 +483,7 @@ def _sizes(stage: int, share: int, each: int) -> tuple[int, int] | None:
 def _pooled(
     points: Sequence[Array], values: Sequence[Array], channels: int
 ) -> tuple[Array | None, Array]:
-    """Pool points (R, n, d) and values (R, n, channels) for `_Stage`."""
+    """Pool points (R, n, d) and values (R, n, channels) of all sets for `_Stage`."""
     most = max(values, key=lambda v: float(v.var(axis=(0, 1)).max()))
     x = points[0].reshape(-1, points[0].shape[2]) if len(points) == 1 else None
     return x, most.reshape(-1, channels)
@@ -487,7 +491,7 @@ def _pooled(
 
 @dataclass
 class _Nets:
-    """Scrambled nets that include the points of the previous stage."""
+    """Stages of scrambled nets, which include the points of the previous stage."""
 
     estimator: AbstractEstimator
     share: int
@@ -497,13 +501,13 @@ class _Nets:
     evaluations: int = 0
 
     def stage(self, place: int) -> _Stage:
-        """Return a stage, which is made once, after all earlier stages."""
+        """Return a stage. Each stage is computed once, after all earlier stages."""
         while len(self.made) <= place:
             self.made.append(self._next())
         return self.made[place]
 
     def stages(self) -> Iterator[_Stage]:
-        """Yield all stages within the allowed evaluations; each is made on demand."""
+        """Yield the stages that fit into the allowed evaluations, and compute each on demand."""
         place = 0
         while _sizes(place, self.share, self.estimator.cost):
             yield self.stage(place)
@@ -515,7 +519,7 @@ class _Nets:
         assert sizes is not None
         nets, n = sizes[0], 1 << (sizes[1] // sizes[0]).bit_length() - 1
         points = estimator.draw(as_sampler(NETS, estimator.dims), n, self.stream, 0, nets)
-        # The first points of the first nets are the points of the previous stage
+        # The first points of the first nets are known from the previous stage
         values = []
         for t, u in enumerate(points):
             all_values = np.empty((*u.shape[:2], channels))
@@ -548,7 +552,7 @@ class _Nets:
 
 @dataclass
 class _Own:
-    """Sets of a sampler at powers of a base; each stage adds sets and counts."""
+    """Stages of sets of a sampler at powers of a base; each stage adds sets and counts."""
 
     estimator: AbstractEstimator
     sampler: Sampler
@@ -558,7 +562,7 @@ class _Own:
     evaluations: int = 0
 
     def stages(self) -> Iterator[_Stage]:
-        """Yield all stages within the allowed evaluations; each is made on demand."""
+        """Yield the stages that fit into the allowed evaluations, and compute each on demand."""
         estimator, sampler = self.estimator, self.sampler
         base = max(sampler.digit_bases, default=2)
         counts = sorted({
@@ -588,7 +592,7 @@ class _Own:
             stage += 1
 
     def _add(self, n: int, sets: int) -> None:
-        """Evaluate further sets of n points, up to `sets` sets in all."""
+        """Evaluate more sets of n points, until there are `sets` sets."""
         estimator, channels = self.estimator, max(1, self.estimator.channels)
         points, values = self.made.get(n, ([], []))
         have = len(points[0]) if points else 0
@@ -607,11 +611,11 @@ class _Own:
 
 
 def _in_stages(source: _Nets | _Own, sampler: Sampler, target: Array) -> _Found:
-    """Return the answer of the first stage that determines n well enough, or of the last stage."""
+    """Return the answer of the first stage whose n is accurate enough, or of the last stage."""
     estimator, least, best = source.estimator, 0.0, None
     for stage in source.stages():
         curves = stage.curves.get(sampler.spec)
-        if curves is None:  # The variance is smaller than its error
+        if curves is None:  # The error of the variance exceeds it
             continue
         curve = _Ladder.of(curves)
         note, _ = doubt(stage.points, stage.values) or ("", False)
@@ -664,14 +668,14 @@ def _in_stages(source: _Nets | _Own, sampler: Sampler, target: Array) -> _Found:
 @final
 @dataclass(frozen=True)
 class _Ladder:
-    """Curves of all channels at counts that do not depend on the target.
+    """Curves of the variance of all channels, at counts that do not depend on the target.
 
     Attributes
     ----------
     curves
         One curve for each channel.
     n
-        Counts, `MeasuredPlanSettings.parts` per octave, (N,).
+        Counts of points, with `MeasuredPlanSettings.parts` counts per octave, (N,).
     logs, half
         Logarithms of variances, and half widths of their 95 % intervals, (N, channels).
     """
@@ -691,15 +695,15 @@ class _Ladder:
         return _Ladder(curves, n, np.log(np.maximum(found[..., 0], _TINY)), t * found[..., 1])
 
     def reaches(self, target: Array, side: int) -> float:
-        """Return log of the least n at which the variance, or an end, reaches the target.
+        """Return the logarithm of the least n at which a curve reaches the target.
 
-        Side 0 is the variance; sides −1 and 1 are the ends of its interval.
+        Side 0 is the curve of the variance; sides −1 and 1 are the ends of its interval.
         """
         off = (self.logs + side * self.half - np.log(target)).max(axis=1)
         return _crossing(np.log(self.n), off)
 
     def at(self, n: float) -> Array:
-        """Return the variance and the ends of its interval, (channels, 3)."""
+        """Return the variance with the ends of its interval, (channels, 3)."""
         found = np.array([curve.at(n) for curve in self.curves])
         t = student_t(1 + min(curve.degrees for curve in self.curves))
         variance, half = found[:, 0], t * found[:, 1]
@@ -708,7 +712,7 @@ class _Ladder:
 
     @property
     def trusted(self) -> float:
-        """The largest n such that intervals are narrow at n and at all smaller counts."""
+        """Largest n up to which all intervals are narrow."""
         rates = [c.rate if math.isfinite(c.rate) else -1.0 for c in self.curves]
         width = (2.0 * self.half / np.maximum(-np.array(rates), 0.5)).max(axis=1)
         wide = np.flatnonzero(width > math.log(_MEASURED.narrow))
@@ -721,22 +725,22 @@ class _Ladder:
 
 
 def _crossing(x: Array, off: Array) -> float:
-    """Return the first x at which a line through (x, off) is 0 or less; infinite if none."""
+    """Return the first x at which a line through points (x, off) is at most 0, or infinity."""
     reached = np.flatnonzero(off <= 0.0)
     if not len(reached):
         return math.inf
     k = int(reached[0])
-    # A vanishing variance reaches the target at the count itself
+    # A variance of zero reaches the target at its own count
     if not k or off[k] < off[k - 1] + 0.5 * math.log(_TINY):
         return float(x[k])
     return float(np.interp(0.0, -off[k - 1 : k + 1], x[k - 1 : k + 1]))
 
 
 def _count_from(estimator: AbstractEstimator, sampler: Sampler, n: float) -> float:
-    """Return the least allowed count that is at least n; for nets a power of their base.
+    """Return the least allowed count of at least n; nets allow only powers of their base.
 
     The result is infinite if the sampler has no such count.
-    The count may be less than n by a millionth of n.
+    Rounding is ignored: the count may be smaller than n by up to a millionth of n.
     """
     if not n * (1.0 - 1e-6) <= min(_SETTINGS.most, sampler.max_count):
         return math.inf
@@ -754,7 +758,7 @@ def _count_from(estimator: AbstractEstimator, sampler: Sampler, n: float) -> flo
 
 
 def _measured_count_from(estimator: AbstractEstimator, sampler: Sampler, n: float) -> float:
-    """Apply `_count_from`, for lattices at powers of two, as lattices of counts differ."""
+    """Apply `_count_from`; lattices take powers of two, as other counts vary in quality."""
     leaf = leaf_of(estimator.law(sampler, sampler.nearest_count(1)))
     if not (isinstance(leaf, Fixed) and leaf.even):
         return _count_from(estimator, sampler, n)
@@ -766,7 +770,7 @@ def _measured_count_from(estimator: AbstractEstimator, sampler: Sampler, n: floa
 
 
 def _base(law: Law) -> int:
-    """Return the base whose powers balance a net; 0 for points that are not a net."""
+    """Return the base of a net, whose powers are its balanced counts; 0 for other points."""
     leaf = leaf_of(law)
     bases = set(leaf.bases or ()) if isinstance(leaf, Fixed) else set()
     return bases.pop() if len(bases) == 1 else 0
@@ -782,13 +786,13 @@ def _can(estimator: AbstractEstimator, sampler: Sampler, n: int) -> bool:
 
 
 def _is_measured(estimator: AbstractEstimator) -> bool:
-    """Return whether evaluations are too costly for predictions, which take millions."""
+    """Return whether an evaluation is too costly for predictions, which take millions."""
     techniques = range(len(estimator.counts))
     return estimator.is_black_box or any(estimator.primary_integrand(t).costly for t in techniques)
 
 
 def _of_nets(estimator: AbstractEstimator, sampler: Sampler) -> bool:
-    """Return whether evaluations at nets give the variance of a sampler."""
+    """Return whether evaluations at scrambled nets give the variance of a sampler."""
     try:
         estimator.check_independent()
     except NoClosedForm:
@@ -817,8 +821,8 @@ def plan(
     estimator, samplers
         An estimator, and a sampler or a list of samplers.
     dims
-        Number of dims of a function, or of a spec without ``dims``.
-        The default is the number of dims of the sampler, if the sampler is not a spec.
+        Number of dims; needed if the estimator is a function or a spec without ``dims``.
+        The default is the sampler's number of dims, unless the sampler is given as a spec.
     target_error
         Target root mean square error, for each channel.
     relative
@@ -828,33 +832,39 @@ def plan(
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Maximum number of evaluations of a function or of a costly integrand,
-        shared by all samplers; by default 2^18. A plan starts with 4,096 evaluations
-        and doubles this number until the interval of n is narrower than a factor of 1.5.
+        Maximum number of evaluations of a function or of a costly integrand.
+        All samplers share these evaluations; the default is 2^18. A plan starts with 4,096
+        and doubles this number until the ends of the interval of n differ by a factor below 1.5.
 
     Returns
     -------
     xarray.Dataset
-        ``planned_n``, the least count with an RMSE of at most the target; NaN if not known.
-        For nets (sobol, pmj02 and the like), which other counts leave unbalanced, it is a power
-        of their base. For other samplers of known integrands, the count is accurate to 0.4 %.
-        With the same seed a smaller target never has a smaller ``planned_n``.
-        ``planned_n_ci(bound)`` is this count for variances at the ends of their 95 % intervals.
-        The upper end is infinite if the values do not bound the variance;
-        the attribute ``note`` gives the reason. ``planned_error`` is the RMSE at ``planned_n``,
-        and ``target_variance`` the square of the target. The curve ``predicted_variance(n)``
-        with ``predicted_variance_ci(n, bound)`` is at allowed powers of two, down to a quarter
-        of the target variance or up to 2^16. Beyond the predicted or measured counts n follows
-        from the last slope, which ``how`` reports. The coordinates ``method`` and ``how``
-        (attributes for a single sampler) are those of `predict`, or ``"measured"`` with the number
-        of evaluations. A list adds the dim sampler. The attribute ``answer`` is a sentence.
+        A dataset. ``planned_n`` is the least count whose RMSE is at most the target,
+        or NaN if it is not known.
+        For nets (such as sobol and pmj02) it is a power of their base,
+        because nets of other counts are unbalanced.
+        For other samplers of known integrands, it is accurate to 0.4 %.
+        With the same seed, a smaller target never has a smaller ``planned_n``.
+        ``planned_n_ci(bound)`` is the count for the ends of the 95 % interval of the variance.
+        If the values do not bound the variance, the upper end is infinite,
+        and the attribute ``note`` gives the reason. ``planned_error`` is the RMSE at ``planned_n``.
+        ``target_variance`` is the square of the target.
+        ``predicted_variance(n)`` with ``predicted_variance_ci(n, bound)`` is the curve of variance.
+        Its counts are allowed powers of two.
+        The curve ends at a quarter of the target variance or at 2^16 points.
+        For larger n it is extrapolated by the last slope, which ``how`` reports.
+        The coordinates ``method`` and ``how`` are the same as in `predict`.
+        For measurements they are ``"measured"`` and the number of evaluations.
+        For a single sampler, ``method`` and ``how`` are attributes.
+        A list of samplers adds the dim sampler.
+        The attribute ``answer`` is a sentence.
 
     Raises
     ------
     ParameterError
-        If the target is not positive, or relative to an integral of 0.
+        If the target is not positive, or if it is relative and the integral is 0.
     BudgetError
-        If `max_evaluations` is too small for any measurement.
+        If `max_evaluations` does not allow any measurement.
 
     Examples
     --------

@@ -44,31 +44,31 @@ __all__ = ["Remedies", "RemedySettings", "ranked", "remedies"]
 class RemedySettings:
     """Settings of the comparison of remedies."""
 
-    # Number of budgets at which each set-up is measured. Five budgets B/256, B/64, B/16,
-    # B/4 and B give a rate, and three degrees of freedom for the lack of fit.
+    # Number of budgets at which each set-up is measured: B/256, B/64, B/16, B/4 and B.
+    # A rate from five budgets leaves three degrees of freedom for the lack of fit.
     steps: int = 5
-    # Ratio of successive budgets. A smaller ratio costs more:
-    # the total is 1/(1 − 1/ratio) times the largest budget (4/3 here).
-    # With a larger ratio only two or three budgets would be large enough for two points.
+    # Ratio of successive budgets. A smaller ratio costs more. The total of all budgets
+    # is 1/(1 − 1/ratio) = 4/3 times the largest budget.
+    # With a larger ratio, only two or three budgets would be large enough for two points.
     ratio: int = 4
-    # Expected number of changes of each kind, for estimates of cost and memory before a run. All 15
-    # kinds together make 17 to 24 changes of functions in 2-D, and ``sampler`` alone makes eight.
+    # Expected number of changes of each kind, for estimates of cost and memory before a run.
+    # For functions in 2-D, all 15 kinds together make 17 to 24 changes; ``sampler`` makes eight.
     tries: int = 3
-    # Largest relative difference between equal estimates and an exact integral
-    # that counts as rounding. Means round to about 1e-15;
-    # the margin allows for values that cancel to 1e-6 of their size.
+    # Equal estimates agree with an exact integral if their relative difference is at most this.
+    # Means are rounded to about 1e-15.
+    # The margin allows for values that cancel to 1e-6 of their size.
     exact_tolerance: float = 1e-9
-    # Largest such difference for an integral by quadrature or by many points,
+    # The same limit for an integral by quadrature or by many points,
     # whose estimated error can be too small.
     # Equal estimates that miss a rare event differ from the integral by far more than this.
     quadrature_tolerance: float = 1e-3
-    # Allowed difference from such an integral, in standard errors, if this exceeds
-    # `quadrature_tolerance`. A normal error is beyond 4 standard errors with probability 6e-5.
+    # If this number of standard errors of such an integral exceeds `quadrature_tolerance`,
+    # it is the limit instead. A normal error is beyond 4 with probability 6e-5.
     sigmas: float = 4.0
 
 
 _SETTINGS = RemedySettings()
-# Label of the random stream of searches. The labels of the steps are smaller numbers
+# Random stream label of searches. The labels of the budgets are smaller numbers
 _SEARCH = _SETTINGS.steps
 
 _DIMS: dict[str, tuple[str, ...]] = {
@@ -151,7 +151,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         start = Candidate("given", "as given", "leave everything as it is", given)
         unknown = np.isnan(given.estimator.known_integral()[0]).any()
         search = Budget(self.budget, self.realizations, stream.child(_SEARCH))
-        # Divide the evaluations that the given set-up leaves equally among the kinds
+        # Divide the evaluations equally among the kinds, after those of the given set-up
         limit = self.max_evaluations
         first = self._evaluations(given)
         share = None if limit is None else max(1, (limit - first) // len(self._kinds))
@@ -218,7 +218,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         for step, n in _affordable(setup, self.budget).items():
             try:
                 estimator = setup.at(n)
-            except McspectraError:  # This count has fewer strata than edges
+            except McspectraError:  # Too few strata for the edges
                 continue
             cost.append(n * setup.cost + setup.overhead)
             own = stream.child(step)
@@ -226,7 +226,7 @@ class Remedies(Counted, frozen=True, kw_only=True):
         if len(cost) < 2:
             return None
 
-        # Compute the relative tolerance of the integral
+        # Choose the relative tolerance for the comparison with the integral
         value, error, source = given.estimator.known_integral()
         integral, tolerance = np.atleast_1d(np.asarray(value, float)), _SETTINGS.exact_tolerance
         if source != "exact":
@@ -261,10 +261,10 @@ def remedies(
     max_evaluations: int | None = None,
     workers: int | None = None,
 ) -> xr.Dataset:
-    """Try changes of an estimator and its sampler at equal cost, rank them, and explain the gains.
+    """Try changes of an estimator and its sampler at equal cost, rank and explain the results.
 
-    All changes together evaluate a user's function 10 to 25 times budget · realizations times:
-    about 20 million times at a budget of 1,000 with the default number of realizations.
+    All changes together evaluate a user's function 10 to 25 times budget · realizations times.
+    With a budget of 1,000 and the default realizations, these are about 20 million evaluations.
 
     Parameters
     ----------
@@ -274,57 +274,72 @@ def remedies(
         Number of evaluations of the integrand in one estimate.
         An estimate with n points takes Σ counts · n evaluations.
     dims
-        Number of dims of a function, or of a spec without ``dims``.
-        The default is the number of dims of the sampler, if the sampler is not a spec.
+        Number of dims; needed if the estimator is a function or a spec without ``dims``.
+        The default is the sampler's number of dims, unless the sampler is given as a spec.
     realizations
-        Number of realizations of each set-up at each of five budgets, from 100 to 100 000.
+        Number of realizations of each set-up at each budget, from 100 to 100 000.
     rng
-        Seed (SPEC 7), common to all set-ups.
+        Seed (SPEC 7), the same for all set-ups.
     kinds
         Kinds of changes to try; by default all kinds. See `mcspectra.improve.candidates.KINDS`.
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Maximum number of evaluations of the integrand. A limit below the evaluations
-        of the given set-up and its diagnosis raises before any evaluation. The kinds share
-        the remaining evaluations equally; a change that needs more than its share is not tried.
+        Maximum number of evaluations of the integrand. An error is raised before any evaluation
+        if the given set-up and its diagnosis need more.
+        All kinds have equal shares of the remaining evaluations.
+        A change that needs more than the share of its kind is not tried.
 
     Returns
     -------
     xarray.Dataset
-        The labels of the dim ``remedy`` are names of changes in the order of their variances at the
-        budget, with ``"as given"`` among them. Variables on ``remedy``: ``error`` (the variance,
-        or the mean squared error of a biased change, summed over channels) with ``error_ci``;
-        ``error_ratio`` to the given set-up with the simultaneous 95 % interval ``error_ratio_ci``;
-        ``rate`` and ``rate_ci``; ``rate_difference`` with ``rate_difference_ci``, likewise;
-        ``rank_by_rate``. Coordinates: ``kind``, ``change`` (an imperative),
-        ``verdict`` and ``rate_verdict`` (better, worse, undecided, given) and ``reason``.
-        Variables on (remedy, step): ``cost`` and ``error_at_cost``. The attributes ``diagnosis``
-        and ``answer`` are sentences, ``best`` has the numbers of the answer as JSON,
+        A dataset. The dim ``remedy`` lists changes by name, with the least variance first;
+        the given set-up is ``"as given"``.
+        Variables on ``remedy``: ``error`` with ``error_ci`` is the variance at the budget,
+        or the mean squared error of a biased change, summed over channels.
+        ``error_ratio`` with ``error_ratio_ci`` is the ratio to the error of the given set-up.
+        ``rate`` with ``rate_ci`` is the rate of the variance.
+        ``rate_difference`` with ``rate_difference_ci`` is this rate minus that of the given set-up.
+        Intervals of ratios and of differences are simultaneous, at 95 %.
+        ``rank_by_rate`` is the rank of the rate.
+        The coordinates are the kind, the change as an imperative, the reason and two verdicts:
+        ``kind``, ``change``, ``reason``, ``verdict`` and ``rate_verdict``.
+        A verdict is better, worse, undecided or given.
+        Variables on (remedy, step): ``cost`` and ``error_at_cost``.
+        Attributes: ``diagnosis`` and ``answer`` are sentences,
+        ``best`` contains the numbers of the answer as JSON,
         and ``not_tried`` lists changes that could not be tried, with reasons.
 
     Raises
     ------
     ParameterError, CountError
-        If a value is out of range, a kind is unknown, or the budget is too small for the set-up.
+        If a value is out of range, a kind is unknown, or the budget is too small.
 
     Notes
     -----
-    ``fitted``, ``regression``, ``order`` and ``preintegrated`` change the estimator after
-    a pilot of an eighth of the budget (at most 4096 evaluations), and keep its integral.
-    If no count of points costs exactly the budget, the largest count below is measured,
-    and the error is extrapolated to the budget along the fitted rate. The interval includes
-    the uncertainty of the slope. Errors are not extrapolated for changes with a pilot.
+    The kinds ``fitted``, ``regression``, ``order`` and ``preintegrated`` use a pilot.
+    They change the estimator after the pilot, and keep its integral.
+    The pilot takes an eighth of the budget, but at most 4096 evaluations.
+
+    If no count of points costs exactly the budget, the largest count below it is measured,
+    and the error is extrapolated to the budget along the fitted rate.
+    The interval includes the uncertainty of the slope.
+    Errors are not extrapolated for changes with a pilot.
+
     A user's function is evaluated at most 4/3 · budget · realizations times for each set-up,
-    and 7/3 · budget · realizations times for the given set-up's diagnosis.
+    and 7/3 · budget · realizations times for the given set-up with its diagnosis.
     Searches for offsets of strata and for widths of smooth edges take more evaluations,
-    so that these changes are not tried for a user's function. Biased changes are not tried
-    if ∫f is unknown. The error of a change that is biased, by smoothing or by a sampler
-    that is not randomized, is taken about the integral of the given estimator.
+    so these changes are not tried for a user's function.
+
+    A change is biased if it smooths, or if its sampler is not randomized.
+    Its error is taken about the integral of the given estimator.
+    If ∫f is unknown, biased changes are not tried.
     A change to another integral has no rate, since its error converges to the square of the bias.
     Pilots of heuristics and the values of a mean over a box count as evaluations.
-    If all estimates are equal but differ from the integral, they have missed a rare event:
-    error and ratio are NaN, and the verdict is undecided. Set-ups without a rate are last by rate.
+
+    If all estimates are equal but differ from the integral, they have missed a rare event.
+    In this case error and ratio are NaN, and the verdict is undecided.
+    In the ranking by rate, set-ups without a rate are last.
 
     Examples
     --------
@@ -344,7 +359,7 @@ def ranked(
     budget: int,
     diagnosis: Diagnosis,
 ) -> xr.Dataset:
-    """Compare all candidates with the given set-up, the first; sort them; see `remedies`."""
+    """Compare all candidates with the given set-up, which is first, and sort them by variance."""
     found = assessed(measured, budget)
     given = found[0]
     found.sort(key=lambda each: float(np.nan_to_num(each.ratio, nan=np.inf)))
@@ -392,7 +407,7 @@ def ranked(
 
 
 def _reason(each: Assessed, diagnosis: Diagnosis) -> str:
-    """Explain why a candidate is better, or report the result of the measurement if it is not."""
+    """Explain why a candidate is better; if it is not, report what the measurement showed."""
     candidate = each.measured
     if each.result.verdict == "given":
         found = ""
@@ -430,7 +445,7 @@ def _answer(
     diagnosis: Diagnosis,
     not_tried: Sequence[str],
 ) -> Answer:
-    """Make the answer that the intervals support."""
+    """Make the answer, with a change only if its interval supports it."""
     results = [given.result, *(each.result for each in found if each is not given)]
     said: dict[str, Any] = {"causes": tuple(diagnosis.causes), "not_tried": tuple(not_tried)}
     if given.blind:
@@ -445,7 +460,7 @@ def _answer(
     answer = Answer.of(budget, results, **said)
     best = next(each for each in found if each.result is answer.best)
     why = [] if best is given else [reasons[best.result.name]]
-    # Name the change with the best rate, if larger budgets favor this change
+    # If larger budgets favor another change, name the change with the best rate
     resolved = [each for each in found if is_resolved(*each.result.rate_ci) and each is not best]
     steep = [each for each in resolved if each.rate_verdict == "better"]
     if steep:
@@ -462,20 +477,20 @@ def _answer(
 
 @dataclass(frozen=True)
 class _Trials:
-    """Measured set-ups, reasons for untried ones, and the diagnosis of the given set-up."""
+    """Measured set-ups, the set-ups that were not tried, and the diagnosis of the given set-up."""
 
     tried: list[MeasuredCandidate]
     not_tried: list[str]
     diagnosis: Diagnosis | None
 
     def merge(self, other: _Trials) -> _Trials:
-        """Return the set-ups of both objects, in order."""
+        """Return the union of two results, in order."""
         diagnosis = self.diagnosis or other.diagnosis
         return _Trials(self.tried + other.tried, self.not_tried + other.not_tried, diagnosis)
 
 
 def _affordable(setup: Setup, budget: int) -> dict[int, int]:
-    """Return the ascending counts that fit into the budgets, by step."""
+    """Return the counts of points that fit into the budgets, ascending, for each step."""
     found: dict[int, int] = {}
     for step in range(_SETTINGS.steps):
         n = affordable_count(setup, budget // _SETTINGS.ratio ** (_SETTINGS.steps - 1 - step))
@@ -485,5 +500,5 @@ def _affordable(setup: Setup, budget: int) -> dict[int, int]:
 
 
 def _padded(values: Array) -> list[float]:
-    """Return the values of all steps, with NaN for first steps whose budget was too small."""
+    """Return the values of all steps; if a budget was too small for a step, the value is NaN."""
     return [math.nan] * (_SETTINGS.steps - len(values)) + [float(v) for v in values]

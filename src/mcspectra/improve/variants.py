@@ -1,8 +1,9 @@
 """Convergence of variants of a set-up on the same random numbers: smoothed edges and mirroring.
 
-See docs/theory.md, "Mirroring and smoothing". The bias of a ramp does not fall with n, so the width
-with the least mean squared error depends on n. The talk on [Singh2019]_ shows six convergence
-plots: original, mirror-random and mirror-uniform, each with and without a shift of the samples.
+See docs/theory.md, "Mirroring and smoothing". The bias of smoothing does not fall with n,
+so the width with the least mean squared error depends on n.
+The talk on [Singh2019]_ shows six convergence plots, with and without a shift of the samples:
+original, mirror-random and mirror-uniform.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ class SmoothingSettings:
     """Settings of scans over widths of smoothed edges."""
 
     # Maximum number of widths in one scan.
-    # A scan of 256 widths of 64 points with the default 1000 realizations takes 1.6e7 evaluations.
+    # With 64 points and the default 1000 realizations, 256 widths take 1.6e7 evaluations.
     most_widths: int = 256
 
 
@@ -65,35 +66,37 @@ def smoothing_scan(
     Parameters
     ----------
     integrand
-        The integrand f, or a spec.
+        The integrand f, or a spec of an integrand.
     sampler, counts
         A sampler, and one number of points n or several in ascending order.
         A rate needs at least two.
     widths
-        Widths δ in ascending order; see `mcspectra.smoothed`. A width of 0 is f itself.
+        Widths δ in ascending order; see `mcspectra.smoothed`. The width 0 means f itself.
     density
         Importance density; see `mcspectra.Estimator`.
     method
         Same as in `mcspectra.smoothed`.
     realizations, rng, workers
-        Same as in `mcspectra.convergence`. All widths share random numbers.
+        Same as in `mcspectra.convergence`. All widths use the same random numbers.
 
     Returns
     -------
     xarray.Dataset
-        ``variance(width, n)`` with ``variance_ci``; ``smoothing_bias(width)``,
-        the difference of the integrals, and ``bias_squared(width)`` with ``bias_squared_ci``,
-        from the errors of the integrals; ``mse(width, n)`` = bias² + variance with ``mse_ci``;
-        ``rate(width)`` of the variance with ``rate_ci``;
-        ``best_width(n)``, the width with the least mse, and ``best_width_range(n, bound)``,
-        the range of all widths whose interval of the mse begins below the end of the best interval.
+        A dataset. ``variance(width, n)`` with ``variance_ci`` is the variance,
+        and ``rate(width)`` with ``rate_ci`` is its rate.
+        ``smoothing_bias(width)`` is the change of the integral.
+        ``bias_squared(width)`` is the square of this change.
+        Its interval ``bias_squared_ci`` is computed from the errors of the integrals.
+        ``mse(width, n)`` with ``mse_ci`` is the mean squared error, bias² + variance.
+        ``best_width(n)`` is the width with the least mse. ``best_width_range(n, bound)`` is
+        the range of widths whose mse may be as small, as judged by the intervals.
         Several channels add a dim channel; the best width minimizes the sum over channels.
 
     Raises
     ------
     CountError, ParameterError
-        If the sampler has no set of a count, widths are not ascending or impossible,
-        or dims disagree.
+        If the sampler cannot draw one of the counts, if widths are not ascending or impossible,
+        or if dims disagree.
 
     Examples
     --------
@@ -123,8 +126,8 @@ def smoothing_scan(
         workers=workers,
     ).rename(estimator="width")
 
-    # Compute ∫ f_δ − ∫ f, (W[, channels]), and the interval of its square from the errors of both
-    kept = [g is f or isinstance(g, BoxSmoothed) for g in functions]  # Boxes keep the integral
+    # Compute ∫ f_δ − ∫ f, (W[, channels]), and an interval of its square from both errors
+    kept = [g is f or isinstance(g, BoxSmoothed) for g in functions]  # Boxes keep ∫f
     pairs = list(zip(functions, kept, strict=True))
     accuracy = [0.0 if k else integral_accuracy(f)[1] + integral_accuracy(g)[1] for g, k in pairs]
     none = np.zeros(f.channels or ())
@@ -134,8 +137,8 @@ def smoothing_scan(
     low, high = np.maximum(np.abs(bias) - error, 0.0), np.abs(bias) + error
     square_ci = np.stack([low, high], axis=-1) ** 2
 
-    # Find the width with the least error for each n,
-    # and the range of widths that may have this error
+    # For each n, find the width with the least error,
+    # and the range of widths that may have an error as small
     mse = measured["variance"].values + np.expand_dims(bias**2, 1)
     mse_ci = measured["variance_ci"].values + np.expand_dims(square_ci, 1)
     total, ci = (mse.sum(axis=2), mse_ci.sum(axis=2)) if f.channels else (mse, mse_ci)
@@ -188,34 +191,36 @@ def mirror_study(
     Parameters
     ----------
     estimator, sampler, counts
-        Same as in `mcspectra.convergence`, with a sampler that does not end with a shift. n
-        is the number of evaluations of the integrand, so that variances at one n are at equal cost.
+        Same as in `mcspectra.convergence`. The sampler must not end with a shift.
+        The number n counts evaluations of the integrand,
+        so that variances at one n are at equal cost.
     dims
-        Number of dims of a function, or of a spec without dims.
-        The default is the number of dims of the sampler, if the sampler is not a spec.
+        Number of dims; needed if the estimator is a function or a spec without dims.
+        The default is the sampler's number of dims, unless the sampler is given as a spec.
     mirrorings
-        Some of ``"original"``, ``"integrand"``, ``"random"``, ``"uniform"`` (`mcspectra.Mirrored`).
+        Some of ``"original"``, ``"integrand"``, ``"random"``, ``"uniform"``; see `Mirrored`.
         The six plots of the slides do not include ``"integrand"``.
     exact
-        Whether exact variances are also returned. Exact variances are fast in 1-D;
-        in 2-D, each count of shifted sets takes up to minutes.
+        Whether exact variances are also returned. Exact variances are fast in 1-D.
+        In 2-D, they can take minutes for each count of a shifted set.
     realizations, rng, max_evaluations, workers
-        Same as in `mcspectra.convergence`. All curves share random numbers.
+        Same as in `mcspectra.convergence`. All curves use the same random numbers.
 
     Returns
     -------
     xarray.Dataset
-        ``variance``, ``variance_ci``, ``mean``, ``mean_se``, and with `exact` ``exact_variance``
-        (NaN if it is not known), on the dims mirroring, homogenized (False, True:
-        with ``shift``) and n; ``rate`` and ``rate_ci`` on the first two dims;
-        and the dim channel if f has several channels.
+        A dataset with ``variance``, ``variance_ci``, ``mean`` and ``mean_se``;
+        with `exact` also ``exact_variance``, which is NaN where it is not known.
+        Dims are mirroring, homogenized (True with ``shift``) and n.
+        ``rate`` and ``rate_ci`` have the first two dims only.
+        A dim channel is added if f has several channels.
 
     Raises
     ------
     CountError, ParameterError
-        If a sampler has no set of a count (``"uniform"`` needs multiples of 2^d),
-        a mirroring is unknown or listed twice, the sampler already ends with a shift,
-        or `exact` is neither True nor False.
+        If a sampler cannot draw one of the counts (``"uniform"`` needs multiples of 2^d);
+        if a mirroring is unknown or listed twice; if the sampler already ends with a shift;
+        or if `exact` is neither True nor False.
 
     Examples
     --------
@@ -281,5 +286,5 @@ def mirror_study(
 
 
 def _of(measured: xr.Dataset, *names: str) -> Variables:
-    """Return some of the measured variables, to be part of another dataset."""
+    """Return some of the measured variables, which become part of another dataset."""
     return {name: (tuple(map(str, measured[name].dims)), measured[name].values) for name in names}

@@ -1,10 +1,14 @@
-"""One call that measures an estimator's noise, finds its causes and advises, within a budget.
+"""One call that measures the noise of an estimator, finds its causes and gives advice.
 
-Most of the budget goes to scrambled nets, which give the variances of several samplers at once
-(`samples`). A fifth goes to lines that detect discontinuities and kinks (`probing`), and a part to
-the given sampler, if the nets do not give its variance. `causes` finds the causes in these
-evaluations. The rest of the budget measures changes that answer the causes and one more sampler:
-a lattice, or antithetic pairs in strata for smooth functions of one dim.
+All evaluations are within a budget.
+
+Most of the budget goes to scrambled nets (`samples`).
+These give the variances of several samplers at once.
+A fifth goes to lines that detect discontinuities and kinks (`probing`).
+If the nets do not give the variance of the given sampler, a part goes to this sampler.
+`causes` finds the causes in these evaluations.
+The rest of the budget measures changes that answer the causes, and one more sampler.
+This is a lattice, or antithetic pairs in strata for smooth functions of one dim.
 """
 
 from __future__ import annotations
@@ -76,65 +80,71 @@ __all__ = ["Profile", "ProfileSettings", "Profiling", "profile"]
 class ProfileSettings:
     """Settings of a profile."""
 
-    # Least budget, in evaluations. Twenty nets of four points take 80, which must fit into 40 % of
-    # the budget if the given sampler is also measured.
+    # Least budget, in evaluations. Twenty nets of four points take 80 evaluations.
+    # They must fit into 40 % of the budget if the given sampler is also measured.
     least_budget: int = 256
-    # Columns of the text of a cause: one line of a usual terminal or page.
+    # Width of the text of a cause in columns, one line of a usual terminal or page.
     width: int = 100
-    # Points of each net to which changes are fitted: 20 nets take 1280 evaluations. Half or double
-    # this number gave the same advice in 12 profiles of 8192 evaluations (2 seeds of six
-    # functions); the RMSE after one fitted change differed by a factor of 2.4.
+    # Points of each net to which changes are fitted; 20 nets take 1280 evaluations.
+    # In 12 profiles of 8192 evaluations (six functions, two seeds), half or double this number
+    # gave the same advice. The RMSE after one fitted change differed by a factor of 2.4.
     fitted_points: int = 64
-    # Largest ratio of effective to all draws of a chain at which dependence is reported as a cause.
-    # The upper end of its interval is compared, and standard errors at this ratio are 20 % larger.
+    # Dependence of draws is a cause if the ratio of effective draws to all draws is at most this,
+    # even at the upper end of the interval of the ratio.
+    # At this ratio, standard errors are 20 % larger than for independent draws.
     dependent: float = 0.7
-    # Least number of points of each net to measure a change. With 8, two of 12 profiles did not
-    # measure the preintegration of a jump along an axis.
+    # Least number of points of each net in measurements of a change.
+    # With 8, two of 12 profiles did not measure the preintegration of a jump along an axis.
     least_checked: int = 4
-    # Largest number of counts at which a sampler is measured, in octaves: B/2, B/4, …, B/32 of its
-    # evaluations. Three or eight counts gave the same results in these 12 profiles.
+    # Largest number of counts at which a sampler is measured: B/2, B/4, …, B/32 of B evaluations.
+    # Three or eight counts gave the same results in these 12 profiles.
     counts: int = 5
-    # Least number of sets for a variance; with three the jackknife has two degrees of freedom.
+    # Least number of sets for a variance. With three, the jackknife has two degrees of freedom.
     least_sets: int = 3
-    # Standard error of a rate by theory, which holds for large counts only. With 0.04 or 0.16 the
-    # RMSE of 12 profiles changed by 14 % at most, and by 1 % in the median.
+    # Standard error of a theoretical rate, which holds for large counts only.
+    # With 0.04 or 0.16 the RMSE of 12 profiles changed by 14 % at most, and by 1 % in the median.
     theory_error: float = 0.08
-    # Standard error of a slope over few octaves at a jump along an axis. Ends of strata fall
-    # anywhere next to the jump, and the curve is a sawtooth. With 0.25 or 1 the RMSE of 12 profiles
-    # changed by 6 % at most.
+    # Standard error of a slope over few octaves at a jump along an axis.
+    # The variance is a sawtooth function of n, because the jump's place in its stratum varies.
+    # With 0.25 or 1 the RMSE of 12 profiles changed by 6 % at most.
     teeth_error: float = 0.5
-    # Number of last counts of a sawtooth whose mean is its level, and standard deviation of the log
-    # variance about it: that of p(1 − p) for a uniform share p of the stratum of the jump, √(4 −
-    # π²/3) = 0.84.
+    # The level of such a sawtooth is the mean over this number of its last counts.
+    # The second number is the standard deviation of the log variance about the level.
+    # If a uniform share p of the stratum is on one side of the jump, the variance is ∝ p(1 − p),
+    # and its logarithm has the standard deviation √(4 − π²/3) = 0.84.
     teeth: int = 4
     teeth_scatter: float = 0.84
-    # Standard error of the prior that a change of the estimator keeps the rate. With 0.2 or 0.8 the
-    # RMSE of 12 profiles changed by 8 % at most.
+    # Standard error of the prior assumption that a change of the estimator keeps the rate.
+    # With 0.2 or 0.8 the RMSE of 12 profiles changed by 8 % at most.
     alike_error: float = 0.4
-    # Number of standard errors between the mean of a change without variance and the mean of the
-    # nets at which the change is dropped. A normal mean is beyond 4 with probability 6e-5.
+    # A change without variance is dropped if its mean differs by more than this number of
+    # standard errors from the mean of the nets. A normal mean is beyond 4 with probability 6e-5.
     off_sigmas: float = 4.0
-    # Number of points of a net below which the rate of a change is limited to `steepest_rate`. Few
-    # points have not reached the range of a steep rate, and the gain at the budget would be
-    # exaggerated. The advice of 12 profiles did not change for 8 or 32 points, nor for rates of
-    # −1.5 or −3; the RMSE after one change differed by a factor of up to 1.9.
+    # If a net has fewer points than this, the rate of a change is limited to `steepest_rate`.
+    # Few points do not show whether a steep rate continues,
+    # and the gain at the budget would be exaggerated.
+    # The advice of 12 profiles was the same for 8 or 32 points, and for rates of −1.5 or −3.
+    # The RMSE after one change differed by a factor of up to 1.9.
     few_points: int = 16
     steepest_rate: float = -2.0
-    # Number of errors of the log variance by which a change must be better at the budget if g grows
-    # at the border or has a heavy tail. In 112 profiles of 4096 evaluations (seven such functions
-    # with two samplers and eight seeds), 0 of 88 recommendations had a larger variance than the
-    # given set-up with 1, 1 of 99 with 0.5, and 5 of 109 with 0.
+    # Number of errors by which the log variance of a change at the budget must be lower,
+    # if g grows at the border or has a heavy tail.
+    # This was tested in 112 profiles with 4096 evaluations each: seven such functions,
+    # two samplers and eight seeds. With 1, none of 88 recommendations had a larger variance
+    # than the given set-up. With 0.5, one of 99 had, and with 0, five of 109 had.
     tail_errors: float = 1.0
-    # Number of sets of a lattice at each count: fewer, because the remaining budget is small and
-    # rates of lattices change with n.
+    # Number of sets of a lattice at each count. It is small because the remaining budget is small,
+    # and rates of lattices require several counts.
     lattice_sets: int = 10
-    # Standard deviation of the log variance of lattices about its line, because each count has
-    # another vector: 1.3 for smooth functions in 4 to 6 dims, and 0.6 in 2 and 3 dims.
+    # Standard deviation of the log variance of lattices about a line through all counts.
+    # It is large because each count has another vector.
+    # For smooth functions it is 1.3 in 4 to 6 dims, and 0.6 in 2 and 3 dims.
     lattice_scatter: float = 1.3
-    # Largest number of dims in which pairs in strata are measured instead of folded lattices, whose
-    # rate is −4: pairs have −5 in 1-D and −3 in 2-D.
+    # Largest number of dims in which antithetic pairs in strata are measured.
+    # In more dims, folded lattices are measured, which have the rate −4.
+    # Pairs have the rate −5 in 1-D and −3 in 2-D.
     paired_dims: int = 1
-    # Number of points of a density's sampler that are tested to lie in the unit cube.
+    # Number of points of the sample function of a density that are tested to lie in the unit cube.
     tested_points: int = 64
 
 
@@ -142,9 +152,9 @@ _SETTINGS = ProfileSettings()
 _PAIRS, _LATTICE = "antithetic-jittered", "rank1-lattice | shift"
 _FOLDED = f"{_LATTICE} | mirror(mode='fold')"
 _RIVALS = {_LATTICE, _FOLDED, _PAIRS}
-# Causes that concern the sets of a sampler, not g
+# Causes that concern the sets of a sampler and not g
 _OF_SETS = {"deterministic-set", "few-realizations", "correlated-replicates"}
-# Causes for which the profile tries lattices. It also tries them for smooth g
+# Causes for which the profile tries lattices; it also tries them for smooth g
 _GAINED = {
     "kink",
     "cusp",
@@ -154,8 +164,8 @@ _GAINED = {
     "axis-parallel-jump",
 }
 _JUMPS = {"interior-jump", "axis-parallel-jump"}
-# Exponents e by cause: variances fall as n^(−1 − e/d) with strata and n^(−1 − e) with nets by
-# theory
+# Exponent e for each cause. In theory, variances fall as n^(−1 − e/d) with strata;
+# with nets, they fall as n^(−1 − e)
 _EXPONENTS = {"interior-jump": 1.0, "axis-parallel-jump": 1.0, "none": 2.0}
 
 
@@ -188,7 +198,7 @@ class Profiling(Analysis, frozen=True, kw_only=True):
     ] = 4096
 
     def need(self, subject: Subject) -> Need:
-        """Check that the budget allows several nets, and that techniques have their own sets."""
+        """Check that the budget allows several nets, and that each technique has its own sets."""
         estimator = subject.estimator
         if not isinstance(estimator, AbstractEstimator):
             raise ParameterError("profile takes one estimator at a time.")
@@ -208,30 +218,30 @@ class Profiling(Analysis, frozen=True, kw_only=True):
 @final
 @dataclass(frozen=True)
 class Profile:
-    """The results of a profile; `text` prints them.
+    """The results of a profile. Print `text` to show them.
 
     Attributes
     ----------
     integral, interval
-        The mean of all nets, NaN if g has no integral, and its 95 % interval. The interval is
-        infinite if the variance is infinite or depends on a few evaluations.
+        The mean of all nets (NaN if g has no integral), and its 95 % interval.
+        The interval is infinite if the variance is infinite or depends on a few evaluations.
     calls, budget
-        Number of evaluations of f, and the number that was allowed.
+        Number of evaluations of f, and the number that the user allowed.
     variance, rate, rate_ci
-        Variance of an estimate of `budget` evaluations with the given sampler, or with nets if the
-        sampler could not be measured; and the slope of the variance.
+        Variance of an estimate of `budget` evaluations with the given sampler, and its slope.
+        If the given sampler could not be measured, both are for nets.
     points
-        Number of points n of such an estimate: the budget over the evaluations of each point.
+        Number of points of an estimate at the budget: `budget` over the evaluations of a point.
     reference
-        The sampler with which `best` is compared: the given sampler, or random points if the given
-        sampler always draws the same set or could not be measured.
+        The sampler with which `best` is compared. Usually this is the given sampler.
+        It is random points if the given sampler always draws the same set or was not measured.
     answer
-        The recommended set-up and the causes. It is compared with the given sampler, or
-        with random points if the given sampler always draws the same set or could not be measured.
+        The recommended set-up and the causes. The set-up is compared with the given sampler,
+        or with random points if the given sampler always draws the same set or was not measured.
     samplers
         Curves of variance by sampler.
     function
-        The function or estimator as given.
+        The function or estimator that the user gave.
     """
 
     subject: str
@@ -250,7 +260,7 @@ class Profile:
 
     @property
     def causes(self) -> tuple[Cause, ...]:
-        """Causes of the noise, the most important first."""
+        """Causes of the noise, beginning with the most important."""
         return self.answer.causes
 
     @property
@@ -260,15 +270,15 @@ class Profile:
 
     @property
     def not_tried(self) -> tuple[str, ...]:
-        """Names of set-ups that were not compared, with the reason."""
+        """Names of set-ups that were not compared, with reasons."""
         return self.answer.not_tried
 
     @property
     def text(self) -> str:
-        """All results, as lines of text."""
+        """All results as text of several lines."""
         low, high = self.interval
         found = [
-            # The causes follow, each with its sentence
+            # List the causes, each with its sentence
             str(self.answer).replace(f" {self.causes[0].sentence}", "", 1),
             "",
             f"integral   {_shown(self.integral, low, high)}",
@@ -291,7 +301,7 @@ class Profile:
         return "\n".join(found)
 
     def _rows(self) -> list[tuple[str, str, str]]:
-        # A rival is extrapolated, so that only the upper end of its RMSE says something
+        # The RMSE of a rival is extrapolated, so only its upper end is reliable
         results = {result.name: result for result in self.answer.results}
         ends = {name: results[name].rmse_ci for name in _RIVALS & {*results} & {*self.samplers}}
         limits = {name: high for name, (low, high) in ends.items() if low == 0.0 < high}
@@ -314,7 +324,7 @@ class Profile:
         return rows
 
     def _rmse(self, curve: Curve) -> float:
-        """Return the RMSE at the budget; NaN without a rate beyond the counts, or variation."""
+        """Return the RMSE at the budget, or NaN if the curve does not determine it."""
         if math.isinf(self.variance):
             return math.inf
         if math.isnan(curve.rate) and max(curve.counts, default=math.inf) < self.points:
@@ -341,7 +351,7 @@ class Profile:
 
     @property
     def dataset(self) -> xr.Dataset:
-        """The curves on (sampler, n), NaN at other counts, with the answer as attributes."""
+        """The curves on (sampler, n), with NaN at other counts. The answer is in attributes."""
         ns = sorted({int(n) for curve in self.samplers.values() for n in curve.counts})
         place = {n: k for k, n in enumerate(ns)}
         shape = (len(self.samplers), len(ns))
@@ -410,36 +420,40 @@ def profile(
     ----------
     f
         A vectorized function of points (…, d) to values (…), an integrand, an estimator, or a spec.
-        Or three functions (f, pdf, sample) on the unit cube: points are drawn by sample(u) and
-        weighted with 1/pdf. Or draws of Markov chains or independent estimates, as in
-        `chain_error`; nothing is sampled then.
+        Three functions (f, pdf, sample) on the unit cube are also allowed:
+        points are drawn by sample(u) and weighted by 1/pdf.
+        Draws of Markov chains or independent estimates are analyzed as in `chain_error`,
+        without any sampling.
     sampler
         The sampler in use.
     dims
-        Number of dims of a function or a spec. The default is the number of dims of the sampler, if
-        the sampler is not a spec.
+        Number of dims of a function or a spec.
+        The default is the sampler's number of dims, unless the sampler is given as a spec.
     budget
-        Most evaluations of f in total, at least 256. With 262,144 evaluations, which take less than
-        a second if f is fast, errors of rates are about 0.05 instead of 0.1.
+        Maximum number of evaluations of f in total, at least 256.
+        With 262,144 evaluations, errors of rates are about 0.05 instead of 0.1.
+        They take less than a second if f is fast.
     rng
         Seed (SPEC 7).
     vectorized, workers, cache
-        Options for slow functions; see `mcspectra.integrands.Calls`. An interrupted profile
-        continues from the cache.
+        Options for slow functions; see `mcspectra.integrands.Calls`.
+        An interrupted profile continues from the cache.
     on_error
-        For functions: ``"raise"`` if f fails or is not finite. ``"skip"`` counts such points,
-        replaces them by the mean of all others, and widens the interval, as in
-        `mcspectra.integrate`. With ``"raise"`` only probes closest to the border may fail.
+        For functions: ``"raise"`` raises an error if f fails or is not finite.
+        ``"skip"`` counts such points, replaces their values by the mean of all others,
+        and widens the interval, as in `mcspectra.integrate`.
+        With ``"raise"``, f may still fail at the probes that are closest to the border.
 
     Returns
     -------
     Profile
-        ``print`` it; `Profile.to_dict` has all numbers, `Profile.dataset` the curves.
+        The results; ``print`` shows them.
+        `Profile.to_dict` has all numbers, and `Profile.dataset` has the curves.
 
     Raises
     ------
     ParameterError
-        If f is not a function, or the budget is too small for it.
+        If f is not a function, or if the budget is too small for f.
 
     Examples
     --------
@@ -469,7 +483,7 @@ def profile(
         given = FunctionIntegrand(function=_Filled.of(calls), dims=calls.dims)
     with calls if isinstance(calls, Calls) else contextlib.nullcontext():
         estimator = as_estimator(given, dims)
-        if density:  # The density is not checked here, because its faults are causes
+        if density:  # Faults of the density are reported as causes later
             pdf, sample = density
             own = FunctionDensity(dims=estimator.dims, pdf_function=pdf, sample_function=sample)
             u = as_sampler("random", own.primary_dims).draw(_SETTINGS.tested_points)[0]
@@ -491,13 +505,13 @@ def profile(
             found = _with_skipped(found, calls, given.function)
         found = replace(found, function=f)
     if isinstance(calls, Calls):
-        calls.budget = sys.maxsize  # The recommended estimator can be used without a limit
+        calls.budget = sys.maxsize  # Allow unlimited use of the result
     return found
 
 
 @final
 class _Filled:
-    """Calls of a function that replace NaN, where it failed, by the mean of earlier values."""
+    """Calls of a function that replace NaN, where it failed, by the mean of its earlier values."""
 
     def __init__(self, calls: Calls) -> None:
         self.calls, self.__name__ = calls, calls.name
@@ -505,7 +519,7 @@ class _Filled:
 
     @staticmethod
     def of(calls: Calls) -> Any:
-        """Return the calls themselves if they raise errors."""
+        """Return the calls unchanged if they raise errors instead of skipping points."""
         return _Filled(calls) if calls.skips else calls
 
     def __call__(self, x: Array) -> Array:
@@ -521,7 +535,7 @@ class _Filled:
 
 
 def _with_skipped(found: Profile, calls: Calls, filled: _Filled) -> Profile:
-    """Return a profile whose interval allows any usual value where f failed."""
+    """Widen the interval of a profile, as if f had any of its usual values where it failed."""
     share = calls.skipped / (calls.skipped + filled.count)
     low, high = found.interval
     if not filled.count:
@@ -582,13 +596,13 @@ def _of_draws(draws: Any) -> Profile:
 
 
 def _why(causes: Sequence[Cause]) -> str:
-    """The first cause in a sentence; empty without a cause."""
+    """Return a sentence with the first cause, or "" if there is no cause."""
     first = causes[0]
     return "" if first.name == "none" else f"Cause: {first.name}. {first.sentence}"
 
 
 def _shape(causes: Sequence[Cause]) -> str:
-    """Return the first cause that concerns g rather than the sets of the given sampler."""
+    """Return the first cause that concerns g and not the sets of the given sampler."""
     return next((cause.name for cause in causes if cause.name not in _OF_SETS), "none")
 
 
@@ -628,8 +642,8 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
 
     causes = causes_of(evidence)
     offers = _offers(evidence, causes, budget, stream.child(98))
-    # Measure a sampler that may gain more than nets do. It gets half of the remaining evaluations,
-    # or all that the removal of a jump does not need
+    # Measure a sampler that may gain more than nets do. It gets half of the remaining evaluations.
+    # If a jump is to be removed, it gets all evaluations that this removal does not need
     rival, left = _rival(evidence, causes), budget - calls
     rival = rival if rival != given.spec else ""
     jumps, nets = _shape(causes) in _JUMPS, CAUSE_SETTINGS.nets
@@ -642,28 +656,28 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     if rival and not enough:
         not_tried.append(f"{rival}: only {left} evaluations remain for it")
     elif rival:
-        with contextlib.suppress(McspectraError):  # there are too many dims or too few evaluations
+        with contextlib.suppress(McspectraError):  # too many dims, or too few evaluations
             source, lattice = as_sampler(rival, estimator.dims), rival != _PAIRS
             curve, _, cost = _measured(estimator, source, left, stream.child(97), lattice=lattice)
             calls += cost
             if lattice and curve.counts[-1:].sum() < _SETTINGS.few_points:
                 curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
-            # If g jumps, small sets may have equal estimates although larger sets do not
+            # If g jumps, all estimates of small sets may be equal, although larger sets differ
             curves |= {} if jumps and math.isfinite(curve.vanishes) else {rival: curve}
     curves |= {
         name: _by_theory(name, curve, causes, estimator.dims, points)
         for name, curve in curves.items()
     }
-    # Use random points as the reference if the given sampler is fixed or was not measured
+    # Compare with random points if the given sampler is fixed or was not measured
     fixed = any(cause.name in {"deterministic-set", "correlated-replicates"} for cause in causes)
     if any(cause.name == "deterministic-set" for cause in causes):
-        curves.pop(given.spec, None)  # the curve of a fixed set has no error
+        curves.pop(given.spec, None)  # a fixed set shows no error
     reference = "random" if fixed or given.spec not in curves else given.spec
     usable = {name: c for name, c in curves.items() if name == reference or name != given.spec}
     found, changed = list[_FoundSampler](), list[str]()
     if all(c.name != "infinite-variance" or c.kinds for c in causes):  # The integral exists
-        # The sampler of least variance, and a change of the estimator that answers a cause
-        if len(usable[reference].counts) > 0:  # Otherwise there is no variance to lower
+        # Find the sampler of least variance, and a change of the estimator that answers a cause
+        if len(usable[reference].counts) > 0:  # Otherwise the variance is zero
             found = _samplers(Setup(estimator, given), usable, reference, points)
         trusted = [each for name, each in usable.items() if name not in _RIVALS]
         trusted += [usable[name] for name in _RIVALS & {*usable} if _is_known(usable[name], points)]
@@ -675,8 +689,8 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         sure = [each for each in made if each.sure]
         found = sure + found + [each for each in made if not each.sure]
     curve = curves.get(given.spec, curves[NETS])
-    # The interval is known if the values do not depend on a few of them, or if lines have fitted a
-    # pole
+    # The interval is known if the values do not depend on a few of them,
+    # or if lines have fitted a pole
     names = {cause.name for cause in causes}
     infinite = "infinite-variance" in names
     no_integral = any(
@@ -687,7 +701,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
     resolved = bool(Moments.of(sets.pooled, tails=True).resolved)
     known = not infinite and "wrong-pdf" not in names
     known &= resolved or "border-growth" in names
-    # Explain values that are all equal
+    # Explain why all values are equal
     if len(sets.values) == 1 and not np.ptp(sets.pooled) > 0.0:
         value, count = float(sets.pooled[0]), sets.pooled.size
         exact = estimator.primary_integrand(0)._integral()
@@ -720,7 +734,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         usable[reference], points, found, len(usable) - 1 + len(changed),
         infinite=infinite, known=known,
     )  # fmt: skip
-    # Sentences that replace or follow the advice
+    # Write the sentences that replace the advice or follow it
     changes = any(result.verdict == "better" for result in results)
     instead, why = "", _why(causes)
     if causes[0].name == "wrong-pdf":
@@ -753,7 +767,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
 
 
 def _shown(value: float, low: float, high: float) -> str:
-    """Return a number and its interval, with enough digits to distinguish the ends."""
+    """Return a number and its interval as text, with enough digits to distinguish the ends."""
     if math.isnan(value):
         return "does not exist"
     digits = 6
@@ -763,15 +777,15 @@ def _shown(value: float, low: float, high: float) -> str:
 
 
 def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, points: int) -> Curve:
-    """Return a curve whose rate is combined with theory by its causes, for use up to `points`."""
+    """Return a curve whose rate is combined with the theoretical rate, for use up to `points`."""
     names = {cause.name: cause for cause in causes}
     if "infinite-variance" in names:
         return replace(curve, rate=math.nan, rate_se=math.nan)
-    # Bound the rate by theory if g grows without bound, because few sets reach the pole
+    # If g grows without bound, limit the rate by theory, because few sets reach the pole
     for cause in causes:
         if cause.name in {"border-growth", "heavy-tail"} and "exponent" in cause.evidence:
             return replace(curve, rate=max(curve.rate, -2.0 * (1.0 - cause.evidence["exponent"])))
-    # Small sets do not show the rate of larger sets, which resolve the waves
+    # Small sets do not resolve the waves, so their rate does not hold for larger sets
     waves = names.get("high-frequency")
     resolved_by = math.inf if waves is None else waves.evidence["resolved_by"]
     if name != "random" and max(curve.counts, default=math.inf) < resolved_by <= points:
@@ -779,8 +793,9 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
         return replace(curve, rate=math.nan, rate_se=math.nan, vanishes=vanishes)
     first = _shape(causes)
     if name in {_LATTICE, _FOLDED} and math.isfinite(curve.rate):
-        # The variance n^−4 (log n)^(2d − 2) of smooth functions, with two thirds of the logarithms.
-        # A few points in many dims may appear to fall faster; they are not trusted beyond this rate
+        # In theory, the variance for smooth functions is n^−4 (log n)^(2d − 2).
+        # Use two thirds of the exponent of the logarithm.
+        # Limit the rate, because few points may show a steeper rate in many dims
         third = (dims - 1) / (3.0 * math.log(max(curve.counts[-1], 2.0)))
         limit = min(-4.0 + 4.0 * third, -1.0)
         curve = replace(curve, rate=max(curve.rate, limit))
@@ -788,36 +803,37 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
         return curve.towards(limit, error) if name == _FOLDED and _is_smooth(causes) else curve
     if name not in {NETS, "jittered"} or first not in _EXPONENTS or not math.isfinite(curve.rate):
         return curve
-    # A jump cuts n^(1 − 1/d) of n strata. For a jump along an axis, or a smooth g, nets have the
-    # rate of 1-D with up to d − 1 logarithms; assume two thirds of them, with a standard error of
-    # one third
+    # A jump cuts n^(1 − 1/d) of n strata. If the jump is along an axis or g is smooth,
+    # nets have the rate of 1-D, with up to d − 1 logarithms.
+    # Assume two thirds of the logarithms, with a standard error of one third
     strata = name == "jittered" or first == "interior-jump"
     third = 0.0 if strata else (dims - 1) / (3.0 * math.log(curve.counts[-1]))
     rate = -1.0 - _EXPONENTS[first] / (dims if strata else 1) + 2.0 * third
     if first == "axis-parallel-jump":
-        # The variance is a sawtooth about a line; its last teeth give the level of the line
+        # The variance is a sawtooth about a line. Take the level of the line from the last teeth
         error = math.hypot(curve.rate_se, _SETTINGS.teeth_error)
         teeth = np.log(curve.variance) - curve.rate * np.log(curve.counts / curve.counts[-1])
         level = float(np.mean(teeth[-_SETTINGS.teeth :]) - teeth[-1])
         curve = replace(curve, rate_se=error, level=level, scatter=_SETTINGS.teeth_scatter)
     known = curve.towards(rate, math.hypot(_SETTINGS.theory_error, third))
     if known is curve and first == "interior-jump" and curve.rate < rate:
-        # Few points do not resolve the jump, which bends the curve to its limit beyond the counts
+        # Few points do not resolve the jump: let the curve bend toward its limit beyond the counts
         return replace(curve, bend=0.5 * (rate - curve.rate))
     return known
 
 
 def _is_smooth(causes: Sequence[Cause]) -> bool:
-    """Return whether the causes show no discontinuity or kink of g inside the cube."""
+    """Return whether g has no discontinuity or kink inside the cube, according to the causes."""
     return _shape(causes) in {"none", "border-jump"}
 
 
 def _rival(evidence: Evidence, causes: Sequence[Cause]) -> str:
-    """Return the sampler that may gain more from g than nets do; empty if there is no such sampler.
+    """Return the sampler that may gain more from g than nets do, or "" if no such sampler exists.
 
-    Lattices have the rates of Fourier series, if opposite faces of the cube meet or points are
-    folded [Hickernell2002]_. They also gain from kinks, cusps and waves. For smooth g, pairs about
-    the centers of strata have the rate −1 − 4/d of cubic stratification of second order.
+    Lattices have the rates of Fourier series if g agrees on opposite faces of the cube,
+    or if points are folded [Hickernell2002]_. They also gain from kinks, cusps and waves.
+    For smooth g, antithetic pairs about the centers of strata have the rate −1 − 4/d,
+    the rate of cubic stratification of second order.
     """
     smooth = _is_smooth(causes)
     grows = any(cause.name == "border-growth" for cause in causes)
@@ -838,7 +854,7 @@ def _measured(
     *,
     lattice: bool = False,
 ) -> tuple[Curve, Replicates, int]:
-    """Measure the curve of a sampler within `evaluations`; also return replicates and the cost."""
+    """Measure the curve of a sampler within `evaluations`; return it with replicates and cost."""
     most_sets = _SETTINGS.lattice_sets if lattice else CAUSE_SETTINGS.nets
     each, least = estimator.cost, _SETTINGS.least_sets
     sets = drawn = int(min(most_sets, sampler.most_realizations))
@@ -874,7 +890,7 @@ def _measured(
 
 
 def _replicates(points: Sequence[Array], estimates: Array) -> Replicates:
-    """Return replicates from points of each technique (R, n, d) and the estimates of some sets."""
+    """Return replicates from the points (R, n, d) of each technique and from some estimates."""
     x = np.concatenate([np.asarray(p) for p in points], axis=1)
     angle = 2.0 * math.pi * x
     waves = [each.mean(axis=1) for each in (x - 0.5, np.cos(angle), np.sin(angle))]
@@ -885,9 +901,9 @@ def _replicates(points: Sequence[Array], estimates: Array) -> Replicates:
 @final
 @dataclass(frozen=True)
 class _FoundSampler:
-    """A candidate sampler with its number of points n at the budget, and its variance at n.
+    """A candidate sampler with its number n of points at the budget, and its variance at n.
 
-    `variance` is a pair: the variance, and the error of its logarithm.
+    `variance` contains the variance and the standard error of its logarithm.
     """
 
     candidate: Candidate
@@ -895,17 +911,17 @@ class _FoundSampler:
     variance: tuple[float, float]
     rate: float
     rate_ci: tuple[float, float]
-    steepens: bool = False  # the rate at larger counts may be steeper by any factor
-    sure: bool = False  # Significantly better where both were measured
+    steepens: bool = False  # The rate may be steeper at larger counts, without limit
+    sure: bool = False  # Whether it was significantly better in the measurement
 
 
 def _is_known(curve: Curve, count: int) -> bool:
-    """Return whether a curve says how large the variance is at `count` points."""
+    """Return whether a curve determines the variance at `count` points."""
     return math.isfinite(curve.rate) or count >= curve.vanishes
 
 
 def _bound(curve: Curve, points: int) -> float:
-    """Return the variance at `points` points, one standard error of its logarithm larger."""
+    """Return the variance at `points` points, increased by one standard error of its logarithm."""
     value, error = curve.at(points)
     return value * math.exp(error)
 
@@ -915,7 +931,7 @@ def _samplers(
 ) -> list[_FoundSampler]:
     """Return the samplers that may have less variance than the reference, the best first.
 
-    A rival is always among them if its rate at larger counts may be steeper by any factor.
+    A rival is always included if its rate at larger counts may be steeper without limit.
     """
     each = given.cost
     bounds = {name: _bound(curve, points) for name, curve in curves.items()}
@@ -931,7 +947,8 @@ def _samplers(
         candidate = Candidate("sampler", name, change, replace(given, sampler=source))
         curve = curves[name]
         variance, beyond = curve.at(count), count > curve.counts[-1:].sum()
-        # Smooth functions have their rates at larger sets; analytic functions have no power of n
+        # Smooth functions reach their rate only with larger sets. For analytic functions
+        # the variance falls faster than any power of n
         steepens = name in _RIVALS and bool(beyond)
         if steepens and not _is_known(curve, count):
             variance = math.nan, math.nan
@@ -949,16 +966,16 @@ def _results(
     infinite: bool,
     known: bool,
 ) -> list[CandidateResult]:
-    """Return the given set-up, then candidates, with simultaneous 95 % intervals of gains.
+    """Return the given set-up, followed by candidates with simultaneous 95 % intervals of gains.
 
-    The size of a gain is NaN if variances are not known; only its sign was measured.
+    If variances are not known, gains are NaN, because only their signs were measured.
     """
     count = affordable_count(given, points * given.cost) or points
     at_budget, z = curve.at(count), simultaneous_z(comparisons)
     cost, slope = given.cost, curve.rate if math.isfinite(curve.rate) else -1.0
 
     def needed(gain: float) -> float:
-        """Return evaluations with which the given set-up has the variance after the change."""
+        """Return the evaluations that the given set-up needs for the variance after the change."""
         if not (slope < 0.0 and math.isfinite(gain)):
             return math.inf
         return float(cost * points * gain ** (-1.0 / slope))
@@ -1028,7 +1045,7 @@ def _results(
 def _offers(
     evidence: Evidence, causes: Sequence[Cause], budget: int, stream: Stream
 ) -> list[Candidate]:
-    """Return changes of the estimator that answer its causes, fitted to evaluations at nets."""
+    """Return changes of the estimator that answer its causes, fitted to its values at nets."""
     estimator = evidence.estimator
     kinds: list[Any] = list(
         dict.fromkeys(k for cause in causes for k in cause.kinds if k in CHANGES)
@@ -1045,13 +1062,13 @@ def _offers(
     nets, seen = Setup(estimator, sampler), Evaluations.of(points, values)
     search = Budget(budget, CAUSE_SETTINGS.nets, stream, seen=seen)
     offers = [each for each in candidates_of(nets, kinds, search) if isinstance(each, Candidate)]
-    # Keep the densities that make an infinite variance finite
+    # If the variance is infinite, keep only densities that make it finite
     for cause in causes:
         if cause.name == "infinite-variance":
             index = cause.evidence.get("exponent", cause.evidence.get("tail_index", 0.0))
             offers = [offer for offer in offers if offer.finite_below > index]
-    # Try the removal of a jump first: its gain with nets is larger than its gain at random points.
-    # Means along an axis remove a jump on planes normal to it
+    # Try the removal of a jump first: it gains more with nets than with random points.
+    # A jump on planes normal to an axis is removed by means along this axis
     shape = _shape(causes)
     first = {"interior-jump": "preintegrated", "axis-parallel-jump": "preintegrated along axis"}
     removes = first.get(shape, "-")
@@ -1060,10 +1077,11 @@ def _offers(
 
 
 def _paid(offer: Candidate, left: int, *, last: bool) -> tuple[int, int]:
-    """Return the points and the nets with which `left` evaluations measure the removal of a jump.
+    """Return how many points and nets `left` evaluations allow to measure the removal of a jump.
 
-    Half of the nets are used if all of them would take too many evaluations, or would leave too
-    few for another change. The number of points is 0 if `left` is too small.
+    The number of nets is halved if all nets would need too many evaluations,
+    or would leave too few for another change.
+    If `left` is too small, the number of points is 0.
     """
     nets, least = CAUSE_SETTINGS.nets, _SETTINGS.least_checked
     changes = 1 if last else 2
@@ -1081,11 +1099,12 @@ def _improved(
     left: int,
     stream: Stream,
 ) -> tuple[list[_FoundSampler], list[str], int]:
-    """Measure changes of the estimator; also return tried names and calls.
+    """Measure changes of the estimator, and return them with the tried names and the calls.
 
-    A change is measured with nets of as many points as the rest of the budget allows. The first
-    significantly better change ends the search. It is compared with `base`, the curve of the best
-    sampler, at equal evaluations; its own curve gives the variance at the budget.
+    A change is measured with nets. The rest of the budget determines their number of points.
+    The search ends with the first change that is significantly better.
+    A change is compared with `base`, the curve of the best sampler, at equal evaluations.
+    Its own curve gives its variance at the budget.
     """
     estimator, jumps = evidence.estimator, _shape(causes) in _JUMPS
     found, tried, calls, least = list[_FoundSampler](), list[str](), 0, _SETTINGS.least_checked
@@ -1103,27 +1122,27 @@ def _improved(
         cost = n * each / estimator.evaluations_per_point
         at_budget = affordable_count(offer.setup, budget) or n
         made = Sets.of(offer.setup.estimator, n, wanted, stream.child(len(tried)))
-        # Drop a change that does not vary and has another mean: its points missed the peak of g
+        # Drop a change without variance if its mean differs: its points missed the peak of g
         seen_sets = evidence.sets.estimates
         off = abs(float(made.estimates.mean() - seen_sets.mean())) * math.sqrt(len(seen_sets))
         if not np.ptp(made.estimates) > 0.0 and off > _SETTINGS.off_sigmas * float(seen_sets.std()):
             continue
         curve = made.curves()[NETS].towards(base.rate, _SETTINGS.alike_error)
-        # Without its jump g may be smooth, with a steep rate that a few points do not show
+        # Without its jump, g may be smooth and have a steep rate that a few points do not show
         smooths = jumps and offer.kind == "preintegrated" and n < at_budget
         if n < _SETTINGS.few_points:
             smooths |= curve.rate < _SETTINGS.steepest_rate
             curve = replace(curve, rate=max(curve.rate, _SETTINGS.steepest_rate))
         (ours, ours_se), (other, other_se) = curve.at(n), base.at(cost)
-        # Extrapolate by the geometric mean of its rate and its gain, with half their difference as
-        # the error
+        # Take the geometric mean of two extrapolations: by the rate of the change, and by its gain.
+        # Half of the difference of the two extrapolations is an additional error
         points_at_budget = budget // estimator.evaluations_per_point
         (value, error), at_best = curve.at(at_budget), base.at(points_at_budget)[0]
         kept = ours / other * at_best if other > 0.0 else 0.0
         error = math.hypot(error, 0.5 * math.log(value / kept)) if value > 0.0 < kept else error
         after = math.sqrt(value * kept)
         sure = math.exp(-CONFIDENCE_Z * math.hypot(ours_se, other_se))
-        # Small sets underestimate a variance with unresolved tails
+        # If tails are not resolved, small sets underestimate the variance
         doubt = math.exp(_SETTINGS.tail_errors * error) if grows else 1.0
         better = ours < other * sure and after * doubt < at_best
         own = replace(offer, change=f"{offer.change}, and sample with {NETS}")

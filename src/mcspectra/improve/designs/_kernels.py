@@ -1,4 +1,4 @@
-"""Kernels of searches. Letters: r features, n points, N cells, W sets; codes are cells as bits."""
+"""Kernels of searches. Letters: r features, n points, N cells, W sets; a code is a cell's bits."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ __all__ = ["best_multiple", "flip_tree", "improve_code", "reflect", "span_mean",
 
 @kernel
 def best_multiple(m: Array, power: Array, vector: Array, axis: int, n: int, out: Array) -> None:
-    # Σ power over m·z ≡ 0 modulo n for each z_axis = 0 … n−1,
-    # the other components of z are in vector; output out (n,)
+    # For each z_axis = 0 … n−1, sum the power over m·z ≡ 0 modulo n.
+    # The array vector holds the other components of z; the output out is (n,)
     out[:] = 0.0
     for i in range(len(m)):
         rest = 0
@@ -32,7 +32,7 @@ def best_multiple(m: Array, power: Array, vector: Array, axis: int, n: int, out:
 
 @kernel
 def span_mean(table: Array, columns: Array, span: Array) -> float:
-    # Mean of the table over all xors of the columns int64 (m,); span int64 (2^m,) is scratch
+    # Mean of the table over all xors of the columns, int64 (m,); span, int64 (2^m,), is work space
     span[0] = 0
     total, size = 0.0, 1
     total += table[0]
@@ -47,9 +47,9 @@ def span_mean(table: Array, columns: Array, span: Array) -> float:
 
 @kernel
 def improve_code(table: Array, columns: Array, bits: int, span: Array) -> float:
-    # Flip bits of the columns while the mean of the table falls
+    # Flip bits of the columns as long as the mean of the table falls
     best = span_mean(table, columns, span)
-    floor = 1e-14 * np.abs(table).max()  # Means that vanish are rounding noise of either sign
+    floor = 1e-14 * np.abs(table).max()  # A mean below this is rounding noise
     better = True
     while better:
         better = False
@@ -66,14 +66,14 @@ def improve_code(table: Array, columns: Array, bits: int, span: Array) -> float:
 
 @kernel
 def flip_tree(table: Array, codes: Array, axes: int, bits: int) -> bool:
-    # Flip nodes of the trees of all axes where that lowers Σ_ij table[codes_i ^ codes_j];
-    # codes (n,)
+    # Flip nodes of the trees of all axes if a flip lowers Σ_ij table[codes_i ^ codes_j].
+    # Argument: codes (n,)
     n, changed = len(codes), False
     inside = np.empty(n, np.bool_)
     for axis in range(axes):
         low = (axes - 1 - axis) * bits
         for level in range(bits):
-            node = low + bits - level  # Position of the bits of the prefix within the axis
+            node = low + bits - level  # Lowest bit of the prefix in a code
             flip = 1 << (node - 1)
             done = np.zeros(n, np.bool_)
             for first in range(n):
@@ -110,9 +110,9 @@ def swap_cells(
     keys: Array,
     trials: int,
 ) -> int:
-    # Exchange pairs of cells between sets where Σ |sums|² falls. features float32 (N,
-    # r), owner (N,) the set of each cell, place (N,) its stratum, sums float32 (W, r);
-    # if not free, strata keep one cell a set
+    # Exchange pairs of cells between sets if the exchange lowers Σ |sums|².
+    # Unless free is true, each set keeps one cell of each stratum. Arrays: features float32 (N, r);
+    # owner (N,), the set of each cell; place (N,), its stratum; sums float32 (W, r)
     cells, r = features.shape
     taken = 0
     for t in range(trials):
@@ -121,7 +121,7 @@ def swap_cells(
         bits //= np.uint64(cells)
         if t % 4 == 0:
             b = np.int64(bits % np.uint64(cells))
-        else:  # A cell nearby: each axis moves by up to 1, 2 or 4
+        else:  # Choose a cell nearby: each axis moves by up to 1, 2 or 4
             reach, stride, rest, inside = 1 << (t % 4 - 1), 1, a, True
             for j in range(len(sides) - 1, -1, -1):
                 x = rest % sides[j] + np.int64(bits % np.uint64(2 * reach + 1)) - reach
@@ -151,13 +151,13 @@ def swap_cells(
 
 @kernel
 def reflect(slopes: Array, sets: Array, signs: Array) -> None:
-    # Signs int64 (W, n) of ±1 that make |Σ_i sign_i slopes[sets_i]|² small for each set;
-    # slopes (N, r)
+    # For each set, choose signs ±1 that make |Σ_i sign_i slopes[sets_i]|² small.
+    # Arrays: signs int64 (W, n), slopes (N, r)
     n, r = sets.shape[1], slopes.shape[1]
     total = np.empty(r)
     for w in range(len(sets)):
         total[:] = 0.0
-        for i in range(n):  # The sign that cancels the present sum
+        for i in range(n):  # Choose the sign that reduces the present sum
             product = 0.0
             for j in range(r):
                 product += total[j] * slopes[sets[w, i], j]

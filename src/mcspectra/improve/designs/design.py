@@ -54,14 +54,15 @@ _VERSION = 4  # Version of the searches; the cache ignores samplers of other ver
 class DesignSettings:
     """Settings of the cache of designs and of certificates."""
 
-    # Number of points and number of members whose values, with the text of the class,
-    # identify a class in the cache. No text identifies a function,
-    # and its values may be 0 outside a small region: 64 points missed disks of radius 0.1,
-    # and 8192 points miss a region of volume 1e-3 with probability 3e-4.
+    # A class is identified in the cache by its text and by the values of members at points.
+    # These are the numbers of points and of members. A text does not identify a function.
+    # Values may be 0 outside a small region: disks of radius 0.1 were missed by 64 points.
+    # A region of volume 1e-3 is missed by 8192 points with probability 3e-4.
     cache_points: int = 2**13
     cache_members: int = 256
-    # Samplers that designs and certificates compare with by default: the usual samplers
-    # with the least variance. Folded lattices have less variance than others for smooth integrands.
+    # Samplers with which designs and certificates are compared by default:
+    # the usual samplers with the least variance.
+    # Folded lattices have less variance than others for smooth integrands.
     rivals: tuple[str, ...] = (
         "sobol | owen",
         "pmj02",
@@ -73,15 +74,16 @@ class DesignSettings:
         "rank1-lattice | shift | mirror(mode='fold')",
         "fibonacci | shift | mirror(mode='fold')",
     )
-    # Number of members, number of realizations of each group of members,
-    # and maximum number of evaluations of each sampler, when a design is compared
-    # with its rivals before it is returned. The members of a group share realizations,
-    # so that 20 groups of 32 have 620 degrees of freedom: an error of 6 %.
+    # Limits of the comparison of a design with its rivals, before the design is returned.
+    # They are the number of members, the number of realizations of each group of members,
+    # and the maximum number of evaluations of each sampler.
+    # The members of a group share realizations. 20 groups of 32 realizations have
+    # 620 degrees of freedom, which gives an error of 6 %.
     check_members: int = 2000
     check_realizations: int = 32
     check_evaluations: int = 2**24
-    # Number of groups of members of a certificate, each with its own realizations. The errors have
-    # 19 degrees of freedom, so that intervals by Student's t are 7 % wider than with many groups.
+    # Number of groups of members of a certificate. Each group has its own realizations.
+    # Errors have 19 degrees of freedom, so intervals by Student's t are 7 % wider than normal ones.
     groups: int = 20
 
 
@@ -131,67 +133,73 @@ def design(
     defensive: float | None = None,
     settings: SearchSettings | None = None,
 ) -> Sampler | Density:
-    """Search a sampler of small expected variance over a class of integrands, or learn a density.
+    """Search a sampler with a small mean variance over a class of integrands, or learn a density.
 
     Parameters
     ----------
     kind
-        ``"lattice"`` (generating vectors: all in 2-D, else axis by axis), ``"polynomial-lattice"``,
-        ``"digital-net"`` (generator matrices), ``"owen"`` (64 flipped trees of Sobol' points
-        with the same t), ``"strata"`` (their shape, and the combination of points
-        of different strata) or ``"points"`` (sets that divide a grid among them,
-        or one set on the torus by its gradient); or ``"density"``: see `learned_density`.
+        Kind of the result. ``"lattice"``: generating vectors, all in 2-D, else built axis by axis.
+        ``"polynomial-lattice"`` and ``"digital-net"``: generator matrices.
+        ``"owen"``: 64 flipped trees of Sobol' points with the same t.
+        ``"strata"``: the shape of strata, and combinations of points of different strata.
+        ``"points"``: sets that divide a grid among them, or one set on the torus by gradient.
+        ``"density"``: an importance density, see `learned_density`.
     objective
-        The integrand of a density, or the class of a sampler. A class is a spec, whose parameters
-        may be ``uniform(a, b)`` or ``normal(mean, sd)``, drawn for each axis if possible:
-        ``"gaussian(center=uniform(0, 1), width=uniform(0.1, 0.4))"``; ``"gaussians"`` (this one),
-        ``"disks"`` or ``"half-spaces"`` (a uniform direction through a uniform point); a function
-        ``generator -> integrand``; a list of all these, in equal shares, such as the pixels
-        of a scene; ``{"spectrum": P}`` with the powers P(m) = E|f_m|², an array (2h + 1,
-        …) of m = −h … h or, with ``"half_width": h``, a callable of m (k, d); ``{"covariance":
-        C}``, C_ml = E[f_m conj(f_l)] as a matrix of these m in C order, or a callable of m and l.
+        The integrand of a density, or the class of integrands of a sampler. A class is one of:
+        a spec whose parameters may be ``uniform(a, b)`` or ``normal(mean, sd)``,
+        which are drawn for each axis if possible;
+        ``"gaussians"``, short for ``"gaussian(center=uniform(0, 1), width=uniform(0.1, 0.4))"``;
+        ``"disks"``, with random centers and radii;
+        ``"half-spaces"``, with a uniform direction through a uniform point;
+        a function ``generator -> integrand``;
+        a list of classes and integrands with equal shares, such as the pixels of a scene;
+        ``{"spectrum": P}``, where P contains the powers P(m) = E|f_m|² for m = −h … h.
+        P is an array (2h + 1, …), or with ``"half_width": h`` a callable of m (k, d);
+        ``{"covariance": C}``, where C contains C_ml = E[f_m conj(f_l)].
+        C is a matrix with the frequencies m in C order, or a callable of m and l.
     n
-        Number of points. Nets and trees take powers of two.
+        Number of points. Nets and trees require powers of two.
     dims
         Number of dims, up to 8. The default is the number of dims of the integrands,
-        or 2 if they fit any number.
+        or 2 if the integrands exist in any number of dims.
     rng
         Seed. The same seed gives the same sampler.
     path
-        File for the sampler or the density, .json.
-        Sets of points go into a .npz file of the same name. The default is the cache folder.
+        File for the sampler or the density, with the suffix .json.
+        Point sets are stored in a .npz file of the same name. The default is the cache folder.
     family, sampler, budget, defensive
-        Options of a density: `kind` (default ``"mixture"``), `sampler` (default ``"sobol |
-        owen"``), `evaluations` and `defensive` of `learned_density`.
+        Options of a density, passed to `learned_density`: `kind` (default ``"mixture"``),
+        `sampler` (default ``"sobol | owen"``), `evaluations` and `defensive`.
     settings
         Settings of the search of a sampler, `mcspectra.improve.designs.searches.SearchSettings`.
 
     Returns
     -------
     Sampler or Density
-        The sampler is unbiased for every integrand. Its `spec` makes the sampler again;
-        the spec of kinds with sets names their file.
-        If a usual sampler has less variance over fresh members of the class, with 95 % confidence,
-        it is returned with a `NoGainWarning`, unless `settings.return_rival` is false.
+        The sampler is unbiased for every integrand. Its `spec` creates the sampler again;
+        if the sampler has stored sets, the spec names their file.
+        A usual sampler may have less variance over fresh members of the class.
+        If this is certain at 95 % and `settings.return_rival` is true,
+        the usual sampler is returned with a `NoGainWarning`.
 
     Raises
     ------
     CountError
-        If the kind has no sets of n points.
+        If samplers of this kind do not exist with n points.
     ParameterError
-        If the kind is unknown; an option of densities is given for a sampler or the reverse;
-        the objective is empty, constant or cannot be read; or dims are out of range.
+        If the kind is unknown; if an option does not belong to the kind (density or sampler);
+        if the objective is empty, constant or unreadable; or if dims are out of range.
     DomainError
         If values of an integrand are not finite.
     FileFormatError
-        If the sampler cannot be written.
+        If the file of the sampler cannot be written.
 
     Notes
     -----
     The objective is the expected variance tr(C_f C_S); see `improve.designs.searches`.
-    For other classes the variances may be larger than the variances of usual samplers:
-    see `certificate`. If the search is interrupted (Ctrl-C),
-    the best sampler found up to then is returned and is not put into the cache.
+    For other classes, variances may be larger than with usual samplers: see `certificate`.
+    If the search is interrupted (Ctrl-C), the best sampler found so far is returned.
+    It is not put into the cache.
 
     Examples
     --------
@@ -230,7 +238,7 @@ def design(
     stream = Stream.from_rng(rng)
     chosen = path_to_write(path, "a file for the sampler", (".json",))
 
-    # Search the cache, in which values identify a class, for the sampler
+    # Search the cache for the sampler; the class is identified by values
     probes = Stream(0).uniforms(0, _SETTINGS.cache_points, goal.dims)
     values = goal.functions(_SETTINGS.cache_members, Stream(0).generator(0))(probes)
     words = (f"{_VERSION} {kind} {n} {stream.key} {settings} {values.shape} {goal.text} ").encode()
@@ -243,7 +251,7 @@ def design(
             warn(read["note"], NoGainWarning)
         return found if chosen is None else _saved(found, chosen)
 
-    # Return a usual sampler if the user interrupts before the first result
+    # If the user interrupts before the first result, return a usual sampler
     usual = sampler_of("korobov | shift", goal.dims)
     best, finished = Design(math.inf, 0.0, lambda _: usual), False
     try:
@@ -261,7 +269,7 @@ def design(
         made, note = best.make(target.with_suffix(".npz")), ""
         if (
             finished and settings.return_rival
-        ):  # A usual sampler may have less variance over fresh members
+        ):  # Check whether a usual sampler has less variance over fresh members
             made, note = _better_rival(goal, made, n, stream.child(5))
         if note:
             target.with_suffix(".npz").unlink(missing_ok=True)
@@ -280,7 +288,7 @@ def _saved(found: Sampler, target: Path) -> Sampler:
     spec = found.spec
     source = next((w for w in spec.split("'") if w.endswith(".npz")), None)
     if source is not None:
-        copy = str(target.with_suffix(".npz").resolve())  # An absolute path is valid in any folder
+        copy = str(target.with_suffix(".npz").resolve())  # Valid in any folder
         shutil.copyfile(source, copy)
         spec = spec.replace(repr(source), repr(copy))
     target.write_text(json.dumps({"spec": spec, "dims": found.dims}) + "\n")
@@ -298,40 +306,41 @@ def certificate(
     realizations: int = 32,
     rng: RngLike = 1,
 ) -> xr.Dataset:
-    """Measure the mean variance over fresh members of a class, and compare it with other samplers.
+    """Measure the mean variance over fresh members of a class, and compare it with usual samplers.
 
     Parameters
     ----------
     sampler
-        The designed sampler, or any other.
+        The designed sampler, or any other sampler.
     objective, n
         Same as in `design`. If the class is a list, all its integrands are measured.
     dims
         Number of dims. The default is the number of dims of the sampler.
     rivals
-        Samplers that are compared with the design. The default is sobol | owen, pmj02,
-        pmj02-blue-noise, and shifted Korobov, rank-1 and Fibonacci lattices, folded and not,
-        except those without a set of n points in these dims.
+        Samplers that are compared with the design. The default is sobol | owen, pmj02 and
+        pmj02-blue-noise, and shifted lattices (Korobov, rank-1 and Fibonacci), also folded.
+        Of these, only samplers with sets of n points in these dims are used.
     members
-        Number of drawn members, in 20 groups.
+        Number of random members, which are divided into 20 groups.
     realizations
-        Number of independent sets for each group.
+        Number of independent point sets for each group.
     rng
         Seed, which should differ from the seed of the design.
 
     Returns
     -------
     xarray.Dataset
-        `mean_variance(sampler)` with `mean_variance_ci`, and `design_ratio` with `design_ratio_ci`:
-        the mean variance of the sampler over that of the best rival.
-        The rival for each half of the groups is the best one in the other half. Intervals
-        at 95 % use Student's t over groups, and the jackknife for the ratio. The attribute
-        `best_rival` names the rival with the least mean variance: use it if the ratio is above 1.
+        `mean_variance(sampler)` with `mean_variance_ci`, and `design_ratio` with `design_ratio_ci`.
+        The ratio is the mean variance of the sampler divided by that of the best rival.
+        For each half of the groups, the rival is chosen by the other half.
+        Intervals at 95 % are by Student's t over groups, and by the jackknife for the ratio.
+        The attribute `best_rival` names the rival with the least mean variance.
+        Use this rival instead of the design if the ratio is above 1.
 
     Raises
     ------
     ParameterError
-        If there is no rival, if all variances of the best rival vanish,
+        If there is no rival, if all variances of the best rival are zero,
         or if an argument of `design` is wrong.
     """
     groups = _SETTINGS.groups
@@ -351,7 +360,7 @@ def certificate(
     if not means[best] > 0.0:
         raise ParameterError(f"The variance of {samplers[best].spec} vanishes; there is no ratio.")
     spread = student_t(groups) * sums.std(axis=1, ddof=1) / math.sqrt(groups)
-    # The least of several estimates is biased, so choose the rival for each half by the other half
+    # Each half uses the rival that the other half has chosen, because the least estimate is biased
     halves = sums.reshape(len(samplers), -1, 2)
     chosen = 1 + halves.sum(axis=1)[1:, ::-1].argmin(axis=0)
     beaten = halves[chosen, :, (0, 1)].T.ravel()
@@ -419,12 +428,12 @@ def _ratio(above: Array, below: Array) -> tuple[float, float, float]:
 
 
 def _better_rival(goal: Objective, made: Sampler, n: int, stream: Stream) -> tuple[Sampler, str]:
-    """Return the design, or a standard sampler with less variance and a sentence about it."""
+    """Return the design, or a usual sampler with less variance and a sentence about it."""
     realizations = _SETTINGS.check_realizations
     members = _SETTINGS.check_evaluations // (n * realizations)
     members = min(_SETTINGS.check_members, max(_SETTINGS.groups, members))
     with warnings.catch_warnings():
-        # Unbalanced rivals have large variances
+        # Rivals without balance in their points have large variances
         warnings.simplefilter("ignore", NotPowerOfTwoWarning)
         rivals = [rival for rival in _rivals(None, goal.dims, n) if rival.unbiased]
         sums = _sums_of_groups(goal, [made, *rivals], n, members, realizations, stream)

@@ -1,10 +1,10 @@
 """Objectives of a design: classes of integrands, with random members or a known covariance.
 
-The expected variance over a class is tr(C_f C_S), C_f = E[f_m conj(f_l)].
+With C_f = E[f_m conj(f_l)], the expected variance over a class is tr(C_f C_S).
 This is the sum of the variances of functions g_t with Σ_t g_t(x) g_t(y) = E[f(x) f(y)].
-For M members, these functions are the members times 1/√M.
-For a covariance of coefficients, they are its eigenvectors times the roots of its eigenvalues.
-For a spectrum, they are the waves √(2 P(m)) cos(2π m·x) and √(2 P(m)) sin(2π m·x).
+For M members, the g_t are the members times 1/√M.
+For a covariance of coefficients, the g_t are its eigenvectors times the roots of its eigenvalues.
+For a spectrum, the g_t are the waves √(2 P(m)) cos(2π m·x) and √(2 P(m)) sin(2π m·x).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from mcspectra.samplers.stratified import Random
 __all__ = ["Objective", "Values", "as_objective"]
 
 Values: TypeAlias = Callable[[Array], Array]
-"""Functions whose variances sum to the expected variance: points (N, d) to values (M, N)."""
+"""Functions whose variances sum to the expected variance; they map points (N, d) to (M, N)."""
 
 
 @final
@@ -43,18 +43,20 @@ Values: TypeAlias = Callable[[Array], Array]
 class ObjectiveSettings:
     """Settings of classes of integrands."""
 
-    # Maximum number of dims of a class. Tables of the searches have 2^18 values,
-    # in 8-D 2^2 along each axis.
+    # Maximum number of dims of a class. The searches use tables of 2^18 values;
+    # in 8-D such a table has about 2^2 values along each axis.
     most_dims: int = 8
-    # Maximum numbers of waves of a spectrum and of eigenvectors of a covariance; the largest ones
-    # are kept. Each wave gives two functions, so that searches handle twice as many functions.
+    # Maximum numbers of waves of a spectrum and of eigenvectors of a covariance.
+    # The largest ones are kept. Each wave gives two functions,
+    # so a search handles twice as many functions as waves.
     most_waves: int = 1024
-    # Number of members and points that are tested to detect a class of constant members. A class
-    # is refused by mistake if its members vary only in less than about 1/8192 of the volume.
+    # Number of members and number of points of the test for constant members.
+    # A class is refused by mistake if its members vary only in a region
+    # with less than about 1/8192 of the volume.
     probe_members: int = 16
     probe_points: int = 2**13
-    # Default and largest half width h of a spectrum or a covariance that is a function.
-    # A spectrum has (2h + 1)^d values: 2.1e6 of h = 64 in 3-D.
+    # Default and largest half width h of a spectrum or a covariance given as a function.
+    # A spectrum has (2h + 1)^d values, which are 2.1e6 values for h = 64 in 3-D.
     usual_half_width: int = 8
     most_half_width: int = 64
 
@@ -78,10 +80,10 @@ class Objective:
     text
         Name of the class in messages.
     draw
-        Function of M and a generator that makes M random members,
-        or the whole class if this is a list.
+        Function of M and a random generator that returns M random members.
+        If this is a list, it is the whole class.
     whole
-        The functions of the whole class if all of them are known, else None.
+        The functions of the whole class if all of them are known; otherwise None.
     """
 
     text: str
@@ -97,13 +99,13 @@ class Objective:
 def as_objective(given: object, dims: int | None = None) -> Objective:
     """Read an objective; see `design`.
 
-    The default of dims is the number of dims of the integrands, else 2.
+    The default number of dims is that of the integrands, or 2 if they have none.
 
     Raises
     ------
     ParameterError
-        If the objective cannot be read, is empty or has constant members only,
-        or if dims are not 1 to 8.
+        If the objective cannot be read, is empty or contains only constant members;
+        or if the number of dims is not between 1 and 8.
     DomainError
         If values are not finite.
     """
@@ -129,7 +131,7 @@ def _read(given: Any, dims: int | None) -> Objective:
     if isinstance(given, Mapping):
         return _of_waves(given, dims)
     if isinstance(given, Sequence):
-        # Give each part the same share. A list of single integrands is the whole class
+        # Give each part the same share. If all parts are integrands, the list is the whole class
         if not given:
             raise ParameterError("The objective is an empty list; give one integrand at least.")
         # Integrands given as text get the number of dims from the other integrands
@@ -158,7 +160,7 @@ def _read(given: Any, dims: int | None) -> Objective:
                 found = given(rng)
             except McspectraError:
                 raise
-            # A function of points fails in this way
+            # If the user gives a function of points instead, it fails with one of these errors
             except (AttributeError, TypeError, ValueError) as error:
                 raise ParameterError(
                     f"{name} raised {type(error).__name__} of a generator: {error}; give a "
@@ -186,7 +188,7 @@ def _of_text(text: str, dims: int | None) -> Objective:
         d = dims or 2
 
         def half_space(rng: np.random.Generator) -> Integrand:
-            """Draw the border of a half-space through a uniform point, with a uniform direction."""
+            """Draw a half-space: its border has a random direction and contains a random point."""
             normal = rng.standard_normal(d)
             normal /= np.sqrt(normal @ normal)
             arguments = {"normal": normal.tolist(), "offset": float(normal @ rng.random(d))}
@@ -227,7 +229,7 @@ def _of_text(text: str, dims: int | None) -> Objective:
 
     dims = dims or make(dict.fromkeys(laws, 1), np.random.default_rng(0)).dims
 
-    # Draw a parameter for each axis if the integrand takes a list
+    # If the integrand accepts a list for a parameter, draw a value for each axis
     error: Exception | None = None
     for sizes in itertools.product((dims, 1), repeat=len(laws)):
         size = dict(zip(laws, sizes, strict=True))
@@ -246,7 +248,7 @@ def _drawn(text: str, dims: int, one: Callable[[np.random.Generator], Integrand]
 
 
 def _members(integrands: Sequence[Integrand], x: Array) -> Array:
-    """Return the values of all channels of integrands, scaled so that mean squares are sums."""
+    """Return the values of all channels, scaled so that mean squares of members are plain sums."""
     rows = []
     for f in integrands:
         values = f(x)
@@ -257,7 +259,7 @@ def _members(integrands: Sequence[Integrand], x: Array) -> Array:
 
 
 def _of_waves(given: Mapping[str, Any], dims: int | None) -> Objective:
-    """Read {'spectrum': P} or {'covariance': C}, arrays or callables, with 'half_width'."""
+    """Read {'spectrum': P} or {'covariance': C}; P and C are arrays or callables of frequencies."""
     kinds = [kind for kind in ("spectrum", "covariance") if kind in given]
     if len(kinds) != 1 or set(given) - {*kinds, "half_width"}:
         raise ParameterError(

@@ -1,19 +1,21 @@
-"""Searches for each kind of sampler, which yield better and better samplers.
+"""Searches for each kind of sampler. A search yields samplers with less and less variance.
 
-A set that is shifted at random has the variance Σ_{m≠0} P(m) |S_m|²,
-with P(m) = E|f_m|² of the class. For a lattice, this is the sum of P over its dual lattice.
-Under a digital shift the same holds in the Walsh basis: the variance is (1/n²) Σ_ij κ(x_i xor x_j),
-with κ the Walsh series of P. For a digital net the variance is the mean of κ over the points alone.
+Let P(m) = E|f_m|² be the mean power of the class.
+A set that is shifted at random has the variance Σ_{m≠0} P(m) |S_m|².
+For a lattice, this is the sum of P over its dual lattice.
+A digital shift has the same property in the Walsh basis, where κ is the Walsh series of P:
+the variance is (1/n²) Σ_ij κ(x_i xor x_j). For a digital net it is the mean of κ over the points.
 If sets are folded after the shift, both statements hold for g(x) = f(1 − |2x − 1|),
-which is continuous on the torus [Hickernell2002]_.
-Each search tries plain and folded sets and keeps the better ones.
+because this function is continuous on the torus [Hickernell2002]_.
+Each search tries plain sets and folded sets, and keeps the better ones.
 
-Sets that divide the cells of a grid among them need no shift.
-Let φ_t be features with Σ_t φ_t(x) φ_t(y) = Cov(f(x), f(y)) at the centers of cells. The variance
-is then the mean over sets of Σ_t (mean φ_t)². Exchanges of cells between sets lower this variance.
-Exchanges start from random sets, or from the cosets of a designed digital net if these are better.
-The points of a set have the same offset within their cells up to reflections,
-which are chosen so that the sum of the signed slopes is small.
+Sets that divide the cells of a grid among them need no shift. At the centers of cells,
+features are functions φ_t with Σ_t φ_t(x) φ_t(y) = Cov(f(x), f(y)).
+The variance is the mean over sets of Σ_t (mean φ_t)².
+It is lowered by exchanges of cells between sets.
+Exchanges start from random sets, or from the cosets of a digital net if these are better.
+All points of a set have the same offset within their cells, except for reflections.
+The reflections are chosen so that the sum of the signed slopes of the features is small.
 """
 
 from __future__ import annotations
@@ -54,96 +56,97 @@ class SearchSettings:
     """Settings of the searches.
 
     Larger numbers make searches longer.
-    Comments state the mean variance of designs at other values, as a ratio to ``sobol | owen``,
-    over 400 fresh members of ``gaussians`` at n of about 64 in 2-D.
+    Comments give ratios. A ratio is the mean variance of designs with another value of a setting,
+    divided by the mean variance of ``sobol | owen``. Unless stated otherwise, it is measured
+    with 400 fresh members of the class ``gaussians`` and about 64 points in 2-D.
     """
 
-    # Classes
+    # Settings of classes
 
-    # Maximum number of random members that represent a class. The ratio of strata is 0.037,
-    # 0.031 and 0.027 for 512, 1024 and 2048 members; the ratio of lattices does not change.
+    # Maximum number of random members that represent a class. With 512, 1024 and 2048 members
+    # the ratio of strata is 0.037, 0.031 and 0.027, and the ratio of lattices does not change.
     members: int = 1024
-    # Maximum number of values in a table of all members at the points of a grid:
-    # 128 MB in single precision.
+    # Maximum size of a table with the values of all members at the points of a grid.
+    # It takes 128 MB in single precision.
     table_values: int = 2**25
     # Whether a usual sampler that has less variance is returned instead of the design.
-    # Without this replacement, designs of one kind can be compared with designs of another kind.
+    # If this is off, designs of different kinds can be compared with each other.
     return_rival: bool = True
-    # Number of points at which members are evaluated at once:
-    # 64 MB in double precision for 1024 members.
+    # Number of points at which members are evaluated at once.
+    # For 1024 members, this takes 64 MB in double precision.
     block: int = 2**13
-    # Number of points and number of members with which searches measure samplers,
-    # in searches of nets and of lattices in three dims or more. The ratio of nets is 0.167
+    # Number of points and number of members for measurements of samplers during a search.
+    # They are used for nets, and for lattices in three dims or more. The ratio of nets is 0.167
     # for half or twice as many points, and 0.164 to 0.167 for half or twice as many members.
-    # In 3-D, 128 members choose another lattice, with 0.313 instead of 0.295.
+    # In 3-D, 128 members choose another lattice, with the ratio 0.313 instead of 0.295.
     judge_points: int = 2**16
     judge_members: int = 256
 
-    # Lattices
+    # Settings of lattices
 
-    # Number of points of the table that estimates the spectrum of a class;
-    # this number is doubled above three dims. For half or twice as many points,
-    # the ratio of lattices is 0.020 to 0.021, and 0.27 to 0.30 in 3-D.
+    # Number of points of the table from which the spectrum of a class is estimated.
+    # Above three dims this number is doubled. With half or twice as many points,
+    # the ratio of lattices is 0.020 to 0.021 in 2-D, and 0.27 to 0.30 in 3-D.
     frequencies: int = 2**16
-    # Number of initial vectors in the search of lattices in three dims or more:
-    # one vector is built axis by axis, the others are random.
-    # In 3-D the ratio is 0.295 for 24 and 48, and 0.274 for 96 in twice the time.
+    # Number of initial vectors in the search of lattices in three dims or more.
+    # One vector is built axis by axis, and the others are random.
+    # In 3-D the ratio is 0.295 with 24 or 48 vectors, and 0.274 with 96 in twice the time.
     vectors: int = 48
-    # Number of the best vectors of this search that are measured.
-    # In 3-D the ratio is the same for 6 and 24.
+    # Number of vectors that are measured: the best ones of this search.
+    # In 3-D the ratio is the same for 6 and 24 vectors.
     judged: int = 12
 
-    # Nets and trees
+    # Settings of nets and of trees
 
     # Maximum number of points of a net or of trees.
     # Exchanges in trees compare all pairs of points, whose number grows as n².
     most_points: int = 2**12
-    # Maximum number of bits in the codes of all axes together:
-    # the Walsh table has 2^18 values for each member.
+    # Maximum number of bits in the code of a point, for all axes together.
+    # The Walsh table has 2^18 values for each member.
     table_bits: int = 18
-    # Number of initial matrices in the search of nets:
-    # Sobol' matrices, and random ones of the same strength. The ratio is the same for 3 and 12.
+    # Number of initial matrices in the search of nets: Sobol' and random ones of the same strength.
+    # The ratio is the same for 3 and 12.
     net_starts: int = 6
-    # Number of trees in a design of kind ``owen``: the trees are independent sets, so that errors
-    # can be estimated from realizations. The ratio is 0.235 for 32 and 0.224 for 64 and 128.
+    # Number of trees in a design of kind ``owen``. The trees are independent sets,
+    # which allows estimates of errors. The ratio is 0.235 for 32 trees, and 0.224 for 64 and 128.
     trees: int = 64
-    # Number of trees that decide whether sets are folded. The ratio is the same for 4 and 16.
+    # Number of trees that decide whether sets are folded; 4 and 16 trees give the same ratio.
     first_trees: int = 8
 
     # Settings of sets that share a grid
 
-    # Number of cells of the grid. The number of sets of n points is cells/n, at least 16.
+    # Number of cells of the grid. There are cells/n sets of n points, and at least 16 sets.
     # The ratio of strata is 0.033, 0.031 and 0.033 for half, once and twice as many cells.
     cells: int = 2**16
-    # Number of features of the covariance. For more points than this, n features are used,
+    # Number of features of the covariance. If n is larger, n features are used,
     # but at most twice this setting.
     # The ratio of strata is 0.031 for half or twice as many features.
     features: int = 160
-    # Number of exchanges of cells that are tried in a round. The ratio of strata is 0.035, 0.031
-    # and 0.028 for half, once and twice as many exchanges; the time is proportional to this number.
+    # Number of exchanges of cells that are tried in a round; the time is proportional to it.
+    # The ratio of strata is 0.035, 0.031 and 0.028 for half, once and twice as many exchanges.
     trials: int = 2**20
-    # Maximum number of rounds of exchanges. The ratio of strata is 0.037, 0.031 and 0.028 for 12,
-    # 24 and 48 rounds; the time is proportional to this number.
+    # Maximum number of rounds of exchanges; the time is proportional to it.
+    # The ratio of strata is 0.037, 0.031 and 0.028 for 12, 24 and 48 rounds.
     rounds: int = 24
-    # Number of rounds after which the best of several starts is chosen.
-    # For ``points`` and ``half-spaces`` the ratio is 0.735 for 2, 4 and 8.
+    # Number of rounds after which the search continues with the best start only.
+    # For ``points`` and ``half-spaces`` the ratio is 0.735 for 2, 4 and 8 rounds.
     first_rounds: int = 4
-    # Fraction of the variance: the search ends after a round that lowers the variance by less.
+    # The search ends after a round that lowers the variance by less than this fraction.
     # The ratio of strata is the same for half or twice the value.
     least_gain: float = 0.003
-    # Whether exchanges also start from the cosets of a digital net.
-    # In 4-D, 64 points end with less variance than from random sets: tests/improve/test_design.py.
+    # Whether exchanges also start from the cosets of a digital net. With 64 points in 4-D,
+    # they reach less variance than from random sets (tests/improve/test_design.py).
     cosets: bool = True
-    # Number of compared shapes of strata, the most even shapes first, and number of realizations
-    # in each comparison. The least variance of 32 realizations has a relative error
-    # of √(2/31) = 25 %, and differences between good and bad shapes are larger.
+    # Number of shapes of strata that are compared, starting with the most even shapes;
+    # and number of realizations in each comparison. A variance of 32 realizations has
+    # a relative error of √(2/31) = 25 %. Good and bad shapes differ by more than 25 %.
     shapes: int = 12
     shape_realizations: int = 32
 
     # Settings of sets on the torus
 
-    # Number of points in the table that estimates the spectrum.
-    # This number bounds the time of each gradient. At n = 5000 the ratio of ``points`` is 0.20,
+    # Number of points in the table from which the spectrum is estimated.
+    # It limits the time of each gradient. At n = 5000 the ratio of ``points`` is 0.20,
     # 0.082 and 0.078 for half, once and twice as many points.
     torus_frequencies: int = 2**14
 
@@ -151,9 +154,9 @@ class SearchSettings:
 class Design(NamedTuple):
     """A sampler that a search found.
 
-    `variance` is its expected variance, and `done` is the completed fraction of the search.
-    `make` returns the sampler. It takes the path of a .npz file, and writes
-    this file if the sampler needs a file.
+    `variance` is its expected variance, and `done` is the fraction of the search that is done.
+    `make` returns the sampler. Its argument is the path of a .npz file,
+    which is written only if the sampler needs a file.
     """
 
     variance: float
@@ -165,13 +168,13 @@ Search = Callable[[Objective, int, Stream, SearchSettings], Iterator[Design]]
 
 
 def evaluated(values: Values, x: Array, block: int) -> Array:
-    """Return values in single precision, computed by blocks of points: float32 (M, N)."""
+    """Return values in single precision, float32 (M, N), computed for blocks of points."""
     blocks = [values(x[start : start + block]) for start in range(0, len(x), block)]
     return np.concatenate([block.astype(np.float32) for block in blocks], axis=1)
 
 
 def mean_variances(values: Values, source: Sampler, n: int, realizations: int, seed: int) -> Array:
-    """Return the variance over realizations of the mean of each function: (M,)."""
+    """Return the variance of the mean of each function over realizations, (M,)."""
     points = source.draw(n, realizations=realizations, rng=seed)
     found = values(points.reshape(-1, source.dims))
     means = found.reshape(len(found), realizations, n).mean(axis=2)
@@ -181,12 +184,13 @@ def mean_variances(values: Values, source: Sampler, n: int, realizations: int, s
 def _fourier_power(
     values: Values, dims: int, fold: bool, size: int, block: int
 ) -> tuple[Array, Array]:
-    """Return frequencies, one of m and −m, and 2 E|f_m|², the largest first: int64 (K, d), (K,).
+    """Return frequencies, int64 (K, d), and 2 E|f_m|², (K,), with the largest values first.
 
-    In up to 3 dims the frequencies are those of a grid. In more dims a grid has few frequencies
-    along an axis, but functions that are not periodic have most of their power along the axes.
-    The frequencies are then those of a hyperbolic cross and of a ball, estimated on a lattice.
-    Of frequencies that the lattice cannot distinguish, only the lowest is kept.
+    Only one of m and −m is listed. In up to 3 dims the frequencies form a grid.
+    In more dims a grid would have few frequencies along each axis,
+    but functions that are not periodic have most of their power along the axes.
+    Therefore a hyperbolic cross and a ball of frequencies are used, estimated on a lattice.
+    If the lattice cannot distinguish several frequencies, only the lowest is kept.
     """
     if dims <= 3:
         side = int(size ** (1.0 / dims) + 1e-9)
@@ -216,8 +220,8 @@ def _fourier_power(
         m = m[first]
     table = evaluated(values, folded(x) if fold else x, block)
 
-    # Transform two functions g, h at once:
-    # for F of g + ih, |F(m)|² + |F(−m)|² = 2 |g_m|² + 2 |h_m|²
+    # Transform two functions g and h at once, by the transform F of g + ih:
+    # |F(m)|² + |F(−m)|² = 2 |g_m|² + 2 |h_m|²
     power = np.zeros(shape)
     for k in range(0, len(table), 2):
         second = table[k + 1] if k + 1 < len(table) else 0.0
@@ -233,7 +237,7 @@ def _fourier_power(
 def _best_vector(
     m: Array, power: Array, dims: int, n: int, generator: np.random.Generator, starts: int
 ) -> Iterator[tuple[float, Array]]:
-    """Yield vectors with small dual sums: the best in 2-D, else improved axis by axis."""
+    """Yield generating vectors with small dual sums: all in 2-D, else improved axis by axis."""
     sums = np.empty(n)
     for start in range(starts if dims > 2 else 1):
         vector = np.ones(dims, np.int64)
@@ -243,7 +247,7 @@ def _best_vector(
         for sweep in range(6):
             for axis in range(1, dims):
                 seen = np.ones(len(m), bool)
-                if start == sweep == 0:  # Use the components that are already chosen
+                if start == sweep == 0:  # Use only the components chosen so far
                     seen = (m[:, axis + 1 :] == 0).all(axis=1)
                 _kernels.best_multiple(m[seen], power[seen], vector, axis, n, sums)
                 vector[axis] = sums.argmin()
@@ -282,14 +286,14 @@ def _lattices(
         for value, vector in _best_vector(
             m[:most], power[:most], objective.dims, n, stream.generator(1), settings.vectors
         ):
-            if not found:  # The result if the search is interrupted
+            if not found:  # A first result, in case of an interruption
                 yield Design(math.inf, fold / 2, partial(_as_made, made_of(vector, fold)))
             found.append((value, vector))
             report("lattice", (fold + len(found) / settings.vectors) / 2)
         kept = 1 if plane else settings.judged
         for value, vector in sorted(found, key=lambda each: each[0])[:kept]:
             made = made_of(vector, fold)
-            if not plane:  # Frequencies that are missing in the table may matter
+            if not plane:  # The table may lack frequencies that matter
                 value = judge(made)
             yield Design(value, (fold + 1) / 2, partial(_as_made, made))
 
@@ -312,19 +316,19 @@ def _power_of_two(n: int, kind: str, most: int) -> int:
 
 
 def _axis_bits(n: int, dims: int, most: int) -> int:
-    """Return the digits of each axis in a table of `most` bits: two more than points need."""
+    """Return the digits of each axis, two more than points need, in a table of `most` bits."""
     return max(1, min(most // dims, n.bit_length() + 1))
 
 
 def _tables(
     objective: Objective, bits: int, stream: Stream, settings: SearchSettings, *, owen: bool
 ) -> Iterator[tuple[str, Array]]:
-    """Yield randomizations, each with its kernel κ of codes."""
+    """Yield each randomization with its kernel κ, a table over codes."""
     dims = objective.dims
     members = min(settings.members, settings.table_values >> dims * bits)
     values = objective.functions(members, stream.generator(0))
     for fold in (False, True):
-        # Compute E|f_m|² of Walsh functions of the bits of all axes, 0 at m = 0: (2^(d bits),)
+        # Compute E|f_m|² for Walsh functions of the bits of all axes, (2^(d bits),); 0 at m = 0
         x = grid((np.arange(1 << bits) + 0.5) / (1 << bits), dims)
         table, power = evaluated(values, folded(x) if fold else x, settings.block), np.zeros(len(x))
         for start in range(0, len(table), 16):
@@ -333,7 +337,7 @@ def _tables(
         power[0], tail = 0.0, _FOLD if fold else ""
         power = power / float(len(x)) ** 2
         yield f" | digital-shift{tail}", hadamard(power)
-        if owen:  # Power is averaged over the Walsh functions with the same last digits on all axes
+        if owen:  # Average the power over Walsh functions with the same last digit on each axis
             codes = np.arange(len(power))
             level = np.zeros(len(power), np.int64)
             for axis in range(dims):
@@ -362,12 +366,12 @@ def _nets(
     sobol = (_sobol_directions()[:dims, :m] >> np.uint32(32 - rows)).astype(np.int64)
 
     def code(columns: Array) -> Array:
-        """Return columns int64 (d, m) of `rows` digits as the first bits of all axes."""
+        """Return columns int64 (d, m) of `rows` digits as leading bits of the code of all axes."""
         top = columns >> rows - bits
         return np.asarray(sum(top[j] << (dims - 1 - j) * bits for j in range(dims)))
 
     def hankel(q: int) -> Array:
-        """Return the columns of the matrix of q / modulus."""
+        """Return the columns of the generator matrix of q / modulus."""
         series = _quotient(q << (rows + m), modulus)
         return np.array([series >> m - c & (1 << rows) - 1 for c in range(m)])
 
@@ -390,11 +394,11 @@ def _nets(
                 columns = sobol.copy()
                 if (
                     start > 1
-                ):  # Adding higher rows to lower rows gives matrices of the same strength
+                ):  # Higher rows are added to lower rows; the matrices keep their strength
                     for j, r in itertools.product(range(dims), range(1, rows)):
                         mixed = columns[j] >> rows - r & generator.integers(0, 1 << r)
                         columns[j] ^= (np.bitwise_count(mixed) & 1).astype(np.int64) << rows - 1 - r
-                if start:  # The first net is the Sobol' net
+                if start:  # The first net remains the Sobol' net
                     flat = code(columns)
                     _kernels.improve_code(table, flat, dims * bits, span)
                     for j in range(dims):
@@ -426,7 +430,7 @@ def _trees(
         top = codes[..., None] >> places & (1 << bits) - 1
         return energy, (top + starts[first:last] * 2.0**bits % 1.0) / 2.0**bits
 
-    # The first trees choose the randomization; the variance is the mean over all trees
+    # The first trees choose the randomization; the reported variance is the mean over all trees
     frames = list(_tables(objective, bits, stream, settings, owen=False))
     begun = [(*flipped(table, 0, tried), tail, table) for tail, table in frames]
     energy, sets, tail, table = min(begun, key=lambda each: each[0])
@@ -444,7 +448,7 @@ def _of_sets(sets: Array, tail: str, path: Path) -> Sampler:
 
 
 def _shapes(n: int, dims: int) -> list[tuple[int, ...]]:
-    """Return the ways to write n as an ordered product of `dims` numbers, the most even first."""
+    """Return all ordered products of `dims` numbers that equal n, the most even first."""
     found: list[tuple[int, ...]] = [(n,)] if dims == 1 else []
     if dims > 1:
         divisors = (k for k in range(1, n + 1) if n % k == 0)
@@ -462,11 +466,11 @@ def _shared(
             "kind='lattice'.",
             (most,),
         )
-    # Sets of n points can balance about n features; about n members determine these features
+    # A set of n points can balance about n features. About n members determine these features
     members = min(2 * settings.members, max(settings.members, 8 * n))
     values = objective.functions(members, stream.generator(0))
 
-    # Choose the shape of strata with the least variance of jittered points
+    # Choose the shape of strata whose jittered points have the least variance
     def jittered(shape: tuple[int, ...]) -> float:
         corners, sets = (
             np.stack(np.unravel_index(np.arange(n), shape), axis=-1),
@@ -478,13 +482,13 @@ def _shared(
 
     shape = np.array(min(_shapes(n, dims)[: settings.shapes], key=jittered))
     wanted = np.full(dims, settings.cells ** (1.0 / dims))
-    if free and n & (n - 1) == 0:  # Cosets of a net need a grid whose sides are powers of two
+    if free and n & (n - 1) == 0:  # Cosets of a net require sides that are powers of two
         wanted = 2.0 ** ((settings.cells.bit_length() + dims - 2 - np.arange(dims)) // dims)
     parts = np.maximum(1, np.rint(wanted / shape)).astype(np.int64)
     sides, sets = shape * parts, int(parts.prod())
     cells = np.stack(np.unravel_index(np.arange(sides.prod()), sides), axis=-1)
 
-    # Compute features: the combinations of members with the largest variances
+    # Compute features: the linear combinations of members with the largest variances
     table = evaluated(values, (cells + 0.5) / sides, settings.block)
     table -= table.mean(axis=1, keepdims=True)
     sizes, turned = np.linalg.eigh((table @ table.T).astype(np.float64))
@@ -493,7 +497,7 @@ def _shared(
     features = np.ascontiguousarray((turned[:, kept].T.astype(np.float32) @ table).T)
     del table
 
-    # Each set starts with one random cell of each stratum, or with a coset of a net
+    # A set starts with one random cell of each stratum, or with a coset of a net
     place = np.ravel_multi_index(tuple((cells // parts).T), tuple(shape))
     order = np.lexsort((stream.generator(1).random(len(cells)), place))
     owner = np.empty(len(cells), np.int64)
@@ -506,7 +510,7 @@ def _shared(
     rounds, keys = settings.rounds, stream.child(2).keys(0, settings.rounds)
 
     def exchanged(owner: Array, sums: Array, turn: int) -> float:
-        """Exchange cells for a round, and return the variance."""
+        """Exchange cells for one round, and return the new variance."""
         _kernels.swap_cells(features, owner, place, sums, sides, free, keys[turn], settings.trials)
         return float((sums.astype(np.float64) ** 2).sum()) / (sets * n**2)
 
@@ -531,7 +535,7 @@ def _shared(
 def _cosets(
     objective: Objective, n: int, sides: Array, stream: Stream, settings: SearchSettings
 ) -> Array | None:
-    """Return the coset of a designed digital net for each cell, (N,); sides are powers of two."""
+    """Return the coset of a digital net that contains each cell, (N,); sides are powers of two."""
     if n < 4 or (np.append(sides, n) & np.append(sides, n) - 1).any():
         return None
     nets = _nets(objective, n, stream, settings, polynomial=False, frames=1)
@@ -541,7 +545,7 @@ def _cosets(
     if len(np.unique(codes)) < n:
         return None
 
-    # Clear the leading digit of each vector in the span's echelon form from all codes
+    # Reduce all codes by the span of the net: clear the leading bit of each echelon vector
     rest, left = np.arange(sides.prod()), codes
     while left.max() > 0:
         vector = left.max()
@@ -550,7 +554,7 @@ def _cosets(
 
 
 def _of_cells(features: Array, owner: Array, cells: Array, sides: Array, path: Path) -> Sampler:
-    """Choose reflections by the slopes of the features, and make a sampler of the cells."""
+    """Choose reflections by the slopes of the features, and make a sampler from the cells."""
     sets = np.argsort(owner, kind="stable").reshape(owner.max() + 1, -1)
     signed = cells[sets] + 1
     table = features.reshape(*sides, -1)
@@ -567,7 +571,7 @@ def _of_cells(features: Array, owner: Array, cells: Array, sides: Array, path: P
 def _points(
     objective: Objective, n: int, stream: Stream, settings: SearchSettings
 ) -> Iterator[Design]:
-    """Search sets that share a grid; then, in up to 3 dims, one set on the torus by gradient."""
+    """Search sets that share a grid. In up to 3 dims, also optimize a set on the torus."""
     dims = objective.dims
     if n <= settings.cells // 16 or dims > 3:
         for found in _shared(objective, n, stream, settings, free=True):
@@ -600,7 +604,7 @@ def _energy(m: Array, power: Array, dims: int) -> Callable[[Array], tuple[float,
     for sign in (1, -1):
         weights[tuple((sign * m + side // 2).T)] = 0.5 * power
     along = np.arange(side) - side // 2
-    # With this tolerance the energy agrees with a direct sum to 1e-8: tests/improve/test_design.py
+    # This tolerance gives the energy to 1e-8 of a direct sum (tests/improve/test_design.py)
     options = {"eps": 1e-9, "nthreads": 1, "upsampfac": 1.25}
     forward = getattr(finufft, f"nufft{dims}d1")
     backward = getattr(finufft, f"nufft{dims}d2")
@@ -627,4 +631,4 @@ KINDS: dict[str, Search] = {
     "strata": partial(_shared, free=False),
     "points": _points,
 }
-"""Kinds of samplers, with the search of each kind."""
+"""Kinds of samplers, each with its search."""
