@@ -2,8 +2,8 @@
 
 Run it from the root of the repository: ``python docs/examples/frames/make.py``.
 It needs the extra ``render``. The files are .npy arrays in half precision with 64 × 64 pixels.
-Such files are small, and reading them needs no extra. Another version of Mitsuba or another
-processor gives images with different noise.
+Such files are small, and reading them needs no extra.
+Other versions of Mitsuba and other processors give images with different noise.
 """
 
 from pathlib import Path
