@@ -1,7 +1,7 @@
 """Sphinx configuration.
 
-Every page is one text file. Notebooks run at each build. The pages load nothing from other sites:
-mathematics is MathML, and its font lies next to the pages.
+Every page is one text file. Notebooks run at each build. The pages load nothing from other sites.
+Mathematics is MathML, and its font is stored with the pages.
 """
 
 import os
@@ -41,7 +41,7 @@ nb_execution_in_temp = True
 nb_execution_timeout = 120
 nb_execution_raise_on_error = True
 nb_execution_show_tb = True
-nb_ipywidgets_js = {}  # the default loads a script from a content network
+nb_ipywidgets_js = {}  # the default loads a script from another site
 nb_merge_streams = True
 nb_output_stderr = "remove"  # progress bars
 

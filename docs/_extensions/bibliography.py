@@ -1,6 +1,6 @@
 """The directive ``bibliography`` for a page of all works, and the role ``cite``.
 
-Docstrings cite a work as [Key]_, Markdown pages as {cite}`Key`.
+Docstrings cite a work as [Key]_. Markdown pages cite a work as {cite}`Key`.
 """
 
 from typing import Any
@@ -49,19 +49,19 @@ class _Bibliography(Directive):
 def _cite(
     _name: str, _rawtext: str, key: str, *_: Any
 ) -> tuple[list[nodes.Node], list[nodes.system_message]]:
-    """Return the citation that [Key]_ makes in reStructuredText."""
+    """Return the same citation as [Key]_ in reStructuredText."""
     return [nodes.citation_reference(f"[{key}]_", key, refname=key)], []
 
 
 def _note_used(_app: Sphinx, environment: Any) -> None:
-    """Mark every work as cited, so that Sphinx does not warn about works that no page cites."""
+    """Mark every work as cited, so that Sphinx gives no warning about uncited works."""
     domain = environment.get_domain("citation")
     for key in domain.citations:
         domain.citation_refs.setdefault(key, set()).add("references")
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Register directive and role."""
+    """Register the directive and the role."""
     app.add_directive("bibliography", _Bibliography)
     app.add_role("cite", _cite)
     app.connect("env-updated", _note_used, priority=100)

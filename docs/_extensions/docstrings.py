@@ -1,4 +1,4 @@
-"""Escape characters that are text in docstrings and markup in reStructuredText."""
+"""Escape characters of docstrings that reStructuredText would read as markup."""
 
 import re
 from typing import Any
@@ -7,7 +7,7 @@ from sphinx.application import Sphinx
 
 __all__ = ["escaped", "setup"]
 
-# Markup that stays: ``literals``, `references`, *emphasis*, **strong** and [Key]_
+# This markup is not escaped: ``literals``, `references`, *emphasis*, **strong** and [Key]_
 _MARKUP = re.compile(
     r"(``.+?``"
     r"|`[^`\s][^`]*?`_{0,2}"
@@ -16,12 +16,12 @@ _MARKUP = re.compile(
     r"|\[\w+\]_)"
 )
 _SPECIAL = re.compile(r"([|*]|(?<=\w)_(?!\w))")
-_PREFIX = re.compile(r"^\s*(?::[a-z]+(?: [^:]+)?:(?= |$)|[*+-] +)")  # a field, or an item of a list
+_PREFIX = re.compile(r"^\s*(?::[a-z]+(?: [^:]+)?:(?= |$)|[*+-] +)")  # a field or a list item
 _WORK = re.compile(r"^(\s*)\.\. (\[\w+\])(?= )")
 
 
 def escaped(line: str) -> str:
-    """Escape bars, stars and trailing underscores that are mathematics in a docstring's line."""
+    """Escape bars, stars and trailing underscores that are mathematics in one line."""
     prefix = _PREFIX.match(line)
     start = prefix.end() if prefix else 0
     parts = _MARKUP.split(line[start:])
@@ -30,13 +30,13 @@ def escaped(line: str) -> str:
 
 
 def _process(*event: Any) -> None:
-    """Change the lines of one docstring in place: the last argument of autodoc's event."""
+    """Change the lines of a docstring in place; autodoc passes them as the last argument."""
     lines: list[str] = event[-1]
     lines[:] = _with_text_escaped(_with_works_cited(lines))
 
 
 def _with_works_cited(lines: list[str]) -> list[str]:
-    """Turn the works that a docstring lists into items that cite the page of references."""
+    """Turn the references of a docstring into list items that link to the page of references."""
     result, indent = [], None
     for line in lines:
         work = _WORK.match(line)
@@ -53,7 +53,7 @@ def _with_works_cited(lines: list[str]) -> list[str]:
 
 def _with_text_escaped(lines: list[str]) -> list[str]:
     """Escape all lines except directives, examples and literal blocks."""
-    result, literal = [], None  # literal: indentation of the line that ended in '::'
+    result, literal = [], None  # literal: indentation before '::'
     for line in lines:
         indent = len(line) - len(line.lstrip())
         if literal is not None and line.strip() and indent <= literal:
@@ -66,6 +66,6 @@ def _with_text_escaped(lines: list[str]) -> list[str]:
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
-    """Connect to autodoc, after napoleon."""
+    """Process docstrings of autodoc after napoleon."""
     app.connect("autodoc-process-docstring", _process, priority=900)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,6 +1,6 @@
-"""Convert mathematics to MathML, which browsers draw in a font that lies next to the pages.
+"""Convert mathematics to MathML. Browsers draw it in a font that is stored with the pages.
 
-Brackets and roots grow only if the font has mathematical tables.
+Large brackets and roots need a font with mathematical tables.
 """
 
 import shutil
@@ -17,7 +17,7 @@ from sphinx.util.math import get_node_equation_number
 
 __all__ = ["mathml", "setup"]
 
-_FONT = "STIXTwoMath-Regular.ttf"  # SIL Open Font License
+_FONT = "STIXTwoMath-Regular.ttf"  # its license is the SIL Open Font License
 _BAR = "\u2015"
 _NAMESPACE = "http://www.w3.org/1998/Math/MathML"
 
@@ -25,13 +25,13 @@ _NAMESPACE = "http://www.w3.org/1998/Math/MathML"
 def mathml(latex: str, display: str = "inline") -> str:
     """Convert a formula to MathML.
 
-    An overline becomes a border, which is as wide as the formula below it in any font. Bars of
-    absolute values get no space around them, because an opening bar looks like a closing one.
+    An overline becomes a border, which is as wide as the formula below it in any font.
+    Bars of absolute values get no space, because opening and closing bars look alike.
 
     Raises
     ------
     ValueError
-        If the converter has no MathML for a LaTeX command.
+        If the converter does not support a LaTeX command.
     """
     ET.register_namespace("", _NAMESPACE)
     root = ET.fromstring(convert(latex, display=display))

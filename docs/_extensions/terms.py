@@ -1,6 +1,6 @@
 """Link each term of the glossary where it first appears on a page.
 
-The glossary is the directive ``glossary`` of conventions.md. Pages need no markup for its terms.
+The directive ``glossary`` in conventions.md lists the terms. Pages need no markup for them.
 """
 
 import re
@@ -14,7 +14,7 @@ from sphinx.application import Sphinx
 __all__ = ["glossary_terms", "link_terms", "setup"]
 
 _PAGE = "conventions"
-# Terms that are also everyday words, or single letters
+# Terms that are not linked: everyday words and single letters
 _UNLINKED = {
     "f", "p", "g", "law", "method", "answer", "candidate", "cell", "task", "study", "cause",
     "remedy", "analysis", "contribution", "captured", "net", "rate", "spec", "density",
@@ -55,7 +55,7 @@ def _is_running_text(text: nodes.Text) -> bool:
 
 
 def _with_links(text: str, left: dict[str, str]) -> list[nodes.Node]:
-    """Split a text at the terms that are left to link, and remove these from ``left``."""
+    """Link the terms of ``left`` that occur in a text, and remove these terms from ``left``."""
     parts: list[nodes.Node] = []
     while left:
         names = sorted(map(_pattern, left.values()), key=len, reverse=True)
@@ -89,6 +89,6 @@ def _link(app: Sphinx, document: nodes.document) -> None:
 
 
 def setup(app: Sphinx) -> dict[str, Any]:
-    """Link terms after a page is read and before its references are resolved."""
+    """Link terms after a page is read, and before its links are resolved."""
     app.connect("doctree-read", _link)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -15,7 +15,7 @@ __all__ = ["VERBS", "help_of", "setup"]
 
 
 def help_of(*arguments: str) -> str:
-    """Return the output of ``mcspectra … --help``, 90 columns wide and without colors."""
+    """Return the help text of a verb, 90 columns wide and without colors."""
     printed = io.StringIO()
     plain = {"COLUMNS": "90", "NO_COLOR": "1", "TERM": "dumb"}
     with patch.dict(os.environ, plain), contextlib.redirect_stdout(printed):
@@ -28,7 +28,7 @@ def help_of(*arguments: str) -> str:
 
 class _Verbs(Directive):
     def run(self) -> list[nodes.Node]:
-        """Return ``mcspectra --help``, then a section for each verb in its order."""
+        """Return the general help text, then a section for each verb in the same order."""
         overview = nodes.literal_block("", help_of(), language="text")
         return [overview, *map(self._section, VERBS)]
 

@@ -1,4 +1,4 @@
-"""Draw the figures of pages that run no code of their own, one PNG for each page.
+"""Draw the figures of pages that contain no code to run, one PNG for each page.
 
 Run it from the root of the repository: ``python docs/figures/pages.py``, or with names of figures.
 Numbers of `bases`, `evidence` and `scaling` are read from the tables of these pages.

@@ -1,8 +1,8 @@
 """Make the page of samplers: an overview by family with thumbnails, then a card for each sampler.
 
-Run it from the root of the repository. ``python docs/samplers/make.py`` measures all samplers and
-takes minutes. ``python docs/samplers/make.py --overview`` only makes the overview from the pictures
-of the existing cards.
+Run it from the root of the repository. ``python docs/samplers/make.py`` takes minutes, because it
+measures all samplers. With the option ``--overview`` it only makes the overview;
+the pictures are those of the existing cards.
 """
 
 import re
@@ -17,10 +17,10 @@ from mcspectra.report.sampler_cards import QUICK, write_cards
 FOLDER = Path(__file__).parent
 END = "<!-- end of the overview -->\n\n"
 
-# Title, description and members of each family; a test checks that each sampler is listed once
+# Title, description and members of each family; a test checks that each sampler occurs once
 FAMILIES = """\
 Random and stratified
-  Independent points, or points in the cells of a grid. With one random point in each square
+  These points are independent, or lie in the cells of a grid. With one random point in each square
   cell, the variance of smooth integrands in d dims falls as n^(−1−2/d).
   * random
   * jittered
@@ -34,15 +34,15 @@ Random and stratified
   * hexagonal
 
 Latin hypercubes and orthogonal arrays
-  Stratified along each axis or each pair of axes, in any number of dims.
+  These points are stratified along each axis or each pair of axes, in any number of dims.
   * latin-hypercube
   * latin-hypercube(strength=2)
   * n-rooks
   * orthogonal-array
 
 Digital nets and sequences
-  Balanced in elementary intervals. With Owen scrambling the variance of smooth integrands falls
-  as about n^−3.
+  These points are balanced in elementary intervals. With Owen scrambling the variance of smooth
+  integrands falls as about n^−3.
   * sobol
   * sobol | owen
   * sobol | owen(method='hash')
@@ -63,7 +63,7 @@ Progressive sets
   * pmj02-blue-noise
 
 Lattices
-  A regular pattern on the torus, for periodic or folded integrands.
+  A lattice is a regular pattern on the torus. It suits periodic or folded integrands.
   * rank1-lattice
   * rank1-lattice | shift | mirror(mode='fold')
   * korobov
@@ -71,14 +71,14 @@ Lattices
   * kronecker
 
 Poisson disks and candidates
-  Random points that keep a distance from each other.
+  These are random points that keep a distance from each other.
   * dart-throwing
   * poisson-disk
   * poisson-disk(boundary='bounded')
   * best-candidate
 
 Optimized blue noise
-  Points that are moved until they are evenly spread.
+  These points are moved until they are evenly spread.
   * lloyd
   * farthest-point
   * bnot
@@ -89,7 +89,7 @@ Optimized blue noise
   * void-and-cluster
 
 Prescribed spectra and hyperuniform sets
-  Points with a given power spectrum or pair correlation, or with little power at low
+  These points have a given power spectrum or pair correlation, or little power at low
   frequencies.
   * step-blue-noise
   * target-spectrum
@@ -117,7 +117,7 @@ def overview(page: str) -> str:
             lines.append(f"[![Points and spectrum of {name}]({thumbnail})](#{anchor(name)})")
         lines.append("")
     lines += [
-        "Left in each thumbnail: about 256 points. Right: n · power, dark where it is low.",
+        "Each thumbnail shows about 256 points, and to the right n · power (dark where it is low).",
         "",
         END,
     ]
@@ -130,7 +130,7 @@ def anchor(name: str) -> str:
 
 
 def draw_thumbnails(page: str) -> None:
-    """Cut points and spectrum out of the picture of each card, and write them with the name."""
+    """Cut the points and the spectrum out of each card's picture, and add the name."""
     folder = FOLDER / "thumbnails"
     folder.mkdir(exist_ok=True)
     mpl.rcParams.update({"font.size": 8, "figure.dpi": 100})
@@ -153,7 +153,7 @@ def _pictures(page: str) -> dict[str, str]:
 
 
 def main(arguments: list[str]) -> None:
-    """Write the page, and the cards before it unless ``--overview`` is given."""
+    """Write the page; measure the cards first unless ``--overview`` is given."""
     if "--overview" not in arguments:
         write_cards(FOLDER, effort=QUICK)
     path = FOLDER / "index.md"

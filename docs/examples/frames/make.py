@@ -1,8 +1,9 @@
 """Render the frames of this folder: Mitsuba's Cornell box, one seed for each frame.
 
-Run it from the root of the repository: ``python docs/examples/frames/make.py``. It needs the extra
-``render``. The files are .npy arrays in half precision with 64 × 64 pixels: they are small, and
-reading them needs no extra. Other versions of Mitsuba and other processors give other noise.
+Run it from the root of the repository: ``python docs/examples/frames/make.py``.
+It needs the extra ``render``. The files are .npy arrays in half precision with 64 × 64 pixels.
+Such files are small, and reading them needs no extra.
+Other versions of Mitsuba and other processors give images with different noise.
 """
 
 from pathlib import Path

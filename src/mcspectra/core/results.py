@@ -173,7 +173,7 @@ rate | f | 1 | remedy? strategy? y? x? | fitted exponent of variance in n; rando
 reached | i | 1 | n? | whether the wanted precision was reached (1: yes)
 realizations_used | i | 1 | n? | realizations used
 rmse | f | f | | root mean square error of an estimate of the whole budget
-relative_minimum_distance | f | 1 | any | minimum distance / that of the densest packing
+relative_minimum_distance | f | 1 | any | minimum distance / distance in the densest packing
 slice_power | f | 1 | slice multiple | expected power along a direction
 skewness | f | 1 | | skewness of the estimates; normal: 0
 smoothing_bias | f | f | any | integral of the smoothed integrand minus the original
@@ -192,7 +192,7 @@ technique_rate | f | 1 | technique | fitted exponent of the technique's own vari
 technique_variance | f | f² | n? technique | variance of the technique's part of the estimate
 total_share | f | 1 | axis | share of the variance of all subsets that hold the axis
 total_variance | f | f² | axis | part of the variance of all subsets that hold the axis
-transport_cost | f | 1 | any | mean squared distance of moving uniform mass to the points
+transport_cost | f | 1 | any | transport cost of uniform mass to the points (mean squared distance)
 truncation_share | f | 1 | axes | share of the variance of the first axes
 truncated_variance | f | f² | half_width | variance of the estimate truncated at each half width
 variance | f | f² | strategy? n? y? x? | variance of the estimate (ddof = 1)

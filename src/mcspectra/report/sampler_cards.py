@@ -343,9 +343,9 @@ def _card_plot(card: Card) -> Plot:
     points = dataset({"points": (("point", "axis"), card.points)}, {}, n=card.n)
     power = card.n * card.spectrum["radial_power"].values
     words = (
-        f"{card.n} points of {card.name}, their spectrum, its radial mean (n times the power "
-        f"{number(float(power[0]))} at the lowest frequencies, {number(float(power[-1]))} at the "
-        "highest) and sections along axes and diagonal"
+        f"{card.n} points of {card.name}; their power spectrum; its radial mean, where n · power "
+        f"is {number(float(power[0]))} at the lowest and {number(float(power[-1]))} at the highest "
+        "frequencies; and sections along the axes and the diagonal"
     )
     plot = sampler_card({"points": points, "spectrum": card.spectrum}, card.projected)
     return replace(plot, words=words, wide=True)
@@ -378,10 +378,12 @@ def _settings(effort: CardEffort) -> str:
     low, high = effort.counts[0], effort.counts[-1]
     return (
         f"Each card shows a set of n ≈ {effort.n} points in 2-D, or in the only number of dims "
-        f"that the sampler supports. Spectra are means over {effort.spectra} realizations; "
-        "n · power is 1 for random points. "
-        f"Rates are exponents of the variance in n with 95 % intervals, for n = {low} … {high} and "
-        f"{effort.rates} realizations. Deterministic sets are randomized first, by owen (nets) or "
-        "shift. Optimized samplers have 8 sets per n; further realizations are shifted copies "
-        f"(n ≤ {effort.slow_counts[-1]}). Speeds are for one thread."
+        f"that the sampler supports.\nSpectra are means over {effort.spectra} realizations; "
+        "n · power is 1 for random points.\n"
+        "Rates are exponents of the variance in n with 95 % intervals, measured with "
+        f"{effort.rates} realizations for n = {low} … {high}.\n"
+        "For rates, deterministic sets are randomized first: nets and digit sequences by owen, "
+        "others by shift.\n"
+        "Optimized samplers have 8 sets per n; further realizations are shifted copies "
+        f"(n ≤ {effort.slow_counts[-1]}).\nSpeeds are measured with one thread."
     )
