@@ -3,8 +3,8 @@
 Every analysis of `mcspectra.core.analysis.ANALYSES` with a verb becomes a verb of the command.
 This includes analyses of other packages.
 The subject comes first: an integrand with densities and a sampler, or only a sampler.
-The options of `mcspectra.core.options.options_of` follow.
-The module `mcspectra.cli.texts` shows the result.
+The options of the analysis follow (`mcspectra.core.options.options_of`).
+The module `mcspectra.cli.texts` makes the text of the result.
 
 Several analyses may share a verb; ``--split`` chooses one.
 The parser then has the options of this analysis,

@@ -245,7 +245,7 @@ def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], words: int 
 def page_table(table: Table, first: str = "", words: int = 0) -> str:
     """Align a table of a report.
 
-    The text `first` renames its first column. At least `words` columns are left-aligned.
+    If `first` is given, it renames the first column. At least `words` columns are left-aligned.
     """
     header = [first or table.columns[0], *table.columns[1:]]
     first_row = table.rows[0] if table.rows else ()

@@ -2,7 +2,7 @@
 
 Exit codes: 0 success; 1 the run failed; 2 bad input; 130 interrupted.
 Verbs are bound by name, so ``--help`` imports none of them (docs/decisions/0002).
-The verb ``run`` is the `Verb` named ``run_`` in its module, and its `VerbOutput` is printed here.
+In its module, the verb ``run`` has the name ``run_``. This module prints the output of a verb.
 The module `mcspectra.cli.analysis` makes the verbs of analyses.
 """
 
@@ -354,7 +354,7 @@ def _outside_verbs() -> tuple[dict[str, list[str]], dict[str, str]]:
     An analysis is left out if its verb and split, or its function, belong to another analysis.
     Analyses of this package have priority.
     Analyses that cannot be loaded appear in neither part.
-    For these, `mcspectra list analyses` gives the reason.
+    The command `mcspectra list analyses` gives the reason for such analyses.
     """
     if not entry_points(group="mcspectra.analyses"):
         return {}, {}

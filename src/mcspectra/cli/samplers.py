@@ -206,8 +206,8 @@ def points_(options: argparse.Namespace) -> VerbOutput:
 def integrate_(options: argparse.Namespace) -> VerbOutput:
     """Integrate a function within a budget of evaluations.
 
-    Prints the value, its 95 % interval, the number of evaluations,
-    and the number and size of the replicates.
+    Prints the value, its 95 % interval, and the number of evaluations.
+    Also prints the number and the size of the replicates.
     """
     found = mcs.integrate(
         mcs.Estimator(options.integrand, options.density, dims=options.dims),
@@ -248,8 +248,8 @@ def integrate_(options: argparse.Namespace) -> VerbOutput:
 def bench_(options: argparse.Namespace) -> VerbOutput:
     """Compare samplers: rates, ranks, points, spectra, projections, quality, speed.
 
-    Prints a table of rates on standard integrands, with ranks in brackets
-    and simultaneous 95 % intervals.
+    Prints a table of rates on standard integrands, with ranks in brackets.
+    The 95 % intervals of the rates are simultaneous.
     A sampler is left out for dims that it does not support.
 
     The page, FILE.html or DIR/index.html, has a section for each sampler:

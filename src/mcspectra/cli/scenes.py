@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 __all__ = ["frames_", "map_", "pixel_", "render_"]
 
-_WIDTH = 100  # Columns of wrapped sentences
+_WIDTH = 100  # Width of wrapped sentences in columns
 _SPP, _COMPARED_SPP, _REFERENCE_SPP = 16, 4, 1024
 
 
@@ -123,8 +123,8 @@ def render_(options: argparse.Namespace) -> VerbOutput:
     including the time to compile kernels. With several images (-m) or a --reference
     it also prints the root mean square of the pixels' standard errors.
     --compare renders a reference, and light, BSDF and multiple importance sampling
-    with equal samples. A .png shows these images side by side, an .exr has one layer each,
-    and the verb prints their errors.
+    with equal samples. A .png shows these images side by side, and an .exr has one layer each.
+    The verb prints their errors.
 
     With --integrator Mitsuba renders whole paths, and --sampler replaces the scene's own sampler.
     A scene file can also name a sampler of this package:
@@ -588,5 +588,5 @@ def _show(result: xr.Dataset, address: str) -> None:
                 tev.create_image(title, width, height, channels)
                 tev.update_image(title, values, channel_names=channels)
     except OSError as error:
-        tev.__exit__(None, None, None)  # This closes the socket whose connection failed
+        tev.__exit__(None, None, None)  # Close the socket whose connection failed
         raise ParameterError(f"No tev answers at {address}: {error.strerror or error}.") from None

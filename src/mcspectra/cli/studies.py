@@ -275,7 +275,7 @@ def status_(options: argparse.Namespace) -> VerbOutput:
 
     A cell is one analysis of one estimator with one sampler.
     The exit code is 1 if a cell failed, is missing or is damaged.
-    It is 0 if all cells are done, or the study is running.
+    The exit code is 0 if all cells are done, or the study is running.
     """
     import msgspec
 

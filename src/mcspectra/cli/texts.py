@@ -1,8 +1,8 @@
 """Text and extra --json data of the result of an analysis.
 
 Analyses with their own tables are in `VIEWS`.
-The function `table_of_anything` shows all others: the scalars with their meanings and intervals,
-then one table per dim.
+The function `table_of_anything` shows all others. It shows the scalars with their meanings and
+intervals, and then one table per dim.
 """
 
 from __future__ import annotations
@@ -308,7 +308,7 @@ def anova(result: xr.Dataset) -> VerbOutput:
     """Prints the variance of each subset of axes, of larger subsets, and effective dimensions.
 
     Shares and dimensions have 95 % intervals.
-    These may exceed the range from 0 to 1, or the number of axes.
+    The intervals may exceed the range from 0 to 1, or the number of axes.
     """
     lines = [_title(result)]
     labels, order = list(map(str, result["subset_label"].values)), result.attrs["order"]

@@ -128,7 +128,7 @@ class Verdict:
 
 
 def load_mitsuba() -> Any:
-    """Return the module `mitsuba` with `VARIANT` set.
+    """Return the module `mitsuba` with its variant set to `VARIANT`.
 
     Raises
     ------
@@ -202,7 +202,7 @@ def describe() -> dict[str, Any]:
 
 
 def import_mitsuba() -> Any:
-    """Return the module `mitsuba` with the library that `load_mitsuba` needs, without a variant.
+    """Return the module `mitsuba` with a working libLLVM, but without a variant.
 
     Dr.Jit searches libLLVM when it is imported, for any variant.
     A program that imports Dr.Jit earlier in another way may load a library that aborts the process.

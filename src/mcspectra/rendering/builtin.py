@@ -58,7 +58,7 @@ def rectangle(
 ) -> dict[str, Any]:
     """Return a parallelogram: corners center ± across ± along, normal across × along.
 
-    `across` and `along` are half of the parallelogram's sides and perpendicular to each other.
+    The vectors across and along are half of the sides, and perpendicular to each other.
     """
     normal = np.cross(across, along)
     columns = [across, along, normal / np.linalg.norm(normal), center]
@@ -119,10 +119,10 @@ def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[s
     The arrangement follows Figure 1 in [Singh2019]_, which gives no numbers; these are our choice.
     The floor is y = 0. The light is the square |x| ≤ 1, |z| ≤ 1 at y = 2 and faces down.
     The occluder is a square of half side 0.7 at y = 1 around x = 1.5, z = 0.
-    It is rotated by 25° so that its shadow's border is not parallel to strata.
-    The named pixels P and Q show the points `P`, from which the whole light is visible, and `Q`.
-    Neither is below the light's center. At such a point, the integrand would be equal at opposite
-    borders, and a shifted set would lose nothing.
+    The occluder is rotated by 25° so that its shadow's border is not parallel to strata.
+    The named pixels P and Q show these points; from P, the whole light is visible.
+    Neither point is below the light's center.
+    There, the integrand would be equal at opposite borders, so a shifted set would lose nothing.
 
     With an edge, radiance is a texture of 256² texels with bilinear interpolation.
     Mitsuba samples such a light texel by texel, in proportion to the texture.
@@ -275,8 +275,8 @@ def sky(*, width: int = 384, height: int = 256) -> dict[str, Any]:
     The map is `mcspectra.integrands.synthetic_sky` with 64 × 128 pixels, its first row toward +y.
     Nothing is downloaded. Mitsuba places the columns at atan2(x, −z) = 2π (column + ½) / 128
     and the rows at acos(y) = π row / 63, from pole to pole, and interpolates linearly.
-    The named pixels show the open floor, the floor where the diffuse sphere touches it,
-    and the upper front of each sphere.
+    The named pixels show the open floor, the upper front of each sphere,
+    and the floor where the diffuse sphere touches it.
     The BSDF of plastic chooses between two lobes (``dims=3``).
     """
     pixels = synthetic_sky(*_MAP_SIZE).astype(np.float32)
@@ -352,8 +352,8 @@ def veach(
 
     Notes
     -----
-    Positions, radii, radiances, roughness and camera come from [Veach1997]_
-    and from scene files that several renderers publish.
+    Positions, radii, radiances, roughness and camera come from [Veach1997]_.
+    Scene files that several renderers publish also give them.
     Copper plates, and a gray floor and wall, are our choice.
     """
     allowed: Any = tuple(_SPHERES)

@@ -34,7 +34,7 @@ _MOST_STOPS = 64.0
 def write_render(
     path: str | PathLike[str], result: xr.Dataset, *, exposure: float = 0.0
 ) -> list[str]:
-    """Write a result of `render`.
+    """Write the result of `render` to a file.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def write_render(
         A file ``.exr`` gets ``image`` as R, G, B, the provenance as a comment, and the layers
         ``variance`` and ``image_se`` if they exist. A file ``.png`` gets only ``image``.
     result
-        A result of `render` or `reference`.
+        A rendered image, as returned by `render` or `reference`.
     exposure
         Number of stops by which a PNG is brightened; EXR stores radiance unchanged.
 
@@ -56,7 +56,7 @@ def write_render(
     FileFormatError
         If the extension is neither .exr nor .png, or the file cannot be written.
     ParameterError
-        If `exposure` is not a number from −64 to 64, or `result` is not a result of `render`.
+        If the exposure is not a number from −64 to 64, or the result is not a rendered image.
     """
     _check_result(path, result)
     file = check_image_path(path)

@@ -4,8 +4,8 @@ Frames are independent renders of one view, as files.
 Each file is read twice, one file at a time.
 The first pass computes the moments of every pixel,
 and the second computes correlations between the deviations from the mean.
-Deviations are divided by the standard deviation of their pixel, so that bright corners do not
-dominate. White noise then has power 1 at all frequencies.
+Deviations are divided by the standard deviation of their pixel.
+Bright corners therefore do not dominate, and white noise has power 1 at all frequencies.
 """
 
 from __future__ import annotations
@@ -118,27 +118,27 @@ def frames(
         by radial frequency in cycles per pixel; it is 1 for white noise.
         ``error_correlation(n, lag_y, lag_x)``: correlation of errors at a lag in pixels.
         ``image(y, x, band)``: mean of the frames with most samples.
-        ``flip(n, y, x)``: the FLIP error [Andersson2021]_ of the first frame against ``image``,
-        if the package flip-evaluator is installed.
+        ``flip(n, y, x)``: the FLIP error [Andersson2021]_ of the first frame against ``image``.
+        FLIP needs the package flip-evaluator.
         With `against`, at the largest n that both sets of frames have:
         ``difference`` of the means, ``difference_z`` by Welch's test,
-        ``variance_ratio``, the variance of `paths` over the variance of `against`,
+        ``variance_ratio``, the variance of the first set of frames over that of the second set,
         ``picture_ratio`` of the mean variances, and ``equal_time_ratio`` of variance × time.
-        Ratios below 1 favor `paths`.
-        `mcspectra.report.frames_page.frame_findings` describes the attributes in words.
+        Ratios below 1 favor the first set of frames, `paths`.
+        See `mcspectra.report.frames_page.frame_findings` for a description of attributes in words.
 
     Raises
     ------
     FileFormatError
         If a file is missing, broken, of another type, or tone-mapped.
     ParameterError
-        If a number of samples has fewer than two frames, sizes differ, all frames are equal,
-        or an option is out of range.
+        If a number of samples has fewer than two frames, sizes differ, or all frames are equal.
+        If an option is out of range.
 
     Notes
     -----
-    Memory is about 45 planes of float64 including the result, for any number of frames
-    (3 GB at 3840 × 2160).
+    Memory is about 45 planes of float64 (3 GB at 3840 × 2160), including the result.
+    The memory does not depend on the number of frames.
     """
     spp = None if spp is None else as_integer("spp", spp, least=1, most=_MOST_SPP)
     given = {"target": target, "seconds": seconds, "seconds_against": seconds_against}
@@ -581,8 +581,8 @@ def _log_variance(moments: Moments) -> tuple[Array, Array]:
 def _unbiased(correlation: Array, count: int) -> tuple[Array, float]:
     """Correct the bias of correlations of `count` normal pairs; also return the factor near 0.
 
-    The mean correlation is ⟨r⟩ = ρ (2/ν) [Γ((ν+1)/2) / Γ(ν/2)]² ₂F₁(½, ½; ν/2 + 1; ρ²),
-    with ν = count − 1 [Hotelling1953]_.
+    With ν = count − 1, the mean of a correlation is [Hotelling1953]_
+    ⟨r⟩ = ρ (2/ν) [Γ((ν+1)/2) / Γ(ν/2)]² ₂F₁(½, ½; ν/2 + 1; ρ²).
     """
     from scipy.special import gammaln, hyp2f1
 
@@ -639,7 +639,7 @@ def _related(sample: Array, alike: float) -> tuple[tuple[int, int] | None, float
 
 
 def _grubbs(count: int) -> float:
-    """Largest share that one of `count` normal values has in their squares [Grubbs1950]_."""
+    """Largest share of one normal value in the squares of all, by Grubbs' test [Grubbs1950]_."""
     if count < _LEAST_GRUBBS:
         return math.inf
     from scipy.special import stdtrit

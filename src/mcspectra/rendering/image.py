@@ -5,8 +5,7 @@ pixel number y·width + x uses realization y·width + x of the sampler.
 Each image has its own random stream.
 A crop therefore has the same bits as this part of the whole image.
 Kernels compute binary nets scrambled by ``owen`` themselves, by its hash (`kernel_nets`).
-A sampler that ends in ``decorrelate(…)`` gives all pixels of an image one set,
-which is moved at each pixel.
+A sampler that ends in ``decorrelate(…)`` gives all pixels one set, which is moved at each pixel.
 Renderers work this way, and it is cheaper than a set for each pixel.
 """
 
@@ -69,14 +68,14 @@ def render(
     Parameters
     ----------
     scene
-        A scene, same as for `load_scene`.
+        A scene: a name, a file or a dictionary, as in `load_scene`.
     strategy
-        ``"light"``, ``"bsdf"``, their parts of multiple importance sampling ``"mis-light"`` and
-        ``"mis-bsdf"``, or their sum ``"mis"``.
+        ``"light"`` or ``"bsdf"`` sampling, their parts of multiple importance sampling,
+        ``"mis-light"`` and ``"mis-bsdf"``, or ``"mis"``, the sum of these parts.
     sampler
         A sampler or its spec, with the number of dims that the strategy needs (`Wavefront.dims`).
     spp
-        Samples per pixel; for ``"mis"`` of each technique, as renderers count.
+        Samples per pixel; with ``"mis"`` samples of each technique, as renderers count.
     realizations
         Number R of independent images. At least 2 are needed for the variance of each pixel.
     crop
@@ -104,7 +103,7 @@ def render(
     Raises
     ------
     ParameterError
-        If a parameter is out of range, `crop` leaves the film, or the scene cannot be rendered.
+        If a parameter is out of range, the crop leaves the film, or the scene cannot be rendered.
         Also if an environment map is scaled or has pixels that are not a radiance.
     CountError
         If the sampler cannot make `spp` points.
@@ -201,7 +200,7 @@ def reference(scene: Scene, spp: int = 1024, *, batches: int = 16, **options: An
     Parameters
     ----------
     scene, options
-        Same as in `render`.
+        Same as in the function `render`.
     spp
         Samples per pixel in all batches together.
     batches
@@ -210,7 +209,7 @@ def reference(scene: Scene, spp: int = 1024, *, batches: int = 16, **options: An
     Returns
     -------
     xarray.Dataset
-        Same as in `render`; ``image_se`` has `batches` − 1 degrees of freedom.
+        Same as in `render`; the degrees of freedom of ``image_se`` are `batches` − 1.
     """
     count = as_integer("batches", batches, least=2, most=_MOST_SAMPLES)
     each, rest = divmod(as_integer("spp", spp, least=count), count)
@@ -227,7 +226,7 @@ def compare_strategies(
     Parameters
     ----------
     scene, options
-        Same as in `render`.
+        Same as in the function `render`.
     spp
         Samples per pixel, an even number.
         Multiple importance sampling takes half of them from each technique.

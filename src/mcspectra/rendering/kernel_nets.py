@@ -6,8 +6,8 @@ Coordinate j of point i is an XOR of columns of its generator matrix; the bits o
 The nested uniform scrambling is the hash of ``owen(method='hash')``.
 With the same keys, it gives the same points as float32 numbers (`NetPoints`).
 Renderers request one or two numbers at a time and need sets in a random order.
-Such sets (`Pads`) are scrambled by one round of the hash, with 63 random bits,
-and are ordered at random.
+Such sets (`Pads`) are scrambled by one round of the hash with 63 random bits.
+Their points are ordered at random.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ def net_words(module: Any, net: Net, count: int, index: Any) -> list[Any]:
 
 
 def mix_bits(module: Any, k0: Any, k1: Any, i: Any) -> Any:
-    """Same as `core.streams.mix_bits`, for UInt64."""
+    """Mix bits in the same way as `core.streams.mix_bits`, for UInt64."""
     x = (module.UInt64(i) ^ k0) * _M1
     x ^= x >> 32
     x = (x + k1) * _M2

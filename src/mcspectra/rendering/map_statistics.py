@@ -1,7 +1,7 @@
 """Statistics of variances over an image: rates, the bottleneck technique, gains of MIS, and shares.
 
-Rates are fitted to log variance against log n at every pixel (`mcspectra.core.fits.line_fits`),
-with weights from the relative standard errors.
+Rates are fitted to log variance against log n at every pixel (`mcspectra.core.fits.line_fits`).
+The weights of a fit come from the relative standard errors.
 Arrays have the axes (strategy, n, y, x) or (strategy, y, x).
 
 `path_shares` divides the variance of a path among its requests k for random numbers, in order:
@@ -48,9 +48,9 @@ def fit_lines(
 ) -> LineFits:
     """Fit all lines at once to variances, their relative errors and the means, (S, N, …).
 
-    Ignored are zeros, variances at rounding level of float32, and variances with a relative
-    standard error above `largest_se`.
-    The last come from very few realizations that hit a rare event, and most are far too small.
+    Zeros and variances at rounding level of float32 are ignored.
+    Variances with a relative standard error above `largest_se` are ignored as well.
+    Such variances come from few realizations that hit a rare event; most are far too small.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         floor = (_ULPS * np.finfo(np.float32).eps * mean) ** 2
@@ -68,8 +68,8 @@ def smooth(rate: Array, rate_se: Array, window: int, independent: bool) -> tuple
 
     Pixels without a rate are ignored and stay without a rate.
     If pixels are `independent`, with their own points, averages have smaller standard errors.
-    Otherwise the mean standard error is used. It is correct for errors that are equal everywhere,
-    and too large for other errors.
+    Otherwise the mean standard error is used.
+    The mean is correct for errors that are equal everywhere, and too large for other errors.
     """
     if window == 1:
         return rate, rate_se
@@ -138,12 +138,12 @@ def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, A
     Returns
     -------
     tuple
-        Variance and standard error (2, P). Shares with the ends of their 95 % intervals,
-        of all partitions in succession (3, ΣG, P).
+        The variance and its standard error (2, P).
+        The shares of all partitions with the ends of their 95 % intervals (3, ΣG, P).
         Intervals use Student's t, with a degree of freedom for each chain that carries variance.
-        They are NaN if the standard error of the variance exceeds half of the variance.
-        Last, the largest part of each partition (partitions, P),
-        if the intervals of its differences from all other parts exclude 0.
+        Intervals are NaN if the standard error of the variance exceeds half of the variance.
+        The largest part of each partition (partitions, P), or undecided
+        if the interval of its difference from another part contains 0.
     """
     from scipy.special import stdtrit
 
@@ -194,7 +194,7 @@ def gain(single: LineFits, mis: LineFits, total: float, missed: Array) -> tuple[
 
     Both variances come from the fitted lines. MIS gives each technique half of the samples.
     The standard error treats the two variances as independent.
-    Because they share points, it is too large rather than too small.
+    Because the variances share points, the standard error is too large rather than too small.
     """
     levels, errors = single.at(total)
     levels = np.where(missed, np.nan, levels)
@@ -207,7 +207,7 @@ def gain(single: LineFits, mis: LineFits, total: float, missed: Array) -> tuple[
 def _larger(difference: Array, se: Array, unknown: Any) -> Array:
     """Index, 0 or 1, of the larger value, or undecided, by the interval of the difference.
 
-    The result is NaN if `unknown`.
+    The result is NaN where `unknown` is true.
     """
     half = CONFIDENCE_Z * np.hypot(*se)
     sure = [unknown, difference > half, -difference > half]

@@ -1,13 +1,13 @@
 """Estimates of many pixels in many realizations by one Dr.Jit loop over the samples of each pixel.
 
 A lane is one realization of one pixel.
-It runs over its samples in a recorded loop, which adds up float32 values in float64.
+The lane runs over its samples in a recorded loop, which adds up float32 values in float64.
 Only one number per lane is therefore copied, and memory does not grow with the number of samples.
 A lane has the same bits whatever other lanes are computed.
-One evaluation gives the plain estimate of a technique
-and its weighted estimate for multiple importance sampling.
-This is 2 to 3 times as fast as one lane per sample with a sum over blocks
-(measured with two cores and Veach's scene).
+One evaluation gives the plain and the weighted estimate of a technique.
+The weighted estimate is for multiple importance sampling.
+Measured with two cores and Veach's scene, this is 2 to 3 times as fast
+as one lane per sample with a sum over blocks.
 
 Predictions
 -----------
@@ -30,7 +30,7 @@ A power ⟨|S_m|²⟩ without a closed form adds its own error.
 *Nets* in base 2 with nested scrambling, in two dims:
 n Var = Σ_l Γ_l σ²_l, with the gains Γ_l of levels l.
 The part σ²_l of the variance of g varies with l_j digits of coordinate j.
-These parts come from means over blocks of a grid with a random point in each cell.
+The parts come from means over blocks of a grid with a random point in each cell.
 
 The last three predictions take their standard errors from grids of half the resolution.
 Other samplers are not predicted, because these formulas ignore terms between frequencies.
@@ -291,7 +291,7 @@ class Measurement:
         )
 
     def _traced(self, pixels: Array, u: Array) -> Array:
-        """Mean values of paths as in `Tracer`; a single pixel is doubled, as in `Receivers`."""
+        """Mean values of paths; a single pixel is computed twice, as in `Receivers`."""
         assert self.tracer is not None
         twice = np.repeat(pixels, 2, axis=0) if len(pixels) == 1 else pixels
         if u.ndim == 4 and len(twice) > u.shape[1]:
@@ -334,7 +334,7 @@ _SAMPLE: Final = {"light": sample_light, "bsdf": sample_bsdf}
 @final
 @dataclass(frozen=True, kw_only=True)
 class Lighting:
-    """Parameters of the estimated light, as in `Pixel`, and the `size` of the pixel grid."""
+    """Parameters of the estimated light, as in `Pixel`, and the size of the pixel grid."""
 
     scene: Scene
     light: int | str | None
@@ -357,7 +357,7 @@ class Receivers:
     def __init__(self, lighting: Lighting, pixels: Array) -> None:
         self._lighting = lighting
         with LOCK:
-            # This must come before Dr.Jit is imported, because it chooses the working libLLVM
+            # Load Mitsuba before Dr.Jit is imported, because this chooses the working libLLVM
             load_mitsuba()
             self.status = self._look(pixels)[0]
             seen = pixels[self.status == RECEIVER]
@@ -617,7 +617,7 @@ def _energy(grid: Array) -> Array:
 
 
 def _sum(power: Array, energy: Array) -> Array:
-    """Sum of energy times power over the frequencies of `energy`; `power` may have a finer grid."""
+    """Sum of energy times power over the frequencies of the energy; the power may have more."""
     side = len(energy)
     m = np.fft.fftfreq(side, 1.0 / side).astype(int)
     return np.tensordot(power[np.ix_(m, m)], energy, axes=2)

@@ -1,7 +1,7 @@
 """Maps over an image: variance, its rate, the bottleneck technique, and the gain of MIS.
 
 Every pixel is the integrand `Pixel` with the ray through its center.
-It is measured as in `convergence`: variances over realizations at several counts n,
+Pixels are measured as in `convergence`: variances over realizations at several counts n,
 and the slope of log variance against log n.
 An image can afford only few realizations, so all results have wide intervals.
 The standard error of a variance of 64 normal estimates is 18 %.
@@ -388,7 +388,7 @@ def variance_map(
     Parameters
     ----------
     scene
-        A scene, same as for `load_scene`.
+        A scene: a name, a file or a dictionary, as in `load_scene`.
     strategies
         Some of ``"light"``, ``"bsdf"``, the parts of multiple importance sampling
         ``"mis-light"`` and ``"mis-bsdf"``, and their sum ``"mis"``, with n samples per technique.
@@ -412,16 +412,16 @@ def variance_map(
         Same as in `Pixel`; one channel at a time.
     dims
         2, the default, or 3; the third coordinate chooses a light or a BSDF lobe.
-        With an integrator, same as in `PathPixel`.
+        With an integrator, the number is the same as in `PathPixel`.
         The default is then the number that paths through 256 of the pixels use.
     integrator
-        Measure whole paths like `PathPixel`, with the only strategy ``"path"``.
+        Measure whole paths like `PathPixel`; the only strategy is then ``"path"``.
         The value ``"scene"`` is the scene's own integrator.
-        By default, the `strategies` measure direct light.
+        By default, direct light is measured by the given strategies.
     points
         ``"shared"``: in a realization, all pixels have the same points.
         The numbers of a pixel are as good as with its own points, and they are faster to compute.
-        They also give smooth maps, but the errors of neighbors are correlated.
+        Shared points also give smooth maps, but the errors of neighbors are correlated.
         Structure in such a map may therefore come from one set of points.
         ``"own"``: every pixel has its own realizations, and the errors are noise.
     smoothing
@@ -429,7 +429,7 @@ def variance_map(
         Their standard errors fall accordingly only with ``points="own"``.
     predict_every
         Step of the pixels with a prediction of the variance at the largest count.
-        They are the pixels whose x and y are multiples of this; 0 gives no predictions.
+        A pixel has a prediction if x and y are multiples of this step; 0 gives no predictions.
         Jittered points use stratum quadrature; random points are exact.
         In 2-D, shifted points use the power spectrum, and scrambled nets in base 2 use gains.
         Other samplers are not predicted.
@@ -446,10 +446,10 @@ def variance_map(
     -------
     xarray.Dataset
         All variables have the dims (y, x).
-        They are NaN if a pixel shows no surface, a light or a perfectly specular surface.
+        Variables are NaN if a pixel shows no surface, a light or a perfectly specular surface.
 
-        Moments: ``variance(strategy, n)``, ``variance_relative_se(strategy, n)``,
-        and at the largest n ``mean(strategy)`` and ``mean_se(strategy)``.
+        Moments: ``variance(strategy, n)`` and ``variance_relative_se(strategy, n)``.
+        At the largest n also ``mean(strategy)`` and ``mean_se(strategy)``.
         Fits: ``rate(strategy)``, ``rate_se``, ``rate_ci(bound)`` and ``fit_chi2``.
 
         With ``"mis"``: ``bottleneck`` is the technique whose part of MIS has the slower rate.
@@ -458,7 +458,7 @@ def variance_map(
         With the same codes, ``dominant_technique`` has the larger variance at the largest n.
         If the single strategies are also measured: ``mis_gain`` and ``mis_gain_ci``,
         the variance of the better single strategy divided by that of MIS.
-        Both use the same total of samples (the largest n), and come from the fitted lines.
+        Both variances are for the same total of samples (the largest n), by the fitted lines.
         A strategy whose estimates significantly miss light is excluded from this gain.
 
         ``predicted_ratio(strategy)`` and ``predicted_ratio_ci``:
@@ -469,25 +469,25 @@ def variance_map(
         It is also NaN if measured estimates significantly miss light that another strategy hits.
 
         With an integrator: ``path_variance``, the variance of one random path, with ``_se``.
-        ``bounce_share(bounce)`` is the variance that the numbers of a bounce add to
-        the variance of earlier bounces, divided by the total variance. Bounce 0 is the camera's.
+        ``bounce_share(bounce)`` is the variance that a bounce adds to that of earlier bounces,
+        divided by the total variance. Bounce 0 stands for the random numbers of the camera.
         ``decision_share(decision)`` is the same for each kind of decision, summed over bounces.
-        Both sum to 1; interactions count for the last number involved.
+        Each kind of share sums to 1; interactions count for the last number involved.
         Estimates may be negative, and intervals ``_ci`` extend below 0.
-        They are NaN if the standard error of ``path_variance`` exceeds half of it.
+        Shares are NaN if the standard error of ``path_variance`` exceeds half of this variance.
         ``largest_bounce`` and ``largest_decision`` are the indices of the largest shares,
         or −1 if the 95 % interval of a difference contains 0.
 
         With several samplers, all variables except the shares have the dim (sampler).
         The counts are those that all samplers share.
-        ``best_sampler(strategy)`` is the index of the sampler with the least variance at the
-        largest n, or −1 if the 95 % interval of its ratio to another sampler contains 1.
+        ``best_sampler(strategy)`` is the index of the sampler with the least variance at largest n.
+        The index is −1 if the 95 % interval of its ratio to another sampler contains 1.
 
     Raises
     ------
     ParameterError
-        If a parameter is not allowed, the crop is outside, no pixel shows a surface,
-        or Mitsuba gives values that are not finite.
+        If a parameter is not allowed, the crop is outside, or no pixel shows a surface.
+        If Mitsuba gives values that are not finite.
     CountError
         If a sampler cannot make one of the counts.
 

@@ -12,8 +12,8 @@ Numbers for bounces that a path does not reach have no effect on that path.
 
 A dry run, with the loop evaluated instead of recorded, finds D and the bounce of each number:
 Dr.Jit evaluates the counter of numbers between two iterations of the loop.
-If the requests of a bounce match an integrator of Mitsuba, the decision behind each number is
-known. Otherwise requests are numbered.
+If the requests of a bounce match an integrator of Mitsuba, each number has a known decision.
+Otherwise requests are numbered.
 Mitsuba selects a light by stretching the first coordinate of its point.
 The choice of the light and the choice of the point are therefore one decision.
 

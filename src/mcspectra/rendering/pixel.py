@@ -5,10 +5,10 @@ Method
 The camera ray through the pixel's center fixes one surface point.
 Its direct illumination is the integral ∫ f_r L_e V cos over directions.
 Each strategy is an integrand g(u) = f/p in primary space.
-It is evaluated at the direction that belongs to u in [0,1)².
+The integrand is evaluated at the direction that belongs to u in [0,1)².
 ``light`` samples a light, ``bsdf`` the BSDF, and ``environment`` one of our densities (`skies`).
-``mis-light`` and ``mis-bsdf`` weight the first two by a heuristic [VeachGuibas1995]_
-for equal numbers of samples.
+``mis-light`` and ``mis-bsdf`` weight the first two by a heuristic [VeachGuibas1995]_.
+The heuristic is for equal numbers of samples.
 With independent points, their sum is therefore multiple importance sampling.
 `pixel_mis` has all heuristics, any counts and any techniques.
 The techniques share directions but no warp: each technique has its own unit cube,
@@ -17,9 +17,9 @@ Light that reaches the camera directly is excluded.
 
 Mitsuba computes in float32: values carry relative errors of about 1e-7.
 Averages are taken in float64. Use a single light for a clean experiment.
-With all lights, Mitsuba selects one by stretching the first coordinate
-(uniformly, or by ``sampling_weight``).
-This cuts the square into strips and adds discontinuities.
+With all lights, Mitsuba selects one, uniformly or by ``sampling_weight``.
+To do so, it stretches the first coordinate.
+This selection cuts the square into strips and adds discontinuities.
 A separate coordinate for the selection avoids them. The columns of u:
 
 ===========  ==================================================================================
@@ -33,7 +33,7 @@ With positions, the integral is the mean over the pixel.
 The integrand is 0 if a ray leaves the scene or hits a light.
 
 `PixelView.draws` returns the densities of all techniques at one draw.
-A technique is ``"light"``, ``"bsdf"`` or a `Sky`.
+A technique is ``"light"``, ``"bsdf"`` or a density of directions (`Sky`).
 Light sampling and skies are not combined, because both would sample the environment.
 Where f is 0, only the technique that drew a direction gets a positive density.
 The other techniques count as unable to draw this direction.
@@ -134,12 +134,12 @@ class MitsubaIntegrand(Integrand):
 
     @property
     def channels(self) -> int:  # type: ignore[override]
-        """3 with ``channel="rgb"``, otherwise 0."""
+        """Number of channels: 3 with ``channel="rgb"``, otherwise 0."""
         return 3 if self.channel == "rgb" else 0
 
     @property
     def integral_source(self) -> str:
-        """Method by which `integral` is computed; `integral_accuracy` is its standard error."""
+        """Method by which the integral is computed; its standard error is `integral_accuracy`."""
         return SOURCE
 
     def _estimated_integral(self) -> Estimate:
@@ -161,7 +161,7 @@ class Pixel(MitsubaIntegrand):
     strategy
         ``"light"``, ``"bsdf"``, or their parts of multiple importance sampling.
         The parts ``"mis-light"`` and ``"mis-bsdf"`` are used together.
-        ``"environment"`` samples directions by `density`.
+        With ``"environment"``, directions are sampled by the given density.
     light
         Index or name of the only light to use; other lights are dark but still occlude.
         By default all lights are used.
@@ -173,7 +173,7 @@ class Pixel(MitsubaIntegrand):
         2; or 3, whose third coordinate chooses a light, or a lobe of the BSDF.
         With 4 or 5, the same after two coordinates for the position in the pixel.
     density
-        For ``"environment"``: a `Density` in 2 dims over the square of latitude and longitude,
+        For ``"environment"``: a density in 2 dims over the square of latitude and longitude,
         or its spec, such as ``"environment(interpolation='bilinear', channel=0)"``.
         A spec without a ``path`` means the scene's own map.
         By default the density is that map, bilinear, by `channel`.
@@ -326,7 +326,7 @@ class PixelView:
 
     @property
     def channels(self) -> int:
-        """3 with ``channel="rgb"``, otherwise 0."""
+        """Number of channels: 3 with ``channel="rgb"``, otherwise 0."""
         return 3 if self.channel == "rgb" else 0
 
     @property
@@ -360,7 +360,7 @@ class PixelView:
     def _drawn(
         self, technique: Technique, u: Array, among: Sequence[Technique], heuristic: str | None
     ) -> Draws:
-        """Same as `draws`, in one kernel."""
+        """Return the same as `draws`, computed in one kernel."""
         import drjit
 
         # Evaluate f/p, the densities of light and BSDF, and the directions that skies need
@@ -452,7 +452,7 @@ def incident_light(
     Parameters
     ----------
     scene, x, y, light
-        Same as in `Pixel`.
+        Same as in the class `Pixel`.
     channel
         ``"luminance"``, 0, 1 or 2.
     resolution
@@ -462,7 +462,7 @@ def incident_light(
     -------
     xarray.Dataset
         On (elevation, azimuth), at cell centers.
-        Both are in degrees, above the surface and around its shading normal.
+        The elevation is in degrees above the surface, the azimuth in degrees around its normal.
         "Above" is the side of the camera.
         ``incident_radiance`` is L_e of the used lights where no surface blocks it;
         ``reflected_radiance`` is f_r L_e cos per steradian.
@@ -471,7 +471,7 @@ def incident_light(
     Raises
     ------
     ParameterError
-        As in `Pixel`, or if `resolution` is out of range or the channel is ``"rgb"``.
+        As in `Pixel`. Also if the resolution is out of range or the channel is ``"rgb"``.
     """
     request = as_scene(scene)
     rows = as_integer("resolution", resolution, least=4, most=1024)
@@ -713,7 +713,7 @@ def pixel_mis(
     Parameters
     ----------
     scene, x, y, light, channel, dims
-        Same as in `Pixel`.
+        Same as in the class `Pixel`.
     heuristic
         A name or spec of `mcspectra.estimators.HEURISTICS`, or an object.
         ``optimal`` and ``variance-aware`` use a pilot, by default 4096 random samples with seed 0.

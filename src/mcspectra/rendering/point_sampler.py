@@ -36,7 +36,7 @@ _SEEDS = 2**32
 class MitsubaSampler(Sampler):
     """One of Mitsuba 3's samplers, drawn dimension by dimension, as integrators do.
 
-    It has 1 to 1024 dims. Pairs of dims are drawn by ``next_2d``,
+    The sampler has 1 to 1024 dims. Pairs of dims are drawn by ``next_2d``,
     and the last dim of an odd number by ``next_1d``.
     Counts are those that Mitsuba does not round, at most 2^20:
     any count for ``independent``, s² for ``stratified``,
@@ -50,7 +50,7 @@ class MitsubaSampler(Sampler):
         (Jarosz et al. 2019) or ``"ldsampler"`` ((0,2)-sequence, Kollig & Keller 2002).
     jitter
         Whether points are random in their strata or at the centers of their strata.
-        It applies to the three samplers that have strata.
+        The option applies to the three samplers that have strata.
 
     Notes
     -----
@@ -177,7 +177,7 @@ def from_mitsuba(source: Any, dims: int = DEFAULT_DIMS) -> MitsubaObject:
     ----------
     source
         A sampler object of any variant and class, including plugins in Python.
-        It is forked and therefore does not change.
+        The object is forked and therefore does not change.
     dims
         Number of dims; a pair of dims is one request for two numbers.
 
@@ -190,14 +190,13 @@ def from_mitsuba(source: Any, dims: int = DEFAULT_DIMS) -> MitsubaObject:
     Raises
     ------
     ParameterError
-        If `source` is not a Mitsuba sampler.
+        If the object is not a Mitsuba sampler.
 
     Notes
     -----
     Every realization has its own seed.
-    It therefore does not depend on how many realizations are drawn at once.
-    In vectorized variants, a realization is one wavefront of n lanes
-    and takes some milliseconds.
+    A realization therefore does not depend on how many are drawn at once.
+    In vectorized variants, a realization is one wavefront of n lanes. It takes some milliseconds.
     """
     return MitsubaObject(source=source, dims=dims)
 

@@ -38,7 +38,7 @@ def check_scene(scene: Scene, *, light: int | str | None = None) -> list[str]:
     Parameters
     ----------
     scene
-        A scene, same as for `load_scene`.
+        A scene: a name, a file or a dictionary, as in `load_scene`.
     light
         The only light to use; by default all lights. With one light, the others may be of any type.
 
@@ -133,7 +133,7 @@ def filter_note(scene: Scene) -> str:
 
 
 def warn_integrator(scene: Scene) -> None:
-    """Warn with the text of `integrator_note`."""
+    """Warn if a scene's own integrator is not analyzed."""
     if note := integrator_note(scene):
         warn(note, IncompleteImageWarning)
 

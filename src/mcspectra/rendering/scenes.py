@@ -184,7 +184,7 @@ def render_file(
     sensor
         Index of the camera.
     definitions
-        Values for ``$name`` in the file.
+        Values of parameters ``$name`` in the file.
     out
         EXR file to which the film is written.
 
@@ -318,7 +318,7 @@ def integrator_plugin(spec: str) -> dict[str, Any]:
         raise ParameterError(f"The integrator {shown(spec)} cannot be read: {error}") from None
     if reach_of(found) is not None:
         raise ParameterError(f"The integrator {shown(spec)} names a file or code; remove it.")
-    _copied(found)  # This makes the same checks as for a scene dictionary
+    _copied(found)  # Copying makes the same checks as for a scene
     return found
 
 
@@ -489,7 +489,7 @@ class DictScene:
     Parameters
     ----------
     scene
-        A dictionary for `mitsuba.load_dict`.
+        A scene dictionary for `mitsuba.load_dict`.
         Its dictionaries, lists and arrays are copied, so that later changes have no effect.
         Transforms, bitmaps and arrays are compared by their numbers,
         and objects that Mitsuba has already built are compared by identity.
@@ -656,7 +656,7 @@ def referenced_files(
     values: dict[str, dict[str, None]] = {k: {v: None} for k, v in (definitions or {}).items()}
     folders, here = {first.parent: None}, Path.cwd()
     files: dict[Path, _SceneFile] = {}
-    places_of: dict[tuple[Path, int], dict[Path, None]] = {}  # keys: file, and index in its `names`
+    places_of: dict[tuple[Path, int], dict[Path, None]] = {}  # keys: file, index of a name
     found: set[Path] = set()
 
     @functools.cache

@@ -86,7 +86,7 @@ def sky_pixels(scene: Scene, rows: int = _ROWS) -> Array:
     Parameters
     ----------
     scene
-        A scene, same as for `load_scene`.
+        A scene: a name, a file or a dictionary, as in `load_scene`.
     rows
         Number of pixels along θ; there are twice as many along φ.
 
@@ -117,8 +117,8 @@ def sky_technique(scene: Scene, density: Density | str | None, channel: str | in
     """Bind a 2-D density, or the density of a spec, to the environment of a scene.
 
     A spec ``environment`` without a path means the scene's own environment, `sky_pixels`.
-    With None, this environment is interpolated bilinearly; its density is by `channel`,
-    or by luminance for ``"rgb"``.
+    With None, this environment is interpolated bilinearly, and its density is by `channel`.
+    The density is by luminance for ``"rgb"``.
     """
     if density is None:
         chosen = "luminance" if channel == "rgb" else channel

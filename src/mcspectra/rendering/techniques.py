@@ -1,9 +1,9 @@
 """Visible surface points of pixels, and the techniques of their direct illumination.
 
 A technique, light or BSDF sampling, computes a direction from u in [0,1)² at every point.
-It returns f/p, its own density and the density of the other technique, per solid angle
+The technique returns f/p, its own density and that of the other technique, per solid angle
 [VeachGuibas1995]_. All samples share one point, or each has its own.
-Hold `backend.LOCK` around every call.
+Hold the lock `backend.LOCK` around every call.
 """
 
 from __future__ import annotations
@@ -306,7 +306,7 @@ def check_finite(values: Array, scene: Scene, pixels: Array) -> None:
 def sample_light(
     hit: Hit, emitter: Any, u: Any, extra: Any = None, active: Any = True
 ) -> Techniques:
-    """Sample the only light, or one of all lights if `emitter` is None, by samples u, a `Point2f`.
+    """Sample a light, or one of all lights if `emitter` is None, by samples u, a `Point2f`.
 
     The third number in [0,1), `extra`, selects the light.
     If it is None, the first coordinate of u also selects. Inactive points have the value 0.
@@ -345,7 +345,7 @@ def sample_bsdf(
 def follow_bsdf(
     hit: Hit, emitter: Any, u: Any, extra: Any = None, active: Any = True
 ) -> tuple[Any, Any, Any, Any]:
-    """Sample the BSDF as in `sample_bsdf`; also return the world direction, a `Vector3f`."""
+    """Sample the BSDF as in `sample_bsdf`; also return the direction in the world."""
     import drjit
 
     mitsuba, at, scene = load_mitsuba(), hit.interaction, hit.scene

@@ -10,7 +10,7 @@ whatever the numbers of pixels and of samples per pixel are.
 The first two columns of u are the position in the pixel, if it is sampled.
 The next two are the direction; a third column may select a light or a lobe of the BSDF.
 The strategy ``mis`` adds up both techniques at the same surface point.
-It has a block of columns for the light, then one for the BSDF.
+This strategy has a block of columns for the light, then one for the BSDF.
 """
 
 from __future__ import annotations
@@ -64,13 +64,13 @@ class Wavefront:
     Parameters
     ----------
     scene
-        A scene, same as for `load_scene`.
+        A scene: a name, a file or a dictionary, as in `load_scene`.
     light
         Index or name of the only light to use; by default all lights.
     film
         ``"center"``: rays through the pixels' centers.
         ``"sampled"``: rays through a point of the pixel, uniform by the first two columns of u.
-        This is a box filter.
+        This corresponds to a box filter.
     heuristic
         ``"balance"`` or ``"power"`` (β = 2), for the ``mis`` strategies.
     emission
@@ -162,8 +162,8 @@ class Wavefront:
         Parameters
         ----------
         strategy
-            ``"light"``, ``"bsdf"``, their parts of multiple importance sampling ``"mis-light"`` and
-            ``"mis-bsdf"``, or their sum ``"mis"``.
+            ``"light"`` or ``"bsdf"`` sampling, their parts of multiple importance sampling,
+            ``"mis-light"`` and ``"mis-bsdf"``, or ``"mis"``, the sum of these parts.
         pixels
             Integers (P, 2): x and y, counted from the left and from the top.
         u
@@ -177,8 +177,8 @@ class Wavefront:
         Raises
         ------
         ParameterError
-            If the strategy is unknown, pixels are outside the film, u has the wrong shape, or the
-            renderer returns NaN or infinite values.
+            If the strategy is unknown, pixels are outside the film, or u has the wrong shape.
+            If the renderer returns NaN or infinite values.
         DomainError
             If samples are NaN or outside [0,1).
         """

@@ -4,7 +4,7 @@ An executor accepts tasks and yields outcomes in the order in which they finish.
 A failed task is an ordinary outcome. An executor raises an exception only if it cannot continue.
 
 Worker processes on this machine also form a dask cluster.
-They can be stopped at a time limit, and they may crash.
+These processes can be stopped at a time limit, and they may crash.
 One rule for tasks of dead workers therefore covers all clusters.
 The package dask is imported only when it is needed.
 """

@@ -74,8 +74,8 @@ _MOST_TEXT = 10**8  # Maximum number of characters that a grid may generate in o
 _LARGEST_FILE = 4 * 2**20
 _RESERVED_SLUGS = frozenset({"zarr.json", "c"})
 _SINGLE = ("seed", "time_limit")  # Keys with a single value per study
-# Dotted keys have at most 64 parts, because the time of tomllib grows with the square of this
-# number. A key of 10⁶ parts takes hours.
+# Dotted keys have at most 64 parts, because tomllib's time grows with the square of this number.
+# A key of 10⁶ parts takes hours.
 _DOTTED = re.compile(
     r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}""", re.ASCII
 )
@@ -174,7 +174,7 @@ class EstimatorConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True
 class SceneConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True):
     """An analysis of a scene with its own samplers: an entry of ``[[maps]]``.
 
-    `kind` is the name of the analysis, and `analysis` holds the options of the entry.
+    The field `kind` is the name of the analysis; `analysis` holds the options of the entry.
     """
 
     name: Annotated[Text, _NAME]
@@ -309,7 +309,7 @@ def decode_study(text: str, source: str = "study", overrides: Sequence[str] = ()
     Raises
     ------
     ConfigError
-        Same as in `read_study`.
+        Same as in the function `read_study`.
     """
     if not isinstance(text, str):
         raise ConfigError(f"{source} is {type(text).__name__}, not the text of a study file.")
@@ -369,7 +369,7 @@ def as_study(config: StudyConfig) -> StudyConfig:
     Raises
     ------
     ConfigError
-        If `config` is not a study.
+        If the argument is not a study.
     """
     if not isinstance(config, StudyConfig):
         raise ConfigError(f"{config!r} is not a study; pass the result of read_study.")
@@ -397,7 +397,7 @@ class Slugs:
     """Make a unique group name for each text, of letters, digits, dots and hyphens.
 
     Names have no separator and no leading dot, so they cannot leave the store.
-    They also differ from the names of the store's own files.
+    The names also differ from the names of the store's own files.
     """
 
     def __init__(self) -> None:
@@ -431,9 +431,8 @@ def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[Names, Names]]:
     Returns
     -------
     dict
-        The keys are the first parts of paths (an estimator or a scene).
-        The values are the second parts (its samplers) and the third parts
-        (its analyses and their companions).
+        The keys are the first parts of paths: estimators or scenes.
+        The values are the second parts (samplers) and the third parts (analyses with companions).
     """
     found, slugs = dict[str, tuple[Names, Names]](), Slugs()
     known: dict[tuple[str, ...], Names] = {}
@@ -703,7 +702,7 @@ def expand_grids(table: dict[str, Any], source: str = "study") -> dict[str, Any]
         If a grid is not a table of lists, or its values are unused.
         If a placeholder has no values, or is at a place where a study has a single value.
         If there would be more than `MOST_ENTRIES` entries or too much text.
-        Both are counted before anything is generated.
+        Entries and text are counted before anything is generated.
     """
     try:
         if not isinstance(table, dict):

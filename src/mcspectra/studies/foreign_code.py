@@ -1,7 +1,7 @@
 """Run a study's own Python functions while the study is planned.
 
 A function named by a study may raise anything, end the program or never return.
-It therefore runs in its own thread, within a time limit, and its failures become sentences.
+The function runs in its own thread, within a time limit, and its failures become sentences.
 Executors protect themselves against failing tasks; this module protects the planning.
 """
 
@@ -29,7 +29,7 @@ class TookTooLong(Exception):
 class FunctionFailed(Exception):
     """A study's Python function fails at its first points; the message gives the reason.
 
-    This is not a `McspectraError`: it fails only the cells of its estimator.
+    This error is not a `McspectraError`, because it fails only the cells of its estimator.
     """
 
 

@@ -1,14 +1,14 @@
 """The ledger of a study: the database ``DIR/study.sqlite``, with one writer and many readers.
 
-One SQLite file holds all rows of a run: the study, its cells in order, error sentences of
-failed cells, task states of unfinished cells, and results with their scalars.
+One SQLite file holds all rows of a run: the study, its cells in order, and results with scalars.
+The file also holds error sentences of failed cells, and task states of unfinished cells.
 SQLite provides atomic commits and recovery after a crash.
 This module adds the schema, the commit interval and the digests.
 Each row has a SHA-256 of its contents, which is checked on every read.
 The row ``tally`` has the number of finished cells and the exclusive or of their digests.
 A missing row is therefore also detected.
 If the file is damaged, a resumed run keeps all sound rows on readable pages.
-It names the other rows and computes them again. `Ledger.verify` finds the same rows.
+The run names the other rows and computes them again. `Ledger.verify` finds the same rows.
 
 The file has a rollback journal, which network file systems support.
 A writer holds SQLite's lock on the empty file ``DIR/study.lock``.
@@ -303,7 +303,7 @@ class _Damaged(StoreError):
 
 @final
 class Ledger:
-    """Database of a study, opened by `create`, `resume` or `read`; a context manager.
+    """Database of a study, a context manager; `create`, `resume` or `read` opens it.
 
     A background thread commits the pending writes once a second; `close` commits the rest.
 
@@ -330,7 +330,7 @@ class Ledger:
         self._closed = threading.Event()
         self._broken: StoreError | None = None  # Error of a commit in the background thread
         self._holds = False
-        self._salvaged = False  # Whether the rows come from `_read_pages`
+        self._salvaged = False  # Whether the rows were read page by page
 
     @staticmethod
     def create(folder: Path, study: StudyNote, paths: Sequence[str]) -> Ledger:
@@ -366,8 +366,8 @@ class Ledger:
         Raises
         ------
         StoreError
-            Same as in `create`; or if the ledger has another study, format or package version,
-            or is too damaged to identify its study.
+            Same as in `create`; or if the ledger has another study, format or package version.
+            If the ledger is too damaged to identify its study.
 
         Warns
         -----
@@ -391,7 +391,7 @@ class Ledger:
         ------
         StoreError
             If there is no ledger, or it has another format, or its study cannot be identified.
-            Without `salvage`, also for any other damage.
+            Without `salvage`, this error is also raised for any other damage.
         """
         with _given_free_if_it_fails(Ledger(Path(folder))) as ledger:
             ledger._open(salvage=salvage)
@@ -589,7 +589,7 @@ class Ledger:
         if paths is None or _plan_digest(paths) != self._header.plan:
             paths = self._listed_anyway() if self._salvaged else self.paths
         elif not self._salvaged:
-            _ = self.paths  # This compares the list of paths with the tally
+            _ = self.paths  # Compare the list of paths with the tally
         return self._surveyed(paths)
 
     def close(self) -> None:
@@ -839,7 +839,7 @@ class Ledger:
                 for statement in _COPIED:
                     copy.execute(statement)
                 # Read pages in use first. On free pages, ignore task states and failures,
-                # because a run deletes such rows
+                # because a run deletes task states and failures
                 for wanted in (True, False):
                     for used, rowid, values in leaves.rows():
                         columns = len(values)

@@ -3,16 +3,16 @@
 Method
 ------
 All changes are measured at the same counts and with the same random numbers as the given path.
-`mcspectra.improve.remedy.ranked` compares them at the largest count.
-The cost of a path with another Russian roulette is its number of random numbers,
-relative to the given path.
+The function `mcspectra.improve.remedy.ranked` compares the changes at the largest count.
+The cost of a path with another Russian roulette is its number of random numbers.
+The cost of the given path is 1.
 This number grows with the iterations of the integrator's loop.
 Each iteration traces one ray and at most one shadow ray.
-A change that needs a pilot is compared with the given path at an equal total of paths,
-including the paths of the pilot.
+A change that needs a pilot is compared with the given path at an equal total of paths.
+This total includes the paths of the pilot.
 
 If each path samples one light, the best probabilities p_j are proportional to √(p_j E f_j²).
-This is the root of the second moment of light j's contribution when the light is chosen.
+The root is that of the second moment of light j's contribution when the light is chosen.
 """
 
 from __future__ import annotations
@@ -133,21 +133,20 @@ def analyse_path(
     Returns
     -------
     xarray.DataTree
-        ``convergence``: `mcspectra.convergence` on (sampler, n).
-        ``anova/KIND``: `mcspectra.anova_variances` of one random path, with axes grouped by KIND.
-        KIND is ``bounce``, ``decision``, ``request`` (both) or ``coordinate`` (not grouped),
-        each with at most 64 groups.
-        ``lights``: `shares_by_light`, for 2 to 64 lights.
+        ``convergence``: measured variances by `mcspectra.convergence` on (sampler, n).
+        ``anova/KIND``: `mcspectra.anova_variances` of a random path, in up to 64 groups of axes.
+        KIND is ``bounce``, ``decision``, ``request`` (both) or ``coordinate`` (not grouped).
+        ``lights``: shares of the variance by `shares_by_light`, for 2 to 64 lights.
         ``remedies``: `path_remedies` of the last sampler at the largest n.
-        ``predict``, with ``effort="full"``: `mcspectra.predict` on (sampler, n).
+        ``predict``, with full effort: predicted variances by `mcspectra.predict` on (sampler, n).
         Attributes of the root: the pixel, the integrator, and names of the coordinates.
         ``lights_note`` gives the reason if shares of lights are unknown.
 
     Raises
     ------
     McspectraError
-        Same as in `PathPixel`; or if the named pixel does not exist,
-        or a sampler does not support a count.
+        Same as in `PathPixel`; or if the named pixel does not exist.
+        If a sampler does not support a count.
     """
     # Check all arguments before any work
     x, y = find_pixel(scene, x, y)
@@ -258,8 +257,8 @@ def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | No
         ``light_mean``, the mean of the contribution;
         ``light_probability``, the current selection probability of the light;
         ``light_selection``, its improved selection probability.
-        ``selection_ratio``: variance of new random paths with the improved selection,
-        divided by the variance with the current selection.
+        ``selection_ratio``: variance of new random paths with the improved selection over the
+        variance of new random paths with the current selection.
         None for one light, for more than 64 lights, or for a pixel without noise.
 
     Raises
@@ -341,7 +340,7 @@ def path_remedies(
         Coordinates in decreasing order of importance,
         and the number of paths from which this order was found.
     lights
-        Result of `shares_by_light`, if known.
+        The result of `shares_by_light` for this pixel, if known.
 
     Returns
     -------

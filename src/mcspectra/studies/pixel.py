@@ -146,7 +146,7 @@ def analyse_pixel(
     Parameters
     ----------
     scene, light
-        Same as in `Pixel`.
+        Same as in the class `Pixel`.
     x, y
         Coordinates of the pixel; or the name of a pixel in ``x`` alone (see `named_pixels`).
     channel
@@ -159,11 +159,11 @@ def analyse_pixel(
         Counts n of samples of each technique, at least two, ascending.
         Number of estimates for each n.
         Number of evaluations at which remedies are ranked, by default twice the largest n.
-        The other defaults come from `effort`.
+        The other default values come from the chosen effort.
     remedies
         Whether to search for remedies that lower the noise.
     effort
-        ``"quick"`` or ``"full"``: see `EFFORTS`.
+        ``"quick"`` or ``"full"``; `EFFORTS` lists the amounts of measurement.
     rng
         Seed (SPEC 7) of all analyses; each returns the same result as when called alone.
     workers
@@ -172,24 +172,24 @@ def analyse_pixel(
     Returns
     -------
     xarray.DataTree
-        ``convergence``: `mcspectra.convergence` on (strategy, sampler, n).
+        ``convergence``: measured variances by `mcspectra.convergence` on (strategy, sampler, n).
         ``predict/STRATEGY``: `mcspectra.predict` on (sampler, n), with its method.
-        ``terms/STRATEGY/VIEW``: `mcspectra.variance_terms` in primary space.
+        ``terms/STRATEGY/VIEW``: terms by `mcspectra.variance_terms` in primary space.
         VIEW is ``auto`` (the basis that fits the sampler) or ``fourier``.
-        ``techniques``: `mcspectra.technique_terms` of the balance heuristic.
-        ``pictures/NAME``: `mcspectra.explain.primary_picture` of ``light``, ``bsdf``
-        and each technique's share, such as ``balance-light``, in 2 dims only.
+        ``techniques``: terms by `mcspectra.technique_terms` for the balance heuristic.
+        ``pictures/NAME``: pictures by `mcspectra.explain.primary_picture` of ``light``, of ``bsdf``
+        and of each technique's share, such as ``balance-light``; only in 2 dims.
         Steps from float32 rounding are removed.
         ``incident``: `incident_light`.
-        ``remedies``: `mcspectra.remedies` of the balance heuristic.
+        ``remedies``: remedies by `mcspectra.remedies` for the balance heuristic.
         Attributes of the root describe the pixel and its contents, and the sampler of the terms.
         Sentences in ``diagnosis_STRATEGY`` describe the causes for that sampler.
 
     Raises
     ------
     McspectraError
-        Same as in `Pixel`; or if the named pixel does not exist,
-        or a sampler does not support a count.
+        Same as in `Pixel`; or if the named pixel does not exist.
+        If a sampler does not support a count.
     """
     # Find the pixel, and check all arguments before any work
     x, y = find_pixel(scene, x, y)

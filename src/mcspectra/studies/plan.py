@@ -174,7 +174,7 @@ def make_plan(
     trust
         Files and functions that the study may use beyond `folder`; none by default.
     force
-        Whether more than `MOST_EVALUATIONS` and more than `MOST_SECONDS` of planning are allowed.
+        Whether the limits `MOST_EVALUATIONS` and `MOST_SECONDS` may be exceeded.
 
     Raises
     ------
@@ -355,7 +355,7 @@ class _Planner:
 def _built(
     entry: EstimatorConfig, vetting: Vetting, limit: float | None, inputs: set[str]
 ) -> AbstractEstimator:
-    """Make the estimator of a table ``[[estimators]]``; add the files it reads to `inputs`.
+    """Make the estimator of a table ``[[estimators]]``; add the files that it reads to `inputs`.
 
     Raises
     ------

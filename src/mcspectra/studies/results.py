@@ -1,10 +1,10 @@
 """Open, count and export the results of studies.
 
 A study's folder is read from its ledger.
-The store ``results.zarr``, which a run writes at its end, and exported stores are meant for
-other programs.
+A run writes the store ``results.zarr`` at its end. This store and exported stores are meant
+for other programs.
 The attribute ``tree_sha256`` of a store's root is the SHA-256 of all its files.
-It is checked before any file is used.
+The digest is checked before any file is used.
 A store may come from a stranger, so it is treated as data:
 each array must be one chunk of uncompressed numbers.
 An array then needs as much memory as its file, and numpy reads it without zarr's codecs.
@@ -176,10 +176,10 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
     Raises
     ------
     ParameterError
-        If `source` is not a path, or `select` is not a text.
+        If the source is not a path, or the selection is not a text.
     StoreError
-        If there are no results, no cell matches, or the results are damaged, changed,
-        in another format, or contain unexpected arrays.
+        If there are no results, or no cell matches.
+        If the results are damaged, changed, in another format, or contain unexpected arrays.
     """
     import xarray as xr
 
@@ -284,7 +284,7 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
             f"{str(folder)!r} is an exported store; only a study's folder has a status."
         )
     with ledger:
-        if verify:  # These are the same checks as for --resume
+        if verify:  # The checks are the same as for --resume
             study: Any = {}
             with contextlib.suppress(StoreError, ValueError, RecursionError):  # Reported below
                 study = json.loads(ledger.config)
@@ -365,9 +365,8 @@ def export_results(source: str | Path, file: str | Path, select: str | None = No
 
     A ``.csv`` file is one table of all scalars: numbers without dims, numbers along the counts n,
     and numbers along dims with named labels, such as channels.
-    The columns are estimator, sampler, analysis, n, the named dims, variable, value,
-    low, high, se and unit.
-    Low and high are the ends of the 95 % interval, and se is the standard error.
+    The columns are estimator, sampler, analysis, n, the named dims, variable, value and unit.
+    The columns low and high are the ends of the 95 % interval, and se is the standard error.
     A ``.zarr`` store has all results with their attributes.
 
     Parameters

@@ -70,15 +70,15 @@ def run_study(
     config
         The study.
     out
-        Output folder. The run writes its ledger ``out/study.sqlite``,
-        and at the end the results ``out/results.zarr``.
+        Output folder. The run writes its ledger ``out/study.sqlite``.
+        At the end it writes the results ``out/results.zarr``.
     folder
         Folder that relative paths in specs start from, the folder of the study file.
     resume
         Continue the study in the folder. Failed cells stay failed.
     retry
-        With `resume`, try failed cells again, and recompute cells that depend on changed files
-        (images, point sets, scenes, and sources of functions).
+        With `resume`, try failed cells again, and recompute cells that depend on changed files.
+        Such files are images, point sets, scenes, and sources of functions.
     workers
         Number of threads, or of processes with a time limit; all processors by default.
         Results do not depend on it, bit for bit.

@@ -263,8 +263,8 @@ class Schedule:
         Ledger with the chunks of earlier runs, where chunks that took long are recorded.
     seconds
         Target duration of a task in seconds.
-        A task has 2^k blocks, and takes the target time up to a factor of √2,
-        unless a single block takes longer.
+        A task has 2^k blocks, and takes the target time up to a factor of √2.
+        A task takes longer only if a single block takes longer.
     """
 
     def __init__(

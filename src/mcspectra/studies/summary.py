@@ -24,8 +24,8 @@ class SummaryRow(msgspec.Struct, frozen=True, kw_only=True):
     """Summary of one estimator with one sampler; values that were not computed are None.
 
     ``ratio`` is predicted variance divided by measured variance.
-    ``method`` is the method of the prediction: one of `METHODS` for a result of ``predict``,
-    otherwise the basis of the sum of ``terms``.
+    For a result of ``predict``, ``method`` is the method of the prediction, one of `METHODS`.
+    Otherwise it is the basis of the sum of ``terms``.
     The ratio of ``terms`` is always ``captured``.
     """
 
@@ -69,7 +69,7 @@ def summarize(tree: xr.DataTree) -> list[SummaryRow]:
     Raises
     ------
     ParameterError
-        If `tree` is not a tree as returned by `open_results`.
+        If the argument is not a tree of results, as returned by `open_results`.
     """
     import xarray as xr
 
@@ -84,8 +84,8 @@ def summarize(tree: xr.DataTree) -> list[SummaryRow]:
 def pairs_of(tree: xr.DataTree) -> list[tuple[str, str, str, dict[str, xr.Dataset]]]:
     """Return for every pair the estimator's store key and name, the sampler, and the results.
 
-    Results are by analysis. The file system may list the groups of a store in any order,
-    so the study's lists set the order.
+    Results are by analysis. The study's lists set the order of the pairs,
+    because the file system may list the groups of a store in any order.
     """
     asked = asked_of(tree.attrs.get("study") or {})
     pairs = ((name, sampler) for name, samplers in asked.items() for sampler in samplers)

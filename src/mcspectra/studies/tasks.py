@@ -95,7 +95,7 @@ class Outcome:
     payload
         The state or dataset as bytes, if another process computed it.
     error
-        Sentence on why the task failed. If the task failed, `state` and `payload` are None.
+        Sentence on why the task failed; then `state` and `payload` are None.
     seconds
         Run time of the task in seconds.
     host

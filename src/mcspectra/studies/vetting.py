@@ -52,13 +52,12 @@ class Vetting:
         Files below it are named by their relative path, and other files by their whole path.
         Modules keep their names, because their folders differ between machines.
     trust
-        Files and functions allowed beyond `folder`.
+        Files and functions that are allowed beyond the folder.
 
     Attributes
     ----------
     inputs
-        SHA-256 by name of all files used so far: files of specs, files that scenes refer to,
-        and sources of functions.
+        SHA-256 by name of all used files: files of specs and scenes, and sources of functions.
         A path that is not a readable file is refused later by its reader.
     """
 

@@ -118,11 +118,11 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
             continue
 
         # Compare the mean counts of points in cells with n / cells.
-        # There are 35 cells per axis, and 5 × 7 cells per pair of neighboring axes,
-        # since few samplers have strata of these sizes.
-        # The error of each mean is estimated from the spread over realizations,
-        # which includes dependence within a set.
-        # It is at least the error of one point in one realization, for cells with a constant count
+        # Few samplers have strata of the sizes used here:
+        # 35 cells per axis, and 5 × 7 cells per pair of neighboring axes.
+        # The error of each mean comes from the spread over realizations.
+        # This spread includes the dependence of the points in a set.
+        # Cells with a constant count get at least the error of one point in one realization
         from scipy.stats import norm
 
         points = source.draw(n, realizations=_REALIZATIONS, rng=20)
@@ -162,7 +162,7 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
         If pdf is negative, not finite or does not integrate to 1.
         If samples leave [0,1), have density 0 or do not follow the pdf (false alarm: 1e-6).
         If invert is not the inverse of sample, or breaks are not ascending numbers within (0, 1).
-        If `reciprocal_integral` is not ∫1/p.
+        If the reported integral of 1/p, `reciprocal_integral`, is wrong.
 
     Notes
     -----
@@ -190,7 +190,7 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
         values_at(who, "invert", given.invert, x, few.shape)
     check_breaks(who, given.breaks, given.primary_dims)
 
-    # Convert errors of `Density.check` to broken contracts
+    # Convert the errors that `Density.check` finds to broken contracts
     try:
         called(who, "check", given.check)
     except BrokenContract as error:
@@ -265,8 +265,8 @@ def check_integrand(integrand: Integrand | str, *, dims: int | None = None) -> N
     Notes
     -----
     Closed forms are compared with means over 32 shifted sets of 4096 points.
-    If they differ by more than seven standard errors, they are also compared with a quadrature,
-    in up to three dims.
+    If both differ by more than seven standard errors in up to three dims,
+    they are also compared with a quadrature.
     An error of a closed form below these limits is not detected.
     If f is 0 except in less than 1e-4 of the domain,
     `Integrand.landmarks` must return a point of this region.
@@ -401,7 +401,7 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
     ----------
     analysis
         The analysis, with options that make it quick to compute.
-        It should have more than one block, so that merging is also checked.
+        The analysis should have more than one block, so that merging is also checked.
     estimator, sampler
         Estimator or integrand (default: `gaussian` in two dims) and sampler for the analysis.
         Specs are also accepted, and lists for analyses that take lists.
@@ -410,7 +410,7 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
     ------
     BrokenContract
         If an option has no description, a reserved name or a default outside its limits.
-        If `need` raises, is slow or not finite, or keys repeat, or `part` does not find them.
+        If `need` raises, is slow or is not finite. If keys repeat, or `part` does not find a key.
         If states change when stored as bytes.
         If the result depends on chunks, differs for the same seed, or has undeclared variables.
 
@@ -441,7 +441,7 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
             called(who, f"the default of {option.name}", option.check, option.default)
     clean: Analysis = called(who, "its options", checked, analysis)
 
-    # Check the analysis's `need`
+    # Check the resources that the analysis needs
     start = time.process_time()
     need = called(who, "need", clean.need, subject)
     demand(isinstance(need, Need), who, f"returns {need!r} from need, not a Need")

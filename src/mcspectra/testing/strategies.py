@@ -1,7 +1,7 @@
 """Hypothesis strategies: random samplers, densities, integrands, counts and point sets.
 
-Samplers are drawn from all registered names, including names of other packages,
-unless they are costly or need parameters.
+Samplers are drawn from all registered names, including names of other packages.
+Costly samplers and samplers that need parameters are excluded.
 Densities and integrands have random parameters.
 This module needs Hypothesis: ``pip install mcspectra[testing]``.
 """
