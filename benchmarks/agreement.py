@@ -6,16 +6,14 @@ Brute force then measures the RMSE of the given and of the recommended set-ups
 with 1,000 new estimates each, or with 200 estimates of pixels and paths.
 A function agrees under these conditions:
 
-* `profile`: for the recommended set-up, the interval of the RMSE overlaps the interval
-  by brute force;
+* `profile`: the interval of the RMSE of the recommended set-up overlaps that by brute force;
 * `remedies`: the recommended set-up is the same as in the profile.
   Another set-up is accepted if both measured it with overlapping intervals
   (such as a preintegration along some direction, or a regression),
   or if the RMSE of both recommended set-ups are equal within their intervals;
-* `plan`: for the RMSE by brute force, the planned interval of n overlaps the interval
-  by brute force. The latter is 4,096 evaluations converted by the slope of the variance;
-* `predict`: at 4,096 evaluations, the interval of the variance overlaps the interval
-  by brute force.
+* `plan`: for the RMSE by brute force, the planned interval of n overlaps that by brute force.
+  Brute force gives 4,096 evaluations, converted by the slope of the variance;
+* `predict`: the interval of the variance at 4,096 evaluations overlaps that by brute force.
 
 An open interval always overlaps.
 In addition, no recommended set-up may be worse than the given set-up,

@@ -8,8 +8,8 @@ A case checks these points:
 * The first reported cause is an expected cause.
 * The recommended change lowers the variance.
   To check this, both set-ups are measured again at the same counts.
-* The rate with scrambled nets agrees with the rate of 10,000 realizations
-  at the last counts of the curve, to 0.1 or within its interval.
+* The rate with scrambled nets is right to 0.1 or within its interval.
+  The true rate comes from 10,000 realizations at the last counts of the curve.
   The budget is 8,192 or 262,144 evaluations.
 
 No rate is reported for an infinite variance.

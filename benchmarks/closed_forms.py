@@ -1,7 +1,8 @@
 """Closed-form Fourier power and covariance of scrambled nets compared with many realizations.
 
-For each net with each randomization in 1 to 4 dims, powers and covariances
-at random integer frequencies are compared with their means over 100,000 realizations.
+Each net is tested with each randomization in 1 to 4 dims.
+Its powers and covariances are compared with means over 100,000 realizations.
+The frequencies are random integers.
 Each difference in standard errors is called z.
 Real and imaginary parts of a covariance count separately.
 The root mean square of z is 1 if closed forms and means agree.

@@ -9,8 +9,8 @@ In d dims, a point is spread to log^d(1/ε) cells; vector instructions process a
 In two dims, the time per point therefore grows like log(1/ε).
 Times are the smallest processor times of two sweeps.
 
-With ``python -m benchmarks cost --plot``, measured times and the model are also drawn
-to docs/figures/cost.png.
+The command ``python -m benchmarks cost --plot`` also draws measured times and the model.
+The figure is docs/figures/cost.png.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ from mcspectra.samplers.relaxation import near_energy
 
 STARTS = 3
 COUNTS = (256, 1024)
-_FURTHER = 2  # evaluations that L-BFGS-B may use, divided by ours
+_FURTHER = 2  # L-BFGS-B may use at most this many times our evaluations
 _MEMORY = 10  # number of corrections that both methods store
 
 DIGESTS = """

@@ -1,7 +1,7 @@
 """Seconds and peak memory of large `variance_terms` with bands.
 
-Each case runs in its own process. The memory of a process that only imports the needed modules
-is also printed.
+Each case runs in its own process.
+The memory of a process that only imports the needed modules is also printed.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Scaling of studies: overhead of tasks, cells and workers, efficiency, memory, a million cells.
+"""Scaling of studies: overhead of tasks, cells and workers, efficiency, and memory.
 
 Select parts by name: ``python -m benchmarks.scaling tasks workers``.
 Without names, all parts run except ``million``, which takes minutes and 2 GB of disk.

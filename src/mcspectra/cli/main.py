@@ -152,7 +152,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             stream.reconfigure(errors="replace")
     try:
         return _dispatch(given)
-    except SystemExit as stop:  # argparse: --help (0) or bad usage (2)
+    except SystemExit as stop:  # argparse stops after --help (0) or bad usage (2)
         return int(stop.code or 0)
     except KeyboardInterrupt as stop:
         said = printable("; ".join(["Interrupted", *map(str, stop.args)]))

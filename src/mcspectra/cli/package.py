@@ -54,8 +54,8 @@ _ITSELF = f"""@software{{mcspectra,
 def reproduce_(options: argparse.Namespace) -> VerbOutput:
     """Make the figures of the slides again, and report which statements agree.
 
-    Writes DIR/index.html (a single self-contained page), DIR/reproduce.pdf, DIR/findings.json
-    and DIR/figures/*.png.
+    Writes DIR/index.html, which is a single self-contained page.
+    Also writes DIR/reproduce.pdf, DIR/findings.json and DIR/figures/*.png.
     Without FIGURE it makes all figures; --list names them.
     A figure that fails does not stop the others; the exit code is then 1.
     """

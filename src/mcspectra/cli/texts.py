@@ -1,8 +1,8 @@
 """Text and extra --json data of the result of an analysis.
 
 Analyses with their own tables are in `VIEWS`.
-The function `table_of_anything` shows all others. It shows the scalars with their meanings and
-intervals, and then one table per dim.
+The function `table_of_anything` shows all other analyses.
+It shows the scalars with their meanings and intervals, and then one table per dim.
 """
 
 from __future__ import annotations

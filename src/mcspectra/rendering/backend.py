@@ -81,7 +81,7 @@ import mitsuba as mi, os
 mi.file_resolver().clear()
 mi.file_resolver().append(os.path.dirname(mi.__file__))
 """  # Mitsuba would search the current folder first, which may be untrusted
-# Test features that failed with unsuitable LLVM versions: minimum, rays, a rough conductor
+# Test the features that fail with unsuitable LLVM: a minimum, rays and a rough conductor
 _PROBE = f"""{_OWN_PLUGINS}
 mi.set_variant({VARIANT!r})
 import drjit as dr
@@ -180,9 +180,10 @@ def describe() -> dict[str, Any]:
     Returns
     -------
     dict
-        ``mitsuba`` and ``drjit`` (versions or None), ``library`` and ``llvm`` (path and version, or
-        None), ``variant`` (the vectorized one if it works, otherwise None), ``variants`` (all
-        tested variants that work), ``refused`` (rejected libraries with reasons, or None),
+        ``mitsuba`` and ``drjit`` (versions or None), ``library`` (path of LLVM or None),
+        ``llvm`` (version of LLVM or None), ``variant`` (the vectorized variant if it works),
+        ``variants`` (all tested variants that work),
+        ``refused`` (rejected libraries with reasons, or None),
         ``reason`` (why the vectorized variant does not work, or None).
     """
     found: dict[str, Any] = {name: _version(name) for name in ("mitsuba", "drjit")}

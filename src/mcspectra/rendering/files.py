@@ -155,8 +155,8 @@ def write_png(path: str | PathLike[str], image: Array, *, exposure: float = 0.0)
     path
         File name that ends in ``.png``.
     image
-        Radiance. Negative values become black; values of at least 1 after the exposure become
-        white.
+        Radiance. Negative values become black, and values of at least 1 become white.
+        The exposure is applied before.
     exposure
         Brightness in stops: radiance is multiplied by 2^exposure.
 

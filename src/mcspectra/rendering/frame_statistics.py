@@ -87,15 +87,15 @@ def frames(
         Every number of samples needs at least two files.
     spp
         Samples per pixel of all frames.
-        By default from the file or folder name (``spp64`` or ``64spp``), otherwise from EXR headers
-        (pbrt's ``samplesPerPixel``, Blender's ``cycles.*.samples``).
+        By default from the file or folder name (``spp64`` or ``64spp``) or else from EXR headers.
+        These are ``samplesPerPixel`` of pbrt and ``cycles.*.samples`` of Blender.
     against
         Frames of the same view by another renderer, integrator or setting.
     target
         Relative root mean square error (σ / mean) that pixels should reach.
     seconds, seconds_against
-        Render time of a frame in seconds. By default from EXR headers
-        (pbrt's ``renderTimeSeconds``, Blender's ``RenderTime``).
+        Render time of a frame in seconds. By default the time comes from EXR headers,
+        ``renderTimeSeconds`` of pbrt or ``RenderTime`` of Blender.
     layer
         Layer or channel of EXR files to measure; by default the first picture.
     tone_mapped
@@ -107,7 +107,7 @@ def frames(
     Returns
     -------
     xarray.Dataset
-        On the dims n (samples per pixel; 1 if unknown), y and x:
+        The following variables have the dims n (samples per pixel; 1 if unknown), y and x:
         ``mean`` and ``variance`` of the luminance of one frame, ``variance_ci`` (bound),
         ``relative_rmse``, and ``largest_share``, one frame's share in the sum of squares.
         With several n: ``rate`` and ``rate_ci`` of the variance, averaged over a square of pixels.

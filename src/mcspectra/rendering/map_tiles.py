@@ -6,8 +6,8 @@ Only one number per lane is therefore copied, and memory does not grow with the 
 A lane has the same bits whatever other lanes are computed.
 One evaluation gives the plain and the weighted estimate of a technique.
 The weighted estimate is for multiple importance sampling.
-Measured with two cores and Veach's scene, this is 2 to 3 times as fast
-as one lane per sample with a sum over blocks.
+One lane per sample with a sum over blocks would take 2 to 3 times as long
+(measured with two cores and Veach's scene).
 
 Predictions
 -----------

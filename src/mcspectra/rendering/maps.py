@@ -390,8 +390,8 @@ def variance_map(
     scene
         A scene: a name, a file or a dictionary, as in `load_scene`.
     strategies
-        Some of ``"light"``, ``"bsdf"``, the parts of multiple importance sampling
-        ``"mis-light"`` and ``"mis-bsdf"``, and their sum ``"mis"``, with n samples per technique.
+        Some of these strategies, with n samples per technique: ``"light"``, ``"bsdf"``,
+        the parts ``"mis-light"`` and ``"mis-bsdf"`` of multiple importance sampling, and ``"mis"``.
         The strategy ``"mis"`` also adds its two parts.
     sampler
         Sampler or its spec; by default ``"jittered"``, or ``"sobol | owen"`` with an integrator.
@@ -450,7 +450,7 @@ def variance_map(
 
         Moments: ``variance(strategy, n)`` and ``variance_relative_se(strategy, n)``.
         At the largest n also ``mean(strategy)`` and ``mean_se(strategy)``.
-        Fits: ``rate(strategy)``, ``rate_se``, ``rate_ci(bound)`` and ``fit_chi2``.
+        Fits of the rate: ``rate(strategy)``, ``rate_se``, ``rate_ci(bound)`` and ``fit_chi2``.
 
         With ``"mis"``: ``bottleneck`` is the technique whose part of MIS has the slower rate.
         Its codes are 0 for light, 1 for BSDF,
@@ -500,8 +500,8 @@ def variance_map(
     Pixels are measured in tiles. Memory is therefore about 200 MiB plus the result for any image.
     A study keeps finished tiles and can resume.
     If few realizations hit a light, variances are mostly far too small at the smaller n.
-    There is no rate if a variance is zero, or if its relative standard error is above one half
-    at a smaller n than others; more realizations give a rate.
+    There is no rate if a variance at a smaller n is zero, or has a relative standard error above ½.
+    More realizations then give a rate.
     For each pixel, ``bottleneck`` is one comparison at 95 % of techniques with their own points.
     If both rates are equal, one pixel in 20 is decided by chance.
     """
@@ -666,8 +666,8 @@ def missed(row: dict[str, int], mean: Array, se: Array, realizations: int) -> Ar
 def _predicted(maps: Maps, largest_se: float, missed: Array) -> dict[str, Array]:
     """Ratio of predicted to measured variance at the largest count, and its interval.
 
-    The interval combines both errors. The ratio is NaN if the measurement or the prediction comes
-    from very few samples that hit a rare event, or from no such samples.
+    The interval combines both errors.
+    The ratio is NaN if few samples, or none, of the measurement or prediction hit a rare event.
     These variances and their errors are most often far too small.
     """
     predicted, measured = maps.predicted, maps.variance[:, -1]

@@ -2,8 +2,8 @@
 
 Method
 ------
-An integrator requests numbers from a sampler. Our sampler returns the coordinates of a point u
-in [0,1)^D, in the order of the requests. This makes the radiance a function of u.
+An integrator requests numbers from a sampler. Our sampler returns the D coordinates of a point u,
+in the order of the requests. The radiance is therefore a function of u in [0,1)^D.
 Its integral over the cube is the mean over a pixel with a box filter.
 Position in the pixel, lens and time of the shutter come first, as in Mitsuba's own loop.
 The sampler advances for each request, even if a path does not need the number.

@@ -471,7 +471,7 @@ def incident_light(
     Raises
     ------
     ParameterError
-        As in `Pixel`. Also if the resolution is out of range or the channel is ``"rgb"``.
+        In the cases of `Pixel`, and if the resolution is out of range or the channel is ``"rgb"``.
     """
     request = as_scene(scene)
     rows = as_integer("resolution", resolution, least=4, most=1024)

@@ -1,7 +1,7 @@
 """Our samplers as plugins of Mitsuba: ``<sampler type="mcspectra">`` in any scene.
 
-Mitsuba's own executable does not run Python, so it cannot load the plugin: use `render_file` or the
-command ``render`` instead.
+Mitsuba's own executable does not run Python, so it cannot load the plugin.
+Use the function `render_file` or the command ``render`` instead.
 
 Method
 ------

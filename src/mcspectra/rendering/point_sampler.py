@@ -46,8 +46,8 @@ class MitsubaSampler(Sampler):
     Attributes
     ----------
     sampler
-        ``"independent"``, ``"stratified"``, ``"multijitter"`` (Kensler 2013), ``"orthogonal"``
-        (Jarosz et al. 2019) or ``"ldsampler"`` ((0,2)-sequence, Kollig & Keller 2002).
+        Name of the sampler: ``"independent"``, ``"stratified"``, ``"multijitter"`` (Kensler 2013),
+        ``"orthogonal"`` (Jarosz et al. 2019) or ``"ldsampler"`` (Kollig & Keller 2002).
     jitter
         Whether points are random in their strata or at the centers of their strata.
         The option applies to the three samplers that have strata.
@@ -61,7 +61,10 @@ class MitsubaSampler(Sampler):
 
     References
     ----------
-    [Jakob2022]_, [Kensler2013]_, [Jarosz2019]_, [KolligKeller2002]_
+    [Jakob2022]_,
+    [Kensler2013]_,
+    [Jarosz2019]_,
+    [KolligKeller2002]_
     """
 
     name: ClassVar[str] = "mitsuba"

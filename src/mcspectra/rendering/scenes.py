@@ -440,7 +440,7 @@ def _built(request: str | Path | DictScene, _state: Hashable = None) -> Any:
         source = SCENES.build(parse(name)) if isinstance(request, str) else request.contents
     register_samplers(VARIANT)  # the scene may use one of our samplers
     try:
-        # Not optimized, because merging would rename shapes and change their order
+        # Do not optimize the scene, because merging would rename shapes and change their order
         scene = load(source, optimize=False)
     except (RuntimeError, TypeError) as error:
         raise FileFormatError(
@@ -861,8 +861,8 @@ def _elements(file: Path, data: bytes) -> _SceneFile:
 def _expanded(text: str, values: Mapping[str, Iterable[str]], file: Path) -> list[str]:
     """Return the text with each value of its ``$name``; a name without a value stays.
 
-    Mitsuba replaces the names that are defined when it reads the text.
-    In ``$ab`` it inserts the value of ``a`` if ``ab`` has no value yet.
+    Mitsuba replaces the names that have a value when it reads the text.
+    In the text ``$ab`` it therefore replaces only ``$a`` if the name ``ab`` has no value yet.
     """
     beginning, *rest = text.split("$")
     found = [beginning]

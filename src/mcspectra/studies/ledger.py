@@ -260,7 +260,7 @@ class _Header(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _Change(NamedTuple):
-    """Statements that write a cell, with its failure or the digest and size of its result."""
+    """SQL statements that write a cell; also its failure, or the digest and size of its result."""
 
     path: str
     steps: Iterable[_Step]

@@ -257,8 +257,8 @@ def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | No
         ``light_mean``, the mean of the contribution;
         ``light_probability``, the current selection probability of the light;
         ``light_selection``, its improved selection probability.
-        ``selection_ratio``: variance of new random paths with the improved selection over the
-        variance of new random paths with the current selection.
+        ``selection_ratio``: variance with the improved selection over that with the current one.
+        The variances are those of new random paths.
         None for one light, for more than 64 lights, or for a pixel without noise.
 
     Raises
@@ -337,8 +337,7 @@ def path_remedies(
         Other samplers to try; and the numbers of leading coordinates that keep QMC points.
         The remaining coordinates get random numbers.
     axes
-        Coordinates in decreasing order of importance,
-        and the number of paths from which this order was found.
+        Coordinates in decreasing order of importance, and the number of paths that gave this order.
     lights
         The result of `shares_by_light` for this pixel, if known.
 

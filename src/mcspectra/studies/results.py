@@ -115,8 +115,8 @@ class StudyStatus(msgspec.Struct, frozen=True, kw_only=True):
     holder
         Process that writes into the folder, or that ended without a note.
     hosts, started, finished
-        Hosts that computed the study, and the times of its beginning and of its last cell
-        (UTC, ISO 8601).
+        Hosts that computed the study, and the times of its beginning and of its last cell.
+        Times are in UTC, as ISO 8601.
     done, missing
         Paths of finished and of missing cells.
     failed, damaged
@@ -269,8 +269,8 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
     Raises
     ------
     StoreError
-        If there are no results, they have another format, or they are too damaged to identify
-        their study.
+        If there are no results, or if they have another format.
+        If the results are too damaged to identify their study.
     """
     root = as_path("folder", folder)
     if root.is_file():
@@ -660,8 +660,8 @@ def _read_store(
 ) -> dict[str, xr.Dataset]:
     """Return the matching cells of a store; refuse unexpected arrays.
 
-    An array must be one chunk of uncompressed numbers, so that it needs no more memory than its
-    file.
+    An array must be one chunk of uncompressed numbers.
+    Then it needs no more memory than its file.
     """
     import xarray as xr
 

@@ -82,9 +82,9 @@ def summarize(tree: xr.DataTree) -> list[SummaryRow]:
 
 
 def pairs_of(tree: xr.DataTree) -> list[tuple[str, str, str, dict[str, xr.Dataset]]]:
-    """Return for every pair the estimator's store key and name, the sampler, and the results.
+    """Return the store key and name of the estimator, the sampler and the results of each pair.
 
-    Results are by analysis. The study's lists set the order of the pairs,
+    Results are listed by analysis. The study's lists set the order of the pairs,
     because the file system may list the groups of a store in any order.
     """
     asked = asked_of(tree.attrs.get("study") or {})

@@ -83,8 +83,8 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
         If the points are not float64 of shape (R, n, dims) in [0,1).
         If a realization depends on the call that draws it, or a fixed set varies.
         If a count returned by `nearest_count` cannot be drawn.
-        If a sampler is declared unbiased, but its points are not uniform over all realizations
-        (false alarm: 1e-6).
+        If a sampler is declared unbiased, but its points are not uniform over all realizations.
+        The probability of a false alarm is 1e-6.
 
     Examples
     --------
@@ -259,8 +259,8 @@ def check_integrand(integrand: Integrand | str, *, dims: int | None = None) -> N
         If values, integral or coefficients raise, have a wrong shape or type, or are not finite.
         If a value depends on other points, or the given points are changed.
         If breaks are not ascending numbers within (0, 1).
-        If a closed form (integral, coefficients, means over boxes) does not agree with the values
-        (false alarm: about 1e-6).
+        If a closed form (integral, coefficients, means over boxes) does not agree with the values.
+        The probability of a false alarm is about 1e-6.
 
     Notes
     -----
