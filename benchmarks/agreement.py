@@ -8,9 +8,9 @@ A function agrees under these conditions:
 
 * `profile`: the interval of the RMSE of the recommended set-up overlaps that by brute force;
 * `remedies`: the recommended set-up is the same as in the profile.
-  Another set-up is accepted if both measured it with overlapping intervals
-  (such as a preintegration along some direction, or a regression),
-  or if the RMSE of both recommended set-ups are equal within their intervals;
+    Another set-up is accepted if both measured it with overlapping intervals.
+    Examples are a preintegration along some direction, and a regression.
+    It is also accepted if the RMSE of both set-ups are equal within their intervals;
 * `plan`: for the RMSE by brute force, the planned interval of n overlaps that by brute force.
   Brute force gives 4,096 evaluations, converted by the slope of the variance;
 * `predict`: the interval of the variance at 4,096 evaluations overlaps that by brute force.

@@ -4,8 +4,8 @@ For each class, number of dims and n, suitable kinds of designs are searched.
 The design with the least variance over 400 members is measured over 2,000 other members.
 The members form 20 groups, each with its own 32 realizations.
 Rivals are sobol | owen, pmj02, and shifted Korobov, rank-1 and Fibonacci lattices.
-If ``MCSPECTRA_NETS`` names a folder with direction numbers of OneTwo and quad-optimized nets
-(base 3), these nets with owen are also rivals.
+``MCSPECTRA_NETS`` may name a folder with direction numbers of OneTwo and quad-optimized nets.
+These nets in base 3, scrambled by owen, are then also rivals.
 
 The last lines compare with folded lattices, on Gaussians of random orientation.
 In this class, a few narrow members carry half of the mean variance.
@@ -122,8 +122,8 @@ def _least_error(dims: int, n: int) -> float:
     """Return the mean squared error of half-spaces for fixed sets, least of three descents.
 
     Along a direction v, u_i = F(v·x_i), where F is the distribution of v·x for uniform x.
-    The mean over offsets is the mean of (u_(i) − (i − ½)/n)² plus 1/(12 n²),
-    with the sorted values u_(1) ≤ u_(2) ≤ ….
+    The sorted values are u_(1) ≤ u_(2) ≤ ….
+    The mean over offsets is the mean of (u_(i) − (i − ½)/n)² plus 1/(12 n²).
     """
     generator = np.random.default_rng(3)
     directions = generator.standard_normal((400 * dims, dims))

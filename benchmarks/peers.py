@@ -2,8 +2,8 @@
 
 There are ten integrands, each with 30 seeds and all methods in one run:
 
-* ``profile``: `mcspectra.profile` with a quarter of the evaluations,
-  then `integrate(profile=…)` with the remaining evaluations;
+* ``profile``: `mcspectra.profile` uses a quarter of the evaluations.
+  The function `integrate(profile=…)` uses the remaining evaluations;
 * ``after``: the same, but all evaluations follow a profile of equal cost (8,192 in total).
   This is the case of a function that is integrated repeatedly;
 ** ``integrate``: `mcspectra.integrate` without a profile;

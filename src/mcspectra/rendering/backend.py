@@ -1,11 +1,11 @@
 """Mitsuba with a working LLVM: find the library, test it in a subprocess, set the variant.
 
 Dr.Jit compiles for the CPU through libLLVM.
-Some versions of libLLVM end the process with SIGABRT when they compile the first kernel
-(measured: LLVM 15 and 16 on an AVX-512 machine).
-Every candidate is therefore tested in a subprocess first:
-the user's ``DRJIT_LIBLLVM_PATH``, then the library of the wheel karellen-llvm-core,
-then the system's libraries of version 19 or newer.
+Some versions of libLLVM end the process with SIGABRT when they compile the first kernel.
+This was measured with LLVM 15 and 16 on an AVX-512 machine.
+Every candidate is therefore tested in a subprocess first.
+The first candidate is the user's ``DRJIT_LIBLLVM_PATH``.
+The next are the library of the wheel karellen-llvm-core, and system libraries since version 19.
 The cache folder (`mcspectra.core.cache`) stores the verdict with everything that it depends on.
 Only the first start therefore runs the test.
 """

@@ -142,8 +142,8 @@ def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, A
         The shares of all partitions with the ends of their 95 % intervals (3, ΣG, P).
         Intervals use Student's t, with a degree of freedom for each chain that carries variance.
         Intervals are NaN if the standard error of the variance exceeds half of the variance.
-        The largest part of each partition (partitions, P), or undecided
-        if the interval of its difference from another part contains 0.
+        The largest part of each partition (partitions, P).
+        It is undecided if the interval of its difference from another part contains 0.
     """
     from scipy.special import stdtrit
 
@@ -205,7 +205,7 @@ def gain(single: LineFits, mis: LineFits, total: float, missed: Array) -> tuple[
 
 
 def _larger(difference: Array, se: Array, unknown: Any) -> Array:
-    """Index, 0 or 1, of the larger value, or undecided, by the interval of the difference.
+    """Index (0 or 1) of the larger of two values; undecided if the interval contains 0.
 
     The result is NaN where `unknown` is true.
     """

@@ -6,8 +6,8 @@ Only one number per lane is therefore copied, and memory does not grow with the 
 A lane has the same bits whatever other lanes are computed.
 One evaluation gives the plain and the weighted estimate of a technique.
 The weighted estimate is for multiple importance sampling.
-One lane per sample with a sum over blocks would take 2 to 3 times as long
-(measured with two cores and Veach's scene).
+One lane per sample with a sum over blocks would take 2 to 3 times as long.
+This was measured with two cores and Veach's scene.
 
 Predictions
 -----------
@@ -589,7 +589,7 @@ class _Grid:
 
 
 Prediction: TypeAlias = _Strata | _Grid
-"""Methods that predict the variance of `count` points from values (N, P) at their `samples`."""
+"""Methods that predict a variance from values (N, P) of the integrand at certain samples."""
 
 
 def _student(squares: Array) -> Array:

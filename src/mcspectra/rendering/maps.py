@@ -453,8 +453,8 @@ def variance_map(
         Fits of the rate: ``rate(strategy)``, ``rate_se``, ``rate_ci(bound)`` and ``fit_chi2``.
 
         With ``"mis"``: ``bottleneck`` is the technique whose part of MIS has the slower rate.
-        Its codes are 0 for light, 1 for BSDF,
-        and −1 if the 95 % interval of the difference contains 0.
+        Its codes are 0 for light and 1 for BSDF.
+        The code is −1 if the 95 % interval of the difference of the rates contains 0.
         With the same codes, ``dominant_technique`` has the larger variance at the largest n.
         If the single strategies are also measured: ``mis_gain`` and ``mis_gain_ci``,
         the variance of the better single strategy divided by that of MIS.
@@ -464,9 +464,9 @@ def variance_map(
         ``predicted_ratio(strategy)`` and ``predicted_ratio_ci``:
         predicted variance divided by measured variance at the largest n.
         The error includes light that another strategy hits and the prediction's samples missed.
-        The ratio is NaN if the relative standard error of the prediction exceeds ½,
-        or if that of the measurement exceeds the limit for rates.
-        It is also NaN if measured estimates significantly miss light that another strategy hits.
+        The ratio is NaN if the relative standard error of the prediction exceeds ½.
+        The ratio is NaN if the standard error of the measurement exceeds the limit for rates.
+        The ratio is NaN if measured estimates significantly miss light that another strategy hits.
 
         With an integrator: ``path_variance``, the variance of one random path, with ``_se``.
         ``bounce_share(bounce)`` is the variance that a bounce adds to that of earlier bounces,
@@ -475,8 +475,8 @@ def variance_map(
         Each kind of share sums to 1; interactions count for the last number involved.
         Estimates may be negative, and intervals ``_ci`` extend below 0.
         Shares are NaN if the standard error of ``path_variance`` exceeds half of this variance.
-        ``largest_bounce`` and ``largest_decision`` are the indices of the largest shares,
-        or −1 if the 95 % interval of a difference contains 0.
+        ``largest_bounce`` and ``largest_decision`` are the indices of the largest shares.
+        An index is −1 if the 95 % interval of the difference from another share contains 0.
 
         With several samplers, all variables except the shares have the dim (sampler).
         The counts are those that all samplers share.

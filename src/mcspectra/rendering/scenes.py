@@ -124,8 +124,8 @@ def load_scene(scene: Scene) -> Any:
     scene
         A name in `SCENES`, with optional parameters in brackets (``"veach(width=384)"``),
         the path of a Mitsuba XML file, or a dictionary for `mitsuba.load_dict`.
-        A file is read again if it has changed,
-        or if a texture, mesh or other file that it names has changed.
+        A file is read again if it has changed.
+        It is also read again if a texture, mesh or other file that it names has changed.
         Relative paths start in the folder of the file.
 
     Raises
@@ -640,11 +640,11 @@ def referenced_files(
     Raises
     ------
     FileFormatError
-        If a file has more bytes, more elements or deeper elements than this module allows,
-        or has a document type with entities, or is long and not well-formed XML.
-        If a name belongs to a device or a pipe,
-        or a picture takes too much memory (see `mcspectra.core.decoding`).
-        If a plugin is not Mitsuba's own.
+        If a file has more bytes, more elements or deeper elements than this module allows.
+        If a file has a document type with entities, or is long and not well-formed XML.
+        If a name belongs to a device or a pipe.
+        If a picture takes too much memory (see `mcspectra.core.decoding`).
+        If a plugin of the scene is not Mitsuba's own.
     ConfigError
         If a name or a link points outside the folders of `trust`, whether a file exists or not.
     """
@@ -859,8 +859,9 @@ def _elements(file: Path, data: bytes) -> _SceneFile:
 
 
 def _expanded(text: str, values: Mapping[str, Iterable[str]], file: Path) -> list[str]:
-    """Return the text with each value of its ``$name``; a name without a value stays.
+    """Return a text with its parameters ``$name`` replaced by each of their values.
 
+    A parameter without a value is not replaced.
     Mitsuba replaces the names that have a value when it reads the text.
     In the text ``$ab`` it therefore replaces only ``$a`` if the name ``ab`` has no value yet.
     """

@@ -260,8 +260,8 @@ class Dask:
     This class resubmits tasks that were lost when the connection to the scheduler broke.
     A dying worker also loses tasks that did not cause its death.
     Tasks that the scheduler gives up are therefore tried again, one at a time.
-    At most two tasks per worker thread are submitted at once,
-    so memory does not grow with the size of the study.
+    At most two tasks per worker thread are submitted at once.
+    Memory therefore does not grow with the size of the study.
     A task counts as submitted until its result is fetched.
 
     Parameters

@@ -1,8 +1,8 @@
 """Read study files: TOML, typed and checked as a whole before anything runs.
 
 A study names samplers, estimators and analyses.
-Each analysis has a table under its name (`mcspectra.core.analysis`),
-and an estimator may override any of these tables.
+Each analysis has a table under its name (`mcspectra.core.analysis`).
+An estimator may override any of these tables.
 The analysis defines the keys, types, defaults and meanings of its table.
 Unknown keys, wrong types and values out of range are errors that name the place.
 Relative paths in specs are relative to the folder of the file.

@@ -1212,7 +1212,7 @@ def _locked(folder: Path) -> sqlite3.Connection:
         trouble = lock_damage(folder)
         if trouble is not None:
             raise StoreError(f"{str(folder / _LOCK_NAME)!r} cannot be locked: {trouble}.")
-        lock = _connected(folder / _LOCK_NAME, "rwc", 1.0)  # wait, because `is_held` locks briefly
+        lock = _connected(folder / _LOCK_NAME, "rwc", 1.0)  # Readers lock this file briefly
         try:
             lock.execute("BEGIN EXCLUSIVE")
         except sqlite3.Error as error:

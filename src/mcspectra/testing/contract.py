@@ -46,15 +46,15 @@ __all__ = [
 ]
 
 _FALSE_ALARM = 1e-6
-_SPREADS = 7.0  # most standard errors; false alarm 7e-8 (Student's t, 31 degrees)
+_SPREADS = 7.0  # allowed number of standard errors; false alarm 7e-8 by Student's t
 _SAME = 1e-9  # largest relative rounding error of values and integrals
 _REALIZATIONS, _CELLS = 640, 35  # numbers of realizations and cells of the uniformity test
 _SAMPLES = 20_000
 _SIDES = {1: 64, 2: 8}  # number of cells along each axis for counts of samples, by dims
-_LEAST = 5.0  # least expected samples in a cell; with fewer, χ² is inaccurate
+_LEAST = 5.0  # smallest expected number of samples in a cell, as χ² needs
 _RECIPROCAL = 1e-3
 _ROUNDING = 1e-12
-_REMAINDER = 3.5  # error of a quadrature over its last difference, if these shrink by √½
+_REMAINDER = 3.5  # quadrature error relative to the last difference, which shrinks by √½
 _QUADRATURE_DIMS = 3
 _MISSED = 20.0  # expected points in a region; it is empty with probability e^-20
 _FREQUENCIES = ((1,), (-3,), (0, 2), (1, -1), (4, 7), (2, 1, 0), (0, -1, 3))
