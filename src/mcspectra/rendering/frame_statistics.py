@@ -608,7 +608,7 @@ def _lags(every: Array, variance: float) -> tuple[Array, list[int] | None, float
     largest = float(far.max())
     if largest < limit:
         return listed, None, math.nan
-    # A pattern repeats at multiples of its period, so take the nearest lag
+    # A pattern repeats at multiples of its period: take the nearest lag of large correlation
     rows, columns = np.nonzero(far >= 0.9 * largest)
     nearest = np.argmin(np.hypot(down[rows], right[columns]))
     lag = int(down[rows[nearest]]), int(right[columns[nearest]])
