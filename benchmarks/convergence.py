@@ -3,7 +3,7 @@
 The task has five counts from 16 to 4096, 1000 realizations, two integrands and one thread.
 The fused loop is written for this one task: it has no array of points or values,
 and evaluates both integrands at one point.
-It uses the package's own generator, and sums only the first two powers.
+The loop uses the package's own generator, and sums only the first two powers.
 """
 
 from __future__ import annotations

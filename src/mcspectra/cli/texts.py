@@ -29,7 +29,7 @@ __all__ = ["VIEWS", "View", "data_of", "remedies_table", "table_of_anything"]
 _WIDTH = 100
 _CERTAIN = 2e-6  # Relative width below which no interval is printed
 _ROUNDING = 1e-14  # Share of the variance below which a sum is rounding error
-_MANY = 10_000  # Most values of a variable in --json; larger variables are left out
+_MANY = 10_000  # Maximum number of values of a variable in --json
 
 
 View = Callable[["xr.Dataset"], VerbOutput]

@@ -5,7 +5,7 @@ Some versions of libLLVM end the process with SIGABRT when they compile the firs
 This was measured with LLVM 15 and 16 on an AVX-512 machine.
 Every candidate is therefore tested in a subprocess first.
 The first candidate is the user's ``DRJIT_LIBLLVM_PATH``.
-The next are the library of the wheel karellen-llvm-core, and system libraries since version 19.
+Then follow the library of the wheel karellen-llvm-core, and system libraries since version 19.
 The cache folder (`mcspectra.core.cache`) stores the verdict with everything that it depends on.
 Only the first start therefore runs the test.
 """

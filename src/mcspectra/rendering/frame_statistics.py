@@ -120,7 +120,7 @@ def frames(
         ``image(y, x, band)``: mean of the frames with most samples.
         ``flip(n, y, x)``: the FLIP error [Andersson2021]_ of the first frame against ``image``.
         FLIP needs the package flip-evaluator.
-        With `against`, at the largest n that both sets of frames have:
+        Two sets of frames are compared at the largest n that both have:
         ``difference`` of the means, ``difference_z`` by Welch's test,
         ``variance_ratio``, the variance of the first set of frames over that of the second set,
         ``picture_ratio`` of the mean variances, and ``equal_time_ratio`` of variance × time.

@@ -111,7 +111,7 @@ def dominant(variance: Array, relative_se: Array) -> Array:
 
 
 def least(variance: Array, relative_se: Array) -> Array:
-    """Index of the sampler with the least variance (S, …), by intervals of its ratios to others.
+    """Index of the sampler with the least variance (S, …), if its ratios to others are certain.
 
     Undecided if the interval of one ratio contains 1; NaN if a sampler has no positive variance.
     """

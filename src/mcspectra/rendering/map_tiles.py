@@ -102,10 +102,10 @@ TILE_LANES = 2**19
 """Pixels times realizations in one kernel; they take some 100 MiB including their results."""
 
 _BLOCK_REALIZATIONS = 1024
-_TABLE_NUMBERS = 2**23  # most numbers in one table of points: 64 MiB
-_KEPT_NUMBERS = 2**24  # most numbers in all tables that are kept for the next tile
-_PREDICTED_VALUES = 2**21  # most integrand values computed at once
-_CHAIN_VALUES = 2**20  # most path values in chains computed at once
+_TABLE_NUMBERS = 2**23  # maximum number of values in one table of points, 64 MiB
+_KEPT_NUMBERS = 2**24  # maximum number of values in all tables for the next tile
+_PREDICTED_VALUES = 2**21  # maximum number of integrand values computed at once
+_CHAIN_VALUES = 2**20  # maximum number of path values computed at once
 # Labels of two random streams: samples of predictions, and chains
 _PREDICTION, _CHAIN = 0x9D1C7, 0xC4A17
 
@@ -351,7 +351,7 @@ class Receivers:
     status
         What each pixel shows, int8 (P,); `RECEIVER` if there is something to estimate.
     pixels
-        Pixels that are estimated, which show receivers; a single pixel is listed twice.
+        Pixels of the receivers, which are estimated; a single pixel is listed twice.
     """
 
     def __init__(self, lighting: Lighting, pixels: Array) -> None:

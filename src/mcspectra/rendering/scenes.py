@@ -591,13 +591,13 @@ MOST_ELEMENTS = 2**21
 MOST_XML = 2**26
 """Largest size of an XML file in bytes: a million elements take about 32 MB."""
 
-_LONGEST_REASON = 300  # most characters of Mitsuba's message
-_INCLUDES = 16  # most levels of includes; Mitsuba allows at most 15
-_MOST_NAMES = 64  # most values of one text with parameters
+_LONGEST_REASON = 300  # maximum length of Mitsuba's message in characters
+_INCLUDES = 16  # maximum levels of includes; Mitsuba allows at most 15
+_MOST_NAMES = 64  # maximum number of values of one text with parameters
 # Maximum number of passes over all names; each pass follows one more include or default
 _MOST_ROUNDS = 64
-_LONGEST_PATH = 4096  # most characters of a path in Linux; a longer text is not a file
-_LONGEST_PARAMETER, _LONGEST_TEXT = 64, 2**20  # most characters of parameter names and values
+_LONGEST_PATH = 4096  # maximum length of a path in Linux; a longer text is not a file
+_LONGEST_PARAMETER, _LONGEST_TEXT = 64, 2**20  # maximum length of a name and its values
 _PARAMETER = re.compile(rf"\w{{1,{_LONGEST_PARAMETER}}}", re.ASCII)
 _PLUGIN_NAME = re.compile(r"[\w-]+")
 _LIBRARIES = (".so", ".dylib", ".dll")

@@ -54,8 +54,8 @@ FILMS = ("center", "sampled")
 CHUNK_SAMPLES = 2**20
 """Number of samples in one kernel: some 200 MiB of Dr.Jit's memory; larger ones are not faster."""
 
-_LOOP_SAMPLES = 16  # most samples of a lane; more would leave too few lanes
-_MOST_VALUES = 2**26  # most samples that are returned one by one, 768 MiB of float32
+_LOOP_SAMPLES = 16  # maximum number of samples of a lane; more would leave too few lanes
+_MOST_VALUES = 2**26  # maximum number of samples returned one by one, 768 MiB
 
 
 class Wavefront:

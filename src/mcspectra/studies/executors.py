@@ -72,7 +72,7 @@ _ADDRESS = re.compile(
     r"(?:(tcp|tls)://)?[\w.-]+:\d{1,5}|(?:(tcp|tls)://)?\[[0-9a-fA-F:]+\]:\d{1,5}"
 )
 _AHEAD = 2  # Number of tasks submitted to the scheduler per worker thread
-_RESUBMISSIONS = 5  # Most resubmissions of a task that was lost with the connection
+_RESUBMISSIONS = 5  # Maximum number of resubmissions of a lost task
 _POLL = 0.5  # Seconds between checks of the connection or of the threads
 _FRESH = 2.0  # Seconds for which the counted number of workers is reused
 _DESERTED = 300.0  # Seconds to wait for a new local worker, or for a result to arrive

@@ -163,7 +163,7 @@ def analyse_pixel(
     remedies
         Whether to search for remedies that lower the noise.
     effort
-        ``"quick"`` or ``"full"``; `EFFORTS` lists the amounts of measurement.
+        ``"quick"`` or ``"full"``: amounts of measurement, which `EFFORTS` lists.
     rng
         Seed (SPEC 7) of all analyses; each returns the same result as when called alone.
     workers

@@ -69,8 +69,8 @@ __all__ = [
 MOST_EVALUATIONS = 10**15
 """Maximum number of evaluations of a study without --force: half a year on a hundred cores."""
 
-# Planning time in seconds per spec, per estimator with densities, per density in several dims,
-# and per density in one dim, because its warp is searched for gaps
+# Planning time in seconds: per spec, per estimator with densities, per density in several dims,
+# and per density in one dim (its warp is searched for gaps)
 _SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 5e-4, 2e-3
 # Planning time in seconds per pair of estimator and sampler, per cell,
 # and per list item (such as a count) of an analysis
@@ -355,7 +355,7 @@ class _Planner:
 def _built(
     entry: EstimatorConfig, vetting: Vetting, limit: float | None, inputs: set[str]
 ) -> AbstractEstimator:
-    """Make the estimator of a table ``[[estimators]]``; add the files that it reads to `inputs`.
+    """Make the estimator of a table ``[[estimators]]``, and collect the files that it reads.
 
     Raises
     ------
