@@ -1,7 +1,7 @@
 """Convergence of jittered points compared with one fused numba loop: sample, evaluate, accumulate.
 
 The task has five counts from 16 to 4096, 1000 realizations, two integrands and one thread.
-The fused loop is written for this one task: it has no array of points or values,
+The fused loop is written for this one task. It has no array of points or values,
 and evaluates both integrands at one point.
 The loop uses the package's own generator, and sums only the first two powers.
 """

@@ -15,8 +15,8 @@ There are ten integrands, each with 30 seeds and all methods in one run:
 A line gives the RMS error of each method.
 In brackets, it gives the number of intervals that contain the integral.
 A peer counts if at least 27 intervals contain the integral.
-The errors of ``profile`` and ``after`` should be at most 1.2 times the error of the best peer
-that counts. The last line gives the number of integrands for which this is true.
+The errors of ``profile`` and ``after`` should be at most 1.2 times that of the best such peer.
+The last line gives the number of integrands for which this is true.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ or to two standard errors of the measurement.
 An interval covers if the difference of both is within their combined interval.
 Predictions do not evaluate f at the points of the sampler.
 Measurements have at least 1,000 realizations.
-``--group=2-D`` selects one group, ``--group=new`` all groups whose names begin with "new".
+The option ``--group=2-D`` selects one group, and ``--group=new`` selects all new groups.
 
 New groups have every fast sampler with an offset (shift, strata-shift, digital-shift),
 problems in 4 to 8 dims, and unbounded problems.

@@ -134,7 +134,7 @@ def _interval(ends: Any, digits: int = 4) -> str:
 
 
 def _error(result: xr.Dataset, name: str, place: tuple[int, ...]) -> str:
-    """Format the interval of a number, or else ± two standard errors; empty without both."""
+    """Format the interval of a number, or else ± two standard errors; empty if both are missing."""
     if f"{name}_ci" in result:
         return _interval(result[f"{name}_ci"].values[place])
     error = float(result[f"{name}_se"].values[place]) if f"{name}_se" in result else math.nan

@@ -120,7 +120,7 @@ def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[s
     The floor is y = 0. The light is the square |x| ≤ 1, |z| ≤ 1 at y = 2 and faces down.
     The occluder is a square of half side 0.7 at y = 1 around x = 1.5, z = 0.
     The occluder is rotated by 25° so that its shadow's border is not parallel to strata.
-    The named pixels P and Q show these points; from P, the whole light is visible.
+    The named pixels P and Q show the floor points P and Q. From P, the whole light is visible.
     Neither point is below the light's center.
     There, the integrand would be equal at opposite borders, so a shifted set would lose nothing.
 
@@ -353,7 +353,7 @@ def veach(
     Notes
     -----
     Positions, radii, radiances, roughness and camera come from [Veach1997]_.
-    Scene files that several renderers publish also give them.
+    Scene files that several renderers publish also contain these numbers.
     Copper plates, and a gray floor and wall, are our choice.
     """
     allowed: Any = tuple(_SPHERES)

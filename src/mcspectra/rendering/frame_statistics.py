@@ -123,7 +123,7 @@ def frames(
         Two sets of frames are compared at the largest n that both have:
         ``difference`` of the means, ``difference_z`` by Welch's test,
         ``variance_ratio``, the variance of the first set of frames over that of the second set,
-        ``picture_ratio`` of the mean variances, and ``equal_time_ratio`` of variance × time.
+        ``picture_ratio``, the ratio of mean variances, and ``equal_time_ratio`` of variance × time.
         Ratios below 1 favor the first set of frames, `paths`.
         See `mcspectra.report.frames_page.frame_findings` for a description of attributes in words.
 

@@ -281,7 +281,7 @@ def in_dims(sampler: Sampler, dims: int) -> Sampler:
 @final
 @dataclass(frozen=True)
 class Tracer:
-    """Paths of one integrator through the pixels of a grid of this `size`, laid over the film."""
+    """Paths of one integrator through the pixels of a grid that is laid over the film."""
 
     scene: Scene
     integrator: str

@@ -190,7 +190,7 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
 def _opened(
     source: str | Path, select: str | None, *, whole: bool = True
 ) -> tuple[dict[str, Any], dict[str, xr.Dataset]]:
-    """Return root attributes and cells. For a single path, omit ``study`` unless `whole`."""
+    """Return root attributes and cells; without `whole`, a single path omits ``study``."""
     register_accessor()
     ledger = _ledger(source, select)
     if ledger is None:

@@ -98,7 +98,7 @@ def run_study(
     Raises
     ------
     ConfigError, ParameterError, StoreError
-        If the input is wrong, before anything runs. A StoreError also if results cannot be written.
+        If the input is wrong, before anything runs. A StoreError may also come from a failed write.
     ClusterError
         If workers cannot be started or reached, cannot build the study, or are lost.
     CellFailed
