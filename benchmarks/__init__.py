@@ -1,1 +1,1 @@
-"""Benchmarks: ratios to a reference measured in the same run. ``python -m benchmarks [name]``."""
+"""Benchmarks relative to a reference in the same run: ``python -m benchmarks [name]``."""

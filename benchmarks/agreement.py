@@ -1,22 +1,23 @@
-"""Do `profile`, `remedies`, `plan`, `predict` and brute force give the same answer?
+"""Comparison of profile, remedies, plan, predict and brute force: are their answers equal?
 
-Sixty estimators: functions, importance densities, multiple importance sampling, pixels and paths.
-Each function searches for the best set-up at 4,096 evaluations. Brute force then measures
-the RMSE of the given and of the recommended set-ups with 1,000 new estimates each,
-or 200 estimates of pixels and paths. A function agrees under these conditions:
+There are sixty estimators: functions, importance densities, multiple importance sampling,
+pixels and paths. Each function searches for the best set-up at 4,096 evaluations.
+Brute force then measures the RMSE of the given and of the recommended set-ups
+with 1,000 new estimates each, or with 200 estimates of pixels and paths.
+A function agrees under these conditions:
 
-* `profile`: the interval of the RMSE overlaps the interval by brute force,
-  for the set-up that it recommends;
-* `remedies`: the recommended set-up is that of the profile; or both measured this set-up
-  (a preintegration along some direction, a regression), with overlapping intervals;
-  or the RMSE of both recommended set-ups are the same within their intervals;
-* `plan`: for the RMSE by brute force, the planned interval of n overlaps the interval
-  by brute force, which is 4,096 evaluations converted by the slope of the variance;
-* `predict`: the interval of the variance overlaps the interval by brute force
-  at this number of evaluations.
+* `profile`: the interval of the RMSE of the recommended set-up overlaps that by brute force;
+* `remedies`: the recommended set-up is the same as in the profile.
+    Another set-up is accepted if both measured it with overlapping intervals.
+    Examples are a preintegration along some direction, and a regression.
+    It is also accepted if the RMSE of both set-ups are equal within their intervals;
+* `plan`: for the RMSE by brute force, the planned interval of n overlaps that by brute force.
+  Brute force gives 4,096 evaluations, converted by the slope of the variance;
+* `predict`: the interval of the variance at 4,096 evaluations overlaps that by brute force.
 
-An open interval always overlaps. In addition, no recommended set-up may be worse
-than the given one, and no function may exceed the allowed number of evaluations.
+An open interval always overlaps.
+In addition, no recommended set-up may be worse than the given set-up,
+and no function may exceed the allowed number of evaluations.
 """
 
 from __future__ import annotations
@@ -111,7 +112,7 @@ def functions() -> Iterator[tuple[str, Callable[[Array], Array], int]]:
 
 
 def cases() -> Iterator[Case]:
-    """All cases."""
+    """Yield all cases."""
     for number, (name, f, dims) in enumerate(functions()):
         sampler = ("random", "jittered", "sobol | owen")[number % 3]
         sampler = "random" if sampler == "jittered" and dims > 3 else sampler
@@ -167,7 +168,7 @@ def cases() -> Iterator[Case]:
 
 
 def _brute(setup: Setup, n: int, estimates: int, seed: int) -> tuple[float, float, float]:
-    """The RMSE and the ends of the 95 % interval."""
+    """Return the RMSE and the ends of its 95 % interval."""
     found = mcs.convergence(setup.estimator, setup.sampler, [n], realizations=estimates, rng=seed)
     low, high = np.atleast_2d(found["variance_ci"].values.squeeze())[0]
     return tuple(

@@ -1,9 +1,11 @@
 """Latency of the explorer in Chromium: time from a slider's move to the updated figures.
 
-The page is the default one: 256 jittered points, 129² frequencies. A key moves the slider
-of the strata shift. The page records when bokeh receives new data for the first figure,
-and for the last figure of the round with the fewest realizations. The processor time of the server,
-from the key to the last figure of all rounds, is a mean over all moves.
+The page is the default page: 256 jittered points and 129² frequencies.
+A key moves the slider of the strata shift.
+The page records when bokeh receives new data for the first figure,
+and for the last figure of the round with the fewest realizations.
+The processor time of the server is a mean over all moves.
+This time counts from the key to the last figure of all rounds.
 """
 
 from __future__ import annotations

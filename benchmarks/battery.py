@@ -1,17 +1,20 @@
 """Profiles of estimators with known problems: is the cause found, and is the advice good?
 
-Each case has a function or estimator with a sampler, an integral, and the causes
-that may come first. A profile has a budget of 8,192 evaluations. A case checks these points:
+Each case has a function or estimator with a sampler, an integral,
+and the causes that may come first. A profile has a budget of 8,192 evaluations.
+A case checks these points:
 
 * The interval of the profile contains the integral.
 * The first reported cause is an expected cause.
 * The recommended change lowers the variance.
   To check this, both set-ups are measured again at the same counts.
-* The rate with scrambled nets agrees, to 0.1 or within its interval, with the rate of 10,000
-  realizations at the last counts of the curve. The budget is 8,192 or 262,144 evaluations.
+* The rate with scrambled nets is right to 0.1 or within its interval.
+  The true rate comes from 10,000 realizations at the last counts of the curve.
+  The budget is 8,192 or 262,144 evaluations.
 
-No rate is reported for an infinite variance. For jumps along axes, local rates vary between −1
-and −3 for the same f; for these cases, realizations at 16 to 4,096 points give the rate.
+No rate is reported for an infinite variance.
+For jumps along axes, local rates vary between −1 and −3 for the same f.
+For these cases, realizations at 16 to 4,096 points give the rate.
 """
 
 from __future__ import annotations
@@ -74,7 +77,7 @@ def _black_scholes(sigma: float, strike: float) -> float:
 
 
 def cases() -> Iterator[Case]:
-    """Yield all cases, smooth ones first."""
+    """Yield all cases, smooth cases first."""
     e = math.e - 1.0
 
     # No problem
@@ -265,7 +268,7 @@ class Outcome:
 
     @property
     def names_cause(self) -> bool:
-        """Whether the first cause is right."""
+        """Whether the first reported cause is right."""
         return self.found.causes[0].name in self.case.causes
 
 
@@ -275,7 +278,7 @@ def near(curve: Curve, rate: float) -> bool:
 
 
 def near_or_within(curve: Curve, rate: float) -> bool:
-    """Whether a rate is right to 0.1, or the interval contains the true rate."""
+    """Whether a rate is right to 0.1, or its interval contains the true rate."""
     low, high = curve.rate_ci
     return near(curve, rate) or low <= rate <= high
 
@@ -333,7 +336,7 @@ def judge(case: Case, seed: int = 0) -> Outcome:
 
 
 def main() -> None:
-    """Print a line for each case, and the fractions that are right."""
+    """Print a line for each case, and the fractions of right results."""
     outcomes = []
     for case in cases():
         found = judge(case)

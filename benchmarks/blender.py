@@ -1,8 +1,9 @@
 """Frames of Blender's Cycles: noise of the sampling patterns by `mcspectra frames`.
 
-Run ``BLENDER_PYTHON=… python -m benchmarks blender`` with a Python 3.11 that has the package bpy.
-This Python interpreter runs the file as a script, which renders two spheres below an area light:
-96 × 72 pixels, 8 frames of 4, 16 and 64 samples.
+Run ``BLENDER_PYTHON=… python -m benchmarks blender``.
+The variable names a Python 3.11 that has the package bpy.
+This Python interpreter runs the file as a script, which renders two spheres below an area light.
+Each pattern has 8 frames of 96 × 72 pixels with 4, 16 and 64 samples.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ def main() -> None:
 
 
 def render(pattern: str, folder: str) -> None:
-    """Render a pattern in Blender."""
+    """Render the frames of one sampling pattern in Blender."""
     import bpy
 
     bpy.ops.wm.read_factory_settings(use_empty=True)

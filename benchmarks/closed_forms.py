@@ -1,8 +1,10 @@
 """Closed-form Fourier power and covariance of scrambled nets compared with many realizations.
 
-For each net with each randomization in 1 to 4 dims, powers and covariances
-at random integer frequencies are compared with their means over 100,000 realizations.
-z is the difference in standard errors; real and imaginary parts of a covariance count separately.
+Each net is tested with each randomization in 1 to 4 dims.
+Its powers and covariances are compared with means over 100,000 realizations.
+The frequencies are random integers.
+Each difference in standard errors is called z.
+Real and imaginary parts of a covariance count separately.
 The root mean square of z is 1 if closed forms and means agree.
 """
 
@@ -19,13 +21,13 @@ STEPS = ("owen", "lms", "digital-shift")
 MOST_RMS = 1.1
 _PAIRS = 24  # number of pairs of frequencies in each case, half of them equal
 _HIGHEST = 9
-_BLOCK = 5000  # number of realizations at a time
-# numbers of points in 1 to 4 dims; all other nets have 16 points
+_BLOCK = 5000  # number of realizations that are drawn at a time
+# Numbers of points in 1 to 4 dims; all other nets have 16 points
 _COUNTS = {"halton": (12, 12, 12, 12), "faure": (16, 16, 9, 25)}
 
 
 def z_values(sampler: str, n: int, dims: int, realizations: int = REALIZATIONS) -> Array:
-    """Differences between closed forms and means, in standard errors."""
+    """Return differences between closed forms and means, in standard errors."""
     rng = np.random.default_rng(dims)
     m = rng.integers(-_HIGHEST, _HIGHEST + 1, (_PAIRS, dims))
     other = rng.integers(-_HIGHEST, _HIGHEST + 1, (_PAIRS, dims))
@@ -53,7 +55,7 @@ def z_values(sampler: str, n: int, dims: int, realizations: int = REALIZATIONS) 
     mean = total / realizations
     error = np.sqrt(np.maximum(squares / realizations - mean**2, 0.0) / realizations)
     off = mean - np.stack([exact.real, exact.imag])
-    # Sums that are equal in all realizations have only rounding errors
+    # Sums that are equal in all realizations have only rounding errors, so they are left out
     varies = error > 1e-12
     assert (np.abs(off[~varies]) < 1e-9).all(), (sampler, dims)
     return np.asarray(off[varies] / error[varies])
@@ -70,7 +72,7 @@ def main(*flags: str) -> None:
                 n = _COUNTS.get(net, (16,) * 4)[dims - 1]
                 z = z_values(f"{net} | {step}", n, dims)
                 found.append(z)
-                # In 1-D, a digital shift moves a whole grid: all realizations have equal powers
+                # In 1-D, a digital shift moves a whole grid, so all realizations have equal powers
                 shown = "exact to rounding"
                 if z.size:
                     shown = f"{np.sqrt(np.mean(z**2)):.2f} | {np.abs(z).max():.1f}"

@@ -1,8 +1,9 @@
 """Time of `variance_terms` with 64 given bands, relative to drawing and transforming the points.
 
-The reference also draws the points, so that the whole analysis is compared with its indispensable
-parts. Seconds are the least of all rounds. The ratio is the median of the ratios of each round;
-the ratio of least times is also printed, because the machine may have been busy.
+The reference also draws the points.
+The whole analysis is therefore compared with its indispensable parts.
+Seconds are the least of all rounds. The ratio is the median of the ratios of each round.
+The ratio of least times is also printed, because the machine may have been busy.
 """
 
 from __future__ import annotations

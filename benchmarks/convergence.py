@@ -1,8 +1,9 @@
 """Convergence of jittered points compared with one fused numba loop: sample, evaluate, accumulate.
 
 The task has five counts from 16 to 4096, 1000 realizations, two integrands and one thread.
-The fused loop is written for this one task: it has no array of points or values, evaluates
-both integrands at one point, uses the package's own generator, and sums only the first two powers.
+The fused loop is written for this one task. It has no array of points or values,
+and evaluates both integrands at one point.
+The loop uses the package's own generator, and sums only the first two powers.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ RADIUS = 0.3
 
 @kernel
 def _fused(keys: Array, side: int, rate: float, radius: float, sums: Array) -> None:
-    """Add I and I² of the Gaussian and of the disk over realizations: sums (2, 2)."""
+    """Add the estimates I and I² of a Gaussian and a disk over realizations: sums (2, 2)."""
     scale = 1.0 / (side * side)
     for r in range(len(keys)):
         k0, k1 = keys[r, 0], keys[r, 1]

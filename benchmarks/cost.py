@@ -1,15 +1,16 @@
 """Cost of an expected power spectrum by points n, frequencies M, realizations R and accuracy ε.
 
-The model of the NUFFT [Barnett2019]_ for the seconds per realization; R realizations take R t:
+The NUFFT [Barnett2019]_ has this model for the seconds t per realization (R take R t):
 
     t = a + b n log(1/ε) + c M log M.
 
-A point is spread to log^d(1/ε) cells; vector instructions process a row of cells together.
+The constants a, b and c are fitted.
+In d dims, a point is spread to log^d(1/ε) cells; vector instructions process a row together.
 In two dims, the time per point therefore grows like log(1/ε).
 Times are the smallest processor times of two sweeps.
 
-``python -m benchmarks cost --plot`` also draws measured times
-and the model to docs/figures/cost.png.
+The command ``python -m benchmarks cost --plot`` also draws measured times and the model.
+The figure is docs/figures/cost.png.
 """
 
 from __future__ import annotations
@@ -53,7 +54,7 @@ def main(*flags: str) -> None:
     sweeps = [[_seconds(*case) for case in cases] for _ in range(2)]
     times = np.min(sweeps, axis=0)
     terms = np.array([_terms(*case) for case in cases])
-    # Times span four decades, so the fit uses relative residuals.
+    # Times span four decades, so the fit uses relative residuals
     (a, b, c), *_ = np.linalg.lstsq(terms / times[:, None], np.ones(len(times)))
     ratio = times / (terms @ (a, b, c))
     print(f"2-D, ε {EPS:g} … {ACCURACIES[0]:g}, {len(cases)} cases, n {COUNTS[0]} … {COUNTS[-1]}, "
@@ -82,7 +83,7 @@ def main(*flags: str) -> None:
 def _series(
     label: str, x: tuple[float, ...], times: Array, model: Array, first: int, step: int = 1
 ) -> Series:
-    """Return every `step`-th case from `first`, one for each x."""
+    """Return every `step`-th case, beginning with `first`, one for each x."""
     chosen = np.arange(len(x)) * step + first
     return Series(label, np.array(x, np.float64), times[chosen], model[chosen])
 
@@ -108,7 +109,7 @@ def _seconds(n: int, half_width: int, eps: float = EPS, realizations: int = 2) -
 
 
 def _by_realizations() -> Series:
-    """Seconds for R realizations; the model is R times half of the time of a pair."""
+    """Seconds for R realizations; the model is R / 2 times the time of two realizations."""
     n, half_width = FIXED
     count = np.array(REALIZATIONS, np.float64)
     measured = np.array([r * _seconds(n, half_width, EPS, r) for r in REALIZATIONS])

@@ -15,7 +15,7 @@ REPETITIONS = 2_000
 COUNTS = (20, 100, 1000)
 _RUNS = 400  # number of analyses; each gives several intervals
 
-# Distributions of estimates, with generator, variance and kurtosis
+# Distributions of estimates: generator, variance and kurtosis
 LAWS: dict[str, tuple[Callable[..., np.ndarray], float, float]] = {
     "normal": (lambda rng, s: rng.standard_normal(s), 1.0, 3.0),
     "uniform": (lambda rng, s: rng.random(s), 1 / 12, 1.8),
@@ -33,7 +33,7 @@ LAWS: dict[str, tuple[Callable[..., np.ndarray], float, float]] = {
     ),
 }
 
-# Exponents a of p ∝ x^a, integrands, and half widths at which these are truncated
+# Exponents a of p ∝ x^a, integrands, and half widths at which the integrands are truncated
 RATIOS: dict[str, tuple[float, Callable[[np.ndarray], np.ndarray], int]] = {
     "p = 1, step": (0.0, lambda x: 1.0 * (x < 0.3), 8),
     "p = 1, exp(−3x)": (0.0, lambda x: np.exp(-3 * x), 2),
@@ -44,7 +44,7 @@ RATIOS: dict[str, tuple[float, Callable[[np.ndarray], np.ndarray], int]] = {
 
 
 def _of_variances() -> Iterator[tuple[str, ...]]:
-    """Coverage of `Moments.variance_ci`; samples of equal values are counted separately."""
+    """Yield the coverage of `Moments.variance_ci`; equal values are counted separately."""
     for count in COUNTS:
         for name, (draw, variance, kurtosis) in LAWS.items():
             found = Moments.of(draw(np.random.default_rng(count), (count, REPETITIONS)), tails=True)
@@ -61,7 +61,7 @@ def _of_variances() -> Iterator[tuple[str, ...]]:
 
 
 def _weighted(x: np.ndarray, f: Any, power: float, m: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Integrand truncated to the frequencies m and in full, over p ∝ x^power: (2, ...)."""
+    """Integrand over p ∝ x^power, truncated to the frequencies m and in full: (2, ...)."""
     cut = sum((each * np.exp(2j * np.pi * k * x)).real for k, each in zip(m, c, strict=True))
     return np.stack([cut, f(x)]) / ((1 + power) * x**power)
 
@@ -74,7 +74,7 @@ def _of_captured() -> Iterator[tuple[str, ...]]:
             grid = (np.arange(2**14) + 0.5) / 2**14
             c = (f(grid) * np.exp(-2j * np.pi * m[:, None] * grid)).mean(axis=1)
 
-            # Variances by quadrature in y, with x = y⁴
+            # Compute variances by quadrature in y, with x = y⁴
             y = (np.arange(2**16) + 0.5) / 2**16
             density = (1 + power) * y ** (4 * power + 3) * 4
             first, second = (
@@ -117,7 +117,7 @@ def _of_spectra() -> Iterator[tuple[str, ...]]:
 
 
 def _of_anova() -> Iterator[tuple[str, ...]]:
-    """Coverage of shares and effective dimensions of Π (1 + (x_i − ½) √(12 a_i)), a = 1, ½, ⅕."""
+    """Coverage of shares and effective dimensions for Π (1 + (x_i − ½) √(12 a_i)), a = 1, ½, ⅕."""
     part = np.array([1.0, 0.5, 0.2])
     variance = np.prod(1 + part) - 1
     truth = {

@@ -1,8 +1,9 @@
 """SciPy's L-BFGS-B, QR and eigensolver compared with ours: minima, and stability of bits.
 
-For descents of optimized samplers, ``python -m benchmarks descent`` prints the smallest value after
-the same number of evaluations as ours. The command then repeats the computations of the libraries
-with other numbers of threads, and with the kernels of OpenBLAS for other processors.
+For descents of optimized samplers, ``python -m benchmarks descent`` prints the smallest values.
+These are the values after as many evaluations as our descent takes.
+The command then repeats the computations of the libraries with other numbers of threads,
+and with the kernels of OpenBLAS for other processors.
 """
 
 from __future__ import annotations
@@ -25,8 +26,8 @@ from mcspectra.samplers.relaxation import near_energy
 
 STARTS = 3
 COUNTS = (256, 1024)
-_FURTHER = 2  # evaluations allowed to L-BFGS-B, divided by ours
-_MEMORY = 10  # number of stored corrections in both methods
+_FURTHER = 2  # L-BFGS-B may use at most this many times our evaluations
+_MEMORY = 10  # number of corrections that both methods store
 
 DIGESTS = """
 import hashlib
@@ -88,7 +89,7 @@ def tasks() -> Iterator[Task]:
 def values_of(
     task: Task, run: Callable[[Callable[[Array], tuple[float, Array]], Array], object], seed: int
 ) -> Array:
-    """Least value up to each evaluation of a descent, (evaluations,)."""
+    """Return the least value up to each evaluation of a descent, (evaluations,)."""
     found = []
 
     def counted(x: Array) -> tuple[float, Array]:

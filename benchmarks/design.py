@@ -1,14 +1,15 @@
 """Designs for classes of integrands compared with the best usual sampler, on held-out members.
 
-For each class, dims and n, suitable kinds of designs are searched.
-The design with the least variance over 400 members is measured over 2,000 other members in 20
-groups, each with its own 32 realizations. Rivals are sobol | owen, pmj02, and shifted Korobov,
-rank-1 and Fibonacci lattices. If ``MCSPECTRA_NETS`` names a folder with direction numbers of OneTwo
-and quad-optimized nets (base 3), these nets with owen are also rivals.
+For each class, number of dims and n, suitable kinds of designs are searched.
+The design with the least variance over 400 members is measured over 2,000 other members.
+The members form 20 groups, each with its own 32 realizations.
+Rivals are sobol | owen, pmj02, and shifted Korobov, rank-1 and Fibonacci lattices.
+``MCSPECTRA_NETS`` may name a folder with direction numbers of OneTwo and quad-optimized nets.
+These nets in base 3, scrambled by owen, are then also rivals.
 
 The last lines compare with folded lattices, on Gaussians of random orientation.
-In this class, a few narrow members carry half of the mean variance,
-so that 20,000 members with 128 realizations per group are measured.
+In this class, a few narrow members carry half of the mean variance.
+Therefore 20,000 members are measured, with 128 realizations per group.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ PLANE = ("pmj02",)  # additional rival in 2-D
 FOLDED = ("korobov | shift | mirror(mode='fold')", "rank1-lattice | shift | mirror(mode='fold')")
 TURNED = ((2, 64, ("lattice", "points")), (2, 256, ("lattice",)), (4, 64, ("lattice", "points")))
 """Dims, n and kinds for Gaussians of random orientation."""
-DESIGNS = SearchSettings(return_rival=False)  # measure a design even if a rival is better
+DESIGNS = SearchSettings(return_rival=False)  # measure designs even if a rival is better
 NETS = {
     "onetwo_init_tab.dat": "sobol(directions={!r}) | owen",
     "quad_optimized_gf3.dat": "sobol(directions={!r}, base=3) | owen",
@@ -49,12 +50,12 @@ NETS = {
 
 def main() -> None:
     """Print a line for each class, dims and n, and the times of two searches."""
-    warnings.simplefilter("ignore")  # base 3 is not balanced at powers of two
+    warnings.simplefilter("ignore")  # sets in base 3 are not balanced at powers of two
     rivals = list(RIVALS)
     if folder := os.environ.get("MCSPECTRA_NETS"):
         rivals += [spec.format(str(Path(folder) / name)) for name, spec in NETS.items()]
     with tempfile.TemporaryDirectory() as cache:
-        os.environ["MCSPECTRA_CACHE"] = cache  # no design is in the cache
+        os.environ["MCSPECTRA_CACHE"] = cache  # an empty cache
         for kind, n in (("lattice", 13), ("owen", 16)):  # compile the kernels first
             mcs.design(kind, "gaussians", n, settings=DESIGNS)
         for kind, n, what in (("lattice", 1009, "a lattice"), ("owen", 256, "64 trees")):
@@ -89,7 +90,7 @@ def _compare(family: str, dims: int, n: int, rivals: list[str]) -> None:
 
 
 def _turned(dims: int) -> object:
-    """Return a class of Gaussians: covariances of random orientation, eigenvalues in 0.01 … 1."""
+    """Return a class of Gaussians with random orientations and eigenvalues in 0.01 … 1."""
 
     def gaussian(rng: np.random.Generator) -> mcs.Integrand:
         axes = np.linalg.qr(rng.standard_normal((dims, dims)))[0]
@@ -118,10 +119,11 @@ def _compare_folded(dims: int, n: int, kinds: tuple[str, ...]) -> None:
 
 
 def _least_error(dims: int, n: int) -> float:
-    """Mean squared error of half-spaces for fixed sets: the minimum of three descents.
+    """Return the mean squared error of half-spaces for fixed sets, least of three descents.
 
-    Along a direction v, u_i = F(v·x_i) with F the distribution of v·x for uniform x. The mean over
-    offsets is the mean of (u_(i) − (i − ½)/n)² plus 1/(12 n²), with u_(1) ≤ u_(2) ≤ ….
+    Along a direction v, u_i = F(v·x_i), where F is the distribution of v·x for uniform x.
+    The sorted values are u_(1) ≤ u_(2) ≤ ….
+    The mean over offsets is the mean of (u_(i) − (i − ½)/n)² plus 1/(12 n²).
     """
     generator = np.random.default_rng(3)
     directions = generator.standard_normal((400 * dims, dims))

@@ -23,7 +23,7 @@ __all__ = ["channels", "infinite_weights", "mis_slowest", "warps"]
 Plots = dict[str, Plot]
 
 COUNTS, LARGE, LONG = (16, 64, 256, 1024), (64, 256, 1024, 4096), (4, 16, 64, 256, 1024, 4096)
-LIGHT = "piecewise-constant(values=[0, 0, 0, 1, 1, 0, 0, 0, 0, 0])"  # light on [0.3, 0.5]
+LIGHT = "piecewise-constant(values=[0, 0, 0, 1, 1, 0, 0, 0, 0, 0])"  # a light on [0.3, 0.5]
 PIXELS = np.array(
     [[0.3, 0.4, 0.9], [0.2, 0.5, 1.0], [6.0, 1.0, 0.4], [14.0, 12.0, 7.0],
      [0.6, 5.0, 0.8], [0.4, 0.7, 4.0], [0.1, 0.9, 0.3], [1.2, 0.3, 0.2]]
@@ -34,7 +34,7 @@ WARPS = ("marginal", "hierarchical", "hilbert", "alias")
 
 
 def mis_slowest() -> Plots:
-    """Two simple techniques, and heuristics for one that jumps at a light's edge."""
+    """Compare two simple techniques, and heuristics for one with a jump at a light's edge."""
     d = mcs.technique_terms(
         mcs.estimators.TechniqueSum(["linear", "step(at=0.3)"], dims=1),
         "jittered", COUNTS, half_width=4, realizations=1000, rng=1,
@@ -61,7 +61,7 @@ def mis_slowest() -> Plots:
 
 
 def heuristics() -> dict[str, Curve]:
-    """Exact variances of a light with smooth brightness, sampled directly or uniformly."""
+    """Return exact variances for a light of smooth brightness, sampled directly or uniformly."""
     light = mcs.density(LIGHT, dims=1)
     f = mcs.Integrand.from_function(
         lambda x: np.where(light.pdf(x) > 0, 1 + x[..., 0], 0.0), dims=1, integral=0.28
@@ -77,7 +77,7 @@ def heuristics() -> dict[str, Curve]:
 
 
 def toy_environment() -> tuple[Any, list[Any], Any]:
-    """Eight pixels of three channels times a cosine; densities of channels and luminance."""
+    """Return eight RGB pixels times a cosine, with densities of channels and of luminance."""
     tables = [mcs.densities.PiecewiseConstant(values=PIXELS[:, c]) for c in range(3)]
     scale, cells = PIXELS.mean(axis=0), np.diff(np.sin(np.pi * (np.arange(9) / 8 - 0.5)) / np.pi)
     f = mcs.Integrand.from_function(
@@ -92,7 +92,7 @@ def toy_environment() -> tuple[Any, list[Any], Any]:
 
 
 def channels() -> Plots:
-    """Channels of a small environment map, sampled by densities of luminance and of channels."""
+    """Sample channels of a small environment map by densities of luminance and of channels."""
     ways = mcs.estimators.channel_estimators(*toy_environment())
     curves: dict[str, dict[str, Curve]] = {color: {} for color in ("red", "green", "blue")}
     names = {"one": "luminance", "own": "own density", "mis": "MIS of the three"}
@@ -110,7 +110,7 @@ def channels() -> Plots:
 
 
 def infinite_weights() -> Plots:
-    """Var(S_0), which is infinite and cannot be measured, and the effect of a defensive share."""
+    """Show that an infinite Var(S_0) cannot be measured, and the effect of a defensive share."""
     n, sizes = 16, 2 ** np.arange(6, 19)
     f, p = (
         mcs.integrand("polynomial(coefficients=[0, 0, 1])", dims=1),
@@ -147,7 +147,7 @@ def infinite_weights() -> Plots:
 
 
 def defensive(f: Any, p: Any) -> dict[str, Curve]:
-    """Exact variances of jittered points for a density, a mixture and a split mixture."""
+    """Return exact variances of jittered points for a density, a mixture and a split mixture."""
     mixture = mcs.density("defensive(density='linear(slope=2)', share=0.1)", dims=1)
     ways = {
         "p alone": mcs.Estimator(f, p),
@@ -168,7 +168,7 @@ def defensive(f: Any, p: Any) -> dict[str, Curve]:
 
 
 def warps() -> Plots:
-    """Warps of a table and of a disk: maps, and variances of jittered points."""
+    """Compare warps of a table and of a disk: their maps, and variances of jittered points."""
     specs = {w: f"piecewise-constant(values={TABLE}, warp={w!r})" for w in WARPS}
     specs |= {"bilinear": f"bilinear(values={TABLE})"}
     disks = {f"disk, {w}": f"disk(warp={w!r})" for w in ("polar", "concentric")}

@@ -18,7 +18,7 @@ __all__ = ["Curve", "slopes", "variance_panels", "variance_plot", "with_interval
 
 @dataclass(frozen=True)
 class Curve:
-    """Values (n,) along x with intervals (n, 2); exact values have no intervals."""
+    """Values (n,) along x, with intervals (n, 2) unless the values are exact."""
 
     x: Array
     values: Array

@@ -1,8 +1,8 @@
 """Numbers and figures of ``docs/findings``, made by ``python -m benchmarks findings --plot``.
 
 Each function prints the numbers of one page, with 95 % intervals, and returns its figures by name.
-With ``--plot`` the lines are also written to ``docs/findings/numbers.txt``,
-which the pages may quote.
+With ``--plot`` the lines are also written to ``docs/findings/numbers.txt``.
+The pages may quote these lines.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ SMOOTH, EDGE = "christensen-gaussian", "half-space(normal=[1, 0.618], offset=0.7
 
 
 def homogenisation() -> Plots:
-    """Six convergence plots, each with a smooth integrand and one with an interior edge."""
+    """Make six convergence plots, each with a smooth integrand and one with an interior edge."""
     studies = {
         name: mcs.improve.mirror_study(
             f, "jittered", LARGE, mirrorings=["original", "random", "uniform"],
@@ -74,7 +74,7 @@ def homogenisation() -> Plots:
 
 
 def alignment() -> Plots:
-    """Exact and measured variance of a step by offset, and of two edges without a good offset."""
+    """Compare exact and measured variances of a step by offset, and of two edges."""
     step, bar = (
         mcs.integrand(s, dims=1) for s in ("step(at=0.3)", "disk(center=0.47, radius=0.27)")
     )
@@ -119,7 +119,7 @@ def alignment() -> Plots:
 
 
 def smoothing() -> Plots:
-    """Squared error of a disk for each width of the edge, and the best width for each budget."""
+    """Plot a disk's squared error for each width of the edge, and the best width per budget."""
     widths = [0.005, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1, 0.14, 0.2, 0.28]
     d = mcs.improve.smoothing_scan(
         "disk(center=0.47)", "jittered", (64, 256, 1024), [0, *widths], realizations=1000, rng=1
@@ -147,7 +147,7 @@ def smoothing() -> Plots:
 
 
 def remedies() -> Plots:
-    """Remedies for three set-ups: a shift, an interior jump, a slow technique."""
+    """Find remedies for three set-ups: a shift, an interior jump, a slow technique."""
     mis = mcs.MultipleImportance(
         mcs.integrand("polynomial(coefficients=[0.5, 0, 1])", dims=1),
         ["uniform", "piecewise-constant(values=[1, 2, 3])"],
@@ -182,7 +182,7 @@ PAGES: dict[str, Callable[[], Plots]] = {
     "warps": warps,
     "remedies": remedies,
 }
-"""Functions that make the figures of each page."""
+"""Functions that make the figures of each page, by the name of the page."""
 
 
 def main(*flags: str) -> None:

@@ -10,7 +10,7 @@ import mcspectra as mcs
 from mcspectra.core.streams import Stream
 from mcspectra.spectra.transforms import FrequencyGrid, direct_sum
 
-SIZES = {1: (8, 12), 2: (16, 5), 3: (8, 3)}  # dims: points, half width
+SIZES = {1: (8, 12), 2: (16, 5), 3: (8, 3)}  # dims: number of points, half width
 
 
 def _one_sided(dims: int) -> mcs.Sampler:
@@ -18,7 +18,7 @@ def _one_sided(dims: int) -> mcs.Sampler:
 
 
 def _difference(dims: int, name: str, density: str | None, space: str) -> float:
-    """Relative difference between the sum of the terms and the directly summed variance."""
+    """Return the relative difference between the sum of the terms and the direct variance."""
     f = mcs.Integrand.from_function(lambda x: np.exp(x[..., 0]) * (1 + x.sum(-1) ** 2), dims=dims)
     estimator = mcs.Estimator(f, density)
     sampler = _one_sided(dims) if name == "one-sided" else mcs.sampler(name, dims=dims)
@@ -39,7 +39,7 @@ def _difference(dims: int, name: str, density: str | None, space: str) -> float:
 
 
 def _pairing() -> None:
-    """Print the predictions by C_ml and by its conjugate for points crowded at one side."""
+    """Print predictions by C_ml and by its conjugate for points crowded at one side."""
     f = mcs.Integrand.from_function(
         lambda x: np.exp(3 * np.cos(2 * np.pi * (x[..., 0] - 0.15))), dims=1
     )
@@ -56,7 +56,7 @@ def _pairing() -> None:
 
 
 def main() -> None:
-    """Print the largest difference for each number of dims, then both predictions."""
+    """Print the largest difference for each number of dims, and then both predictions."""
     names = ("random", "jittered", "jittered | shift", "one-sided")
     for dims in SIZES:
         cases = itertools.product(names, (None, "linear(slope=1.2)"), ("domain", "primary"))

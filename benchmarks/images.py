@@ -1,6 +1,6 @@
 """Throughput of whole images compared with stock integrators, and pictures as in the slides.
 
-``stock`` is Mitsuba's `direct` integrator with its own independent sampler,
+The name ``stock`` is Mitsuba's `direct` integrator with its own independent sampler,
 at the same number of samples. Both sides of each line alternate in the same run.
 With ``--pictures``, the slides' comparison is rendered to the current folder.
 """

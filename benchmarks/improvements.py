@@ -1,7 +1,8 @@
 """Variance of changed estimators relative to plain estimators at equal cost, including pilots.
 
-Each budget is 2^14 evaluations, of which the pilot uses 2^11. Variances come from fresh samples
-by `mcspectra.convergence`. For nets, both variances use the largest power of two within the budget.
+Each budget is 2^14 evaluations, of which the pilot uses 2^11.
+Variances come from new samples, measured by `mcspectra.convergence`.
+For nets, both variances use the largest power of two within the budget.
 The printed ratios are medians over pilots.
 """
 
@@ -71,7 +72,7 @@ def problems() -> Iterator[Problem]:
 
 
 def _variance(estimator: AbstractEstimator, sampler: str, seed: int) -> float:
-    """Variance of an estimate within the budget, after the pilot."""
+    """Return the variance of an estimate within the budget, after the pilot."""
     n = (BUDGET - estimator.pilot_evaluations) // estimator.evaluations_per_point
     n = n if sampler == "random" else 1 << (n.bit_length() - 1)
     found = mcs.convergence(estimator, sampler, [n], realizations=REALIZATIONS, rng=seed)
@@ -79,7 +80,7 @@ def _variance(estimator: AbstractEstimator, sampler: str, seed: int) -> float:
 
 
 def main() -> None:
-    """Print ratios, and the largest deviation of a mean from the integral in standard errors."""
+    """Print ratios, and the largest deviation of a mean from the integral, in standard errors."""
     for problem, dims, f, integral in problems():
         plain = mcs.Estimator(mcs.Integrand.from_function(f, dims=dims, integral=integral))
         given = Setup(plain, mcs.sampler("random", dims=dims))

@@ -1,5 +1,6 @@
-"""Seconds and peak memory of large `variance_terms` with bands, each in its own process.
+"""Seconds and peak memory of large `variance_terms` with bands.
 
+Each case runs in its own process.
 The memory of a process that only imports the needed modules is also printed.
 """
 
@@ -64,7 +65,7 @@ CASES = (
 
 
 def main() -> None:
-    """Print a line for each case; memory should be the same for four times as many realizations."""
+    """Print a line for each case; four times as many realizations should take the same memory."""
     _, idle = Case(1, 1, 1, 0).run()
     print(f"imports alone {idle:.0f} MB; aim in 2-D ≤ 1000 MB")
     print(f"{'frequencies':>12s} {'pairs':>9s} {'points':>7s} {'realizations':>13s} "

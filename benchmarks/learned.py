@@ -1,7 +1,8 @@
 """Ratios of variances with and without learned densities.
 
-Each density is learned for the sampler and n. The variances use 200 realizations that were not used
-for learning. Run ``python -m benchmarks learned``.
+Each density is learned for the sampler and n.
+The variances use 200 realizations that were not used for learning.
+Run ``python -m benchmarks learned``.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ INTEGRANDS = {
 
 
 def variance(f, density, u):
-    """Variance of the means over the sets u (realizations, n, d)."""
+    """Return the variance of the means over sets u of shape (realizations, n, d)."""
     if density is None:
         return f(u).mean(axis=1).var(ddof=1)
     x = density.sample(u)

@@ -1,9 +1,10 @@
 """Rate map of Veach's scene compared with raw Mitsuba calls for the same samples.
 
-The raw calls evaluate each of four strategies (light, BSDF,
-and the parts of both in MIS) separately. The kernels of these calls have one lane per sample,
-sum over the samples of a pixel, and read existing tables. The raw calls copy results to NumPy,
-without statistics. The map evaluates a technique once for both the plain and the weighted estimate,
+The raw calls evaluate each of four strategies separately: light, BSDF, and their parts in MIS.
+The kernels of these calls read existing tables.
+The kernels have one lane per sample, and sum over the samples of a pixel.
+The raw calls copy results to NumPy, without statistics.
+The map evaluates a technique once for both the plain and the weighted estimate,
 in a loop over samples. "kernels alone" means these loops without the map's statistics.
 ``--full`` maps 256 × 170 pixels without predictions and compares with the raw calls alone,
 which takes minutes. By default a smaller map is used.
@@ -29,7 +30,7 @@ ROUNDS = 3
 
 
 def main(*flags: str) -> None:
-    """Print the seconds of both, their ratio, and samples per second."""
+    """Print the seconds of the map and of the raw calls, their ratio, and samples per second."""
     full = "--full" in flags
     size = FULL if full else SMALL
     raw = RawCalls(size)
@@ -70,7 +71,7 @@ def run_map(size: tuple[int, int], predict_every: int = 0) -> None:
 
 
 class RawCalls:
-    """Raw Mitsuba calls for all pixels of a grid; first hits and tables are computed before."""
+    """Raw Mitsuba calls for all pixels of a grid; first hits and tables are computed in advance."""
 
     def __init__(self, size: tuple[int, int]) -> None:
         grid = np.stack(np.meshgrid(*map(np.arange, size)), axis=-1).reshape(-1, 2)

@@ -1,7 +1,8 @@
-"""Predicted error spectra of images compared with measured ones, for masks, sets and integrands.
+"""Predicted error spectra of images compared with measured spectra.
 
-``python -m benchmarks masks`` prints predicted / measured power in four bands of radial frequency,
-from 64 images.
+The cases have different masks, sets and integrands.
+The command ``python -m benchmarks masks`` prints the ratio of predicted to measured power.
+There is a ratio for each of four bands of radial frequency, from 64 images.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Pair correlation of 4096 points in 200 bins, compared with `freud.density.RDF`.
 
-Both count the pairs of a periodic square up to the same distance and divide by the expected count
-for random points. Both use default settings on one thread.
+Both programs count the pairs of a periodic square up to the same distance,
+and divide by the expected count for random points.
+Both programs use default settings on one thread.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ DISTANCES = (0.49, 0.1)  # freud allows distances below half the side
 
 
 def main() -> None:
-    """Print milliseconds, the ratio, and the largest difference of the counts."""
+    """Print milliseconds, their ratio, and the largest difference of the counts."""
     freud.parallel.set_num_threads(1)
     points = mcs.sampler("jittered", dims=2).draw(POINTS, rng=1)[0]
     for distance in DISTANCES:
@@ -40,7 +41,7 @@ def _compare(points: np.ndarray, distance: float) -> None:
     print(f"  count_pairs, {1e9 * ours / counted.sum() * 2:.1f} ns a pair: {1e3 * ours:.1f} ms")
     print(f"  freud.density.RDF:          {1e3 * theirs:.1f} ms")
     print(f"  ratio (aim ≤ 0.5):          {ratio:.3f}")
-    # freud computes in float32, so pairs at the border of a bin may be in the neighboring bin.
+    # freud computes in float32, so it may count pairs at the border of a bin in the neighboring bin
     differ = np.abs(counted - rdf.bin_counts).sum() / counted.sum()
     print(f"  pairs that freud has in other bins: {differ:.1e} of all")
 

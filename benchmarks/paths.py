@@ -1,12 +1,16 @@
 """Paths of five scenes compared with renders by Mitsuba, and time of a map relative to raw paths.
 
-A film has 8 × 6 pixels with a box filter. `mitsuba.render` and `variance_map` with random points
-each give means and variances of 400 estimates of 64 paths. Welch's test compares the values
-and the squared deviations (by logarithms of variances, which are closer to normal). The test also
-compares the variance of all bounces together with 64 times the variance of the renders. The limit
-of |t| holds for all tests of the table together (Šidák). Then a map of 64 × 64 pixels with paths
-of depth 5 is timed against raw renders of the same number of paths. ``--coverage`` prints instead
-how often 95 % intervals of shares contain the true share, at six pixels of Cornell's box.
+A film has 8 × 6 pixels with a box filter.
+Mitsuba's render and our variance map with random points each make 400 estimates of 64 paths.
+Both give the means and the variances of these estimates.
+Welch's test compares the values and the squared deviations.
+The test uses logarithms of variances, which are closer to normal.
+The variance of all bounces together is also compared with 64 times the variance of the renders.
+The limit of |t| holds for all tests of the table together (Šidák).
+Then a map of 64 × 64 pixels with paths of depth 5 is timed.
+Raw renders with the same number of paths are the reference.
+With ``--coverage``, six pixels of Cornell's box are measured instead.
+The benchmark then prints how often 95 % intervals of shares contain the true share.
 """
 
 from __future__ import annotations
@@ -40,7 +44,7 @@ Scene = dict[str, Any]
 
 
 def main(*flags: str) -> None:
-    """Print a row for each scene, then the ratios of times; or the coverage of intervals."""
+    """Print a row for each scene and the ratios of times, or the coverage of intervals."""
     if "--coverage" in flags:
         coverage()
         return
@@ -89,7 +93,7 @@ def compared(scene: Scene, integrator: str) -> str:
 def renders(scene: Scene, integrator: str) -> Array:
     """Return the luminance of independent renders by Mitsuba: (R, h, w)."""
     mitsuba = load_mitsuba()
-    import drjit  # Import Mitsuba first, because it chooses the LLVM library
+    import drjit  # Mitsuba is imported first, because it chooses the LLVM library
 
     loaded, made = load_scene(scene), find_integrator(as_scene(scene), integrator)
     images = [
@@ -100,7 +104,7 @@ def renders(scene: Scene, integrator: str) -> Array:
 
 
 def times() -> dict[str, list[float]]:
-    """Time of maps of Cornell's box divided by the time of raw renders with equal paths."""
+    """Return times of maps of Cornell's box divided by times of raw renders with equal paths."""
     mitsuba = load_mitsuba()
     import drjit
 
@@ -123,7 +127,7 @@ def times() -> dict[str, list[float]]:
 
     works = {"raw": raw, "map": mapped(0), "map with shares of 128 chains": mapped(128)}
     ratios: dict[str, list[float]] = {name: [] for name in works}
-    # Rounds are adjacent in time, because a busy machine slows all; the first round compiles
+    # Rounds are adjacent in time, because a busy machine slows all works; the first round compiles
     for turn in range(ROUNDS + 1):
         seconds = {}
         for name, work in works.items():
@@ -178,7 +182,7 @@ def cornell() -> Scene:
 
 
 def fog() -> Scene:
-    """Return the box with a sphere of rough glass, filled with a scattering medium."""
+    """Return Cornell's box with a sphere of rough glass, filled with a scattering medium."""
     scene, mitsuba = cornell(), load_mitsuba()
     for name in ("small-box", "large-box"):
         del scene[name]

@@ -1,21 +1,22 @@
 """Integrals at 4,096 evaluations: `integrate` with and without a profile, SciPy, QMCPy and vegas.
 
-Ten integrands, each with 30 seeds and all methods in one run:
+There are ten integrands, each with 30 seeds and all methods in one run:
 
-* ``profile``: `mcspectra.profile` with a quarter of the evaluations,
-  then `integrate(profile=…)` with the rest;
-* ``after``: the same, but all evaluations follow a profile of equal cost (8,192 in total),
-  for a function that is integrated repeatedly;
-* ``integrate``: `mcspectra.integrate` alone;
+* ``profile``: `mcspectra.profile` uses a quarter of the evaluations.
+  The function `integrate(profile=…)` uses the remaining evaluations;
+* ``after``: the same, but all evaluations follow a profile of equal cost (8,192 in total).
+  This is the case of a function that is integrated repeatedly;
+** ``integrate``: `mcspectra.integrate` without a profile;
 * ``scipy``: 16 scrambled Sobol' sets of SciPy, with Student's t interval;
 * ``net``, ``lattice``: QMCPy's CubQMCNetG and CubBayesLatticeG with all evaluations in one set;
-* ``vegas``: four iterations adapt the grid and four integrate,
-  each with an eighth of the evaluations.
+* ``vegas``: four iterations adapt the grid and four integrate.
+  Each iteration takes an eighth of the evaluations.
 
-A line gives the RMS error of each method and, in brackets, the number of intervals
-that contain the integral. A peer counts if at least 27 intervals contain the integral.
-The last line gives the number of integrands for which the errors of ``profile`` and ``after``
-are at most 1.2 times the error of the best peer that counts.
+A line gives the RMS error of each method.
+In brackets, it gives the number of intervals that contain the integral.
+A peer counts if at least 27 intervals contain the integral.
+The errors of ``profile`` and ``after`` should be at most 1.2 times that of the best such peer.
+The last line gives the number of integrands for which this is true.
 """
 
 from __future__ import annotations

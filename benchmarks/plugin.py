@@ -1,8 +1,9 @@
 """Throughput of stock integrators with our samplers compared with the stock sampler.
 
-Both sides of each line alternate in the same run. ``sobol | owen`` is computed in the kernel.
+Both sides of each line alternate in the same run.
+The points of ``sobol | owen`` are computed in the kernel.
 Other samplers draw new tables of points for every image.
-One set that is moved in each pixel is the cheapest.
+A single set that is moved in each pixel is the cheapest.
 """
 
 from __future__ import annotations

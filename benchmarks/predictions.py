@@ -1,15 +1,18 @@
 """Predicted variances compared with precise measured ones: accuracy and coverage of intervals.
 
-Each row is a sampler in a group of problems; each cell of a row is a problem at a count. A cell
-is right if predicted/measured is within 5 %, or within two standard errors of the measurement.
-The interval covers if the difference lies within both intervals together. Predictions do
-not evaluate f at the points of the sampler; measurements have at least 1,000 realizations.
-``--group=2-D`` selects one group, ``--group=new`` all groups whose names begin with "new".
+Each row is a sampler in a group of problems; each cell of a row is a problem at a count.
+A cell is right if prediction and measurement agree to 5 %,
+or to two standard errors of the measurement.
+An interval covers if the difference of both is within their combined interval.
+Predictions do not evaluate f at the points of the sampler.
+Measurements have at least 1,000 realizations.
+The option ``--group=2-D`` selects one group, and ``--group=new`` selects all new groups.
 
 New groups have every fast sampler with an offset (shift, strata-shift, digital-shift),
-problems in 4 to 8 dims, and unbounded ones. References are measured with 20,000 realizations.
+problems in 4 to 8 dims, and unbounded problems.
+References are measured with 20,000 realizations.
 If the moments of estimates are unbounded, references come from closed-form integrals,
-summed over strata and pairs of points (`Unbounded`).
+which are summed over strata and pairs of points (`Unbounded`).
 """
 
 from __future__ import annotations
@@ -64,8 +67,8 @@ class Group:
 class Tail:
     """An unbounded function h of one variable, with the integrals of h and h² from 0 to u.
 
-    `even` means h(1 − u) = h(u), so that values near 1 can be computed
-    from the precise distance to 1.
+    The flag `even` means h(1 − u) = h(u).
+    Values near 1 can then be computed from the precise distance to 1.
     """
 
     h: Callable[[Array], Array]
@@ -187,7 +190,7 @@ class Unbounded:
         if base == "latin-hypercube":
             apart = [(n * h.mean**2 - h.between(n, at)) / (n - 1) for at in starts]
             return float(h.square**d / n + (1 - 1 / n) * math.prod(apart) - h.mean ** (2 * d))
-        # Nested scrambling in base 2: a product of means over sibling cells for each pair of points
+        # Nested scrambling in base 2: each pair of points has a product of means over sibling cells
         levels = int(math.log2(n))
         siblings = []
         for level in range(levels):
@@ -198,7 +201,7 @@ class Unbounded:
         cells = np.rint(points * n).astype(np.int64)
         total = 0.0
         for i in range(n):
-            # number of bits below the common prefix
+            # Number of bits below the common prefix
             apart_bits = np.frexp((cells ^ cells[i]).astype(float))[1]
             total += float(of_level[levels - apart_bits].prod(axis=-1).sum())
         return total / n**2 - float(h.mean ** (2 * d))
@@ -326,7 +329,7 @@ def groups() -> dict[str, Group]:
     roof = formula("max(" + "+".join(f"x{i}" for i in range(8)) + "-4,0)", 8)
     found["new 8-D"] = Group([product(8, 0.7), roof], IN_MANY_DIMS, (256,), many)
 
-    # New: unbounded
+    # New groups: unbounded problems
     found["new sums"] = Group(
         [Unbounded("t3", 2), Unbounded("root", 2)],
         (
@@ -386,7 +389,7 @@ IN_MANY_DIMS = (
 
 
 def measure(group: Group, sampler: str) -> tuple[tuple[int, ...], Array, Array]:
-    """Counts (N,), reference variances and their standard errors, both (problems, N)."""
+    """Return counts (N,), reference variances and their standard errors, both (problems, N)."""
     many = _DEAR.get(sampler.partition(" ")[0], group.realizations)
     variances, errors, counts = [], [], ()
     for problem in group.problems:
@@ -429,7 +432,7 @@ class Tally:
 
 
 def main(*flags: str) -> None:
-    """Print a row for each sampler of each group, totals, and the worst cells with their calls."""
+    """Print a row for each sampler and group, the totals, and the worst cells with their calls."""
     only = tuple(flag.partition("=")[2] for flag in flags if flag.startswith("--group="))
     worst: list[tuple[float, str]] = []
     totals: dict[str, Tally] = {}
@@ -453,14 +456,14 @@ def main(*flags: str) -> None:
             value = np.array([each["predicted_variance"].to_numpy().reshape(-1) for each in found])
             bounds = np.array([each["predicted_variance_ci"].to_numpy() for each in found])
             bounds = bounds.reshape(*value.shape, 2)
-            # Values at rounding level count as equal
+            # Treat values at rounding level as equal
             size = np.array([[1.0 + abs(float(np.max(p.integral)))] for p in problems])
             none = np.isnan(value) & (measured <= rounding_floor(size))
             value = np.where(none, measured, value)
             bounds = np.where(none[..., None], measured[..., None], bounds)
             methods = [np.broadcast_to(_methods(each), value.shape[1:]) for each in found]
 
-            # Errors relative to the measured value, minus the error of the measurement
+            # Errors relative to the measured value, reduced by the error of the measurement
             off = np.abs(value / measured - 1.0)
             noise = error / measured
             right = (off <= WITHIN) | (off <= 2.0 * noise)
@@ -468,7 +471,7 @@ def main(*flags: str) -> None:
             half = np.where(value < measured, bounds[..., 1] - value, value - bounds[..., 0])
             within = np.hypot(half, 1.96 * error)
             distance = np.abs(value - measured)
-            # Closed-form references are right to rounding
+            # References in closed form are right to rounding
             covered = distance <= within + 1e-9 * measured
             missed = np.where(covered, 0.0, np.inf)
             np.divide(1.96 * distance, within, out=missed, where=within > 0.0)

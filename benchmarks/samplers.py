@@ -1,7 +1,7 @@
 """Samplers compared with NumPy's random numbers, and with sets of SciPy and QMCPy, in one run.
 
 The default is 2^16 points in 2-D on one thread.
-Prints points per second, and the reference's time over ours.
+The benchmark prints points per second, and the reference's time divided by ours.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ AGAINST_NUMPY = {
     "rank1-lattice(vector=[1, 19463]) | shift": "",
     "kronecker | shift": "",
 }
-"""Specs of samplers, each with the least required ratio of the reference's time to ours."""
+"""Specs of samplers, each with the least allowed ratio of the reference's time to ours."""
 
 
 def main() -> None:
@@ -108,7 +108,7 @@ def _against_scipy() -> None:
 
 
 def _poisson_disk(qmc: Any, generator: np.random.Generator) -> None:
-    """Let SciPy fill the square with the radius of our 1024 points; compare times per point."""
+    """Let SciPy fill the square at the radius of our 1024 points, and compare times per point."""
     from scipy.spatial.distance import pdist
 
     ours = _drawn("poisson-disk(boundary='bounded')", 1024)
@@ -140,7 +140,7 @@ def _against_qmcpy() -> None:
 
 
 def _alone() -> None:
-    """Samplers without a reference: points per second, and seconds to optimize an uncached set."""
+    """Print points per second without a reference, and seconds to optimize an uncached set."""
     for spec, n, aim in (("pmj02", COUNT, "5 M points/s"), ("bnot", 1024, "5 s")):
         sampler = mcs.sampler(spec, dims=2)
         draw = getattr(sampler, "_optimize", None)

@@ -1,8 +1,8 @@
-"""Scaling of studies: overhead of tasks, cells and workers; efficiency; memory; a million cells.
+"""Scaling of studies: overhead of tasks, cells and workers, efficiency, and memory.
 
 Select parts by name: ``python -m benchmarks.scaling tasks workers``.
 Without names, all parts run except ``million``, which takes minutes and 2 GB of disk.
-Wall times depend on other load of the machine, but processor times hardly do; both are printed.
+Wall times depend on other load of the machine, but processor times hardly do. Both are printed.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ dims = 1
 
 
 def main(*names: str) -> None:
-    """Run the named parts, or all."""
+    """Run the named parts, or all parts."""
     parts: dict[str, Callable[[], None]] = {
         "tasks": tasks,
         "cells": cells,
@@ -72,18 +72,18 @@ def main(*names: str) -> None:
 
 
 def tasks() -> None:
-    """Overhead of a task: one cell of thousands of chunks that take no time."""
+    """Print the overhead of a task: one cell has thousands of chunks that take no time."""
     for count in (10_000, 40_000):
         with _timed(f"{count:,} one-block tasks through schedule, thread and merge", count):
             _drive_many(count)
 
 
 def cells() -> None:
-    """Overhead of a cell: plan, schedule and row of the ledger."""
+    """Print the overhead of a cell: plan, schedule and row of the ledger."""
     count = 3000  # more cells than a run writes to a store at the end
     with _timed(f"decode and plan {count:,} short cells", count):
         plan = make_plan(_study(count), Path())
-    plan.cells[0].compute(0)  # import and compile
+    plan.cells[0].compute(0)  # first import modules and compile
     with _timed("compute them", count):
         results = [cell.compute(0) for cell in plan.cells]
     with _timed("make bytes of their results", count):
@@ -95,7 +95,7 @@ def cells() -> None:
 
 
 def million(count: int = 10**6) -> None:
-    """A study of a million cells: plan, ledger, status, one cell, and memory."""
+    """Print times and memory for a million cells: plan, ledger, status and one cell."""
     samplers = ("random", "jittered", "halton", "sobol", "latin-hypercube")
     samplers += tuple(f"{name} | shift" for name in samplers)
     with _timed(f"decode {count:,} cells"):
@@ -140,7 +140,7 @@ def _record(
 
 
 def workers() -> None:
-    """Overhead of a worker: start and first task."""
+    """Print the overhead of a worker: its start and its first task."""
     config = _study(16)
     for count in (1, 2):
         with _timed(f"16 short cells on {count} worker processes, their start included"):
@@ -152,7 +152,7 @@ def workers() -> None:
 
 
 def efficiency() -> None:
-    """Time with one worker divided by w times the time with w workers, for tasks that sleep."""
+    """Print the time of one worker over w times the time of w workers, for tasks that sleep."""
     config = _study(64)
     one = None
     for count in (1, 2, 4, 8):
@@ -167,7 +167,7 @@ def efficiency() -> None:
 
 
 def memory() -> None:
-    """Memory of the command that runs a study of ten thousand cells."""
+    """Print the memory of the command that runs a study of ten thousand cells."""
     count = 10_000
 
     def told(progress: Progress) -> None:
@@ -209,7 +209,7 @@ class _Blocks(Analysis, frozen=True, kw_only=True):
 
 
 class _Nothing:
-    """Records of a study, which are not stored."""
+    """Records of a study that are not stored."""
 
     def tasks(self, path: str) -> list[Any]:  # noqa: ARG002
         return []
@@ -262,9 +262,9 @@ def _run(config: StudyConfig, engine: MakeExecutor) -> None:
 
 
 def _processor() -> float:
-    """Processor seconds of this process and of ended child processes.
+    """Return processor seconds of this process and of ended child processes.
 
-    A permanent process forks the workers, which have ended when a study has ended.
+    A permanent process forks the workers. All workers have ended when a study has ended.
     """
     used = (resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     running = (each.cpu_times() for each in psutil.Process().children())

@@ -1,16 +1,18 @@
 """Settings of algorithms: number of right cases with half, once and twice each value.
 
-Without a flag the benchmark tests `CauseSettings` and its parts.
-The cases are from the benchmark ``battery``, whose first cause is known,
-and from the tests of `profile`, with two seeds and 8,192 evaluations each. Poles |A(x − c)|^−a
-of known order and rank are the cases of `PoleSettings`. ``--NAME`` measures one setting.
+Without a flag, the benchmark tests `CauseSettings` and its parts.
+Each case has two seeds and 8,192 evaluations.
+The cases come from the tests of `profile`, and from the benchmark ``battery``
+if their first cause is known.
+The cases of `PoleSettings` are poles |A(x − c)|^−a of known order and rank.
+The flag ``--NAME`` measures one setting.
 
 ``--rates`` tests `CurveSettings` with five functions whose rate with scrambled nets is known.
 The benchmark prints the root mean square error of rates,
 the fraction of intervals that contain the rate, and the mean half width.
 
-``--chains`` tests `ChainSettings` with chains of 500 to 2,000 draws
-that have one known fault or none.
+``--chains`` tests `ChainSettings` with chains of 500 to 2,000 draws.
+Each chain has one known fault or none.
 
 ``--stages`` tests `StageSettings` with 150 searches for a variance to 10 %.
 The benchmark prints the mean number of realizations,
@@ -40,7 +42,7 @@ from mcspectra.measure.converge import STAGE_SETTINGS, MomentsCell, StageSetting
 
 SEEDS = 2
 NESTED = ("lines", "poles", "curves")
-# Settings that `Evidence.of` uses; all other settings affect only the detectors
+# Settings that `Evidence.of` uses; all other settings affect only the detectors of causes
 EVALUATING = {
     *("nets", "more_from", "lines_share", "check_share", "given_share", "pole_share"),
     *("dimension_share", "again", "same_value", "climbed", "many_dims"),
@@ -65,7 +67,7 @@ def all_cases() -> Iterator[tuple[mcs.Estimator, mcs.Sampler, tuple[str, ...]]]:
     from tests.profiler.test_profile import FUNCTIONS
 
     def shaped(case: Case) -> Any:
-        """Convert a function of points (k, d) to one of points (…, d)."""
+        """Convert a function of points (k, d) to a function of points (…, d)."""
         return lambda x: np.asarray(case.f(x.reshape(-1, case.dims))).reshape(x.shape[:-1])
 
     for case in cases():
@@ -84,7 +86,7 @@ def is_right(seen: Evidence, causes: tuple[str, ...]) -> bool:
 
 
 def poles_right(settings: PoleSettings) -> int:
-    """Number of poles whose exponent is right to 0.02, with the right rank and place."""
+    """Return the number of poles with right rank and place, and an exponent right to 0.02."""
     right = 0
     for matrix, order, rank, border in POLES:
         place = np.zeros(matrix.shape[1]) if border else 0.3 + 0.1 * np.arange(matrix.shape[1])
@@ -103,7 +105,7 @@ def poles_right(settings: PoleSettings) -> int:
 
 
 def changed(settings: Any, name: str, factor: float) -> Any:
-    """Settings with one value multiplied by a factor; whole numbers stay whole and at least 1."""
+    """Return settings with one value times a factor; whole numbers stay whole and at least 1."""
     value = getattr(settings, name)
     if isinstance(value, tuple):
         return replace(settings, **{name: tuple(factor * v for v in value)})
@@ -113,7 +115,7 @@ def changed(settings: Any, name: str, factor: float) -> Any:
 
 
 def variants() -> Iterator[tuple[str, str, list[CauseSettings]]]:
-    """Class and name of each setting, and settings in which its value is halved or doubled."""
+    """Yield class and name of each setting, with settings in which it is halved or doubled."""
     for part in ("", *NESTED):
         own = getattr(CAUSE_SETTINGS, part) if part else CAUSE_SETTINGS
         for field in fields(own):
@@ -126,11 +128,11 @@ def variants() -> Iterator[tuple[str, str, list[CauseSettings]]]:
 
 
 def faulty_chains() -> dict[str, tuple[str, list[Array]]]:
-    """Chains (chain, draw) by type, with the expected cause."""
+    """Return chains (chain, draw) by type, with the expected cause."""
     rng = np.random.default_rng(5)
 
     def ar(rho: float, chains: int, n: int) -> Array:
-        """Stationary autoregressions of order 1."""
+        """Return stationary autoregressions of order 1."""
         z = rng.standard_normal((chains, n + 200))
         for i in range(1, n + 200):
             z[:, i] += rho * z[:, i - 1]
@@ -180,7 +182,7 @@ def chains() -> None:
     groups = faulty_chains()
 
     def right(settings: ChainSettings) -> str:
-        """Numbers of chains for which the expected cause or evidence is reported."""
+        """Return numbers of chains for which the expected cause or evidence is reported."""
         counts = {}
         for name, (wanted, group) in groups.items():
             found = [quantity_error(x, np.ones(x.shape), settings) for x in group]
@@ -236,7 +238,7 @@ def stages() -> None:
         wanted = next(steps)
         while True:
             count += 1
-            # Random values replace estimates, so that no points are drawn
+            # Random values replace the estimates, so that no points are drawn
             _, first, size = map(int, wanted.key.split("-"))
             moments = Moments.of(values[first : first + size, None], tails=True)
             try:
@@ -262,7 +264,7 @@ def stages() -> None:
 
 
 def main(*only: str) -> None:
-    """Print a line for each setting; ``--NAME`` selects one."""
+    """Print a line for each setting; ``--NAME`` selects one setting."""
     others = {("--rates",): rates, ("--chains",): chains, ("--stages",): stages}
     if only in others:
         others[only]()
@@ -273,7 +275,7 @@ def main(*only: str) -> None:
     ]
 
     def right(settings: CauseSettings, *, again: bool) -> str:
-        """Return the number of right causes, and of right poles if the setting may affect poles."""
+        """Return the number of right causes, and of right poles if a setting may affect poles."""
         count = 0
         for (e, sampler, causes, seed), seen in zip(given, usual, strict=True):
             try:

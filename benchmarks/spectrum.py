@@ -14,11 +14,11 @@ from benchmarks.timing import compare
 from mcspectra.spectra.transforms import FrequencyGrid, Transform, direct_sum
 
 POINTS, HALF_WIDTH, REALIZATIONS = 4096, 256, 8
-CHOSEN = 64  # number of realizations if the statistical error determines the accuracy
+CHOSEN = 64  # realizations if statistical errors limit the accuracy
 
 
 def main() -> None:
-    """Print milliseconds, the ratio, and the error compared with the direct sum."""
+    """Print milliseconds, their ratio, and the error compared with the direct sum."""
     grid = FrequencyGrid(2, HALF_WIDTH)
     transform = Transform(grid, POINTS)
     points = mcs.sampler("jittered", dims=2).draw(POINTS, realizations=REALIZATIONS, rng=1)

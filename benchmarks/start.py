@@ -1,4 +1,4 @@
-"""Times that users wait for first: import, help, a component in a notebook, a new estimator."""
+"""Times that users notice first: import, help, a component in a notebook, a new estimator."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 
 def main() -> None:
-    """Print medians of 10 processes and of bare Python, and medians of 5 calls in this process."""
+    """Print median times of 10 processes, of bare Python, and of 5 calls in this process."""
     environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
     for label, arguments in (
         ("bare python", ["-c", "pass"]),
@@ -50,7 +50,7 @@ def main() -> None:
 
 
 def _seconds(call: Callable[[], object]) -> float:
-    """Return the median time of 5 calls after a first call, which compiles."""
+    """Return the median time of 5 calls, after a first call that compiles."""
     call()
     found = []
     for _ in range(5):

@@ -1,10 +1,12 @@
 """Studies: overhead of a cell, and speedup by two workers.
 
-Overhead compares cells of about half a second, run through tasks and ledger, with a bare loop over
-the same cells. Efficiency is the time with one worker divided by w times the time with w workers.
-Tasks that sleep show the cost of scheduling. Real tasks also share Python's lock (threads)
-and a memory bus. Two processes that each loop over half of the cells,
-without a study, show the largest speedup that two processors of the machine allow.
+Cells of about half a second are run through tasks and ledger, and in a bare loop.
+The overhead is the difference of both times.
+Efficiency is the time with one worker divided by w times the time with w workers.
+Tasks that sleep show the cost of scheduling.
+Real tasks also share Python's lock (threads) and a memory bus.
+Two processes that each loop over half of the cells, without a study,
+show the largest speedup that two processors of the machine allow.
 All methods take turns in several rounds. If times vary, the shortest time is used.
 """
 
@@ -25,7 +27,7 @@ from mcspectra.studies.executors import Cluster, Dask, Threads
 from mcspectra.studies.run import MakeExecutor
 
 SECONDS = 0.5
-LONG = 1.5  # seconds of a cell that make it worthwhile to start processes
+LONG = 1.5  # seconds of a cell that is worth a start of processes
 ROUNDS = 3
 CELLS = 16
 STUDY = """
@@ -53,13 +55,13 @@ def study(realizations: int) -> StudyConfig:
 def calibrated(seconds: float) -> StudyConfig:
     """Return the study with the number of realizations that takes `seconds` per cell."""
     few = 20_000
-    _loop(study(few))  # compile first
+    _loop(study(few))  # the first run compiles
     each = min(_loop(study(few)) for _ in range(ROUNDS)) / CELLS
     return study(max(2, round(few * seconds / each)))
 
 
 def main() -> None:
-    """Print the overhead over a bare loop, and efficiencies."""
+    """Print the overhead relative to a bare loop, and the efficiencies."""
     real = calibrated(SECONDS)
     rounds = [(_loop(real), _run(real, _threads(1))) for _ in range(ROUNDS)]
     loop, run = min(rounds, key=lambda pair: pair[1] / pair[0])
@@ -101,9 +103,9 @@ def _print_efficiency(what: str, one: float, several: float, workers: int) -> No
 
 
 def _side_by_side(config: StudyConfig) -> float:
-    """Seconds in which two started processes compute half of the cells each."""
+    """Return the seconds in which two started processes each compute half of the cells."""
     context = multiprocessing.get_context("spawn")
-    gate = context.Barrier(3, timeout=600)  # a failed half ends the wait
+    gate = context.Barrier(3, timeout=600)  # if one half fails, the wait ends
     halves = [context.Process(target=_half, args=(config, i, gate)) for i in range(2)]
     for half in halves:
         half.start()

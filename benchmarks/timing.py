@@ -1,4 +1,4 @@
-"""Timing of two functions in alternation, so that a busy machine slows both."""
+"""Timing of two functions in turn, so that a busy machine slows both."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["compare"]
 def compare(
     subject: Callable[[], Any], reference: Callable[[], Any], rounds: int = 15
 ) -> tuple[float, float, float]:
-    """Best seconds of subject and reference over `rounds`, and the median of paired ratios."""
+    """Return the best seconds of subject and reference, and the median of paired ratios."""
     subject(), reference()  # a first call compiles, plans and fills caches
     pairs = []
     for _ in range(rounds):

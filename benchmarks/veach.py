@@ -9,7 +9,7 @@ WALL = "pixel(scene='veach', x=568, y=100, light='light-3', strategy='{}')"
 
 
 def main() -> None:
-    """Print, by strategy, the fitted rate over the last four counts, its interval and the mean."""
+    """Print for each strategy the rate over the last four counts, its interval and the mean."""
     estimators = {
         "light": mcs.Estimator(WALL.format("light")),
         "BSDF": mcs.Estimator(WALL.format("bsdf")),

@@ -21,7 +21,7 @@ Writer = Callable[[Path], None]
 
 
 def main(folder: str, repeats: str = "5") -> None:
-    """Print the minimum and the median for each writer; all writers take turns in one loop."""
+    """Print the least and the median time of each writer; all writers take turns in one loop."""
     attributes, cells = results._opened(folder, None)
     arrays = sum(len(cell.variables) for cell in cells.values())
     size = sum(cell.nbytes for cell in cells.values()) / 1e6

@@ -1,12 +1,14 @@
 """Verbs of analyses: options and help are derived from the analysis itself.
 
-Every analysis of `mcspectra.core.analysis.ANALYSES` with a verb becomes a verb, including analyses
-of other packages. The subject comes first: an integrand with densities and a sampler, or only a
-sampler. The options of `mcspectra.core.options.options_of` follow. `mcspectra.cli.texts` shows the
-result.
+Every analysis of `mcspectra.core.analysis.ANALYSES` with a verb becomes a verb of the command.
+This includes analyses of other packages.
+The subject comes first: an integrand with densities and a sampler, or only a sampler.
+The options of the analysis follow (`mcspectra.core.options.options_of`).
+The module `mcspectra.cli.texts` makes the text of the result.
 
-Several analyses may share a verb; ``--split`` chooses one. The parser then has the options of this
-analysis, and rejects options of the other analyses by name.
+Several analyses may share a verb; ``--split`` chooses one.
+The parser then has the options of this analysis,
+and rejects options of the other analyses by name.
 """
 
 from __future__ import annotations
@@ -85,15 +87,15 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
     Parameters
     ----------
     names
-        Names in the registry. If there are several, ``--split`` chooses one; the default is the
-        first.
+        Names in the registry.
+        If there are several, ``--split`` chooses one; the default is the first.
     given
-        Arguments after the verb.
+        Arguments after the verb on the command line.
 
     Raises
     ------
     AnalysisError
-        If the name of an option is taken (`mcspectra.core.analysis.check_names`).
+        If the name of an option is already in use (`mcspectra.core.analysis.check_names`).
     ParameterError
         If no analysis has the given split.
     """
@@ -115,7 +117,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
     views = VIEWS.get(name, {"": table_of_anything})
     usual, *others = views
 
-    # Derive defaults of the verb from the signature of the public function
+    # Derive the verb's default values from the signature of the public function
     door: Any = mcs
     for part in analysis.function.split("."):
         door = getattr(door, part, None)
@@ -257,9 +259,9 @@ def _subject(
 
 
 def _of_splits(chosen: str, options: dict[str, tuple[Option, ...]]) -> list[Declaration]:
-    """Declare the options of all splits; only those of the chosen split may be given.
+    """Declare the options of all splits; only options of the chosen split may be given.
 
-    Options common to all splits come first, followed by one group per set of splits.
+    Options that all splits share come first. One group for each set of splits follows.
     """
     owners: dict[str, list[str]] = {}
     for split, its in options.items():
@@ -360,7 +362,7 @@ def declared(
     def read(name: str, text: str) -> Any:
         if not listed:
             return given.read(text, name)
-        # Names have no commas and may be separated by commas; other texts are given one by one
+        # Names have no commas, so commas may separate them; other texts are given one by one
         texts = text.split(",") if given.item_choices else [text]
         return given.check(tuple(each.strip() for each in texts), name)
 

@@ -47,7 +47,7 @@ _PAGES = frozenset({".html", ".md", ".json", ".csv", ".png", ".svg", ".pdf", ".e
 class VerbOutput(NamedTuple):
     """Output of a verb: a text, data for --json, and the exit code.
 
-    Without data, the text is the result itself, such as a schema, and is also printed with --json.
+    If there is no data, the text is the result itself, such as a schema, also with --json.
     """
 
     text: str = ""
@@ -61,7 +61,7 @@ class Read(argparse.Action):
     Parameters
     ----------
     read
-        Function of the option's name and text that returns the value; by default the text.
+        Function that returns the value from the option's name and text; by default the text.
     repeated
         Effect of a repeated option: ``"last"`` keeps the last value, ``"once"`` raises an error,
         and ``"all"`` collects all values in a list, including the items of tuples.
@@ -88,7 +88,7 @@ class Read(argparse.Action):
         option_string: str | None = None,
     ) -> None:
         """Parse and store the value, or exit with an error."""
-        if values is None:  # An optional positional argument is missing
+        if values is None:  # An optional positional argument was not given
             return
         value = values if self._read is None else self._read(self._label, values)
         before = getattr(namespace, self.dest)
@@ -108,9 +108,9 @@ def option(
 ) -> Declaration:
     """Declare an option from its usage text.
 
-    ``option("-m, --realizations R", "help", whole())`` reads a number, ``option("--quick",
-    "help")`` is a switch and ``option("SCENE", "help")`` is a positional argument. Other arguments
-    are passed to `Read` or to argparse.
+    With ``"-m, --realizations R", "help", whole()`` the option reads a number.
+    With ``"--quick", "help"`` it is a switch, and with ``"SCENE", "help"`` a positional argument.
+    Other arguments are passed to `Read` or to argparse.
     """
     *names, last = (word.rstrip(",") for word in usage.split())
     if names and last == "DIR":
@@ -123,7 +123,7 @@ def option(
 
 
 def out(help: str, **further: Any) -> Declaration:
-    """Declare ``-o, --out``, a list of output files of one run; empty by default."""
+    """Declare ``-o, --out``, a list of output files of one run, which is empty by default."""
     return option(
         "-o, --out FILE", f"{help}; repeatable", repeated="all", **{"default": [], **further}
     )
@@ -150,7 +150,7 @@ class Verb(NamedTuple):
 
 
 def verb(*options: Declaration) -> Callable[[Callable[[argparse.Namespace], VerbOutput]], Verb]:
-    """Make a verb from a function; the docstring becomes the help text."""
+    """Make a verb from a function, whose docstring becomes the help text."""
     return lambda run: Verb(inspect.cleandoc(run.__doc__ or ""), options, run)
 
 
@@ -161,7 +161,7 @@ def whole(least: int = 1, most: int | None = None) -> Callable[[str, str], int]:
 
 
 def wholes(form: str = "", least: int = 1) -> Callable[[str, str], list[int]]:
-    """Return a parser of whole numbers with commas; `form`, such as W,H, sets the count."""
+    """Return a parser of whole numbers with commas; a form such as W,H sets their count."""
 
     def read(name: str, text: str) -> list[int]:
         parts = text.split(",")
@@ -228,7 +228,7 @@ def read_sampler(text: str, dims: int | None) -> Sampler:
 
 
 def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], words: int = 2) -> str:
-    """Align columns with gaps of two blanks: the first `words` columns left, all others right."""
+    """Align columns with gaps of two blanks: the first `words` columns left, the others right."""
     table = [[printable(cell) for cell in row] for row in (header, *rows)]
     widths = [max(map(len, column)) for column in zip(*table, strict=True)]
     lines = []
@@ -245,7 +245,7 @@ def text_table(header: Sequence[str], rows: Sequence[Sequence[str]], words: int 
 def page_table(table: Table, first: str = "", words: int = 0) -> str:
     """Align a table of a report.
 
-    `first` renames its first column, and at least `words` columns are left-aligned.
+    If `first` is given, it renames the first column. At least `words` columns are left-aligned.
     """
     header = [first or table.columns[0], *table.columns[1:]]
     first_row = table.rows[0] if table.rows else ()
@@ -261,7 +261,7 @@ def one_sentence_warnings(quiet: bool) -> Iterator[None]:
 
     def show(message: Warning | str, *_: Any) -> None:
         text = printable(message, _LONGEST)
-        if text in seen:  # Another line of code issued the same warning
+        if text in seen:  # Other code has already issued the same warning
             return
         seen.add(text)
         print(f"mcspectra: Warning: {text}", file=sys.stderr)

@@ -70,13 +70,14 @@ _OF_SAMPLERS = ("members",)
 def design_(options: argparse.Namespace) -> VerbOutput:
     """Search for a sampler or a density with small variance, and measure the gain.
 
-    A sampler is searched for a class of integrands. The table compares its mean variance with usual
-    samplers, over other integrands of the class. If a usual sampler has less variance, that sampler
-    is saved instead. Ctrl-C ends the search and keeps the best sampler found.
+    A sampler is searched for a class of integrands.
+    The table compares its mean variance with usual samplers, over other integrands of the class.
+    If a usual sampler has less variance, that sampler is saved instead.
+    Ctrl-C ends the search and keeps the best sampler found.
 
-    A density is learned for one integrand and one sampler. The table compares the variances with
-    and without it, at points that were not used for learning. If the density does not lower the
-    variance, the result is uniform.
+    A density is learned for one integrand and one sampler.
+    The table compares the variances with and without it, at points not used for learning.
+    If the density does not lower the variance, the result is uniform.
     """
     density = options.kind == _DENSITY
     other = "samplers" if density else "densities"
@@ -94,7 +95,7 @@ def design_(options: argparse.Namespace) -> VerbOutput:
 
 
 def _sampler(options: argparse.Namespace, path: str | None) -> tuple[str, dict[str, Any]]:
-    """Search for a sampler and certify it; the file holds both."""
+    """Search for a sampler and certify it; the file holds the sampler and the certificate."""
     seed = options.seed or 0
     sampler = mcs.design(
         options.kind, options.objective, options.n, dims=options.dims, rng=seed, path=path
@@ -113,7 +114,7 @@ def _sampler(options: argparse.Namespace, path: str | None) -> tuple[str, dict[s
         )
     ]
     rows[0][0] = "this design"
-    # Save the rival sampler if it is unbiased and better with 95 % confidence
+    # Save the rival sampler if it is unbiased, and better with 95 % confidence
     spec, saved = sampler.spec, ""
     if low > 1.0:
         rival = mcs.sampler(found.attrs["best_rival"], sampler.dims)

@@ -1,9 +1,9 @@
 """The command ``mcspectra``: verbs in lazily imported modules, one sentence per error.
 
-Exit codes: 0 success; 1 the run failed; 2 bad input; 130 interrupted. Verbs are bound by name, so
-``--help`` imports none of them (docs/decisions/0002). The verb ``run`` is the `Verb` named ``run_``
-in its module, and its `VerbOutput` is printed here. `mcspectra.cli.analysis` makes the verbs of
-analyses.
+Exit codes: 0 success; 1 the run failed; 2 bad input; 130 interrupted.
+Verbs are bound by name, so ``--help`` imports none of them (docs/decisions/0002).
+In its module, the verb ``run`` has the name ``run_``. This module prints the output of a verb.
+The module `mcspectra.cli.analysis` makes the verbs of analyses.
 """
 
 from __future__ import annotations
@@ -76,7 +76,7 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
 """Verbs by group in the order of the help, with the module and the summary of each verb."""
 
 VERBS = {verb: text for verbs in GROUPS.values() for verb, (_, text) in verbs.items()}
-"""Summary of each verb."""
+"""Summary of each verb, by name."""
 
 _MODULES = {verb: module for verbs in GROUPS.values() for verb, (module, _) in verbs.items()}
 
@@ -144,15 +144,15 @@ class _Parser(argparse.ArgumentParser):
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return the exit code."""
     given = list(sys.argv[1:] if arguments is None else arguments)
-    # Threads compute realizations and cells in parallel; BLAS threads would compete with them.
+    # Threads compute realizations and cells in parallel, so BLAS threads would compete with them
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     for stream in (sys.stdout, sys.stderr):
-        # On a terminal without a character such as ², print '?' and keep the rest of the result.
+        # On a terminal without a character such as ², print '?' and keep the rest of the result
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="replace")
     try:
         return _dispatch(given)
-    except SystemExit as stop:  # argparse: --help (0) or bad usage (2)
+    except SystemExit as stop:  # argparse stops after --help (0) or bad usage (2)
         return int(stop.code or 0)
     except KeyboardInterrupt as stop:
         said = printable("; ".join(["Interrupted", *map(str, stop.args)]))
@@ -164,7 +164,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             os._exit(130)
         return 130
     except BrokenPipeError:
-        # The reader closed the pipe (… | head), which is normal. Keep Python from flushing at exit.
+        # The reader closed the pipe (… | head), which is normal; keep Python from flushing at exit
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except Exception as error:
@@ -192,7 +192,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _dispatch(given: list[str]) -> int:
     """Find the verb, read its options, run it and print its output."""
-    # Move options before the verb behind it
+    # Move options that precede the verb behind it
     first = 0
     while first < len(given) and (name := given[first].partition("=")[0]) in _BEFORE:
         first += 1 if "=" in given[first] else 1 + _BEFORE[name]
@@ -204,12 +204,12 @@ def _dispatch(given: list[str]) -> int:
     from mcspectra.core.progress import progress_bars
     from mcspectra.core.results import strict_json
 
-    # Find the verb in its module, or make it from the analyses that share it
+    # Find the verb in its module, or make the verb from the analyses that share it
     name, module = given[0], _MODULES.get(given[0], "analysis")
     verb: Verb
     if module == "analysis":
         analyses = _ANALYSES.get(name, ())
-        if len(analyses) != 1:  # Other packages may add verbs and values of --split
+        if len(analyses) != 1:  # Other packages may add verbs and splits
             analyses = (*analyses, *_outside_analyses(name))
         if not analyses and name in _NOW:
             raise UnknownName(f"The verb {shown(name)} is now 'mcspectra {_NOW[name]}'.")
@@ -263,7 +263,7 @@ def _dispatch(given: list[str]) -> int:
 
 
 def _writer(parser: argparse.ArgumentParser) -> Callable[[Parameter | Function], str]:
-    """Return a function that formats parameters as typed options, and functions as verbs."""
+    """Return a function that writes parameters as typed options, and functions as verbs."""
     import shlex
 
     from mcspectra.core.analysis import ANALYSES
@@ -293,7 +293,7 @@ def _writer(parser: argparse.ArgumentParser) -> Callable[[Parameter | Function],
 
 
 def _without_verb(given: list[str]) -> int:
-    """Print the help or the version."""
+    """Print the help or the version, if no verb is given."""
     if given[:1] == ["--version"]:
         from mcspectra.version import __version__
 
@@ -349,11 +349,12 @@ def _outside_analyses(word: str) -> list[str]:
 
 
 def _outside_verbs() -> tuple[dict[str, list[str]], dict[str, str]]:
-    """Return verbs of other packages with their analyses' names, and left-out names with reasons.
+    """Return other packages' verbs with names of analyses, and left-out names with reasons.
 
-    An analysis is left out if its verb and split, or its function, belong to another analysis; this
-    package has priority. Analyses that cannot be loaded appear in neither part: `mcspectra list
-    analyses` gives the reason.
+    An analysis is left out if its verb and split, or its function, belong to another analysis.
+    Analyses of this package have priority.
+    Analyses that cannot be loaded appear in neither part.
+    The command `mcspectra list analyses` gives the reason for such analyses.
     """
     if not entry_points(group="mcspectra.analyses"):
         return {}, {}

@@ -54,9 +54,10 @@ _ITSELF = f"""@software{{mcspectra,
 def reproduce_(options: argparse.Namespace) -> VerbOutput:
     """Make the figures of the slides again, and report which statements agree.
 
-    Writes DIR/index.html (a single self-contained page), DIR/reproduce.pdf, DIR/findings.json and
-    DIR/figures/*.png. Without FIGURE it makes all figures; --list names them. A figure that fails
-    does not stop the others; the exit code is then 1.
+    Writes DIR/index.html, which is a single self-contained page.
+    Also writes DIR/reproduce.pdf, DIR/findings.json and DIR/figures/*.png.
+    Without FIGURE it makes all figures; --list names them.
+    A figure that fails does not stop the others; the exit code is then 1.
     """
     from mcspectra.reproduction.gallery import (
         FINDINGS_NAME,
@@ -152,7 +153,7 @@ def doctor_(options: argparse.Namespace) -> VerbOutput:  # noqa: ARG001
     from mcspectra.rendering.backend import describe
     from mcspectra.spectra.transforms import FrequencyGrid, Transform, direct_sum
 
-    # Compare one NUFFT with the direct sum, because every analysis needs it
+    # Compare one NUFFT with the direct sum, because every analysis needs the NUFFT
     grid = FrequencyGrid(2, 8)
     points = np.random.default_rng(0).random((2, 256, 2))
     try:
@@ -164,7 +165,7 @@ def doctor_(options: argparse.Namespace) -> VerbOutput:  # noqa: ARG001
         works = off < 1e-8
         transforms = f"NUFFT against the direct sum: largest difference {off:.1e}"
 
-    # Find the versions of the packages of each extra, or the command that installs it
+    # Find the package versions of each extra, or the command that installs the extra
     optional = {}
     for extra, names in _EXTRAS.items():
         versions = []

@@ -50,7 +50,7 @@ def list_(options: argparse.Namespace) -> VerbOutput:
     module, attribute = _REGISTRIES[kind]
     registry = getattr(importlib.import_module(module), attribute)
 
-    # Describe each entry; an entry that cannot be loaded gets the reason as its summary
+    # Describe each entry; if an entry cannot be loaded, the reason is its summary
     rows: list[dict[str, Any]] = []
     for name in registry:
         try:
@@ -77,7 +77,7 @@ def list_(options: argparse.Namespace) -> VerbOutput:
             row = {"name": name, "summary": f"not available: {reason}", "parameters": []}
         rows.append(row)
 
-    # Show each entry: summary, parameters, and the verb, or dims, counts and sources
+    # Show each entry: its summary and parameters, with the verb, or with dims, counts and sources
     widest, lines = max(len(row["name"]) for row in rows), []
     for row in rows:
         lines.append(f"{row['name'].ljust(widest)}  {row['summary']}")
@@ -139,7 +139,7 @@ def points_(options: argparse.Namespace) -> VerbOutput:
     if density is not None:
         points, meta["density"] = density.sample(points), density.spec
 
-    # Write them
+    # Write the sets to files
     for file in files:
         if Path(file).suffix.lower() in EXTENSIONS:
             write_points(file, list(points), meta=meta)
@@ -148,13 +148,13 @@ def points_(options: argparse.Namespace) -> VerbOutput:
             title += f", density {density.spec}" if density is not None else ""
             write(point_sets(points, title), file, captioned=True)
 
-    # Measure them
+    # Measure the sets
     if options.quality:
         from mcspectra.quality import quality_figures, summarize
 
         source: Any = sampler if density is None else points
         count, n, _ = points.shape
-        with one_sentence_warnings(quiet=True):  # These warnings were already shown while drawing
+        with one_sentence_warnings(quiet=True):  # Drawing has already shown these warnings
             figures = summarize(quality_figures(source, n, realizations=count, rng=seed))
         rows: list[list[str]] = []
         missing: list[str] = []
@@ -206,8 +206,8 @@ def points_(options: argparse.Namespace) -> VerbOutput:
 def integrate_(options: argparse.Namespace) -> VerbOutput:
     """Integrate a function within a budget of evaluations.
 
-    Prints the value, its 95 % interval, the number of evaluations, and the number and size of the
-    replicates.
+    Prints the value, its 95 % interval, and the number of evaluations.
+    Also prints the number and the size of the replicates.
     """
     found = mcs.integrate(
         mcs.Estimator(options.integrand, options.density, dims=options.dims),
@@ -248,11 +248,13 @@ def integrate_(options: argparse.Namespace) -> VerbOutput:
 def bench_(options: argparse.Namespace) -> VerbOutput:
     """Compare samplers: rates, ranks, points, spectra, projections, quality, speed.
 
-    Prints a table of rates on standard integrands, with ranks in brackets and simultaneous 95 %
-    intervals. A sampler is left out for dims that it does not support.
+    Prints a table of rates on standard integrands, with ranks in brackets.
+    The 95 % intervals of the rates are simultaneous.
+    A sampler is left out for dims that it does not support.
 
-    The page, FILE.html or DIR/index.html, has a section for each sampler: its points and spectrum
-    in 2-D, its dims, counts and sources. DIR/bench.csv has the numbers.
+    The page, FILE.html or DIR/index.html, has a section for each sampler:
+    its points and spectrum in 2-D, its dims, counts and sources.
+    DIR/bench.csv has the numbers.
     """
     from mcspectra.report.bench_page import bench_table, check_bench_file, is_folder, write_bench
     from mcspectra.report.sampler_cards import CardEffort, all_samplers, measure_card
@@ -263,7 +265,7 @@ def bench_(options: argparse.Namespace) -> VerbOutput:
     given = given_of(options, "counts", "dims", "realizations")
     bench = mcs.sampler_bench(specs, **given, rng=seed)
 
-    # Measure samplers only for pages, at the largest count; the bench already has the rates
+    # Measure samplers only for pages, at the largest count, because the bench already has the rates
     cards = []
     if any(is_folder(file) or file.endswith(".html") for file in options.out):
         spectra = min(200, options.realizations or 200)

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 
 __all__ = ["frames_", "map_", "pixel_", "render_"]
 
-_WIDTH = 100  # Columns of wrapped sentences
+_WIDTH = 100  # Width of wrapped sentences in columns
 _SPP, _COMPARED_SPP, _REFERENCE_SPP = 16, 4, 1024
 
 
@@ -115,19 +115,20 @@ _WHOLE = ("variant", "sensor", "define")
 def render_(options: argparse.Namespace) -> VerbOutput:
     """Render a scene with a sampler of this package.
 
-    SCENE is the name of a built-in scene, e.g. 'veach' or "veach(lights=['light-3'])", or a Mitsuba
-    XML file, which is never changed.
+    SCENE is the name of a built-in scene, e.g. 'veach' or "veach(lights=['light-3'])",
+    or a Mitsuba XML file, which is never changed.
 
-    Without --integrator the image is direct light by one strategy. The verb prints the mean
-    radiance and the samples per second, including the time to compile kernels. With several images
-    (-m) or a --reference it also prints the root mean square of the pixels' standard errors.
-    --compare renders a reference, and light, BSDF and multiple importance sampling with equal
-    samples. A .png shows them side by side, an .exr has one layer each, and the verb prints their
-    errors.
+    Without --integrator the image is direct light by one strategy.
+    The verb prints the mean radiance and the samples per second,
+    including the time to compile kernels. With several images (-m) or a --reference
+    it also prints the root mean square of the pixels' standard errors.
+    --compare renders a reference, and light, BSDF and multiple importance sampling
+    with equal samples. A .png shows these images side by side, and an .exr has one layer each.
+    The verb prints their errors.
 
-    With --integrator Mitsuba renders whole paths, and --sampler replaces the scene's own sampler. A
-    scene file can also name a sampler of this package: <sampler type="mcspectra"> with <string
-    name="spec" value="sobol | owen"/>.
+    With --integrator Mitsuba renders whole paths, and --sampler replaces the scene's own sampler.
+    A scene file can also name a sampler of this package:
+    <sampler type="mcspectra"> with <string name="spec" value="sobol | owen"/>.
     """
     from mcspectra.rendering.files import check_image_path, write_render
     from mcspectra.rendering.image import reference, render
@@ -212,7 +213,7 @@ def render_(options: argparse.Namespace) -> VerbOutput:
 
 
 def _samples(told: Mapping[Any, Any]) -> int:
-    """Return the samples of a pixel in all images; for MIS, of both techniques."""
+    """Return the number of samples of a pixel in all images; for MIS, of both techniques."""
     return int(told["spp"] * told["realizations"] * (2 if told["strategy"] == "mis" else 1))
 
 
@@ -223,7 +224,7 @@ def _colour(values: Any) -> str:
 def _compare(
     options: argparse.Namespace, scene: str, settings: Mapping[str, Any], files: list[Path]
 ) -> VerbOutput:
-    """Render a reference and all strategies, write them side by side, and print their errors."""
+    """Render a reference and all strategies, write these images, and print their errors."""
     from mcspectra.plots.backend_matplotlib import draw, encode
     from mcspectra.plots.maps import rms_error, strategy_images
     from mcspectra.rendering.files import write_comparison
@@ -363,8 +364,8 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
     The pixel is X Y, counted from the left and from the top, or its name (figure1 has P and Q).
 
     Without --integrator this measures direct light. With --integrator it measures whole paths:
-    rates of samplers, the variance by bounce, decision and light, and the number of coordinates in
-    which good points reduce it.
+    rates of samplers, the variance by bounce, decision and light,
+    and the number of coordinates in which good points reduce the variance.
     """
     x: int | str = options.x
     if options.y is not None:
@@ -377,7 +378,7 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
 
         check_page_packages("render,report")
 
-    # Pass only the given options; the function has defaults for the others
+    # Pass only the given options, because the function has defaults for the others
     passed = ("light", "channel", "dims", "samplers", "counts", "realizations", "budget")
     asked = {
         "remedies": not options.no_remedies,
@@ -423,7 +424,7 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
         write = path_page.write_path
     written = None if options.out is None else write(tree, options.out)
 
-    # Show the tried changes, named sentences, and the page if it was written
+    # Show the tried changes, the named sentences, and the page if it was written
     def filled(named: list[tuple[str, str]]) -> list[str]:
         return [textwrap.fill(f"{k}: {v}", _WIDTH, subsequent_indent="  ") for k, v in named]
 
@@ -470,10 +471,10 @@ def _map_options(parser: argparse.ArgumentParser) -> None:
 def map_(options: argparse.Namespace) -> VerbOutput:
     """Map the variance, its rate and the bottleneck over an image of a scene.
 
-    Without --integrator the map compares strategies for direct light. With --integrator it measures
-    whole paths and the shares of bounces and decisions. Writes DIR/report.html, DIR/maps.exr (all
-    layers), DIR/map.json and pictures. DIR/study.sqlite keeps finished tiles, so that --resume can
-    continue.
+    Without --integrator the map compares strategies for direct light.
+    With --integrator it measures whole paths and the shares of bounces and decisions.
+    Writes DIR/report.html, DIR/maps.exr (all layers), DIR/map.json and pictures.
+    DIR/study.sqlite keeps finished tiles, so that --resume can continue.
     """
     from mcspectra.core.analysis import Subject
     from mcspectra.core.options import checked, options_of
@@ -536,9 +537,9 @@ def map_(options: argparse.Namespace) -> VerbOutput:
 def frames_(options: argparse.Namespace) -> VerbOutput:
     """Measure the noise of independent renders of one view by any renderer.
 
-    The results are variance, bias and error spectrum. Frames with different numbers of samples per
-    pixel also give rates. --against compares two sets of frames: bias, variance, and variance at
-    equal time.
+    The results are variance, bias and error spectrum.
+    Frames with different numbers of samples per pixel also give rates.
+    --against compares two sets of frames: bias, variance, and variance at equal time.
     """
     from mcspectra.rendering.frame_statistics import frames
     from mcspectra.report import frames_page
@@ -587,5 +588,5 @@ def _show(result: xr.Dataset, address: str) -> None:
                 tev.create_image(title, width, height, channels)
                 tev.update_image(title, values, channel_names=channels)
     except OSError as error:
-        tev.__exit__(None, None, None)  # Closes the socket whose connection failed
+        tev.__exit__(None, None, None)  # Close the socket whose connection failed
         raise ParameterError(f"No tev answers at {address}: {error.strerror or error}.") from None

@@ -86,8 +86,8 @@ _LISTED = 10  # Maximum number of unfinished cells listed per state
 def run_(options: argparse.Namespace) -> VerbOutput:
     """Run a study file: measure, predict and explain every estimator with every sampler.
 
-    Writes DIR/study.sqlite, DIR/results.zarr, DIR/report.html and DIR/figures/. The page and its
-    figures need the extra report (pip install 'mcspectra[report]').
+    Writes DIR/study.sqlite, DIR/results.zarr, DIR/report.html and DIR/figures/.
+    The page and its figures need the extra report (pip install 'mcspectra[report]').
     """
     import msgspec
 
@@ -142,7 +142,7 @@ def run_(options: argparse.Namespace) -> VerbOutput:
             MissingPackageWarning,
         )
 
-    # Run the cells; the report shows the finished ones, even if others fail
+    # Run the cells; the report shows the finished cells, even if other cells fail
     code = 0
     try:
         run_study(
@@ -211,7 +211,7 @@ def _cluster_engine(options: argparse.Namespace, time_limit: float | None) -> Ma
 
 
 def estimate_text(estimates: Sequence[CellEstimate], wall: float, workers: int) -> str:
-    """Return a table with one row per estimator and analysis, and the sums over all samplers."""
+    """Return a table with one row per estimator and analysis, with sums over all samplers."""
     from mcspectra.core.memory import shown_bytes
 
     groups: dict[tuple[str, str], list[CellEstimate]] = {}
@@ -247,8 +247,9 @@ def estimate_text(estimates: Sequence[CellEstimate], wall: float, workers: int) 
 def report_(options: argparse.Namespace) -> VerbOutput:
     """Write the report of a finished or interrupted study again, or compare two studies.
 
-    Writes DIR/report.html and DIR/figures/. With --compare it writes DIR2/comparison.html: ratios
-    of variances, differences of rates, and the curves of both. Nothing is measured again.
+    Writes DIR/report.html and DIR/figures/.
+    With --compare it writes DIR2/comparison.html: ratios of variances, differences of rates,
+    and the curves of both studies. Nothing is measured again.
     """
     from mcspectra.report import write_comparison, write_report
     from mcspectra.report.result_files import check_result_file
@@ -272,8 +273,9 @@ def report_(options: argparse.Namespace) -> VerbOutput:
 def status_(options: argparse.Namespace) -> VerbOutput:
     """Count the done, failed, missing and damaged cells in the folder of a study.
 
-    A cell is one analysis of one estimator with one sampler. The exit code is 1 if a cell failed,
-    is missing or is damaged; it is 0 if all cells are done, or the study is running.
+    A cell is one analysis of one estimator with one sampler.
+    The exit code is 1 if a cell failed, is missing or is damaged.
+    The exit code is 0 if all cells are done, or the study is running.
     """
     import msgspec
 
@@ -293,7 +295,7 @@ def status_(options: argparse.Namespace) -> VerbOutput:
         ended = "" if status.state == "running" else ", which has ended"
         lines.append(f"written by {status.holder.in_words}{ended}")
 
-    # Count the cells of each analysis, and the bytes
+    # Count the cells of each analysis, and the bytes of their results
     rows = [
         [name, str(of.done), str(of.failed), str(of.missing), str(of.damaged)]
         for name, of in status.analyses.items()
@@ -309,7 +311,7 @@ def status_(options: argparse.Namespace) -> VerbOutput:
     )
     lines += ["", table, "", held]
 
-    # List the first few unfinished cells with the reasons
+    # List the first few unfinished cells, with the reasons
     missing = dict.fromkeys(status.missing, "")
     listed = {"damaged": status.damaged, "failed": status.failed, "missing": missing}
     for kind, reasons in listed.items():
@@ -340,9 +342,9 @@ def status_(options: argparse.Namespace) -> VerbOutput:
 def export_(options: argparse.Namespace) -> VerbOutput:
     """Write the results of a study to files; the extension of a file sets its format.
 
-    A table has one row per number: estimator, sampler, analysis, n, variable, value, 95 % interval
-    (low, high), standard error (se) and unit. Spreadsheets and pandas can read it; xarray reads a
-    store.
+    A table has one row per number: estimator, sampler, analysis, n, variable, value,
+    95 % interval (low, high), standard error (se) and unit.
+    Spreadsheets and pandas can read a table; xarray reads a store.
     """
     from mcspectra.core.memory import shown_bytes
     from mcspectra.studies.results import check_export, export_results

@@ -1,7 +1,8 @@
 """Text and extra --json data of the result of an analysis.
 
-Analyses with their own tables are in `VIEWS`. `table_of_anything` shows all others: the scalars
-with their meanings and intervals, then one table per dim.
+Analyses with their own tables are in `VIEWS`.
+The function `table_of_anything` shows all other analyses.
+It shows the scalars with their meanings and intervals, and then one table per dim.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ if TYPE_CHECKING:
 __all__ = ["VIEWS", "View", "data_of", "remedies_table", "table_of_anything"]
 
 _WIDTH = 100
-_CERTAIN = 2e-6  # Relative width below which an interval is not printed
-_ROUNDING = 1e-14  # Share of the variance below which a sum of canceling terms is rounding error
-_MANY = 10_000  # Maximum number of values of a variable in --json; larger variables are left out
+_CERTAIN = 2e-6  # Relative width below which no interval is printed
+_ROUNDING = 1e-14  # Share of the variance below which a sum is rounding error
+_MANY = 10_000  # Maximum number of values of a variable in --json
 
 
 View = Callable[["xr.Dataset"], VerbOutput]
-"""A text, and JSON entries that replace or extend those of `data_of`."""
+"""A function that returns a text, and JSON entries that replace or extend those of `data_of`."""
 
 VIEWS: dict[str, dict[str, View]] = {}
 """Views by analysis and name; the first view is the default, and --show selects another."""
@@ -54,7 +55,7 @@ def _shown(*parts: str, **data: Any) -> VerbOutput:
 
 
 def _columns(result: xr.Dataset, *names: str) -> Iterator[tuple[Any, ...]]:
-    """Iterate over the entries of variables of equal shape: yield the values of each entry."""
+    """Iterate over variables of equal shape, and yield the values of each entry."""
     return zip(*(result[name].values.ravel() for name in names), strict=True)
 
 
@@ -94,7 +95,7 @@ def table_of_anything(result: xr.Dataset) -> VerbOutput:
 
 
 def _title(result: xr.Dataset) -> str:
-    """Return a text with the specs of the estimator and the sampler, and n."""
+    """Return a title with the specs of the estimator and the sampler, and n."""
     known = result.attrs
     names = [str(known[key]) for key in ("estimator", "sampler") if key in known]
     counts = f",  n = {known['n']}" if "n" in known else ""
@@ -106,7 +107,7 @@ def _note(result: xr.Dataset) -> str:
 
 
 def _number(value: float, digits: int = 5, missing: str = "–") -> str:
-    """Format a number with `digits` digits; infinity as a word."""
+    """Format a number with `digits` digits, and infinity as a word."""
     if math.isinf(value):
         return "infinite"
     return missing if math.isnan(value) else f"{value:.{digits}g}"
@@ -126,14 +127,14 @@ def _value(result: xr.Dataset, name: str, place: tuple[int, ...]) -> str:
 
 
 def _interval(ends: Any, digits: int = 4) -> str:
-    """Format an interval, whose upper end may be infinite; empty if an end is unknown."""
+    """Format an interval, whose upper end may be infinite; the text is empty for unknown ends."""
     low, high = ends
     known = math.isfinite(low) and not math.isnan(high)
     return f"{low:.{digits}g} … {_number(high, digits)}" if known else ""
 
 
 def _error(result: xr.Dataset, name: str, place: tuple[int, ...]) -> str:
-    """Format the interval of a number, or ± two standard errors; empty if both are missing."""
+    """Format the interval of a number, or else ± two standard errors; empty if both are missing."""
     if f"{name}_ci" in result:
         return _interval(result[f"{name}_ci"].values[place])
     error = float(result[f"{name}_se"].values[place]) if f"{name}_se" in result else math.nan
@@ -188,11 +189,10 @@ def convergence(result: xr.Dataset) -> VerbOutput:
 
 @_view("terms")
 def terms(result: xr.Dataset) -> VerbOutput:
-    """Prints the terms, their sum, the measured variance, the share that they capture, and the
-    rest.
+    """Prints the terms, their sum, the measured variance, the share they capture, and the rest.
 
-    Each sampler has a table. The energy share is the part of ∫f² at frequencies up to the half
-    width. The tail term estimates the variance at higher frequencies as if the points were random.
+    Each sampler has a table. The energy share is the part of ∫f² up to the half width.
+    The tail term estimates the variance at higher frequencies as if the points were random.
     """
     known = result.attrs
     about = (
@@ -231,7 +231,7 @@ def power(result: xr.Dataset) -> VerbOutput:
 
 @_view("spectrum", "radial")
 def radial(result: xr.Dataset) -> VerbOutput:
-    """with errors and anisotropy"""
+    """power by radius with errors and anisotropy"""
     from mcspectra.spectra.shapes import radial_statistics
 
     found, n = radial_statistics(result), result.attrs["n"]
@@ -246,7 +246,7 @@ def radial(result: xr.Dataset) -> VerbOutput:
 
 @_view("spectrum", "slices")
 def slices(result: xr.Dataset) -> VerbOutput:
-    """along the axes and diagonals"""
+    """power along the axes and the diagonals"""
     from mcspectra.spectra.shapes import slices
 
     found, n = slices(result), result.attrs["n"]
@@ -261,7 +261,7 @@ def slices(result: xr.Dataset) -> VerbOutput:
 
 @_view("spectrum", "wedges")
 def wedges(result: xr.Dataset) -> VerbOutput:
-    """by direction"""
+    """power by direction"""
     from mcspectra.spectra.shapes import wedge_means
 
     found, n = wedge_means(result), result.attrs["n"]
@@ -274,7 +274,7 @@ def wedges(result: xr.Dataset) -> VerbOutput:
 
 @_view("spectrum", "exponent")
 def exponent(result: xr.Dataset) -> VerbOutput:
-    """b of power ∝ |m|^b"""
+    """exponent b of power ∝ |m|^b at low frequencies"""
     from mcspectra.spectra.shapes import low_frequency_exponent
 
     found = low_frequency_exponent(result)
@@ -307,14 +307,14 @@ def pcf(result: xr.Dataset) -> VerbOutput:
 def anova(result: xr.Dataset) -> VerbOutput:
     """Prints the variance of each subset of axes, of larger subsets, and effective dimensions.
 
-    Shares and dimensions have 95 % intervals, which may exceed the range 0 to 1 or the number of
-    axes.
+    Shares and dimensions have 95 % intervals.
+    The intervals may exceed the range from 0 to 1, or the number of axes.
     """
     lines = [_title(result)]
     labels, order = list(map(str, result["subset_label"].values)), result.attrs["order"]
 
     def part(values: Sequence[float], floor: float) -> list[str]:
-        # Variance, standard error and share; 0 below the rounding level
+        # Variance, standard error and share; they are 0 below the rounding level
         floors = (floor, floor, _ROUNDING)
         return [
             "0" if abs(value) < least else _number(value, missing="undefined")
@@ -463,7 +463,7 @@ def remedies_table(result: xr.Dataset) -> str:
 def modes(result: xr.Dataset) -> VerbOutput:
     """Prints the eigenvalues, their shares of the sum, and the variance of each mode."""
     trace, edge = float(result["band_trace"]), float(result["noise_edge"])
-    # Numerically, zero eigenvalues are about 1e-13 of the sum
+    # Numerically, eigenvalues that should be zero are about 1e-13 of the sum
     there = int(np.count_nonzero(result["eigenvalue"].values > 1e-13 * trace))
     if not there:
         return _shown(f"{_title(result)}\nno mode: the coefficients do not vary")

@@ -1,4 +1,4 @@
-"""Rendering: the interface to Mitsuba 3, in which the radiance of a pixel is an integrand."""
+"""Rendering: an interface to Mitsuba 3 that treats the radiance of a pixel as an integrand."""
 
 import lazy_loader
 

@@ -1,11 +1,13 @@
 """Mitsuba with a working LLVM: find the library, test it in a subprocess, set the variant.
 
-Dr.Jit compiles for the CPU through libLLVM. Some versions of it end the process with SIGABRT when
-the first kernel is compiled (measured: LLVM 15 and 16 on an AVX-512 machine). Every candidate is
-therefore tested in a subprocess first: the user's ``DRJIT_LIBLLVM_PATH``, then the library of the
-wheel karellen-llvm-core, then the system's, version 19 or newer. The verdict is stored in the cache
-folder (`mcspectra.core.cache`) with everything that it depends on, so that only the first start
-runs the test.
+Dr.Jit compiles for the CPU through libLLVM.
+Some versions of libLLVM end the process with SIGABRT when they compile the first kernel.
+This was measured with LLVM 15 and 16 on an AVX-512 machine.
+Every candidate is therefore tested in a subprocess first.
+The first candidate is the user's ``DRJIT_LIBLLVM_PATH``.
+Then follow the library of the wheel karellen-llvm-core, and system libraries since version 19.
+The cache folder (`mcspectra.core.cache`) stores the verdict with everything that it depends on.
+Only the first start therefore runs the test.
 """
 
 from __future__ import annotations
@@ -44,16 +46,16 @@ __all__ = [
 ]
 
 VARIANT = "llvm_ad_rgb"
-"""The vectorized CPU variant, float32 and RGB."""
+"""The vectorized variant of Mitsuba for the CPU, with float32 and RGB."""
 
 SCALAR_VARIANT = "scalar_rgb"
-"""The variant without LLVM: whole images by Mitsuba's own integrators, one ray at a time."""
+"""The variant without LLVM: Mitsuba's integrators render whole images, one ray at a time."""
 
 LARGEST_SAMPLE = 1.0 - 2.0**-24
-"""The largest float32 below 1: rounding u up to 1 would leave the unit square."""
+"""The largest float32 below 1. Rounding a coordinate up to 1 would leave the unit square."""
 
 LOCK = threading.RLock()
-"""Lock for all work with Dr.Jit: its traces and the variant belong to the whole process."""
+"""Lock for all work with Dr.Jit, because the whole process shares its traces and the variant."""
 
 _LIBRARY_VARIABLE = "DRJIT_LIBLLVM_PATH"
 _OLDEST_LLVM = 19
@@ -79,7 +81,7 @@ import mitsuba as mi, os
 mi.file_resolver().clear()
 mi.file_resolver().append(os.path.dirname(mi.__file__))
 """  # Mitsuba would search the current folder first, which may be untrusted
-# Test features that failed with unsuitable LLVM versions: minimum, rays, a rough conductor.
+# Test the features that fail with unsuitable LLVM: a minimum, rays and a rough conductor
 _PROBE = f"""{_OWN_PLUGINS}
 mi.set_variant({VARIANT!r})
 import drjit as dr
@@ -105,7 +107,7 @@ _loaded: list[Any] = []
 
 @dataclass(frozen=True)
 class Verdict:
-    """Result of the test of one library.
+    """Result of the test of one libLLVM.
 
     Attributes
     ----------
@@ -114,7 +116,7 @@ class Verdict:
     works
         Whether the variant compiled and ran a kernel with it.
     reason
-        Reason of the failure; empty if the library works.
+        Why the test failed; empty if the library works.
     version
         Version of LLVM if it works, e.g. ``19.1.7``.
     """
@@ -126,7 +128,7 @@ class Verdict:
 
 
 def load_mitsuba() -> Any:
-    """Return the module `mitsuba` with `VARIANT` set.
+    """Return the module `mitsuba` with its variant set to `VARIANT`.
 
     Raises
     ------
@@ -178,9 +180,10 @@ def describe() -> dict[str, Any]:
     Returns
     -------
     dict
-        ``mitsuba`` and ``drjit`` (versions or None), ``library`` and ``llvm`` (path and version, or
-        None), ``variant`` (the vectorized one if it works, otherwise None), ``variants`` (all
-        tested variants that work), ``refused`` (rejected libraries with reasons, or None),
+        ``mitsuba`` and ``drjit`` (versions or None), ``library`` (path of LLVM or None),
+        ``llvm`` (version of LLVM or None), ``variant`` (the vectorized variant if it works),
+        ``variants`` (all tested variants that work),
+        ``refused`` (rejected libraries with reasons, or None),
         ``reason`` (why the vectorized variant does not work, or None).
     """
     found: dict[str, Any] = {name: _version(name) for name in ("mitsuba", "drjit")}
@@ -200,10 +203,10 @@ def describe() -> dict[str, Any]:
 
 
 def import_mitsuba() -> Any:
-    """Return the module `mitsuba` with the library that `load_mitsuba` needs, without a variant.
+    """Return the module `mitsuba` with a working libLLVM, but without a variant.
 
-    Dr.Jit searches libLLVM when it is imported, for any variant. A program that imports it in
-    another way before may load a library that aborts the process later.
+    Dr.Jit searches libLLVM when it is imported, for any variant.
+    A program that imports Dr.Jit earlier in another way may load a library that aborts the process.
 
     Raises
     ------
@@ -222,7 +225,7 @@ def import_mitsuba() -> Any:
 
 def _check_mapped() -> None:
     """Raise an error if the caller's own import of Dr.Jit loaded an unsuitable libLLVM."""
-    try:  # Linux lists the libraries of this process
+    try:  # Linux lists the libraries that this process has loaded
         lines = Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return
@@ -250,8 +253,8 @@ def _imported() -> Any:
     except ImportError as error:
         raise MissingDependency(f"Mitsuba is installed but cannot be imported: {error}.") from error
     if ours:
-        # Mitsuba would search its plugins, which are code, in the current folder first. Files
-        # outside its own folder are still opened relative to the current folder.
+        # Mitsuba would first search the current folder for its plugins, which are code.
+        # Files outside Mitsuba's own folder are still opened relative to the current folder.
         module: Any = mitsuba
         resolver = module.file_resolver()
         resolver.clear()
@@ -261,13 +264,13 @@ def _imported() -> Any:
 
 @functools.cache
 def mitsuba_folder() -> Path | None:
-    """Return the folder of the package Mitsuba with its plugins and data; None if not installed."""
+    """Return Mitsuba's package folder with its plugins and data; None if not installed."""
     spec = importlib.util.find_spec("mitsuba")
     return None if spec is None or spec.origin is None else Path(spec.origin).resolve().parent
 
 
 def _already_running() -> bool:
-    """Whether the caller's program has already set the variant; then LLVM works."""
+    """Whether the caller's program has already set the variant, which shows that LLVM works."""
     module = sys.modules.get("mitsuba")
     return module is not None and module.variant() == VARIANT
 
@@ -290,7 +293,7 @@ def _reasons(refused: list[Verdict]) -> str:
 
 
 def _candidates() -> Iterator[str]:
-    """Yield paths of libraries in the order of their tests, each file once."""
+    """Yield paths of libraries in the order in which they are tested, each file once."""
     seen = set()
     given = os.environ.get(_LIBRARY_VARIABLE)
     for path in ([given] if given else []) + _wheel_library() + _system_libraries():
@@ -310,7 +313,7 @@ def _wheel_library() -> list[str]:
 
 
 def _system_libraries() -> list[str]:
-    """Return the system's libraries, newest first, without those named as old versions."""
+    """Return the system's libraries, newest first, except those named as old versions."""
     folders = _SYSTEM_FOLDERS.get(platform.system(), ())
     found = {str(path) for folder, pattern in folders for path in Path(folder).glob(pattern)}
     versions = {path: _llvm_version(path) for path in found}
@@ -319,7 +322,7 @@ def _system_libraries() -> list[str]:
 
 
 def _llvm_version(path: str) -> int | None:
-    """Return the major version in a path after resolving links, or None."""
+    """Return the major LLVM version that a path with resolved links contains, or None."""
     match = re.search(r"(?:LLVM(?:-C)?|llvm)[-@.](?:so\.)?(\d+)", os.path.realpath(path))
     return int(match.group(1)) if match else None
 
@@ -342,7 +345,7 @@ def _verdict(library: str, fresh: bool) -> Verdict:
 
 
 def _fingerprint(library: str) -> str:
-    """Hash everything that a verdict depends on, and the host, as clusters share home folders."""
+    """Hash all that a verdict depends on, and the host, because clusters share home folders."""
     try:
         status = Path(library).stat()
         size, modified = status.st_size, status.st_mtime_ns
@@ -354,7 +357,7 @@ def _fingerprint(library: str) -> str:
 
 
 def _probe(library: str) -> tuple[Verdict, bool]:
-    """Test `library` in a subprocess; return the verdict, and whether to store it."""
+    """Test `library` in a subprocess; return the verdict and whether to store it."""
     if not Path(library).is_file():
         return Verdict(library, False, "there is no such file"), False
     try:

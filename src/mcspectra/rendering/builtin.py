@@ -58,7 +58,7 @@ def rectangle(
 ) -> dict[str, Any]:
     """Return a parallelogram: corners center ± across ± along, normal across × along.
 
-    `across` and `along` are half of its sides, and perpendicular to each other.
+    The vectors across and along are half of the sides, and perpendicular to each other.
     """
     normal = np.cross(across, along)
     columns = [across, along, normal / np.linalg.norm(normal), center]
@@ -68,14 +68,14 @@ def rectangle(
 
 
 def diffuse(reflectance: float | Sequence[float], *, both_sides: bool = False) -> dict[str, Any]:
-    """Return a Lambertian BSDF, gray or with an RGB color; black behind unless `both_sides`."""
+    """Return a Lambertian BSDF, gray or in an RGB color; its back is black unless `both_sides`."""
     value = reflectance if isinstance(reflectance, float) else list(reflectance)
     bsdf: dict[str, Any] = {"type": "diffuse", "reflectance": {"type": "rgb", "value": value}}
     return {"type": "twosided", "bsdf": bsdf} if both_sides else bsdf
 
 
 def area_light(radiance: float | dict[str, Any]) -> dict[str, Any]:
-    """Return the BSDF and emitter of a black shape that emits gray or textured radiance."""
+    """Return a black BSDF and an emitter of gray or textured radiance for a shape."""
     color = {"type": "rgb", "value": radiance} if isinstance(radiance, float) else radiance
     return {"bsdf": diffuse(0.0), "emitter": {"type": "area", "radiance": color}}
 
@@ -99,8 +99,8 @@ def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[s
     Parameters
     ----------
     edge
-        Fraction of the light's half side, from its border inwards, over which radiance rises from 0
-        to full as a smoothstep, 3t² − 2t³; 0 gives constant radiance.
+        Width of the light's soft border as a fraction of its half side. From the border inwards,
+        radiance rises from 0 to full as a smoothstep, 3t² − 2t³; 0 gives constant radiance.
     width, height
         Film size in pixels.
 
@@ -116,26 +116,28 @@ def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[s
 
     Notes
     -----
-    The arrangement is that of Figure 1 in [Singh2019]_, which gives no numbers; these numbers are
-    our choice. The floor is y = 0. The light is the square |x| ≤ 1, |z| ≤ 1 at y = 2 and faces
-    down. The occluder is a square of half side 0.7 at y = 1 around x = 1.5, z = 0, rotated by 25°
-    so that its shadow's border is not parallel to strata. The named pixels P and Q show the points
-    `P`, from which the whole light is visible, and `Q`. Neither is below the light's center, where
-    the integrand would be equal at opposite borders and a shifted set would lose nothing.
+    The arrangement follows Figure 1 in [Singh2019]_, which gives no numbers; these are our choice.
+    The floor is y = 0. The light is the square |x| ≤ 1, |z| ≤ 1 at y = 2 and faces down.
+    The occluder is a square of half side 0.7 at y = 1 around x = 1.5, z = 0.
+    The occluder is rotated by 25° so that its shadow's border is not parallel to strata.
+    The named pixels P and Q show the floor points P and Q. From P, the whole light is visible.
+    Neither point is below the light's center.
+    There, the integrand would be equal at opposite borders, so a shifted set would lose nothing.
 
-    With an edge, radiance is a texture of 256² texels with bilinear interpolation. Mitsuba samples
-    such a light texel by texel in proportion to the texture. For BSDF sampling the light then has
-    no silhouette: at P, the rate of jittered points goes from −1.5 to −1.9 with ``edge=1``.
+    With an edge, radiance is a texture of 256² texels with bilinear interpolation.
+    Mitsuba samples such a light texel by texel, in proportion to the texture.
+    For BSDF sampling, the light then has no silhouette.
+    With ``edge=1``, the rate of jittered points at P goes from −1.5 to −1.9.
     """
     radiance: Any = _RADIANCE
     if as_real("edge", edge, least=0.0, most=1.0):
-        # Texture that rises as a smoothstep from 0 at both ends of [0,1] to 1 at edge / 2
+        # Texture that rises as a smoothstep from 0 at both ends of [0,1] to 1 at distance edge / 2
         u = (np.arange(_TEXELS) + 0.5) / _TEXELS
         t = np.minimum(2.0 * np.minimum(u, 1.0 - u), edge) / edge
         profile = np.asarray(t * t * (3.0 - 2.0 * t))
         values = _RADIANCE * np.outer(profile, profile).astype(np.float32)
         bitmap = load_mitsuba().Bitmap(np.repeat(values[..., None], 3, axis=2))
-        # Raw: radiance is linear and not to be decoded. Clamp: borders do not wrap around.
+        # Raw: radiance is linear and must not be decoded. Clamp: borders do not wrap around.
         radiance = {"type": "bitmap", "bitmap": bitmap, "raw": True, "wrap_mode": "clamp"}
     angle = np.deg2rad(_OCCLUDER_DEGREES)
     across = _OCCLUDER_HALF_SIDE * np.array([np.cos(angle), 0.0, -np.sin(angle)])
@@ -163,7 +165,7 @@ def smooth_light(*, edge: float = 0.5, width: int = 384, height: int = 256) -> d
 
 _LIGHT_Y, _LIGHT_HALF_SIDE, _PENUMBRA_RADIANCE = 3.0, 0.8, 16.0
 _BALL, _BALL_RADIUS = (-1.2, 1.0, 0.3), 0.4
-_ROD = ((-2.2, 0.7, 1.1), (0.2, 0.9, 1.3), 0.07)  # both ends and the radius of the rod
+_ROD = ((-2.2, 0.7, 1.1), (0.2, 0.9, 1.3), 0.07)  # both ends of the rod, and its radius
 _BLADES = (0.6, 1.15, 1.7)  # x coordinates of three parallel blades
 
 
@@ -194,9 +196,9 @@ def penumbra(*, width: int = 384, height: int = 256) -> dict[str, Any]:
 
     Notes
     -----
-    The whole light is visible from the named pixel ``lit``. ``ball`` lies in the penumbra of the
-    ball, ``rod`` in the penumbra of the rod, ``both`` in both penumbras, and ``blades`` in those of
-    blade-0 and blade-1.
+    The whole light is visible from the named pixel ``lit``.
+    The pixel ``ball`` lies in the penumbra of the ball, ``rod`` in the penumbra of the rod,
+    ``both`` in both penumbras, and ``blades`` in the penumbras of blade-0 and blade-1.
     """
     light = rectangle((0, _LIGHT_Y, 0), (_LIGHT_HALF_SIDE, 0, 0), (0, 0, _LIGHT_HALF_SIDE))
     floor = rectangle((0, 0, 0), (6, 0, 0), (0, 0, -6))
@@ -226,7 +228,7 @@ def penumbra(*, width: int = 384, height: int = 256) -> dict[str, Any]:
 _MAP_SIZE = (64, 128)
 _SKY_RADIUS = 0.8
 _MATERIALS: dict[str, tuple[float, dict[str, Any]]] = {
-    # name of the sphere: x of its center, BSDF
+    # Name of the sphere: x coordinate of its center, BSDF
     "diffuse": (-1.9, diffuse((0.25, 0.2, 0.15))),
     "plastic": (
         0.0,
@@ -238,7 +240,7 @@ _MATERIALS: dict[str, tuple[float, dict[str, Any]]] = {
     ),
     "metal": (1.9, {"type": "roughconductor", "distribution": "ggx", "alpha": 0.15}),
 }
-# offset of the named points from a sphere's center, toward the camera and upwards
+# Offset of the named points from a sphere's center, toward the camera and upwards
 _FRONT = 0.6 * _SKY_RADIUS
 _UP = _SKY_RADIUS + 0.8 * _SKY_RADIUS
 
@@ -270,11 +272,12 @@ def sky(*, width: int = 384, height: int = 256) -> dict[str, Any]:
 
     Notes
     -----
-    The map is `mcspectra.integrands.synthetic_sky` with 64 × 128 pixels, its first row toward +y;
-    nothing is downloaded. Mitsuba places its columns at atan2(x, −z) = 2π (column + ½) / 128 and
-    its rows at acos(y) = π row / 63, from pole to pole, and interpolates linearly. The named pixels
-    show the open floor, the floor where the diffuse sphere touches it, and the upper front of each
-    sphere. The BSDF of plastic chooses between two lobes (``dims=3``).
+    The map is `mcspectra.integrands.synthetic_sky` with 64 × 128 pixels, its first row toward +y.
+    Nothing is downloaded. Mitsuba places the columns at atan2(x, −z) = 2π (column + ½) / 128
+    and the rows at acos(y) = π row / 63, from pole to pole, and interpolates linearly.
+    The named pixels show the open floor, the upper front of each sphere,
+    and the floor where the diffuse sphere touches it.
+    The BSDF of plastic chooses between two lobes (``dims=3``).
     """
     pixels = synthetic_sky(*_MAP_SIZE).astype(np.float32)
     scene = {
@@ -290,7 +293,7 @@ def sky(*, width: int = 384, height: int = 256) -> dict[str, Any]:
 
 
 _SPHERES: dict[str, tuple[Point, float, float]] = {
-    # name of the sphere: center, radius, radiance
+    # Name of the sphere: center, radius, radiance
     "light-0": ((-3.75, 0.0, 0.0), 0.03333, 901.803),
     "light-1": ((-1.25, 0.0, 0.0), 0.1, 100.0),
     "light-2": ((1.25, 0.0, 0.0), 0.3, 11.1111),
@@ -298,7 +301,7 @@ _SPHERES: dict[str, tuple[Point, float, float]] = {
     "fill-light": ((10.0, 10.0, 4.0), 0.5, 800.0),
 }
 _PLATES: tuple[tuple[tuple[float, float], tuple[float, float], float], ...] = (
-    # for each plate: (y, z) of the front edge, (y, z) of the back edge, GGX roughness
+    # For each plate: (y, z) of the front edge, (y, z) of the back edge, GGX roughness
     ((-2.70651, 0.25609), (-2.08375, -0.526323), 0.005),
     ((-3.28825, 1.36972), (-2.83856, 0.476536), 0.02),
     ((-3.73096, 2.70046), (-3.43378, 1.74564), 0.05),
@@ -306,7 +309,7 @@ _PLATES: tuple[tuple[tuple[float, float], tuple[float, float], float], ...] = (
 )
 _PLATE_HALF_WIDTH = 4.0
 _FLOOR_Y, _WALL_Z = -4.14615, -2.0
-# sizes of floor and wall, larger than the camera's view: our choice
+# Sizes of floor and wall are our choice; both are larger than the camera's view
 _HALF_WIDTH, _FRONT_Z, _WALL_TOP = 12.0, 15.0, 12.0
 _GRAY = 0.4  # reflectance of floor and wall: our choice
 
@@ -320,7 +323,7 @@ def _on_plate(i: int, x: float) -> Point:
     **{
         "wall": (3.06, -0.73, _WALL_Z),
         "floor": (0.0, _FLOOR_Y, 4.6),
-        # Points where each plate shows the mirror image of the widest light.
+        # Points where each plate shows the mirror image of the widest light
         **{f"plate-{i}": _on_plate(i, x) for i, x in enumerate((3.3, 3.2, 3.1, 3.0))},
     }
 )
@@ -332,8 +335,8 @@ def veach(
     Parameters
     ----------
     lights
-        Lights to keep: names among light-0 (smallest) … light-3 (widest) and fill-light. By default
-        all.
+        Lights to keep: names among light-0 (smallest) … light-3 (widest) and fill-light.
+        By default, all lights are kept.
     width, height
         Film size in pixels. The plates fill a 3:2 frame; a square frame crops them.
 
@@ -349,8 +352,9 @@ def veach(
 
     Notes
     -----
-    Positions, radii, radiances, roughness and camera come from [Veach1997]_ and from the scene
-    files that several renderers publish. Copper plates and gray floor and wall are our choice.
+    Positions, radii, radiances, roughness and camera come from [Veach1997]_.
+    Scene files that several renderers publish also contain these numbers.
+    Copper plates, and a gray floor and wall, are our choice.
     """
     allowed: Any = tuple(_SPHERES)
     given: Any = (lights,) if isinstance(lights, str) else allowed if lights is None else lights

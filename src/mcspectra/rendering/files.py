@@ -34,29 +34,29 @@ _MOST_STOPS = 64.0
 def write_render(
     path: str | PathLike[str], result: xr.Dataset, *, exposure: float = 0.0
 ) -> list[str]:
-    """Write a result of `render`.
+    """Write the result of `render` to a file.
 
     Parameters
     ----------
     path
-        ``.exr``: ``image`` as R, G, B, and the layers ``variance`` and ``image_se`` if they exist,
-        with the provenance as a comment. ``.png``: ``image`` alone, see `write_png`.
+        A file ``.exr`` gets ``image`` as R, G, B, the provenance as a comment, and the layers
+        ``variance`` and ``image_se`` if they exist. A file ``.png`` gets only ``image``.
     result
-        A result of `render` or `reference`.
+        A rendered image, as returned by `render` or `reference`.
     exposure
-        Stops by which a PNG is brightened; EXR stores radiance unchanged.
+        Number of stops by which a PNG is brightened; EXR stores radiance unchanged.
 
     Returns
     -------
     list of str
-        Names of the written layers; the name of the image is empty.
+        Names of the written layers; the layer of the image has the empty name.
 
     Raises
     ------
     FileFormatError
-        If the extension is another one, or the file cannot be written.
+        If the extension is neither .exr nor .png, or the file cannot be written.
     ParameterError
-        If `exposure` is not a number from −64 to 64, or `result` is not a result of `render`.
+        If the exposure is not a number from −64 to 64, or the result is not a rendered image.
     """
     _check_result(path, result)
     file = check_image_path(path)
@@ -82,15 +82,15 @@ def write_comparison(path: str | PathLike[str], images: Mapping[str, xr.Dataset]
     Returns
     -------
     list of str
-        Names of the layers: the names of the images, and ``reference.image_se``. The file's comment
-        holds the provenance of all images.
+        Names of the layers: the names of the images, and ``reference.image_se``.
+        The file's comment holds the provenance of all images.
 
     Raises
     ------
     FileFormatError
-        If the extension is another one, or the file cannot be written.
+        If the extension is not .exr, or the file cannot be written.
     ParameterError
-        If an image is not a result of `render`, or sizes differ.
+        If an image is not a result of `render`, or the sizes of images differ.
     """
     file = check_image_path(path, (".exr",))
     layers: dict[str, Array] = {}
@@ -114,8 +114,9 @@ def write_exr(path: str | PathLike[str], layers: Mapping[str, Array], *, comment
     path
         File name that ends in ``.exr``.
     layers
-        Arrays (height, width) or (height, width, 3) by name, all of the same size. Channels are
-        called ``name.R`` and so on, or ``name.Y``; channels of the unnamed layer have no prefix.
+        Arrays (height, width) or (height, width, 3) by name, all of the same size.
+        Channels are called ``name.R`` and so on, or ``name.Y`` for a gray layer.
+        Channels of the unnamed layer have no prefix.
     comment
         Text for the file's header.
 
@@ -154,10 +155,10 @@ def write_png(path: str | PathLike[str], image: Array, *, exposure: float = 0.0)
     path
         File name that ends in ``.png``.
     image
-        Radiance. Negative values become black; values of at least 1 after the exposure become
-        white.
+        Radiance. Negative values become black, and values of at least 1 become white.
+        The exposure is applied before.
     exposure
-        Stops: radiance is multiplied by 2^exposure.
+        Brightness in stops: radiance is multiplied by 2^exposure.
 
     Raises
     ------
@@ -207,7 +208,7 @@ def check_image_path(path: object, extensions: tuple[str, ...] = RENDER_EXTENSIO
 
 
 def _check_result(path: object, result: object) -> None:
-    """Raise an error for a result without an image, for example if path and result are swapped."""
+    """Raise an error if a result has no image, for example if path and result are swapped."""
     if "image" in getattr(result, "data_vars", ()):
         return
     swapped = "image" in getattr(path, "data_vars", ())

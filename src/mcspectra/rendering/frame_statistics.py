@@ -1,9 +1,11 @@
 """Statistics of frames of any renderer: pixel variance, its rate, and error correlations.
 
-Frames are independent renders of one view, as files. Each file is read twice, one file at a time:
-first for the moments of every pixel, then for correlations between the deviations from the mean.
-Deviations are divided by the standard deviation of their pixel, so that bright corners do not
-dominate. White noise then has power 1 at all frequencies.
+Frames are independent renders of one view, as files.
+Each file is read twice, one file at a time.
+The first pass computes the moments of every pixel,
+and the second computes correlations between the deviations from the mean.
+Deviations are divided by the standard deviation of their pixel.
+Bright corners therefore do not dominate, and white noise has power 1 at all frequencies.
 """
 
 from __future__ import annotations
@@ -42,24 +44,24 @@ from mcspectra.rendering.map_statistics import fit_lines, interval, ratio, smoot
 __all__ = ["Frames", "frames"]
 
 Frames = str | PathLike[str] | Sequence[str | PathLike[str]]
-"""A folder, a pattern, or files."""
+"""Frames: a folder, a file name pattern, or a list of files."""
 
 _MOST_SPP = 2**40
 _REACH = 8  # largest lag in pixels, to either side, for which correlations are listed
 _FILTER = 2  # lag in pixels at which a reconstruction filter may correlate errors
 _SAMPLE = 2**14  # number of pixels at which frames are compared with each other
-_TAIL = 64  # number of extreme deviations of a frame that are kept, as many as `Moments` uses
-_TABLE = 4001  # number of tabulated correlations
+_TAIL = 64  # number of extreme deviations kept per frame; `Moments` uses the same number
+_TABLE = 4001  # number of correlations in the table
 _SIGNIFICANCE = 0.05  # significance level of a test of all pixels, frames or lags together
 _OUTLIER = 1e-3  # significance level of Grubbs' test at each pixel
 _RELATED = 0.1  # smallest correlation of two frames to report, whatever its significance
 _REPEATED = 0.05  # smallest correlation of distant pixels to report
 _LEAST_GRUBBS = 5  # minimum number of frames for Grubbs' test
-# If one error of one frame has a larger share of all squares, no upper limit is given
+# If one error of one frame exceeds this share of all squares, no upper limit is given
 _ONE_SQUARE = 0.05
-# Largest window in pixels for averages of rates; standard error of rates that is small enough
+# Largest window for averages of rates, in pixels, and standard error of a rate that is small enough
 _WIDEST, _KNOWN_RATE = 15, 0.1
-_SLOWEST = -0.5  # slowest rate for the extrapolation to a target
+_SLOWEST = -0.5  # slowest rate that is used to extrapolate to a target
 _SPP = re.compile(r"(?<![a-z0-9])(?:spp[_-]?(\d+)|(\d+)[_-]?spp)(?![a-z0-9])", re.IGNORECASE)
 
 
@@ -81,58 +83,62 @@ def frames(
     ----------
     paths
         A folder (its images, and those in its subfolders), a pattern such as ``out/*_64spp.exr``,
-        or files: EXR, PFM or .npy of one size with linear values; at least two per number of
-        samples.
+        or files: EXR, PFM or .npy of one size with linear values.
+        Every number of samples needs at least two files.
     spp
-        Samples per pixel of all frames. By default from names (``spp64`` or ``64spp`` in the file
-        or folder name), otherwise from EXR headers (pbrt's ``samplesPerPixel``, Blender's
-        ``cycles.*.samples``).
+        Samples per pixel of all frames.
+        By default from the file or folder name (``spp64`` or ``64spp``) or else from EXR headers.
+        These are ``samplesPerPixel`` of pbrt and ``cycles.*.samples`` of Blender.
     against
         Frames of the same view by another renderer, integrator or setting.
     target
         Relative root mean square error (σ / mean) that pixels should reach.
     seconds, seconds_against
-        Time per frame; by default from EXR headers (pbrt's ``renderTimeSeconds``, Blender's
-        ``RenderTime``).
+        Render time of a frame in seconds. By default the time comes from EXR headers,
+        ``renderTimeSeconds`` of pbrt or ``RenderTime`` of Blender.
     layer
         Layer or channel of EXR files to measure; by default the first picture.
     tone_mapped
-        Whether to accept PNG and JPEG and undo the sRGB transfer function. Clipped values have lost
-        their noise.
+        Whether to accept PNG and JPEG, and undo the sRGB transfer function.
+        Clipped values have lost their noise.
     flip
         Whether to compute FLIP if its package is installed. It takes longer than all other steps.
 
     Returns
     -------
     xarray.Dataset
-        On the dims n (samples per pixel; 1 if unknown), y, x: ``mean``, ``variance`` of the
-        luminance of one frame, ``variance_ci`` (bound), ``relative_rmse``, and ``largest_share``,
-        the share of one frame in the sum of squares. With several n: ``rate`` and ``rate_ci`` of
-        the variance, averaged over a square of pixels whose side is the attribute ``smoothing``. On
-        n: ``picture_variance``, the mean over the pixels, with ``picture_variance_ci``;
-        ``picture_rate`` with its interval. With a target: ``needed_spp``. ``error_spectrum(n,
-        radius)`` with ``error_spectrum_ci``: power of the standardized errors by radial frequency
-        in cycles per pixel, 1 for white noise. ``error_correlation(n, lag_y, lag_x)``. ``image(y,
-        x, band)``: mean of the frames with most samples. ``flip(n, y, x)``: FLIP [Andersson2021]_
-        of the first frame against it, if the package flip-evaluator is installed. With `against`,
-        at the largest n that both have: ``difference`` of the means, ``difference_z`` by Welch's
-        test, and ``variance_ratio``, the variance of `paths` over that of `against`;
-        ``picture_ratio`` of the mean variances, and ``equal_time_ratio`` of variance × time. Ratios
-        below 1 favor `paths`. `mcspectra.report.frames_page.frame_findings` puts the attributes
-        into words.
+        The following variables have the dims n (samples per pixel; 1 if unknown), y and x:
+        ``mean`` and ``variance`` of the luminance of one frame, ``variance_ci`` (bound),
+        ``relative_rmse``, and ``largest_share``, one frame's share in the sum of squares.
+        With several n: ``rate`` and ``rate_ci`` of the variance, averaged over a square of pixels.
+        The attribute ``smoothing`` is the side of that square.
+        On n: ``picture_variance``, the mean over the pixels, with ``picture_variance_ci``;
+        ``picture_rate`` with its interval. With a target: ``needed_spp``.
+        ``error_spectrum(n, radius)`` with ``error_spectrum_ci``: power of the standardized errors
+        by radial frequency in cycles per pixel; it is 1 for white noise.
+        ``error_correlation(n, lag_y, lag_x)``: correlation of errors at a lag in pixels.
+        ``image(y, x, band)``: mean of the frames with most samples.
+        ``flip(n, y, x)``: the FLIP error [Andersson2021]_ of the first frame against ``image``.
+        FLIP needs the package flip-evaluator.
+        Two sets of frames are compared at the largest n that both have:
+        ``difference`` of the means, ``difference_z`` by Welch's test,
+        ``variance_ratio``, the variance of the first set of frames over that of the second set,
+        ``picture_ratio``, the ratio of mean variances, and ``equal_time_ratio`` of variance × time.
+        Ratios below 1 favor the first set of frames, `paths`.
+        See `mcspectra.report.frames_page.frame_findings` for a description of attributes in words.
 
     Raises
     ------
     FileFormatError
         If a file is missing, broken, of another type, or tone-mapped.
     ParameterError
-        If a number of samples has fewer than two frames, sizes differ, the frames are all equal, or
-        an option is out of range.
+        If a number of samples has fewer than two frames, sizes differ, or all frames are equal.
+        If an option is out of range.
 
     Notes
     -----
-    Memory is about 45 planes of float64 including the result (3 GB at 3840 × 2160) for any number
-    of frames.
+    Memory is about 45 planes of float64 (3 GB at 3840 × 2160), including the result.
+    The memory does not depend on the number of frames.
     """
     spp = None if spp is None else as_integer("spp", spp, least=1, most=_MOST_SPP)
     given = {"target": target, "seconds": seconds, "seconds_against": seconds_against}
@@ -144,7 +150,7 @@ def frames(
     if layer is None and best.files[0].suffix.lower() == ".exr":
         layer = exr_layer(best.files[0]) or None
 
-    # Compute pixel variances and the whole picture for every number of samples
+    # Compute pixel variances and the variance of the whole picture for every number of samples
     stacked: dict[str, tuple[tuple[str, ...], list[Any]]] = {
         "mean": (("y", "x"), [each.moments.mean for each in found]),
         "variance": (("y", "x"), [each.moments.variance for each in found]),
@@ -166,7 +172,7 @@ def frames(
     if flips:
         variables["flip"] = (("n", "y", "x"), np.stack(flips))
 
-    # Compute rates over windows that make them precise, and the samples that the target needs
+    # Compute rates over windows that make them precise, and the samples needed for the target
     rate, window = np.full(best.moments.mean.shape, np.nan), None
     if len(found) > 1:
         relative, level = np.stack([_log_variance(each.moments) for each in found], axis=1)
@@ -237,7 +243,7 @@ class _FrameReader:
     spp: int | None
 
     def color(self, file: Path) -> Array:
-        """Return values (y, x, 1 or 3), with NaN for nonfinite values."""
+        """Return the values of a frame (y, x, 1 or 3), with NaN for nonfinite values."""
         if file.suffix.lower() in ENCODED_EXTENSIONS and not self.tone_mapped:
             raise FileFormatError(
                 f"{file} is a tone-mapped picture, which no longer has the renderer's noise; give "
@@ -248,7 +254,7 @@ class _FrameReader:
         return image[..., :3] if image.shape[2] > 2 else image[..., :1]
 
     def plane(self, file: Path, shape: tuple[int, ...] | None) -> tuple[Array, Array]:
-        """Return luminance (y, x) and color of a frame, after a check of its shape."""
+        """Check the shape of a frame, and return its luminance (y, x) and its color."""
         image = self.color(file)
         if shape is not None and image.shape != shape:
             raise ParameterError(
@@ -299,7 +305,7 @@ class _FrameReader:
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Group:
-    """Statistics of the frames of one number of samples; `told` holds attributes of the result."""
+    """Statistics of the frames with one number of samples; `told` holds result attributes."""
 
     spp: int
     seconds: float | None
@@ -321,14 +327,14 @@ class _Group:
         """Median-unbiased estimate of σ / mean of one frame; NaN if the mean is not positive."""
         from scipy.special import chdtri
 
-        # For normal noise, s² is more often below σ² than above it
+        # For normal noise, the sample variance s² is more often below the true σ² than above
         degrees = self.moments.count - 1
         positive = np.where(self.moments.mean > 0, self.moments.mean, np.nan)
         s = np.sqrt(degrees / chdtri(degrees, 0.5) * self.moments.variance)
         return np.asarray(s / positive)
 
     def within(self, pixels: Array, read: _FrameReader) -> _Group:
-        """Return the statistics of pixels where these frames and the other frames have numbers."""
+        """Return the statistics of pixels where both these and the other frames have numbers."""
         mean, m2 = (np.where(pixels, v, np.nan) for v in (self.moments.mean, self.moments.m2))
         means = [float(read.plane(file, None)[0][pixels].mean()) for file in self.files]
         return replace(self, moments=replace(self.moments, mean=mean, m2=m2), means=np.array(means))
@@ -342,14 +348,14 @@ class _Group:
     def picture_relative_se(self) -> float:
         """Relative standard error: the error for independent pixels times √Σρ² over all lags.
 
-        ρ is the correlation of the errors at a lag.
+        Here ρ is the correlation of the errors of two pixels at a lag.
         """
         each = self.moments.relative_se * self.moments.variance
         return float(np.sqrt(self.alike * np.nansum(each**2)) / np.nansum(self.moments.variance))
 
     @property
     def picture_variance_ci(self) -> Array:
-        """Logarithmic interval; it has no upper end if a few pixels dominate the variance."""
+        """Interval of the log variance; its upper end is infinite if a few pixels dominate."""
         half = CONFIDENCE_Z * self.picture_relative_se
         low, high = self.picture_variance * np.exp([-half, half])
         return np.array([low, high if self.resolved else np.inf])
@@ -429,7 +435,7 @@ def _listed(paths: Any) -> list[Path]:
     for kinds in (
         LINEAR_EXTENSIONS,
         ENCODED_EXTENSIONS,
-    ):  # pictures next to the frames are previews of them
+    ):  # such pictures next to the frames are previews
         if files := [file for file in inside if file.suffix.lower() in kinds]:
             return files
     raise FileFormatError(
@@ -450,7 +456,7 @@ def _group(
     done: int,
     total: int,
 ) -> _Group:
-    """Read the frames of one number of samples twice."""
+    """Measure the frames of one number of samples; each file is read twice."""
     # Compute moments and ranges of the pixels
     count, shape = len(files), None
     moments: Moments | None = None
@@ -480,7 +486,7 @@ def _group(
     farthest = np.maximum(high - moments.mean, moments.mean - low) ** 2
     share = np.divide(farthest, moments.m2, out=np.full_like(farthest, np.nan), where=varied)
 
-    # Compute statistics of deviations: power, tail, and correlations between frames
+    # Compute statistics of the deviations: power, tails, and correlations between frames
     height, width = moments.mean.shape
     unit = np.zeros((height, width))
     np.divide(math.sqrt(count / (count - 1)), np.sqrt(moments.variance), out=unit, where=varied)
@@ -513,15 +519,15 @@ def _group(
     every, loss = _unbiased(every / every[0, 0], count)
     measured, curve = rings.mean(power), np.maximum(rings.mean(np.fft.rfft2(every).real), 0.0)
     half *= np.divide(curve, measured, out=np.ones_like(curve), where=measured > 0)
-    # With two frames, one deviation is the negative of the other, without spread. Use at least
-    # the spread of normal noise: the mean of (R − 1) exponentials per conjugate pair
+    # With two frames, one deviation is the negative of the other and has no spread of its own.
+    # Use at least the spread of normal noise: the mean of (R − 1) exponentials per conjugate pair
     independent = (count - 1) * loss**2
     half = np.maximum(half, CONFIDENCE_Z * measured * np.sqrt(2.0 / (rings.sizes * independent)))
-    # A squared correlation includes a squared error, the true sum / (pixels · (R − 1) · loss²)
+    # A squared correlation also contains its squared error: true sum / (pixels · (R − 1) · loss²)
     alike = max(1.0, float((every**2).sum()) / (1.0 + 1.0 / independent))
     near, repeat, repeated = _lags(every, alike / (varied.sum() * independent))
     pair, relation = _related(sample, alike)
-    # Count outliers above twice the mean, and compute the count expected from normal noise
+    # Count outliers that are larger than twice the mean, and their expected number for normal noise
     above, limit = high - moments.mean, _grubbs(count)
     outliers = (share > limit) & (above > np.maximum(moments.mean, moments.mean - low))
     expected = _OUTLIER / 2 * int((limit * moments.m2[varied] > moments.mean[varied] ** 2).sum())
@@ -559,9 +565,10 @@ def _group(
 
 
 def _log_variance(moments: Moments) -> tuple[Array, Array]:
-    """Standard error of log s², and log σ² without the bias that log s² of few values has.
+    """Standard error of log s², and log σ² without the bias of log s² for few values.
 
-    log s² of ν + 1 normal values has the mean log σ² + ψ(ν/2) − log(ν/2) and the variance ψ'(ν/2).
+    For ν + 1 normal values, log s² has the mean log σ² + ψ(ν/2) − log(ν/2).
+    Its variance is ψ'(ν/2).
     """
     from scipy.special import digamma, polygamma
 
@@ -572,9 +579,10 @@ def _log_variance(moments: Moments) -> tuple[Array, Array]:
 
 
 def _unbiased(correlation: Array, count: int) -> tuple[Array, float]:
-    """Correct correlations of `count` normal pairs for bias; also return their loss near 0.
+    """Correct the bias of correlations of `count` normal pairs; also return the factor near 0.
 
-    ⟨r⟩ = ρ (2/ν) [Γ((ν+1)/2) / Γ(ν/2)]² ₂F₁(½, ½; ν/2 + 1; ρ²), ν = count − 1 [Hotelling1953]_.
+    With ν = count − 1, the mean of a correlation is [Hotelling1953]_
+    ⟨r⟩ = ρ (2/ν) [Γ((ν+1)/2) / Γ(ν/2)]² ₂F₁(½, ½; ν/2 + 1; ρ²).
     """
     from scipy.special import gammaln, hyp2f1
 
@@ -586,7 +594,7 @@ def _unbiased(correlation: Array, count: int) -> tuple[Array, float]:
 
 
 def _lags(every: Array, variance: float) -> tuple[Array, list[int] | None, float]:
-    """Correlation at small lags, and the nearest far lag (y, x) with the largest correlation."""
+    """Correlations at small lags; also the nearest far lag (y, x) with the largest correlation."""
     height, width = every.shape
     down, right = np.rint(np.fft.fftfreq(height) * height), np.rint(np.fft.fftfreq(width) * width)
     near = [np.abs(lag) <= min(_REACH, (lag.size - 1) // 2) for lag in (down, right)]
@@ -600,11 +608,11 @@ def _lags(every: Array, variance: float) -> tuple[Array, list[int] | None, float
     largest = float(far.max())
     if largest < limit:
         return listed, None, math.nan
-    # A pattern repeats at multiples of its period: take the nearest of these lags
+    # A pattern repeats at multiples of its period: take the nearest lag of large correlation
     rows, columns = np.nonzero(far >= 0.9 * largest)
     nearest = np.argmin(np.hypot(down[rows], right[columns]))
     lag = int(down[rows[nearest]]), int(right[columns[nearest]])
-    # The period may be smaller: search the near lags
+    # The period may be smaller: also search the near lags
     for part in range(2, math.gcd(*lag) + 1):
         inner = lag[0] // part, lag[1] // part
         whole = math.gcd(*lag) % part == 0 and max(map(abs, inner)) > _FILTER
@@ -615,7 +623,7 @@ def _lags(every: Array, variance: float) -> tuple[Array, list[int] | None, float
 
 
 def _related(sample: Array, alike: float) -> tuple[tuple[int, int] | None, float]:
-    """Return the two frames with the most correlated errors, if significant, and the correlation.
+    """Return the two frames whose errors correlate most, if significantly, and the correlation.
 
     Deviations from the mean of R frames have the correlation −1/(R − 1) if errors are independent.
     """
@@ -631,7 +639,7 @@ def _related(sample: Array, alike: float) -> tuple[tuple[int, int] | None, float
 
 
 def _grubbs(count: int) -> float:
-    """Limit of one share in the squares of `count` normal values, by Grubbs' test [Grubbs1950]_."""
+    """Largest share of one normal value in the squares of all, by Grubbs' test [Grubbs1950]_."""
     if count < _LEAST_GRUBBS:
         return math.inf
     from scipy.special import stdtrit
@@ -641,7 +649,7 @@ def _grubbs(count: int) -> float:
 
 
 def _sidak(count: int) -> float:
-    """Quantile that the largest of `count` normal values does not exceed with 95 % probability."""
+    """Value that the largest of `count` normal values stays below with 95 % probability."""
     from scipy.special import ndtri
 
     return -float(ndtri(-math.expm1(math.log1p(-_SIGNIFICANCE) / max(count, 1)) / 2))
@@ -670,7 +678,7 @@ def _compared(
     times: tuple[float | None, float | None],
     read: _FrameReader,
 ) -> tuple[dict[str, tuple[tuple[str, ...], Any]], dict[str, Any]]:
-    """Compare means and variances of two sets of frames."""
+    """Compare the means and the variances of two sets of frames."""
     common = {each.spp for each in ours} & {each.spp for each in others}
     a, b = (
         max((each for each in both if not common or each.spp in common), key=lambda each: each.spp)
@@ -735,7 +743,7 @@ def _welch(a: tuple[Any, Any, int], b: tuple[Any, Any, int]) -> Array:
         t = (mean - other) / np.sqrt(first + second)
         degrees = (first + second) ** 2 / (first**2 / (count - 1) + second**2 / (other_count - 1))
         deviate = -ndtri(np.maximum(stdtr(degrees, -np.abs(t)), 1e-300)) * np.sign(t)
-    # Equality of a few values does not prove that they are always equal
+    # A few equal values do not prove that all values are equal
     sure = np.inf if min(count, other_count) >= _LEAST_GRUBBS else np.nan
     certain = np.where(mean == other, 0.0, np.copysign(sure, mean - other))
     return np.asarray(np.where(first + second == 0, certain, deviate))

@@ -1,11 +1,12 @@
 """Images of direct illumination by our own samplers, with the error of each pixel.
 
-Every pixel has its own point set. In image r of R independent images, pixel number y·width + x uses
-realization y·width + x of the sampler, from a random stream of that image. A crop therefore has the
-same bits as this part of the whole image. Binary nets scrambled by ``owen`` are computed in the
-kernel, by its hash (`kernel_nets`). A sampler that ends in ``decorrelate(…)`` gives all pixels of
-an image one set, which is moved at each pixel. Renderers work this way, and it is cheaper than a
-set for each pixel.
+Every pixel has its own point set. In image r of R independent images,
+pixel number y·width + x uses realization y·width + x of the sampler.
+Each image has its own random stream.
+A crop therefore has the same bits as this part of the whole image.
+Kernels compute binary nets scrambled by ``owen`` themselves, by its hash (`kernel_nets`).
+A sampler that ends in ``decorrelate(…)`` gives all pixels one set, which is moved at each pixel.
+Renderers work this way, and it is cheaper than a set for each pixel.
 """
 
 from __future__ import annotations
@@ -39,9 +40,9 @@ from mcspectra.samplers import Sampler, as_sampler
 __all__ = ["CHANNELS", "compare_strategies", "reference", "render"]
 
 CHANNELS = ("R", "G", "B")
-_TILE_LANES = 2**19  # number of samples of a tile: 32 MiB of float64 points in 8 dims
+_TILE_LANES = 2**19  # samples per tile: 32 MiB of float64 points in 8 dims
 _MOST_SAMPLES = 2**20  # limit of samples per pixel in one image
-_MOST_PIXELS = 2**26  # limit of pixels: 5 GiB of moments
+_MOST_PIXELS = 2**26  # limit of the number of pixels: 5 GiB of moments
 
 
 def render(
@@ -60,29 +61,28 @@ def render(
 ) -> xr.Dataset:
     """Render a scene's direct illumination, including directly visible lights.
 
-    Rays start at the center of the lens and at the midpoint of the shutter's time. A camera with a
-    lens or a shutter therefore gives an `IncompleteImageWarning`. So does a strategy that misses a
-    light or a surface because it is a delta function.
+    Rays start at the center of the lens and at the midpoint of the shutter's time.
+    A camera with a lens or a shutter therefore gives an `IncompleteImageWarning`.
+    A strategy that misses a light or a surface because it is a delta function also gives it.
 
     Parameters
     ----------
     scene
-        A scene, same as for `load_scene`.
+        A scene: a name, a file or a dictionary, as in `load_scene`.
     strategy
-        ``"light"``, ``"bsdf"``, their parts of multiple importance sampling ``"mis-light"`` and
-        ``"mis-bsdf"``, or their sum ``"mis"``.
+        ``"light"`` or ``"bsdf"`` sampling, their parts of multiple importance sampling,
+        ``"mis-light"`` and ``"mis-bsdf"``, or ``"mis"``, the sum of these parts.
     sampler
-        A sampler or its spec, with the number of dims that the strategy needs: see
-        `Wavefront.dims`.
+        A sampler or its spec, with the number of dims that the strategy needs (`Wavefront.dims`).
     spp
-        Samples per pixel; for ``"mis"`` of each technique, as renderers count.
+        Samples per pixel; with ``"mis"`` samples of each technique, as renderers count.
     realizations
         Number R of independent images. At least 2 are needed for the variance of each pixel.
     crop
         x, y, width and height of a part of the film, in pixels; by default the whole film.
     film
-        ``"sampled"``: rays pass through positions in the pixel that are also sampled, with a box
-        filter. ``"center"``: rays pass through the pixel's center.
+        ``"sampled"``: rays pass through sampled positions in the pixel, with a box filter.
+        ``"center"``: rays pass through the pixel's center.
     light
         Index or name of the only light to use.
     heuristic
@@ -95,15 +95,16 @@ def render(
     Returns
     -------
     xarray.Dataset
-        ``image`` (y, x, channel): mean of R images. With R > 1 also ``variance``, the variance of
-        one image (ddof = 1), and ``image_se``, the standard error of ``image``. Coordinates are
-        pixels of the film. The attribute ``camera`` describes where rays start.
+        ``image`` (y, x, channel): mean of R images.
+        With R > 1 also ``variance``, the variance of one image (ddof = 1),
+        and ``image_se``, the standard error of ``image``.
+        Coordinates are pixels of the film. The attribute ``camera`` describes where rays start.
 
     Raises
     ------
     ParameterError
-        If a parameter is out of range, `crop` leaves the film, an environment map is scaled or has
-        pixels that are not a radiance, or the scene cannot be rendered.
+        If a parameter is out of range, the crop leaves the film, or the scene cannot be rendered.
+        Also if an environment map is scaled or has pixels that are not a radiance.
     CountError
         If the sampler cannot make `spp` points.
     MissingDependency
@@ -120,7 +121,7 @@ def render(
     warn_integrator(scene)
     warn_missed(scene, strategy, light)
 
-    # Choose tiles and images that are rendered together; all images of a tile follow each other
+    # Choose the tiles and images that are rendered together; the images of a tile are consecutive
     count = width * height
     size = min(count, max(1, _TILE_LANES // spp))
     together = max(1, _TILE_LANES // (size * spp))
@@ -144,13 +145,13 @@ def render(
             keys = np.array([scramble_key(each) for each in streams], np.uint64)
             points = NetPoints(net, spp, keys, numbers.astype(np.uint32))
             return images, lambda: waves.net_means(strategy, everywhere, points)
-        # Samplers draw only consecutive realizations.
+        # Samplers draw only consecutive realizations
         runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1)
         parts = [(each, int(run[0]), len(run)) for each in streams for run in runs]
         u = np.concatenate([source.draw_stream(spp, *part) for part in parts])
         return images, lambda: waves.means(strategy, everywhere, u)
 
-    # Sum moments over images tile by tile; kernels that compute the points need no drawing
+    # Sum moments over images tile by tile; kernels that compute the points need no drawn points
     moments: list[Moments] = []
     finished, threads = 0, available_workers(workers)
     for images, evaluate in map_in_order(draw, blocks, threads if net is None else 1):
@@ -199,7 +200,7 @@ def reference(scene: Scene, spp: int = 1024, *, batches: int = 16, **options: An
     Parameters
     ----------
     scene, options
-        Same as in `render`.
+        Same as in the function `render`.
     spp
         Samples per pixel in all batches together.
     batches
@@ -208,7 +209,7 @@ def reference(scene: Scene, spp: int = 1024, *, batches: int = 16, **options: An
     Returns
     -------
     xarray.Dataset
-        Same as in `render`; ``image_se`` has `batches` − 1 degrees of freedom.
+        Same as in `render`; the degrees of freedom of ``image_se`` are `batches` − 1.
     """
     count = as_integer("batches", batches, least=2, most=_MOST_SAMPLES)
     each, rest = divmod(as_integer("spp", spp, least=count), count)
@@ -220,15 +221,15 @@ def reference(scene: Scene, spp: int = 1024, *, batches: int = 16, **options: An
 def compare_strategies(
     scene: Scene, spp: int = 4, *, reference_spp: int = 1024, **options: Any
 ) -> dict[str, xr.Dataset]:
-    """Render a scene by each strategy with equal samples, and a reference.
+    """Render a scene by each strategy with equal numbers of samples, and render a reference.
 
     Parameters
     ----------
     scene, options
-        Same as in `render`.
+        Same as in the function `render`.
     spp
-        Samples per pixel, an even number: multiple importance sampling takes half of them from each
-        technique.
+        Samples per pixel, an even number.
+        Multiple importance sampling takes half of them from each technique.
     reference_spp
         Samples per pixel of each technique in the reference, see `reference`.
 
@@ -249,7 +250,7 @@ def compare_strategies(
 
 
 def _as_crop(crop: object, waves: Wavefront) -> tuple[int, int, int, int]:
-    """Return x, y, width and height of a window inside the film."""
+    """Return x, y, width and height of a checked window inside the film."""
     given = (0, 0, waves.width, waves.height) if crop is None else crop
     if not isinstance(given, Sequence | np.ndarray) or isinstance(given, str) or len(given) != 4:
         raise ParameterError(

@@ -2,11 +2,12 @@
 
 Method
 ------
-Coordinate j of point i is the XOR of the columns of its generator matrix that the bits of i select.
-Its nested uniform scrambling is the hash of ``owen(method='hash')``: with the same keys, it gives
-the same points as float32 numbers (`NetPoints`). Renderers take sets in a random order, for one or
-two numbers at a time. Such sets (`Pads`) are scrambled by one round of that hash, with 63 random
-bits, and ordered at random.
+Coordinate j of point i is an XOR of columns of its generator matrix; the bits of i select them.
+The nested uniform scrambling is the hash of ``owen(method='hash')``.
+With the same keys, it gives the same points as float32 numbers (`NetPoints`).
+Renderers request one or two numbers at a time and need sets in a random order.
+Such sets (`Pads`) are scrambled by one round of the hash with 63 random bits.
+Their points are ordered at random.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from mcspectra.samplers.scrambles import Owen
 
 __all__ = ["Net", "NetPoints", "Pads", "net_of", "scramble_key"]
 
-# Size of the table of permutations: 256 KiB; more if it would hold too few permutations
+# Size of the table of permutations: 256 KiB, or more to hold the fewest allowed permutations
 _ORDER_NUMBERS = 2**16
 _FEWEST_ORDERS = 16
 _FIRST_STEP = 1 << 16  # label of the stream of a sampler's first randomization
@@ -46,7 +47,7 @@ class Net(Protocol):
 
 
 def net_of(sampler: Sampler | None) -> Net | None:
-    """Return the net that `sampler` scrambles by owen alone, or None for other samplers."""
+    """Return the net that `sampler` scrambles by owen alone; None for other samplers."""
     if not isinstance(sampler, Randomized) or not isinstance(sampler.base, Net):
         return None
     first, *others = sampler.steps
@@ -61,7 +62,7 @@ def scramble_key(stream: Stream) -> int:
 
 
 def net_words(module: Any, net: Net, count: int, index: Any) -> list[Any]:
-    """Coordinates of points of a net of `count` points as UInt32 whose lowest bit stands for ½."""
+    """Coordinates of points of a net as UInt32 numbers whose lowest bit stands for ½."""
     bits = max(1, (count - 1).bit_length())
     chosen = [module.UInt32(0) - ((index >> k) & 1) for k in range(bits)]
     words = []
@@ -78,7 +79,7 @@ def net_words(module: Any, net: Net, count: int, index: Any) -> list[Any]:
 
 
 def mix_bits(module: Any, k0: Any, k1: Any, i: Any) -> Any:
-    """Same as `core.streams.mix_bits`, for UInt64."""
+    """Mix bits in the same way as `core.streams.mix_bits`, for UInt64."""
     x = (module.UInt64(i) ^ k0) * _M1
     x ^= x >> 32
     x = (x + k1) * _M2
@@ -116,8 +117,8 @@ def _unit(module: Any, word: Any) -> Any:
 class NetPoints:
     """Points 0 … count−1 of scrambled nets, for given realizations of each random stream.
 
-    They are the points of ``owen(method='hash')``, rounded down to float32. Streams are given by
-    their keys, uint64 (S,), and numbers are uint32 (R,).
+    The points are those of ``owen(method='hash')``, rounded down to float32.
+    The keys of the streams are uint64 (S,), and the numbers of the realizations uint32 (R,).
     """
 
     net: Net
@@ -131,7 +132,7 @@ class NetPoints:
         return len(self.streams) * len(self.numbers), self.count, self.net.dims
 
     def lanes(self, module: Any, row: Any) -> Callable[[Any], list[Any]]:
-        """Return a function from the index of a point to its coordinates, a lane for each set."""
+        """Return a function that maps a point's index to its coordinates; each lane is one set."""
         import drjit
 
         stream = row // drjit.opaque(module.UInt32, len(self.numbers))
@@ -152,7 +153,7 @@ class NetPoints:
 
 
 def _hashed(x: Any, *keys: tuple[Any, Any]) -> Any:
-    """Scramble a word in one or two rounds; a bit depends only on lower bits, see `Owen`."""
+    """Scramble a word in one or two rounds; each bit depends only on lower bits, see `Owen`."""
     x = x ^ (x * 0x3D20ADEA)
     x = (x + keys[0][0]) * keys[0][1]
     x ^= x * 0x05526C56
@@ -164,9 +165,9 @@ def _hashed(x: Any, *keys: tuple[Any, Any]) -> Any:
 class Pads:
     """Sets of 2^m points of nets in one and two dims, each in a random order, point by point.
 
-    An order is a row of a table of random permutations. The table is the same in every process;
-    random numbers shift its argument and are XORed to its values. Sets are scrambled independently,
-    so that an image is unbiased for any orders.
+    Each order is a row of a table of random permutations, which is the same in every process.
+    Random numbers shift the argument of a permutation and are XORed to its values.
+    Sets are scrambled independently, so that an image is unbiased whatever the orders are.
     """
 
     def __init__(self, module: Any, nets: tuple[Net, Net], count: int, stream: Stream) -> None:
@@ -182,7 +183,7 @@ class Pads:
         return request + 1
 
     def draw(self, dims: int, pixel: Any, request: Any, index: Any, _: Any = True) -> list[Any]:
-        """Return point number `index` of the set in 1 or 2 dims that a pixel's request uses."""
+        """Return point number `index` of the 1-D or 2-D set that a pixel's request uses."""
         import drjit
 
         module, (k0, k1) = self._module, self._key
@@ -201,7 +202,7 @@ class Pads:
 
 @functools.lru_cache(maxsize=4)
 def _orders(count: int) -> Array:
-    """Random permutations of `count` numbers: uint32 (T, count); T is a power of two."""
+    """Random permutations of `count` numbers: uint32 (T, count), where T is a power of two."""
     sets = max(_FEWEST_ORDERS, _ORDER_NUMBERS // count)
     numbers = np.broadcast_to(np.arange(count, dtype=np.uint32), (sets, count))
     return np.asarray(Stream(0).generator(0).permuted(numbers, axis=1))

@@ -1,15 +1,17 @@
 """Statistics of variances over an image: rates, the bottleneck technique, gains of MIS, and shares.
 
-Rates are fitted to log variance against log n at every pixel (`mcspectra.core.fits.line_fits`),
-with weights from the relative standard errors. Arrays are (strategy, n, y, x) and (strategy, y, x).
+Rates are fitted to log variance against log n at every pixel (`mcspectra.core.fits.line_fits`).
+The weights of a fit come from the relative standard errors.
+Arrays have the axes (strategy, n, y, x) or (strategy, y, x).
 
-`path_shares` divides the variance of a path among its requests k for random numbers, in their
-order: Var f = Σ_k (Var E[f | x_1 … x_k] − Var E[f | x_1 … x_{k−1}]). No part is negative;
-interactions of requests count for the last of them. With h_k = f(x_1 … x_k, y_{k+1} … y_K) of two
-independent paths x and y, part k is the mean of (h_k − h_{k−1}) (h_K − c), pick-freeze
-[Sobol2001]_. So K + 1 evaluations give all parts. Any c is valid that is a function of h_k +
-h_{k−1}. The regression of h_K on this sum has the least error, both where early parts are small and
-where late parts are small. Its slope comes from the same chains, which gives a bias of order 1/R.
+`path_shares` divides the variance of a path among its requests k for random numbers, in order:
+Var f = Σ_k (Var E[f | x_1 … x_k] − Var E[f | x_1 … x_{k−1}]).
+No part is negative, and an interaction of requests counts for the last of them.
+Let h_k = f(x_1 … x_k, y_{k+1} … y_K) for two independent paths x and y of K requests.
+Part k is then the mean of (h_k − h_{k−1}) (h_K − c), the pick-freeze estimator [Sobol2001]_.
+K + 1 evaluations therefore give all parts. Any function c of h_k + h_{k−1} is valid.
+The regression of h_K on this sum has the least error, whether early or late parts are small.
+The slope of the regression comes from the same chains, which gives a bias of order 1/R.
 """
 
 from __future__ import annotations
@@ -37,7 +39,7 @@ __all__ = [
 
 UNDECIDED = -1.0
 
-# A variance below this multiple of float32's rounding unit is rounding error of Mitsuba
+# A variance below this multiple of float32's rounding unit is attributed to rounding in Mitsuba
 _ULPS = 4.0
 
 
@@ -46,9 +48,9 @@ def fit_lines(
 ) -> LineFits:
     """Fit all lines at once to variances, their relative errors and the means, (S, N, …).
 
-    Variances at rounding level of float32 are ignored, as are zeros and variances with a relative
-    standard error above `largest_se`: these come from very few realizations that hit a rare event,
-    and most of them are far too small.
+    Zeros and variances at rounding level of float32 are ignored.
+    Variances with a relative standard error above `largest_se` are ignored as well.
+    Such variances come from few realizations that hit a rare event; most are far too small.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         floor = (_ULPS * np.finfo(np.float32).eps * mean) ** 2
@@ -56,7 +58,7 @@ def fit_lines(
         weight = np.where(used, relative_se**-2.0, 0.0)
         y = np.where(used, np.log(variance), 0.0)
         x = np.log(ns.astype(float)).reshape(1, -1, *[1] * (variance.ndim - 2))
-        # If a fit uses a variance but ignores one at smaller n, the smaller n missed a rare event
+        # If a fit ignores a variance but uses one at larger n, the smaller n missed a rare event
         missed = np.maximum.accumulate(used[:, ::-1], axis=1)[:, ::-1] & ~used
         return line_fits(x, y, weight, known=np.asarray(~missed.any(axis=1)))
 
@@ -64,9 +66,10 @@ def fit_lines(
 def smooth(rate: Array, rate_se: Array, window: int, independent: bool) -> tuple[Array, Array]:
     """Average rates (S, y, x) over window × window pixels, weighted by their precision.
 
-    Pixels without a rate are ignored and stay without a rate. If pixels are `independent`, with
-    their own points, standard errors fall with the number of pixels. Otherwise the mean standard
-    error is used, which is correct for errors that are equal everywhere, and else too large.
+    Pixels without a rate are ignored and stay without a rate.
+    If pixels are `independent`, with their own points, averages have smaller standard errors.
+    Otherwise the mean standard error is used.
+    The mean is correct for errors that are equal everywhere, and too large for other errors.
     """
     if window == 1:
         return rate, rate_se
@@ -94,8 +97,8 @@ def ratio(log_ratio: Array, se: Array) -> tuple[Array, Array]:
 def slowest(rate: Array, rate_se: Array) -> Array:
     """Which of two techniques (2, y, x) has the slower rate, by the interval of the difference.
 
-    The techniques must have their own points, so that the squares of the standard errors add up. A
-    test for separate intervals would need 1.4 times the difference at equal errors.
+    The techniques must have their own points, so that the squares of the standard errors add up.
+    A test for separate intervals would need a difference 1.4 times as large, at equal errors.
     """
     return _larger(rate[0] - rate[1], rate_se, np.isnan(rate).all(axis=0))
 
@@ -108,9 +111,9 @@ def dominant(variance: Array, relative_se: Array) -> Array:
 
 
 def least(variance: Array, relative_se: Array) -> Array:
-    """Index of the sampler with the least variance (S, …), by intervals of its ratios to others.
+    """Index of the sampler with the least variance (S, …), if its ratios to others are certain.
 
-    Undecided if one interval contains 1; NaN if a sampler has no positive variance.
+    Undecided if the interval of one ratio contains 1; NaN if a sampler has no positive variance.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         log = np.where(variance > 0.0, np.log(variance), np.nan)
@@ -123,23 +126,24 @@ def least(variance: Array, relative_se: Array) -> Array:
 
 
 def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, Array]:
-    """Variance of a path, its shares, and the largest share of each partition.
+    """Return the variance of a path, its shares, and the largest share of each partition.
 
     Parameters
     ----------
     chains
         Values h_0 … h_K of R chains at P pixels, (R, K + 1, P).
     partitions
-        Which requests (K,) belong to each part, (G, K); every request belongs to one part.
+        Requests (K,) that belong to each part, (G, K); every request belongs to one part.
 
     Returns
     -------
     tuple
-        Variance and standard error (2, P). Shares with the ends of their 95 % intervals, of all
-        partitions in succession (3, ΣG, P). The intervals use Student's t with one degree of
-        freedom for each chain that carries the variance; they are NaN if its standard error exceeds
-        half of it. The largest part of each partition, if its differences from all others exclude 0
-        (partitions, P).
+        The variance and its standard error (2, P).
+        The shares of all partitions with the ends of their 95 % intervals (3, ΣG, P).
+        Intervals use Student's t, with a degree of freedom for each chain that carries variance.
+        Intervals are NaN if the standard error of the variance exceeds half of the variance.
+        The largest part of each partition (partitions, P).
+        It is undecided if the interval of its difference from another part contains 0.
     """
     from scipy.special import stdtrit
 
@@ -160,7 +164,7 @@ def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, A
         known = np.where((whole > floor) & (error <= 0.5 * whole), whole, np.nan)
 
     def shared(own: Array) -> tuple[Array, Array]:
-        """Return means of parts (R, G, P) as shares, and half-intervals by the delta method."""
+        """Return shares, the means of parts (R, G, P), and half-intervals by the delta method."""
         share = own.mean(axis=0) / known
         squares = (own - share * every[:, None]) ** 2
         total, fourth = squares.sum(axis=0), (squares**2).sum(axis=0)
@@ -184,13 +188,13 @@ def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, A
 
 
 def gain(single: LineFits, mis: LineFits, total: float, missed: Array) -> tuple[Array, Array]:
-    """Variance of the best single strategy over the variance of MIS, each with `total` samples.
+    """Ratio of the best single strategy's variance to that of MIS, each with `total` samples.
 
     A strategy that `missed` light is excluded, because its estimated variance is too small.
 
-    Both variances come from the fitted lines, for MIS at half of the samples for each technique.
-    The standard error treats them as independent. They share points, which makes it too large
-    rather than too small.
+    Both variances come from the fitted lines. MIS gives each technique half of the samples.
+    The standard error treats the two variances as independent.
+    Because the variances share points, the standard error is too large rather than too small.
     """
     levels, errors = single.at(total)
     levels = np.where(missed, np.nan, levels)
@@ -201,9 +205,9 @@ def gain(single: LineFits, mis: LineFits, total: float, missed: Array) -> tuple[
 
 
 def _larger(difference: Array, se: Array, unknown: Any) -> Array:
-    """Index, 0 or 1, of the larger value by the interval of the difference, or undecided.
+    """Index (0 or 1) of the larger of two values; undecided if the interval contains 0.
 
-    NaN if `unknown`.
+    The result is NaN where `unknown` is true.
     """
     half = CONFIDENCE_Z * np.hypot(*se)
     sure = [unknown, difference > half, -difference > half]
@@ -211,7 +215,7 @@ def _larger(difference: Array, se: Array, unknown: Any) -> Array:
 
 
 def _box(image: Array, window: int) -> Array:
-    """Sum over window × window pixels of (S, y, x), with zeros outside the border."""
+    """Sum (S, y, x) over windows of window × window pixels, with zeros outside the border."""
     reach = window // 2
     for axis in (1, 2):
         margin = [(reach, reach) if a == axis else (0, 0) for a in range(3)]

@@ -1,37 +1,43 @@
 """Estimates of many pixels in many realizations by one Dr.Jit loop over the samples of each pixel.
 
-A lane is one realization of one pixel. It runs over its samples in a recorded loop, which adds up
-float32 values in float64. So only one number per lane is copied, memory does not grow with the
-number of samples, and a lane has the same bits for any set of other lanes. One evaluation gives a
-technique's plain estimate and its weighted one for multiple importance sampling. This is 2 to 3
-times as fast as one lane per sample with a sum over blocks (measured with two cores and Veach's
-scene).
+A lane is one realization of one pixel.
+The lane runs over its samples in a recorded loop, which adds up float32 values in float64.
+Only one number per lane is therefore copied, and memory does not grow with the number of samples.
+A lane has the same bits whatever other lanes are computed.
+One evaluation gives the plain and the weighted estimate of a technique.
+The weighted estimate is for multiple importance sampling.
+One lane per sample with a sum over blocks would take 2 to 3 times as long.
+This was measured with two cores and Veach's scene.
 
 Predictions
 -----------
-Variances are predicted from values of the integrand alone, for many pixels by one table of samples.
+Variances are predicted from values of the integrand g alone.
+All pixels of a tile use the same table of samples. The number of points is n.
 
-*Jittered* points: Var = n⁻² Σ_j Var_j(g) over the strata j. Each Var_j = ∫g² − (∫g)² comes from
-pairs of independent samples in the cells of a grid in the stratum. The product of the two means
-estimates the square of ∫g, so that the prediction is unbiased. Its standard error comes from two
-such predictions per stratum.
+*Jittered* points: Var = n⁻² Σ_j Var_j(g) over the strata j.
+Each Var_j = ∫g² − (∫g)² comes from pairs of independent samples.
+Each cell of a grid in the stratum has one pair.
+The product of the two means estimates the square of ∫g, so that the prediction is unbiased.
+Its standard error comes from two such predictions per stratum.
 
 *Random* points: Var = (∫g² − (∫g)²)/n on a midpoint grid.
 
-*Shifted* points and other stationary points, in two dims: Var = Σ_{m≠0} |g_m|² ⟨|S_m|²⟩. The g_m
-come from the FFT of a midpoint grid, onto whose frequencies all higher frequencies are folded. A
-power without a closed form adds its own error.
+*Shifted* points and other stationary points, in two dims: Var = Σ_{m≠0} |g_m|² ⟨|S_m|²⟩.
+The coefficients g_m come from the FFT of a midpoint grid.
+The FFT folds all higher frequencies onto those of the grid.
+A power ⟨|S_m|²⟩ without a closed form adds its own error.
 
-*Nets* in base 2 with nested scrambling, in two dims: n Var = Σ_l Γ_l σ²_l with the gains Γ_l of
-levels l. The parts σ²_l of g vary with l_j digits of coordinate j. They come from means over blocks
-of a grid with a random point in each cell.
+*Nets* in base 2 with nested scrambling, in two dims:
+n Var = Σ_l Γ_l σ²_l, with the gains Γ_l of levels l.
+The part σ²_l of the variance of g varies with l_j digits of coordinate j.
+The parts come from means over blocks of a grid with a random point in each cell.
 
-The last three predictions take their standard errors from grids of half the resolution. Other
-samplers are not predicted, because these formulas ignore terms between frequencies.
+The last three predictions take their standard errors from grids of half the resolution.
+Other samplers are not predicted, because these formulas ignore terms between frequencies.
 
-No prediction detects a light that is so rare that no sample hits it. If one technique hit more
-light than another (`surely`), the prediction of the other includes the missed light as a part of
-its error (`unmet`).
+No prediction detects a light that is so rare that no sample hits it.
+One technique may hit significantly more light than another (`surely`).
+The prediction of the other technique then includes the missed light in its error (`unmet`).
 """
 
 from __future__ import annotations
@@ -93,14 +99,14 @@ __all__ = [
 MAP_STRATEGIES: Final = ("light", "bsdf", "mis-light", "mis-bsdf", "mis")
 
 TILE_LANES = 2**19
-"""Pixels times realizations in one kernel; some 100 MiB including their results."""
+"""Pixels times realizations in one kernel; they take some 100 MiB including their results."""
 
 _BLOCK_REALIZATIONS = 1024
-_TABLE_NUMBERS = 2**23  # limit of numbers in one table of points: 64 MiB
-_KEPT_NUMBERS = 2**24  # limit of numbers in all tables that are kept for the next tile
-_PREDICTED_VALUES = 2**21  # limit of integrand values computed at once
-_CHAIN_VALUES = 2**20  # limit of path values in chains computed at once
-# labels of two random streams: samples of predictions, and chains
+_TABLE_NUMBERS = 2**23  # maximum number of values in one table of points, 64 MiB
+_KEPT_NUMBERS = 2**24  # maximum number of values in all tables for the next tile
+_PREDICTED_VALUES = 2**21  # maximum number of integrand values computed at once
+_CHAIN_VALUES = 2**20  # maximum number of path values computed at once
+# Labels of two random streams: samples of predictions, and chains
 _PREDICTION, _CHAIN = 0x9D1C7, 0xC4A17
 
 
@@ -112,8 +118,8 @@ _Pixels = Annotated[Array, Join(-1)]
 class Maps:
     """Results at P pixels: status, moments (strategies, counts, P), predictions (strategies, P).
 
-    The predicted variances are for the largest count; NaN if there is nothing to estimate. The last
-    three are the results of `path_shares`: (2, P), (3, parts, P) and (2, P).
+    The predicted variances are for the largest count; NaN if there is nothing to estimate.
+    The last three fields are the results of `path_shares`: (2, P), (3, parts, P) and (2, P).
     """
 
     status: _Pixels
@@ -132,12 +138,12 @@ class Maps:
 class Measurement:
     """The measurement at every pixel; most attributes are the same as in `Map`.
 
-    With a `tracer` it measures whole paths, by the only strategy ``path``. `uses` are the
-    dimensions of the path's coordinates, and `chains`, if any, give shares of the variance.
+    With a `tracer` it measures whole paths, and ``path`` is the only strategy.
+    The attribute `uses` holds the dimensions of the path's coordinates.
+    If there are `chains`, they give shares of the variance.
 
-    Realization r of n points is realization r of ``stream.child(n)``, as in `convergence`. If
-    pixels have their `own` points, pixel number y·width + x uses number (y·width + x)·realizations
-    + r.
+    Realization r of n points is realization r of ``stream.child(n)``, as in `convergence`.
+    If pixels have their `own` points, pixel number k = y·width + x uses k·realizations + r.
     """
 
     lighting: Lighting
@@ -160,7 +166,7 @@ class Measurement:
 
     @property
     def block(self) -> int:
-        """Realizations in one kernel for any tile, so that sums over them keep their order."""
+        """Realizations in one kernel; the number is fixed, so that sums keep their order."""
         fitting = _TABLE_NUMBERS // (self.counts[-1] * self.sampler.dims)
         return max(1, min(self.realizations, _BLOCK_REALIZATIONS, fitting))
 
@@ -174,7 +180,7 @@ class Measurement:
 
     @property
     def partitions(self) -> tuple[dict[Any, Array], dict[Any, Array]]:
-        """Return the requests (K,) of each bounce and of each decision; empty without chains."""
+        """Return the requests (K,) of each bounce and of each decision, or empty without chains."""
         requests = self._requests if self.chains else []
         bounces, decisions = ([each[k] for each in requests] for k in (0, 1))
         both = ({v: np.array([w == v for w in of]) for v in of} for of in (bounces, decisions))
@@ -257,8 +263,8 @@ class Measurement:
             each = {t: receivers.values(t, prediction.samples) for t in self.techniques}
             there = np.max([surely(prediction, plain) for plain, _ in each.values()], axis=0)
             for s, strategy in enumerate(self.strategies):
-                # Variances of independent techniques add up. The error includes the light that
-                # another technique hits and this strategy does not
+                # Variances of independent techniques add up.
+                # The error includes light that another technique hits and this strategy misses
                 terms = ("mis-light", "mis-bsdf") if strategy == "mis" else (strategy,)
                 both = [prediction.variance(combined(term, each)) for term in terms]
                 whole = combined("mis" if strategy.startswith("mis") else strategy, each)
@@ -285,7 +291,7 @@ class Measurement:
         )
 
     def _traced(self, pixels: Array, u: Array) -> Array:
-        """Means of paths as in `Tracer`; a single pixel is computed twice, as in `Receivers`."""
+        """Mean values of paths; a single pixel is computed twice, as in `Receivers`."""
         assert self.tracer is not None
         twice = np.repeat(pixels, 2, axis=0) if len(pixels) == 1 else pixels
         if u.ndim == 4 and len(twice) > u.shape[1]:
@@ -312,7 +318,7 @@ class Measurement:
 
 
 def combined(strategy: str, both: dict[str, tuple[Array, Array]]) -> Array:
-    """Return the estimate of a strategy from plain and weighted estimates of the techniques."""
+    """Combine plain and weighted estimates of the techniques into that of a strategy."""
     if strategy == "mis":
         return both["light"][1] + both["bsdf"][1]
     return both[strategy.removeprefix("mis-")][int(strategy.startswith("mis-"))]
@@ -320,7 +326,7 @@ def combined(strategy: str, both: dict[str, tuple[Array, Array]]) -> Array:
 
 TECHNIQUES = ("light", "bsdf")
 RECEIVER, NOTHING, SHINES, SPECULAR = range(4)
-"""Object visible in a pixel: a lit surface, nothing, a light, a perfectly specular surface."""
+"""What a pixel shows: a lit surface, nothing, a light, or a perfectly specular surface."""
 
 _SAMPLE: Final = {"light": sample_light, "bsdf": sample_bsdf}
 
@@ -328,7 +334,7 @@ _SAMPLE: Final = {"light": sample_light, "bsdf": sample_bsdf}
 @final
 @dataclass(frozen=True, kw_only=True)
 class Lighting:
-    """The light that is estimated, as in `Pixel`; `size` is the size of the pixel grid."""
+    """Parameters of the estimated light, as in `Pixel`, and the size of the pixel grid."""
 
     scene: Scene
     light: int | str | None
@@ -343,7 +349,7 @@ class Receivers:
     Attributes
     ----------
     status
-        Object visible in each pixel, int8 (P,): `RECEIVER` if there is something to estimate.
+        What each pixel shows, int8 (P,); `RECEIVER` if there is something to estimate.
     pixels
         Pixels of the receivers, which are estimated; a single pixel is listed twice.
     """
@@ -351,14 +357,14 @@ class Receivers:
     def __init__(self, lighting: Lighting, pixels: Array) -> None:
         self._lighting = lighting
         with LOCK:
-            # this must come before Dr.Jit is imported, because it chooses the working libLLVM
+            # Load Mitsuba before Dr.Jit is imported, because this chooses the working libLLVM
             load_mitsuba()
             self.status = self._look(pixels)[0]
             seen = pixels[self.status == RECEIVER]
-            # NumPy adds up a single column in another order than several columns: one pixel is
-            # listed twice.
+            # NumPy adds up a single column in another order than several columns.
+            # A single pixel is therefore listed twice.
             self.pixels = np.repeat(seen, 2, axis=0) if len(seen) == 1 else seen
-            # Trace these pixels alone again, so that no lane is spent on the others.
+            # Trace these pixels alone again, so that no lane is spent on other pixels
             self._kept = self._look(self.pixels)[1] if len(self.pixels) else None
 
     def __len__(self) -> int:
@@ -367,8 +373,9 @@ class Receivers:
     def estimates(self, technique: str, u: Array) -> tuple[Array, Array]:
         """Return plain and weighted estimates: float64 (R, P) each, means over samples.
 
-        Samples u are (R, n, dims), equal for all pixels, or (R, P, n, dims). If there are 3 dims,
-        the third selects a light or a lobe. Values that are not finite raise a ParameterError.
+        Samples u are (R, n, dims), equal for all pixels, or (R, P, n, dims).
+        With 3 dims, the third selects a light or a lobe.
+        Values that are not finite raise a ParameterError.
         """
         with LOCK:
             sums = self._sums(technique, u)
@@ -381,10 +388,10 @@ class Receivers:
         return self.estimates(technique, u[:, None, :])
 
     def chooses_lobe(self) -> bool:
-        """Whether a BSDF needs a third random number, which points in two dims do not have."""
+        """Whether a BSDF needs a third random number, which 2-D points lack."""
         import drjit
 
-        tries = 8  # number of directions tested at every point
+        tries = 8  # number of directions that are tested at every point
         with LOCK:
             mitsuba = load_mitsuba()
             lane = drjit.arange(mitsuba.UInt32, len(self) * tries)
@@ -392,7 +399,7 @@ class Receivers:
             return chooses_lobe(self._gathered(lane // tries), u)
 
     def _look(self, pixels: Array) -> tuple[Array, Any]:
-        """Status of pixels and their first hits, as data, so that all pixels share kernels."""
+        """Return the status and first hits of pixels, as data, so that all pixels share kernels."""
         import drjit
 
         mitsuba, scene = load_mitsuba(), load_scene(self._lighting.scene)
@@ -401,7 +408,7 @@ class Receivers:
         at = follow_camera(scene, film)
         specular = mitsuba.has_flag(at.bsdf().flags(), mitsuba.BSDFFlags.Delta)
         status = drjit.select(specular, mitsuba.Int32(SPECULAR), RECEIVER)
-        status[at.emitter(scene) != None] = SHINES  # "is not" would not compare lane by lane
+        status[at.emitter(scene) != None] = SHINES  # "is not" does not compare lane by lane
         status[~at.is_valid()] = NOTHING
         drjit.make_opaque(at)
         return np.broadcast_to(np.asarray(status.numpy()), len(pixels)).astype(np.int8), at
@@ -436,7 +443,7 @@ class Receivers:
 
 
 _REPEATS = 2  # predictions per stratum, for their standard error
-# Approximate number of cells in all strata; many cells hit small lights. At least 2 per axis
+# Approximate number of cells in all strata, at least 2 per axis; many cells hit small lights
 _CELLS = 4096
 _GRIDS = {2: 64, 3: 16}  # number of midpoints along each axis by dims, an even number
 _POWER_REALIZATIONS = 1024
@@ -453,9 +460,9 @@ def unmet(prediction: Prediction, values: Array, there: Array) -> Array:
     """Error (P,) of a variance predicted from values (N, P) whose integral is at least `there`.
 
     A part M of the integral on a fraction q of the cube has the variance M²/(q n) for any
-    stratification of the n points, because they hit it rarely. If none of N samples hit it, q is at
-    most about 1/N. If M exceeds what the values' own error explains, q is arbitrary: the error is
-    infinite.
+    stratification of the n points, because few points hit that part.
+    If none of N samples hit the part, q is at most about 1/N.
+    If M exceeds what the values' own error explains, q is arbitrary and the error is infinite.
     """
     mean, se = prediction.mean(values)
     missed = np.maximum(there - mean, 0.0)
@@ -464,7 +471,7 @@ def unmet(prediction: Prediction, values: Array, there: Array) -> Array:
 
 
 def prediction_for(sampler: Sampler, n: int, stream: Stream) -> Prediction | None:
-    """Return a method to predict the variance of `count` points, or None if there is none."""
+    """Return a method that predicts the variance of `count` points, or None."""
     law = sampler.law(n)
     if isinstance(law, Strata) and law.jittered:
         return _Strata.of(law.sides, stream)
@@ -479,7 +486,7 @@ def prediction_for(sampler: Sampler, n: int, stream: Stream) -> Prediction | Non
     if isinstance(law, Scrambled) and nested and isinstance(law.inner, Fixed):
         side = _GRIDS[2]
         gains = gains_at(law.inner, law.bases, side.bit_length() - 1)
-        # Random points in the cells, in C order, also measure variation within the cells
+        # Random points in the cells, in C order, also measure the variation within the cells
         u = Jittered(dims=2, sides_=(side, side)).draw_stream(side * side, stream, 0, 1)[0]
         u = u[np.lexsort(np.floor(u * side).T[::-1])]
         return _Grid(method="gains", count=n, samples=u, gains=gains)
@@ -518,7 +525,7 @@ class _Strata:
         return predicted, se * _student(squares)
 
     def mean(self, values: Array) -> tuple[Array, Array]:
-        """Integral, and its standard error from the samples of each cell."""
+        """Return the integral, and its standard error from the samples of each cell."""
         cells = values.reshape(2 * _REPEATS, -1, values.shape[-1])
         variance = cells.var(axis=0, ddof=1).sum(axis=0) / len(cells)
         return values.mean(axis=0), np.sqrt(variance) / cells.shape[1]
@@ -527,7 +534,7 @@ class _Strata:
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Grid:
-    """Values on a midpoint grid, and the power or the gains of the points of the sampler.
+    """Values on a midpoint grid, and the power or the gains of the sampler's points.
 
     Without power and gains, the points are random.
     """
@@ -537,26 +544,26 @@ class _Grid:
     samples: Array = field(repr=False)
     power: Array | None = field(repr=False, default=None)  # entry m is frequency m, also for m < 0
     power_se: Array = field(repr=False, default_factory=lambda: np.zeros(()))
-    gains: Array | None = field(repr=False, default=None)  # gains by the level of each axis
+    gains: Array | None = field(repr=False, default=None)  # gains at each pair of levels
 
     def variance(self, values: Array) -> tuple[Array, Array]:
-        """Variance, with its error from the power and from grids of half the resolution."""
+        """Variance; its error comes from the power and from grids of half the resolution."""
         grid, *coarse = self._grids(values)
         whole, *parts = map(self._of_grid, (grid, *coarse))
         if self.power is None:
             return whole, _error_of_mean(parts)
-        # The powers of m and −m are the same number, so that their errors add up. The errors of
-        # other pairs do not add up.
+        # The powers of m and −m are the same number, so their errors add up.
+        # The errors of other pairs are independent, so their squares add up
         doubled = np.sqrt(2.0 * _sum(self.power_se**2, _energy(grid) ** 2))
         return whole, np.hypot(_error_of_mean(parts), doubled)
 
     def mean(self, values: Array) -> tuple[Array, Array]:
-        """Integral, with its error from the grids of half the resolution."""
+        """Return the integral; its error comes from the grids of half the resolution."""
         parts = [part.reshape(-1, part.shape[-1]).mean(axis=0) for part in self._grids(values)[1:]]
         return values.mean(axis=0), _error_of_mean(parts)
 
     def _grids(self, values: Array) -> list[Array]:
-        """Values on the grid, and on every other node along each axis (half the resolution)."""
+        """Values on the grid, and on every second node along each axis (half the resolution)."""
         dims = self.samples.shape[-1]
         grid = values.reshape(*[_GRIDS[dims]] * dims, -1)
         offsets = itertools.product((0, 1), repeat=dims)
@@ -571,7 +578,7 @@ class _Grid:
         # Compute Σ_l Γ_l σ²_l / n
         side, pixels = grid.shape[1:]
         levels = range(side.bit_length())
-        # squares of block means: σ² up to a level
+        # Mean squares of block means: sums of σ² of all levels up to (i, j)
         squares = np.empty((len(levels), len(levels), pixels))
         for i, j in itertools.product(levels, levels):
             blocks = grid.reshape(2**i, side >> i, 2**j, side >> j, pixels).mean(axis=(1, 3))
@@ -582,15 +589,14 @@ class _Grid:
 
 
 Prediction: TypeAlias = _Strata | _Grid
-"""Methods that predict the variance of `count` points from values (N, P) at their `samples`."""
+"""Methods that predict a variance from values (N, P) of the integrand at certain samples."""
 
 
 def _student(squares: Array) -> Array:
     """Return the ratio of the quantile of Student's t to the normal quantile, for each pixel.
 
     The variance of a pixel is the sum of its `squares` (J, P) over the J strata.
-
-    If one stratum has nearly all of the sum, its standard error has one degree of freedom.
+    If one stratum has nearly all of this sum, the standard error has one degree of freedom.
     """
     from scipy.special import stdtrit
 
@@ -611,7 +617,7 @@ def _energy(grid: Array) -> Array:
 
 
 def _sum(power: Array, energy: Array) -> Array:
-    """Sum of energy times power over the frequencies of `energy`; `power` may have a finer grid."""
+    """Sum of energy times power over the frequencies of the energy; the power may have more."""
     side = len(energy)
     m = np.fft.fftfreq(side, 1.0 / side).astype(int)
     return np.tensordot(power[np.ix_(m, m)], energy, axes=2)
@@ -623,7 +629,7 @@ def _midpoints(dims: int) -> Array:
 
 
 def _grid_power(sampler: Sampler, n: int, stream: Stream) -> tuple[Array, Array]:
-    """Expected power at the frequencies of the grid's FFT, in its order, and its standard error."""
+    """Return power and its standard error at the frequencies of the grid's FFT, in its order."""
     from mcspectra.spectra.closed_forms import closed_form_power
     from mcspectra.spectra.power import power_spectrum
 

@@ -1,9 +1,10 @@
 """Maps over an image: variance, its rate, the bottleneck technique, and the gain of MIS.
 
-Every pixel is the integrand `Pixel` with the ray through its center, and is measured as in
-`convergence`: variances over realizations at several counts, and the slope of log variance against
-log n. An image can afford only few realizations. All results therefore carry wide intervals: the
-standard error of a variance of 64 normal estimates is 18 %.
+Every pixel is the integrand `Pixel` with the ray through its center.
+Pixels are measured as in `convergence`: variances over realizations at several counts n,
+and the slope of log variance against log n.
+An image can afford only few realizations, so all results have wide intervals.
+The standard error of a variance of 64 normal estimates is 18 %.
 """
 
 from __future__ import annotations
@@ -53,9 +54,9 @@ if TYPE_CHECKING:
 
 __all__ = ["Map", "compared", "missed", "variance_map"]
 
-_MOST_NUMBERS = 2**27  # maximum number of values in a result: 1 GiB
+_MOST_NUMBERS = 2**27  # maximum number of values in a result, 1 GiB
 _LONGEST_SIDE = 65_536
-_FILM = (256, 256)  # film size that is assumed before the scene is read
+_FILM = (256, 256)  # film size assumed before the scene is read
 
 _DIMS = {
     "variance": ("strategy", "n", "y", "x"),
@@ -312,7 +313,7 @@ class Map(Analysis, frozen=True, kw_only=True):
         return "jittered" if self.integrator is None else "sobol | owen"
 
     def _counts(self, sampler: Sampler) -> tuple[int, ...]:
-        """Return the given counts after a check; by default the usual ones or the nearest."""
+        """Return the checked counts; by default the usual counts, or the nearest possible ones."""
         usual = _DIRECT_COUNTS if self.integrator is None else _PATH_COUNTS
         near = tuple(sorted({sampler.nearest_count(n) for n in usual}))
         counts = near if self.counts is None else self.counts
@@ -328,7 +329,7 @@ class Map(Analysis, frozen=True, kw_only=True):
 
     @property
     def _strategies(self) -> tuple[str, ...]:
-        """Strategies in their usual order; ``"mis"`` adds the shares of MIS."""
+        """Strategies in their usual order; ``"mis"`` also adds its two parts."""
         if self.integrator is not None:
             return ("path",)
         given = (self.strategies,) if isinstance(self.strategies, str) else self.strategies
@@ -336,7 +337,7 @@ class Map(Analysis, frozen=True, kw_only=True):
         return tuple(s for s in MAP_STRATEGIES if s in chosen)
 
     def _window(self, grid: tuple[int, int]) -> _Window:
-        """Return the crop within the grid, by default the whole grid, after a check of its size."""
+        """Return the checked crop within the grid, by default the whole grid."""
         window = (0, 0, *grid)
         if self.crop is not None:
             limits = zip(("x0", "y0", "width", "height"), self.crop, (0, 0, 1, 1), strict=True)
@@ -387,104 +388,121 @@ def variance_map(
     Parameters
     ----------
     scene
-        A scene, same as for `load_scene`.
+        A scene: a name, a file or a dictionary, as in `load_scene`.
     strategies
-        Some of ``"light"``, ``"bsdf"``, the parts of multiple importance sampling ``"mis-light"``
-        and ``"mis-bsdf"``, and their sum ``"mis"``, with n samples of each technique. ``"mis"``
-        also adds its two parts.
+        Some of these strategies, with n samples per technique: ``"light"``, ``"bsdf"``,
+        the parts ``"mis-light"`` and ``"mis-bsdf"`` of multiple importance sampling, and ``"mis"``.
+        The strategy ``"mis"`` also adds its two parts.
     sampler
-        Sampler or its spec string, by default ``"jittered"``, with an integrator ``"sobol |
-        owen"``. Each technique has its own points. A list of samplers compares them.
+        Sampler or its spec; by default ``"jittered"``, or ``"sobol | owen"`` with an integrator.
+        Each technique has its own points. A list of samplers compares them.
     counts
-        Numbers of samples n of a technique, ascending, at least two. By default (4, 9, 16, 36, 64),
-        with an integrator (4, 16, 64), or the nearest that the sampler can make in its dims.
+        Numbers of samples n of a technique, ascending, at least two.
+        By default (4, 9, 16, 36, 64), with an integrator (4, 16, 64),
+        or the nearest numbers that the sampler can make in its dims.
     realizations
         Independent realizations for each n, at least 2.
     crop
-        x0, y0, width and height of the measured part; by default all pixels. A crop gives the same
-        numbers as the whole image.
+        x0, y0, width and height of the measured part; by default all pixels.
+        A crop gives the same numbers as the whole image.
     size
-        Width and height of a grid of pixels laid over the film; by default the film's own. Another
-        aspect ratio samples the film unevenly; it does not change the camera's view.
+        Width and height of a grid of pixels laid over the film; by default the film's own.
+        Another aspect ratio samples the film unevenly, but does not change the camera's view.
     light, heuristic, channel
         Same as in `Pixel`; one channel at a time.
     dims
-        2, the default, or 3: with 3, the third coordinate chooses a light or a BSDF lobe. With
-        an integrator same as in `PathPixel`: by default all that paths through 256 of the pixels
-        use.
+        2, the default, or 3; the third coordinate chooses a light or a BSDF lobe.
+        With an integrator, the number is the same as in `PathPixel`.
+        The default is then the number that paths through 256 of the pixels use.
     integrator
-        Measure whole paths like `PathPixel`, by the one strategy ``"path"``; ``"scene"`` is the
-        scene's own integrator. By default direct light by `strategies`.
+        Measure whole paths like `PathPixel`; the only strategy is then ``"path"``.
+        The value ``"scene"`` is the scene's own integrator.
+        By default, direct light is measured by the given strategies.
     points
-        ``"shared"``: in a realization, all pixels have the same points. The numbers of a pixel are
-        as good as with its own points, faster to compute, and give smooth maps. But the errors of
-        neighbors are correlated, so that structure in a map may come from one set of points.
+        ``"shared"``: in a realization, all pixels have the same points.
+        The numbers of a pixel are as good as with its own points, and they are faster to compute.
+        Shared points also give smooth maps, but the errors of neighbors are correlated.
+        Structure in such a map may therefore come from one set of points.
         ``"own"``: every pixel has its own realizations, and the errors are noise.
     smoothing
         Odd width in pixels of a square window over which rates are averaged, which blurs them.
         Their standard errors fall accordingly only with ``points="own"``.
     predict_every
-        Predict the variance at the largest count at pixels whose x and y are multiples of this; 0
-        for no predictions. Jittered points use stratum quadrature; random points are exact. In 2-D,
-        shifted points use the power spectrum, and scrambled nets in base 2 use gains. Other
-        samplers are not predicted.
+        Step of the pixels with a prediction of the variance at the largest count.
+        A pixel has a prediction if x and y are multiples of this step; 0 gives no predictions.
+        Jittered points use stratum quadrature; random points are exact.
+        In 2-D, shifted points use the power spectrum, and scrambled nets in base 2 use gains.
+        Other samplers are not predicted.
     chains
-        Number of pairs of random paths for the shares of the variance of whole paths; by default
-        128, 0 for no shares. A pair takes K + 1 paths for K requests of random numbers.
+        Number of pairs of random paths for the shares of the variance of whole paths.
+        By default 128; 0 gives no shares.
+        A pair takes K + 1 paths for K requests of random numbers.
     rng
         Seed (SPEC 7).
     workers
-        Threads; by default all processors. Results do not depend on it.
+        Number of threads; by default all processors. Results do not depend on it.
 
     Returns
     -------
     xarray.Dataset
-        On (y, x), NaN if a pixel shows no surface, a light or a perfectly specular surface:
-        ``variance(strategy, n)``, ``variance_relative_se(strategy, n)``; ``mean(strategy)`` and
-        ``mean_se(strategy)`` at the largest n; ``rate(strategy)``, ``rate_se``, ``rate_ci(bound)``,
-        ``fit_chi2``. With ``"mis"``: ``bottleneck``, the technique whose part of MIS has the slower
-        rate (0 light, 1 BSDF, −1 if the 95 % interval of the difference contains 0), and
-        ``dominant_technique``, the technique with the larger variance at the largest n, with the
-        same codes. If the single strategies are also measured: ``mis_gain`` and ``mis_gain_ci``,
-        the variance of the better single strategy over that of MIS at the same total of samples
-        (the largest n, from the fitted lines). A strategy whose estimates significantly miss light
-        is left out there. ``predicted_ratio(strategy)`` and ``predicted_ratio_ci``: predicted over
-        measured variance at the largest n. They are NaN if the relative standard error of the
-        prediction exceeds ½, or that of the measurement exceeds the limit for rates. The error
-        includes light that another strategy hits and the prediction's samples missed. They are also
-        NaN if the measured estimates significantly miss light that another strategy hits.
+        All variables have the dims (y, x).
+        Variables are NaN if a pixel shows no surface, a light or a perfectly specular surface.
+
+        Moments: ``variance(strategy, n)`` and ``variance_relative_se(strategy, n)``.
+        At the largest n also ``mean(strategy)`` and ``mean_se(strategy)``.
+        Fits of the rate: ``rate(strategy)``, ``rate_se``, ``rate_ci(bound)`` and ``fit_chi2``.
+
+        With ``"mis"``: ``bottleneck`` is the technique whose part of MIS has the slower rate.
+        Its codes are 0 for light and 1 for BSDF.
+        The code is −1 if the 95 % interval of the difference of the rates contains 0.
+        With the same codes, ``dominant_technique`` has the larger variance at the largest n.
+        If the single strategies are also measured: ``mis_gain`` and ``mis_gain_ci``,
+        the variance of the better single strategy divided by that of MIS.
+        Both variances are for the same total of samples (the largest n), by the fitted lines.
+        A strategy whose estimates significantly miss light is excluded from this gain.
+
+        ``predicted_ratio(strategy)`` and ``predicted_ratio_ci``:
+        predicted variance divided by measured variance at the largest n.
+        The error includes light that another strategy hits and the prediction's samples missed.
+        The ratio is NaN if the relative standard error of the prediction exceeds ½.
+        The ratio is NaN if the standard error of the measurement exceeds the limit for rates.
+        The ratio is NaN if measured estimates significantly miss light that another strategy hits.
 
         With an integrator: ``path_variance``, the variance of one random path, with ``_se``.
-        ``bounce_share(bounce)``: variance that the numbers of a bounce (0: the camera's) add to
-        that of earlier bounces, over the total variance. ``decision_share(decision)``: the same for
-        each kind of decision, summed over bounces. Both sum to 1; interactions count for the last
-        number involved. Estimates may be negative, and intervals ``_ci`` extend below 0. They are
-        NaN if the standard error of ``path_variance`` exceeds half of it. ``largest_bounce`` and
-        ``largest_decision`` are the indices of the largest shares, −1 if the 95 % interval of a
-        difference contains 0.
+        ``bounce_share(bounce)`` is the variance that a bounce adds to that of earlier bounces,
+        divided by the total variance. Bounce 0 stands for the random numbers of the camera.
+        ``decision_share(decision)`` is the same for each kind of decision, summed over bounces.
+        Each kind of share sums to 1; interactions count for the last number involved.
+        Estimates may be negative, and intervals ``_ci`` extend below 0.
+        Shares are NaN if the standard error of ``path_variance`` exceeds half of this variance.
+        ``largest_bounce`` and ``largest_decision`` are the indices of the largest shares.
+        An index is −1 if the 95 % interval of the difference from another share contains 0.
 
-        With several samplers: all variables except the shares have the dim (sampler), at the counts
-        that all samplers share. ``best_sampler(strategy)`` is the index of the sampler with the
-        least variance at the largest n, −1 if the 95 % interval of its ratio to another contains 1.
+        With several samplers, all variables except the shares have the dim (sampler).
+        The counts are those that all samplers share.
+        ``best_sampler(strategy)`` is the index of the sampler with the least variance at largest n.
+        The index is −1 if the 95 % interval of its ratio to another sampler contains 1.
 
     Raises
     ------
     ParameterError
-        If a parameter is not allowed, the crop is outside, no pixel shows a surface, or Mitsuba
-        gives values that are not finite.
+        If a parameter is not allowed, the crop is outside, or no pixel shows a surface.
+        If Mitsuba gives values that are not finite.
     CountError
         If a sampler cannot make one of the counts.
 
     Notes
     -----
-    Shares come from the same chains and depend on outliers. With 128 chains, a share of a few per
-    cent that rare paths cause is mostly too small, and so is its interval.
+    All shares come from the same chains and depend on outliers.
+    With 128 chains, a share of a few per cent that rare paths cause is mostly too small.
+    The interval of such a share is also too small.
 
-    Memory is about 200 MiB plus the result for any size of the image, because pixels are measured
-    in tiles. A study keeps finished tiles and can resume. If few realizations hit a light,
-    variances are mostly far too small at the smaller n. There is no rate if a variance is zero or
-    has a relative standard error above one half at a smaller n than others; more realizations give
-    one. ``bottleneck`` is one comparison per pixel, at 95 %, of techniques with their own points.
+    Pixels are measured in tiles. Memory is therefore about 200 MiB plus the result for any image.
+    A study keeps finished tiles and can resume.
+    If few realizations hit a light, variances are mostly far too small at the smaller n.
+    There is no rate if a variance at a smaller n is zero, or has a relative standard error above ½.
+    More realizations then give a rate.
+    For each pixel, ``bottleneck`` is one comparison at 95 % of techniques with their own points.
     If both rates are equal, one pixel in 20 is decided by chance.
     """
     analysis = Map.of(locals())
@@ -493,7 +511,7 @@ def variance_map(
     with _threads(workers):
         subjects = []
         for each in several:
-            # the reduction checks the dims later
+            # The reduction checks the dims later
             whole = integrator is not None and not isinstance(each, str)
             source = as_sampler(each, None if whole else analysis.points_dims)
             subjects.append(Subject(None, source))
@@ -508,7 +526,7 @@ def variance_map(
 
 @contextmanager
 def _threads(workers: int | None) -> Iterator[None]:
-    """Let Dr.Jit use this number of threads inside the block; it serves the whole process."""
+    """Let Dr.Jit use this number of threads inside the block, for the whole process."""
     if workers is None:
         yield
         return
@@ -536,11 +554,11 @@ def labelled(
     maps: Maps,
     smoothing: int,
 ) -> xr.Dataset:
-    """Make the dataset of a map from arrays (…, y, x), which hold all tiles."""
+    """Make the dataset of a map from arrays (…, y, x) that hold all tiles."""
     x0, y0, width, height = window
     lighting, tracer = measurement.lighting, measurement.tracer
     variance, relative_se = maps.variance, maps.relative_se
-    # With few realizations, every variance is uncertain, even without rare events.
+    # With few realizations, every variance is uncertain, even without rare events
     largest_se = max(0.5, 1.5 * (2.0 / (measurement.realizations - 1)) ** 0.5)
     fits = statistics.fit_lines(
         np.array(measurement.counts), variance, relative_se, maps.mean, largest_se
@@ -630,10 +648,10 @@ def compared(maps: Sequence[xr.Dataset]) -> xr.Dataset:
 
 
 def missed(row: dict[str, int], mean: Array, se: Array, realizations: int) -> Array:
-    """Whether a strategy (S, y, x) significantly missed light that another strategy hit (t-test).
+    """Whether a strategy (S, y, x) significantly missed light that another one hit (t-test).
 
-    The variance of such a strategy lacks the missed part. The two parts of MIS estimate different
-    integrals and are never marked.
+    The variance of such a strategy lacks the missed part.
+    The two parts of MIS estimate different integrals and are never marked.
     """
     from scipy.special import stdtrit
 
@@ -646,10 +664,11 @@ def missed(row: dict[str, int], mean: Array, se: Array, realizations: int) -> Ar
 
 
 def _predicted(maps: Maps, largest_se: float, missed: Array) -> dict[str, Array]:
-    """Predicted over measured variance at the largest count, with an interval from both errors.
+    """Ratio of predicted to measured variance at the largest count, and its interval.
 
-    NaN if the measurement or the prediction comes from very few samples that hit a rare event, or
-    from no such samples: these variances and their errors are most often far too small.
+    The interval combines both errors.
+    The ratio is NaN if few samples, or none, of the measurement or prediction hit a rare event.
+    These variances and their errors are most often far too small.
     """
     predicted, measured = maps.predicted, maps.variance[:, -1]
     with np.errstate(invalid="ignore", divide="ignore"):

@@ -2,27 +2,30 @@
 
 Method
 ------
-An integrator requests numbers from a sampler. A sampler that returns the coordinates of u in
-[0,1)^D, in the order of the requests, makes the radiance a function of u. Its integral over the
-cube is the mean over a pixel with a box filter. Position in the pixel, lens and time of the shutter
-come first, as in Mitsuba's own loop. The sampler advances for each request, even if a path does not
-need the number, so that a column has the same meaning for all paths. Numbers of bounces that a path
-does not reach do not affect it.
+An integrator requests numbers from a sampler. Our sampler returns the D coordinates of a point u,
+in the order of the requests. The radiance is therefore a function of u in [0,1)^D.
+Its integral over the cube is the mean over a pixel with a box filter.
+Position in the pixel, lens and time of the shutter come first, as in Mitsuba's own loop.
+The sampler advances for each request, even if a path does not need the number.
+A coordinate therefore has the same meaning for all paths.
+Numbers for bounces that a path does not reach have no effect on that path.
 
-A dry run with the loop evaluated, not recorded, finds D and the bounce of each number: Dr.Jit
-evaluates the counter of numbers between two iterations of the loop. If the requests of a bounce
-match an integrator of Mitsuba, the decision that each number controls is known; otherwise requests
-are numbered. Mitsuba selects a light by stretching the first coordinate of its point, so that the
-choices of the light and of the point are one decision.
-that both are one decision.
+A dry run, with the loop evaluated instead of recorded, finds D and the bounce of each number:
+Dr.Jit evaluates the counter of numbers between two iterations of the loop.
+If the requests of a bounce match an integrator of Mitsuba, each number has a known decision.
+Otherwise requests are numbered.
+Mitsuba selects a light by stretching the first coordinate of its point.
+The choice of the light and the choice of the point are therefore one decision.
 
-Rare paths, and fewer requested dims, need numbers beyond D. These are hashed from the last two
-coordinates. The integrand remains a function of u, and these dims are random for any points.
+Rare paths need numbers beyond D, as do all paths if fewer dims are requested.
+These numbers are hashed from the last two coordinates.
+The integrand remains a function of u, and these dims are random for any points.
 
-Integrators return the radiance of all lights together. The choice of paths does not depend on the
-emission, so that the radiance of each path is linear in the emission. With all lights but one
-dimmed to 2^-30, the radiance is the part of that light. No light is turned off, because the
-texture of a light chooses the points on the light.
+Integrators return the radiance of all lights together.
+The choice of paths does not depend on the emission.
+The radiance of each path is therefore linear in the emission.
+With all lights but one dimmed to 2^-30, the radiance is the part of that light.
+No light is turned off, because the texture of a light chooses the points on the light.
 """
 
 from __future__ import annotations
@@ -87,7 +90,7 @@ _PAIR = ("x", "y")
 _MOST_DIMS = 64  # default limit of dims, because analyses by axes support no more
 # Limits of one kernel: numbers in its table (128 MiB), and number of lanes
 _TABLE_NUMBERS, _LANES = 2**25, 2**20
-_DIMMED = 2.0**-30  # factor that dims all other lights: exact in float32, and negligible
+_DIMMED = 2.0**-30  # factor that dims all other lights; exact in float32
 _EMITTED = r"(\w+_)?scale|(radiance|intensity|irradiance)\.(.+\.)?(value|data)"
 _PATH = ((2, "light"), (1, "lobe"), (2, "direction"), (1, "roulette"))
 _ORDERS = {
@@ -109,9 +112,9 @@ class Dimension:
     bounce
         0 for the camera, otherwise the iteration of the integrator's loop, from 1.
     decision
-        ``film``, ``lens``, ``time``; ``light`` (choice of the light and of a point on it),
-        ``lobe``, ``direction``, ``roulette``; or ``request K`` if the integrator's order is
-        unknown.
+        ``film``, ``lens``, ``time``, ``light`` (choice of the light and of a point on it),
+        ``lobe``, ``direction`` or ``roulette``.
+        If the integrator's order is unknown, the name is ``request K``.
     part
         ``x`` or ``y`` of a pair, otherwise empty.
     """
@@ -135,19 +138,19 @@ class PathPixel(MitsubaIntegrand):
     scene
         A scene's name, the path of a Mitsuba XML file or a Mitsuba dictionary (see `load_scene`).
     x, y
-        Pixel, counted from the left and from the top. The integral is the mean over its square.
+        Pixel, counted from the left and from the top; the integral is the mean over its square.
     integrator
-        ``"scene"``, the scene's own; or a plugin name with its properties, such as
-        ``"path(max_depth=5, rr_depth=100)"``. Your own plugins that are registered with Mitsuba
-        also work.
+        ``"scene"``, the scene's own integrator; or the name of a plugin with its properties,
+        such as ``"path(max_depth=5, rr_depth=100)"``.
+        Your own plugins that are registered with Mitsuba also work.
     channel
         ``"luminance"`` (Rec. 709), 0, 1 or 2 for red, green or blue, or ``"rgb"`` for all three.
     dims
         Number of coordinates D; by default the number that 16,384 random paths use, at most 64.
         Numbers that a path takes beyond D are pseudo-random.
     selection
-        Probability weight of each light, positive numbers in the order of `emitter_names`. They
-        replace the scene's sampling weights.
+        Probability weight of each light, positive numbers in the order of `emitter_names`.
+        These weights replace the scene's sampling weights.
 
     Attributes
     ----------
@@ -157,8 +160,8 @@ class PathPixel(MitsubaIntegrand):
     Raises
     ------
     ParameterError
-        If the pixel is outside the film; the scene has no integrator; the integrator is unknown,
-        rejects its properties, or does not follow a ray from the camera.
+        If the pixel is outside the film or the scene has no integrator.
+        Also if the integrator is unknown, rejects its properties, or does not follow a camera ray.
     MissingDependency
         If Mitsuba or LLVM is missing.
     """
@@ -192,12 +195,12 @@ class PathPixel(MitsubaIntegrand):
 
     @property
     def dimensions(self) -> tuple[Dimension, ...]:
-        """Use of each coordinate; the use of coordinates beyond the longest dry path is unknown."""
+        """Use of each coordinate; unknown beyond the longest path of the dry run."""
         return self._tracer.dimensions(((self.x, self.y),), self.dims)
 
     @property
     def numbers_per_path(self) -> float:
-        """Mean count of a path's numbers, without the camera's; it is the same per iteration."""
+        """Mean count of a path's numbers without the camera's; it is the same per iteration."""
         return self._tracer.dry_run(((self.x, self.y),))[1]
 
     @property
@@ -226,14 +229,14 @@ def path_pixel(
 ) -> PathPixel:
     """Return a pixel's radiance as an integrand; parameters and errors as in `PathPixel`.
 
-    `integrator` None is the scene's own.
+    If `integrator` is None, the scene's own integrator is used.
     """
     given: Any = {"channel": channel, "dims": dims, "selection": selection}
     return PathPixel(scene=scene, x=x, y=y, integrator=integrator or SCENE_INTEGRATOR, **given)
 
 
 def light_selection(scene: Scene) -> Array:
-    """Probability that Mitsuba chooses each light, in the order of `emitter_names`: (L,), sum 1."""
+    """Probability that Mitsuba chooses each light: (L,) in the order of `emitter_names`."""
     with LOCK:
         weights = np.array([float(e.sampling_weight()) for e in load_scene(scene).emitters()])
     return np.asarray(weights / weights.sum())
@@ -242,7 +245,8 @@ def light_selection(scene: Scene) -> Array:
 def parts_by_light(f: PathPixel, u: Array) -> Array:
     """Part of each light in the values of f at points u (..., D): (L, ...); the sum is f.
 
-    A light whose emission cannot be changed in Mitsuba, such as a black body, is a ParameterError.
+    The emission of some lights, such as a black body, cannot be changed in Mitsuba.
+    Such a light is a ParameterError.
     """
     with LOCK:
         lights = len(load_scene(f.scene).emitters())
@@ -255,7 +259,7 @@ def window_dimensions(
 ) -> tuple[Dimension, ...]:
     """Use of each coordinate of paths through a window (x0, y0, width, height).
 
-    The default number is that of paths through 256 pixels spread over the window, at most 64.
+    By default, as many coordinates as paths through 256 pixels of the window use, at most 64.
     """
     x0, y0, width, height = window
     xs = np.unique(x0 + np.linspace(0, width - 1, _DRY_PIXELS).astype(int)).tolist()
@@ -264,7 +268,7 @@ def window_dimensions(
 
 
 def in_dims(sampler: Sampler, dims: int) -> Sampler:
-    """Return the sampler in other dims; it scrambles new coordinates in their own bases."""
+    """Return the sampler in other dims; new coordinates are scrambled in their own bases."""
     made = as_sampler(sampler.plain.spec, dims)
     for step in sampler.randomizations:
         own: Any = step
@@ -277,13 +281,13 @@ def in_dims(sampler: Sampler, dims: int) -> Sampler:
 @final
 @dataclass(frozen=True)
 class Tracer:
-    """Paths of one integrator through the pixels of a grid of this `size`, laid over the film."""
+    """Paths of one integrator through the pixels of a grid that is laid over the film."""
 
     scene: Scene
     integrator: str
     channel: str | int
     size: tuple[int, int]
-    # Probabilities of the lights (None: the scene's own), and the only undimmed light (None: all)
+    # Probabilities of the lights (None: the scene's own); the only undimmed light (None: all)
     selection: tuple[float, ...] | None = None
     light: int | None = None
 
@@ -292,7 +296,7 @@ class Tracer:
     ) -> tuple[Dimension, ...]:
         """Use of each coordinate of random paths through these pixels; `dims` is their number.
 
-        The default is the number that the paths use, at most 64; the use of later ones is unknown.
+        By default, the paths determine `dims`, at most 64; the use of later coordinates is unknown.
         """
         found = self.dry_run(pixels)[0]
         count = min(len(found), _MOST_DIMS) if dims is None else dims
@@ -300,7 +304,7 @@ class Tracer:
         return (*found[:count], *[beyond] * (count - len(found)))
 
     def dry_run(self, pixels: tuple[tuple[int, int], ...]) -> tuple[tuple[Dimension, ...], float]:
-        # selection and light do not affect the dry run
+        # The selection and the light do not affect the dry run
         lit = replace(self, selection=None, light=None)
         with LOCK:
             return dimensions_of(load_scene(self.scene))(lit, pixels)
@@ -308,8 +312,8 @@ class Tracer:
     def means(self, u: Array, pixels: Array) -> Array:
         """Means over samples at pixels (P, 2): float64 (R, P) or (R, P, 3).
 
-        Samples u are (R, n, D), equal for all pixels, or (R, P, n, D). Values that are not finite
-        raise a ParameterError.
+        Samples u are (R, n, D), equal for all pixels, or (R, P, n, D).
+        Values that are not finite raise a ParameterError.
         """
         numbers = max(u[0].size, 1) if len(u) else 1
         step = max(1, min(_TABLE_NUMBERS // numbers, _LANES // len(pixels)))
@@ -334,7 +338,7 @@ class Tracer:
                 parameters = load_mitsuba().traverse(emitter)
                 values = {} if self.selection is None else {"sampling_weight": self.selection[k]}
                 if self.light not in (None, k):
-                    # Find the parameter to which the light's radiance is proportional
+                    # Find the parameter that scales the light's radiance
                     keys = list(parameters.keys())
                     emitted = [p for p in keys if re.fullmatch(_EMITTED, p)]
                     if not emitted:
@@ -407,7 +411,7 @@ class Tracer:
 
 
 def find_integrator(scene: Scene, spec: object) -> Any:
-    """Return the integrator of this spec, or of the scene, if it can trace a single ray."""
+    """Return the integrator of a spec, or of the scene, if it can trace a single ray."""
     if not isinstance(spec, str) or not spec.strip():
         raise ParameterError(
             Parameter("integrator"),
@@ -446,7 +450,7 @@ def _made(spec: str) -> Any:
 
 
 def _kind(found: Any) -> str:
-    """Class of an integrator, in Mitsuba or in Python."""
+    """Class name of an integrator, in Mitsuba or in Python."""
     name = str(found.class_name())
     return type(found).__name__ if name == "SamplingIntegrator" else name
 
@@ -466,7 +470,7 @@ class _Numbers:
         self._seeds = mitsuba.sample_tea_32(*seeds)
 
     def __call__(self, k: Any, active: Any) -> Any:
-        """Return coordinate k, or beyond the last coordinate a hashed number."""
+        """Return coordinate k, or a hashed number if k is beyond the last coordinate."""
         import drjit
 
         mitsuba = load_mitsuba()
@@ -517,7 +521,7 @@ def _sampler_class() -> Any:
 
 @functools.lru_cache(maxsize=4)
 def dimensions_of(scene: Any) -> Callable[..., tuple[tuple[Dimension, ...], float]]:
-    """Return the dry runs of one scene with a cache; it keeps only a few scenes alive."""
+    """Return a cached function for the dry runs of one scene; few scenes stay in memory."""
     del scene
     return functools.lru_cache(maxsize=256)(_dry_run)
 
@@ -546,7 +550,7 @@ def _dry_run(
     counts = sampler.count.numpy()
     asked, mean = int(np.max(counts)), float(np.mean(counts))
 
-    # Split the requests into the camera's and those of each iteration of the loop
+    # Split the requests into the camera's requests and the requests of each iteration of the loop
     sensor = sensor_of(tracer.scene)
     camera = ["film", *["lens"] * sensor.needs_aperture_sample()]
     camera += ["time"] * (sensor.shutter_open_time() > 0.0)
@@ -556,7 +560,7 @@ def _dry_run(
         if began and turns[-1]:
             turns.append([])
         turns[-1].append(number)
-    # Paths that skip requests have no common order
+    # Paths that skip requests have no common order of requests
     if len(decided) + sum(map(sum, turns)) != asked:
         rest = range(1, asked - len(decided) + 1)
         unknown = (Dimension(1, f"request {k}") for k in rest)

@@ -2,19 +2,25 @@
 
 Method
 ------
-The camera ray through the pixel's center fixes one surface point. Its direct illumination is
-∫ f_r L_e V cos over directions. Each strategy is the primary-space integrand g(u) = f/p at the
-direction that belongs to u in [0,1)²: ``light`` samples a light, ``bsdf`` the BSDF, ``environment``
-one of our densities (`skies`). ``mis-light`` and ``mis-bsdf`` weight these by a heuristic
-[VeachGuibas1995]_ for equal numbers of samples, so that their sum, with independent points, is
-multiple importance sampling. `pixel_mis` has all heuristics, any counts and any techniques. The
-techniques share directions but no warp: each technique has its own unit cube, there is no domain
-view, and densities are per steradian. Light that reaches the camera directly is excluded.
+The camera ray through the pixel's center fixes one surface point.
+Its direct illumination is the integral ∫ f_r L_e V cos over directions.
+Each strategy is an integrand g(u) = f/p in primary space.
+The integrand is evaluated at the direction that belongs to u in [0,1)².
+``light`` samples a light, ``bsdf`` the BSDF, and ``environment`` one of our densities (`skies`).
+``mis-light`` and ``mis-bsdf`` weight the first two by a heuristic [VeachGuibas1995]_.
+The heuristic is for equal numbers of samples.
+With independent points, their sum is therefore multiple importance sampling.
+`pixel_mis` has all heuristics, any counts and any techniques.
+The techniques share directions but no warp: each technique has its own unit cube,
+there is no domain view, and densities are per steradian.
+Light that reaches the camera directly is excluded.
 
-Mitsuba computes in float32: values carry relative errors of about 1e-7, and averages are taken in
-float64. Use a single light for a clean experiment. With all lights, Mitsuba selects one
-(uniformly, or by ``sampling_weight``) by stretching the first coordinate. This cuts the square into
-strips and adds discontinuities; a separate selecting coordinate avoids them. The columns of u:
+Mitsuba computes in float32: values carry relative errors of about 1e-7.
+Averages are taken in float64. Use a single light for a clean experiment.
+With all lights, Mitsuba selects one, uniformly or by ``sampling_weight``.
+To do so, it stretches the first coordinate.
+This selection cuts the square into strips and adds discontinuities.
+A separate coordinate for the selection avoids them. The columns of u:
 
 ===========  ==================================================================================
 ``dims=2``   direction
@@ -23,19 +29,22 @@ strips and adds discontinuities; a separate selecting coordinate avoids them. Th
 ``dims=5``   position; direction; selection
 ===========  ==================================================================================
 
-With positions, the integral is the mean over the pixel; the integrand is 0 if a ray leaves the
-scene or hits a light.
+With positions, the integral is the mean over the pixel.
+The integrand is 0 if a ray leaves the scene or hits a light.
 
-`PixelView.draws` returns densities of all techniques at one draw. A technique is ``"light"``,
-``"bsdf"`` or a `Sky`; a light and skies are not combined, because both would sample the
-environment. Where f is 0, only the technique that drew a direction gets a positive density; others
-count as unable to draw it. So every p_t still integrates to 1, although a ray that is blocked by a
-surface does not reveal the light behind it.
+`PixelView.draws` returns the densities of all techniques at one draw.
+A technique is ``"light"``, ``"bsdf"`` or a density of directions (`Sky`).
+Light sampling and skies are not combined, because both would sample the environment.
+Where f is 0, only the technique that drew a direction gets a positive density.
+The other techniques count as unable to draw this direction.
+So every density p_t still integrates to 1,
+although a ray that is blocked by a surface does not reveal the light behind it.
 
-The integral is the mean of independently scrambled Sobol' points. A pixel jumps along curves (edges
-of lights and of occluders) that no axis follows, so boxes of Gauss-Legendre nodes do not converge.
-The scrambled points are unbiased for any integrand, and their spread is a reliable error
-[Owen1997]_.
+The integral is the mean over independently scrambled Sobol' points.
+A pixel's integrand jumps along curves that no axis follows, the edges of lights and occluders.
+Boxes of Gauss-Legendre nodes therefore do not converge.
+The scrambled points are unbiased for any integrand.
+Their spread is a reliable error [Owen1997]_.
 """
 
 from __future__ import annotations
@@ -106,10 +115,10 @@ __all__ = [
 ]
 
 STRATEGIES = ("light", "bsdf", "mis-light", "mis-bsdf")
-"""Strategies for any scene."""
+"""Strategies that exist for any scene."""
 
 ENVIRONMENT = "environment"
-"""Strategy for scenes with an environment."""
+"""Strategy that exists for scenes with an environment."""
 
 
 class MitsubaIntegrand(Integrand):
@@ -125,12 +134,12 @@ class MitsubaIntegrand(Integrand):
 
     @property
     def channels(self) -> int:  # type: ignore[override]
-        """3 with ``channel="rgb"``, otherwise 0."""
+        """Number of channels: 3 with ``channel="rgb"``, otherwise 0."""
         return 3 if self.channel == "rgb" else 0
 
     @property
     def integral_source(self) -> str:
-        """Method of `integral`; `integral_accuracy` is its standard error."""
+        """Method by which the integral is computed; its standard error is `integral_accuracy`."""
         return SOURCE
 
     def _estimated_integral(self) -> Estimate:
@@ -147,34 +156,37 @@ class Pixel(MitsubaIntegrand):
     scene
         A scene's name, the path of a Mitsuba XML file or a Mitsuba dictionary (see `load_scene`).
     x, y
-        Pixel, counted from the left and from the top. The ray goes through its center if ``dims``
-        is below 4.
+        Pixel, counted from the left and from the top.
+        The ray goes through its center if ``dims`` is below 4.
     strategy
-        ``"light"``, ``"bsdf"``, or their parts of multiple importance sampling, ``"mis-light"`` and
-        ``"mis-bsdf"``, which are used together. ``"environment"`` samples directions by `density`.
+        ``"light"``, ``"bsdf"``, or their parts of multiple importance sampling.
+        The parts ``"mis-light"`` and ``"mis-bsdf"`` are used together.
+        With ``"environment"``, directions are sampled by the given density.
     light
-        Index or name of the only light to use; other lights are dark but still occlude. By default
-        all lights.
+        Index or name of the only light to use; other lights are dark but still occlude.
+        By default all lights are used.
     heuristic
         ``"balance"`` or ``"power"`` (β = 2), for the two ``mis-`` strategies.
     channel
         ``"luminance"`` (Rec. 709), 0, 1 or 2 for red, green or blue, or ``"rgb"`` for all three.
     dims
-        2; or 3, whose third coordinate chooses a light, or a lobe of the BSDF; or 4 or 5, the
-        same after two coordinates for the position in the pixel.
+        2; or 3, whose third coordinate chooses a light, or a lobe of the BSDF.
+        With 4 or 5, the same after two coordinates for the position in the pixel.
     density
-        For ``"environment"``: a `Density` in 2 dims over the square of latitude and longitude, or
-        its spec, such as ``"environment(interpolation='bilinear', channel=0)"``. Without a ``path``
-        this is the scene's own map; by default that map, bilinear, by `channel`. Nothing is sampled
-        where the density is 0, so that densities with compensation are for `pixel_mis` only.
+        For ``"environment"``: a density in 2 dims over the square of latitude and longitude,
+        or its spec, such as ``"environment(interpolation='bilinear', channel=0)"``.
+        A spec without a ``path`` means the scene's own map.
+        By default the density is that map, bilinear, by `channel`.
+        Nothing is sampled where the density is 0.
+        Densities with compensation are therefore for `pixel_mis` only.
 
     Raises
     ------
     ParameterError
-        If the pixel is outside the film, or shows nothing or a light; if its BSDF or a used light
-        is a delta function; if its BSDF needs one more dim; if there is no such light; if lights
-        other than the environment are used with ``"environment"``; or if a parameter is not
-        allowed.
+        If the pixel is outside the film, or shows nothing or a light.
+        If its BSDF or a used light is a delta function, or its BSDF needs one more dim.
+        If there is no such light, or other lights are used with ``"environment"``.
+        If a parameter is not allowed.
     MissingDependency
         If Mitsuba or LLVM is missing.
     """
@@ -233,7 +245,7 @@ def pixel_strategies(
 def check_view(view: PixelView, *, bsdf: bool) -> PixelView:
     """Return a pixel with its numbers as Python integers; a ParameterError as in `Pixel`.
 
-    `bsdf` is true if its BSDF will be sampled, which may need one more dim.
+    The flag `bsdf` is true if the BSDF will be sampled, which may need one more dim.
     """
     channel = check_channel(view.channel)
     dims = as_integer("dims of a pixel", view.dims, least=2, most=MOST_DIMS)
@@ -257,9 +269,9 @@ def describe_pixel(scene: Scene, x: int, y: int) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``shape`` (id), ``bsdf`` (type), ``light`` (name if the shape emits, otherwise None),
-        ``position`` and ``normal`` (three floats each, world space). All are None if the ray leaves
-        the scene.
+        The keys are ``shape`` (id), ``bsdf`` (type), ``light`` (name if the shape emits,
+        otherwise None), ``position`` and ``normal`` (three floats each, world space).
+        All values are None if the ray leaves the scene.
 
     Raises
     ------
@@ -280,7 +292,7 @@ def describe_pixel(scene: Scene, x: int, y: int) -> dict[str, Any]:
 
 
 CHUNK = 2**20
-"""Samples in one kernel: some 100 MiB of Dr.Jit's memory; larger kernels are not faster."""
+"""Number of samples in one kernel: some 100 MiB of Dr.Jit's memory; larger ones are not faster."""
 
 MOST_DIMS = 5
 _WITH_FILM = 4
@@ -291,9 +303,9 @@ Technique = str | Sky
 
 @dataclass(frozen=True)
 class Draws:
-    """f/p of M samples of one technique, (M,) or (M, 3), and densities of all techniques, (T, M).
+    """Values f/p of M samples of one technique, and the densities of all T techniques.
 
-    Densities are per steradian.
+    Values are (M,) or (M, 3). Densities are (T, M), per steradian.
     """
 
     values: Array
@@ -303,7 +315,7 @@ class Draws:
 @final
 @dataclass(frozen=True)
 class PixelView:
-    """A pixel of a scene and the light that is used; attributes as in `Pixel`."""
+    """A pixel of a scene, and the light that is used; the attributes are the same as in `Pixel`."""
 
     scene: Scene
     x: int
@@ -314,7 +326,7 @@ class PixelView:
 
     @property
     def channels(self) -> int:
-        """3 with ``channel="rgb"``, otherwise 0."""
+        """Number of channels: 3 with ``channel="rgb"``, otherwise 0."""
         return 3 if self.channel == "rgb" else 0
 
     @property
@@ -323,7 +335,7 @@ class PixelView:
         return self.dims >= _WITH_FILM
 
     def values(self, technique: Technique, u: Array, heuristic: str | None = None) -> Array:
-        """f/p at u (..., dims), times the weight of a heuristic in `POWERS`: (...) or (..., 3)."""
+        """Values f/p at u (..., dims), times the weight of a heuristic: (...) or (..., 3)."""
         found = self.draws(technique, u.reshape(-1, self.dims), (), heuristic).values
         return found.reshape((*u.shape[:-1], *found.shape[1:]))
 
@@ -334,7 +346,7 @@ class PixelView:
         among: Sequence[Technique],
         heuristic: str | None = None,
     ) -> Draws:
-        """Return f/p, times a heuristic's weight, and all densities at u (M, dims)."""
+        """Return f/p at u (M, dims), times a heuristic's weight, and all densities at u."""
         values = np.empty((len(u), 3) if self.channels else len(u))
         pdfs = np.zeros((len(among), len(u)))
         for start in range(0, len(u), CHUNK):
@@ -348,7 +360,7 @@ class PixelView:
     def _drawn(
         self, technique: Technique, u: Array, among: Sequence[Technique], heuristic: str | None
     ) -> Draws:
-        """Same as `draws`, in one kernel."""
+        """Return the same as `draws`, computed in one kernel."""
         import drjit
 
         # Evaluate f/p, the densities of light and BSDF, and the directions that skies need
@@ -402,7 +414,7 @@ class PixelView:
 
 
 def check_channel(channel: object, names: Sequence[str] = ("luminance", "rgb")) -> str | int:
-    """Return a channel: one of `names` or 0, 1 or 2; otherwise raise a ParameterError."""
+    """Return a valid channel, one of `names` or 0, 1 or 2; otherwise raise a ParameterError."""
     if isinstance(channel, str) and channel in names:
         return str(channel)
     try:
@@ -422,7 +434,7 @@ def _numbers(color: Any, channel: str | int, count: int) -> Array:
 
 
 def _spread(found: Any, shape: int | tuple[int, ...]) -> Array:
-    """Return an array of this shape: Dr.Jit keeps constants at width 1."""
+    """Return an array of this shape, because Dr.Jit keeps constants at width 1."""
     return np.broadcast_to(np.asarray(found), shape)
 
 
@@ -440,24 +452,26 @@ def incident_light(
     Parameters
     ----------
     scene, x, y, light
-        Same as in `Pixel`.
+        Same as in the class `Pixel`.
     channel
         ``"luminance"``, 0, 1 or 2.
     resolution
-        Rows of elevation, 4 to 1024; there are four times as many columns of azimuth.
+        Number of rows of elevation, 4 to 1024; there are four times as many columns of azimuth.
 
     Returns
     -------
     xarray.Dataset
-        On (elevation, azimuth), in degrees above the surface and around its shading normal, at cell
-        centers: ``incident_radiance``, L_e of the used lights where no surface blocks it;
-        ``reflected_radiance``, f_r L_e cos per steradian. Its integral over directions is the
-        integral of every strategy of `Pixel`. "Above" is the side of the camera.
+        On (elevation, azimuth), at cell centers.
+        The elevation is in degrees above the surface, the azimuth in degrees around its normal.
+        "Above" is the side of the camera.
+        ``incident_radiance`` is L_e of the used lights where no surface blocks it;
+        ``reflected_radiance`` is f_r L_e cos per steradian.
+        Its integral over directions is the integral of every strategy of `Pixel`.
 
     Raises
     ------
     ParameterError
-        As in `Pixel`, or if `resolution` is out of range or the channel is ``"rgb"``.
+        In the cases of `Pixel`, and if the resolution is out of range or the channel is ``"rgb"``.
     """
     request = as_scene(scene)
     rows = as_integer("resolution", resolution, least=4, most=1024)
@@ -481,7 +495,7 @@ def incident_light(
         level, side = np.cos(up), np.where(at.wi.z.numpy() < 0.0, -1.0, 1.0).item()
         vectors = (level * np.cos(around), level * np.sin(around), side * np.sin(up))
         towards = mitsuba.Vector3f(*(v.astype(np.float32).ravel() for v in vectors))
-        # Compute L and f_r L cos in each direction. Without UV, textured lights would be wrong.
+        # Compute L and f_r L cos in each direction; without UV, textured lights would be wrong
         ray = at.spawn_ray(at.to_world(towards))
         met = hit.scene.ray_intersect(ray, mitsuba.RayFlags.UV, False)
         found = met.emitter(hit.scene)
@@ -505,16 +519,16 @@ def incident_light(
 
 
 SOURCE = "mean of 16 Owen-scrambled sets of 2^17 Sobol' points"
-"""Value of `integral_source`."""
+"""Text of `integral_source`."""
 
 _POINTS, _SETS = 2**17, 16
 _SEED = 20_170_623
-# relative rounding error of values, which does not change their spread
+# Relative rounding error of values, which does not affect their spread
 _SINGLE = float(np.finfo(np.float32).eps)
 
 
 def mean_of_points(integrand: Integrand) -> Estimate:
-    """∫ g, (C,), with C = 1 for a scalar, and the largest standard error of a channel."""
+    """Estimate ∫ g, (C,), with C = 1 for a scalar, and the largest standard error of a channel."""
     sampler, stream = as_sampler("sobol | owen", integrand.dims), Stream.from_rng(_SEED)
     drawn = (sampler.draw_stream(_POINTS, stream, k, 1)[0] for k in range(_SETS))
     means = np.stack([integrand(u).reshape(_POINTS, -1).mean(axis=0) for u in drawn])
@@ -531,13 +545,13 @@ class PixelMIS(AbstractEstimator):
     Attributes
     ----------
     techniques
-        ``"light"``, ``"bsdf"`` and densities, as given.
+        The techniques ``"light"``, ``"bsdf"`` and densities, as given.
     heuristic
         Spec of the heuristic.
     shares
-        Sample counts of the techniques, times the factors of a heuristic that uses f.
+        Relative sample counts of the techniques, times the factors of a heuristic that uses f.
     control
-        α_t (T,) or (T, 3) if the weights have a control variate (``optimal``), otherwise None.
+        Control variate α_t of ``optimal`` weights, (T,) or (T, 3); None for other weights.
     """
 
     def __init__(
@@ -582,13 +596,13 @@ class PixelMIS(AbstractEstimator):
         return _Weighted(self, technique)
 
     def primary_values(self, technique: int, u: Array) -> Array:
-        """w_t f/p_t; with optimal weights this is α_t + (f − Σ α_s p_s) w_t/p_t."""
+        """Weighted values w_t f/p_t; with optimal weights α_t + (f − Σ α_s p_s) w_t/p_t."""
         flat = u.reshape(-1, self.dims)
         values = self._weigh(technique, self.draws(technique, flat))
         return values.reshape((*u.shape[:-1], *values.shape[1:]))
 
     def draws(self, technique: int, u: Array) -> Draws:
-        """f/p_t and the densities of all techniques at u (M, dims)."""
+        """Values f/p_t of one technique, and the densities of all techniques, at u (M, dims)."""
         return self.view.draws(self._bound[technique], u, self._bound)
 
     def with_heuristic(self, heuristic: str) -> PixelMIS:
@@ -598,7 +612,7 @@ class PixelMIS(AbstractEstimator):
         )
 
     def alone(self, technique: int) -> Estimator:
-        """Return one technique alone."""
+        """Return the estimator that uses one technique alone."""
         given = self.techniques[technique]
         if isinstance(given, str) and given in (*_BY_NAME, ENVIRONMENT):
             return Estimator(Pixel(strategy=given, **vars(self.view)))
@@ -610,14 +624,14 @@ class PixelMIS(AbstractEstimator):
         return given.spec if isinstance(given, Density) else given
 
     def _weigh(self, technique: int, draws: Draws) -> Array:
-        """Compute g_t from the draws of a technique: (M,) or (M, 3)."""
+        """Compute the values g_t from the draws of a technique: (M,) or (M, 3)."""
         own = draws.pdfs[technique]
         q = np.asarray(self.shares)[:, None] * draws.pdfs
         over = self.shares[technique] * self._weights.ratio(q, technique)  # w_t/p_t
         if self.control is None:
             return scale(draws.values, own * over)
         left = scale(draws.values, own) - draws.pdfs.T @ self.control
-        # A lost sample, for example below the surface, is not a sample of p_t and adds nothing.
+        # A lost sample, for example below the surface, is not a sample of p_t and adds nothing
         sampled = own > 0.0 if left.ndim == 1 else (own > 0.0)[:, None]
         return np.where(sampled, self.control[technique] + scale(left, over), 0.0)
 
@@ -625,7 +639,7 @@ class PixelMIS(AbstractEstimator):
 @final
 @dataclass(frozen=True, eq=False)
 class _Weighted(MitsubaIntegrand):
-    """g_t in the multiple importance sampling of a pixel."""
+    """The integrand g_t of one technique in the multiple importance sampling of a pixel."""
 
     name: ClassVar[str] = "pixel-technique"
     estimator: PixelMIS
@@ -643,7 +657,7 @@ class _Weighted(MitsubaIntegrand):
 
     @property
     def spec(self) -> str:
-        """Name in messages."""
+        """Name of the integrand in messages."""
         return f"{self.estimator.technique_name(self.technique)} of {self.estimator.spec}"
 
     def _evaluate(self, x: Array) -> Array:
@@ -653,7 +667,7 @@ class _Weighted(MitsubaIntegrand):
 @final
 @dataclass(frozen=True, eq=False)
 class _PixelPilot(Pilot):
-    """Pilot samples, one per row: T densities followed by the channels of f."""
+    """Pilot samples, one per row: densities of T techniques, then the channels of f."""
 
     estimator: PixelMIS
     shares: Array
@@ -673,11 +687,11 @@ class _PixelPilot(Pilot):
         return np.concatenate([drawn.pdfs.T, f], axis=1)
 
     def pdfs(self, x: Array) -> Array:
-        """Densities p_t: (T, k)."""
+        """Densities p_t of all techniques: (T, k)."""
         return x[:, : len(self.shares)].T
 
     def values(self, x: Array) -> Array:
-        """Values f: (k, C)."""
+        """Values of f in all channels: (k, C)."""
         return x[:, len(self.shares) :]
 
 
@@ -699,15 +713,15 @@ def pixel_mis(
     Parameters
     ----------
     scene, x, y, light, channel, dims
-        Same as in `Pixel`.
+        Same as in the class `Pixel`.
     heuristic
-        A name or spec of `mcspectra.estimators.HEURISTICS`, or an object. ``optimal`` and
-        ``variance-aware`` use a pilot of 4096 random samples with seed 0 by default; a quadrature
-        is not possible here.
+        A name or spec of `mcspectra.estimators.HEURISTICS`, or an object.
+        ``optimal`` and ``variance-aware`` use a pilot, by default 4096 random samples with seed 0.
+        A quadrature is not possible here.
     techniques
-        ``"light"``, ``"bsdf"``, and densities for the environment as in `Pixel`, or
-        ``"environment"`` for the scene's own map. Any number of densities is allowed, but not
-        together with ``"light"``.
+        ``"light"``, ``"bsdf"``, and densities for the environment as in `Pixel`,
+        or ``"environment"`` for the scene's own map.
+        Any number of densities is allowed, but not together with ``"light"``.
     counts
         Samples of each technique as multiples of n; by default equal.
     sets
@@ -743,7 +757,7 @@ def pixel_mis(
 
 
 def _bound(view: PixelView, technique: Density | str) -> Technique:
-    """Return the technique as `PixelView` uses it."""
+    """Return the technique in the form that `PixelView` uses."""
     if isinstance(technique, str) and technique in _BY_NAME:
         return technique
     environment_of(view.scene, view.light)

@@ -1,18 +1,21 @@
 """Our samplers as plugins of Mitsuba: ``<sampler type="mcspectra">`` in any scene.
 
-Mitsuba's own executable does not run Python, so it cannot load the plugin: use `render_file` or the
-command ``render`` instead.
+Mitsuba's own executable does not run Python, so it cannot load the plugin.
+Use the function `render_file` or the command ``render`` instead.
 
 Method
 ------
-Padding, as in pbrt: every request for two numbers (or one) uses its own two-dimensional (or
-one-dimensional) set, with its points in a separate random order. Requests are therefore independent
-of one another, and each is as well distributed as the sampler's points [KolligKeller2002]_.
+Padding, as in pbrt: every request for two numbers uses its own two-dimensional set,
+and every request for one number its own one-dimensional set.
+The points of a set come in a separate random order.
+Requests are therefore independent of one another.
+Each is as well distributed as the sampler's points [KolligKeller2002]_.
 
-In vectorized variants, lane i is sample i mod n of pixel ⌊i / n⌋. Scrambled nets are computed in
-the kernel (`kernel_nets`). Sets of other samplers are float32 tables in Dr.Jit's memory, and
-requests gather from them in the layout of `Rounds`. In scalar variants, Mitsuba seeds the sampler
-for each pixel, and the pixel's sets are drawn then.
+In vectorized variants, lane i is sample i mod n of pixel ⌊i / n⌋.
+Scrambled nets are computed in the kernel (`kernel_nets`).
+Sets of other samplers are float32 tables in Dr.Jit's memory.
+Requests gather from these tables in the layout of `Rounds`.
+In scalar variants, Mitsuba seeds the sampler for each pixel, and the pixel's sets are drawn then.
 """
 
 from __future__ import annotations
@@ -49,7 +52,7 @@ __all__ = [
 ]
 
 PLUGIN = "mcspectra"
-"""Type of the sampler in a scene."""
+"""Type name of the sampler in a scene."""
 
 PLUGIN_VARIANTS = ("llvm_ad_rgb", "scalar_rgb")
 """Variants of Mitsuba that get the plugin by default."""
@@ -60,16 +63,17 @@ _UNKNOWN = 2**32 - 1  # Mitsuba's wavefront size for "unchanged"
 def register_samplers(variant: str | Sequence[str] | None = None) -> tuple[str, ...]:
     """Register ``<sampler type="mcspectra">`` with Mitsuba; a second call has no effect.
 
-    The plugin's properties are ``spec`` (string, default ``"sobol | owen"``), ``sample_count`` and
-    ``seed``. The integer ``joint_dims`` is the number of first coordinates of a sample that come
-    from one joint set; with 0, the default, every request has its own set. The integer
-    ``samples_per_pass`` is needed if the integrator splits a pixel's samples into passes.
+    The plugin's properties are ``spec`` (string, default ``"sobol | owen"``), ``sample_count``,
+    ``seed``, ``joint_dims`` and ``samples_per_pass``.
+    The integer ``joint_dims`` is the number of a sample's first coordinates from one joint set.
+    With 0, the default, every request has its own set.
+    The integer ``samples_per_pass`` is needed if an integrator splits a pixel's samples.
 
     Parameters
     ----------
     variant
-        One or several of Mitsuba's variants; by default `PLUGIN_VARIANTS`, without ``llvm_ad_rgb``
-        if there is no LLVM for it.
+        One or several of Mitsuba's variants; by default `PLUGIN_VARIANTS`.
+        The variant ``llvm_ad_rgb`` is left out of the default if there is no LLVM for it.
 
     Returns
     -------
@@ -130,11 +134,11 @@ class _Options:
 
 @functools.cache
 def _plugin_class(variant: str) -> Any:
-    """Derive a class from a variant's `Sampler` and register it; `state` holds the data."""
+    """Derive a sampler class for a variant and register it; its `state` holds the data."""
     mitsuba = import_mitsuba()
     if variant.startswith("llvm"):
         before = mitsuba.variant()
-        load_mitsuba()  # checks for LLVM, and reports missing packages
+        load_mitsuba()  # this checks for LLVM, and reports missing packages
         if before is not None:
             mitsuba.set_variant(before)
     try:
@@ -147,7 +151,7 @@ def _plugin_class(variant: str) -> Any:
         ) from None
     seed_state: Any = PixelState.of if variant.startswith("scalar") else seed_lanes
 
-    # Worker threads of Mitsuba fork the sampler while the caller holds LOCK; they must not take it.
+    # Mitsuba's worker threads fork the sampler while the caller holds LOCK; they must not take LOCK
     new_properties = import_mitsuba().Properties
 
     class McspectraSampler(module.Sampler):  # type: ignore[misc]
@@ -168,13 +172,13 @@ def _plugin_class(variant: str) -> Any:
             self.per_pass = samples_per_wavefront
 
         def seed(self, seed: Any, wavefront_size: int = _UNKNOWN) -> None:
-            # If Python calls the base class, the base class also calls this method
+            # If Python calls `seed` of the base class, the base class also calls this method
             if self.seeding:
                 super().seed(seed, wavefront_size)
                 return
             self._seed_base(seed, wavefront_size)
             per_pass = self.per_pass or self.options.samples_per_pass or self.sets.count
-            # Mitsuba's own integrators set the samples per pass without calling Python.
+            # Mitsuba's own integrators set the samples per pass without calling Python
             self.per_pass = None
             number = int(seed) if isinstance(seed, int) else int(seed.numpy()[0])
             stream = self.options.stream(number)
@@ -227,7 +231,7 @@ def _seeded(state: LaneState | PixelState | None) -> LaneState | PixelState:
 
 
 _TAKEN = ("coordinate", "single_offset", "pair_offset")
-_REQUESTS = 4  # number of sets that belong to a single pixel: film, light, BSDF and one more
+_REQUESTS = 4  # number of sets of a single pixel: film, light, BSDF and one more
 _MOST_REQUESTS = 2**16  # largest number of requests of a pixel in scalar variants
 
 
@@ -243,7 +247,7 @@ class PixelState:
 
     @staticmethod
     def of(_: Any, sets: PaddedSets, stream: Stream, *__: int) -> PixelState:
-        """Return the state of a pixel that a scalar variant has seeded."""
+        """Return the state of one pixel, for a sampler that a scalar variant has seeded."""
         return PixelState(sets, stream)
 
     def copy(self) -> PixelState:
@@ -262,11 +266,11 @@ class PixelState:
         """Do nothing: a scalar state needs no evaluation."""
 
     def single(self, _: object) -> float:
-        """Return one number."""
+        """Return one number of the current sample."""
         return float(self._numbers(1)[0])
 
     def pair(self, _: object) -> tuple[float, float]:
-        """Return two numbers."""
+        """Return two numbers of the current sample."""
         x, y = self._numbers(2)
         return float(x), float(y)
 
@@ -293,7 +297,7 @@ class PixelState:
 def seed_lanes(
     module: Any, sets: PaddedSets, stream: Stream, wavefront_size: int, per_pass: int
 ) -> LaneState | None:
-    """Return the state of a wavefront; None for size 1, by which renderers release memory."""
+    """Return the state of a wavefront; None for size 1, which renderers use to release memory."""
     pixels, rest = divmod(wavefront_size, per_pass)
     if rest:
         return None
@@ -336,7 +340,7 @@ class _DeviceSets:
         self.size, self._count = (drjit.opaque(module.UInt32, k) for k in sets.shape[:2])
 
     def draw(self, dims: int, number: Any, start: Any, index: Any, active: Any) -> list[Any]:
-        """Return coordinates from `start` of one point of the set with this number."""
+        """Return coordinates, from number `start`, of one point of the set with this number."""
         import drjit
 
         first, kind = (number * self._count + index) * self.dims + start, type(self._numbers)
@@ -344,7 +348,7 @@ class _DeviceSets:
 
 
 class _TablePads:
-    """Sets for requests of one and two numbers; an offset counts the requests of a pixel."""
+    """Sets for requests of one and two numbers; the offset counts the requests of a pixel."""
 
     def __init__(self, module: Any, sets: PaddedSets, stream: Stream, rounds: Rounds) -> None:
         import drjit
@@ -372,8 +376,8 @@ class _TablePads:
 class LaneState:
     """State of a wavefront: a dataclass, so that Dr.Jit carries its arrays through loops.
 
-    For each lane it holds the pixel, the index of the sample, the count of used numbers, and the
-    offsets of the next sets. `done` counts the samples of earlier passes.
+    For each lane, it holds the pixel, the index of the sample, the count of used numbers,
+    and the offsets of the next sets. The attribute `done` counts the samples of earlier passes.
     """
 
     module: Any
@@ -438,17 +442,17 @@ class LaneState:
 
 
 MOST_SAMPLES = 2**16
-"""Maximum samples per pixel: a table of the largest size then holds the fewest allowed sets."""
+"""Maximum samples per pixel, for which the largest table holds the fewest allowed sets."""
 
-_MOST_NUMBERS = 2**27  # maximum number of values in one table: 512 MiB
-_FEWEST_SETS = 509  # prime number of sets; further requests of a pixel reuse its first sets
-_BLOCK_NUMBERS = 2**19  # numbers drawn at once: 4 MiB of float64
+_MOST_NUMBERS = 2**27  # maximum number of values in one table, 512 MiB
+_FEWEST_SETS = 509  # fewest sets, a prime; further requests of a pixel reuse its first sets
+_BLOCK_NUMBERS = 2**19  # numbers drawn at once, 4 MiB of float64
 _GOLDEN = (5**0.5 - 1) / 2
 
 
 @kernel
 def _shuffle(points: Array, keys: Array, largest: Any, out: Array) -> None:
-    # Fisher-Yates shuffle, inside out; shapes: points and out (R, n, d), keys (R, 2).
+    # Fisher-Yates shuffle, inside out; shapes: points and out (R, n, d), keys (R, 2)
     for r in range(points.shape[0]):
         for i in range(points.shape[1]):
             j = int(mix_bits(keys[r, 0], keys[r, 1], i) % np.uint64(i + 1))
@@ -462,8 +466,8 @@ def _shuffle(points: Array, keys: Array, largest: Any, out: Array) -> None:
 class Rounds:
     """Assignment of sets to requests: set (pixel + request · stride) mod size.
 
-    The stride is relatively prime to the size, so that the first `size` requests of a pixel use
-    different sets.
+    The stride is relatively prime to the size.
+    The first `size` requests of a pixel therefore use different sets.
     """
 
     size: int
@@ -471,7 +475,7 @@ class Rounds:
 
     @staticmethod
     def of(pixels: int, requests: int, numbers_each: int) -> Rounds:
-        """Lay out sets for the first `requests` of every pixel, as far as memory allows."""
+        """Lay out sets for the first `requests` of every pixel, within the memory limit."""
         size = max(_FEWEST_SETS, pixels * requests + 1)
         size = min(size, _MOST_NUMBERS // numbers_each)
         golden = int(size * _GOLDEN)
@@ -503,13 +507,13 @@ class PaddedSets:
         try:
             single = as_sampler(self.spec, 1)
             single.check_count(count)
-        except ParameterError:  # requests of one number then use the first coordinate of pairs
+        except ParameterError:  # then requests of one number use the first coordinate of pairs
             single = pair
         settle(self, _samplers=(single, pair, joint))
 
     @property
     def nets(self) -> tuple[Net, Net] | None:
-        """The scrambled nets in one and two dims if kernels can compute the sets, or None."""
+        """The scrambled nets in one and two dims, or None if kernels cannot compute the sets."""
         single, pair = (net_of(sampler) for sampler in self._samplers[:2])
         if single is None or pair is None or self.count & (self.count - 1):
             return None

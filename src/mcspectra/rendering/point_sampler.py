@@ -1,7 +1,8 @@
 """Mitsuba's own samplers as point sets, by name or as objects.
 
-Samplers by name run in the variant ``scalar_rgb`` without setting it: pixels depend on the variant
-of the process, which does not change. The module belongs to rendering because it needs `backend`,
+Samplers by name run in the variant ``scalar_rgb`` without setting it as the current variant.
+Pixels depend on the variant of the process, which therefore does not change.
+The module belongs to rendering because it needs `backend`,
 which imports Mitsuba in a way that keeps rendering possible.
 """
 
@@ -33,31 +34,37 @@ _SEEDS = 2**32
 @final
 @dataclass(frozen=True, kw_only=True)
 class MitsubaSampler(Sampler):
-    """One of Mitsuba 3's samplers, drawn dimension by dimension like an integrator.
+    """One of Mitsuba 3's samplers, drawn dimension by dimension, as integrators do.
 
-    It has 1 to 1024 dims: pairs of dims are drawn by ``next_2d``, and the last dim of an odd number
-    by ``next_1d``. Counts are those that Mitsuba does not round: any for ``independent``, s² for
-    ``stratified``, s², s(s + 1) and s(s + 2) for ``multijitter``, squares of primes for
-    ``orthogonal``, powers of 4 from 4 for ``ldsampler``; at most 2^20.
+    The sampler has 1 to 1024 dims. Pairs of dims are drawn by ``next_2d``,
+    and the last dim of an odd number by ``next_1d``.
+    Counts are those that Mitsuba does not round, at most 2^20:
+    any count for ``independent``, s² for ``stratified``,
+    s², s(s + 1) and s(s + 2) for ``multijitter``,
+    squares of primes for ``orthogonal``, and powers of 4 from 4 for ``ldsampler``.
 
     Attributes
     ----------
     sampler
-        ``"independent"``, ``"stratified"``, ``"multijitter"`` (Kensler 2013), ``"orthogonal"``
-        (Jarosz et al. 2019) or ``"ldsampler"`` ((0,2)-sequence, Kollig & Keller 2002).
+        Name of the sampler: ``"independent"``, ``"stratified"``, ``"multijitter"`` (Kensler 2013),
+        ``"orthogonal"`` (Jarosz et al. 2019) or ``"ldsampler"`` (Kollig & Keller 2002).
     jitter
-        Whether points are random in their strata or at the centers, for the three samplers that
-        have strata.
+        Whether points are random in their strata or at the centers of their strata.
+        The option applies to the three samplers that have strata.
 
     Notes
     -----
-    Points are float32 numbers; a coordinate that Mitsuba rounded up to 1 becomes the largest
-    float32 below 1. Seeds have 32 bits, so that realizations 2^32 apart are equal. Every point is
-    a call of Mitsuba; some hundred thousand points are drawn per second.
+    Points are float32 numbers.
+    A coordinate that Mitsuba rounded up to 1 becomes the largest float32 below 1.
+    Seeds have 32 bits, so that realizations 2^32 apart are equal.
+    Every point is a call of Mitsuba; some hundred thousand points are drawn per second.
 
     References
     ----------
-    [Jakob2022]_, [Kensler2013]_, [Jarosz2019]_, [KolligKeller2002]_
+    [Jakob2022]_,
+    [Kensler2013]_,
+    [Jarosz2019]_,
+    [KolligKeller2002]_
     """
 
     name: ClassVar[str] = "mitsuba"
@@ -85,7 +92,7 @@ class MitsubaSampler(Sampler):
         return _drawn(self._source(n), (count, n, self.dims), stream, first)
 
     def _source(self, n: int) -> Any:
-        """Return an object of the scalar variant, built by Mitsuba's parser."""
+        """Return a sampler object of the scalar variant, built by Mitsuba's parser."""
         options = {} if self.jitter else {"jitter": False}
         with LOCK:
             parser = import_mitsuba().parser
@@ -103,13 +110,13 @@ class MitsubaSampler(Sampler):
 
 
 def _drawn(source: Any, shape: tuple[int, int, int], stream: Stream, first: int) -> Array:
-    """Return points (R, n, d) of an object; each realization has its own seed."""
+    """Return points (R, n, d) of a sampler object; each realization has its own seed."""
     (count, n, dims), out = shape, np.empty(shape)
     start = int(stream.keys(0, 1)[0, 0]) + first
     pairs, odd = divmod(dims, 2)
     scalar = "scalar" in source.variant_name()
     for r in range(count):
-        if not scalar:  # vectorized variants return all points at once
+        if not scalar:  # vectorized variants return all points of a call at once
             source.set_samples_per_wavefront(n)
             source.seed((start + r) % _SEEDS, n)
             columns = [source.next_2d().numpy() for _ in range(pairs)]
@@ -172,33 +179,33 @@ def from_mitsuba(source: Any, dims: int = DEFAULT_DIMS) -> MitsubaObject:
     Parameters
     ----------
     source
-        An object of any variant and class, including plugins in Python. It is forked, so that it
-        does not change.
+        A sampler object of any variant and class, including plugins in Python.
+        The object is forked and therefore does not change.
     dims
-        Number of dims; a pair of dims is a request of two numbers.
+        Number of dims; a pair of dims is one request for two numbers.
 
     Returns
     -------
     MitsubaObject
-        A sampler with the counts that the object makes without rounding (the object is queried each
-        time).
+        A sampler with the counts that the object makes without rounding.
+        The object is queried for these counts each time.
 
     Raises
     ------
     ParameterError
-        If `source` is not a Mitsuba sampler.
+        If the object is not a Mitsuba sampler.
 
     Notes
     -----
-    Every realization has its own seed, so that it does not depend on how many realizations are
-    drawn at once. In vectorized variants, a realization is one wavefront of n lanes and takes some
-    milliseconds.
+    Every realization has its own seed.
+    A realization therefore does not depend on how many are drawn at once.
+    In vectorized variants, a realization is one wavefront of n lanes. It takes some milliseconds.
     """
     return MitsubaObject(source=source, dims=dims)
 
 
 _STRATA = ("stratified", "multijitter", "orthogonal")
-_ROOTS = range(1, 1032)  # roots up to the first prime above 2^10
+_ROOTS = range(1, 1032)  # square roots of counts, up to the first prime above 2^10
 _COUNTS: dict[str, Sequence[int]] = {
     "independent": range(1, 2**20 + 1),
     "stratified": [s * s for s in _ROOTS],

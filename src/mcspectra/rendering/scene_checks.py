@@ -33,24 +33,25 @@ __all__ = [
 
 
 def check_scene(scene: Scene, *, light: int | str | None = None) -> list[str]:
-    """List the parts of a scene that direct illumination by sampled directions does not support.
+    """List the parts of a scene for which direct illumination is not supported.
 
     Parameters
     ----------
     scene
-        A scene, same as for `load_scene`.
+        A scene: a name, a file or a dictionary, as in `load_scene`.
     light
-        The only light to use; by default all lights. Other lights may then be of any type.
+        The only light to use; by default all lights. With one light, the others may be of any type.
 
     Returns
     -------
     list of str
-        A sentence for each: no camera, a camera with a lens or a shutter, no lights, participating
-        media, an integrator of more than direct light, lights that are delta functions (point,
-        spot, directional, …), an environment that is scaled or has pixels that are not a radiance,
-        shapes whose BSDF has a delta function (dielectric, smooth conductor, mask, …). Empty if
-        everything is supported. Shapes inside instances are not listed; a pixel that shows one
-        reports it.
+        A sentence for each unsupported part; empty if everything is supported.
+        Such parts are: no camera, a camera with a lens or a shutter, no lights,
+        participating media, an integrator of more than direct light,
+        lights that are delta functions (point, spot, directional, …),
+        an environment that is scaled or has pixels that are not a radiance,
+        and shapes whose BSDF has a delta function (dielectric, smooth conductor, mask, …).
+        Shapes inside instances are not listed; a pixel that shows one reports it.
 
     Raises
     ------
@@ -86,8 +87,8 @@ def check_media(scene: Scene) -> None:
 def check_lights(scene: Scene, light: int | str | None = None) -> None:
     """Raise a ParameterError unless the used lights can be sampled and reach surfaces.
 
-    There must be at least one light, no delta functions and no participating media. An environment
-    must not be scaled, and its pixels must be radiances.
+    There must be at least one light, but no delta functions and no participating media.
+    An environment must not be scaled, and its pixels must be radiances.
     """
     check_media(scene)
     with LOCK:
@@ -98,14 +99,14 @@ def check_lights(scene: Scene, light: int | str | None = None) -> None:
 def check_environment(scene: Scene, light: int | str | None = None) -> None:
     """Raise a ParameterError if the environment is used and is scaled or has broken pixels.
 
-    Mitsuba does not report a scale; its light sampling is then wrong by that factor.
+    Mitsuba does not report the scale of an environment. Its light sampling is wrong by this factor.
     """
     with LOCK:
         _raise_first(_environment(scene, light))
 
 
 def warn_lens(scene: Scene) -> None:
-    """Warn that a lens or a shutter of the camera is not sampled."""
+    """Warn that the camera has a lens or a shutter, which is not sampled."""
     with LOCK:
         sentences = _lens(scene, load_scene(scene))
     for sentence in sentences:
@@ -119,7 +120,7 @@ def integrator_note(scene: Scene) -> str:
 
 
 def filter_note(scene: Scene) -> str:
-    """Return a note if renders use another pixel filter than paths do; empty for a box filter."""
+    """Return a note if renders and paths use different pixel filters; empty for a box filter."""
     with LOCK:
         rfilter = sensor_of(scene).film().rfilter()
         if rfilter.is_box_filter():
@@ -132,13 +133,13 @@ def filter_note(scene: Scene) -> str:
 
 
 def warn_integrator(scene: Scene) -> None:
-    """Warn with the text of `integrator_note`."""
+    """Warn if a scene's own integrator is not analyzed."""
     if note := integrator_note(scene):
         warn(note, IncompleteImageWarning)
 
 
 def camera_rays(scene: Scene) -> str:
-    """Describe where camera rays start; results of a lens or shutter camera use one ray."""
+    """Describe where camera rays start; for a lens or a shutter, results use one ray."""
     with LOCK:
         sensor = load_scene(scene).sensors()[0]
         lens, shutter = _aperture(sensor) > 0.0, sensor.shutter_open_time() > 0.0
@@ -149,8 +150,8 @@ def camera_rays(scene: Scene) -> str:
 def warn_missed(scene: Scene, strategy: str, light: int | str | None = None) -> None:
     """Warn of light that a single strategy leaves out of an image.
 
-    BSDF sampling never hits a light that is a delta function; light sampling gives 0 for a BSDF
-    that is a delta function.
+    BSDF sampling never hits a light that is a delta function.
+    Light sampling gives 0 for a BSDF that is a delta function.
     """
     with LOCK:
         if strategy == "bsdf":
@@ -193,7 +194,7 @@ def _raise_first(sentences: list[str]) -> None:
 
 
 def _lens(scene: Scene, loaded: Any) -> list[str]:
-    """Sentences on a lens or shutter of the first camera: rays start at its center at one time."""
+    """Sentences on a lens or a shutter of the first camera, which rays do not sample."""
     sensors = loaded.sensors()[:1]
     found = {
         f"a lens (of radius {radius:.3g})": radius > 0.0 for radius in map(_aperture, sensors)
@@ -260,13 +261,13 @@ def _chosen(scene: Scene, light: int | str | None) -> list[Any]:
 
 
 def _environment(scene: Scene, light: int | str | None) -> list[str]:
-    """Sentences on the environment, if used: a scale, or pixels that are not a radiance."""
+    """Sentences on a used environment with a scale, or with pixels that are not a radiance."""
     found, chosen = [], _chosen(scene, light)
     import drjit
 
     for emitter in chosen:
         parameters = load_mitsuba().traverse(emitter) if emitter.is_environment() else {}
-        if "to_world" in parameters:  # a uniform environment has no direction and may be scaled
+        if "to_world" in parameters:  # a uniform environment may be scaled
             try:
                 rotation_of(emitter)
             except ParameterError as error:

@@ -72,7 +72,7 @@ __all__ = [
 ]
 
 Scene: TypeAlias = "str | Path | DictScene | Mapping[str, Any]"
-"""Specification of a scene: a name in `SCENES`, an XML file, or a Mitsuba dictionary."""
+"""Ways to give a scene: a name in `SCENES`, an XML file, or a Mitsuba dictionary."""
 
 _SEEDS, _MOST_SAMPLES = 2**32, 2**24
 
@@ -88,7 +88,7 @@ SCENES = Registry(
     },
     base=None,
 )
-"""Functions, by name, that return a scene as a Mitsuba dictionary."""
+"""Functions by scene name; each returns a scene as a Mitsuba dictionary."""
 
 
 def as_scene(scene: object) -> str | Path | DictScene:
@@ -112,7 +112,7 @@ def as_scene(scene: object) -> str | Path | DictScene:
 
 
 def scene_name(scene: Scene) -> str:
-    """Return the quoted text that names a scene in messages: its name, path, or ``'dict'``."""
+    """Return the quoted text for a scene in messages: its name, its path, or ``'dict'``."""
     return repr(str(as_scene(scene)))
 
 
@@ -122,10 +122,11 @@ def load_scene(scene: Scene) -> Any:
     Parameters
     ----------
     scene
-        A name in `SCENES`, with optional parameters in brackets (``"veach(width=384)"``), the path
-        of a Mitsuba XML file, or a dictionary for `mitsuba.load_dict`. A file is read again if it,
-        or a texture, mesh or other file that it names, has changed. Relative paths start in its
-        folder.
+        A name in `SCENES`, with optional parameters in brackets (``"veach(width=384)"``),
+        the path of a Mitsuba XML file, or a dictionary for `mitsuba.load_dict`.
+        A file is read again if it has changed.
+        It is also read again if a texture, mesh or other file that it names has changed.
+        Relative paths start in the folder of the file.
 
     Raises
     ------
@@ -134,8 +135,8 @@ def load_scene(scene: Scene) -> Any:
     ParameterError
         If `scene` is not a scene, or Mitsuba cannot evaluate one of its materials or lights.
     FileFormatError
-        If the file is missing, or Mitsuba cannot read it or the dictionary; the message has the
-        reason.
+        If the file is missing, or Mitsuba cannot read the file or the dictionary.
+        The message quotes the reason.
     MissingDependency
         If Mitsuba or LLVM is missing.
     """
@@ -169,8 +170,7 @@ def render_file(
     Parameters
     ----------
     scene
-        A Mitsuba XML file, whose sampler may be ``<sampler type="mcspectra">``, or a name in
-        `SCENES`.
+        A name in `SCENES`, or a Mitsuba XML file, which may use ``<sampler type="mcspectra">``.
     variant
         One of Mitsuba's variants; by default ``llvm_ad_rgb``, or ``scalar_rgb`` without LLVM.
     integrator
@@ -184,9 +184,9 @@ def render_file(
     sensor
         Index of the camera.
     definitions
-        Values for ``$name`` in the file.
+        Values of parameters ``$name`` in the file.
     out
-        EXR file for the film.
+        EXR file to which the film is written.
 
     Returns
     -------
@@ -196,7 +196,7 @@ def render_file(
     Raises
     ------
     FileFormatError
-        If the file is missing, or Mitsuba cannot read or render it; the message quotes the reason.
+        If the file is missing, or Mitsuba cannot read or render it. The message quotes the reason.
     ParameterError
         If a parameter is out of range, or the integrator or the sampler is not possible.
     UnknownName
@@ -265,7 +265,7 @@ def render_file(
                 camera.film().write(str(target))
             return np.array(image, dtype=np.float64)
         except (RuntimeError, TypeError) as error:
-            if isinstance(error.__cause__, McspectraError):  # one of our samplers raised the error
+            if isinstance(error.__cause__, McspectraError):  # an error of one of our samplers
                 raise error.__cause__ from None
             reason = mitsuba_reason(error)
             raise FileFormatError(f"Mitsuba cannot render {shown(named)}: {reason}.") from None
@@ -276,7 +276,7 @@ def render_file(
 
 
 def _replace_samplers(mitsuba: Any, state: Any, spec: str, spp: int | None) -> None:
-    """Replace the sampler of every camera by ours, with `spp` samples or its own number."""
+    """Replace the sampler of every camera by ours, with `spp` or the given number of samples."""
     kinds, reference = mitsuba.ObjectType, mitsuba.Properties.ResolvedReference
     nodes = state.nodes
     samplers = {k for k in range(len(nodes)) if nodes[k].type == kinds.Sampler}
@@ -310,7 +310,7 @@ def integrator_plugin(spec: str) -> dict[str, Any]:
     ParameterError
         If the spec cannot be read.
     """
-    # Names of Mitsuba's plugins may have underscores, but names in specs may not
+    # Names of Mitsuba's plugins may have underscores, but names in our specs may not
     plugin, bracket, rest = spec.strip().partition("(")
     try:
         found = {"type": plugin, **parse(f"integrator{bracket}{rest}").arguments}
@@ -318,14 +318,14 @@ def integrator_plugin(spec: str) -> dict[str, Any]:
         raise ParameterError(f"The integrator {shown(spec)} cannot be read: {error}") from None
     if reach_of(found) is not None:
         raise ParameterError(f"The integrator {shown(spec)} names a file or code; remove it.")
-    _copied(found)  # Copying makes the same checks as for a scene dictionary
+    _copied(found)  # Copying makes the same checks as for a scene
     return found
 
 
 def named_pixels(scene: Scene) -> dict[str, tuple[int, int]]:
     """Return the named pixels (x, y) of a built-in scene; empty for other scenes.
 
-    A name is left out if the film's shape hides the point.
+    A name is left out if the film does not show its point.
     """
     request = as_scene(scene)
     if isinstance(request, DictScene) or _as_file(request) is not None:
@@ -350,7 +350,7 @@ def sensor_of(scene: Scene) -> Any:
 
 
 def sized(scene: str, **sizes: int) -> str:
-    """Return the spec of a built-in scene with another film ``width`` and ``height``."""
+    """Return the spec of a built-in scene with a different film ``width`` and ``height``."""
     call = parse(scene)
     shown = ", ".join(f"{key}={value!r}" for key, value in {**call.arguments, **sizes}.items())
     return f"{call.name}({shown})"
@@ -365,8 +365,8 @@ def film_size(scene: Scene) -> tuple[int, int]:
 def project(scene: Scene, point: Sequence[float]) -> tuple[float, float]:
     """Return the film coordinates, in pixels, of a world point in the camera's view.
 
-    Pixel (i, j) covers [i, i+1) × [j, j+1), so its indices are the floor of the result. Objects
-    between the camera and the point are ignored; see `describe_pixel`.
+    Pixel (i, j) covers [i, i+1) × [j, j+1), so its indices are the floor of the result.
+    Objects between the camera and the point are ignored; see `describe_pixel`.
 
     Raises
     ------
@@ -389,7 +389,7 @@ def project(scene: Scene, point: Sequence[float]) -> tuple[float, float]:
 
 
 def find_emitter(scene: Scene, light: int | str) -> Any:
-    """Return the emitter of a scene with this index or name (its id, or that of its shape).
+    """Return the emitter of a scene with this index, or with this name (own or shape's id).
 
     Raises
     ------
@@ -413,8 +413,8 @@ def find_emitter(scene: Scene, light: int | str) -> Any:
 def emitter_name(emitter: Any, scene: Any = None) -> str:
     """Return the id of an emitter's shape, or its own id if it has no shape.
 
-    Without an id, the name is ``emitter-K`` with its index K in `scene`, a Mitsuba scene, or its
-    class if `scene` is not given.
+    Without an id, the name is ``emitter-K``, where K is the emitter's index in the Mitsuba `scene`.
+    If no scene is given, the name is the emitter's class.
     """
     shape = emitter.get_shape()
     name = str(shape.id() if shape is not None else emitter.id())
@@ -431,7 +431,7 @@ def emitter_names(scene: Scene) -> list[str]:
 
 @functools.lru_cache(maxsize=16)
 def _built(request: str | Path | DictScene, _state: Hashable = None) -> Any:
-    """Build a scene from a name, from a file in this state, or from a dictionary."""
+    """Build a scene from a name, a dictionary, or a file in this state."""
     mitsuba, name = load_mitsuba(), str(request)
     load: Any = mitsuba.load_file
     source: Any = name
@@ -440,7 +440,7 @@ def _built(request: str | Path | DictScene, _state: Hashable = None) -> Any:
         source = SCENES.build(parse(name)) if isinstance(request, str) else request.contents
     register_samplers(VARIANT)  # the scene may use one of our samplers
     try:
-        # Not optimized: merging would rename shapes and change their order.
+        # Do not optimize the scene, because merging would rename shapes and change their order
         scene = load(source, optimize=False)
     except (RuntimeError, TypeError) as error:
         raise FileFormatError(
@@ -452,7 +452,7 @@ def _built(request: str | Path | DictScene, _state: Hashable = None) -> Any:
     if found is None:
         return scene
     part, reason = found[0], mitsuba_reason(found[1])
-    # Delete the scene: while its materials exist, Dr.Jit traces them for every other scene.
+    # Delete the scene, because Dr.Jit traces its materials for every other scene while they exist
     del scene, found
     gc.collect()
     raise ParameterError(
@@ -462,9 +462,9 @@ def _built(request: str | Path | DictScene, _state: Hashable = None) -> Any:
 
 
 def mitsuba_reason(error: Exception) -> str:
-    """Return Mitsuba's message on one line, without places in its own source code.
+    """Return Mitsuba's message on one line, without places in Mitsuba's source code.
 
-    For an error in a Python plugin, this is the last line, after the error's name.
+    For an error in a Python plugin, the result is the last line, after the error's name.
     """
     text = str(error).strip()
     if "Traceback" in text:
@@ -484,24 +484,24 @@ def _as_file(request: str | Path) -> Path | None:
 
 @final
 class DictScene:
-    """A Mitsuba scene dictionary as a cache key; keys are equal if the contents are.
+    """A Mitsuba scene dictionary as a cache key; two keys are equal if their contents are equal.
 
     Parameters
     ----------
     scene
-        A dictionary for `mitsuba.load_dict`. Its dictionaries, lists and arrays are copied, so that
-        later changes have no effect. Transforms, bitmaps and arrays are compared by their numbers,
-        objects that Mitsuba has already built by identity.
+        A scene dictionary for `mitsuba.load_dict`.
+        Its dictionaries, lists and arrays are copied, so that later changes have no effect.
+        Transforms, bitmaps and arrays are compared by their numbers,
+        and objects that Mitsuba has already built are compared by identity.
 
     Raises
     ------
     ParameterError
-        If the root's ``type`` is not ``"scene"``, a key is not a string, or the nesting is too
-        deep.
+        If the root's ``type`` is not ``"scene"``, a key is not a string, or nesting is too deep.
 
     Notes
     -----
-    It prints as ``dict``. It can be pickled only if it holds no Mitsuba objects.
+    The dictionary prints as ``dict``. It can be pickled only if it holds no Mitsuba objects.
     """
 
     def __init__(self, scene: Mapping[str, Any]) -> None:
@@ -528,7 +528,7 @@ class DictScene:
         return "dict"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return DictScene, (self._copy,)  # object addresses differ in another process
+        return DictScene, (self._copy,)  # another process has other object addresses
 
 
 def _copied(value: Any, depth: int = 0) -> Any:
@@ -559,7 +559,7 @@ def _copied(value: Any, depth: int = 0) -> Any:
 
 
 def _key(value: Any) -> Hashable:
-    # The order of entries matters: it is the order of the lights, which have indices.
+    # The order of entries matters, because it is the order and the index of the lights
     if isinstance(value, Mapping):
         return "dict", tuple((name, _key(entry)) for name, entry in value.items())
     if isinstance(value, list):
@@ -571,33 +571,33 @@ def _key(value: Any) -> Hashable:
     readable = hasattr(holder, "__array__") or hasattr(holder, "__array_interface__")
     numbers = np.asarray(holder if readable else None)
     if numbers.dtype == object:
-        return "object", id(value)  # the scene keeps the object alive, so its address stays unique
+        return "object", id(value)  # the scene keeps the object, so its address is unique
     digest = hashlib.sha256(np.ascontiguousarray(numbers).tobytes()).hexdigest()
     return type(value).__name__, numbers.shape, str(numbers.dtype), digest
 
 
 State: TypeAlias = "tuple[tuple[Path, int, int], ...]"
-"""Paths, sizes in bytes, and times of change in nanoseconds."""
+"""State of files: their paths, sizes in bytes, and times of change in nanoseconds."""
 
 DEEPEST = 64
 """Largest nesting of elements, also in dictionaries.
 
-Shapes in groups with nested materials and textures reach 12; some 10,000 end the process.
+Shapes in groups with nested materials and textures reach 12; some 10,000 levels end the process.
 """
 
 MOST_ELEMENTS = 2**21
-"""Largest number of elements, with repeated includes: 700,000 shapes load in 20 s."""
+"""Largest number of elements, including repeated includes: 700,000 shapes load in 20 s."""
 
 MOST_XML = 2**26
 """Largest size of an XML file in bytes: a million elements take about 32 MB."""
 
 _LONGEST_REASON = 300  # maximum length of Mitsuba's message in characters
-_INCLUDES = 16  # levels of includes; Mitsuba allows at most 15
+_INCLUDES = 16  # maximum levels of includes; Mitsuba allows at most 15
 _MOST_NAMES = 64  # maximum number of values of one text with parameters
 # Maximum number of passes over all names; each pass follows one more include or default
 _MOST_ROUNDS = 64
-_LONGEST_PATH = 4096  # largest number of characters of a path in Linux; a longer text is not a file
-_LONGEST_PARAMETER, _LONGEST_TEXT = 64, 2**20  # characters of a parameter's name, and of its values
+_LONGEST_PATH = 4096  # maximum length of a path in Linux; a longer text is not a file
+_LONGEST_PARAMETER, _LONGEST_TEXT = 64, 2**20  # maximum length of a name and its values
 _PARAMETER = re.compile(rf"\w{{1,{_LONGEST_PARAMETER}}}", re.ASCII)
 _PLUGIN_NAME = re.compile(r"[\w-]+")
 _LIBRARIES = (".so", ".dylib", ".dll")
@@ -606,10 +606,10 @@ _watched: dict[Path, State] = {}
 
 
 def watched_state(scene: Path) -> State:
-    """Return the state of a scene's file and all files that it names, for comparison.
+    """Return the state of a scene's file and of all files that it names, for comparison.
 
-    The XML is read again only if one of the files has changed since the last call. Otherwise this
-    checks each file in the file system, which takes a few microseconds per file.
+    The XML is read again only if one of the files has changed since the last call.
+    Otherwise each file is only checked in the file system, which takes a few microseconds per file.
     """
     file = scene.resolve()
     known = _watched.get(file, ())
@@ -623,27 +623,28 @@ def referenced_files(
 ) -> set[Path]:
     """Return the existing files that a scene's XML names, including XML in includes.
 
-    A name is searched in the folders of the scene, of the file that names it, and of every
-    ``<path>``; if it is in none of them, in the current folder. A file that is not XML names no
-    other file. All XML that Mitsuba would parse is checked.
+    A name is searched in the folders of the scene, of the naming file, and of every ``<path>``.
+    If it is in none of them, it is searched in the current folder.
+    A file that is not XML names no other file. All XML that Mitsuba would parse is checked.
 
     Parameters
     ----------
     scene
         XML file.
     definitions
-        Values for its ``$name``; values of ``<default>`` are added.
+        Values for each ``$name`` in the file; values of ``<default>`` are added.
     trust
-        Files that an untrusted scene may name; None allows every file, for a scene that a person
-        names.
+        Files that an untrusted scene may name.
+        None allows every file, for a scene that a person names.
 
     Raises
     ------
     FileFormatError
-        If a file is larger, or has more or deeper elements, than the limits of this module; if it
-        has a document type with entities; if it is long and not well-formed XML; if a name belongs
-        to a device or a pipe; if a picture takes too much memory (see `mcspectra.core.decoding`);
-        or if a plugin is not Mitsuba's own.
+        If a file has more bytes, more elements or deeper elements than this module allows.
+        If a file has a document type with entities, or is long and not well-formed XML.
+        If a name belongs to a device or a pipe.
+        If a picture takes too much memory (see `mcspectra.core.decoding`).
+        If a plugin of the scene is not Mitsuba's own.
     ConfigError
         If a name or a link points outside the folders of `trust`, whether a file exists or not.
     """
@@ -655,12 +656,12 @@ def referenced_files(
     values: dict[str, dict[str, None]] = {k: {v: None} for k, v in (definitions or {}).items()}
     folders, here = {first.parent: None}, Path.cwd()
     files: dict[Path, _SceneFile] = {}
-    places_of: dict[tuple[Path, int], dict[Path, None]] = {}  # keys: file, and index in its `names`
+    places_of: dict[tuple[Path, int], dict[Path, None]] = {}  # keys: file, index of a name
     found: set[Path] = set()
 
     @functools.cache
     def places(name: str, where: tuple[Path, ...], named_in: str) -> list[Path]:
-        """Return the paths of files with this name; `trust`, if given, must allow each path."""
+        """Return the paths of files with this name; `trust`, if not None, must allow each path."""
         beside = [place for folder in where if (place := _regular(folder / name, first))]
         if not beside and (elsewhere := _regular(here / name, first)):
             beside = [elsewhere]
@@ -677,7 +678,7 @@ def referenced_files(
 
     before = (-1, -1, -1)
     rounds = 0
-    # Search all names again in each pass: a file may have defined a folder or a value
+    # Search all names again in each pass, because a file may have defined a folder or a value
     while before != (now := (len(files), len(folders), sum(map(len, values.values())))):
         before, rounds = now, rounds + 1
         if rounds > _MOST_ROUNDS:
@@ -709,7 +710,7 @@ def referenced_files(
                     around = tuple(folders | {file.parent: None})
                     if trust is not None and tag == "string":
                         trust.check_scene_spec(name, where)
-                        for ending in ("eta", "k"):  # Mitsuba looks for a material in these files
+                        for ending in ("eta", "k"):  # files in which Mitsuba searches a material
                             places(f"data/ior/{name}.{ending}.spd", around, where)
                     if tag == "path":
                         for folder in (*around, here):
@@ -764,7 +765,7 @@ class _SceneFile:
     names
         Element, depth, text and line of every entry that may name a file.
     unclear
-        Why Mitsuba's parser may read another text than this module does; otherwise empty.
+        Why Mitsuba's parser may read a different text than this module; empty if it does not.
     """
 
     elements: int = 0
@@ -776,7 +777,7 @@ class _SceneFile:
 
 
 def _parsed(file: Path) -> _SceneFile:
-    """Read an XML file without building its tree; empty for a short file that is not XML."""
+    """Read an XML file without building its tree; a short file that is not XML gives no names."""
     try:
         size = file.stat().st_size
         data = file.read_bytes() if size <= MOST_XML else b""
@@ -812,8 +813,8 @@ def _elements(file: Path, data: bytes) -> _SceneFile:
         value = attributes.get("value", "")
         name = attributes.get("filename") or (value if tag in ("string", "path") else "")
         if found.depth > DEEPEST or found.elements > MOST_ELEMENTS:
-            return  # The limit is exceeded; the elements are still counted for the message
-        # After a default that ends in a backslash, a text also contains the escape
+            return  # The limit is exceeded; elements are only counted for the message
+        # If a default ends in a backslash, a text that uses it also contains the escape
         if any("\\$" in each for each in attributes.values()) or (
             tag == "default" and "\\" in value
         ):
@@ -852,16 +853,17 @@ def _elements(file: Path, data: bytes) -> _SceneFile:
     except (
         LookupError,
         ValueError,
-    ) as error:  # an encoding that Python cannot decode, or a multi-byte one
+    ) as error:  # the encoding is unknown to Python, or multi-byte
         raise ExpatError(str(error)) from None
     return found
 
 
 def _expanded(text: str, values: Mapping[str, Iterable[str]], file: Path) -> list[str]:
-    """Return the text with each value of its ``$name``; a name without a value stays.
+    """Return a text with its parameters ``$name`` replaced by each of their values.
 
-    Mitsuba replaces the names that are defined when it reads the text: in ``$ab`` it inserts the
-    value of ``a`` if ``ab`` has no value yet.
+    A parameter without a value is not replaced.
+    Mitsuba replaces the names that have a value when it reads the text.
+    In the text ``$ab`` it therefore replaces only ``$a`` if the name ``ab`` has no value yet.
     """
     beginning, *rest = text.split("$")
     found = [beginning]
@@ -884,14 +886,14 @@ def _too_many(file: Path, text: str) -> FileFormatError:
 
 
 def check_plugin(name: str, folders: Iterable[Path]) -> None:
-    """Reject a plugin that is a library in one of these folders: Mitsuba would run its code.
+    """Reject a plugin that is a library in one of these folders; Mitsuba would run its code.
 
     Raises
     ------
     FileFormatError
         If a library with this name exists, or the name is a path.
     """
-    if "$" in name:  # a parameter without a value, which Mitsuba rejects
+    if "$" in name:  # the name has a parameter without a value, which Mitsuba rejects
         return
     if not _PLUGIN_NAME.fullmatch(name):
         raise FileFormatError(
@@ -911,7 +913,7 @@ def check_plugin(name: str, folders: Iterable[Path]) -> None:
 
 
 def _exists(place: Path, kind: Callable[[int], bool] = bool) -> bool:
-    """Whether a file of this type exists at a place; its name may be too long."""
+    """Whether a file of this type exists at a place; false if its name is too long."""
     try:
         return kind(place.stat().st_mode)
     except (OSError, ValueError):
@@ -923,7 +925,7 @@ def _regular(place: Path, scene: Path) -> Path | None:
     try:
         place = place.resolve()
         mode = place.stat().st_mode
-    except (OSError, RuntimeError, ValueError):  # RuntimeError means a loop of links
+    except (OSError, RuntimeError, ValueError):  # RuntimeError means that links form a loop
         return None
     if stat.S_ISREG(mode):
         return place
@@ -947,9 +949,10 @@ def _states(files: Iterable[Path]) -> State:
 def what_fails(scene: Any) -> tuple[str, RuntimeError] | None:
     """Return the first material or light that cannot be evaluated, and the error; otherwise None.
 
-    A virtual call of Dr.Jit traces every BSDF in the process, of all scenes. If one BSDF cannot be
-    evaluated, all other scenes fail as well. So before a scene is used, each BSDF and each light is
-    called once, alone; calls that are only traced take microseconds. Hold `backend.LOCK` around the
+    A virtual call of Dr.Jit traces every BSDF in the process, of all scenes.
+    If one BSDF cannot be evaluated, all other scenes therefore fail as well.
+    So before a scene is used, each BSDF and each light is called once, alone.
+    Calls that are only traced take microseconds. Hold `backend.LOCK` around the call.
     """
     import drjit
 

@@ -1,8 +1,9 @@
 """Our densities of directions for the environment of a scene, instead of Mitsuba's.
 
-A density on [0,1)² (see `mcspectra.core.environments`: x_0 is φ/2π, x_1 is θ/π) becomes a density
-of directions, p(x)/(2π² sin πx_1) per steradian. In Mitsuba's maps, the first row is at +y and φ
-runs from −z to +x, before the emitter's ``to_world``: ω = (sin θ sin φ, cos θ, −sin θ cos φ).
+A density on [0,1)² becomes a density of directions, p(x)/(2π² sin πx_1) per steradian.
+Here x_0 is φ/2π and x_1 is θ/π (see `mcspectra.core.environments`).
+In Mitsuba's maps, the first row is at +y, and φ runs from −z to +x,
+before the emitter's ``to_world`` is applied: ω = (sin θ sin φ, cos θ, −sin θ cos φ).
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ __all__ = ["Sky", "environment_of", "rotation_of", "sky_pixels", "sky_technique"
 
 _ROWS = 512
 _MOST_ROWS = 2**12
-_ORTHONORMAL = 1e-4  # tolerance for float32 matrices from several rotations
+_ORTHONORMAL = 1e-4  # tolerance for float32 products of several rotations
 _SMALLEST_SINE = 1e-12  # limit at the poles, where a density per steradian is unbounded
 
 
@@ -38,12 +39,12 @@ class Sky:
     rotation: Array
 
     def sample(self, u: Array) -> tuple[Array, Array]:
-        """Return directions (M, 3) in the world and densities per steradian (M,) for u (M, 2)."""
+        """Return world directions (M, 3) and densities per steradian (M,) for u (M, 2)."""
         x = self.density.sample(u)
         return _local(x) @ self.rotation.T, self._per_steradian(x)
 
     def pdf(self, directions: Array) -> Array:
-        """Return the density per steradian (M,) of unit vectors (M, 3) in the world."""
+        """Return the density per steradian (M,) of unit vectors (M, 3) in world space."""
         a, b, c = (directions @ self.rotation).T
         azimuth = np.arctan2(a, -c) / (2.0 * np.pi) % 1.0
         polar = np.arccos(np.clip(b, -1.0, 1.0)) / np.pi
@@ -85,20 +86,21 @@ def sky_pixels(scene: Scene, rows: int = _ROWS) -> Array:
     Parameters
     ----------
     scene
-        A scene, same as for `load_scene`.
+        A scene: a name, a file or a dictionary, as in `load_scene`.
     rows
         Number of pixels along θ; there are twice as many along φ.
 
     Returns
     -------
     ndarray
-        Linear radiance (rows, 2 rows, 3) at pixel centers, for `EnvironmentDensity`. Mitsuba's maps
-        have the centers of the first and last row at the poles, so these pixels are not copies.
+        Linear radiance (rows, 2 rows, 3) at pixel centers, for `EnvironmentDensity`.
+        Mitsuba's maps have the centers of the first and last rows at the poles.
+        These pixels are therefore interpolated, not copied.
 
     Raises
     ------
     ParameterError
-        If the scene has no environment, or rows are too few or too many.
+        If the scene has no environment, or the number of rows is out of range.
     """
     height = as_integer("rows", rows, least=2, most=_MOST_ROWS)
     with LOCK:
@@ -112,10 +114,11 @@ def sky_pixels(scene: Scene, rows: int = _ROWS) -> Array:
 
 
 def sky_technique(scene: Scene, density: Density | str | None, channel: str | int) -> Sky:
-    """Bind a density in two dims, or that of a spec, to the environment of a scene.
+    """Bind a 2-D density, or the density of a spec, to the environment of a scene.
 
-    A spec ``environment`` without a path means the scene's own environment, `sky_pixels`. With
-    None, this environment is bilinear, by `channel` (by luminance for ``"rgb"``).
+    A spec ``environment`` without a path means the scene's own environment, `sky_pixels`.
+    With None, this environment is interpolated bilinearly, and its density is by `channel`.
+    The density is by luminance for ``"rgb"``.
     """
     if density is None:
         chosen = "luminance" if channel == "rgb" else channel
@@ -140,7 +143,7 @@ def _sky(loaded: Any, name: str, density: Density | str) -> Sky:
 
 
 def _pixels(emitter: Any, rows: int) -> Array:
-    """Return radiance (rows, 2 rows, 3) at pixel centers."""
+    """Return the emitter's radiance (rows, 2 rows, 3) at pixel centers."""
     x_1, x_0 = np.meshgrid(
         (np.arange(rows) + 0.5) / rows, (np.arange(2 * rows) + 0.5) / (2 * rows), indexing="ij"
     )
@@ -156,7 +159,7 @@ def _pixels(emitter: Any, rows: int) -> Array:
 
 
 def rotation_of(emitter: Any) -> Array:
-    """Return the frame of an emitter in the world, (3, 3); a scaled frame is a ParameterError."""
+    """Return the (3, 3) rotation of an emitter to the world; a scaled frame is a ParameterError."""
     matrix = np.asarray(emitter.world_transform().matrix, np.float64).reshape(4, 4)[:3, :3]
     if not np.allclose(matrix.T @ matrix, np.eye(3), atol=_ORTHONORMAL):
         raise ParameterError(

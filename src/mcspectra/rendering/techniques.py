@@ -1,9 +1,9 @@
 """Visible surface points of pixels, and the techniques of their direct illumination.
 
-A technique, light or BSDF sampling, computes a direction from u in [0,1)² at every point. It
-returns f/p, its own density and the density of the other technique, per solid angle
-[VeachGuibas1995]_. There is one point for all samples, or one point per sample. Hold `backend.LOCK`
-around every call.
+A technique, light or BSDF sampling, computes a direction from u in [0,1)² at every point.
+The technique returns f/p, its own density and that of the other technique, per solid angle
+[VeachGuibas1995]_. All samples share one point, or each has its own.
+Hold the lock `backend.LOCK` around every call.
 """
 
 from __future__ import annotations
@@ -47,29 +47,29 @@ __all__ = [
 ]
 
 POWERS = {"balance": 1, "power": 2}
-"""Exponents β of heuristics, by name."""
+"""Exponents β of the power heuristics, by name."""
 
 Techniques = tuple[Any, Any, Any]
-"""Value f/p, density of the technique, density of the other technique."""
+"""Value f/p, density of the technique, and density of the other technique."""
 
-_SCENES, _PIXELS = 4, 256  # number of scenes whose hits are cached, and number of pixels in each
-_PROBES = 16  # tested positions along each side of a pixel in `check_film_receivers`
+_SCENES, _PIXELS = 4, 256  # number of scenes with cached hits; pixels in each
+_PROBES = 16  # number of tested positions along each side of a pixel
 
 
 @dataclass(frozen=True)
 class Hit:
-    """Surface points hit by rays: by one ray, or by an array of many.
+    """Surface points that are hit by one ray, or by an array of many rays.
 
     Attributes
     ----------
     scene, interaction
         The Mitsuba scene, and the surface interactions.
     bsdf
-        The BSDF; None if a single ray hits nothing; for many rays, a pointer for each.
+        The BSDF: None if a single ray hits nothing, or an array of pointers for many rays.
     active
-        Whether there is a surface that is not a light: one bool, or a mask.
+        Whether a ray hits a surface that is not a light: one bool, or a mask for many rays.
     shape, light
-        For one ray: id of the shape, and name of the light it hits, or None.
+        For one ray: id of the shape and name of the light that it hits, or None.
     """
 
     scene: Any
@@ -81,7 +81,7 @@ class Hit:
 
 
 def primary_hit(scene: Any, x: int, y: int) -> Hit:
-    """Follow the ray through the center of pixel, lens and shutter."""
+    """Follow the ray through the centers of the pixel, the lens and the shutter's time."""
     return hits_of(scene)(x, y)
 
 
@@ -89,8 +89,8 @@ def primary_hit(scene: Any, x: int, y: int) -> Hit:
 def hits_of(scene: Any) -> Callable[[int, int], Hit]:
     """Return `primary_hit` for one scene, with a cache of its last pixels.
 
-    Hits keep their scene in memory with its meshes and textures, and with BSDFs that Dr.Jit traces
-    for all scenes. Therefore only a few scenes are cached.
+    Hits keep their scene in memory, with its meshes, textures and BSDFs.
+    Dr.Jit traces these BSDFs for all scenes. Therefore only a few scenes are cached.
     """
     return functools.lru_cache(maxsize=_PIXELS)(functools.partial(_primary_hit, scene))
 
@@ -98,7 +98,7 @@ def hits_of(scene: Any) -> Callable[[int, int], Hit]:
 def _primary_hit(scene: Any, x: int, y: int) -> Hit:
     import drjit
 
-    # Opaque values are data, not constants, so that all pixels share compiled kernels.
+    # Opaque values are data instead of constants, so that all pixels share compiled kernels
     position = load_mitsuba().Point2f(*_on_film(scene, x, y))
     drjit.make_opaque(position)
     interaction = follow_camera(scene, position)
@@ -114,7 +114,7 @@ def _primary_hit(scene: Any, x: int, y: int) -> Hit:
 def film_hits(scene: Any, x: int, y: int, film: Array) -> Hit:
     """Follow a ray through each position (M, 2) in [0,1)² of a pixel and the center of the lens.
 
-    A float32 resolves positions to 2⁻²⁴ of the whole film.
+    A float32 number resolves positions to 2⁻²⁴ of the whole film.
     """
     import drjit
 
@@ -126,17 +126,17 @@ def film_hits(scene: Any, x: int, y: int, film: Array) -> Hit:
 
 
 def follow_camera(scene: Any, position: Any) -> Any:
-    """First hits of rays through film positions in [0,1)², halfway through the shutter's time."""
+    """Return the first hits of rays through film positions in [0,1)², at the shutter's mid-time."""
     sensor = scene.sensors()[0]
     time = sensor.shutter_open() + 0.5 * sensor.shutter_open_time()
     mitsuba = load_mitsuba()
     ray, _ = sensor.sample_ray(time, 0.5, position, mitsuba.Point2f(0.5))
-    # coherent rays save 10 % of an image's time
+    # Coherent rays save 10 % of an image's time
     return scene.ray_intersect(ray, mitsuba.RayFlags.All, True)
 
 
 def _on_film(scene: Any, x: int, y: int, dx: Any = 0.5, dy: Any = 0.5) -> tuple[Any, Any]:
-    """Coordinates in [0,1) of a pixel position on the film's crop window, in float64."""
+    """Return float64 coordinates in [0,1) of a pixel position on the film's crop window."""
     width, height = scene.sensors()[0].film().crop_size()
     return (x + dx) / int(width), (y + dy) / int(height)
 
@@ -155,7 +155,7 @@ def check_pixel(scene: Scene, x: object, y: object) -> tuple[int, int]:
 def check_receiver(scene: Scene, x: int, y: int) -> Hit:
     """Return the surface at the pixel's center if its reflection can be sampled.
 
-    It is a ParameterError if the ray hits nothing, a light, or a BSDF that is a delta function.
+    A ParameterError is raised if the ray hits nothing, a light, or a BSDF that is a delta function.
     """
     hit = primary_hit(load_scene(scene), x, y)
     where = f"Pixel ({x}, {y}) of {scene_name(scene)}"
@@ -172,8 +172,8 @@ def check_receiver(scene: Scene, x: int, y: int) -> Hit:
 def check_film_receivers(scene: Scene, x: int, y: int, *, single_lobe: bool) -> None:
     """Raise a ParameterError unless the surfaces on a grid of positions can be sampled.
 
-    Parts of the pixel may show a light or nothing, but not all. With `single_lobe`, a BSDF must not
-    need a third random number.
+    Parts of the pixel may show a light or nothing, but not the whole pixel.
+    With `single_lobe`, a BSDF must not need a third random number.
     """
     middles = (np.arange(_PROBES) + 0.5) / _PROBES
     film = np.stack(np.meshgrid(middles, middles), axis=-1).reshape(-1, 2)
@@ -229,13 +229,13 @@ def chooses_lobe(hit: Hit, u: Any) -> bool:
 
 
 def sample_columns(u: Array) -> list[Any]:
-    """Columns of samples u (M, dims) as `Float` in [0,1), never rounded up to 1."""
+    """Return the columns of samples u (M, dims) as `Float` in [0,1), never rounded up to 1."""
     columns = np.minimum(np.array(u.T, np.float32, order="C"), np.float32(LARGEST_SAMPLE))
     return [load_mitsuba().Float(c) for c in columns]
 
 
 def corners_of(pixels: Array) -> list[Any]:
-    """x and y of pixels (P, 2) as `Float`."""
+    """Return the coordinates x and y of pixels (P, 2) as `Float`."""
     return [load_mitsuba().Float(np.ascontiguousarray(c, np.float32)) for c in pixels.T]
 
 
@@ -244,14 +244,14 @@ def lane_sums(
 ) -> Array:
     """Sum float32 numbers over k < `count` in float64 for each lane: (lanes, numbers).
 
-    One loop is recorded, so that memory does not grow with `count`. `values` maps the lane numbers
-    to a function of k.
+    One loop is recorded, so that memory does not grow with `count`.
+    The argument `values` is a function that maps the lane numbers to a function of k.
     """
     import drjit
 
     mitsuba = load_mitsuba()
     real: Any = drjit.float64_array_t(mitsuba.Float)
-    # Opaque values are data: constants in a kernel would need a new compilation for each value.
+    # Opaque values are data; constants in a kernel would need a new compilation for each value
     end, at = drjit.opaque(mitsuba.UInt32, count), values(drjit.arange(mitsuba.UInt32, lanes))
 
     def add(k: Any, *sums: Any) -> tuple[Any, ...]:
@@ -268,8 +268,8 @@ def pixel_sums(
 ) -> Array:
     """Sum over samples u: (R, n, D), equal for all pixels, or (R, P, n, D); gives (numbers, R, P).
 
-    A lane is a realization of a pixel. `values` maps the lanes' pixels to a function of the row of
-    u.
+    Each lane is one realization of one pixel.
+    The argument `values` maps the pixels of the lanes to a function of the row of u.
     """
     import drjit
 
@@ -286,13 +286,13 @@ def pixel_sums(
 
 
 def chosen_channel(color: Any, channel: str | int) -> Any:
-    """Return the luminance of a color, or the channel with this index."""
+    """Return the luminance of a color, or its channel with this index."""
     return load_mitsuba().luminance(color) if channel == "luminance" else color[channel]
 
 
 def check_finite(values: Array, scene: Scene, pixels: Array) -> None:
     """Raise an error for NaN and infinity among values (P, …) at pixels (P, 2)."""
-    if np.isfinite(values.sum()):  # the sum is much faster than a test of each value
+    if np.isfinite(values.sum()):  # a sum is much faster than a test of each value
         return
     bad = ~np.isfinite(values)
     if bad.any():
@@ -306,10 +306,10 @@ def check_finite(values: Array, scene: Scene, pixels: Array) -> None:
 def sample_light(
     hit: Hit, emitter: Any, u: Any, extra: Any = None, active: Any = True
 ) -> Techniques:
-    """Sample the only light, or one of all lights if `emitter` is None, by samples u, a `Point2f`.
+    """Sample a light, or one of all lights if `emitter` is None, by samples u, a `Point2f`.
 
-    A third number in [0,1), `extra`, selects the light; None takes it from the first coordinate of
-    u. The value is 0 at points that are not `active`.
+    The third number in [0,1), `extra`, selects the light.
+    If it is None, the first coordinate of u also selects. Inactive points have the value 0.
     """
     import drjit
 
@@ -329,7 +329,7 @@ def sample_light(
     value *= weight
     useful = active & (sample.pdf > 0.0) & drjit.any(value != 0.0)
     visible = useful & ~hit.scene.ray_test(at.spawn_ray_to(sample.p), useful)
-    # BSDF sampling never hits a light that is a delta function: the BSDF's density there is 0.
+    # BSDF sampling never hits a light that is a delta function, so its density there is 0
     other = drjit.select(sample.delta, 0.0, bsdf_pdf)
     return drjit.select(visible, value, 0.0), sample.pdf, other
 
@@ -337,7 +337,7 @@ def sample_light(
 def sample_bsdf(
     hit: Hit, emitter: Any, u: Any, extra: Any = None, active: Any = True
 ) -> Techniques:
-    """Sample the BSDF; parameters as in `sample_light`, but `extra` selects the lobe."""
+    """Sample the BSDF; parameters are as in `sample_light`, but `extra` selects the lobe."""
     value, own, other, _ = follow_bsdf(hit, emitter, u, extra, active)
     return value, own, other
 
@@ -345,7 +345,7 @@ def sample_bsdf(
 def follow_bsdf(
     hit: Hit, emitter: Any, u: Any, extra: Any = None, active: Any = True
 ) -> tuple[Any, Any, Any, Any]:
-    """Same as `sample_bsdf`, and also return the direction in the world, a `Vector3f`."""
+    """Sample the BSDF as in `sample_bsdf`; also return the direction in the world."""
     import drjit
 
     mitsuba, at, scene = load_mitsuba(), hit.interaction, hit.scene
@@ -353,14 +353,14 @@ def follow_bsdf(
     sample, weight = hit.bsdf.sample(mitsuba.BSDFContext(), at, lobe, u, active)
     useful = active & (sample.pdf > 0.0) & drjit.any(weight != 0.0)
     ray = at.spawn_ray(at.to_world(sample.wo))
-    # UV: without texture coordinates, textured lights are wrong by 10-15 %.
+    # Without UV texture coordinates, the values of textured lights are wrong by 10-15 %
     met = scene.ray_intersect(ray, mitsuba.RayFlags.UV, False, useful)
     found = met.emitter(scene, useful)
-    # A ray that hits no light has a null pointer, whose calls return zero.
+    # A ray that hits no light has a null pointer, and calls of a null pointer return zero
     shines = useful if emitter is None else useful & (found == mitsuba.EmitterPtr(emitter))
     value = drjit.select(shines, weight * found.eval(met, shines), 0.0)
     direction = mitsuba.DirectionSample3f(scene, met, at)
-    # Light sampling never gives the exact direction of a specular lobe: its density there is 0.
+    # Light sampling never gives the exact direction of a specular lobe, so its density there is 0
     rough = shines & ~mitsuba.has_flag(sample.sampled_type, mitsuba.BSDFFlags.Delta)
     if emitter is None:
         light_pdf = scene.pdf_emitter_direction(at, direction, rough)
@@ -370,7 +370,7 @@ def follow_bsdf(
 
 
 def look_at_sky(hit: Hit, emitter: Any, direction: Any, active: Any = True) -> tuple[Any, Any]:
-    """Evaluate f_r L V cos and the BSDF's density in world directions toward an environment."""
+    """Evaluate f_r L V cos and the BSDF's density in world directions toward the environment."""
     import drjit
 
     mitsuba, at = load_mitsuba(), hit.interaction
@@ -383,7 +383,7 @@ def look_at_sky(hit: Hit, emitter: Any, direction: Any, active: Any = True) -> t
 
 
 def heuristic_weight(own: Any, other: Any, power: int) -> Any:
-    """Return own^β / (own^β + other^β) from the ratio: squares overflow float32 for mirrors."""
+    """Return own^β / (own^β + other^β) by a ratio, as squares would overflow for mirrors."""
     import drjit
 
     ratio = drjit.select(own > 0.0, other / own, 0.0)

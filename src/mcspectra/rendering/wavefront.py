@@ -2,14 +2,15 @@
 
 Method
 ------
-All samples of a chunk of pixels run in one kernel, by the strategies of `techniques`. The kernel
-adds up values over the samples of each pixel in float64. The number of samples in a chunk bounds
-the memory, for any number of pixels and of samples per pixel.
+All samples of a chunk of pixels run in one kernel, by the strategies of `techniques`.
+The kernel adds up values over the samples of each pixel in float64.
+The number of samples in a chunk limits the memory,
+whatever the numbers of pixels and of samples per pixel are.
 
-The columns of u are, in this order: two for the position in the pixel, if it is sampled; then two
-for the direction, or three if the third selects a light or a lobe of the BSDF. The strategy ``mis``
-adds up both techniques at the same surface point: it has a block of columns for the light, then one
-for the BSDF.
+The first two columns of u are the position in the pixel, if it is sampled.
+The next two are the direction; a third column may select a light or a lobe of the BSDF.
+The strategy ``mis`` adds up both techniques at the same surface point.
+This strategy has a block of columns for the light, then one for the BSDF.
 """
 
 from __future__ import annotations
@@ -51,10 +52,10 @@ __all__ = ["CHUNK_SAMPLES", "FILMS", "WAVEFRONT_STRATEGIES", "Wavefront"]
 WAVEFRONT_STRATEGIES = ("light", "bsdf", "mis-light", "mis-bsdf", "mis")
 FILMS = ("center", "sampled")
 CHUNK_SAMPLES = 2**20
-"""Samples in one kernel: some 200 MiB of Dr.Jit's memory; larger kernels are not faster."""
+"""Number of samples in one kernel: some 200 MiB of Dr.Jit's memory; larger ones are not faster."""
 
 _LOOP_SAMPLES = 16  # maximum number of samples of a lane; more would leave too few lanes
-_MOST_VALUES = 2**26  # maximum number of samples that are returned one by one: 768 MiB of float32
+_MOST_VALUES = 2**26  # maximum number of samples returned one by one, 768 MiB
 
 
 class Wavefront:
@@ -63,12 +64,13 @@ class Wavefront:
     Parameters
     ----------
     scene
-        A scene, same as for `load_scene`.
+        A scene: a name, a file or a dictionary, as in `load_scene`.
     light
         Index or name of the only light to use; by default all lights.
     film
-        ``"center"``: rays through the pixels' centers. ``"sampled"``: rays through a point of the
-        pixel that the first two columns of u choose uniformly (a box filter).
+        ``"center"``: rays through the pixels' centers.
+        ``"sampled"``: rays through a point of the pixel, uniform by the first two columns of u.
+        This corresponds to a box filter.
     heuristic
         ``"balance"`` or ``"power"`` (β = 2), for the ``mis`` strategies.
     emission
@@ -81,8 +83,9 @@ class Wavefront:
 
     Notes
     -----
-    Rays start at the center of the lens, in the middle of the shutter's time. ``bsdf`` excludes
-    lights that are delta functions, and ``light`` excludes specular lobes; ``mis`` includes both.
+    Rays start at the center of the lens, in the middle of the shutter's time.
+    ``bsdf`` excludes lights that are delta functions, and ``light`` excludes specular lobes.
+    ``mis`` includes both.
     """
 
     def __init__(
@@ -105,7 +108,7 @@ class Wavefront:
             self._request, self._scene = scene, load_scene(scene)
             check_media(scene)
             self.width, self.height = film_size(scene)
-            # Pass the size as data: division by a constant in a kernel would round differently
+            # Pass the size as data, because kernels round a division by a constant differently
             sides = (float(side) for side in (self.width, self.height))
             self._size = [drjit.opaque(load_mitsuba().Float, side) for side in sides]
             self._emitter = None if light is None else find_emitter(scene, light)
@@ -113,7 +116,7 @@ class Wavefront:
                 raise ParameterError(
                     f"The scene {scene_name(scene)} has no lights; add an emitter."
                 )
-            # A BSDF with several components on a side selects one by a random number
+            # A BSDF with several components on one side selects one of them by a random number
             flags = load_mitsuba().BSDFFlags
             bsdfs = [shape.bsdf() for shape in self._scene.shapes()]
             self.selects_lobe = any(
@@ -121,14 +124,14 @@ class Wavefront:
                 for b in bsdfs
                 for side in (flags.FrontSide, flags.BackSide)
             )
-        # Tiles are evaluated repeatedly with other points, so their first hits are cached.
+        # Tiles are evaluated repeatedly with other points, so their first hits are cached
         self._center_hits = functools.lru_cache(maxsize=4)(self._trace_centers)
 
     def dims(self, strategy: str, *, select: bool | None = None) -> int:
         """Return the number of columns that a strategy uses.
 
-        With `select`, the third column of each block selects; by default this is used if a BSDF of
-        the scene needs it.
+        With `select`, the third column of each block selects a light or a lobe.
+        By default, this column exists if a BSDF of the scene needs it.
         """
         as_choice("strategy", strategy, WAVEFRONT_STRATEGIES)
         if select is None:
@@ -139,7 +142,7 @@ class Wavefront:
     def values(self, strategy: str, pixels: Any, u: Any) -> Array:
         """Return the estimate of every sample of every pixel: float32 (P, S, 3).
 
-        Parameters and errors are the same as in `means`; more than 2^26 samples are an error.
+        Parameters and errors are the same as in `means`. More than 2^26 samples are an error.
         """
         pixels, u = self._checked(strategy, pixels, u)
         count = u.shape[-2]
@@ -159,12 +162,12 @@ class Wavefront:
         Parameters
         ----------
         strategy
-            ``"light"``, ``"bsdf"``, their parts of multiple importance sampling ``"mis-light"`` and
-            ``"mis-bsdf"``, or their sum ``"mis"``.
+            ``"light"`` or ``"bsdf"`` sampling, their parts of multiple importance sampling,
+            ``"mis-light"`` and ``"mis-bsdf"``, or ``"mis"``, the sum of these parts.
         pixels
             Integers (P, 2): x and y, counted from the left and from the top.
         u
-            Samples in [0,1), (P, S, dims), or (S, dims), equal for all pixels; see `dims`.
+            Samples in [0,1): (P, S, dims), or (S, dims) if equal for all pixels; see `dims`.
 
         Returns
         -------
@@ -174,8 +177,8 @@ class Wavefront:
         Raises
         ------
         ParameterError
-            If the strategy is unknown, pixels are outside the film, u has the wrong shape, or the
-            renderer returns NaN or infinite values.
+            If the strategy is unknown, pixels are outside the film, or u has the wrong shape.
+            If the renderer returns NaN or infinite values.
         DomainError
             If samples are NaN or outside [0,1).
         """
@@ -187,7 +190,7 @@ class Wavefront:
         return out
 
     def net_means(self, strategy: str, pixels: Array, points: NetPoints) -> Array:
-        """Same as `means` without checks, for points computed by the kernel, one set per pixel."""
+        """Same as `means` without checks, for points from the kernel, one set per pixel."""
         sums = self._sums(strategy, pixels, points)
         sums /= points.count
         return sums
@@ -230,7 +233,7 @@ class Wavefront:
         return pixels, u
 
     def _sums(self, strategy: str, pixels: Array, points: Array | NetPoints) -> Array:
-        """Sums over the samples of each pixel of one chunk: float64 (P, 3)."""
+        """Return sums over the samples of each pixel of one chunk: float64 (P, 3)."""
         count = points.shape[-2]
         each = max(k for k in range(1, _LOOP_SAMPLES + 1) if count % k == 0)
         parts = self._parts(strategy, pixels, points, each)
@@ -238,7 +241,7 @@ class Wavefront:
         return sums
 
     def _parts(self, strategy: str, pixels: Array, points: Array | NetPoints, each: int) -> Array:
-        """Sums over `each` consecutive samples in each lane: float64 (P, n / each, 3)."""
+        """Return sums over `each` consecutive samples, one per lane: float64 (P, n / each, 3)."""
         import drjit
 
         mitsuba, count, at_center = load_mitsuba(), points.shape[-2], self.film == "center"
@@ -292,7 +295,7 @@ class Wavefront:
         return parts
 
     def _trace_centers(self, pixels: bytes) -> Any:
-        """First hits through the centers of pixels, given as the bytes of int64 (P, 2)."""
+        """Return first hits through the centers of pixels, given as bytes of int64 (P, 2)."""
         import drjit
 
         x, y = corners_of(np.frombuffer(pixels, np.int64).reshape(-1, 2))
@@ -301,7 +304,7 @@ class Wavefront:
         return found
 
     def _trace(self, x: Any, y: Any) -> Any:
-        """Follow rays through points of the film, in pixels."""
+        """Follow rays through points of the film, given in pixels."""
         position = load_mitsuba().Point2f(x / self._size[0], y / self._size[1])
         return follow_camera(self._scene, position)
 

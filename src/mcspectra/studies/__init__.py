@@ -1,4 +1,4 @@
-"""Studies: typed TOML, cells, a store, a run, a summary."""
+"""Studies: typed TOML files, their cells, a results store, a run, and a summary."""
 
 import lazy_loader
 

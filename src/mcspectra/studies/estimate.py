@@ -1,7 +1,7 @@
 """Estimate the time, memory and storage of every cell of a study from short trial runs.
 
-A cell with repeated realizations is run twice with few of them and once with more; the difference
-gives the time per realization. The other cells are scaled by their cost.
+A cell with repeated realizations is run twice with few of them and once with more.
+The difference gives the time per realization. The other cells are scaled by their cost.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class CellEstimate(msgspec.Struct, frozen=True, kw_only=True):
     tried
         Whether the estimate comes from a trial run of this cell.
     tasks
-        Approximate number of tasks: one per second of work, and one for a short cell.
+        Approximate number of tasks: one per second of work, or a single one for a short cell.
     error
         Reason why the cell will fail, if planning found one.
     """
@@ -79,7 +79,7 @@ def estimate_study(plan: StudyPlan, *, probe_seconds: float = 10.0) -> list[Cell
     probe_seconds = as_real("probe_seconds", probe_seconds, least=0.0)
     seed = plan.config.seed
 
-    # Try as many cells as time allows, first one cell per analysis and estimator
+    # Try as many cells as time allows; begin with one cell per analysis and estimator
     seen: set[tuple[str, str]] = set()
     first: list[StudyCell] = []
     later: list[StudyCell] = []
@@ -112,7 +112,7 @@ def estimate_study(plan: StudyPlan, *, probe_seconds: float = 10.0) -> list[Cell
         seconds, storage = tried.get(cell.path, guess)
         if seconds > target and name not in cut:
             cut[name] = False
-            with contextlib.suppress(Exception):  # The study fails at the same place
+            with contextlib.suppress(Exception):  # The study itself fails at the same place
                 steps = steps_of(cell.analysis, cell.subject, Stream.from_rng(seed))
                 cut[name] = sum(each.blocks for each in next(steps)) > 1
         estimates.append(
@@ -133,23 +133,23 @@ def estimate_study(plan: StudyPlan, *, probe_seconds: float = 10.0) -> list[Cell
 
 
 def wall_time(estimates: Sequence[CellEstimate], workers: int) -> float:
-    """Return the estimated seconds with `workers` workers, at least those of the longest cell."""
+    """Return the estimated seconds with `workers` workers; at least the longest cell's seconds."""
     seconds = [each.seconds for each in estimates]
     return max(sum(seconds) / workers, max(seconds, default=0.0))
 
 
 def _measured(cell: StudyCell, seed: int, left: float) -> tuple[float, int] | None:
-    """Return seconds of all realizations and stored bytes; None if the cell fails or is large."""
+    """Return seconds of all realizations and stored bytes, or None if a cell fails or is large."""
     realizations: int = cell.analysis.realizations  # type: ignore[attr-defined]
     if cell.need.cost / realizations * _FEW * _NOMINAL > left:
         return None
     few = min(_FEW, realizations)
     try:
-        first, size = _timed(cell, few, seed)  # Includes one-time costs such as compilation
+        first, size = _timed(cell, few, seed)  # This time includes compilation
         again, _ = _timed(cell, few, seed)
         if 2 * again > left:
             return first + again * realizations / few, size
-        # Add realizations until their time stands out from the fixed cost of a call
+        # Add realizations until their time is clearly longer than the fixed cost of a call
         for more in _MORE if _MORE[0] / _FEW * again < 0.1 * left else (2 * _FEW,):
             count = min(more, realizations)
             seconds, _ = _timed(cell, count, seed)
@@ -171,7 +171,7 @@ def _timed(cell: StudyCell, realizations: int, seed: int) -> tuple[float, int]:
 
 
 def _medians(values: list[tuple[str, float]]) -> dict[str, float]:
-    """Return the median of each analysis, and the median of all under the key ``""``."""
+    """Return the median of each analysis, and the median of all values under the key ``""``."""
     groups: dict[str, list[float]] = {}
     for analysis, value in values:
         groups.setdefault(analysis, []).append(value)

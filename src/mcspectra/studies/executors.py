@@ -1,11 +1,12 @@
 """Executors compute tasks in threads of this process or on workers of a dask cluster.
 
-An executor accepts tasks and yields outcomes in the order in which they finish. A failed task is an
-ordinary outcome. An executor raises an exception only if it cannot continue.
+An executor accepts tasks and yields outcomes in the order in which they finish.
+A failed task is an ordinary outcome. An executor raises an exception only if it cannot continue.
 
-Worker processes on this machine also form a dask cluster. They can be stopped at a time limit, and
-they may crash. One rule for tasks of dead workers therefore covers all clusters. dask is imported
-only when it is needed.
+Worker processes on this machine also form a dask cluster.
+These processes can be stopped at a time limit, and they may crash.
+One rule for tasks of dead workers therefore covers all clusters.
+The package dask is imported only when it is needed.
 """
 
 from __future__ import annotations
@@ -62,16 +63,16 @@ __all__ = [
     "check_time_limit",
 ]
 
-# Seconds that canceled threads get to finish: most chunks take about 1 s
+# Seconds that canceled threads get to finish; most chunks take about 1 s
 _GRACE = 5.0
-# Largest time limit, in seconds (30 years): clocks and waits overflow above it
+# Largest time limit, in seconds (30 years), because clocks and waits overflow above it
 _LONGEST_LIMIT = 1e9
 _LOOPBACK = "127.0.0.1"
 _ADDRESS = re.compile(
     r"(?:(tcp|tls)://)?[\w.-]+:\d{1,5}|(?:(tcp|tls)://)?\[[0-9a-fA-F:]+\]:\d{1,5}"
 )
-_AHEAD = 2  # tasks submitted to the scheduler per worker thread
-_RESUBMISSIONS = 5  # Maximum number of resubmissions of a task lost with the connection
+_AHEAD = 2  # Number of tasks submitted to the scheduler per worker thread
+_RESUBMISSIONS = 5  # Maximum number of resubmissions of a lost task
 _POLL = 0.5  # Seconds between checks of the connection or of the threads
 _FRESH = 2.0  # Seconds for which the counted number of workers is reused
 _DESERTED = 300.0  # Seconds to wait for a new local worker, or for a result to arrive
@@ -83,7 +84,7 @@ class Executor(Protocol):
 
     @property
     def workers(self) -> int:
-        """Number of tasks computed at once."""
+        """Number of tasks that are computed at once."""
 
     def submit(self, task: StudyTask, compute: Callable[[], Any]) -> None:
         """Queue a task; `compute` computes it in a thread of this process."""
@@ -112,7 +113,7 @@ class Threads:
         )
         self._finished: queue.SimpleQueue[Outcome] = queue.SimpleQueue()
         self._under_way = 0
-        # Daemon threads: an integrand that hangs cannot keep the program from ending.
+        # Daemon threads, so that an integrand that hangs cannot keep the program from ending
         self._threads = [
             threading.Thread(target=self._work, name="mcspectra-tasks", daemon=True)
             for _ in range(workers)
@@ -152,7 +153,7 @@ class Threads:
             yield outcome
 
     def close(self, cancel: bool) -> None:
-        """Stop the threads; with `cancel`, drop waiting tasks and wait 5 s for running ones."""
+        """Stop the threads; with `cancel`, drop waiting tasks and wait 5 s for running tasks."""
         with contextlib.suppress(queue.Empty):
             while cancel:
                 self._tasks.get_nowait()
@@ -172,7 +173,7 @@ class ClusterError(McspectraError, RuntimeError):
 
 
 class ClusterLost(ClusterError):
-    """The scheduler or all workers went away during a study; finished work is stored."""
+    """The scheduler or all workers were lost during a study; finished work is stored."""
 
 
 @final
@@ -183,18 +184,18 @@ class Cluster:
     Attributes
     ----------
     address
-        ``local`` starts worker processes on this machine. ``tcp://HOST:PORT`` or
-        ``tls://HOST:PORT`` connects to a running scheduler. A path ending in .json is a scheduler
-        file written by dask.
+        ``local`` starts worker processes on this machine.
+        ``tcp://HOST:PORT`` or ``tls://HOST:PORT`` connects to a running scheduler.
+        A path ending in .json is a scheduler file written by dask.
     workers
-        Number of worker processes of one thread each, for ``local``; all processors by default.
+        Number of one-thread worker processes for ``local``; all processors by default.
     host
         Address where the scheduler of ``local`` listens; by default only this machine can reach it.
     dashboard
         Port of dask's dashboard, for ``local``; 0 picks a free port.
     time_limit
-        Seconds after which a task fails and its worker is restarted. The time includes compiling a
-        kernel at its first use on a machine.
+        Seconds after which a task fails and its worker is restarted.
+        The time includes compiling a kernel at its first use on a machine.
     patience
         Seconds to wait for the scheduler, at the start and after a lost connection.
 
@@ -236,7 +237,7 @@ class Cluster:
 
 
 class _Pending(NamedTuple):
-    """A task without an outcome.
+    """A submitted task that has no outcome yet.
 
     Attributes
     ----------
@@ -255,17 +256,18 @@ class _Pending(NamedTuple):
 class Dask:
     """Compute tasks on the workers of a dask cluster.
 
-    The scheduler resubmits the tasks of a worker that dies. This class resubmits tasks that were
-    lost when the connection to the scheduler broke and came back.
-    A dying worker also loses tasks that did not cause its death. Tasks that the scheduler gives up
-    are therefore tried again, one at a time.
-    At most two tasks per worker thread are submitted at once, so memory does not grow with the
-    study. A task counts as submitted until its result is fetched.
+    The scheduler resubmits the tasks of a worker that dies.
+    This class resubmits tasks that were lost when the connection to the scheduler broke.
+    A dying worker also loses tasks that did not cause its death.
+    Tasks that the scheduler gives up are therefore tried again, one at a time.
+    At most two tasks per worker thread are submitted at once.
+    Memory therefore does not grow with the size of the study.
+    A task counts as submitted until its result is fetched.
 
     Parameters
     ----------
     text
-        The study as sent to workers.
+        The study in the form that is sent to workers.
     cluster
         Address and options of the cluster.
     compute
@@ -274,7 +276,7 @@ class Dask:
     Raises
     ------
     ClusterError
-        If the scheduler does not answer, or a worker has another version of this package.
+        If the scheduler does not answer, or a worker has a different version of this package.
     """
 
     def __init__(self, text: StudyText, cluster: Cluster, compute: Compute = attempt) -> None:
@@ -301,7 +303,7 @@ class Dask:
 
     @property
     def workers(self) -> int:
-        """Number of worker threads; without workers 1, so that one task waits for a worker."""
+        """Number of worker threads; 1 without workers, so that one task waits for a worker."""
         now = time.monotonic()
         if now - self._threads[1] >= _FRESH and self._ready:
             with contextlib.suppress(OSError):
@@ -319,7 +321,7 @@ class Dask:
         Raises
         ------
         ClusterLost
-            If the scheduler or all local workers went away and did not come back in time.
+            If the scheduler or all local workers were lost and did not come back in time.
         ClusterError
             If a worker that joined later has another package version or cannot build the study.
         """
@@ -334,8 +336,8 @@ class Dask:
                         f"within {self._options.patience:g} s; finished work is stored, and "
                         "--resume continues."
                     ) from None
-                # Give up a local cluster that cannot start workers; other clusters may gain workers
-                # later
+                # Give up a local cluster that cannot start workers.
+                # Other clusters may gain workers later
                 self._deserted = 0.0 if self._threads[0] else self._deserted + _POLL
                 if self._options.local and self._deserted >= _DESERTED:
                     raise ClusterLost(
@@ -356,7 +358,7 @@ class Dask:
                 yield outcome
 
     def close(self, cancel: bool) -> None:
-        """Leave the cluster; with `cancel`, give up the running tasks first."""
+        """Leave the cluster; with `cancel`, first give up the running tasks."""
         futures = [future for future, _ in self._sent.values()]
         if cancel and futures and self._ready:
             with contextlib.suppress(Exception):
@@ -374,7 +376,7 @@ class Dask:
         return bool(self._client.status == "running")
 
     def _fill(self) -> None:
-        """Submit tasks up to the limit; submit a suspected task only while no other is running."""
+        """Submit tasks up to the limit, but a suspected task only while no other task runs."""
         most = _AHEAD * self.workers
         while len(self._sent) < most and self._ready:
             if self._suspects:
@@ -387,7 +389,7 @@ class Dask:
 
     def _send(self, pending: _Pending) -> None:
         serial = next(self._serials)
-        # Dask keeps statistics by the first entry of a key, so all tasks share that entry.
+        # Dask keeps statistics by the first entry of a key, so all tasks share this entry
         key = (self._name, pending.task.key, str(serial))
         arguments = (self._compute, self._text, pending.task, self._options.time_limit)
         future = self._client.submit(compute_elsewhere, *arguments, key=key, pure=False, retries=0)
@@ -395,18 +397,18 @@ class Dask:
         future.add_done_callback(lambda _: self._finished.put(serial))
 
     def _outcome(self, future: Any, pending: _Pending) -> Outcome | None:
-        """Return the outcome of a task that dask reports as done; None if the task was lost."""
+        """Return the outcome of a task that dask reports as done, or None if the task was lost."""
         from distributed import KilledWorker
 
         try:
-            # This may wait: if the worker has died meanwhile, the task is computed again.
+            # This may wait. If the worker has died in the meantime, the task is computed again
             outcome, occupied = future.result(timeout=_DESERTED)
         except (concurrent.futures.CancelledError, asyncio.CancelledError):
             return self._resubmit(pending)
         except WorkerRefused as refusal:
             raise ClusterError(str(refusal)) from None
         except KilledWorker as error:
-            # Retry alone a task whose workers died; if they die again, the task fails
+            # A task whose workers died is retried alone; if its workers die again, the task fails
             total = pending.deaths + getattr(error, "allowed_failures", 0) + 1
             if not pending.deaths:
                 self._suspects.append(pending._replace(deaths=total))
@@ -419,17 +421,15 @@ class Dask:
         except OSError as error:
             if future.status == "error":
                 return Outcome(task=pending.task, error=explain(error))
-            return self._resubmit(pending)  # connection broke while fetching
+            return self._resubmit(pending)  # the connection broke while the result was fetched
         except Exception as error:  # noqa: BLE001 - dask may raise anything
             return Outcome(task=pending.task, error=explain(error))
-        if (
-            occupied
-        ):  # An abandoned task still occupies the worker that holds the result: restart it
+        if occupied:  # An abandoned task still occupies this worker: restart the worker
             holders = self._client.who_has([future]).values()
             workers = [each for of in holders for each in of]
 
             def restart() -> None:
-                with contextlib.suppress(Exception):  # The worker may be gone
+                with contextlib.suppress(Exception):  # The worker may have ended
                     self._client.restart_workers(workers, timeout=60, raise_for_error=False)
 
             threading.Thread(target=restart, daemon=True).start()
@@ -437,7 +437,7 @@ class Dask:
         return result
 
     def _resubmit(self, pending: _Pending) -> Outcome | None:
-        """Resubmit a task that was lost with the connection; fail it after too many losses."""
+        """Resubmit a task that was lost with the connection; after too many losses it fails."""
         if pending.losses == _RESUBMISSIONS:
             reason = f"It was lost with the connection to the scheduler {pending.losses + 1} times."
             return Outcome(task=pending.task, error=reason)
@@ -445,7 +445,7 @@ class Dask:
         return None
 
     def _refuse_other_versions(self) -> None:
-        """Raise `ClusterError` naming each worker that has another version of this package."""
+        """Raise a `ClusterError` that names each worker with another version of this package."""
         found = self._client.run(metadata.version, "mcspectra", on_error="return")
         others = {
             worker: "no version" if isinstance(version, Exception) else version
@@ -508,7 +508,7 @@ def _connected(options: Cluster, opened: contextlib.ExitStack) -> Any:
 
 
 def _greet_scheduler(address: str, patience: float) -> None:
-    """Raise OSError if no scheduler answers: dask's own client would wait for ever."""
+    """Raise OSError if no scheduler answers, because dask's client would wait forever."""
     from distributed import security, utils
     from distributed.comm import core
 
@@ -529,27 +529,27 @@ def _greet_scheduler(address: str, patience: float) -> None:
 
 
 def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
-    """Start processes of one thread each; replace dead processes. `opened` closes all of them."""
+    """Start one-thread processes, and replace dead ones; `opened` closes all processes."""
     import dask
     import distributed
     from distributed import utils
 
-    # Workers use as many BLAS threads as this process: dask's default of 1 would change last
-    # digits. Wait for slow workers: by default dask gives up a worker's nanny after 15 s.
+    # Use as many BLAS threads as this process; dask's default of 1 would change last digits.
+    # Wait for slow workers: by default, dask gives up a worker's nanny after 15 s
     configuration: dict[str, Any] = {
         "distributed.nanny.pre-spawn-environ": {"MALLOC_TRIM_THRESHOLD_": 65536},
         "distributed.deploy.lost-worker-timeout": _LONGEST_LIMIT,
     }
     make: Any = distributed.LocalCluster
     if sys.platform == "linux":
-        # Fork workers from a process that has imported the common packages once
+        # Fork workers from a process that has already imported the common packages
         configuration["distributed.worker.multiprocessing-method"] = "forkserver"
-    # Keep the configuration while the cluster lives: the cluster starts replacement workers later
+    # Keep this configuration while the cluster lives, because it starts replacement workers later
     opened.enter_context(dask.config.set(configuration))
     if sys.platform == "linux":
         context: Any = utils
         context.get_mp_context().set_forkserver_preload(["distributed", __name__, *WARM])
-    # The cluster's thread also blocks Ctrl-C, because it starts replacement workers.
+    # The cluster's thread also blocks Ctrl-C, because this thread starts replacement workers
     with deaf():
         cluster = make(
             n_workers=available_workers(options.workers),
@@ -557,8 +557,8 @@ def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
             processes=True,
             host=options.host,
             dashboard_address=f"{options.host}:{options.dashboard}",
-            memory_limit=0,  # The plan was already compared with the machine's memory
-            env=dict(os.environ),  # Not the environment of an earlier cluster
+            memory_limit=0,  # The plan has already checked the memory
+            env=dict(os.environ),  # Do not use the environment of an earlier cluster
             silence_logs=logging.CRITICAL,
         )
         opened.callback(cluster.close, timeout=_CLOSING)
@@ -566,10 +566,10 @@ def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
 
 
 def _muted(opened: contextlib.ExitStack) -> dict[logging.Handler, int]:
-    """Keep dask's log off the terminal: this package reports problems in its own messages.
+    """Keep dask's log off the terminal, because this package reports problems in its own messages.
 
-    `opened` restores the log levels that remain in the returned mapping. After an interruption
-    it restores no level, because dask logs until the process ends.
+    The stack `opened` restores the log levels that remain in the returned mapping.
+    After an interruption it restores no level, because dask logs until the process ends.
     """
     levels = {each: each.level for each in logging.getLogger("distributed").handlers}
 
@@ -587,10 +587,10 @@ def _muted(opened: contextlib.ExitStack) -> dict[logging.Handler, int]:
 @contextlib.contextmanager
 def deaf() -> Iterator[None]:
     """Make processes and threads that start in this context ignore Ctrl-C."""
-    if not hasattr(signal, "pthread_sigmask"):  # on Windows
+    if not hasattr(signal, "pthread_sigmask"):  # Windows lacks this function
         yield
         return
-    # Starting the tracker unblocks Ctrl-C in its thread, so start it before blocking Ctrl-C.
+    # Starting the tracker unblocks Ctrl-C in its thread, so start it before blocking Ctrl-C
     resource_tracker.ensure_running()
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

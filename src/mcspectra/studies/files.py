@@ -1,12 +1,14 @@
 """Read study files: TOML, typed and checked as a whole before anything runs.
 
-A study names samplers, estimators and analyses. Each analysis has a table under its name
-(`mcspectra.core.analysis`), and an estimator may override any of these tables. The analysis defines
-the keys, types, defaults and meanings of its table. Unknown keys, wrong types and values out of
-range are errors that name the place. Relative paths in specs are relative to the file.
+A study names samplers, estimators and analyses.
+Each analysis has a table under its name (`mcspectra.core.analysis`).
+An estimator may override any of these tables.
+The analysis defines the keys, types, defaults and meanings of its table.
+Unknown keys, wrong types and values out of range are errors that name the place.
+Relative paths in specs are relative to the folder of the file.
 
-A study is read in four steps: apply changes of the command line, expand grids, check types, and
-check rules that concern several keys.
+A study is read in four steps: apply changes of the command line, expand grids,
+check types, and check rules that concern several keys.
 """
 
 from __future__ import annotations
@@ -72,7 +74,7 @@ _MOST_TEXT = 10**8  # Maximum number of characters that a grid may generate in o
 _LARGEST_FILE = 4 * 2**20
 _RESERVED_SLUGS = frozenset({"zarr.json", "c"})
 _SINGLE = ("seed", "time_limit")  # Keys with a single value per study
-# Dotted keys have at most 64 parts: the time of tomllib grows with the square of this number.
+# Dotted keys have at most 64 parts, because tomllib's time grows with the square of this number.
 # A key of 10⁶ parts takes hours.
 _DOTTED = re.compile(
     r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}""", re.ASCII
@@ -172,7 +174,7 @@ class EstimatorConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True
 class SceneConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True):
     """An analysis of a scene with its own samplers: an entry of ``[[maps]]``.
 
-    `kind` is the name of the analysis, and `analysis` holds the options of the entry.
+    The field `kind` is the name of the analysis; `analysis` holds the options of the entry.
     """
 
     name: Annotated[Text, _NAME]
@@ -187,8 +189,8 @@ class SceneConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True):
 class StudyConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True):
     """A whole study file.
 
-    `analyses` holds the tables of analyses by name, in the order of the file. `scenes` holds the
-    entries of ``[[maps]]``.
+    The field `analyses` holds the tables of analyses by name, in the order of the file.
+    The field `scenes` holds the entries of ``[[maps]]``.
     """
 
     title: Annotated[Text, Meta(description="Title of the report.")]
@@ -223,8 +225,8 @@ class StudyConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True):
 def analysis_tables() -> dict[str, type[Analysis]]:
     """Return the analyses by the keys of their tables.
 
-    The key is the name of the analysis, but ``maps`` for ``map``, which analyzes a scene. Analyses
-    that cannot be loaded are left out.
+    Each key is the name of the analysis, except ``maps`` for ``map``, which analyzes a scene.
+    Analyses that cannot be loaded are left out.
     """
     found = {}
     for name in sorted(_names()):
@@ -235,13 +237,13 @@ def analysis_tables() -> dict[str, type[Analysis]]:
 
 
 def _names() -> frozenset[str]:
-    """Return names of analyses that may be keys of a study: they differ from its other keys."""
+    """Return names of analyses that may be keys of a study because they differ from other keys."""
     own = {*StudyConfig.__struct_fields__, *EstimatorConfig.__struct_fields__}
     return frozenset(n for n in ANALYSES if _TABLE_NAME.fullmatch(n) and n not in own)
 
 
 def _scene_lists(table: Mapping[str, Any]) -> dict[str, str]:
-    """Return keys of a study that list scenes, and their analyses, such as ``maps`` and ``map``."""
+    """Return keys of a study that list scenes, with their analyses: ``maps`` lists ``map``."""
     names, found = _names(), {}
     for key in table:
         name = key.removesuffix("s")
@@ -252,7 +254,7 @@ def _scene_lists(table: Mapping[str, Any]) -> dict[str, str]:
 
 
 def study_file(name: str | Path) -> Path:
-    """Return the file of a built-in study, such as ``"tour"``; another name is a path already.
+    """Return the file of a built-in study, such as ``"tour"``; any other name is itself a path.
 
     Paths in a study are relative to the folder of its file.
 
@@ -307,7 +309,7 @@ def decode_study(text: str, source: str = "study", overrides: Sequence[str] = ()
     Raises
     ------
     ConfigError
-        Same as in `read_study`.
+        Same as in the function `read_study`.
     """
     if not isinstance(text, str):
         raise ConfigError(f"{source} is {type(text).__name__}, not the text of a study file.")
@@ -319,7 +321,7 @@ def decode_study(text: str, source: str = "study", overrides: Sequence[str] = ()
         raise ConfigError(f"{source} is not valid TOML: {error}.") from None
     except RecursionError:
         raise ConfigError(f"{source} is nested too deeply for a study.") from None
-    except ValueError:  # int() refuses numbers of 5000 digits
+    except ValueError:  # int() refuses numbers of more than 4300 digits
         raise ConfigError(f"{source} contains a number with too many digits.") from None
     return study_of(expand_grids(apply_overrides(table, overrides), source), source)
 
@@ -352,7 +354,7 @@ def study_of(table: Mapping[str, Any], source: str = "study") -> StudyConfig:
                 )
             if id(samplers) not in seen and len(set(samplers)) < len(samplers):
                 raise ConfigError(f"{shown(entry.name)} lists a sampler twice.")
-            seen.add(id(samplers))  # Most entries share one list, checked once
+            seen.add(id(samplers))  # Most entries share one list, which is checked once
         for estimator in config.estimators:
             for complaint in _complaints(estimator):
                 raise ConfigError(f"the estimator {shown(estimator.name)} {complaint}")
@@ -367,7 +369,7 @@ def as_study(config: StudyConfig) -> StudyConfig:
     Raises
     ------
     ConfigError
-        If `config` is not a study.
+        If the argument is not a study.
     """
     if not isinstance(config, StudyConfig):
         raise ConfigError(f"{config!r} is not a study; pass the result of read_study.")
@@ -377,8 +379,9 @@ def as_study(config: StudyConfig) -> StudyConfig:
 def plain_study(config: StudyConfig) -> dict[str, Any]:
     """Return a study as plain values, with the keys of a file and expanded grids.
 
-    Keys of the study and of estimators are left out if they have their default, but all options of
-    analyses are kept. The values therefore do not depend on which other analyses are installed.
+    Keys of the study and of estimators are left out if they have their default value.
+    All options of analyses are kept.
+    The values therefore do not depend on which other analyses are installed.
     """
     plain: dict[str, Any] = msgspec.to_builtins(as_study(config))
     for entry in (plain, *plain.get("estimators", ())):
@@ -391,10 +394,10 @@ def plain_study(config: StudyConfig) -> dict[str, Any]:
 
 @final
 class Slugs:
-    """Make a different group name for each text, of letters, digits, dots and hyphens.
+    """Make a unique group name for each text, of letters, digits, dots and hyphens.
 
-    Names have no separator and no leading dot, so they cannot leave the store. They also differ
-    from the names of the store's own files.
+    Names have no separator and no leading dot, so they cannot leave the store.
+    The names also differ from the names of the store's own files.
     """
 
     def __init__(self) -> None:
@@ -406,7 +409,7 @@ class Slugs:
         base = re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.")[:60].strip("-.") or "x"
         slug = base
         while slug in self._taken:
-            # Continue at the last number: thousands of texts may begin alike.
+            # Continue at the last number, because thousands of texts may begin alike
             number = self._next.get(base, 2)
             slug, self._next[base] = f"{base}-{number}", number + 1
         self._taken.add(slug)
@@ -418,7 +421,7 @@ Names: TypeAlias = dict[str, None]
 
 
 def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[Names, Names]]:
-    """Return the parts of the paths of a study's cells in order, without building anything.
+    """Return the parts of the paths of a study's cells, in order, without building any cell.
 
     Parameters
     ----------
@@ -428,8 +431,8 @@ def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[Names, Names]]:
     Returns
     -------
     dict
-        By first part of a path (an estimator or a scene): the second parts (its samplers) and
-        the third parts (its analyses with their companions).
+        The keys are the first parts of paths: estimators or scenes.
+        The values are the second parts (samplers) and the third parts (analyses with companions).
     """
     found, slugs = dict[str, tuple[Names, Names]](), Slugs()
     known: dict[tuple[str, ...], Names] = {}
@@ -457,7 +460,7 @@ def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[Names, Names]]:
     return found
 
 
-# Check the types of values: each table becomes a struct.
+# Check the types of values, so that each table becomes a struct.
 
 
 @final
@@ -518,7 +521,7 @@ def _table(table: Any, place: str) -> dict[str, Any]:
 
 
 def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] = ()) -> Struct:
-    """Convert a table to a struct; `beside` lists further keys that its place allows.
+    """Convert a table to a struct; `beside` lists other keys that are allowed at its place.
 
     Raises
     ------
@@ -550,7 +553,7 @@ def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] 
             raise ConfigError(f"{where}the key {shown(name)} is missing.")
     try:
         return msgspec.convert(clean, kind)
-    except msgspec.ValidationError as error:  # An option may have a type of another package
+    except msgspec.ValidationError as error:  # An option may have a foreign type
         raise ConfigError(f"{where}{error}.") from None
 
 
@@ -586,13 +589,13 @@ def _complaints(e: EstimatorConfig) -> Iterator[str]:
     if e.sets is not None and (not several or e.one_sample):
         yield "has sets, which belong to several techniques; leave it out."
 
-    # Options that choose one technique of several
+    # Check options that choose one technique of several
     if e.one_sample and e.densities is None:
         yield "has one_sample but no densities to choose from; give densities."
     if not e.one_sample and (e.probabilities is not None or e.selection is not None):
         yield "has probabilities or selection, which belong to one_sample = true."
 
-    # Densities of color channels
+    # Check densities of color channels
     if e.channels == "one" and e.density is None:
         yield 'has channels = "one", which needs density.'
     if e.channels not in (None, "one") and e.densities is None:
@@ -615,14 +618,14 @@ def apply_overrides(table: dict[str, Any], overrides: Sequence[str]) -> dict[str
     table
         The study as read from TOML; it is not modified.
     overrides
-        Texts ``path=value``. The path consists of keys between dots, with indices from 0, such as
-        ``estimators[0].density``. The value is TOML. Missing tables are created.
+        Texts ``path=value``. The path consists of keys between dots, with indices from 0,
+        such as ``estimators[0].density``. The value is TOML. Missing tables are created.
 
     Raises
     ------
     ConfigError
-        If a path cannot be read or leads nowhere, or a value is not TOML. Unknown keys are found
-        later, when the study is checked.
+        If a path cannot be read or leads nowhere, or a value is not TOML.
+        Unknown keys are found later, when the study is checked.
     """
     given: Any = overrides
     if not isinstance(given, list | tuple) or not all(isinstance(text, str) for text in given):
@@ -679,25 +682,27 @@ def apply_overrides(table: dict[str, Any], overrides: Sequence[str]) -> dict[str
 def expand_grids(table: dict[str, Any], source: str = "study") -> dict[str, Any]:
     """Return a study's table with all combinations of its grids written out.
 
-    Estimators, maps and samplers are repeated for each combination of their placeholders, including
-    placeholders in the study's tables of analyses. A text that is only a placeholder becomes the
-    value itself: a number stays a number, a list stays a list.
+    Estimators, maps and samplers are repeated for each combination of their placeholders.
+    Placeholders in the study's tables of analyses also count.
+    A text that is only a placeholder becomes the value itself, so a list stays a list.
 
     Parameters
     ----------
     table
-        The study as read from TOML. A table ``grid`` at the top applies to the whole study; a table
-        ``grid`` in an estimator applies to that estimator and takes precedence. A table of an
-        analysis with placeholders at the top is copied into each estimator without its own.
+        The study as read from TOML.
+        A table ``grid`` at the top applies to the whole study.
+        A table ``grid`` in an estimator applies to that estimator and takes precedence.
+        An analysis table at the top with placeholders is copied into each estimator without one.
     source
         Name of the study in messages.
 
     Raises
     ------
     ConfigError
-        If a grid is not a table of lists, a placeholder has no values or stands where a study has
-        a single value, or a grid's values are unused; or if there would be more than `MOST_ENTRIES`
-        entries or too much text. Both are counted before anything is generated.
+        If a grid is not a table of lists, or its values are unused.
+        If a placeholder has no values, or is at a place where a study has a single value.
+        If there would be more than `MOST_ENTRIES` entries or too much text.
+        Entries and text are counted before anything is generated.
     """
     try:
         if not isinstance(table, dict):
@@ -710,7 +715,7 @@ def expand_grids(table: dict[str, Any], source: str = "study") -> dict[str, Any]
 def _expanded(table: Mapping[str, Any]) -> dict[str, Any]:
     """Expand the grids of a study."""
     shared = _grid_values(table.get("grid"), "grid")
-    all_used, counts = set[str](), Counter[str]()  # Placeholders in use; counts of entries
+    all_used, counts = set[str](), Counter[str]()  # Used placeholders; counts of entries
 
     def repeated(
         given: Any, more: Mapping[str, Any], key: str, place: str
@@ -748,8 +753,8 @@ def _expanded(table: Mapping[str, Any]) -> dict[str, Any]:
     lists = [key for key in ("estimators", *_scene_lists(made)) if isinstance(made.get(key), list)]
     takers = [key for key in lists if any(isinstance(entry, dict) for entry in made[key])]
 
-    # Copy tables of analyses with placeholders into the estimators without their own; copy a
-    # placeholder for the whole list of samplers into all entries
+    # Copy tables of analyses with placeholders into the estimators without such a table.
+    # Copy a placeholder for the whole list of samplers into all entries
     given: dict[str, Any] = {}
     if "estimators" in takers:
         tables = [key for key in made if key in names and isinstance(made[key], dict)]
@@ -834,7 +839,7 @@ def _keys_in(value: Any, values: Values, place: str) -> list[str]:
 
 
 def _placeholders(value: Any, values: Collection[str] = ()) -> Iterator[str]:
-    """Yield names in braces, except fields such as {n} that programs and files of points use."""
+    """Yield names in braces, except fields such as {n}, which programs and point files use."""
     if isinstance(value, str):
         own = _OWN if _HAS_OWN.search(value) else ()
         yield from (key for key in _PLACEHOLDER.findall(value) if key in values or key not in own)

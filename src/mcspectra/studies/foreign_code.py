@@ -1,8 +1,8 @@
 """Run a study's own Python functions while the study is planned.
 
-A function named by a study may raise anything, end the program or never return. It therefore runs
-in its own thread, within a time limit, and its failures become sentences. Executors protect
-themselves against failing tasks; this module protects the planning.
+A function named by a study may raise anything, end the program or never return.
+The function runs in its own thread, within a time limit, and its failures become sentences.
+Executors protect themselves against failing tasks; this module protects the planning.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ __all__ = ["FunctionFailed", "TookTooLong", "explain", "probed", "within"]
 
 Result = TypeVar("Result")
 _LONGEST = 500  # Maximum number of characters quoted from an exception
-_PATIENCE = 30.0  # Seconds for a function's first values: compiling the function takes several
+_PATIENCE = 30.0  # Seconds for a function's first values, including compilation
 
 
 class TookTooLong(Exception):
-    """A job exceeded its time limit; its thread continues, because threads cannot be stopped."""
+    """A job exceeded its time limit. Its thread continues, because threads cannot be stopped."""
 
 
 class FunctionFailed(Exception):
     """A study's Python function fails at its first points; the message gives the reason.
 
-    This is not a `McspectraError`: it fails only the cells of its estimator.
+    This error is not a `McspectraError`, because it fails only the cells of its estimator.
     """
 
 
@@ -41,7 +41,7 @@ def within(seconds: float, job: Callable[[], Result]) -> Result:
     TookTooLong
         If the job does not finish within `seconds`.
     BaseException
-        If the job raises it.
+        If the job raises this exception.
     """
     result: concurrent.futures.Future[Result] = concurrent.futures.Future()
 
@@ -59,14 +59,14 @@ def within(seconds: float, job: Callable[[], Result]) -> Result:
 
 
 def probed(function: Callable[[Any], Any], *, dims: int, limit: float | None = None) -> Integrand:
-    """Make an integrand of a study's function with `Integrand.from_function`, safely.
+    """Make an integrand of a study's function, safely, with `Integrand.from_function`.
 
     Parameters
     ----------
     function, dims
         Same as in `Integrand.from_function`, which calls the function at a few points.
     limit
-        Seconds allowed for these calls; 30 at most.
+        Seconds allowed for these calls, at most 30.
 
     Raises
     ------
@@ -77,7 +77,7 @@ def probed(function: Callable[[Any], Any], *, dims: int, limit: float | None = N
     def make() -> Integrand:
         try:
             return Integrand.from_function(function, dims=dims)
-        # Catch here, in the thread: an interrupt in the main thread comes from the user.
+        # Catch here, in the thread, because an interrupt in the main thread comes from the user
         except BaseException as error:  # noqa: BLE001 - user code may raise anything
             raise FunctionFailed(explain(error)) from None
 
@@ -91,7 +91,7 @@ def probed(function: Callable[[Any], Any], *, dims: int, limit: float | None = N
 
 
 def explain(error: BaseException) -> str:
-    """Return one sentence on why a task failed; it names exceptions of other packages."""
+    """Return one sentence on why a task failed; it gives the names of foreign exceptions."""
     name, reason = type(error).__name__, reason_of(error, _LONGEST)
     if reason == name:  # The exception has no text
         return f"It raised {name}."

@@ -1,17 +1,18 @@
-"""The ledger of a study: the database ``DIR/study.sqlite``, with one writer and any number of
-readers.
+"""The ledger of a study: the database ``DIR/study.sqlite``, with one writer and many readers.
 
-One SQLite file holds all rows of a run: the study, its cells in order, the states of tasks of
-unfinished cells, error sentences of failed cells, and results with their scalars. SQLite provides
-atomic commits and recovery after a crash. This module adds the schema, the commit interval and the
-digests. Each row has a SHA-256 of its contents, which is checked on every read. The row ``tally``
-has the number of finished cells and the exclusive or of their digests, so a missing row is also
-detected. If the file is damaged, a resumed run keeps all sound rows on readable pages; it names the
-others and computes them again. `Ledger.verify` finds the same rows.
+One SQLite file holds all rows of a run: the study, its cells in order, and results with scalars.
+The file also holds error sentences of failed cells, and task states of unfinished cells.
+SQLite provides atomic commits and recovery after a crash.
+This module adds the schema, the commit interval and the digests.
+Each row has a SHA-256 of its contents, which is checked on every read.
+The row ``tally`` has the number of finished cells and the exclusive or of their digests.
+A missing row is therefore also detected.
+If the file is damaged, a resumed run keeps all sound rows on readable pages.
+The run names the other rows and computes them again. `Ledger.verify` finds the same rows.
 
-The file has a rollback journal, which network file systems support. A writer holds SQLite's lock on
-the empty file ``DIR/study.lock``. The lock ends with its process, regardless of the holder noted in
-the ledger.
+The file has a rollback journal, which network file systems support.
+A writer holds SQLite's lock on the empty file ``DIR/study.lock``.
+The lock ends with its process, regardless of the holder noted in the ledger.
 """
 
 from __future__ import annotations
@@ -72,17 +73,18 @@ __all__ = [
 FORMAT = 7
 """Format number of ledgers and stores.
 
-Formats 1 and 2 were zarr stores that grew during a run. Format 3 had no scalars, format 4 read the
-study's text for every query of failures, and format 5 stored its notes only once.
+Formats 1 and 2 were zarr stores that grew during a run.
+Format 3 had no scalars. Format 4 read the study's text for every query of failures.
+Format 5 stored its notes only once.
 """
 
 LEDGER_NAME = "study.sqlite"
 STORE_NAME = "results.zarr"
 _LOCK_NAME = "study.lock"
-_BESIDE = ("", "-journal", "-wal", "-shm")  # Suffixes of the files that SQLite opens together
+_BESIDE = ("", "-journal", "-wal", "-shm")  # Suffixes of files that SQLite opens together
 _PAGE = 8192  # Page size in bytes
 
-_COMMIT_SECONDS = 1.0  # Seconds between commits: a kill or a power failure loses at most these
+_COMMIT_SECONDS = 1.0  # Seconds between commits, which a crash may lose
 _COMMIT_BYTES = 2**25
 _BUSY_SECONDS = 60.0  # Seconds that commits wait for readers, and readers for commits
 _NOTE_SECONDS = 0.5  # Maximum seconds between taking the lock and noting its holder
@@ -96,10 +98,10 @@ _SCHEMA = (
     "CREATE TABLE results (place INTEGER PRIMARY KEY, payload BLOB)",
     """CREATE TABLE tasks (path TEXT, run TEXT, first INTEGER, blocks INTEGER, digest BLOB,
     payload BLOB, PRIMARY KEY (path, run, first, blocks))""",
-    # A second copy of the notes on another page: without notes nothing can be recovered
+    # A second copy of the notes on another page, because nothing can be recovered without notes
     "CREATE TABLE notes (kind TEXT, name TEXT, text TEXT, digest BLOB, PRIMARY KEY (kind, name))",
 )
-# Rows of a damaged file's pages; contradicting pages can give several rows per key
+# Rows from pages of a damaged file, where contradicting pages can give several rows per key
 _COPIED = (
     "CREATE TABLE cells (place INTEGER, path TEXT, digest BLOB)",
     "CREATE TABLE results (place INTEGER, payload BLOB)",
@@ -119,7 +121,7 @@ _PUT_COPY = {
     4: "INSERT INTO texts VALUES (?, ?, ?, ?)",
     6: "INSERT INTO tasks VALUES (?, ?, ?, ?, ?, ?)",
 }
-"""Insert statements by number of columns, which differs between the tables."""
+"""Insert statements by number of columns, because tables have different numbers of columns."""
 
 _PUT_TEXT = "INSERT OR REPLACE INTO {} VALUES (?, ?, ?, ?)"
 _PUT_CELL = "INSERT INTO cells VALUES (?, ?, NULL)"
@@ -132,7 +134,7 @@ _TEXTS = "SELECT name, text, digest FROM {} WHERE kind = ?"
 _NOTED = ("texts", "notes")  # Tables that each hold a copy of the notes
 _ONE_TASK = "SELECT * FROM tasks WHERE path = ? AND run = ? AND first = ? AND blocks = ?"
 
-# SQLite error codes that do not concern the contents of the file, in words
+# SQLite errors that do not concern the contents of the file, by code, in words
 _NOT_DAMAGE = {
     3: "permission is denied",
     5: "another process is using it",
@@ -170,7 +172,7 @@ class StudyNote(msgspec.Struct, frozen=True, kw_only=True):
     title, seed
         Title and seed of the study.
     config
-        The study as JSON without its time limit; empty after opening a ledger: see `Ledger.config`.
+        The study as JSON without its time limit. Empty after opening a ledger; see `Ledger.config`.
     study_hash
         SHA-256 of the study's canonical JSON, without keys that do not affect results.
     versions
@@ -189,7 +191,7 @@ class StudyNote(msgspec.Struct, frozen=True, kw_only=True):
 
     @staticmethod
     def of(config: StudyConfig, inputs: Mapping[str, str]) -> StudyNote:
-        """Make the note of a study computed by this process, without its time limit.
+        """Make the note of a study computed by this process, without the study's time limit.
 
         The time limit does not affect results, so the stored files do not depend on it either.
         """
@@ -206,7 +208,7 @@ class StudyNote(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Holder(msgspec.Struct, frozen=True):
-    """The process that writes into a folder, or ended without a note: host, process id, start."""
+    """Process that writes into a folder or ended without a note: its host, process id and start."""
 
     host: str
     pid: int
@@ -214,7 +216,7 @@ class Holder(msgspec.Struct, frozen=True):
 
     @property
     def in_words(self) -> str:
-        """Description for messages: ``process 12 on host 'a' since …``."""
+        """Description of the process in messages: ``process 12 on host 'a' since …``."""
         return f"process {self.pid} on host {self.host!r} since {self.since}"
 
 
@@ -250,7 +252,7 @@ class StudyTally(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _Header(msgspec.Struct, frozen=True, kw_only=True):
-    """Fixed values of a ledger, except inputs: the study, its number of cells, a path digest."""
+    """Fixed values of a ledger without inputs: the study, its number of cells, a path digest."""
 
     study: StudyNote
     cells: int
@@ -258,7 +260,7 @@ class _Header(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _Change(NamedTuple):
-    """Statements that write a cell, with the digest and size of its result, or its failure."""
+    """SQL statements that write a cell; also its failure, or the digest and size of its result."""
 
     path: str
     steps: Iterable[_Step]
@@ -268,7 +270,7 @@ class _Change(NamedTuple):
 
 
 class Survey(NamedTuple):
-    """Sound and damaged parts of a ledger; a resumed run continues from the sound ones.
+    """Sound and damaged parts of a ledger; a resumed run continues from the sound parts.
 
     Attributes
     ----------
@@ -301,9 +303,9 @@ class _Damaged(StoreError):
 
 @final
 class Ledger:
-    """Database of a study, opened by `create`, `resume` or `read`; a context manager.
+    """Database of a study, a context manager; `create`, `resume` or `read` opens it.
 
-    A background thread commits the writes once a second; `close` commits the rest.
+    A background thread commits the pending writes once a second; `close` commits the rest.
 
     Attributes
     ----------
@@ -324,11 +326,11 @@ class Ledger:
         self._connection: sqlite3.Connection | None = None
         self._guard = threading.RLock()
         self._pending: list[_Change] = []  # Changes that are not committed
-        self._waiting = 0  # Bytes of these changes
+        self._waiting = 0  # Bytes of the pending changes
         self._closed = threading.Event()
         self._broken: StoreError | None = None  # Error of a commit in the background thread
         self._holds = False
-        self._salvaged = False  # Whether the rows come from `_read_pages`
+        self._salvaged = False  # Whether the rows were read page by page
 
     @staticmethod
     def create(folder: Path, study: StudyNote, paths: Sequence[str]) -> Ledger:
@@ -342,8 +344,8 @@ class Ledger:
         Raises
         ------
         StoreError
-            If the folder already has results, another process writes into it, it contains symbolic
-            links, or it cannot be written. A later write error is a StorageError.
+            If the folder already has results, contains symbolic links, or cannot be written,
+            or if another process writes into it. A later write error is a StorageError.
         """
         with _given_free_if_it_fails(Ledger(folder)) as ledger:
             ledger._begin(study, paths, None)
@@ -358,14 +360,14 @@ class Ledger:
         Parameters
         ----------
         outdated
-            Paths of cells to compute again because their input files changed. If the list is empty,
-            changed files are an error.
+            Paths of cells to compute again because their input files changed.
+            If the list is empty, changed files are an error.
 
         Raises
         ------
         StoreError
-            Same as in `create`; or if the ledger has another study, format or package version, or
-            is too damaged to identify its study.
+            Same as in `create`; or if the ledger has another study, format or package version.
+            If the ledger is too damaged to identify its study.
 
         Warns
         -----
@@ -383,13 +385,13 @@ class Ledger:
         Parameters
         ----------
         salvage
-            Check the file for damage, and read it page by page if it is damaged: for `verify`.
+            For `verify`: check the file for damage, and read a damaged file page by page.
 
         Raises
         ------
         StoreError
-            If there is no ledger, it has another format, or it is too damaged to identify its
-            study; without `salvage`, also for any other damage.
+            If there is no ledger, or it has another format, or its study cannot be identified.
+            Without `salvage`, this error is also raised for any other damage.
         """
         with _given_free_if_it_fails(Ledger(Path(folder))) as ledger:
             ledger._open(salvage=salvage)
@@ -402,7 +404,7 @@ class Ledger:
 
     @property
     def config(self) -> str:
-        """The whole study as JSON; megabytes for a large study.
+        """The whole study as JSON, which has megabytes for a large study.
 
         Raises
         ------
@@ -421,7 +423,7 @@ class Ledger:
 
     @property
     def done(self) -> KeysView[str]:
-        """Paths of the finished cells: those of earlier runs in order, then new ones."""
+        """Paths of the finished cells: cells of earlier runs in order, then new cells."""
         return self._listing[1].keys()
 
     def failures(self) -> dict[str, str]:
@@ -436,7 +438,7 @@ class Ledger:
         return {path: found[path] for path in self.paths if path in found} if found else {}
 
     def tasks(self, path: str) -> list[tuple[str, Chunk]]:
-        """Return the committed task states of a cell: keys of runs, and blocks."""
+        """Return the keys of a cell's committed task states: run keys and blocks."""
         with self._guard:
             rows = self._rows("SELECT run, first, blocks FROM tasks WHERE path = ?", (path,))
         return [(run, (first, blocks)) for run, first, blocks in rows]
@@ -449,7 +451,7 @@ class Ledger:
         return int(count)
 
     def state(self, path: str, run: str, chunk: Chunk) -> bytes | None:
-        """Return the recorded state of a task; None if it was never recorded, or is `damaged`."""
+        """Return the recorded state of a task, or None if it was never recorded or is `damaged`."""
         with self._guard:
             self.commit()
             for row in self._rows(_ONE_TASK, (path, run, *chunk)):
@@ -497,7 +499,7 @@ class Ledger:
         for path in done:
             with contextlib.suppress(
                 ValueError, RecursionError
-            ):  # An untrusted text may be anything
+            ):  # An untrusted text may have any content
                 given = json.loads(texts.get(path) or "null")
                 found[path] = msgspec.convert(given, dict[str, float | int])
             if path not in found:
@@ -515,12 +517,12 @@ class Ledger:
         run, chunk
             Key of the run, and its blocks.
         host
-            Host that computed it.
+            Host that computed the task.
 
         Raises
         ------
         StorageError
-            If pending changes cannot be written; this applies to all methods that write.
+            If pending changes cannot be written. All methods that write may raise this error.
         """
         values = (path, run, *chunk)
         row = (*values, self._digest("task", values, payload), payload)
@@ -562,7 +564,7 @@ class Ledger:
         with self._guard:
             for path in paths:
                 self._tell(_Change(path, _forgetting(path)))
-            self.commit()  # The schedule reads their states later
+            self.commit()  # The schedule reads task states after this
 
     def commit(self) -> None:
         """Write all pending changes, or none of them."""
@@ -571,7 +573,7 @@ class Ledger:
                 raise self._broken
             if self._pending:
                 tally = self._write(self._pending, self.tally)
-                # No call stands between these assignments, so no signal can interrupt them.
+                # No call is between these assignments, so no signal can interrupt them
                 self.tally, self._pending, self._waiting = tally, [], 0
 
     def verify(self, paths: Sequence[str] | None = None) -> Survey:
@@ -580,18 +582,18 @@ class Ledger:
         Parameters
         ----------
         paths
-            Paths of all cells of the study; by default those in the ledger. Other cells are
-            refused.
+            Paths of all cells of the study; by default the paths in the ledger.
+            Other cells are refused.
         """
         self.commit()
         if paths is None or _plan_digest(paths) != self._header.plan:
             paths = self._listed_anyway() if self._salvaged else self.paths
         elif not self._salvaged:
-            _ = self.paths  # Compares the list of paths with the tally
+            _ = self.paths  # Compare the list of paths with the tally
         return self._surveyed(paths)
 
     def close(self) -> None:
-        """Commit, note the end of this process and release the lock; repeated calls do nothing."""
+        """Commit, note the end of this process, and release the lock; later calls do nothing."""
         self._closed.set()
         try:
             if self._holds:
@@ -609,7 +611,7 @@ class Ledger:
         return self
 
     def __exit__(self, kind: object, *_: object) -> None:
-        # The exception that ended the run matters more than an error while closing.
+        # The exception that ended the run matters more than an error during closing
         with contextlib.nullcontext() if kind is None else contextlib.suppress(StoreError):
             self.close()
 
@@ -653,7 +655,7 @@ class Ledger:
             self._header = _Header(study=about, cells=len(paths), plan=_plan_digest(paths))
             self.tally = StudyTally(started=_now())
             self._replace(study.config, paths, ())
-            self.__dict__["_listing"] = list(paths), {}  # Avoid reading up to a million paths back
+            self.__dict__["_listing"] = list(paths), {}  # Avoid reading back up to a million paths
 
         # Note this process as the writer, and commit pending changes once a second
         host = socket.gethostname()
@@ -750,7 +752,7 @@ class Ledger:
         notes.append(self._text("config", "", config))
         first = _Change("", itertools.chain(tables, cells, notes))
         with _writing(self._file):
-            _remove_partial(partial)  # A killed run leaves this file
+            _remove_partial(partial)  # A killed run leaves this partial file
             try:
                 with contextlib.closing(_connected(partial, "rwc")) as new:
                     new.execute(f"PRAGMA page_size = {_PAGE}")
@@ -796,13 +798,13 @@ class Ledger:
         _Damaged
             If it is not a ledger's database, or cannot be read completely.
         """
-        # For a journal of another kind, SQLite would open and write two other files
+        # With a journal of another kind, SQLite would open and write two other files
         with _reading(self._file), self._file.open("rb") as stream:
             head = stream.read(20)
         if head[:16] != b"SQLite format 3\0" or head[18:] != b"\1\1":
             raise _Damaged("its first page is not that of a ledger")
         try:
-            # Without write permission, SQLite opens it for reading. It rolls back after a crash.
+            # Without write permission, SQLite opens it for reading. SQLite rolls back after a crash
             self._connection = _connected(self._file, "rw")
             if self._lock is None:
                 self._connection.execute("PRAGMA query_only = ON")
@@ -836,8 +838,8 @@ class Ledger:
                 copy.execute("BEGIN")
                 for statement in _COPIED:
                     copy.execute(statement)
-                # Read pages in use first. On free pages, ignore task states and failures: a run
-                # deletes them
+                # Read pages in use first. On free pages, ignore task states and failures,
+                # because a run deletes task states and failures
                 for wanted in (True, False):
                     for used, rowid, values in leaves.rows():
                         columns = len(values)
@@ -851,7 +853,7 @@ class Ledger:
             raise StoreError(f"{str(self._file)!r} cannot be read: {reason}.") from None
 
     def _note(self, name: str, kind: type[_Note]) -> _Note | None:
-        """Return a note, which is stored twice; None if both copies are damaged."""
+        """Return a note, which is stored twice, or None if both copies are damaged."""
         for table in _NOTED:
             rows: list[tuple[Any, ...]] = []
             with contextlib.suppress(_Damaged):
@@ -877,7 +879,7 @@ class Ledger:
         done: dict[str, None] = {}
         digests, found = bytearray(), ("", "")
         with self._guard:
-            self._rows("BEGIN")  # No commit may come between the reads
+            self._rows("BEGIN")  # No commit may happen between the two reads
             try:
                 self.tally = self._noted_tally()
                 for path, digest in self._each("SELECT path, digest FROM cells ORDER BY place"):
@@ -889,7 +891,7 @@ class Ledger:
                     np.frombuffer(digests, np.uint64).reshape(len(done), 4), axis=0
                 )
                 found = either.tobytes().hex(), _plan_digest(paths)
-            except (TypeError, ValueError):  # Values have other types than a run writes
+            except (TypeError, ValueError):  # A run writes values of other types
                 pass
             finally:
                 self._opened.rollback()
@@ -914,7 +916,7 @@ class Ledger:
                 failed[change.path] = change.failure
             else:
                 recorded += 1
-        # A reader has already checked the list; a commit may have changed the tally since.
+        # A reader has already checked the list, but a commit may have changed the tally since then
         still = self._lock is not None or self._salvaged
         if still and len(self.damaged) == before and tally.digest != self.tally.digest:
             self.damaged["list of cells"] = "finished cells are missing in it"
@@ -942,7 +944,7 @@ class Ledger:
                 if not any(text for _, text in self._texts("note", name, table)):
                     self.damaged[f"note of the {name}"] = _DAMAGE
 
-        # Yield results with sound digests. The tally decides on results whose digests are lost
+        # Yield results with sound digests; the tally decides on results whose digests are lost
         left, unproven = int(self.tally.digest, 16), list[tuple[str, int, bytes]]()
         made = 0
         for place, path in enumerate(paths):
@@ -981,7 +983,7 @@ class Ledger:
         if made:
             self.damaged["scalars"] = f"of {made} cells, recomputed from their results"
 
-        # States of tasks, and failures
+        # Yield states of tasks, and failures
         states = set[tuple[Any, ...]]()
         try:
             for (row,) in self._rows("SELECT rowid FROM tasks"):
@@ -1001,7 +1003,7 @@ class Ledger:
             self.damaged["recorded tasks and failures"] = error.reason
 
     def _cell_rows(self, place: int) -> tuple[list[tuple[Any, ...]], list[tuple[Any, ...]]]:
-        """Return the rows of a cell in ``cells`` and ``results``; both empty if one is damaged."""
+        """Return a cell's rows in ``cells`` and ``results``; both are empty if one is damaged."""
         with self._guard, contextlib.suppress(_Damaged):
             self._rows("BEGIN")  # A commit between the two reads would look like damage
             try:
@@ -1014,7 +1016,7 @@ class Ledger:
     def _with_scalars(
         self, path: str, payload: bytes, digest: bytes
     ) -> tuple[_Change | None, bool]:
-        """Return a sound result with its scalars, and whether damaged scalars were recomputed."""
+        """Return a sound result with its scalars; also whether damaged scalars were recomputed."""
         text = None
         with contextlib.suppress(_Damaged):
             text = next((each for _, each in self._texts("scalars", path) if each), None)
@@ -1036,7 +1038,7 @@ class Ledger:
         return self._connection
 
     def _rows(self, statement: str, values: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-        """Return all rows of a statement."""
+        """Return all rows that an SQL statement selects."""
         return list(self._each(statement, values))
 
     def _each(self, statement: str, values: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
@@ -1080,7 +1082,7 @@ class Ledger:
 
 
 def _not_damage(error: BaseException) -> str:
-    """Return why a file cannot be read or written; empty if its contents are damaged."""
+    """Return why a file cannot be read or written; the text is empty if contents are damaged."""
     if isinstance(error, MemoryError):
         return _NOT_DAMAGE[7]
     if isinstance(error, OSError):
@@ -1116,7 +1118,7 @@ def are_paths(paths: Iterable[str]) -> bool:
 
 
 def is_held(folder: Path) -> bool:
-    """Whether a process writes into a folder: it holds SQLite's lock, which ends with it."""
+    """Whether a process writes into a folder and therefore holds SQLite's lock."""
     lock = folder / _LOCK_NAME
     if not lock.is_file():
         return False
@@ -1131,7 +1133,7 @@ def is_held(folder: Path) -> bool:
 
 
 def lock_damage(folder: Path) -> str | None:
-    """Return why no run can lock a folder; None if a run can."""
+    """Return why no run can lock a folder, or None if a run can lock it."""
     lock = folder / _LOCK_NAME
     if os.path.lexists(lock) and not (lock.is_file() and lock.stat().st_size == 0):
         return "it is not the empty file that a run locks; remove it while no run is active"
@@ -1139,7 +1141,7 @@ def lock_damage(folder: Path) -> str | None:
 
 
 def _refuse_strangers(file: Path) -> None:
-    """Refuse files that would lead SQLite to open files other than its own."""
+    """Refuse files that would make SQLite open files other than its own."""
     for end in _BESIDE:
         beside = file.with_name(file.name + end)
         refuse_links(str(beside))
@@ -1156,7 +1158,7 @@ def _refuse_strangers(file: Path) -> None:
             stream.seek(0, os.SEEK_END)
             stream.seek(max(0, stream.tell() - len(_SUPER_JOURNAL)))
             tail = stream.read()
-        # SQLite would delete the named file
+        # SQLite would delete the file that the journal names
         if tail == _SUPER_JOURNAL:
             raise StoreError(
                 f"{str(journal)!r} names another file, which a run never writes; remove it, or use "
@@ -1210,14 +1212,14 @@ def _locked(folder: Path) -> sqlite3.Connection:
         trouble = lock_damage(folder)
         if trouble is not None:
             raise StoreError(f"{str(folder / _LOCK_NAME)!r} cannot be locked: {trouble}.")
-        lock = _connected(folder / _LOCK_NAME, "rwc", 1.0)  # `is_held` locks briefly
+        lock = _connected(folder / _LOCK_NAME, "rwc", 1.0)  # Readers lock this file briefly
         try:
             lock.execute("BEGIN EXCLUSIVE")
         except sqlite3.Error as error:
             lock.close()
             if getattr(error, "sqlite_errorname", "") != "SQLITE_BUSY":
                 raise
-            # Name the process with the lock; wait a moment until that process is noted
+            # Name the process that holds the lock; wait a moment until this process is noted
             end, holder = time.monotonic() + _NOTE_SECONDS, None
             while holder is None and time.monotonic() < end:
                 with contextlib.suppress(StoreError), Ledger.read(folder) as ledger:
@@ -1242,7 +1244,7 @@ def _connected(file: Path, mode: str, patience: float = _BUSY_SECONDS) -> sqlite
         isolation_level=None,
         check_same_thread=False,
     )
-    # Treat a schema as data. Keep pages in memory until the commit, so readers are not blocked.
+    # Treat a schema as data. Keep pages in memory until the commit, so that readers are not blocked
     for pragma in ("trusted_schema = OFF", "cell_size_check = ON", "cache_spill = OFF"):
         connection.execute(f"PRAGMA {pragma}")
     return connection
@@ -1254,7 +1256,7 @@ def _writing(
     kind: type[StoreError] = StorageError,
     remedy: str = "",
 ) -> Iterator[None]:
-    """Turn an error of writing into one sentence; the default advice is about ledgers."""
+    """Turn a write error into one sentence; the default advice is about ledgers."""
     try:
         yield
     except (OSError, sqlite3.Error, MemoryError) as error:
@@ -1286,5 +1288,5 @@ def _task_name(path: str, run: str, first: int, blocks: int) -> str:
 
 
 def _now() -> str:
-    """Return the current time, UTC, ISO 8601; it is only for display."""
+    """Return the current time in UTC as ISO 8601, only for display."""
     return dt.datetime.now(dt.UTC).isoformat(timespec="seconds")

@@ -3,14 +3,16 @@
 Method
 ------
 All changes are measured at the same counts and with the same random numbers as the given path.
-`mcspectra.improve.remedy.ranked` compares them at the largest count. The cost of a path with
-another Russian roulette is the number of random numbers it uses, relative to the given path. This
-number grows with the iterations of the integrator's loop, each with one ray and at most one shadow
-ray. A change that needs a pilot is compared with the given path at an equal total of paths,
-including the pilot's.
+The function `mcspectra.improve.remedy.ranked` compares the changes at the largest count.
+The cost of a path with another Russian roulette is its number of random numbers.
+The cost of the given path is 1.
+This number grows with the iterations of the integrator's loop.
+Each iteration traces one ray and at most one shadow ray.
+A change that needs a pilot is compared with the given path at an equal total of paths.
+This total includes the paths of the pilot.
 
-If each path samples one light, the best probabilities are proportional to √(p_j E f_j²), the root
-of the second moment of each light's contribution when it is chosen.
+If each path samples one light, the best probabilities p_j are proportional to √(p_j E f_j²).
+The root is that of the second moment of light j's contribution when the light is chosen.
 """
 
 from __future__ import annotations
@@ -58,11 +60,11 @@ from mcspectra.studies.pixel import check_compared, find_pixel
 __all__ = ["PATH_SAMPLERS", "analyse_path", "path_remedies", "shares_by_light"]
 
 PATH_SAMPLERS = ("random", "latin-hypercube", "rank1-lattice | shift", "sobol | owen")
-"""Samplers compared by default: those that support any count in any number of dims."""
+"""Samplers that are compared by default; they support any count in any number of dims."""
 
 _EFFORTS = {
-    # Each effort sets the counts n, the number of realizations, the number for the ANOVA, the
-    # number of paths for the shares of lights, and whether variances are predicted
+    # Each effort sets the counts n, the number of realizations, the number for the ANOVA,
+    # the number of paths for the shares of lights, and whether variances are predicted
     "quick": ((16, 64, 256, 1024), 200, 10_000, 2**14, False),
     "full": ((16, 64, 256, 1024, 4096), 1000, 100_000, 2**17, True),
 }
@@ -74,16 +76,16 @@ _AXES = {
 }  # Names of the axes in captions
 _MOST_GROUPS = 64
 _MOST_SAMPLES = 2**20
-_FEWEST = 100  # Smallest number of realizations that separates one change from another
+_FEWEST = 100  # Fewest realizations that separate two changes
 _LIGHTS = 1  # Label of the random stream
 _MOST_LIGHTS = 64
-_PILOT = 2**10  # Pilot paths for the selection of lights
-_LEAST = 0.05  # Fraction of the selection spread uniformly over all lights
-_COUNTS = 5  # Number of largest counts that are measured
+_PILOT = 2**10  # Number of pilot paths for the selection of lights
+_LEAST = 0.05  # Fraction of the selection that is uniform over all lights
+_COUNTS = 5  # Number of counts that are measured, the largest ones
 _DEPTHS = (1, 2, 3, 5)  # Depths at which roulette may start; "no roulette" is also tried
-_ENDLESS = 2**16  # Largest max_depth without roulette: longer paths might not end
+_ENDLESS = 2**16  # Largest max_depth without roulette, so that paths end
 _PLUGINS = {
-    # Class name of an integrator: name of its plugin
+    # Class name of an integrator, and name of its plugin
     "PathIntegrator": "path",
     "VolumetricSimplePathIntegrator": "volpath",
     "VolumetricMisPathIntegrator": "volpathmis",
@@ -114,11 +116,11 @@ def analyse_path(
     scene, integrator, channel, dims
         Same as in `PathPixel`; one channel at a time.
     x, y
-        Coordinates of the pixel; or only ``x``, the name of a pixel (see `named_pixels`).
+        Coordinates of the pixel; or the name of a pixel in ``x`` alone (see `named_pixels`).
     samplers
         Samplers or their spec strings, all different. ``remedies`` uses the last one.
     counts, realizations
-        Paths n per estimate, at least two counts, ascending; number of estimates for each n.
+        Counts n of paths per estimate, at least two, ascending; number of estimates for each n.
     remedies
         Whether to search for remedies that lower the noise.
     effort
@@ -131,21 +133,20 @@ def analyse_path(
     Returns
     -------
     xarray.DataTree
-        ``convergence``: `mcspectra.convergence` on (sampler, n).
-        ``anova/KIND``: `mcspectra.anova_variances` of one random path with its axes grouped by
-        KIND: ``bounce``, ``decision``, ``request`` (both together) or ``coordinate`` (not grouped),
-        each of 64 groups at most.
-        ``lights``: `shares_by_light`, for 2 to 64 lights.
+        ``convergence``: measured variances by `mcspectra.convergence` on (sampler, n).
+        ``anova/KIND``: `mcspectra.anova_variances` of a random path, in up to 64 groups of axes.
+        KIND is ``bounce``, ``decision``, ``request`` (both) or ``coordinate`` (not grouped).
+        ``lights``: shares of the variance by `shares_by_light`, for 2 to 64 lights.
         ``remedies``: `path_remedies` of the last sampler at the largest n.
-        ``predict``, with ``effort="full"``: `mcspectra.predict` on (sampler, n).
+        ``predict``, with full effort: predicted variances by `mcspectra.predict` on (sampler, n).
         Attributes of the root: the pixel, the integrator, and names of the coordinates.
         ``lights_note`` gives the reason if shares of lights are unknown.
 
     Raises
     ------
     McspectraError
-        Same as in `PathPixel`; or if the named pixel does not exist, or a sampler does not support
-        a count.
+        Same as in `PathPixel`; or if the named pixel does not exist.
+        If a sampler does not support a count.
     """
     # Check all arguments before any work
     x, y = find_pixel(scene, x, y)
@@ -242,20 +243,23 @@ def shares_by_light(f: PathPixel, paths: int, stream: Stream) -> xr.Dataset | No
     f
         The pixel.
     paths
-        Number of random paths, each followed once per light. The first 1024 are the pilot that sets
-        the selection. The same number `paths` of new paths
-        measures the gain of the selection.
+        Number of random paths, each followed once per light.
+        The first 1024 paths are the pilot that sets the selection.
+        The same number of new paths measures the gain of the selection.
     stream
         Random numbers.
 
     Returns
     -------
     xarray.Dataset or None
-        On the dim ``light``: ``light_share``, Cov(f_j, f)/Var(f) of a light's contribution f_j,
-        with sum 1; ``light_mean``; ``light_probability``, its current selection probability; and
-        ``light_selection``, its improved one; with intervals ``_ci``. ``selection_ratio``: variance
-        of other random paths with the improved selection over that with the current one. None for
-        one light, for more than 64, or for a pixel without noise.
+        On the dim ``light``, with intervals ``_ci``:
+        ``light_share``, Cov(f_j, f)/Var(f) of a light's contribution f_j, with sum 1;
+        ``light_mean``, the mean of the contribution;
+        ``light_probability``, the current selection probability of the light;
+        ``light_selection``, its improved selection probability.
+        ``selection_ratio``: variance with the improved selection over that with the current one.
+        The variances are those of new random paths.
+        None for one light, for more than 64 lights, or for a pixel without noise.
 
     Raises
     ------
@@ -325,25 +329,24 @@ def path_remedies(
     f, sampler
         The given path and its sampler.
     counts, realizations
-        Paths per estimate, ascending, and number of estimates. The last count is the budget; at
-        most the five largest counts are measured.
+        Counts of paths per estimate, ascending, and number of estimates.
+        The last count is the budget; at most the five largest counts are measured.
     stream
-        Random numbers shared by all changes; the same as in `mcspectra.convergence` with its seed.
+        Random numbers that all changes share, the same as in `mcspectra.convergence`.
     samplers, ends
-        Other samplers to try; and numbers of leading coordinates that keep QMC points. The
-        remaining coordinates get random numbers.
+        Other samplers to try; and the numbers of leading coordinates that keep QMC points.
+        The remaining coordinates get random numbers.
     axes
-        Coordinates in decreasing order of importance, and the number of paths from which this
-        order was found.
+        Coordinates in decreasing order of importance, and the number of paths that gave this order.
     lights
-        Result of `shares_by_light`, if known.
+        The result of `shares_by_light` for this pixel, if known.
 
     Returns
     -------
     xarray.Dataset
-        Same as in `mcspectra.remedies`; ``kind`` is ``sampler``, ``padding``, ``order``,
-        ``roulette`` or ``selection``. ``error`` is the error at the budget without the cost of a
-        pilot; ``error_ratio`` includes it.
+        Same as in `mcspectra.remedies`. The coordinate ``kind`` is ``sampler``, ``padding``,
+        ``order``, ``roulette`` or ``selection``.
+        ``error`` is the error at the budget without a pilot's cost; ``error_ratio`` includes it.
     """
     ns, budget = list(counts)[-_COUNTS:], int(counts[-1])
     tried: list[MeasuredCandidate] = []
@@ -382,8 +385,8 @@ def path_remedies(
 
     attempt("given", "as given", "change nothing")
 
-    # Try other samplers, random numbers in the last coordinates, and another order of
-    # coordinates: the best coordinates of the points for the largest shares of the variance
+    # Try other samplers, random numbers in the last coordinates, and another order of coordinates.
+    # This order gives the best coordinates of the points to the largest shares of the variance
     for spec in dict.fromkeys(samplers):
         if spec != sampler.spec:
             attempt("sampler", spec, f"sample with {spec}", spec=spec)
@@ -420,7 +423,7 @@ def path_remedies(
     reason = f"{find_integrator(f.scene, f.integrator).class_name()} has no such property."
     not_tried.append(f"heuristic of MIS: {reason}")
 
-    # Note the gain of each change without its pilot, and the break-even count
+    # Note the gain of each change without its pilot, and the count n at which the pilot pays off
     given, z = tried[0].errors, simultaneous_z(2 * (len(tried) - 1))
     for k, candidate in enumerate(tried):
         if candidate.pilot:
@@ -435,7 +438,7 @@ def path_remedies(
                 f"{ratio:.3g} ({bounds})"
             )
             if high < 0.0 and rate < 0.0:
-                # Break-even n: n + P given paths have this variance, ((n + P)/n)^rate = ratio
+                # At this n, n + P given paths have the same variance: ((n + P)/n)^rate = ratio
                 pays = candidate.pilot / math.expm1(found.log_ratio / rate)
                 note += f": it pays above about {float(f'{pays:.2g}'):.0f} paths."
             else:
@@ -446,7 +449,7 @@ def path_remedies(
 
 
 def _other_roulettes(f: PathPixel) -> Iterator[tuple[str, str, str]]:
-    """Yield names, changes and integrators with roulette from other depths, or without roulette."""
+    """Yield names, changes and integrators without roulette or with roulette from other depths."""
     own = find_integrator(f.scene, f.integrator)
     known = {k: int(v) for k, v in re.findall(r"(max_depth|rr_depth) = (\d+)", str(own))}
     last, first = known.get("max_depth", 0), known.get("rr_depth", 0)

@@ -1,9 +1,9 @@
 """Analyze one pixel: its contents, the rate of each strategy, and the causes.
 
-Strategies are light sampling, BSDF sampling, and both combined by the balance and by the power
-heuristic, with n samples of each technique. Variances of all strategies are measured and predicted
-with several samplers. Terms, the bottleneck and remedies use one sampler, the first that is not
-``random``.
+Strategies are light sampling, BSDF sampling, and both combined by a heuristic,
+with n samples of each technique. The heuristics are balance and power.
+Variances of all strategies are measured and predicted with several samplers.
+Terms, the bottleneck and remedies use one sampler, the first that is not ``random``.
 """
 
 from __future__ import annotations
@@ -65,13 +65,13 @@ PIXEL_STRATEGIES = ("light", "bsdf", "balance", "power")
 """Light and BSDF sampling, and multiple importance sampling of both by two heuristics."""
 
 PIXEL_SAMPLERS = ("random", "jittered", "jittered | shift", "sobol | owen")
-"""Samplers compared by default."""
+"""Samplers that are compared by default."""
 
 _HEURISTICS = ("balance", "power")
 _TECHNIQUES = ("light", "bsdf")
 _BASES = ("auto", "fourier")
 _QUICK_REMEDIES = ("unshifted", "mirrored", "sampler", "heuristic", "techniques")
-_ROUNDING = 1e-5  # Largest rounding step of float32 relative to the largest |g|
+_ROUNDING = 1e-5  # Largest rounding step of float32, relative to the largest |g|
 _MOST_SAMPLES = 2**22
 _LEAST_BUDGET = 8  # Smallest budget in evaluations of two techniques
 _FEWEST = 100  # Smallest number of realizations for remedies
@@ -82,7 +82,7 @@ Parts: TypeAlias = "dict[str, xr.Dataset]"
 @final
 @dataclass(frozen=True, kw_only=True)
 class PixelEffort:
-    """Amount of measurement.
+    """Amount of measurement for a pixel.
 
     Attributes
     ----------
@@ -121,7 +121,7 @@ EFFORTS = {
         remedies=None,
     ),
 }
-"""Efforts: "quick" takes about a minute, "full" several minutes."""
+"""Efforts: "quick" takes about a minute, and "full" several minutes."""
 
 
 def analyse_pixel(
@@ -146,9 +146,9 @@ def analyse_pixel(
     Parameters
     ----------
     scene, light
-        Same as in `Pixel`.
+        Same as in the class `Pixel`.
     x, y
-        Coordinates of the pixel; or only ``x``, the name of a pixel (see `named_pixels`).
+        Coordinates of the pixel; or the name of a pixel in ``x`` alone (see `named_pixels`).
     channel
         ``"luminance"``, 0, 1 or 2.
     dims
@@ -156,38 +156,40 @@ def analyse_pixel(
     samplers
         Samplers or their spec strings, all different.
     counts, realizations, budget
-        Samples n of each technique, at least two, ascending; number of estimates for each n;
-        evaluations of the integrand at which remedies are ranked, by default twice the largest n.
-        The other defaults come from `effort`.
+        Counts n of samples of each technique, at least two, ascending.
+        Number of estimates for each n.
+        Number of evaluations at which remedies are ranked, by default twice the largest n.
+        The other default values come from the chosen effort.
     remedies
         Whether to search for remedies that lower the noise.
     effort
-        ``"quick"`` or ``"full"``: see `EFFORTS`.
+        ``"quick"`` or ``"full"``: amounts of measurement, which `EFFORTS` lists.
     rng
-        Seed (SPEC 7) shared by all analyses; each returns the same result as when called alone.
+        Seed (SPEC 7) of all analyses; each returns the same result as when called alone.
     workers
         Number of threads; all processors by default. Results do not depend on it.
 
     Returns
     -------
     xarray.DataTree
-        ``convergence``: `mcspectra.convergence` on (strategy, sampler, n).
+        ``convergence``: measured variances by `mcspectra.convergence` on (strategy, sampler, n).
         ``predict/STRATEGY``: `mcspectra.predict` on (sampler, n), with its method.
-        ``terms/STRATEGY/VIEW``: `mcspectra.variance_terms` in primary space, where VIEW is ``auto``
-        (the basis that fits the sampler) or ``fourier``.
-        ``techniques``: `mcspectra.technique_terms` of the balance heuristic.
-        ``pictures/NAME``: `mcspectra.explain.primary_picture` of ``light``, ``bsdf`` and each
-        technique's share, such as ``balance-light``, without float32 rounding steps (2 dims only).
+        ``terms/STRATEGY/VIEW``: terms by `mcspectra.variance_terms` in primary space.
+        VIEW is ``auto`` (the basis that fits the sampler) or ``fourier``.
+        ``techniques``: terms by `mcspectra.technique_terms` for the balance heuristic.
+        ``pictures/NAME``: pictures by `mcspectra.explain.primary_picture` of ``light``, of ``bsdf``
+        and of each technique's share, such as ``balance-light``; only in 2 dims.
+        Steps from float32 rounding are removed.
         ``incident``: `incident_light`.
-        ``remedies``: `mcspectra.remedies` of the balance heuristic.
-        Attributes of the root describe the pixel and its contents, the sampler of the terms, and
-        the causes for that sampler as sentences in ``diagnosis_STRATEGY``.
+        ``remedies``: remedies by `mcspectra.remedies` for the balance heuristic.
+        Attributes of the root describe the pixel and its contents, and the sampler of the terms.
+        Sentences in ``diagnosis_STRATEGY`` describe the causes for that sampler.
 
     Raises
     ------
     McspectraError
-        Same as in `Pixel`; or if the named pixel does not exist, or a sampler does not support a
-        count.
+        Same as in `Pixel`; or if the named pixel does not exist.
+        If a sampler does not support a count.
     """
     # Find the pixel, and check all arguments before any work
     x, y = find_pixel(scene, x, y)
@@ -212,7 +214,7 @@ def analyse_pixel(
     total = as_integer("budget", total, least=_LEAST_BUDGET, most=2**24)
     explained = next((s for s in sources if s.spec != "random"), sources[0])
 
-    # Make each strategy once, so that its quadratures are computed once
+    # Make each strategy once, so that its quadratures are computed only once
     given: dict[str, Any] = {"light": light, "channel": view.channel, "dims": dims}
     singles = {
         s: Pixel(scene=request, x=view.x, y=view.y, strategy=s, **given) for s in _TECHNIQUES
@@ -246,8 +248,7 @@ def analyse_pixel(
             parts[f"predict/{strategy}"] = predict(estimator, sources, ns, **shared)
         report("pixel: terms", 0.4)
         terms = {"half_width": chosen.half_width[dims], "space": "primary", **options}
-        # The middle count: a spectrum of a given half width captures more of the noise of few
-        # strata
+        # Use the middle count: a spectrum of a given half width captures more noise of few strata
         middle = ns[(len(ns) - 1) // 2]
         for strategy, estimator in strategies.items():
             for basis in _BASES:
@@ -302,7 +303,7 @@ def analyse_pixel(
 def find_pixel(scene: Scene, x: int | str, y: int | None) -> tuple[int, int]:
     """Return the pixel (x, y), or the named pixel; raise `ParameterError` for an unknown name."""
     if y is not None and not isinstance(x, str):
-        return x, y  # The caller checks that the film contains the pixel
+        return x, y  # The caller checks that the pixel is on the film
     if y is not None or not isinstance(x, str):
         raise ParameterError(
             f"The pixel is {shown(x)}, {shown(y)}; give x and y, or the name of a pixel."
@@ -325,8 +326,8 @@ def check_compared(
     Raises
     ------
     McspectraError
-        If an argument is not a list, a sampler is listed twice, counts do not ascend or are fewer
-        than two, or a sampler does not support a count.
+        If an argument is not a list, a sampler is listed twice, there are fewer than two counts,
+        counts do not ascend, or a sampler does not support a count.
     """
     if isinstance(samplers, str) or not samplers:
         raise ParameterError(f"samplers is {shown(samplers)}; give a list of samplers.")
@@ -344,7 +345,7 @@ def check_compared(
 
 
 def _without_rounding(picture: xr.Dataset) -> xr.Dataset:
-    """Remove jumps from a picture that come from float32 rounding, not from discontinuities."""
+    """Remove the jumps of a picture that come from float32 rounding, not from discontinuities."""
     kept, floor = picture.copy(), _ROUNDING * float(np.abs(picture["primary_value"]).max())
     for name in ("primary_jump", "face_jump"):
         kept[name] = (

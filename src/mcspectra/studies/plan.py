@@ -1,7 +1,7 @@
-"""Build the cells of a study: every estimator with every sampler and analysis, checked before the
-run.
+"""Build the cells of a study: every estimator with every sampler and analysis.
 
-Each spec is checked once, and each estimator and sampler is built once; a cell only refers to them.
+Cells are checked before the run.
+Each spec is checked once, and each estimator and sampler is built once; cells only refer to them.
 Later code does not check the contents of a cell again.
 """
 
@@ -69,26 +69,26 @@ __all__ = [
 MOST_EVALUATIONS = 10**15
 """Maximum number of evaluations of a study without --force: half a year on a hundred cores."""
 
-# Planning time in seconds per spec, per estimator with densities, per density in several dims,
-# and per density in one dim, whose warp is searched for gaps
+# Planning time in seconds: per spec, per estimator with densities, per density in several dims,
+# and per density in one dim (its warp is searched for gaps)
 _SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 5e-4, 2e-3
-# Planning time in seconds per pair of estimator and sampler, per cell, and per list item (such as
-# a count) of an analysis
+# Planning time in seconds per pair of estimator and sampler, per cell,
+# and per list item (such as a count) of an analysis
 _PAIR, _CELL, _COUNT = 3e-6, 2.5e-5, 3e-6
 NOTED_SECONDS = 5.0
 """Planning time in seconds above which a message announces the wait."""
 
 MOST_SECONDS = 120.0
-"""Maximum planning time in seconds without --force: five million analyses, whose cells take 3 GB.
+"""Maximum planning time in seconds without --force; five million analyses take this time and 3 GB.
 
-A grid of a few lines exceeds this more often by mistake than by intention.
+If a grid of a few lines exceeds this limit, it is more often a mistake than an intention.
 """
 
 
 @final
 @dataclass(frozen=True, slots=True)
 class StudyCell:
-    """One analysis of one estimator with one sampler, or of a scene with one sampler.
+    """One analysis of one estimator or scene with one sampler.
 
     Attributes
     ----------
@@ -99,12 +99,12 @@ class StudyCell:
     estimator_name, sampler_spec
         Name of the estimator and spec of the sampler, as the study writes them.
     subject
-        The estimator and sampler; without an estimator for a scene or after an `error`.
+        The estimator and the sampler; the estimator is absent for a scene or after an `error`.
     need
         Cost of the cell (for scheduling and progress), and its memory.
     error
-        Reason why the cell fails before it begins; None if it can be tried. For example, its
-        integrand raises an error at the first points.
+        Reason why the cell fails before it begins; None if it can be tried.
+        For example, its integrand raises an error at the first points.
     inputs
         Names of the files that the cell depends on: keys of the plan's `inputs`.
     """
@@ -151,8 +151,8 @@ class StudyPlan:
     Attributes
     ----------
     inputs
-        SHA-256 of the files that the cells depend on, by name. The name is the path relative to the
-        study's folder for files below it.
+        SHA-256 of the files that the cells depend on, by name.
+        For files below the study's folder, the name is the path relative to this folder.
     """
 
     config: StudyConfig
@@ -174,13 +174,14 @@ def make_plan(
     trust
         Files and functions that the study may use beyond `folder`; none by default.
     force
-        Allow more than `MOST_EVALUATIONS` evaluations and more than `MOST_SECONDS` of planning.
+        Whether the limits `MOST_EVALUATIONS` and `MOST_SECONDS` may be exceeded.
 
     Raises
     ------
     ConfigError
-        If a component cannot be built, a sampler does not support a count, a file or function is
-        not allowed, or the study is too large. The message names the estimator.
+        If a component cannot be built, a sampler does not support a count,
+        a file or function is not allowed, or the study is too large.
+        The message names the estimator.
 
     Warns
     -----
@@ -239,15 +240,15 @@ def _seconds(analysis: Analysis) -> float:
 
 
 _Samplers: TypeAlias = list[tuple[str, str, Sampler, Inputs]]
-"""Spec, last part of the group's path, and sampler of each, with the files it depends on."""
+"""For each sampler: spec, last part of the group's path, sampler, and files that it depends on."""
 
 _Asked: TypeAlias = tuple[str, Analysis, Inputs]
-"""Name of a requested analysis, the analysis, and the files it depends on."""
+"""Name of a requested analysis, the analysis, and the files that it depends on."""
 
 
 @final
 class _Planner:
-    """Makes the cells of one study; objects that several cells share are made once."""
+    """Makes the cells of one study; an object that several cells share is made once."""
 
     def __init__(self, config: StudyConfig, vetting: Vetting) -> None:
         self.vetting = vetting
@@ -284,7 +285,7 @@ class _Planner:
             subject = Subject(estimator, sampler)
             for name, analysis, of_analysis in asked:
                 need = Need(cost=0.0)
-                if error is None:  # Refuse an impossible analysis, or too much memory
+                if error is None:  # Refuse impossible analyses, and too much memory
                     try:
                         asked_for = needed(analysis, subject)
                         need = self._needs.setdefault(asked_for, asked_for)
@@ -303,7 +304,7 @@ class _Planner:
                 )
 
     def _asked(self, entry: EstimatorConfig | SceneConfig) -> Iterator[_Asked]:
-        """Yield the analyses of an entry: its own, the study's, and untabled companions."""
+        """Yield the analyses of an entry: its own, the study's, and companions without a table."""
         if isinstance(entry, SceneConfig):
             tables = {entry.kind: entry.analysis}
         else:
@@ -312,7 +313,7 @@ class _Planner:
             if id(table) not in self._vetted:  # Tables live as long as the study, so ids are unique
                 analysis, inputs = self.vetting.options(table)
                 vetted = [(name, analysis, inputs)]
-                for other in analysis.companions:  # Same options for each companion analysis
+                for other in analysis.companions:  # Companion analyses have the same options
                     kind = ANALYSES.load(other)
                     shared = {*kind.__struct_fields__} & {*analysis.__struct_fields__}
                     made = kind(**{key: getattr(analysis, key) for key in shared})
@@ -354,7 +355,7 @@ class _Planner:
 def _built(
     entry: EstimatorConfig, vetting: Vetting, limit: float | None, inputs: set[str]
 ) -> AbstractEstimator:
-    """Make the estimator of a table ``[[estimators]]``; add the files it reads to `inputs`.
+    """Make the estimator of a table ``[[estimators]]``, and collect the files that it reads.
 
     Raises
     ------
@@ -391,7 +392,7 @@ def _built(
         densities = [component(DENSITIES, text, f.dims) for text in entry.densities or ()]
         if entry.densities is None:
             made = Estimator(f, one)
-        elif entry.channels in ("own", "shared"):  # One density per channel
+        elif entry.channels in ("own", "shared"):  # There is one density per channel
             own = "shared" if entry.channels == "shared" else "independent"
             made = ChannelSampling(f, densities, sets=own)
         elif entry.one_sample:

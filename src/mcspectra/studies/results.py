@@ -1,10 +1,13 @@
 """Open, count and export the results of studies.
 
-A study's folder is read from its ledger. ``results.zarr``, which a run writes at its end, and
-exported stores are meant for other programs. The attribute ``tree_sha256`` of a store's root is the
-SHA-256 of all its files; it is checked before any file is used. A store may come from a stranger,
-so it is treated as data: each array must be one chunk of uncompressed numbers. An array then needs
-as much memory as its file, and numpy reads it without zarr's codecs.
+A study's folder is read from its ledger.
+A run writes the store ``results.zarr`` at its end. This store and exported stores are meant
+for other programs.
+The attribute ``tree_sha256`` of a store's root is the SHA-256 of all its files.
+The digest is checked before any file is used.
+A store may come from a stranger, so it is treated as data:
+each array must be one chunk of uncompressed numbers.
+An array then needs as much memory as its file, and numpy reads it without zarr's codecs.
 """
 
 from __future__ import annotations
@@ -78,13 +81,13 @@ FORMATS = (".csv", ".zarr")
 """Extensions of the files that results can be exported to."""
 
 MOST_STORED = 2000
-"""Maximum number of cells for a store or a report: each cell takes 28 files and 8 ms."""
+"""Maximum number of cells for a store or a report; each cell takes 28 files and 8 ms."""
 
 _FIRST = ("estimator", "sampler", "analysis", "n")
 _LAST = ("variable", "value", "low", "high", "se", "unit")
 _DIGEST = "tree_sha256"
 _DOCUMENT = "zarr.json"
-# Maximum number of documents copied into the root, which readers load as a whole
+# Maximum number of documents copied into the root, because readers load the root as a whole
 _MOST_DOCUMENTS = 100_000
 
 
@@ -108,21 +111,21 @@ class StudyStatus(msgspec.Struct, frozen=True, kw_only=True):
         Format of the ledger.
     state
         ``running`` while a process writes into the folder, ``finished`` if all cells are computed,
-        and ``unfinished`` otherwise.
+        otherwise ``unfinished``.
     holder
         Process that writes into the folder, or that ended without a note.
     hosts, started, finished
-        Hosts that computed the study, and times when it began and when all cells were finished:
-        UTC, ISO 8601.
+        Hosts that computed the study, and the times of its beginning and of its last cell.
+        Times are in UTC, as ISO 8601.
     done, missing
         Paths of finished and of missing cells.
     failed, damaged
-        Sentences that describe errors or damage, by path of the cell. Damage of tasks and other
-        parts is included; their names contain blanks.
+        Sentences that describe errors or damage, by path of the cell.
+        Damage of tasks and of other parts is included; the names of these parts contain blanks.
     recorded
         Number of task states of unfinished cells.
     results_bytes, ledger_bytes
-        Size of the results, and of the file.
+        Size in bytes of the results, and of the ledger's file.
     verified
         Whether the ledger and ``results.zarr`` were checked completely against their digests.
     """
@@ -148,7 +151,7 @@ class StudyStatus(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def analyses(self) -> dict[str, AnalysisCount]:
-        """Numbers of cells by analysis: the last part of a cell's path."""
+        """Numbers of cells by analysis, which is the last part of a cell's path."""
         counts: defaultdict[str, Counter[str]] = defaultdict(Counter)
         for kind in ("done", "failed", "missing", "damaged"):
             for path in getattr(self, kind):
@@ -163,20 +166,20 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
     Parameters
     ----------
     source
-        Output folder of a study, whose ledger is read even during a run; or a ``.zarr`` folder.
+        Output folder of a study, whose ledger is read even during a run, or a ``.zarr`` folder.
     select
-        Path of a cell, or a pattern such as ``"estimator/*"``; all cells by default. Only these
-        cells are read from a ledger; a store is always read and checked completely. If a single
-        cell of a ledger is selected, the root has no attribute ``study``, which takes longer to
-        read than the cell.
+        Path of a cell, or a pattern such as ``"estimator/*"``; all cells by default.
+        Only selected cells are read from a ledger; a store is always read and checked completely.
+        If a single cell of a ledger is selected, the root has no attribute ``study``.
+        Reading this attribute would take longer than reading the cell.
 
     Raises
     ------
     ParameterError
-        If `source` is not a path, or `select` is not a text.
+        If the source is not a path, or the selection is not a text.
     StoreError
-        If there are no results, no cell matches, or the results are damaged, changed, in another
-        format, or contain unexpected arrays.
+        If there are no results, or no cell matches.
+        If the results are damaged, changed, in another format, or contain unexpected arrays.
     """
     import xarray as xr
 
@@ -187,7 +190,7 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
 def _opened(
     source: str | Path, select: str | None, *, whole: bool = True
 ) -> tuple[dict[str, Any], dict[str, xr.Dataset]]:
-    """Return root attributes and cells. For a single path, omit ``study`` unless `whole`."""
+    """Return root attributes and cells; without `whole`, a single path omits ``study``."""
     register_accessor()
     ledger = _ledger(source, select)
     if ledger is None:
@@ -231,9 +234,9 @@ def result_paths(source: str | Path) -> tuple[str, ...]:
 
 
 def result_scalars(source: str | Path, select: str | None = None) -> dict[str, dict[str, float]]:
-    """Return scalars of results, such as rates, by path: variables without dims.
+    """Return scalars of results, such as rates, by path. Scalars are variables without dims.
 
-    For a study's folder this is one query, which reads no results.
+    For a study's folder, this is one query, which reads no results.
 
     Parameters
     ----------
@@ -260,14 +263,14 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
     Parameters
     ----------
     verify
-        Check the ledger and ``results.zarr`` completely against their digests. The lock is always
-        checked.
+        Check the ledger and ``results.zarr`` completely against their digests.
+        The lock is always checked.
 
     Raises
     ------
     StoreError
-        If there are no results, they have another format, or they are too damaged to identify their
-        study.
+        If there are no results, or if they have another format.
+        If the results are too damaged to identify their study.
     """
     root = as_path("folder", folder)
     if root.is_file():
@@ -281,7 +284,7 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
             f"{str(folder)!r} is an exported store; only a study's folder has a status."
         )
     with ledger:
-        if verify:  # Same checks as --resume
+        if verify:  # The checks are the same as for --resume
             study: Any = {}
             with contextlib.suppress(StoreError, ValueError, RecursionError):  # Reported below
                 study = json.loads(ledger.config)
@@ -333,13 +336,13 @@ def study_status(folder: str | Path, *, verify: bool = False) -> StudyStatus:
 
 
 def write_zarr(folder: Path) -> Path | None:
-    """Write ``results.zarr`` in a study's folder from its ledger, and replace an earlier one.
+    """Write ``results.zarr`` in a study's folder from its ledger, and replace an earlier store.
 
     Returns
     -------
     Path or None
         The store; None for a study of more than 2,000 cells, which would take minutes.
-        `export_results` writes all or a part of it on request.
+        On request, `export_results` writes all of it or a part.
 
     Raises
     ------
@@ -350,7 +353,7 @@ def write_zarr(folder: Path) -> Path | None:
     with Ledger.read(folder) as ledger:
         if len(ledger.done) > MOST_STORED:
             with contextlib.suppress(FileNotFoundError):
-                shutil.rmtree(target)  # An old store with fewer cells
+                shutil.rmtree(target)  # An older store has fewer cells
             return None
         cells = ((path, _read_cell(ledger, path)) for path in _selected(ledger, None))
         attributes = _root_attributes(ledger)
@@ -360,17 +363,18 @@ def write_zarr(folder: Path) -> Path | None:
 def export_results(source: str | Path, file: str | Path, select: str | None = None) -> Path:
     """Write results to a file; its extension sets the format.
 
-    A ``.csv`` file is one table of all scalars: numbers without dims, along the counts n, and along
-    dims with named labels, such as channels. The columns are estimator, sampler, analysis, n, the
-    named dims, variable, value, low, high, se and unit. Low and high are the ends of the 95 %
-    interval, and se is the standard error. A ``.zarr`` store has all results with their attributes.
+    A ``.csv`` file is one table of all scalars: numbers without dims, numbers along the counts n,
+    and numbers along dims with named labels, such as channels.
+    The columns are estimator, sampler, analysis, n, the named dims, variable, value and unit.
+    The columns low and high are the ends of the 95 % interval, and se is the standard error.
+    A ``.zarr`` store has all results with their attributes.
 
     Parameters
     ----------
     source
         Same as in `open_results`.
     file
-        Path of the file. An existing ``.csv`` is replaced at once; a ``.zarr`` must not exist.
+        Path of the file. An existing ``.csv`` is replaced; a ``.zarr`` must not exist.
     select
         Path of a cell, or a pattern; all cells by default.
 
@@ -402,7 +406,7 @@ def export_results(source: str | Path, file: str | Path, select: str | None = No
 
 
 def check_export(file: str | Path) -> Path:
-    """Check that `export_results` can write a file, before anything is read, and return its path.
+    """Check, before anything is read, that `export_results` can write a file; return its path.
 
     Raises
     ------
@@ -425,7 +429,7 @@ def check_export(file: str | Path) -> Path:
 
 
 def output_folder(out: str | Path) -> Path:
-    """Check the output folder of a study: its ledger needs a local file system.
+    """Check the output folder of a study, because its ledger needs a local file system.
 
     Raises
     ------
@@ -451,7 +455,7 @@ def output_folder(out: str | Path) -> Path:
 def _ledger(
     source: str | Path, select: str | None = None, *, salvage: bool = False
 ) -> Ledger | None:
-    """Open the ledger of a study's folder, or return None for a store; check `select` first."""
+    """Check `select`; open the ledger of a study's folder, or return None for a store."""
     root = as_path("source", source)
     given: Any = select
     if given is not None and not (isinstance(given, str) and given):
@@ -496,7 +500,7 @@ def _planned(study: Any) -> dict[str, tuple[Names, Names]]:
 
 
 def _unplanned(study: Any, paths: Iterable[str]) -> str | None:
-    """Return the first path that is not a cell of the study; None if all are."""
+    """Return the first path that is not a cell of the study, or None if all are cells."""
     groups = _planned(study)
     for path in paths:
         first, _, rest = path.partition("/")
@@ -511,7 +515,7 @@ def _unplanned(study: Any, paths: Iterable[str]) -> str | None:
 def showing(source: str | Path) -> Iterator[None]:
     """Turn any exception while showing untrusted results into one sentence.
 
-    Digests and variables have been checked before; consistency of numbers and attributes has not.
+    Digests and variables were checked before, but not the consistency of numbers and attributes.
     """
     try:
         yield
@@ -526,10 +530,10 @@ def showing(source: str | Path) -> Iterator[None]:
 
 
 def _read_cell(ledger: Ledger, path: str) -> xr.Dataset:
-    """Read a cell in the form of a store: texts become attributes, as Zarr v3 has no type for them.
+    """Read a cell in the form of a store; texts become attributes, as Zarr v3 lacks a text type.
 
-    Labels of a coordinate become ``labels_<name>``. The labels of ``bound`` are equal in all cells
-    and belong to the root.
+    Labels of a coordinate become ``labels_<name>``.
+    The labels of ``bound`` are equal in all cells and belong to the root.
     """
     import xarray as xr
 
@@ -570,9 +574,9 @@ def _root_attributes(ledger: Ledger, *, whole: bool = True) -> dict[str, Any]:
 def _write_store(
     attributes: Mapping[str, Any], cells: Iterable[tuple[str, xr.Dataset]], folder: Path
 ) -> None:
-    """Write a Zarr v3 store cell by cell; write the root last, with the digest of all files.
+    """Write a Zarr v3 store cell by cell, and last the root, with the digest of all files.
 
-    The files have the same bytes as with xarray and zarr, in a fifth of their time: decisions/0016.
+    Files from xarray and zarr have the same bytes but take five times as long (decisions/0016).
     """
     from xarray.conventions import encode_dataset_coordinates
 
@@ -639,13 +643,13 @@ def _array_document(variable: xr.Variable) -> dict[str, Any]:
 
 
 def _codecs(kind: np.dtype[Any]) -> list[dict[str, Any]]:
-    """Return the only codecs of a store: numbers as their bytes."""
+    """Return the only allowed codecs of a store, which write numbers as their bytes."""
     order = {"configuration": {"endian": "little"}} if kind.itemsize > 1 else {}
     return [{"name": "bytes", **order}]
 
 
 def _tree_digest(root: Mapping[str, Any], digests: Mapping[str, str]) -> str:
-    """Return the SHA-256 of a store: of its root's other metadata and all other files."""
+    """Return the SHA-256 of a store's files, including the other metadata of its root."""
     attributes = {key: value for key, value in root["attributes"].items() if key != _DIGEST}
     whole = {"root": {**root, "attributes": attributes}, "files": dict(digests)}
     return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()
@@ -656,14 +660,14 @@ def _read_store(
 ) -> dict[str, xr.Dataset]:
     """Return the matching cells of a store; refuse unexpected arrays.
 
-    An array must be one chunk of uncompressed numbers, so that it needs no more memory than its
-    file.
+    An array must be one chunk of uncompressed numbers.
+    Then it needs no more memory than its file.
     """
     import xarray as xr
 
     cells: dict[str, dict[str, Any]] = {}
     try:
-        # The root lists arrays in the order of writing, unless there are too many.
+        # The root lists arrays in the order of writing, unless there are too many arrays
         root = json.loads(files[_DOCUMENT]).get("consolidated_metadata", {"metadata": {}})
         end = f"/{_DOCUMENT}"
         found = sorted(name.removesuffix(end) for name in files if name.endswith(end))
@@ -706,7 +710,7 @@ def _files(source: str | Path) -> dict[str, bytes]:
     Raises
     ------
     StoreError
-        If there is no store, or it has links, exceeds the memory, cannot be read, or was changed.
+        If there is no store, or if it has links, exceeds the memory, is unreadable or was changed.
     """
     shown, place = str(source), Path(source)
     root = place if place.suffix == ".zarr" else place / STORE_NAME
@@ -771,7 +775,7 @@ def _remove(place: Path) -> None:
 
 
 def _scalar_rows(cell: xr.Dataset) -> Iterator[dict[str, Any]]:
-    """Yield a cell's rows of the table of scalars: texts and numbers by column."""
+    """Yield a cell's rows of the table of scalars; each row has texts and numbers by column."""
     about = cell.attrs
     names = ("estimator_name", "sampler_spec", "analysis")
     fixed: dict[str, Any] = {
@@ -789,7 +793,7 @@ def _scalar_rows(cell: xr.Dataset) -> Iterator[dict[str, Any]]:
             labels[dim] = list(range(size))
 
     for name, variable in cell.variables.items():
-        # Dims of the variable; its interval and standard error become columns of its rows
+        # Find the dims of the variable; its interval and standard error become columns of its rows
         interval = variable.dims[-1:] == ("bound",) and variable.shape[-1] == 2
         dims = variable.dims[:-1] if interval else variable.dims
         stem, end = str(name)[:-3], str(name)[-3:]

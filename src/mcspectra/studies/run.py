@@ -28,7 +28,7 @@ __all__ = ["CellFailed", "MakeExecutor", "Progress", "drive", "run_study"]
 MakeExecutor = Callable[[StudyText], Executor]
 """A function that makes the executor of a study."""
 
-_AHEAD = 2  # Tasks submitted per worker: one that it computes, one that waits
+_AHEAD = 2  # Tasks submitted per worker: one is computed, one waits
 _NAMED = 5  # Maximum number of damaged parts named in a warning
 
 
@@ -42,7 +42,7 @@ class Progress:
 
 
 class CellFailed(McspectraError, RuntimeError):
-    """One or more cells failed; the results of the others are stored."""
+    """One or more cells failed; the results of the other cells are stored."""
 
     def __init__(self, message: str, failures: dict[str, str]) -> None:
         super().__init__(message)
@@ -63,30 +63,31 @@ def run_study(
     force: bool = False,
     report: Callable[[Progress], Any] | None = None,
 ) -> None:
-    """Run all cells of a study that its folder lacks, and report to `mcspectra.core.progress`.
+    """Run all cells that a study's folder lacks, and report to `mcspectra.core.progress`.
 
     Parameters
     ----------
     config
         The study.
     out
-        Output folder. The run writes its ledger ``out/study.sqlite``, and at the end the results
-        ``out/results.zarr``.
+        Output folder. The run writes its ledger ``out/study.sqlite``.
+        At the end it writes the results ``out/results.zarr``.
     folder
-        Folder that relative paths in specs start from: that of the study file.
+        Folder that relative paths in specs start from, the folder of the study file.
     resume
         Continue the study in the folder. Failed cells stay failed.
     retry
-        With `resume`, try failed cells again, and recompute cells that depend on changed files
-        (images, point sets, scenes, sources of functions).
+        With `resume`, try failed cells again, and recompute cells that depend on changed files.
+        Such files are images, point sets, scenes, and sources of functions.
     workers
-        Number of threads, or of processes with a time limit; all processors by default. Results do
-        not depend on it, bit for bit.
+        Number of threads, or of processes with a time limit; all processors by default.
+        Results do not depend on it, bit for bit.
     time_limit
-        Time limit of a task in seconds; by default that of the study. Tasks then run in separate
-        processes; a task that exceeds the limit is stopped, and its cell fails.
+        Time limit of a task in seconds; by default the study's limit.
+        Tasks then run in separate processes.
+        A task that exceeds the limit is stopped, and its cell fails.
     engine
-        Makes another executor, such as a cluster's `mcspectra.studies.executors.Dask`.
+        Function that makes an executor, such as `mcspectra.studies.executors.Dask` for a cluster.
     trust
         Files and functions that the study may use beyond `folder`; none by default.
     force
@@ -97,7 +98,7 @@ def run_study(
     Raises
     ------
     ConfigError, ParameterError, StoreError
-        If the input is wrong, before anything runs. StoreError also if results cannot be written.
+        If the input is wrong, before anything runs. A StoreError may also come from a failed write.
     ClusterError
         If workers cannot be started or reached, cannot build the study, or are lost.
     CellFailed
@@ -128,7 +129,7 @@ def run_study(
         else Ledger.create(out, note, paths) as ledger,
     ):
         if resume and retry:
-            ledger.forget(list(ledger.failures()))  # Code may have changed since they failed
+            ledger.forget(list(ledger.failures()))  # Code may have changed since these cells failed
 
         # Name the first few damaged parts, and count the others
         damaged = [f"{name} ({reason})" for name, reason in ledger.damaged.items()]
@@ -221,7 +222,7 @@ def _outdated(plan: StudyPlan, out: Path) -> frozenset[str]:
         return frozenset()
     with Ledger.read(out) as begun:
         changed = set(changed_inputs(begun.study.inputs, plan.inputs))
-    gone = changed - plan.inputs.keys()  # Files that a scene named before and no cell names now
+    gone = changed - plan.inputs.keys()  # Files that a scene named before, and no cell names now
     return frozenset(
         cell.path
         for cell in plan.cells

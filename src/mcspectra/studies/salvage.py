@@ -2,8 +2,8 @@
 
 SQLite reaches rows through inner pages and indices, so one damaged page hides many sound pages.
 Each leaf describes the layout of its rows, and the number of columns identifies the table.
-Recovered rows may be wrong or out of date, so the caller must check them. The file format is
-described at https://www.sqlite.org/fileformat2.html.
+Recovered rows may be wrong or out of date, so the caller must check them.
+The file format is described at https://www.sqlite.org/fileformat2.html.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any, TypeAlias, final
 __all__ = ["Leaves", "Row"]
 
 Row: TypeAlias = tuple[bool, int, tuple[Any, ...]]
-"""In-use flag of the page, rowid, and column values; a column that stores the rowid is None."""
+"""Whether the page is in use, rowid, and column values; a column that stores the rowid is None."""
 
 _INNER, _LEAF = 5, 13  # Type bytes of inner and leaf pages of tables
 _LARGEST = 2**20  # Maximum number of trunk pages read from the free list: 8 GB
@@ -24,7 +24,7 @@ _SIZES = {1: 1, 2: 2, 3: 3, 4: 4, 5: 6, 6: 8}  # Bytes of an integer, by its ser
 
 @final
 class Leaves:
-    """Leaf pages of an SQLite file with a known page size; every byte may be damaged.
+    """Leaf pages of an SQLite file with a known page size, where every byte may be damaged.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class Leaves:
                 yield row
 
     def _page(self, number: int) -> bytes:
-        """Return a page by its number, which starts at 1; zeros beyond the end of the file."""
+        """Return a page by its number, counted from 1; pages beyond the file's end are zeros."""
         if not 1 <= number <= self._pages:
             return bytes(self._size)
         self._stream.seek((number - 1) * self._size)

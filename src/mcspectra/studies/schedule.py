@@ -2,9 +2,9 @@
 
 A cell that is expected to take no longer than one chunk becomes a single task.
 
-Chunk sizes and order affect speed only. Chunks are nodes of a fixed tree
-(`mcspectra.core.analysis`), so the result has the same bits for any sizes and order, also with
-chunks from an earlier run.
+Chunk sizes and order affect speed only.
+Chunks are nodes of a fixed tree (`mcspectra.core.analysis`).
+The result therefore has the same bits for any sizes and order, also with chunks of an earlier run.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ __all__ = ["PartialRun", "Schedule", "Settled", "Work", "task_seconds"]
 
 State = TypeVar("State")
 Work = tuple[StudyTask, Callable[[], Any]]
-"""A task, and the function that computes it in a thread of this process."""
+"""A task, with the function that computes it in a thread of this process."""
 
 _TARGET = 1.0  # Target duration of a chunk in seconds
 _OF_LIMIT = 0.2  # Largest duration of a chunk as a fraction of the time limit
-# Seconds of a cell's work between two recordings. A kill loses at most this much work; recording
-# more often is slow
+# Seconds of a cell's work between two recordings. A kill loses at most this much work.
+# Recording more often is slow
 _RECORDED_AFTER = 1.0
 _INSTANT = 1e-9  # Shortest duration in seconds; shorter durations are rounded up
-# Exceptions of user code. KeyboardInterrupt is absent: in this thread it comes from the user.
+# Exceptions of user code, without KeyboardInterrupt, which comes from the user in this thread
 _FAILURES = (Exception, SystemExit, asyncio.CancelledError)
 
 
@@ -53,7 +53,7 @@ def task_seconds(limit: float | None) -> float:
 class PartialRun(Generic[State]):
     """A reduction in progress: its merged, requested and remaining chunks.
 
-    Chunks may arrive in any order. The two halves of a node merge as soon as both have arrived.
+    Chunks may arrive in any order. The two halves of a node merge as soon as both are available.
     """
 
     def __init__(self, reduction: Reduction[State]) -> None:
@@ -61,7 +61,7 @@ class PartialRun(Generic[State]):
         self._tree: MergeTree[State] = MergeTree()
         self._gaps: deque[Chunk] = deque([(0, reduction.blocks)])
         self._missing = reduction.blocks
-        self._fresh: set[int] = set()  # First block of each node that is not recorded
+        self._fresh: set[int] = set()  # First blocks of nodes that are not recorded
 
     @property
     def complete(self) -> bool:
@@ -69,10 +69,10 @@ class PartialRun(Generic[State]):
         return self._missing == 0
 
     def restore(self, found: Iterable[Chunk], load: Callable[[Chunk], State | None]) -> None:
-        """Reuse stored chunks that do not overlap; skip a chunk if `load` returns None."""
+        """Reuse stored chunks that do not overlap, and skip a chunk if `load` returns None."""
         self._gaps.clear()
         position = 0
-        # Aligned chunks are nested or disjoint; take the largest chunk of each nest.
+        # Aligned chunks are nested or disjoint, so take the largest chunk of each nest
         for first, count in sorted(found, key=lambda chunk: (chunk[0], -chunk[1])):
             if first < position or not self._aligned(first, count):
                 continue
@@ -85,7 +85,7 @@ class PartialRun(Generic[State]):
         self._leave(position, self.reduction.blocks)
 
     def next_chunk(self, size: int) -> Chunk | None:
-        """Return the next chunk to compute, of at most `size` blocks; None if none remains."""
+        """Return the next chunk to compute, of at most `size` blocks; None if nothing remains."""
         if not self._gaps:
             return None
         first, left = self._gaps.popleft()
@@ -130,16 +130,16 @@ class PartialRun(Generic[State]):
 @final
 @dataclass(frozen=True)
 class Settled:
-    """A finished or failed cell.
+    """A finished or failed cell, with its result.
 
     Attributes
     ----------
     cell
         The cell.
     payload, scalars
-        Its dataset as bytes, and its scalars; None and empty if the cell failed.
+        The cell's dataset as bytes, and its scalars; None and empty if the cell failed.
     error
-        Reason of the failure, as one sentence.
+        One sentence on why the cell failed.
     """
 
     cell: StudyCell
@@ -174,7 +174,7 @@ class _Active:
         return all(part.complete for part in self._parts.values())
 
     def next_work(self, size: Callable[[float], int]) -> Work | None:
-        """Return a chunk of the costliest open reduction; `size` maps block cost to block count."""
+        """Return a chunk of the costliest open reduction; `size` maps a block's cost to a count."""
         path = self.cell.path
         if self._whole:
             self._whole = False
@@ -218,7 +218,7 @@ class _Active:
                 found = next(self._steps) if states is None else self._steps.send(states)
                 begun = [(each, self._begun(each)) for each in found]
                 parts = {each.key: part for each, part in begun}
-                # Compute costly reductions first; return states in the order of the analysis.
+                # Compute costly reductions first, but return states in the order of the analysis
                 self._order = list(parts)
                 self._parts = dict(sorted(parts.items(), key=lambda p: -p[1].reduction.cost))
                 if not self.complete:
@@ -229,7 +229,7 @@ class _Active:
             self._settle(self.cell.finished(end.value, self._seed))
 
     def _settle(self, result: xr.Dataset, payload: bytes | None = None) -> None:
-        """Keep the result and its scalars; `payload` holds the result as bytes from a worker."""
+        """Keep the result and its scalars; `payload` is the result as bytes from a worker."""
         self.settled = Settled(self.cell, payload or pack(result), scalars_of(result))
 
     def totals(self) -> list[Any]:
@@ -260,10 +260,11 @@ class Schedule:
     seed
         Seed of all realizations.
     ledger
-        Ledger with the chunks of earlier runs; chunks that took long are recorded there.
+        Ledger with the chunks of earlier runs, where chunks that took long are recorded.
     seconds
-        Target duration of a task in seconds. A task has 2^k blocks and takes the target time up to
-        a factor of √2, unless a single block takes longer.
+        Target duration of a task in seconds.
+        A task has 2^k blocks, and takes the target time up to a factor of √2.
+        A task takes longer only if a single block takes longer.
     """
 
     def __init__(
@@ -281,8 +282,8 @@ class Schedule:
     def next_work(self) -> Work | None:
         """Return the next task; None if all are handed out, or results must arrive first.
 
-        It also returns None as soon as a fully recorded cell is restored, so that only one such
-        result is in memory: take `settled`, then call again.
+        None is also returned as soon as a fully recorded cell is restored.
+        Only one such result is then in memory: take `settled`, then call again.
         """
         while True:
             for active in self._active.values():
@@ -304,7 +305,7 @@ class Schedule:
         if outcome.error is not None:
             self._settle(Settled(active.cell, error=outcome.error))
             return
-        # Average the pace with more weight on later tasks: the first task may include compilation
+        # Give later tasks more weight in the average pace: the first may include compilation
         if outcome.task.cost > 0.0:
             pace = max(outcome.seconds, _INSTANT) / outcome.task.cost
             kind = type(active.cell.analysis).__name__
@@ -312,7 +313,7 @@ class Schedule:
             self._paces[kind] = 0.5 * (self._paces.get(kind, pace) + pace)
         if not self._guarded(active.cell, lambda: active.add(outcome)):
             return
-        # An adaptive cell may have many more steps; any other complete cell is nearly finished.
+        # An adaptive cell may have many more steps; any other complete cell is nearly finished
         if not active.complete or _is_adaptive(active.cell):
             active.record(outcome.host, least=_RECORDED_AFTER)
         if active.settled is None and active.complete:
@@ -335,7 +336,7 @@ class Schedule:
             self._settle(Settled(cell, error=cell.error))
             return False
         seconds = self._paces.get(type(cell.analysis).__name__, math.inf) * cell.need.cost
-        # An adaptive cell may need any number of realizations, so it is never a single task.
+        # An adaptive cell may need any number of realizations, so it is never a single task
         whole = (
             seconds <= self._target and not _is_adaptive(cell) and not self._ledger.tasks(cell.path)
         )
@@ -374,5 +375,5 @@ class Schedule:
 
 
 def _is_adaptive(cell: StudyCell) -> bool:
-    """Whether the cell stops at a precision, so that its number of steps is unknown."""
+    """Whether the cell stops at a given precision, so that its number of steps is unknown."""
     return getattr(cell.analysis, "relative_error", None) is not None

@@ -26,7 +26,7 @@ from mcspectra.studies.files import (
 __all__ = ["SCHEMA_ID", "key_tables", "study_schema", "template", "write_template"]
 
 SCHEMA_ID = "urn:mcspectra:study:1"
-"""Identifier of the schema; its number changes when older studies can no longer be read."""
+"""Identifier of the schema; its number changes when older studies cannot be read any more."""
 
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _PLACEHOLDER = {"type": "string", "pattern": r"^\{[A-Za-z_][A-Za-z0-9_]*\}$"}
@@ -35,7 +35,7 @@ _NO_PLACEHOLDER = ("grid", "seed", "time_limit")  # Keys with a single value per
 # Example values in the template for options that are not numbers of points
 _EXAMPLES = {"target_error": ("0.01",), "budget": ("4096",)}
 _TEMPLATE = Path(__file__).with_name("template.toml")
-_OTHERS = "# {other analyses}\n"  # This line is replaced by the analyses that the template lacks
+_OTHERS = "# {other analyses}\n"  # Replaced by the analyses that the template lacks
 
 
 def study_schema() -> dict[str, Any]:
@@ -57,12 +57,12 @@ def study_schema() -> dict[str, Any]:
             for key, value in table["properties"].items()
         }
         schema["$defs"][name] = {**table, "properties": properties}
-    plain: dict[str, Any] = json.loads(json.dumps(schema))  # Turn msgspec's tuples into lists
+    plain: dict[str, Any] = json.loads(json.dumps(schema))  # This turns msgspec's tuples into lists
     return plain
 
 
 def _tables() -> dict[str, tuple[str, dict[str, Any]]]:
-    """Return names and schemas of all tables by key; the top of the file has an empty key."""
+    """Return the names and schemas of all tables by key; the top of the file has an empty key."""
     analyses = analysis_tables()
     own = {"": StudyConfig, "estimators": EstimatorConfig}
     kinds: list[Any] = [*own.values(), *analyses.values(), SceneConfig]
@@ -75,8 +75,8 @@ def _tables() -> dict[str, tuple[str, dict[str, Any]]]:
             if option.choices and "anyOf" not in table["properties"][option.name]:
                 table["properties"][option.name] |= {"type": "string", "enum": option.choices}
 
-    # Tables of analyses may stand at the top of a study and in an estimator. An analysis of scenes
-    # is a list of entries instead
+    # Tables of analyses may be at the top of a study and in an estimator.
+    # An analysis of scenes is a list of entries instead
     scene = _public(components[names[-1]])
     study, estimator = _public(found[""][1]), _public(found["estimators"][1])
     study["properties"]["estimators"]["items"] = {"$ref": f"#/$defs/{names[1]}"}
@@ -101,7 +101,7 @@ def _public(table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _or_placeholder(value: dict[str, Any]) -> dict[str, Any]:
-    """Return a key's schema that also allows a placeholder, unless text is allowed anyway."""
+    """Return a key's schema that also allows a placeholder, unless it allows text anyway."""
     about = {k: v for k, v in value.items() if k in ("description", "default")}
     found = {k: v for k, v in value.items() if k not in about}
     choices, taken = [], False
@@ -116,7 +116,7 @@ def _or_placeholder(value: dict[str, Any]) -> dict[str, Any]:
 
 
 def key_tables() -> str:
-    """Return all keys with types, defaults and meanings as Markdown, one table per TOML table."""
+    """Return types, defaults and meanings of all keys as Markdown, one table per TOML table."""
     lines = []
     for key, (_, table) in _tables().items():
         listed = key == "estimators" or "name" in table["properties"]
@@ -150,14 +150,14 @@ def _type(value: dict[str, Any]) -> str:
     words = {"object": "table", "boolean": "true or false", "string": "text"}
     rules = [f"≥ {value['minimum']:g}"] if "minimum" in value else []
     rules += [f"> {value['exclusiveMinimum']:g}"] if "exclusiveMinimum" in value else []
-    # Omit limits that only keep numbers within 64 bits.
+    # Omit limits that only keep numbers within 64 bits
     high = value.get("maximum", 2**31)
     rules += [f"≤ {high:g}"] if high < 2**31 else []
     return " ".join([words.get(kind, kind), ", ".join(rules)]).rstrip()
 
 
 def template() -> str:
-    """Return a study to start from; it runs as it is, and its comments show more options."""
+    """Return a study to start from; it runs unchanged, and its comments show more options."""
     text, lines = _TEMPLATE.read_text(encoding="utf-8"), []
     for key, kind in analysis_tables().items():
         if kind.about != "scene" and f"[{key}]" not in text:

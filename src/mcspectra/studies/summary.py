@@ -23,8 +23,9 @@ _READ = ("convergence", "terms", "predict")
 class SummaryRow(msgspec.Struct, frozen=True, kw_only=True):
     """Summary of one estimator with one sampler; values that were not computed are None.
 
-    ``ratio`` is predicted over measured variance. ``method`` is the method of the prediction: one
-    of `METHODS` if there is a result of ``predict``, otherwise the basis of the sum of ``terms``.
+    ``ratio`` is predicted variance divided by measured variance.
+    For a result of ``predict``, ``method`` is the method of the prediction, one of `METHODS`.
+    Otherwise it is the basis of the sum of ``terms``.
     The ratio of ``terms`` is always ``captured``.
     """
 
@@ -68,7 +69,7 @@ def summarize(tree: xr.DataTree) -> list[SummaryRow]:
     Raises
     ------
     ParameterError
-        If `tree` is not a tree as returned by `open_results`.
+        If the argument is not a tree of results, as returned by `open_results`.
     """
     import xarray as xr
 
@@ -81,9 +82,10 @@ def summarize(tree: xr.DataTree) -> list[SummaryRow]:
 
 
 def pairs_of(tree: xr.DataTree) -> list[tuple[str, str, str, dict[str, xr.Dataset]]]:
-    """Return store key and name of the estimator, sampler, and results by analysis of every pair.
+    """Return the store key and name of the estimator, the sampler and the results of each pair.
 
-    The file system may list the groups of a store in any order, so the study's lists set the order.
+    Results are listed by analysis. The study's lists set the order of the pairs,
+    because the file system may list the groups of a store in any order.
     """
     asked = asked_of(tree.attrs.get("study") or {})
     pairs = ((name, sampler) for name, samplers in asked.items() for sampler in samplers)
@@ -155,10 +157,10 @@ def rows_of(estimator: str, sampler: str, found: Mapping[str, xr.Dataset]) -> li
 
 
 def _ratio(found: dict[str, xr.Dataset], row: dict[str, Any]) -> dict[str, Any]:
-    """Return predicted over measured variance at the largest n that both have.
+    """Return the ratio of predicted to measured variance at the largest n that both have.
 
-    Without convergence, the measured variance of the terms is used. If there are several methods,
-    the most trusted one with a prediction is used.
+    Without convergence, the measured variance of the terms is used.
+    If several methods have a prediction, the most trusted method is used.
     """
     import xarray as xr
 
@@ -181,7 +183,7 @@ def _ratio(found: dict[str, xr.Dataset], row: dict[str, Any]) -> dict[str, Any]:
             continue
         ratio = float(value[-1]) / measured
 
-        # Interval of the ratio: combine both relative errors in logarithms
+        # Combine the relative errors of both variances in logarithms to an interval of the ratio
         def half(low: float, middle: float, high: float) -> tuple[float, float]:
             return (math.log(middle / low) if low > 0 else math.inf), math.log(high / middle)
 
@@ -200,7 +202,7 @@ def _ratio(found: dict[str, xr.Dataset], row: dict[str, Any]) -> dict[str, Any]:
 
 
 def _by_method(data: xr.Dataset) -> Iterator[tuple[Array, xr.Dataset]]:
-    """Yield the names of the methods along n and the predictions, once per method."""
+    """Yield the names of the methods along n, and the predictions of each method."""
     names = np.asarray(
         data["method"].values if "method" in data.coords else data.attrs["labels_method"]
     )
@@ -218,9 +220,9 @@ def _ends(interval: xr.DataArray, middle: float) -> tuple[float, float, float]:
 
 
 def _with_bounds(data: xr.Dataset, **variables: str) -> dict[str, Any]:
-    """Return values by name with the ends of their 95 % intervals; None if unknown.
+    """Return values by name with the ends of their 95 % intervals; None if a value is unknown.
 
-    An end may be infinite.
+    An end of an interval may be infinite.
     """
     found: dict[str, Any] = {}
     for name, variable in variables.items():

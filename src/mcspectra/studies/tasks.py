@@ -1,7 +1,8 @@
 """Tasks are chunks of a study's cells that any process can compute from text alone.
 
-Every task carries the study's text to the worker, so workers may join, die and be replaced at any
-time. A worker builds the plan once, and returns states packed by `mcspectra.core.records`.
+Every task carries the study's text to the worker.
+Workers may therefore join, die and be replaced at any time.
+A worker builds the plan once, and returns states packed by `mcspectra.core.records`.
 """
 
 from __future__ import annotations
@@ -45,12 +46,12 @@ __all__ = [
     "timed",
 ]
 
-_PLANS = 2  # Plans kept in a process: one of the current study, one of the last
+_PLANS = 2  # Plans kept in a process: of the current and of the last study
 _REDUCTIONS = 32  # Reductions kept in a process; few are in use at once
 _HELD = 2.0  # Seconds beyond the time limit after which a blocked worker process is ended
 
 WARM = ("numba", "scipy.stats", "xarray")
-"""Packages that every task needs."""
+"""Packages that every task needs; workers import them in advance."""
 
 
 class StudyTask(msgspec.Struct, frozen=True, kw_only=True):
@@ -75,7 +76,7 @@ class StudyTask(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def key(self) -> str:
-        """Unique within the study: ``path/run/first+blocks``, or the path."""
+        """Unique name within the study: ``path/run/first+blocks``, or the path."""
         first, count = self.chunk
         return self.path if self.run is None else f"{self.path}/{self.run}/{first}+{count}"
 
@@ -92,9 +93,9 @@ class Outcome:
     state
         State of the chunk, or dataset of the cell, if this process computed it.
     payload
-        The same as bytes, if another process computed it.
+        The state or dataset as bytes, if another process computed it.
     error
-        Sentence why the task failed. If it failed, `state` and `payload` are None.
+        Sentence on why the task failed; then `state` and `payload` are None.
     seconds
         Run time of the task in seconds.
     host
@@ -115,7 +116,7 @@ def timed(task: StudyTask, compute: Callable[[], Any]) -> Outcome:
     state, error = None, None
     try:
         state = compute()
-    # Ctrl-C reaches only the main thread. A KeyboardInterrupt here was raised by user code.
+    # Ctrl-C reaches only the main thread, so a KeyboardInterrupt here was raised by user code
     except BaseException as raised:  # noqa: BLE001 - user code may raise anything
         error = explain(raised)
     seconds = time.perf_counter() - start
@@ -135,14 +136,14 @@ class StudyText(msgspec.Struct, frozen=True, kw_only=True):
     config_json
         The study as JSON, with overrides and grids applied.
     folder
-        Folder that relative paths in specs start from.
+        Folder from which relative paths in specs start.
     seed
         Seed of all realizations.
     version
         Version of this package; a worker with another version refuses the study.
     code, paths
-        Functions that the study may call and folders that it may read: see
-        `mcspectra.studies.vetting.Trust`.
+        Functions that the study may call, and folders that it may read.
+        See `mcspectra.studies.vetting.Trust`.
     force
         Whether the user allowed a study of this size.
     inputs
@@ -193,7 +194,7 @@ class StudyText(msgspec.Struct, frozen=True, kw_only=True):
         config = study_of(json.loads(self.config_json))
         trust = Trust(self.code, tuple(map(Path, self.paths)))
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # The command has already shown the plan's warnings
+            warnings.simplefilter("ignore")  # The command has already shown these warnings
             plan = make_plan(config, Path(self.folder), trust, force=self.force)
         if self.inputs is not None:
             remedy = f"make the files on host {_host()!r} equal to those, then resume"
@@ -206,7 +207,7 @@ _kept = functools.lru_cache(maxsize=_PLANS)(StudyText.cells)
 
 
 def _cells(text: StudyText) -> dict[str, StudyCell]:
-    """Return the cells of a study; a process builds the plan once."""
+    """Return the cells of a study; each process builds the plan only once."""
     with _lock:  # One thread builds the plan while the others wait
         return _kept(text)
 
@@ -222,7 +223,7 @@ def _cell(text: StudyText, path: str) -> StudyCell:
 
 @functools.lru_cache(maxsize=_REDUCTIONS)
 def _reduction(text: StudyText, path: str, run: str) -> Reduction[Any]:
-    """Return a reduction of a cell; repeated calls return the same object while it is cached."""
+    """Return a reduction of a cell, the same object while it is cached."""
     cell = _cell(text, path)
     return cell.analysis.part(cell.subject, Stream.from_rng(text.seed), run)
 
@@ -250,7 +251,7 @@ class WorkerRefused(McspectraError, RuntimeError):
 def compute_elsewhere(
     compute: Compute, text: StudyText, task: StudyTask, limit: float | None
 ) -> tuple[Outcome, bool]:
-    """Compute a task on a worker of a cluster; this function does not depend on dask.
+    """Compute a task on a worker of a cluster; the function does not depend on dask.
 
     Parameters
     ----------
@@ -259,8 +260,9 @@ def compute_elsewhere(
     text, task
         The study, and the task to compute.
     limit
-        Seconds after which the task fails; imports and planning do not count. Its thread continues,
-        because threads cannot be stopped, so the caller must restart the worker.
+        Seconds after which the task fails, without imports and planning.
+        The thread of the task continues, because threads cannot be stopped.
+        The caller must therefore restart the worker.
 
     Returns
     -------
@@ -291,7 +293,7 @@ def compute_elsewhere(
     if limit is None:
         return compute(text, task), False
     with Path(os.devnull).open("w") as nowhere:
-        # End the process if code holds the interpreter lock, which blocks the check below.
+        # End the process if code holds the interpreter lock, because that blocks the check below
         faulthandler.dump_traceback_later(limit + _HELD, exit=True, file=nowhere)
         try:
             return within(limit, functools.partial(compute, text, task)), False

@@ -1,8 +1,9 @@
 """Check the files and functions that an untrusted study may use, and record their contents.
 
-A study file is data: specs are parsed, never evaluated. Files are read only from the study's folder
-and from folders that the caller allows. Python functions are imported only if the caller names
-them. The SHA-256 of every input file is recorded, because a changed file makes another study.
+A study file is data: specs are parsed, never evaluated.
+Files are read only from the study's folder and from folders that the caller allows.
+Python functions are imported only if the caller names them.
+The SHA-256 of every input file is recorded, because a changed file makes another study.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ from mcspectra.samplers.external import allow_own_code, loaded_function
 __all__ = ["Inputs", "Trust", "Vetting", "changed_inputs", "check_inputs"]
 
 Inputs: TypeAlias = tuple[str, ...]
-"""Names of files, in ascending order."""
+"""Names of files that a cell depends on, in ascending order."""
 
 _NAMED = 3  # Maximum number of files named in a message
 
@@ -47,17 +48,17 @@ class Vetting:
     Parameters
     ----------
     folder
-        Folder that relative paths start from. Files below it get their relative path as name, and
-        other files their whole path. Modules keep their names, because their folders differ between
-        machines.
+        Folder from which relative paths start.
+        Files below it are named by their relative path, and other files by their whole path.
+        Modules keep their names, because their folders differ between machines.
     trust
-        Files and functions allowed beyond `folder`.
+        Files and functions that are allowed beyond the folder.
 
     Attributes
     ----------
     inputs
-        SHA-256 by name of all files used so far: files of specs, files that scenes refer to, and
-        sources of functions. A path that is not a readable file is refused later by its reader.
+        SHA-256 by name of all used files: files of specs and scenes, and sources of functions.
+        A path that is not a readable file is refused later by its reader.
     """
 
     def __init__(self, folder: Path, trust: Trust) -> None:
@@ -69,8 +70,9 @@ class Vetting:
         self._calls: dict[str, tuple[list[Call], Inputs]] = {}
 
     def calls(self, text: str) -> tuple[list[Call], Inputs]:
-        """Parse a spec, and replace the paths in it, and in nested specs, by paths of allowed
-        files.
+        """Parse a spec, and replace the paths in it by paths of allowed files.
+
+        Paths in nested specs are replaced as well.
 
         Raises
         ------
@@ -88,8 +90,8 @@ class Vetting:
     def sampler(self, text: str) -> tuple[list[Call], Inputs]:
         """Parse the spec of a sampler as in `calls`; a sampler that runs code must be allowed.
 
-        Programs and modules of functions are recorded as inputs. Relative paths of programs are
-        relative to the folder of the study.
+        Programs and modules of functions are recorded as inputs.
+        Relative paths of programs are relative to the folder of the study.
 
         Raises
         ------
@@ -115,7 +117,7 @@ class Vetting:
         return [first, *rest], tuple(sorted({*inputs, *self._names(files)}))
 
     def options(self, analysis: Analysis) -> tuple[Analysis, Inputs]:
-        """Check the options of an analysis like the arguments of a spec.
+        """Check the options of an analysis in the same way as the arguments of a spec.
 
         Raises
         ------
@@ -156,13 +158,13 @@ class Vetting:
 
     def _argument(self, key: str, value: Any, files: dict[Path, str]) -> Any:
         if isinstance(value, list | tuple):
-            # Only a path may be a list of files; rows of a net's matrices are digits.
+            # Only a path may be a list of files; other lists hold digits of a net's matrices
             return [self._argument(key if key == "path" else "", item, files) for item in value]
         if isinstance(value, dict):
             return {k: self._argument(str(k), item, files) for k, item in value.items()}
         if not isinstance(value, str):
             return value
-        name = value.partition("(")[0]  # The name of a scene before its parameters, or of a file
+        name = value.partition("(")[0]  # Name of a scene without its parameters, or of a file
         is_file = value.lower().endswith(".xml") or "/" in name or "\\" in name
         if key in FILE_KEYS or (key == "scene" and is_file):
             file = self._file(value, files, scene=key == "scene")
@@ -181,11 +183,11 @@ class Vetting:
         return " | ".join(map(str, found))
 
     def _file(self, path: str, files: dict[Path, str], *, scene: bool = False) -> Path:
-        """Resolve a path from the folder, and follow links to check where the file is.
+        """Resolve a path relative to the folder, and follow links to check where the file is.
 
         A study must not explore the disk of the person who runs it.
         """
-        if "\0" in path or path.startswith("~"):  # ~ is a home folder
+        if "\0" in path or path.startswith("~"):  # a tilde stands for a home folder
             raise ConfigError(f"{shown(path)} is not a file name; write it without ~.")
         file = self._folder / path
         if not self._reach.reads(file):
@@ -201,7 +203,7 @@ class Vetting:
         return file
 
     def _names(self, files: Mapping[Path, str]) -> Inputs:
-        """Return the names of the readable files and record them; pipes and devices are skipped."""
+        """Return the names of the readable files, and record them; skip pipes and devices."""
         found = set()
         for file, name in files.items():
             path = file.resolve()
@@ -219,9 +221,9 @@ class Vetting:
 
 
 def _sources(name: str, found: object) -> dict[Path, str]:
-    """Return the files of the modules that name and define a function.
+    """Return the files of the module that names a function and of the module that defines it.
 
-    Modules that these modules import are not included.
+    Other modules that these modules import are not included.
     """
     module = name.partition(":")[0]
     modules = {module, str(getattr(found, "__module__", module))}

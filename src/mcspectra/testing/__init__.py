@@ -1,7 +1,7 @@
 """Check your own samplers, densities, integrands and analyses against the library's contracts.
 
-`mcspectra.testing.strategies` makes random components for property-based tests; it needs
-Hypothesis.
+The module `mcspectra.testing.strategies` makes random components for property-based tests.
+This module needs the package Hypothesis.
 """
 
 from mcspectra.testing.contract import (

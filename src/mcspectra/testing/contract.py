@@ -1,6 +1,6 @@
 """Contracts of samplers, densities, integrands and analyses, and functions that check them.
 
-User code is called through `called`, which converts exceptions to BrokenContract.
+User code is called through `called`, which converts exceptions to BrokenContract errors.
 """
 
 from __future__ import annotations
@@ -46,21 +46,21 @@ __all__ = [
 ]
 
 _FALSE_ALARM = 1e-6
-_SPREADS = 7.0  # largest deviation in standard errors; false alarm 7e-8 (Student's t, 31 degrees)
-_SAME = 1e-9  # largest relative rounding between one point and a batch, and of integrals
+_SPREADS = 7.0  # allowed number of standard errors; false alarm 7e-8 by Student's t
+_SAME = 1e-9  # largest relative rounding error of values and integrals
 _REALIZATIONS, _CELLS = 640, 35  # numbers of realizations and cells of the uniformity test
 _SAMPLES = 20_000
-_SIDES = {1: 64, 2: 8}  # by dims: number of cells along each axis in which samples are counted
-_LEAST = 5.0  # smallest expected number of samples in a cell; with fewer, χ² is inaccurate
+_SIDES = {1: 64, 2: 8}  # number of cells along each axis for counts of samples, by dims
+_LEAST = 5.0  # smallest expected number of samples in a cell, as χ² needs
 _RECIPROCAL = 1e-3
 _ROUNDING = 1e-12
-_REMAINDER = 3.5  # ratio of a quadrature's error to its last difference, if these shrink by √½
+_REMAINDER = 3.5  # quadrature error relative to the last difference, which shrinks by √½
 _QUADRATURE_DIMS = 3
-_MISSED = 20.0  # expected points in a region that may contain none: probability e^-20
+_MISSED = 20.0  # expected points in a region; it is empty with probability e^-20
 _FREQUENCIES = ((1,), (-3,), (0, 2), (1, -1), (4, 7), (2, 1, 0), (0, -1, 3))
 _SEED = 7
-_NEED_SECONDS = 0.1  # time limit of `need`, which studies call for every estimator and sampler
-_SIZE = 2  # blocks per chunk
+_NEED_SECONDS = 0.1  # time limit of `need`, which studies call for each cell
+_SIZE = 2  # number of blocks per chunk
 
 
 class BrokenContract(McspectraError, AssertionError):
@@ -75,15 +75,16 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
     sampler
         The sampler, or its spec string.
     counts
-        Numbers of points to try, rounded to the nearest possible ones.
+        Numbers of points to try, rounded to the nearest possible numbers.
 
     Raises
     ------
     BrokenContract
-        If the points are not float64 of shape (R, n, dims) in [0,1); if a realization depends on
-        the call that draws it; if a fixed set varies; if a count returned by `nearest_count` cannot
-        be drawn; or if a sampler that is declared unbiased has points that are not uniform over all
-        realizations (false alarm: 1e-6).
+        If the points are not float64 of shape (R, n, dims) in [0,1).
+        If a realization depends on the call that draws it, or a fixed set varies.
+        If a count returned by `nearest_count` cannot be drawn.
+        If a sampler is declared unbiased, but its points are not uniform over all realizations.
+        The probability of a false alarm is 1e-6.
 
     Examples
     --------
@@ -105,7 +106,7 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
         low, high = float(points.min()), float(points.max())
         demand(low >= 0.0 and high < 1.0, who, f"gives points from {low} to {high}, not in [0,1)")
 
-        # Realizations are the same in any call; all realizations of a fixed set are equal
+        # Realizations are the same in any call, and all realizations of a fixed set are equal
         whole = source.draw(n, realizations=6, rng=7)
         for first, count in ((0, 1), (1, 3), (5, 1)):
             part = source.draw(n, realizations=count, rng=7, first=first)
@@ -116,11 +117,12 @@ def check_sampler(sampler: Sampler | str, *, counts: tuple[int, ...] = (16, 64))
         if not source.unbiased:
             continue
 
-        # Compare mean counts of points in cells with n / cells: 35 cells per axis, and 5 × 7 cells
-        # per pair of neighboring axes, since few samplers have strata of these sizes. The error of
-        # each mean is estimated from the spread over realizations, which includes dependence within
-        # a set. It is at least the error of one point in one realization, for cells with a constant
-        # count
+        # Compare the mean counts of points in cells with n / cells.
+        # Few samplers have strata of the sizes used here:
+        # 35 cells per axis, and 5 × 7 cells per pair of neighboring axes.
+        # The error of each mean comes from the spread over realizations.
+        # This spread includes the dependence of the points in a set.
+        # Cells with a constant count get at least the error of one point in one realization
         from scipy.stats import norm
 
         points = source.draw(n, realizations=_REALIZATIONS, rng=20)
@@ -156,15 +158,16 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
     Raises
     ------
     BrokenContract
-        If pdf, sample or invert raise, return a wrong shape or type, or change their input; if pdf
-        is negative, not finite or does not integrate to 1; if samples leave [0,1), have density 0
-        or do not follow the pdf (false alarm: 1e-6); if invert is not the inverse of sample; if
-        breaks are not ascending numbers within (0, 1); or if `reciprocal_integral` is not ∫1/p.
+        If pdf, sample or invert raise, return a wrong shape or type, or change their input.
+        If pdf is negative, not finite or does not integrate to 1.
+        If samples leave [0,1), have density 0 or do not follow the pdf (false alarm: 1e-6).
+        If invert is not the inverse of sample, or breaks are not ascending numbers within (0, 1).
+        If the reported integral of 1/p, `reciprocal_integral`, is wrong.
 
     Notes
     -----
-    In 1-D and 2-D, samples are counted in cells (Pearson's χ²) in addition to `Density.check`. The
-    documentation of `Density.check` lists the errors that are found in more dims.
+    In 1-D and 2-D, samples are counted in cells (Pearson's χ²) in addition to `Density.check`.
+    The documentation of `Density.check` lists the errors that are found in more dims.
 
     Examples
     --------
@@ -177,7 +180,7 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
     u[0, 0] = 0.0
     u[0, 1] = BELOW_ONE
 
-    # Check types and shapes of all three functions for stacked points
+    # Check types and shapes of the three functions for stacked points
     few = u[:3, :5]
     x = values_at(who, "sample", given.sample, few, (*few.shape[:-1], given.dims))
     low, high = float(x.min()), float(x.max())
@@ -187,7 +190,7 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
         values_at(who, "invert", given.invert, x, few.shape)
     check_breaks(who, given.breaks, given.primary_dims)
 
-    # Convert errors of `Density.check` to broken contracts
+    # Convert the errors that `Density.check` finds to broken contracts
     try:
         called(who, "check", given.check)
     except BrokenContract as error:
@@ -231,7 +234,7 @@ def check_density(density: Density | str, *, dims: int | None = None) -> None:
     if np.isfinite(found) and np.isfinite(values).all():
         mean, spread = mean_and_error(values)
         allowed = _SPREADS * spread + _RECIPROCAL * mean
-        # Near a zero of p the mean of few points is usually too low, which is not an error
+        # Near a zero of p, the mean of few points is usually too low, which is not an error
         short = bool(mean < found and spread > _RECIPROCAL * mean)
         demand(
             short or bool(abs(mean - found) <= allowed),
@@ -253,17 +256,20 @@ def check_integrand(integrand: Integrand | str, *, dims: int | None = None) -> N
     Raises
     ------
     BrokenContract
-        If values, integral or coefficients raise, have a wrong shape or type, or are not finite; if
-        values depend on other points, or the given points are changed; if breaks are not ascending
-        numbers within (0, 1); or if a closed form (integral, coefficients, means over boxes) does
-        not agree with the values (false alarm: about 1e-6).
+        If values, integral or coefficients raise, have a wrong shape or type, or are not finite.
+        If a value depends on other points, or the given points are changed.
+        If breaks are not ascending numbers within (0, 1).
+        If a closed form (integral, coefficients, means over boxes) does not agree with the values.
+        The probability of a false alarm is about 1e-6.
 
     Notes
     -----
-    Closed forms are compared with means over 32 shifted sets of 4096 points. If they differ by more
-    than seven standard errors, they are also compared with a quadrature, in up to three dims. An
-    error of a closed form below these limits is not detected. If f is 0 except in less than 1e-4 of
-    the domain, `Integrand.landmarks` must return a point of that region.
+    Closed forms are compared with means over 32 shifted sets of 4096 points.
+    If both differ by more than seven standard errors in up to three dims,
+    they are also compared with a quadrature.
+    An error of a closed form below these limits is not detected.
+    If f is 0 except in less than 1e-4 of the domain,
+    `Integrand.landmarks` must return a point of this region.
 
     Examples
     --------
@@ -328,12 +334,12 @@ class _Restricted(Integrand):
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """Dims of the inner integrand."""
+        """Number of dims of the inner integrand."""
         return self.inner.dims
 
     @property
     def channels(self) -> int:  # type: ignore[override]
-        """Channels of the inner integrand."""
+        """Number of channels of the inner integrand."""
         return self.inner.channels
 
     @property
@@ -367,7 +373,7 @@ def _compare(f: Integrand, what: str, claimed: Array, x: Array, factors: Array) 
     rounding = _ROUNDING * (1.0 + float(np.abs(values).max()))
     allowed = _SPREADS * error + rounding
     places = f.landmarks()
-    if not values.any() and len(places):  # no point lies in the region of the largest values
+    if not values.any() and len(places):  # no point is in the region of the largest values
         largest = float(np.abs(f(places)).max())
         allowed = allowed + largest * _MISSED / values.shape[0] / values.shape[1]
     off = ~(np.abs(claimed - mean) <= allowed)
@@ -394,19 +400,19 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
     Parameters
     ----------
     analysis
-        The analysis with options that are quick to compute. It should have more than one block, so
-        that merging is also checked.
+        The analysis, with options that make it quick to compute.
+        The analysis should have more than one block, so that merging is also checked.
     estimator, sampler
-        Estimator or integrand (default: `gaussian` in two dims) and sampler on which the analysis
-        is run, or their specs; lists for analyses that take lists.
+        Estimator or integrand (default: `gaussian` in two dims) and sampler for the analysis.
+        Specs are also accepted, and lists for analyses that take lists.
 
     Raises
     ------
     BrokenContract
-        If an option has no description, a reserved name or a default outside its limits; if `need`
-        raises, is slow or not finite; if keys repeat or `part` does not find them; if states change
-        when stored as bytes; or if the result depends on chunks, differs for the same seed, or has
-        undeclared variables.
+        If an option has no description, a reserved name or a default outside its limits.
+        If `need` raises, is slow or is not finite. If keys repeat, or `part` does not find a key.
+        If states change when stored as bytes.
+        If the result depends on chunks, differs for the same seed, or has undeclared variables.
 
     Examples
     --------
@@ -423,7 +429,7 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
     if analysis.about != "estimator":
         subject = Subject(None, subject.sampler)
 
-    # Check its options
+    # Check the analysis's options
     demand(bool(kind.summary()), who, "has no docstring; its first line is the summary")
     try:
         check_names(kind)
@@ -435,7 +441,7 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
             called(who, f"the default of {option.name}", option.check, option.default)
     clean: Analysis = called(who, "its options", checked, analysis)
 
-    # Check its need
+    # Check the resources that the analysis needs
     start = time.process_time()
     need = called(who, "need", clean.need, subject)
     demand(isinstance(need, Need), who, f"returns {need!r} from need, not a Need")
@@ -450,7 +456,7 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
 
 
 def _computed(analysis: Analysis, subject: Subject, who: str, size: int) -> Any:
-    """Compute the result from single blocks, or (`size` > 0) from chunks stored as bytes."""
+    """Compute the result from single blocks, or from chunks stored as bytes if `size` > 0."""
     stream = Stream.from_rng(_SEED)
     steps = steps_of(analysis, subject, stream)
     states: list[Any] | None = None
@@ -477,7 +483,7 @@ def _computed(analysis: Analysis, subject: Subject, who: str, size: int) -> Any:
 
 
 def demand(holds: bool, who: str, sentence: str) -> None:
-    """Raise BrokenContract ``who sentence`` unless `holds`."""
+    """Raise a BrokenContract with the message ``who sentence`` unless `holds` is true."""
     if not holds:
         raise BrokenContract(f"{who} {sentence}.")
 
@@ -499,8 +505,8 @@ def values_at(
 ) -> Array:
     """Return the values of a function at points (sets, points, d), after checking them.
 
-    The values must be float64 of the given shape, the input must not change, and each value must
-    depend on its own point only.
+    The values must be float64 of the given shape, and the input must not change.
+    Each value must depend only on its own point.
     """
     before = points.copy()
     found = called(who, what, function, points)

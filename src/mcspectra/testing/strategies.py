@@ -1,8 +1,9 @@
 """Hypothesis strategies: random samplers, densities, integrands, counts and point sets.
 
-Samplers are drawn from all registered names, including those of other packages, unless they are
-costly or need parameters. Densities and integrands have random parameters. This module needs
-Hypothesis: ``pip install mcspectra[testing]``.
+Samplers are drawn from all registered names, including names of other packages.
+Costly samplers and samplers that need parameters are excluded.
+Densities and integrands have random parameters.
+This module needs Hypothesis: ``pip install mcspectra[testing]``.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ __all__ = ["counts", "densities", "integrands", "point_sets", "samplers", "spec_
 COMPONENT_KINDS = ("sampler", "density", "integrand")
 MAX_DIMS = 16
 _MOST_STEPS = 2
-# Samplers that load other packages or need a file
+# Samplers that load other packages, or that need a file
 _FOREIGN = (
     "command",
     "mitsuba",
@@ -70,7 +71,7 @@ def spec_strings(kind: str = "sampler", *, dims: int = 2) -> SearchStrategy[str]
 
 
 def samplers(*, dims: int = 2) -> SearchStrategy[Sampler]:
-    """Strategy for samplers in `dims` dims, often randomized, without slow ones."""
+    """Strategy for samplers in `dims` dims, often randomized, without slow samplers."""
     return spec_strings("sampler", dims=dims).map(lambda spec: sampler(spec, dims))
 
 
@@ -125,12 +126,12 @@ def point_sets(*, dims: int = 2, most: int = 64, stacked: bool = False) -> Searc
 
 @functools.cache
 def _names(dims: int) -> tuple[str, ...]:
-    """Return names of samplers without required parameters that are cheap in `dims` dims."""
+    """Return names of cheap samplers without required parameters in `dims` dims."""
     found = []
     for name in (n for n in SAMPLERS if n not in _FOREIGN):
         with contextlib.suppress(McspectraError):
             if not SAMPLERS.load(name).costly:
-                sampler(name, dims)  # raises if parameters are missing or `dims` is wrong
+                sampler(name, dims)  # an error if parameters are missing or `dims` is wrong
                 found.append(name)
     return tuple(found)
 

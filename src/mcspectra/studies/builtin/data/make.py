@@ -1,8 +1,9 @@
 """Make the data files of the tour: an image used as a density, and a point set.
 
-Run ``python src/mcspectra/studies/builtin/data/make.py``. The files are checked in, so the tour
-needs no preparation. `window.png` shows a bright, soft-edged window and a lamp on a dim wall.
-`blue.dat` contains 256 Poisson-disk points in UTK's text format.
+Run ``python src/mcspectra/studies/builtin/data/make.py``.
+The files are checked in, so the tour needs no preparation.
+The picture `window.png` shows a bright, soft-edged window and a lamp on a dim wall.
+The file `blue.dat` contains 256 Poisson-disk points in UTK's text format.
 """
 
 from pathlib import Path
