@@ -44,7 +44,7 @@ def integrand(spec: str, dims: int | None = None) -> Integrand:
     dims
         Number of dims. By default the spec's own, else the integrand's, else 2.
 
-    Raises
+    Number of dims. The default is the number in the spec, else the integrand's own, else 2.
     ------
     SpecError
         If the spec cannot be parsed; `UnknownName` if the name is not registered.
@@ -62,7 +62,7 @@ def as_integrand(given: object, dims: int | None = None) -> Integrand:
     Raises
     ------
     ParameterError
-        If `given` is neither, or has another number of dims.
+        If `given` is not an integrand or a spec, or has another number of dims.
     """
     if isinstance(given, str):
         return integrand(given, dims)
