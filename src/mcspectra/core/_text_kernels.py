@@ -68,8 +68,9 @@ def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[i
     Returns
     -------
     lines, values, runs, hard
-        Numbers of entries of the outputs. lines is −1 if the text has other content than
-        comments and lines of printable ASCII with equally many numbers.
+        Numbers of entries of the outputs.
+        lines is −1 for any text other than comments and lines with equally many numbers, all in
+        printable ASCII.
     """
     bad = (-1, 0, 0, 0)
     line = count = used = left = 0

@@ -4,7 +4,7 @@ Names, titles, paths and messages may come from an untrusted file.
 `printable` escapes characters that would control a terminal or reorder a line.
 `escape_html` and `csv_cell` also escape text that a browser or a spreadsheet would run.
 The package applies `printable` to errors and warnings when they are created.
-It also applies it to tables and answers that are printed, and to pages and figures.
+Tables and answers become `printable` when they are printed, pages and figures when drawn.
 
 Drawing needs the modules of `mcspectra.report`, a higher layer.
 Like the classes of a registry, they are named as text and imported when first needed.

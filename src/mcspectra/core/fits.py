@@ -12,19 +12,19 @@ Curves bend at small n because of lower-order terms.
 A *window* is the number of largest counts that a fit uses.
 ``"auto"`` takes the largest window of at least three counts that passes two tests:
 no significant lack of fit (`LACK_OF_FIT`) and no significant curvature (`CURVATURE`).
-The test of curvature has one degree of freedom.
-It therefore detects bends that χ² spreads over all degrees of freedom.
+The test of curvature has one degree of freedom, whereas χ² spreads a bend over all of them.
+Therefore the test of curvature also detects small bends.
 The noise may still hide a bend in an accepted window.
 The interval therefore uses the scatter even for χ² below 1, if the scatter makes it wider.
 ``"auto"`` is not the default because it loses precision for a straight line.
 
 In simulations, errors were 6 % (500 realizations) and counts were 4, 16, … 1024.
 For a straight line, the intervals of ``"auto"`` hold the asymptotic rate in 98 % of the cases.
-For a disk of radius 0.27 off the center with jittered points, they hold it in 97 % of the cases.
-For a Gaussian with jittered and shifted points, they hold it in 86 % of the cases.
-Its exact slope is −1.42 … −1.50 over these counts, and no test can detect that bend.
-A curve that bends up to its last count is not extrapolated. An example is a disk centered on the
-strata, with slope −1.39 between the last two counts.
+For a disk of radius 0.27 off the center and jittered points, the share is 97 %.
+For a Gaussian and jittered points with a random shift, the share is 86 %.
+The exact slope is then −1.42 … −1.50 over these counts, and no test can detect this bend.
+A curve that bends up to its last count is not extrapolated.
+An example is a disk centered on the strata, with slope −1.39 between the last two counts.
 Exact variances at the same counts are better evidence.
 """
 
@@ -87,7 +87,7 @@ class LineFit:
         Values of y minus the line, with shape (N,).
     chi2
         Lack of fit, Σ w residual² per degree of freedom.
-        It is about 1 for a straight line, and NaN for two points.
+        The value is about 1 for a straight line, and NaN for two points.
     """
 
     slope: float

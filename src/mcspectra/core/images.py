@@ -388,7 +388,7 @@ class Rings:
         across = np.fft.rfftfreq(width)
         distance = np.hypot(np.fft.fftfreq(height)[:, None], across)
         self._ring = np.minimum((distance * 2 * count).astype(int), count).ravel()
-        # These columns also represent the frequencies of opposite sign
+        # Columns with positive frequencies also represent the frequencies of opposite sign
         both = np.where((across > 0) & (across < 0.5), 2.0, 1.0)
         self._weight = np.broadcast_to(both, distance.shape)
         sizes = np.bincount(self._ring, self._weight.ravel(), count + 1)

@@ -219,8 +219,8 @@ def positive_integral(
         If the unresolved part does not shrink, the integral is infinite and the error is 0.
         Poles r^-a with a > 0.97 count as divergent, see
         `mcspectra.densities.reciprocal_integral`.
-        If the rest was added as a geometric series, the error is the change of the sum over the
-        last level, extrapolated with the ratio of the series.
+        If the rest was added as a geometric series, the error is the last change of the sum,
+        extrapolated with the ratio of the series.
         The series is only approximate where poles cross.
     """
     with np.errstate(over="ignore", invalid="ignore"):

@@ -370,7 +370,7 @@ class NumericalDensity(_ByFunctions):
     Details of the pdf, such as a peak, a gap or a box, are resolved if they are wide enough:
     wider than 2^-18 in 1-D, or wider than 1/500 along both axes in 2-D.
     Narrower details and their mass may be missed.
-    Then `normalize` divides by an integral that is too small.
+    If mass is missed, `normalize` divides by an integral that is too small.
     If the integral is known, ``normalize=False`` detects missing mass. The alternative is to give
     ``sample=``, which needs no integral.
 
@@ -515,8 +515,8 @@ def divide_by_density(
     Warns
     -----
     UndefinedRatioWarning
-        If both are 0 at a sample. Every block of an estimator gives the same text, so that
-        Python's default filter shows the warning once.
+        If the values and the pdf are both 0 at a sample.
+        Python's default filter shows the warning once, since the text is the same for all blocks.
     """
     scaled = pdf if values.ndim == pdf.ndim else pdf[..., None]
     zero = pdf <= 0
@@ -560,8 +560,8 @@ def reciprocal_integral(density: Density) -> float:
     Relative errors are about 1e-7 in 1-D, and 1e-4 in 2-D if p jumps along curves.
 
     In three or more dims, and in 2-D if p jumps all over the domain, the method is a heuristic.
-    It uses the mean of 1/p over 131 072 low-discrepancy points.
-    It also uses Hill's estimate of the tail index a from the largest 256 values of 1/p.
+    The heuristic takes the mean of 1/p over 131 072 low-discrepancy points.
+    Hill's method estimates the tail index a from the largest 256 values of 1/p.
     A variable whose tail falls like v^(-1/a) has an infinite mean for a ≥ 1.
     The result is infinite if the estimated a exceeds 0.81 (three standard errors below 1).
     A zero of p in less than about 1e-5 of the domain is missed.

@@ -33,7 +33,7 @@ class _Tables(NamedTuple):
 
     The knots `xs` (w,) and `ys` (h,) run from 0 to 1. `nodes` (h, w) is the density at the knots.
     `sums` (h, w) has the integrals along each row from 0 to each knot.
-    They are exact for functions that are linear between knots.
+    Such integrals are exact for functions that are linear between knots.
     `rows` (h,) integrates ``sums[:, -1]`` along the columns, from 0 to 1.
     """
 

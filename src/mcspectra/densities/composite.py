@@ -10,7 +10,7 @@ A mixture p = Σ_t w_t p_t [OwenZhou2000]_ has two ways in which one point choos
 * ``"extra"``: a further, last coordinate chooses the part. Each part gets all other coordinates.
   The estimator needs a sampler of d+1 dims, and g still jumps along the last dim.
 * A *deterministic split* draws n w_t points of each part.
-  It is not a warp of one point, but several techniques with the balance heuristic.
+  A split is not a warp of one point, but several techniques with the balance heuristic.
   See `mcspectra.estimators.split_mixture`.
 """
 

@@ -71,12 +71,12 @@ def check_density(density: Checkable) -> None:
     In 1-D this detects a mass of 1/2 that is wrong by 0.1 %, and a mass of 1/64 wrong by 2 %.
     Errors within a cell are not detected.
 
-    In three or more dims, cells are too coarse. Instead, |det ∂T/∂u| · p(T(u)) = 1 is tested by
-    central differences at 512 points. 2 % of the points may fail, because of jumps.
+    In three or more dims, cells are too coarse, so |det ∂T/∂u| · p(T(u)) = 1 is tested instead.
+    The test uses central differences at 512 points. 2 % of the points may fail, because of jumps.
 
     If the warp is not one-to-one (`Density.one_to_one`), each axis is divided into 8 slabs.
     The share of the points in a slab is compared with the mean of the pdf over the slab.
-    Both come from the same points. This tests marginals only.
+    Share and mean come from the same points. This test covers marginals only.
 
     A density with errors below these bounds passes.
     Peaks narrower than 2^-20 of the domain (2^-12 in 2-D) are not resolved.

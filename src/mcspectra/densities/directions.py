@@ -148,8 +148,8 @@ class DiskDensity(_TwoWarps):
     warp
         ``"polar"``: φ = 2π u_0, ρ² = radius² u_1. The sides u_0 = 0 and u_0 = 1 coincide in x.
         The sides of u_1 do not coincide: the side u_1 = 0 maps to the center.
-        ``"concentric"``: squares around the center map to circles, and all sides lie on the rim.
-        This is the map of [Shirley1997]_.
+        ``"concentric"``: squares around the center map to circles [Shirley1997]_.
+        With this map, all sides of the square lie on the rim.
     """
 
     name: ClassVar[str] = "disk"
@@ -207,7 +207,7 @@ class HemisphereDensity(_TwoWarps):
         Map to a disk, where ρ² is the share of the directions up to θ.
         ``"polar"`` keeps x_0 = u_0 and is smooth on the lat-long square.
         ``"concentric"`` ([Shirley1997]_, lifted as by Malley) is smooth on the sphere.
-        Then x jumps where φ passes 0: along u_1 = ½, u_0 > ½.
+        With this map, x jumps where φ passes 0: along u_1 = ½, u_0 > ½.
 
     Notes
     -----
@@ -247,9 +247,9 @@ class SphereDensity(_TwoWarps):
     ----------
     warp
         ``"polar"``: x_0 = u_0, cos θ = 1 − 2 u_1, smooth on the lat-long square.
-        ``"concentric"``: the equal-area octahedral map [Clarberg2008]_. The pole θ = 0 is at the
-        center of the square, and θ = π is at its four corners.
-        Then x jumps where φ passes 0: along u_1 = ½, u_0 > ½.
+        ``"concentric"`` is the equal-area octahedral map [Clarberg2008]_.
+        The pole θ = 0 is at the center of the square, and θ = π is at its four corners.
+        With this map, x jumps where φ passes 0: along u_1 = ½, u_0 > ½.
     """
 
     name: ClassVar[str] = "sphere"

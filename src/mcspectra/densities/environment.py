@@ -8,8 +8,8 @@ Compensation lowers a table where other techniques already sample enough [Karlik
 Let f be proportional to a table p, with the balance heuristic.
 Then the points of all techniques together should be distributed as p.
 Technique τ has a share β_τ = n_τ/Σ n of the points.
-Its own density p'_τ should be the part of p that the other techniques leave.
-It is β_τ p'_τ = max(0, λ p − Σ_{s≠τ} β_s p_s), with λ such that p'_τ is a density.
+The density p'_τ of technique τ should be the part of p that the other techniques leave.
+This means β_τ p'_τ = max(0, λ p − Σ_{s≠τ} β_s p_s), with λ such that p'_τ is a density.
 This p'_τ minimizes ∫ f²/(β_τ p'_τ + Σ β_s p_s), hence the second moment.
 If nothing is cut off, λ = 1 and the estimate of f has no variance.
 """
@@ -121,7 +121,7 @@ class EnvironmentDensity(Wrapper):
         False samples L over the square, as for a flat picture.
     compensation
         False, or the multiple of the mean radiance to subtract: p ∝ max(0, L − multiple · mean L).
-        This is the normal-independent form of [Karlik2019]_.
+        The subtraction is the normal-independent form of [Karlik2019]_.
         True means 1, which suits equal numbers of direction and BSDF samples.
         The density is then 0 at places where f is not 0, so combine it with another technique.
     warp
@@ -216,7 +216,7 @@ def compensated(
     -----
     Means of the other densities over cells are computed by Gauss rules of 4 nodes per axis.
     A cell in which all other densities are 0 at one of these nodes keeps all of λ p.
-    This ensures that f stays covered; `MultipleImportance` checks this again.
+    Therefore f stays covered, which `MultipleImportance` checks again.
     Compensation is optimal only for f proportional to p.
     If f has further factors, the estimate is still unbiased.
 

@@ -3,10 +3,10 @@
 The square (s, t) maps to the light with a constant Jacobian.
 Therefore the uniform density is area sampling.
 The densities here are uniform in solid angle, p(s, t) = area · cos θ' / (r² Ω).
-They are positive everywhere, and can be applied to any integrand in (s, t).
+Both densities are positive everywhere, and can be applied to any integrand in (s, t).
 
 Cumulative solid angles are written without differences of nearly equal terms.
-They are inverted by Newton's method.
+Newton's method inverts them.
 The closed forms of the papers compute a small angle Ω as a difference of angles of order 1.
 Therefore they lose all digits for small lights.
 """

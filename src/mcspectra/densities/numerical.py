@@ -4,7 +4,7 @@ In 1-D, the axis is divided into cells. On each cell, a 12-point Chebyshev inter
 is accurate to rounding. Jumps and kinks are enclosed in ever smaller cells.
 Matrices map the values at a cell's nodes to coefficients of the interpolant and of its integral.
 Other matrices give the interpolant at the nodes of both halves and at the ends.
-These values show whether the cell is resolved [Trefethen2013]_.
+The values at these points show whether the cell is resolved [Trefethen2013]_.
 The cdf is the integral of the interpolants, and Newton's method inverts the cdf in the cell.
 The interpolants are compared with the pdf at 2^18 further points.
 
@@ -307,7 +307,7 @@ def _refine(
 
     Details between the nodes of all cells would be missed. Therefore the function is also probed.
     If the interpolant differs from the function at a probe, the cells with the probe are split.
-    They are split down to the distance of the probes, and further if necessary.
+    Cells are split down to the distance of the probes, and further if necessary.
 
     Parameters
     ----------

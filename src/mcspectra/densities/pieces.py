@@ -297,7 +297,7 @@ class PiecewiseLinear(Density):
     -----
     Consider a cell with the densities a and b at its ends.
     The share r of its mass lies left of t = (a + b) r/(a + √D) with D = a² + (b² − a²) r.
-    This is written from the lower end as in `Linear`, so that all terms are positive.
+    The formula starts from the lower end as in `Linear`, so that all terms are positive.
     Therefore there is no cancellation for a → b, or if a or b is 0.
     """
 

@@ -66,8 +66,8 @@ _LATTICE_POINTS = 2**20
 PROBE = 2**17
 """Number of points of `probe`; each represents 1/PROBE of the volume."""
 _SIGMAS = 3.0
-# Distance between a corner of a box and the point at which f is evaluated near this corner, as a
-# fraction of the box, in 1-D and in more dims
+# f is evaluated near the corners of a box, at this distance in 1-D and in more dims.
+# The distance is a fraction of the box
 _INSET = (1e-10, 1e-6)
 _LEAST_INSET = 2.0**-51  # Least such distance, as a fraction of the corner's position
 # At a corner, smooth functions change by at most this multiple of the last coefficients
@@ -287,7 +287,8 @@ def adaptive_integral(
 
     The error is the sum of the last differences and of the differences expected next.
     An alternative value adds the mean over the probe of f minus the polynomials.
-    Its error is three standard errors of this mean. It is used if this error is smaller.
+    The error of the alternative is three standard errors of this mean.
+    The value with the smaller error is used.
 
     Boxes that split only because of the probe show that other regions may have been missed.
     In this case, 2^18 other points correct the value and give its error.
@@ -304,7 +305,7 @@ def adaptive_integral(
         found = [np.searchsorted(e, t, side="right") - 1 for e, t in zip(edges, x.T, strict=True)]
         return np.asarray(np.ravel_multi_index(tuple(found), tuple(len(e) - 1 for e in edges)))
 
-    # Evaluate f at the points of the probe, and find the cell of each
+    # Evaluate f at the points of the probe, and find the cell of each point
     points = probe(dims)
     cell = cells_of(points)
     seen = probed = _at_points(function, points) if probed is None else probed
@@ -597,9 +598,9 @@ def _cell_values(
 def _slivers(values: Array, corners: Array) -> Array:
     """Return the largest ∫|f| that nodes miss along the faces of boxes of volume 1: (N, C).
 
-    f may jump beyond the outer nodes. A jump is assumed if f at a corner differs much from the
-    polynomial through the nodes. The limit is a multiple of the polynomial's last coefficients,
-    which estimate its own error.
+    f may jump beyond the outer nodes.
+    A jump is assumed if f at a corner is too far from the polynomial through the nodes.
+    The limit is a multiple of the polynomial's last coefficients, which estimate its error.
     """
     dims = round(math.log2(corners.shape[1]))
     order = round(values.shape[1] ** (1.0 / dims))
@@ -624,7 +625,7 @@ def lattice_integral(function: QuadratureIntegrand) -> Estimate:
 
     The points are ½ + k α mod 1 with the steps α of `golden_vector`.
     The error is three standard errors of 16 successive parts, shifted copies of each other.
-    This estimate exceeds the true error.
+    Such an error estimate exceeds the true error.
     """
     alpha, sums = golden_vector(function.dims), []
     for start in range(1, _LATTICE_POINTS, 2**14):

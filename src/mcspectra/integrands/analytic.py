@@ -177,7 +177,7 @@ class Gaussian(Integrand):
     ----------
     center
         Position of the maximum, where f is 1: one number for all axes or one for each.
-        It may lie outside the domain.
+        The maximum may lie outside the domain.
     width
         Standard deviation, > 0.
     dims
@@ -282,9 +282,9 @@ def squared_distance(x: Array, center: Array, scale: float = 1.0) -> Array:
 def _gaussian_fourier(m: Array, center: float, width: float) -> Array:
     """Return ∫_0^1 exp(−(x−c)²/(2w²)) exp(−2πi m x) dx for integer m.
 
-    Let t = (x−c)/(w√2) and β = π m w√2. The integral is the difference between x = 0 and 1 of
-    w√2 e^{−2πimc} e^{−β²} (√π/2) erf(t + iβ).
-    It is written with the Faddeeva function W(z) = e^{−z²} erfc(−iz) in the upper half plane.
+    Let t = (x−c)/(w√2), β = π m w√2, and F(x) = w√2 e^{−2πimc} e^{−β²} (√π/2) erf(t + iβ).
+    The integral is F(1) − F(0).
+    F is written with the Faddeeva function W(z) = e^{−z²} erfc(−iz) in the upper half plane.
     There |W| ≤ 1, so nothing overflows at large m. The phases at the ends are exp(−2πi m) = 1.
     """
     from scipy.special import wofz

@@ -354,17 +354,17 @@ class Integrand(Component, ABC):
         dims
             Number of dimensions.
         integral
-            Its exact integral, if known. Measurements report a bias only then.
+            Exact integral of the function, if known. Measurements report a bias only then.
             Otherwise the attribute `integral` is computed by quadrature of up to 2^21 calls.
         fourier
-            Its exact coefficients as a callable of integer m (..., d), if known.
+            Exact coefficients of the function, if known, as a callable of integer m (..., d).
 
         Raises
         ------
         ParameterError
             If the function is not callable.
             If it returns another shape, complex numbers, NaN or infinity on 28 test points.
-            These are the only calls made here.
+            The test points are the only calls made here.
         """
         if not callable(function):
             raise ParameterError(
@@ -389,7 +389,7 @@ class Derived(Integrand):
     """An integrand made from another integrand, whose properties are the defaults.
 
     Subclasses are dataclasses with the field `integrand`.
-    They set `text`, a format string of the instance ``{0}`` that gives their `spec` for messages.
+    Each sets `text`, a format string with the instance as ``{0}``, for its `spec` in messages.
     """
 
     text: ClassVar[str]
@@ -597,9 +597,9 @@ def numeric_integral(integrand: Integrand) -> Any:
 
     In up to 5 dims, Gauss-Legendre quadrature on boxes is used.
     The boxes are cut at the breaks, and at jumps across an axis that line searches detect.
-    They are split adaptively to 1e-12 of ∫|f| or 2^21 evaluations.
+    Boxes are split adaptively to 1e-12 of ∫|f| or 2^21 evaluations.
     In more dims, the result is the mean over 2^20 points of a Kronecker sequence.
-    This mean is accurate to three to six digits.
+    The mean over Kronecker points is accurate to three to six digits.
     An integrand with its own rule, such as a pixel, uses that rule.
     `integral_accuracy` estimates the error.
     """

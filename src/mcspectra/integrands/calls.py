@@ -1,7 +1,7 @@
 """Calls of an expensive function: counted, limited by a budget, parallel, cached on disk.
 
 `Calls` is the only way to call an expensive function.
-It raises an error before a call that the budget does not cover.
+`Calls` raises an error before a call that the budget does not cover.
 A point found in the cache counts toward the budget like any other, although it costs no call.
 Results therefore do not depend on the state of the cache.
 An interrupted run gives the same bits when it is repeated.

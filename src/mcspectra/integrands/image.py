@@ -3,7 +3,7 @@
 Environment maps follow `mcspectra.core.environments`: x_0 is φ/2π and x_1 is θ/π.
 The matching density is ``environment`` of `mcspectra.densities.environment`.
 Under sampling by luminance, a channel c keeps the ratio L_c / luminance.
-This ratio jumps at the borders of colored pixels.
+The ratio L_c / luminance jumps at the borders of colored pixels.
 Under sampling by the channel's own density, only the cosine remains.
 The cosine is smooth except at the horizon.
 """
@@ -75,8 +75,8 @@ class _Picture(Integrand):
 class Image(_Picture):
     """An image on the unit square, constant in each pixel; x_0 runs along rows, x_1 down them.
 
-    Its coefficients are exact at every frequency. Let V be the discrete Fourier transform of w × h
-    pixels, repeated periodically. Then the coefficients are
+    The Fourier coefficients are exact at every frequency.
+    With the discrete Fourier transform V of w × h pixels, repeated periodically, they are
 
       f_m = V[m_1 mod h, m_0 mod w]/(w h) · sinc(π m_0/w) sinc(π m_1/h) · exp(−πi (m_0/w + m_1/h)).
 
@@ -177,7 +177,7 @@ class Environment(_Picture):
     """Irradiance by a lat-long environment map: L(ω) max(0, n·ω), per unit of the square.
 
     f(x) = 2π² sin(π x_1) L(x) max(0, n·ω(x)), with radiance L and direction ω.
-    Its integral is the irradiance of a surface with the normal n.
+    The integral of f is the irradiance of a surface with the normal n.
 
     Parameters
     ----------

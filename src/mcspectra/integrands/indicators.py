@@ -157,8 +157,8 @@ class SmoothedStep(Integrand):
 class Disk(_Indicator):
     """The indicator of a ball, f(x) = 1 where |x − center| < radius, else 0.
 
-    In 2-D, integral and coefficients are exact. If the domain cuts the disk, the coefficients are
-    integrated chord by chord, to rounding accuracy.
+    In 2-D, integral and coefficients are exact.
+    If the domain cuts the disk, coefficients are integrated chord by chord, to rounding accuracy.
     In 3-D and more, a ball inside the domain is exact (Bessel functions).
     A ball that the domain cuts needs quadrature. The ball does not wrap around.
 
@@ -191,7 +191,7 @@ class Disk(_Indicator):
 
     @property
     def breaks(self) -> Breaks:
-        """Both ends in 1-D; in more dims the border is not normal to an axis."""
+        """Both ends of a 1-D disk; in more dims, the border is not normal to an axis."""
         inside = tuple(end for end in self._interval if 0.0 < end < 1.0)
         return (inside,) if self.dims == 1 else ((),) * self.dims
 
@@ -234,9 +234,10 @@ class Disk(_Indicator):
 class HalfSpace(_Indicator):
     """The indicator of a half-space, f(x) = 1 where normal·x < offset, else 0.
 
-    Integral and coefficients are exact in 1-D and 2-D. In more dims, the coefficients come from
-    quadrature. There the integral is exact in at most 16 dims, if inclusion and exclusion of the
-    cube's corners keeps ten digits.
+    Integral and coefficients are exact in 1-D and 2-D.
+    In more dims, the coefficients come from quadrature.
+    The integral is exact if inclusion and exclusion of the cube's corners keeps ten digits.
+    This needs at most 16 dims.
 
     Parameters
     ----------
@@ -435,8 +436,7 @@ def _half_plane_fourier(m: Array, normal: Array, offset: float) -> Array:
     The region is {x_k < α + β x_j} or its complement.
     Axis k has the larger component of the normal, so |β| ≤ 1.
     The line is inside the square for x_j in [a, b], where the integral along x_k is exact.
-    An integral of exp(−2πi (m_j + β m_k) x_j) remains.
-    It is also regular if m is normal to the line.
+    The integral of exp(−2πi (m_j + β m_k) x_j) remains, which is regular for all m.
     """
     k = int(np.argmax(np.abs(normal)))
     mj, mk = m[..., 1 - k], m[..., k]

@@ -1,11 +1,11 @@
 """Smoothed edges: ramps instead of jumps, for faster convergence at the price of a bias.
 
-There are two methods. The first needs the signed distance σ(x) to an edge, with f = 1 where σ < 0.
-The edge becomes the linear ramp ½ − σ/δ, clipped to [0, 1].
-This ramp is the average of the edges moved by τ, which is uniform in [−δ/2, δ/2].
-Its integral and coefficients are therefore averages over the moved edges.
+There are two methods. One needs the signed distance σ(x) to an edge, with f = 1 where σ < 0.
+The edge becomes the linear ramp ½ − σ/δ of width δ, clipped to [0, 1].
+The ramp is the average of edges moved by τ, where τ is uniform in [−δ/2, δ/2].
+Integral and coefficients of the ramp are therefore averages over the moved edges.
 
-The second method averages any other integrand over a box of side δ about x.
+The other method averages an integrand over a box of side δ about x.
 Reflection at the faces of the domain keeps the integral.
 """
 
@@ -52,13 +52,13 @@ def smoothed(
     width
         δ > 0, the width of the ramp across the edge or the side of the box.
     method
-        ``"distance"`` is a linear ramp across the edge. It exists for step, disk, half-space and
-        the discontinuous test functions of [Christensen2018]_.
+        ``"distance"`` is a linear ramp across the edge.
+        Step, disk, half-space and the discontinuous functions of [Christensen2018]_ allow it.
         ``"box"`` is the mean over a box, for any f and δ ≤ 1.
         ``"auto"`` uses the distance if it is known, else the box.
     nodes
         Number of Gauss nodes along each axis for ``"box"``, at most 4096 in total.
-        They are used if means over boxes have no closed form.
+        The nodes are used if means over boxes have no closed form.
         Each jump is then divided into `nodes` smaller jumps and not removed.
     dims
         Number of dims for a spec string without ``dims``.

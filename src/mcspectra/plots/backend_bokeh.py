@@ -1,7 +1,7 @@
 """Draw plots with Bokeh for pages: plots with zoom, tooltips and legends that hide marks.
 
 Plots load nothing from a network and are readable on light and dark pages.
-Their description in words is the ARIA label.
+The description of a plot in words is its ARIA label.
 
 A `Drawn` can show another plot of the same structure by changing only data, limits and texts.
 """

@@ -104,7 +104,7 @@ def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False) -> Figure:
         Axes to draw into. Default: a new figure.
     pyplot
         Whether to register a new figure in pyplot.
-        Then notebooks show the figure and ``plt.savefig`` writes it.
+        Notebooks show a registered figure, and ``plt.savefig`` writes it.
 
     Raises
     ------

@@ -68,8 +68,8 @@ class PlotKind:
 def shown_variables(data: xr.Dataset) -> dict[str, int]:
     """Return the real variables that `anything` shows, with their numbers of dims.
 
-    These are variables over one or two dims, or else scalars. Intervals and standard errors are
-    not included, since they belong to other variables.
+    The shown variables are over one or two dims, or else they are scalars.
+    Intervals and standard errors are not included, since they belong to other variables.
     """
     partners = {f"{name}{end}" for name in data.data_vars for end in ("_ci", "_se")}
     found = {

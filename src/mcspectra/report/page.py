@@ -306,7 +306,7 @@ def columns_of(table: Table, names: Sequence[str]) -> Table:
 def figures_of(
     plots: Mapping[str, Plot] | Iterable[Plot], *, live: bool = False
 ) -> tuple[Figures, ...]:
-    """Return one block of plots, or no block if there are no plots. Keys are file names."""
+    """Return one block of the plots by file name, or no block if there are no plots."""
     named = plots.items() if isinstance(plots, Mapping) else (("", plot) for plot in plots)
     figures = tuple(Figure(plot=plot, name=name, live=live) for name, plot in named)
     return (Figures(figures=figures),) if figures else ()
