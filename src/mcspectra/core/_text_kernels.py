@@ -2,8 +2,8 @@
 
 A decimal number w/10^k with at most 19 digits and k ≤ 22 is divided in twice float64 precision.
 In this division, w, 10^k and the remainder of the first quotient are exact.
-The sum of both quotients is correctly rounded, unless it lies close to the midpoint of two
-neighboring float64 numbers (within about 2^-40 of it).
+The sum of both quotients is correctly rounded, with rare exceptions.
+They lie within about 2^-40 of the midpoint of two neighboring float64 numbers.
 The caller reads these rare numbers and all numbers of other forms.
 """
 
@@ -69,8 +69,8 @@ def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[i
     -------
     lines, values, runs, hard
         Numbers of entries of the outputs.
-        lines is −1 for any text other than comments and lines with equally many numbers, all in
-        printable ASCII.
+        lines is −1 if the text is not printable ASCII or has other content than numbers and comments.
+        lines is also −1 if the lines do not have equally many numbers.
     """
     bad = (-1, 0, 0, 0)
     line = count = used = left = 0

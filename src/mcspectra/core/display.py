@@ -51,8 +51,8 @@ def printable(given: object, most: int | None = None, *, lines: bool = False) ->
     r"""Return text from outside, or a path, in one safe line of at most `most` characters.
 
     Characters that do not print become escapes such as ``\x1b`` and ``\u202e``.
-    These characters are controls, marks of direction and other zero-width characters,
-    line separators, surrogates, and characters that Unicode has not assigned.
+    Such characters are controls, line separators, surrogates, and zero-width characters.
+    Marks of direction and characters that Unicode has not assigned are also escaped.
     Spaces of other widths become plain spaces. A text that is too long loses its middle.
 
     Parameters

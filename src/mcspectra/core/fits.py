@@ -1,7 +1,8 @@
 """Fits of straight lines and of rates: the slope of log variance against log n.
 
-The fits are weighted least squares. The weight of a variance is the inverse square of its relative
-standard error, which is estimated from the realizations.
+The fits are weighted least squares.
+The weight of a variance is the inverse square of its relative standard error.
+The standard errors are estimated from the realizations.
 For a straight line, the 95 % interval is therefore normal.
 If the lack of fit (χ² per degree of freedom) exceeds 1, the interval is widened by √χ².
 If the lack of fit is significant (`LACK_OF_FIT`), the standard errors do not explain the scatter.
@@ -238,9 +239,9 @@ def fit_rate(
         Variances below `floor` are rounding noise and are ignored.
     window
         Number of largest counts to fit; None fits all.
-        ``"auto"`` takes the largest window of three or more counts without significant χ²
-        (`LACK_OF_FIT`) or curvature (`CURVATURE`).
-        If no window passes, it takes the last three counts.
+        ``"auto"`` takes the largest window of three or more counts that passes two tests.
+        It must have no significant χ² (`LACK_OF_FIT`) and no curvature (`CURVATURE`).
+        If no window passes, ``"auto"`` takes the last three counts.
     """
     start = -window if isinstance(window, int) else 0
     ns, variance, relative_se, floor = (a[start:] for a in (ns, variance, relative_se, floor))
@@ -280,7 +281,7 @@ def fit_rates(
 
 
 def _line(x: Array, y: Array, se: Array, *, chosen: bool = False) -> RateFit:
-    """Fit y against x by weighted least squares; a window `chosen` from data uses the scatter."""
+    """Fit y against x by weighted least squares; a `chosen` window uses the scatter of the data."""
     if len(x) < 2:
         return RateFit()
     fit = line_fit(x, y, se**-2.0)

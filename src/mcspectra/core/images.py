@@ -2,7 +2,7 @@
 
 Conventions
 -----------
-Pixel (row i, column j) of an image of h rows and w columns covers the points x with
+An image has h rows and w columns. The pixel in row i and column j covers the points x for which
 ``j/w <= x[..., 0] < (j+1)/w`` and ``i/h <= x[..., 1] < (i+1)/h``.
 The coordinate x[..., 0] runs to the right.
 The coordinate x[..., 1] runs *down* from the top row, as film coordinates do.

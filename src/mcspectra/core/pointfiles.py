@@ -14,8 +14,9 @@
 
 UTK is the Uni{corn|form} toolkit, https://github.com/utk-team/utk.
 The file ``include/utk/utils/PointsetIO.hpp`` of UTK defines the formats.
-The type code is the first byte of the second word. 0 means int32, 1 int64, 2 uint32, 3 uint64,
-4 float and 5 double. The magic word shows the byte order.
+The type code is the first byte of the second word.
+Codes 0 to 5 mean int32, int64, uint32, uint64, float and double.
+The first word shows the byte order.
 Integers are read as fractions of their type's range.
 
 The sets of a file may differ in size. Samplers check whether coordinates lie in [0,1).
@@ -419,7 +420,7 @@ def _sets_of_rows(
     """Convert rows to one array per set.
 
     A row is a line number with its fields. None instead of fields starts a set.
-    Several converted rows can come as one array of points with the number of the first line.
+    Rows that are already converted come as one array of points with the number of its first line.
     """
     sets: list[Array] = []
     points = array("d")

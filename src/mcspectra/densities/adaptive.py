@@ -2,8 +2,9 @@
 
 Method
 ------
-The domain starts as equal cells. A cell is *resolved* if a Gauss-Legendre rule on the cell agrees
-with the same rule on its 2^d halves. Other cells are split, level by level.
+The domain starts as equal cells.
+A cell is *resolved* if a Gauss-Legendre rule on it agrees with the same rule on its 2^d halves.
+Other cells are split, level by level.
 The unresolved part at level L lies within about 2^-L of the singularities and jumps.
 Its total U_L is roughly a sum over dyadic shells, so it shows the kind of singularity.
 Next to f ~ r^-a along a line, U_L shrinks like 2^{-(1-a)L}.
@@ -219,8 +220,8 @@ def positive_integral(
         If the unresolved part does not shrink, the integral is infinite and the error is 0.
         Poles r^-a with a > 0.97 count as divergent, see
         `mcspectra.densities.reciprocal_integral`.
-        If the rest was added as a geometric series, the error is the last change of the sum,
-        extrapolated with the ratio of the series.
+        If the rest was added as a geometric series, the last change of the sum is used.
+        The error is this change, extrapolated with the ratio of the series.
         The series is only approximate where poles cross.
     """
     with np.errstate(over="ignore", invalid="ignore"):

@@ -323,8 +323,9 @@ class CosineWeighted(_Separable):
     Two meanings of *cosine-weighted* agree here.
     In flatland, x = ½ + θ/π is the angle of a direction above a line, with p(θ) = cos θ/2.
     On the hemisphere with cos θ/π by solid angle, the polar angle has the density sin 2θ.
-    In x = 2θ/π this is the density here, and θ = arcsin √u is the warp of Malley's method
-    [Pharr2016]_ (§13.6.3). The density is 0 at both ends, and ∫1/p diverges.
+    In x = 2θ/π this is the density here.
+    The warp θ = arcsin √u is the warp of Malley's method [Pharr2016]_ (§13.6.3).
+    The density is 0 at both ends, and ∫1/p diverges.
     """
 
     def reciprocal_integral(self) -> float:

@@ -371,8 +371,8 @@ class NumericalDensity(_ByFunctions):
     wider than 2^-18 in 1-D, or wider than 1/500 along both axes in 2-D.
     Narrower details and their mass may be missed.
     If mass is missed, `normalize` divides by an integral that is too small.
-    If the integral is known, ``normalize=False`` detects missing mass. The alternative is to give
-    ``sample=``, which needs no integral.
+    If the integral is known, ``normalize=False`` detects missing mass.
+    A density with ``sample=`` does not have this problem.
 
     Attributes
     ----------
@@ -549,8 +549,9 @@ def reciprocal_integral(density: Density) -> float:
 
     Notes
     -----
-    In 1-D and 2-D, adaptive quadrature splits the cells around zeros of p (see
-    `mcspectra.densities.adaptive`). Let p ~ r^a at distance r from a zero.
+    In 1-D and 2-D, adaptive quadrature splits the cells around zeros of p.
+    The module `mcspectra.densities.adaptive` describes this quadrature.
+    Let p ~ r^a at distance r from a zero.
     The unresolved part then shrinks by a constant ratio per level.
     The ratio is 2^{a−1} next to a point in 1-D or a line in 2-D.
     The ratio is 2^{a-2} next to a point in 2-D.

@@ -63,8 +63,8 @@ class Bilinear(Density):
 
     Notes
     -----
-    The round trip ``invert(sample(u))`` loses digits of u_0 if the marginal density between two
-    rows grows by a large factor.
+    The round trip ``invert(sample(u))`` may lose digits of u_0.
+    This happens if the marginal density between two rows grows by a large factor.
     In this case, rounding of x_1 moves the line on which u_0 is computed.
     """
 

@@ -63,8 +63,8 @@ def check_density(density: Checkable) -> None:
     * sample stays in [0,1]; invert(sample(u)) = u to 1e-6, plus the effect of rounding of x on u.
     * Samples follow the pdf, which is tested in one of three ways.
 
-    In 1-D and 2-D, points are counted in each of 64 (16 × 16) cells, in 32 shifted sets of 4096
-    points. They are also counted in cells of 2, 4, … times the edge.
+    In 1-D and 2-D, points of 32 shifted sets of 4096 points are counted in cells.
+    There are 64 (16 × 16) cells, and larger cells of 2, 4, … times the edge.
     The shares of the cells are compared with the integrals of the pdf.
     The bound is 7 standard errors, plus the error of the quadrature.
     Counts that are equal in all sets add 0.4/4096 to the bound.

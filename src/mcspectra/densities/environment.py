@@ -215,7 +215,7 @@ def compensated(
     Notes
     -----
     Means of the other densities over cells are computed by Gauss rules of 4 nodes per axis.
-    A cell in which all other densities are 0 at one of these nodes keeps all of λ p.
+    If all other densities are 0 at one of these nodes, the cell keeps its whole value λ p.
     Therefore f stays covered, which `MultipleImportance` checks again.
     Compensation is optimal only for f proportional to p.
     If f has further factors, the estimate is still unbiased.

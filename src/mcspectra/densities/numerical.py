@@ -1,7 +1,7 @@
 """The warp of a pdf without a known sampling function: numerical inversion, in 1-D and 2-D.
 
-In 1-D, the axis is divided into cells. On each cell, a 12-point Chebyshev interpolant of the pdf
-is accurate to rounding. Jumps and kinks are enclosed in ever smaller cells.
+In 1-D, the axis is divided into cells. Jumps and kinks are enclosed in ever smaller cells.
+On each cell, a 12-point Chebyshev interpolant of the pdf is accurate to rounding.
 Matrices map the values at a cell's nodes to coefficients of the interpolant and of its integral.
 Other matrices give the interpolant at the nodes of both halves and at the ends.
 The values at these points show whether the cell is resolved [Trefethen2013]_.

@@ -256,8 +256,8 @@ def _within(cell: int, rest: float, cells: int) -> float:
 def last_at_most(borders: Array, low: int, size: int, u: float) -> int:
     """Return the largest i of low … low + size − 1 with borders[i] <= u; borders[low] must be ≤ u.
 
-    The bisection has no branch. The chosen half is practically random, and mispredicted jumps
-    cost more than the arithmetic.
+    The bisection has no branch, because the chosen half is practically random.
+    Mispredicted branches would cost more than the arithmetic.
     """
     while size > 1:
         half = size >> 1

@@ -45,8 +45,8 @@ __all__ = [
     "slabs",
 ]
 
-# Nodes per cell. With 16 nodes, the error is 1e-10 at 4 nodes per wavelength of the integrand,
-# and at rounding level at 8 nodes per wavelength
+# Nodes per cell. With 16 nodes, the error is 1e-10 at 4 nodes per wavelength.
+# At 8 nodes per wavelength, the error is at rounding level
 _ORDER = 16
 _LEAST_NODES = {1: 256, 2: 256, 3: 64, 4: 32}
 _BUDGET = 2**22  # Maximum number of evaluations of a refined grid

@@ -78,8 +78,8 @@ class Calls:
         One file is for one function with one set of parameters.
     on_error
         With ``"raise"``, an error is raised if f fails or gives NaN or infinity.
-        With ``"skip"``, values at such points are NaN. If f fails on several points at once,
-        f is called again for each of these points.
+        With ``"skip"``, values at such points are NaN.
+        If f fails on several points at once, f is called again for each of these points.
 
     Attributes
     ----------

@@ -64,8 +64,9 @@ _OPERATORS: Mapping[type, Callable[..., Any]] = {
 class Formula(Integrand):
     """A formula of the coordinates, read as data.
 
-    An example is ``exp(-x**2 - y**2)``. A formula may contain numbers, pi, e, and the coordinates
-    x, y, z (or x0, x1, …). It may contain the operators + - * / ** %, comparisons and functions.
+    An example is ``exp(-x**2 - y**2)``. A formula may contain numbers, pi and e.
+    The coordinates are x, y, z (or x0, x1, …).
+    A formula may also contain the operators + - * / ** %, comparisons and functions.
     A comparison is 1 where it holds and 0 elsewhere.
     The functions are sin, cos, tan, arcsin, arccos, arctan, arctan2, sinh, cosh, tanh, exp, log,
     log2, log10, sqrt, hypot, abs, sign, sinc, floor, ceil, min, max and where.

@@ -190,8 +190,8 @@ class Environment(_Picture):
     normal
         Three numbers, not all 0, of any length; +z points to the first row.
     interpolation
-        ``"constant"`` in each pixel, or ``"bilinear"`` between centers. Bilinear interpolation
-        is periodic in φ and constant between the outermost rows and the poles.
+        ``"constant"`` in each pixel, or ``"bilinear"`` between centers.
+        ``"bilinear"`` is periodic in φ and constant between the outermost rows and the poles.
 
     Raises
     ------

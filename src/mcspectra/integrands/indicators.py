@@ -354,8 +354,8 @@ def _half_area(x: Array) -> Array:
 def _cut_disk_fourier(m: Array, center: Array, radius: float) -> Array:
     """Return coefficients of a disk cut by the unit square at m (..., 2), chord by chord.
 
-    The integral along a chord is exact. With x_0 = c_0 + r sin θ, chords are smooth functions of θ
-    between the kinks at which the circle meets the borders.
+    The integral along a chord is exact. With x_0 = c_0 + r sin θ, chords are functions of θ.
+    Chords are smooth between the kinks at which the circle meets the borders.
     Gauss-Legendre panels between kinks integrate the highest frequency to rounding accuracy.
     The cost is O(U_0 U_1 (|m| + const)) for U_i distinct m_i.
     """
@@ -411,8 +411,9 @@ def _half_plane_share(lo: Array, hi: Array, normal: Array, offset: float) -> Arr
 def _cut_cube_volume(normal: Array, offset: float) -> float | None:
     """Return the volume of {x in [0,1]^d: normal·x < offset}, or None if rounding spoils it.
 
-    Let k components n_i be positive after reflection. Over the corners v of the cube, the volume
-    is Σ_v (−1)^|v| (offset − n·v)_+^k / (k! Π n_i) [BarrowSmith1979]_.
+    Let k components n_i be positive after reflection.
+    The volume is Σ_v (−1)^|v| (offset − n·v)_+^k / (k! Π n_i) [BarrowSmith1979]_.
+    The sum is over the corners v of the cube.
     The terms cancel, so the relative rounding error is checked.
     """
     level = offset - np.minimum(normal, 0.0).sum()

@@ -57,7 +57,7 @@ def integrand(spec: str, dims: int | None = None) -> Integrand:
 
 
 def as_integrand(given: object, dims: int | None = None) -> Integrand:
-    """Return an integrand, or make one from a spec string; `dims`, if given, must agree.
+    """Return an integrand, or make one from a spec string. It must have `dims` dims, if given.
 
     Raises
     ------

@@ -136,7 +136,7 @@ class EdgeSmoothed(Integrand):
 
     @property
     def fourier_source(self) -> str:
-        """Method of the edge's coefficients, and quadrature over positions of the edge."""
+        """Name of the edge's own method, followed by quadrature over positions of the edge."""
         if self.edge._fourier(np.zeros((1, self.dims))) is None:
             return super().fourier_source
         return f"{self.edge.fourier_source}, averaged over edges by Gauss-Legendre quadrature"

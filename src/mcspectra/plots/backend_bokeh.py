@@ -104,8 +104,8 @@ def draw(plot: Plot) -> Drawn:
 def packed(model: LayoutDOM) -> str:
     """Return a model's JSON for ``Bokeh.embed.embed_item``, gzipped, in base64.
 
-    Bokeh numbers models over the life of a process. Here the models of each plot are renumbered
-    from 0, so the same plot gives the same text.
+    Bokeh numbers models over the life of a process.
+    Here the models of each plot are renumbered from 0, so the same plot gives the same text.
     """
     item = json.loads(serialize_json(json_item(model)))
     numbers: dict[str, str] = {}

@@ -164,8 +164,8 @@ def encode(figure: Figure, *, with_pdf: bool = True) -> tuple[bytes, bytes]:
 
     Without `with_pdf`, the PDF is empty. The layout is computed once for both files.
 
-    The PNG has a palette of 256 colors. If the figure has maps or images, in which rounded colors
-    would be visible, the PNG has all colors.
+    The PNG has a palette of 256 colors if the figure has no maps or images.
+    Otherwise rounded colors would be visible, so the PNG has all colors.
     """
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg

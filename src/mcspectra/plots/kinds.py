@@ -83,8 +83,9 @@ def shown_variables(data: xr.Dataset) -> dict[str, int]:
 def anything(group: Group, styles: Styles) -> Plot:
     """Plot all variables of a result that no other kind shows, for instance from other packages.
 
-    Variables over one dim become curves of all samplers in one panel. Variables over two dims
-    become maps, one panel per sampler. If there are neither, scalars are plotted side by side.
+    Variables over one dim become curves of all samplers in one panel.
+    Variables over two dims become maps, one panel per sampler.
+    If there are no such variables, scalars are plotted side by side.
     """
     first, names = next(iter(group.values())), labels(list(group), 30)
     panels, said = [], []

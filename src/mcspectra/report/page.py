@@ -3,12 +3,13 @@
 Every report is a `Page`, which is plain data. `write_page` draws its figures and writes the HTML.
 Styles, scripts and images are embedded, so the page loads nothing.
 
-Each figure is an image. A `live` figure also has an interactive plot, which replaces the image
-once scripts run. On paper, the image is printed.
+Each figure is an image. A `live` figure also has an interactive plot.
+The plot replaces the image once scripts run. On paper, the image is printed.
 
-All text is escaped except `Markup`, which only our own code creates. The same page always gives
-the same bytes. Templates and interactive plots need the extra ``report``, whose presence
-`check_page_packages` checks. The other modules of this package do not need it.
+All text is escaped except `Markup`, which only our own code creates.
+The same page always gives the same bytes.
+Templates and interactive plots need the extra ``report`` (see `check_page_packages`).
+The other modules of this package do not need this extra.
 """
 
 from __future__ import annotations
