@@ -218,8 +218,8 @@ def positive_integral(
     tuple of float
         Integral and error. Usually, the error is the sum over the cells.
         If the unresolved part does not shrink, the integral is infinite and the error is 0.
-        Poles r^-a with a > 0.97 count as divergent, see
-        `mcspectra.densities.reciprocal_integral`.
+        Poles r^-a with a > 0.97 count as divergent.
+        See `mcspectra.densities.reciprocal_integral`.
         If the rest was added as a geometric series, the last change of the sum is used.
         The error is this change, extrapolated with the ratio of the series.
         The series is only approximate where poles cross.

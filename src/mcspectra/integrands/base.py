@@ -571,7 +571,7 @@ class FunctionIntegrand(Integrand):
 
 
 def fourier_grid(integrand: Integrand, half_width: int) -> Array:
-    """Return `Integrand.fourier_grid` of an integrand."""
+    """Return the coefficients that `Integrand.fourier_grid` returns for an integrand."""
     return _as_integrand(integrand).fourier_grid(half_width)
 
 

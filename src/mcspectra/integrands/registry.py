@@ -42,9 +42,9 @@ def integrand(spec: str, dims: int | None = None) -> Integrand:
     spec
         ``name`` or ``name(key=value, ...)``; see ``mcspectra list integrands``.
     dims
-        Number of dims. By default the spec's own, else the integrand's, else 2.
+        Number of dims. The default is the number in the spec, else the integrand's own, else 2.
 
-    Number of dims. The default is the number in the spec, else the integrand's own, else 2.
+    Raises
     ------
     SpecError
         If the spec cannot be parsed; `UnknownName` if the name is not registered.

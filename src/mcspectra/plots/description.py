@@ -291,8 +291,8 @@ class Panel:
         Whether the panel has axis lines on all four sides instead of two.
     grid
         Whether faint lines mark the ticks behind the marks.
-    Text in an empty panel that says why the panel is empty.
-        Text in the middle of an empty panel that gives the reason.
+    note
+        Text in the middle of an empty panel that says why the panel is empty.
     """
 
     marks: tuple[Mark, ...]

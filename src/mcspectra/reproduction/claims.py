@@ -289,8 +289,8 @@ def largest_distance(statement: str, away: Array, se: Array, freedom: int = 0) -
     ----------
     statement
         Statement without a full stop; a description of the measured value is appended.
-    Differences (measured minus expected) and their positive standard errors, of equal shape.
-        Differences (measured minus expected) and their positive standard errors, same shape.
+    away, se
+        Differences (measured minus expected) and their positive standard errors, of equal shape.
     freedom
         Degrees of freedom of standard errors that come from a few batches.
     """
