@@ -59,7 +59,7 @@ MOST_AT_ONCE = 2
 
 _PATIENCE = 0.2  # Seconds between checks whether a waiting job was canceled
 _INTEGRAND = ("integrand", "density", "dims", "mirror", "channel", "smoothing")
-_OWN = {  # Fields of the set-up that a part depends on
+_OWN = {  # Fields of the set-up on which each part depends
     "integrand": _INTEGRAND,
     "predict": (*_INTEGRAND, "sampler", "n", "strata_shift", "seed", "counts"),
 }

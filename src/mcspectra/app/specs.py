@@ -1,7 +1,7 @@
 """Check and change specs in the explorer: bounded plain text that names no files.
 
 Any page can link to the explorer.
-Such a link may cause computation, but it must not open files or run code.
+A link may cause computation, but must not open files or run code.
 Pictures are therefore uploaded, and named by their digest.
 The user who starts the explorer may allow folders (``--allow-path``) and code (``--allow-code``).
 See `mcspectra.core.trust`.

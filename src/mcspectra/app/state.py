@@ -91,7 +91,7 @@ class ExplorerSetup:
     ----------
     sampler, density, integrand
         Specs, which name no files. The integrand may be ``upload(digest='…')``.
-        It may also be a sum of techniques, ``technique-sum(integrands=['…', '…'])``.
+        A sum of techniques is ``technique-sum(integrands=['…', '…'])``.
     n
         Points per set.
     dims

@@ -2,8 +2,8 @@
 
 A decimal number w/10^k with at most 19 digits and k ≤ 22 is divided in twice float64 precision.
 In this division, w, 10^k and the remainder of the first quotient are exact.
-The sum of both quotients is correctly rounded, unless it lies close to the midpoint of two
-neighboring float64 numbers (within about 2^-40 of it).
+The sum of both quotients is correctly rounded, with rare exceptions.
+They lie within about 2^-40 of the midpoint of two neighboring float64 numbers.
 The caller reads these rare numbers and all numbers of other forms.
 """
 
@@ -57,10 +57,11 @@ def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[i
         uint8, whole lines.
     values
         float64, the numbers in the order of the text.
-    int64 (K, 4), one row for each run of lines without a comment. A row holds four numbers:
-    the number of its first line with numbers (from 0), the index of its first value,
-    the index after its last value, and the count of numbers per line.
-    A comment before the run fills a row that has the count 0.
+    runs
+        int64 (K, 4), one row for each run of lines without a comment.
+        A row holds the number of the first line with numbers (from 0), the index of the first
+        value, the index after the last value, and the count of numbers per line.
+        A comment before the run fills a row that has the count 0.
     hard
         int64 (N, 3), one row for each value that the caller has to read.
         A row holds the index of the value, its first byte, and the byte after it.
@@ -68,8 +69,9 @@ def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[i
     Returns
     -------
     lines, values, runs, hard
-        Numbers of entries of the outputs. lines is −1 if the text has other content than
-        comments and lines of printable ASCII with equally many numbers.
+        Numbers of entries of the outputs.
+        lines is −1 if the text is not printable ASCII, or not made of numbers and comments.
+        lines is also −1 if the lines do not have equally many numbers.
     """
     bad = (-1, 0, 0, 0)
     line = count = used = left = 0

@@ -1,7 +1,7 @@
 """Analyses: one declaration for each question about an estimator with a sampler.
 
 An `Analysis` is a frozen struct whose fields are its options.
-Its method `need` returns its cost, and its method `reduction` returns the computation.
+The method `need` returns the cost, and the method `reduction` returns the computation.
 Python functions, study files, commands, the explorer and the docs are derived from the struct.
 The registered variables of results are also derived from it.
 `ANALYSES` finds analyses by name. Other packages add analyses by the entry points
@@ -11,12 +11,12 @@ All analyses are computed in the same way. A `Reduction` cuts realizations into 
 The number and limits of the blocks depend only on the size of the problem.
 Each block gives a state. States merge in a fixed binary tree over the blocks (`MergeTree`).
 A *chunk* is an aligned run of 2^k blocks, which is a node of the tree.
-One thread can compute all blocks, or many machines can compute chunks of blocks.
-Both ways give the same bits, because the tree is the same.
+The tree is the same whether one thread computes all blocks, or many machines compute chunks.
+Therefore the result has the same bits in both cases.
 
 Some analyses make later draws depend on earlier results, for example to stop at a precision.
 Such an analysis is a generator, which yields lists of reductions and receives the merged states.
-At its end, it returns the dataset of the analysis.
+The generator returns the dataset of the analysis.
 """
 
 from __future__ import annotations
@@ -200,8 +200,8 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         """Return the cost and memory of the analysis of a subject, and reject impossible requests.
 
         The options were already checked (`mcspectra.core.options.checked`).
-        This method rejects options that do not fit the subject, for example too many dims,
-        or point counts that the sampler cannot make.
+        This method rejects options that do not fit the subject.
+        Examples are too many dims, or point counts that the sampler cannot make.
 
         Raises
         ------

@@ -213,8 +213,8 @@ def distinct_points(points: Array) -> tuple[Array, Array, Array]:
     """Return the distinct points of a set (n, d), the index of each given point, and their counts.
 
     The points are in ascending order of their coordinates.
-    The square of a distance below 2^-500 would underflow. Therefore coordinates below 2^-400 are
-    rounded down to multiples of 2^-500.
+    Coordinates below 2^-400 are rounded down to multiples of 2^-500.
+    Otherwise the square of a smaller distance would underflow.
     """
     places = points
     if (tiny := points < 2.0**-400).any():

@@ -34,8 +34,8 @@ def log_mean_interval(mean: Array, se: Array, count: int) -> Array:
 
     Student's t is applied to the logarithm of the mean.
     As an example, take 4 realizations of |S|² of a Gaussian S, which is exponentially distributed.
-    This interval then covers 93 %, and the interval mean ± t·se covers 88 %.
-    The interval with the normal quantile covers 78 %.
+    In 93 % of such cases, the interval contains the mean.
+    The share is 88 % for the interval mean ± t·se, and 78 % with the normal quantile.
     """
     relative = np.divide(se, mean, out=np.array(se), where=mean > 0)
     factor = np.exp(student_t(count) * relative)

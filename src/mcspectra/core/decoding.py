@@ -1,8 +1,9 @@
 """Reading of untrusted files, with a limit on the memory that decoding takes.
 
 A few kilobytes of a compressed format can expand to gigabytes.
-Therefore every reader first calls `check_decoded_size` with the peak memory of decoding and of
-the conversion to float64. The reader computes this memory from the headers of the file.
+Therefore every reader computes the peak memory from the headers of the file.
+The peak memory includes decoding and the conversion to float64.
+Then the reader calls `check_decoded_size` before anything is decoded.
 """
 
 from __future__ import annotations

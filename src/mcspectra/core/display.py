@@ -4,7 +4,7 @@ Names, titles, paths and messages may come from an untrusted file.
 `printable` escapes characters that would control a terminal or reorder a line.
 `escape_html` and `csv_cell` also escape text that a browser or a spreadsheet would run.
 The package applies `printable` to errors and warnings when they are created.
-It also applies it to tables and answers that are printed, and to pages and figures.
+Tables and answers become `printable` when they are printed, pages and figures when drawn.
 
 Drawing needs the modules of `mcspectra.report`, a higher layer.
 Like the classes of a registry, they are named as text and imported when first needed.
@@ -51,8 +51,8 @@ def printable(given: object, most: int | None = None, *, lines: bool = False) ->
     r"""Return text from outside, or a path, in one safe line of at most `most` characters.
 
     Characters that do not print become escapes such as ``\x1b`` and ``\u202e``.
-    These characters are controls, marks of direction and other zero-width characters,
-    line separators, surrogates, and characters that Unicode has not assigned.
+    Such characters are controls, line separators, surrogates, and zero-width characters.
+    Marks of direction and characters that Unicode has not assigned are also escaped.
     Spaces of other widths become plain spaces. A text that is too long loses its middle.
 
     Parameters

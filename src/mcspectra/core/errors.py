@@ -5,8 +5,8 @@ The command line prints such an error as one sentence and exits with code 2.
 Errors about values also derive from `ValueError` or another fitting built-in class.
 Code outside this package can therefore catch them.
 
-A message that names an option or a public function has a separate part for it, a `Parameter` or
-a `Function`. For example: ``ParameterError(Parameter("bins"), " is 0; give more.")``.
+In a message, an option is a separate part (a `Parameter`), as is a public function (a `Function`).
+For example: ``ParameterError(Parameter("bins"), " is 0; give more.")``.
 Python shows ``bins is 0; give more.``, the command line ``--bins is 0; give more.``
 """
 

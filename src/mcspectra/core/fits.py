@@ -1,7 +1,8 @@
 """Fits of straight lines and of rates: the slope of log variance against log n.
 
-The fits are weighted least squares. The weight of a variance is the inverse square of its relative
-standard error, which is estimated from the realizations.
+The fits are weighted least squares.
+The weight of a variance is the inverse square of its relative standard error.
+The standard errors are estimated from the realizations.
 For a straight line, the 95 % interval is therefore normal.
 If the lack of fit (χ² per degree of freedom) exceeds 1, the interval is widened by √χ².
 If the lack of fit is significant (`LACK_OF_FIT`), the standard errors do not explain the scatter.
@@ -12,19 +13,19 @@ Curves bend at small n because of lower-order terms.
 A *window* is the number of largest counts that a fit uses.
 ``"auto"`` takes the largest window of at least three counts that passes two tests:
 no significant lack of fit (`LACK_OF_FIT`) and no significant curvature (`CURVATURE`).
-The test of curvature has one degree of freedom.
-It therefore detects bends that χ² spreads over all degrees of freedom.
+The test of curvature has one degree of freedom, whereas χ² spreads a bend over all of them.
+Therefore the test of curvature also detects small bends.
 The noise may still hide a bend in an accepted window.
 The interval therefore uses the scatter even for χ² below 1, if the scatter makes it wider.
 ``"auto"`` is not the default because it loses precision for a straight line.
 
 In simulations, errors were 6 % (500 realizations) and counts were 4, 16, … 1024.
 For a straight line, the intervals of ``"auto"`` hold the asymptotic rate in 98 % of the cases.
-For a disk of radius 0.27 off the center with jittered points, they hold it in 97 % of the cases.
-For a Gaussian with jittered and shifted points, they hold it in 86 % of the cases.
-Its exact slope is −1.42 … −1.50 over these counts, and no test can detect that bend.
-A curve that bends up to its last count is not extrapolated. An example is a disk centered on the
-strata, with slope −1.39 between the last two counts.
+For a disk of radius 0.27 off the center and jittered points, 97 % of the intervals hold the rate.
+For a Gaussian and jittered points with a random shift, 86 % of the intervals hold the rate.
+The exact slope is then −1.42 … −1.50 over these counts, and no test can detect this bend.
+A curve that bends up to its last count is not extrapolated.
+An example is a disk centered on the strata, with slope −1.39 between the last two counts.
 Exact variances at the same counts are better evidence.
 """
 
@@ -87,7 +88,7 @@ class LineFit:
         Values of y minus the line, with shape (N,).
     chi2
         Lack of fit, Σ w residual² per degree of freedom.
-        It is about 1 for a straight line, and NaN for two points.
+        The value is about 1 for a straight line, and NaN for two points.
     """
 
     slope: float
@@ -238,9 +239,9 @@ def fit_rate(
         Variances below `floor` are rounding noise and are ignored.
     window
         Number of largest counts to fit; None fits all.
-        ``"auto"`` takes the largest window of three or more counts without significant χ²
-        (`LACK_OF_FIT`) or curvature (`CURVATURE`).
-        If no window passes, it takes the last three counts.
+        ``"auto"`` takes the largest window of three or more counts that passes two tests.
+        It must have no significant χ² (`LACK_OF_FIT`) and no curvature (`CURVATURE`).
+        If no window passes, ``"auto"`` takes the last three counts.
     """
     start = -window if isinstance(window, int) else 0
     ns, variance, relative_se, floor = (a[start:] for a in (ns, variance, relative_se, floor))
@@ -280,7 +281,7 @@ def fit_rates(
 
 
 def _line(x: Array, y: Array, se: Array, *, chosen: bool = False) -> RateFit:
-    """Fit y against x by weighted least squares; a window `chosen` from data uses the scatter."""
+    """Fit y against x by weighted least squares; a `chosen` window uses the scatter of the data."""
     if len(x) < 2:
         return RateFit()
     fit = line_fit(x, y, se**-2.0)

@@ -2,7 +2,7 @@
 
 Conventions
 -----------
-Pixel (row i, column j) of an image of h rows and w columns covers the points x with
+An image has h rows and w columns. The pixel in row i and column j covers the points x for which
 ``j/w <= x[..., 0] < (j+1)/w`` and ``i/h <= x[..., 1] < (i+1)/h``.
 The coordinate x[..., 0] runs to the right.
 The coordinate x[..., 1] runs *down* from the top row, as film coordinates do.
@@ -388,7 +388,7 @@ class Rings:
         across = np.fft.rfftfreq(width)
         distance = np.hypot(np.fft.fftfreq(height)[:, None], across)
         self._ring = np.minimum((distance * 2 * count).astype(int), count).ravel()
-        # These columns also represent the frequencies of opposite sign
+        # Columns with positive frequencies also represent the frequencies of opposite sign
         both = np.where((across > 0) & (across < 0.5), 2.0, 1.0)
         self._weight = np.broadcast_to(both, distance.shape)
         sizes = np.bincount(self._ring, self._weight.ravel(), count + 1)

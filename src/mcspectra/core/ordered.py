@@ -2,7 +2,7 @@
 
 BLAS splits large sums by the number of its threads, which changes the last digits of results.
 Products here use `numpy.einsum` without `optimize`, which never calls BLAS.
-This runs at a quarter of the speed of BLAS, but points and transforms take far more time.
+`numpy.einsum` has a quarter of the speed of BLAS, but points and transforms take far more time.
 Factorizations use Householder reflections; docs/decisions/0015 compares them with NumPy's.
 """
 

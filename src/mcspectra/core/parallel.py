@@ -88,8 +88,9 @@ def slices(block: Block, numbers_each: int) -> Iterator[Block]:
     In one thread, smaller slices that fit a second-level cache are no faster.
     With several threads, they are slower, because threads wait for Python's lock between ufuncs.
     Each wait takes 0.1 ms, while an idle processor wakes.
-    With two threads, slices of 2^16, 2^18, 2^19 and 2^20 numbers had parallel efficiencies of
-    0.39, 0.77, 0.87 and 0.87. Two processes reach 0.91 to 0.95.
+    With two threads, the parallel efficiency was 0.39 for slices of 2^16 numbers.
+    The efficiency was 0.77 for 2^18 numbers, and 0.87 for 2^19 and 2^20 numbers.
+    Two processes reach an efficiency of 0.91 to 0.95.
     """
     size = max(1, _SLICE_NUMBERS // max(1, numbers_each))
     start, stop = block[0], block[0] + block[1]

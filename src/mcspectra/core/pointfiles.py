@@ -1,21 +1,22 @@
 """Point-set files: UTK text and binary, npz, npy and csv, each a list of sets of points.
 
 ============  ====================================================================================
-``.dat``      UTK text: one point per line, coordinates separated by blanks. A line that
-              begins with ``#`` starts the next set; at the top it is a comment
-``.bin``      UTK binary: five 32-bit words, then all coordinates in order. The words are
-              the magic word 0x214B5455 = "UTK!", the type code, the number of sets, the
-              number of points per set, and the number of dims
+``.dat``      UTK text: one point per line, with coordinates separated by blanks.
+              A line that begins with ``#`` starts the next set, or is a comment at the top
+``.bin``      UTK binary: five 32-bit words, then all coordinates in order.
+              The first two words are 0x214B5455 = "UTK!" and the type code.
+              The other words are the numbers of sets, of points per set and of dims
 ``.npz``      array ``points`` of shape (n, d) or (R, n, d), text ``meta`` (JSON)
 ``.npy``      one array of shape (n, d) or (R, n, d)
-``.csv``      commas or semicolons separate numbers, after an optional header line. A
-              column ``set`` numbers the sets; otherwise blank lines separate them
+``.csv``      commas or semicolons separate numbers, after an optional header line.
+              A column ``set`` numbers the sets; otherwise blank lines separate the sets
 ============  ====================================================================================
 
 UTK is the Uni{corn|form} toolkit, https://github.com/utk-team/utk.
-Its file ``include/utk/utils/PointsetIO.hpp`` defines the formats.
-The type code is the first byte of the second word. 0 means int32, 1 int64, 2 uint32, 3 uint64,
-4 float and 5 double. The magic word shows the byte order.
+The file ``include/utk/utils/PointsetIO.hpp`` of UTK defines the formats.
+The type code is the first byte of the second word.
+Codes 0 to 5 mean int32, int64, uint32, uint64, float and double.
+The first word shows the byte order.
 Integers are read as fractions of their type's range.
 
 The sets of a file may differ in size. Samplers check whether coordinates lie in [0,1).
@@ -419,7 +420,7 @@ def _sets_of_rows(
     """Convert rows to one array per set.
 
     A row is a line number with its fields. None instead of fields starts a set.
-    Rows that were already converted come together, as points with the number of their first line.
+    Rows that are already converted come as one array of points with the number of its first line.
     """
     sets: list[Array] = []
     points = array("d")

@@ -27,7 +27,7 @@ _listeners: list[Listener] = []
 
 _AFTER = 0.5  # seconds; shorter work shows no bar
 _BETWEEN = 0.1  # seconds between two updates of the bar
-_BETWEEN_LINES = 10.0  # seconds between two lines, if there is no terminal to draw in
+_BETWEEN_LINES = 10.0  # seconds between two lines of progress without a terminal
 _LONGEST = 80  # largest number of characters of a line of progress
 # Work without a report for this number of seconds counts as abandoned, for example by an error
 _FORGOTTEN = 30.0

@@ -5,7 +5,7 @@ Two states merge field by field.
 Records with a method `merge` use it. Moments do so, because their fields depend on each other.
 Arrays and numbers follow the rule in their annotation: `SUM`, `JOIN` or `SAME`.
 The stored form is one buffer: a MessagePack header with names, types and shapes, then the numbers.
-It contains no pickle and no code.
+The buffer contains no pickle and no code.
 """
 
 from __future__ import annotations

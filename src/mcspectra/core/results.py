@@ -2,7 +2,7 @@
 
 Every variable of a result is registered here once, with its meaning, unit, dims and type.
 `dataset` attaches meaning and unit to the variables as attributes.
-It also attaches the provenance (seed, versions, spec strings) to the dataset.
+`dataset` also attaches the provenance (seed, versions, spec strings) to the whole dataset.
 `check_variables` compares a result with the declaration of its analysis.
 """
 
@@ -308,7 +308,7 @@ def dataset(
 def attributes_of(**provenance: Any) -> dict[str, str | int | float]:
     """Convert attributes to types that every storage format holds; drop attributes that are None.
 
-    These types are 64-bit numbers, strings and JSON text.
+    The storable types are 64-bit numbers, strings and JSON text.
     """
     attributes = {}
     for key, value in provenance.items():

@@ -121,7 +121,7 @@ def parse(text: str) -> Call:
 
 
 def short_spec(text: str) -> str:
-    """Return a short spec for figures: parts with ``name=`` become the name, files lose folders."""
+    """Return a short spec for figures; a part gets its ``name=``, and files lose their folders."""
     try:
         parts = zip(parse_chain(text), _split(text), strict=True)
         return " | ".join(

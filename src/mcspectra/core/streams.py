@@ -20,7 +20,7 @@ Therefore one stream is a shifted or permuted copy of another only if k1 also ag
 Philox alone would be sufficient, but it takes 1.8 ns per double at 7 rounds.
 The mix takes 1.3 ns, and NumPy's PCG64 takes 3.7 ns (one core, AVX-512, 2^17 doubles).
 `tests/core/test_streams.py` tests moments, χ² and serial correlation.
-It also tests for collisions across realizations, indices and seeds.
+Another test counts collisions across realizations, indices and seeds.
 """
 
 from __future__ import annotations

@@ -1,10 +1,11 @@
 """Counts and limits of evaluations of users' functions; each call is counted before it is made.
 
 `counting` opens a tally, which counts all evaluations inside its block.
-It counts in this thread and in the threads of `mcspectra.core.parallel`. Tallies can be nested.
+The block includes this thread and the threads of `mcspectra.core.parallel`.
+Tallies can be nested.
 A limit is checked before the function is called.
 Work may continue without rejected evaluations, for example with another method of a prediction.
-Its result is discarded, because `EvaluationTally.check` raises an error at the end.
+In this case the result is discarded: `EvaluationTally.check` raises an error at the end.
 """
 
 from __future__ import annotations

@@ -65,7 +65,7 @@ class Trust:
         Functions ``module:function`` that specs ``python('module:function')`` may name.
         Also commands, or their programs, that specs ``command('./mine {n} {seed}')`` may name.
         Modules are searched on Python's path (PYTHONPATH), not in a study's folder.
-        Programs include their path.
+        A program is named with its path.
     folders
         Folders whose files may be read, including subfolders.
 

@@ -2,11 +2,13 @@
 
 Method
 ------
-The domain starts as equal cells. A cell is *resolved* if a Gauss-Legendre rule on it agrees with
-the same rule on its 2^d halves. Other cells are split, level by level. The unresolved part at level
-L lies within about 2^-L of the singularities and jumps. Its total U_L, roughly a sum over dyadic
-shells, therefore shows the kind of singularity. Next to f ~ r^-a along a line, U_L shrinks like
-2^{-(1-a)L}. It stays constant or grows if the integral diverges.
+The domain starts as equal cells.
+A cell is *resolved* if a Gauss-Legendre rule on it agrees with the same rule on its 2^d halves.
+Other cells are split, level by level.
+The unresolved part at level L lies within about 2^-L of the singularities and jumps.
+Its total U_L is roughly a sum over dyadic shells, so it shows the kind of singularity.
+Next to f ~ r^-a along a line, U_L shrinks like 2^{-(1-a)L}.
+If the integral diverges, U_L stays constant or grows.
 
 Everything here is deterministic: fixed points, fixed offsets, no seed.
 """
@@ -35,13 +37,14 @@ __all__ = [
     "recurrences",
 ]
 
-# Orders are even, so that no node is a cell center, and different, so that no node lies on the
-# diagonal. If a density is 0 only at such places, no node may find this 0
+# Orders are even, so that no node is a cell center.
+# Orders are different, so that no node lies on the diagonal.
+# A node at such a place could hit an isolated 0 of the density
 _ORDERS = {1: (8,), 2: (6, 4)}
 _DEPTH = {1: 36, 2: 28}
 _FULL_DEPTH = {1: 6, 2: 2}  # at least 4096 cells, so that nodes do not miss narrow steps
 MOST_CELLS = 2**16
-"""Number of cells of a level at which splitting ends; 1.6 million evaluations in 2-D."""
+"""Splitting ends at this number of cells of a level; 1.6 million evaluations in 2-D."""
 _RELATIVE = 1e-10
 _ABSOLUTE = 1e-13  # tolerance relative to the whole integral
 _FORCED_DEPTH = {1: 16, 2: 8}
@@ -63,9 +66,9 @@ _LARGEST_TAIL_INDEX = 1.0 - 3.0 / math.sqrt(_TAIL)
 class Quadrature:
     """Integrals over the starting cells, row-major (k^d,), and the record of levels.
 
-    `errors` bounds the error of each integral. `totals` has the estimate of the whole integral
-    after each level. `unresolved` is the part of it in cells where the rules disagree, and
-    `volumes` is the volume of these cells.
+    `errors` bounds the error of each integral.
+    `totals` has the estimate of the whole integral after each level.
+    `unresolved` is its part in cells where the rules disagree, and `volumes` their volume.
     """
 
     cells: Array
@@ -86,9 +89,8 @@ class Quadrature:
     def ratio(self) -> float:
         """Ratio of the unresolved parts of successive levels; 0 if everything is resolved.
 
-        The ratio compares sums over the last levels with sums over the levels before. Ratios of
-        single levels vary, because the position of a zero within its cell changes from level to
-        level.
+        The ratio compares sums over the last levels with sums over the levels before.
+        Ratios of single levels vary, because the position of a zero within its cell changes.
         """
         parts = self.unresolved
         half = min(_WINDOW, (len(parts) - _FIRST_LEVELS) // 2)
@@ -131,14 +133,15 @@ def integrate(
     cells
         Number of starting cells along each axis.
     points
-        Points (M, d) where narrow peaks may be. Cells with such a point are split to level 16 (8
-        in 2-D) regardless of the rule.
+        Points (M, d) where narrow peaks may be.
+        Cells with such a point are split to level 16 (8 in 2-D) regardless of the rule.
     most_cells
         Number of cells of a level at which splitting ends.
 
     Notes
     -----
-    The cost in 1-D is at most 36 levels of 2^16 cells with 8 evaluations each; in 2-D 28 and 24.
+    The cost in 1-D is at most 36 levels of 2^16 cells with 8 evaluations each.
+    In 2-D, it is at most 28 levels with 24 evaluations per cell.
     """
     corners = _grid(cells, dims)
     owner = np.arange(len(corners))
@@ -177,10 +180,10 @@ def integrate(
 def mean_or_infinity(
     function: Callable[[Array], Array], dims: int, *, most_cells: int = MOST_CELLS
 ) -> float:
-    """Return the integral of a function ≥ 0 in any dims d: infinite if it appears to diverge.
+    """Return the integral of a function ≥ 0 in d dims, infinite if it appears to diverge.
 
-    For the accuracy see the notes of `mcspectra.densities.reciprocal_integral`; `most_cells` is the
-    same as for `positive_integral`.
+    The notes of `mcspectra.densities.reciprocal_integral` describe the accuracy.
+    `most_cells` is the same as for `positive_integral`.
     """
     if dims <= 2:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -213,12 +216,13 @@ def positive_integral(
     Returns
     -------
     tuple of float
-        Integral and error. If the unresolved part does not shrink, the integral is infinite and the
-        error is 0. Poles r^-a with a > 0.97 count as divergent, see
-        `mcspectra.densities.reciprocal_integral`. Otherwise the error is the sum over the cells. If
-        the rest was added as a geometric series, the error is the change of the sum over the last
-        level, extrapolated with the ratio of the series. The series is only approximate where poles
-        cross.
+        Integral and error. Usually, the error is the sum over the cells.
+        If the unresolved part does not shrink, the integral is infinite and the error is 0.
+        Poles r^-a with a > 0.97 count as divergent.
+        See `mcspectra.densities.reciprocal_integral`.
+        If the rest was added as a geometric series, the last change of the sum is used.
+        The error is this change, extrapolated with the ratio of the series.
+        The series is only approximate where poles cross.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         found = integrate(function, dims, cells=CELLS[dims], most_cells=most_cells)

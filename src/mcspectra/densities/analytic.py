@@ -76,14 +76,15 @@ class Linear(_Separable):
     Attributes
     ----------
     slope
-        Slope s, within [−2, 2]: one number for all dims or one per dim. At ±2 the density falls to
-        0 at one end, and ∫1/p diverges.
+        Slope s, within [−2, 2]: one number for all dims or one per dim.
+        At ±2 the density falls to 0 at one end, and ∫1/p diverges.
 
     Notes
     -----
-    The cdf of one dim is low·x + s x²/2 with low = 1 − s/2 = p(0). Its inverse is 2u / (low + √D)
-    with D = low² + 2 s u. For s < 0, D is written as high² − 2 s (1 − u) with high = p(1). Both are
-    sums of positive terms, so there is no cancellation for s → 0 or s = ±2.
+    The cdf of one dim is low·x + s x²/2 with low = 1 − s/2 = p(0).
+    Its inverse is 2u / (low + √D) with D = low² + 2 s u.
+    For s < 0, D is written as high² − 2 s (1 − u) with high = p(1).
+    Both forms are sums of positive terms, so there is no cancellation for s → 0 or s = ±2.
     """
 
     slope: float | tuple[float, ...] = per_dim(1.0, least=-2.0, most=2.0)
@@ -120,9 +121,10 @@ class Linear(_Separable):
 class _Normals(NamedTuple):
     """Constants of truncated normals, one value per dim, shape (d,).
 
-    `flip` marks dims that are reflected, x → 1 − x, so that `mean` is at least 0. `low` and `high`
-    are z at x = 0 and 1. log_low, log_high and log_mass are log Φ(low), log Φ(high) and the
-    logarithm of their difference.
+    `flip` marks dims that are reflected, x → 1 − x, so that `mean` is at least 0.
+    `low` and `high` are z at x = 0 and x = 1.
+    log_low and log_high are log Φ(low) and log Φ(high), with the normal cdf Φ.
+    log_mass is the logarithm of Φ(high) − Φ(low).
     """
 
     flip: Array
@@ -154,9 +156,9 @@ class TruncatedNormal(_Separable):
     Notes
     -----
     With z = (x − mean)/σ and the normal cdf Φ, the cdf is [Φ(z) − Φ(z₀)]/[Φ(z₁) − Φ(z₀)].
-    Logarithms of Φ extend it far into the left tail. If the mean is below 0, the density is
-    reflected, so the right tail is never used. Rounding of u causes errors of about 1e-14 at 10
-    sigma, 1e-12 at 100.
+    Logarithms of Φ extend the cdf far into the left tail.
+    If the mean is below 0, the density is reflected, so the right tail is never used.
+    Rounding of u causes errors of about 1e-14 at 10 sigma, and 1e-12 at 100 sigma.
     """
 
     mean: float | tuple[float, ...] = per_dim(0.5)
@@ -185,8 +187,8 @@ class TruncatedNormal(_Separable):
     def reciprocal_integral(self) -> float:
         """Return Π π σ² mass [erfi(high/√2) − erfi(low/√2)].
 
-        erfi(t) = 2/√π exp(t²) D(t), with Dawson's function D. The result is infinite if it exceeds
-        the largest float (1e308).
+        Here erfi(t) = 2/√π exp(t²) D(t), with Dawson's function D.
+        The result is infinite if it exceeds the largest float (1e308).
         """
         from scipy.special import dawsn
 
@@ -219,7 +221,7 @@ class TruncatedNormal(_Separable):
         from scipy.special import log_ndtr
 
         c = self._normal
-        # [Φ(z) − Φ(low)]/mass, computed as Φ(z)/mass (1 − Φ(low)/Φ(z))
+        # Compute [Φ(z) − Φ(low)]/mass as Φ(z)/mass (1 − Φ(low)/Φ(z))
         log_z = log_ndtr(c.score(x))
         share = np.exp(log_z - c.log_mass) * -np.expm1(np.minimum(c.log_low - log_z, 0.0))
         return np.asarray(np.clip(np.where(c.flip, 1.0 - share, share), 0.0, 1.0))
@@ -233,8 +235,9 @@ class Power(_Separable):
     Attributes
     ----------
     exponent
-        Exponent a, from −0.99 to 1000: one number for all dims or one per dim. For a < 0 the
-        density is unbounded at 0; for a > 0 it vanishes at 0. ∫1/p diverges for a ≥ 1.
+        Exponent a, from −0.99 to 1000: one number for all dims or one per dim.
+        For a < 0 the density is unbounded at 0; for a > 0 it vanishes at 0.
+        The integral ∫1/p diverges for a ≥ 1.
     """
 
     exponent: float | tuple[float, ...] = per_dim(1.0, least=_LEAST_EXPONENT, most=_MOST_EXPONENT)
@@ -254,7 +257,7 @@ class Power(_Separable):
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             factors = (a + 1.0) * x**a
             product = factors.prod(axis=-1)
-        # Where the product over dims is 0 · ∞: such points have no volume
+        # Points at which the product over dims is 0 · ∞ have no volume
         return np.asarray(np.where(np.isnan(product), 0.0, product))
 
     def _sample(self, u: Array) -> Array:
@@ -272,8 +275,8 @@ class Exponential(_Separable):
     Attributes
     ----------
     rate
-        Rate r, from −700 to 700: one number for all dims or one per dim. Below 0 the density rises;
-        at 0 it is uniform.
+        Rate r, from −700 to 700: one number for all dims or one per dim.
+        Below 0 the density rises; at 0 it is uniform.
     """
 
     rate: float | tuple[float, ...] = per_dim(1.0, least=-_MOST_RATE, most=_MOST_RATE)
@@ -285,7 +288,7 @@ class Exponential(_Separable):
 
     @cached_property
     def _rates(self) -> Array:
-        """Rates, with 1 for flat dims."""
+        """Rates of all dims, with the value 1 for flat dims."""
         return np.where(self._flat, 1.0, self._each("rate"))
 
     def reciprocal_integral(self) -> float:
@@ -317,11 +320,12 @@ class CosineWeighted(_Separable):
 
     Notes
     -----
-    Two meanings of *cosine-weighted* agree here. In flatland x = ½ + θ/π is the angle of a
-    direction above a line, with p(θ) = cos θ/2. On the hemisphere with the density cos θ/π by solid
-    angle, the polar angle has the density sin 2θ. In x = 2θ/π this is the density here, and the
-    warp θ = arcsin √u is the warp of Malley's method [Pharr2016]_ (§13.6.3). The density is 0 at
-    both ends, and ∫1/p diverges.
+    Two meanings of *cosine-weighted* agree here.
+    In flatland, x = ½ + θ/π is the angle of a direction above a line, with p(θ) = cos θ/2.
+    On the hemisphere with cos θ/π by solid angle, the polar angle has the density sin 2θ.
+    In x = 2θ/π this is the density here.
+    The warp θ = arcsin √u is the warp of Malley's method [Pharr2016]_ (§13.6.3).
+    The density is 0 at both ends, and ∫1/p diverges.
     """
 
     def reciprocal_integral(self) -> float:

@@ -1,9 +1,10 @@
 """The interface of importance densities: pdf, sample, invert; densities given by functions.
 
-A `Density` is a warp T from the unit cube (primary space, u) to itself (domain, x) together with
-its density: ``x = sample(u)``, ``u = invert(x)``, ``pdf(x) = |det dT/du|^-1``. The public methods
-check their points once. Implementations write `_pdf`, `_sample` and `_invert`, which trust plain
-arrays. A `Wrapper` forwards to a density that it creates.
+A `Density` is a warp T with its pdf. T maps the unit cube (primary space, u) to itself (domain, x).
+The methods are ``x = sample(u)``, ``u = invert(x)`` and ``pdf(x) = |det dT/du|^-1``.
+The public methods check their points once.
+Implementations define `_pdf`, `_sample` and `_invert`, which trust plain arrays.
+A `Wrapper` forwards to a density that it creates.
 """
 
 from __future__ import annotations
@@ -143,7 +144,7 @@ class Density(Component, ABC):
     def reciprocal_integral(self) -> float:
         """Return ∫ 1/p over [0,1)^d, infinite if it diverges.
 
-        For random points it equals 1 + n Var(S_0).
+        For random points, this integral equals 1 + n Var(S_0).
 
         The value is exact if an implementation has a closed form, and a quadrature otherwise.
         """
@@ -181,17 +182,16 @@ class Density(Component, ABC):
     ) -> Density:
         """Make a density from vectorized callables, and check it.
 
-        The functions are called with read-only float64 arrays (..., d), with any number of leading
-        axes.
+        The functions are called with read-only float64 arrays (..., d) with any leading axes.
 
         Parameters
         ----------
         pdf
             Density at points (..., d), with integral 1. It may be 0 on a set of measure zero.
         sample
-            The warp T: primary points (..., d) in [0,1) to points (..., d) in [0,1). If it is
-            missing, the warp is computed from the pdf in 1-D and 2-D (see
-            `mcspectra.densities.NumericalDensity`).
+            The warp T from primary points (..., d) in [0,1) to points (..., d) in [0,1).
+            If it is missing, the warp is computed from the pdf in 1-D and 2-D.
+            See `mcspectra.densities.NumericalDensity`.
         invert
             The inverse of `sample`, if known.
         dims
@@ -202,8 +202,8 @@ class Density(Component, ABC):
         Raises
         ------
         DensityError
-            If a function is not callable, fails, returns a wrong shape, or is not consistent with
-            the others (see `check`), or if further functions are needed.
+            If a function is not callable, fails, or returns a wrong shape.
+            If functions are not consistent (see `check`), or if further functions are needed.
 
         Examples
         --------
@@ -332,10 +332,10 @@ class _ByFunctions(Density):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FunctionDensity(_ByFunctions):
-    """Given by functions pdf, sample and (optionally) invert.
+    """A density given by functions pdf, sample and (optionally) invert.
 
-    Create it with `Density.from_functions`, which checks it. The functions are called with
-    read-only float64 arrays of shape (..., d), with any number of leading axes.
+    Create it with `Density.from_functions`, which checks it.
+    The functions are called with read-only float64 arrays (..., d) with any leading axes.
     """
 
     dims: int = whole(least=1, most=MAX_DIMS)
@@ -361,16 +361,18 @@ class FunctionDensity(_ByFunctions):
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NumericalDensity(_ByFunctions):
-    """Given by its pdf alone, in 1-D or 2-D; the warp is computed.
+    """A density given by its pdf alone, in 1-D or 2-D; the warp is computed.
 
-    Create it with `Density.from_functions`. The pdf is called with read-only float64 arrays
-    (..., d) of points within the domain. In 2-D every sampled point costs a few hundred
-    evaluations.
+    Create it with `Density.from_functions`.
+    The pdf is called with read-only float64 arrays (..., d) of points within the domain.
+    In 2-D every sampled point costs a few hundred evaluations.
 
-    Details of the pdf, such as a peak, a gap or a box, are resolved if they are wider than 2^-18 in
-    1-D, or 1/500 along both axes in 2-D. Narrower details and their mass may be missed; then
-    `normalize` divides by an integral that is too small. If the integral is known,
-    ``normalize=False`` detects missing mass; or give sample=.
+    Details of the pdf, such as a peak, a gap or a box, are resolved if they are wide enough:
+    wider than 2^-18 in 1-D, or wider than 1/500 along both axes in 2-D.
+    Narrower details and their mass may be missed.
+    If mass is missed, `normalize` divides by an integral that is too small.
+    If the integral is known, ``normalize=False`` detects missing mass.
+    A density with ``sample=`` does not have this problem.
 
     Attributes
     ----------
@@ -384,10 +386,10 @@ class NumericalDensity(_ByFunctions):
     Raises
     ------
     DensityError
-        If the integral of the pdf is not 1 (to 1e-9) and `normalize` is False, or if the pdf is
-        negative, not finite within (0,1)^d, or too rough or steep. In 2-D, jumps or kinks along
-        lines that are not axis-parallel are too rough. In 1-D, poles are too steep except at 0,
-        where floats are dense.
+        If the integral of the pdf is not 1 (to 1e-9) and `normalize` is False.
+        If the pdf is negative, not finite within (0,1)^d, or too rough or steep.
+        In 2-D, jumps or kinks along lines that are not axis-parallel are too rough.
+        In 1-D, poles are too steep except at 0, where floats are dense.
     """
 
     dims: int = whole(1, least=1, most=2)
@@ -493,8 +495,8 @@ def divide_by_density(
 ) -> Array:
     """Return values/pdf, 0 where both are 0; values (...) or (..., channels).
 
-    If samples are not randomized, a pdf that is 0 on a face or a line can be 0 at a sample: many
-    sequences start at the origin.
+    If samples are not randomized, a pdf that is 0 on a face or a line can be 0 at a sample.
+    For example, many sequences start at the origin.
 
     Parameters
     ----------
@@ -513,8 +515,8 @@ def divide_by_density(
     Warns
     -----
     UndefinedRatioWarning
-        If both are 0 at a sample. The text is the same for every block of an estimator, so that
-        Python's default filter shows the warning once.
+        If the values and the pdf are both 0 at a sample.
+        Python's default filter shows the warning once, since the text is the same for all blocks.
     """
     scaled = pdf if values.ndim == pdf.ndim else pdf[..., None]
     zero = pdf <= 0
@@ -547,19 +549,23 @@ def reciprocal_integral(density: Density) -> float:
 
     Notes
     -----
-    In 1-D and 2-D, adaptive quadrature (`mcspectra.densities.adaptive`) splits the cells around
-    zeros of p. Let p ~ r^a at distance r from a zero. The unresolved part then shrinks per level by
-    2^{a−1} next to a point in 1-D or a line in 2-D, and by 2^{a-2} next to a point in 2-D. The
-    integral diverges if that ratio reaches 1. Ratios above 0.98 count as divergent, so a > 0.97
-    cannot be distinguished from 1. The rest of the geometric series is added (Aitken). Cells with
-    p = 0 make the integral infinite. Relative errors are about 1e-7 in 1-D, and 1e-4 in 2-D if p
-    jumps along curves.
+    In 1-D and 2-D, adaptive quadrature splits the cells around zeros of p.
+    The module `mcspectra.densities.adaptive` describes this quadrature.
+    Let p ~ r^a at distance r from a zero.
+    The unresolved part then shrinks by a constant ratio per level.
+    The ratio is 2^{a−1} next to a point in 1-D or a line in 2-D.
+    The ratio is 2^{a-2} next to a point in 2-D.
+    The integral diverges if the ratio reaches 1.
+    Ratios above 0.98 count as divergent, so a > 0.97 cannot be distinguished from 1.
+    The rest of the geometric series is added (Aitken). Cells with p = 0 make the integral infinite.
+    Relative errors are about 1e-7 in 1-D, and 1e-4 in 2-D if p jumps along curves.
 
-    In three or more dims, and in 2-D if p jumps all over the domain, this is a heuristic. It uses
-    the mean of 1/p over 131 072 low-discrepancy points, and Hill's estimate of the tail index from
-    the largest 256 values of 1/p. The mean of a variable whose tail falls like v^(-1/a) is infinite
-    for a ≥ 1; the result is infinite if the estimated a exceeds 0.81 (three standard errors below
-    1). A zero of p in less than about 1e-5 of the domain is missed.
+    In three or more dims, and in 2-D if p jumps all over the domain, the method is a heuristic.
+    The heuristic takes the mean of 1/p over 131 072 low-discrepancy points.
+    Hill's method estimates the tail index a from the largest 256 values of 1/p.
+    A variable whose tail falls like v^(-1/a) has an infinite mean for a ≥ 1.
+    The result is infinite if the estimated a exceeds 0.81 (three standard errors below 1).
+    A zero of p in less than about 1e-5 of the domain is missed.
     """
     if not isinstance(density, Density):
         raise DensityError(f"{shown(density)} is not a density; give what mcs.density makes.")

@@ -1,11 +1,12 @@
 """Piecewise bilinear densities in two dims, by continuous marginal-conditional inversion.
 
-Between four nodes p(x) = Σ_ij v_ij B_i(x_0) B_j(x_1), with B linear, so p is continuous. T is also
-continuous where the marginal density is above 0. T_1 inverts the marginal cdf, a quadratic in each
-interval of knots. T_0 inverts the cdf along the line x_1 = T_1, a blend of the cdfs of the two node
-rows, also quadratic. The primary-space integrand jumps only where f does, and has kinks at the
-borders of intervals. In contrast, every warp of a piecewise constant table jumps
-(`mcspectra.densities.tabulated`).
+Between four nodes p(x) = Σ_ij v_ij B_i(x_0) B_j(x_1), with linear B, so p is continuous.
+The warp T is also continuous where the marginal density is above 0.
+T_1 inverts the marginal cdf, which is quadratic in each interval of knots.
+T_0 inverts the cdf along the line x_1 = T_1.
+This cdf is a blend of the cdfs of two rows of nodes, and it is also quadratic.
+The primary-space integrand jumps only where f jumps, and has kinks at the borders of intervals.
+In contrast, every warp of a piecewise constant table jumps (`mcspectra.densities.tabulated`).
 """
 
 from __future__ import annotations
@@ -31,8 +32,9 @@ class _Tables(NamedTuple):
     """Arguments of the kernels.
 
     The knots `xs` (w,) and `ys` (h,) run from 0 to 1. `nodes` (h, w) is the density at the knots.
-    `sums` (h, w) has the integrals along each row from 0 to each knot, exact for functions that are
-    linear between knots. `rows` (h,) integrates ``sums[:, -1]`` along the columns, from 0 to 1.
+    `sums` (h, w) has the integrals along each row from 0 to each knot.
+    Such integrals are exact for functions that are linear between knots.
+    `rows` (h,) integrates ``sums[:, -1]`` along the columns, from 0 to 1.
     """
 
     xs: Array
@@ -50,20 +52,20 @@ class Bilinear(Density):
     Attributes
     ----------
     values
-        Relative density at each node, at least 0; any scale. Shape (h, w) with x_0 along a row and
-        x_1 from the first row to the last.
+        Relative density at each node, at least 0, in any scale.
+        Its shape is (h, w), with x_0 along a row and x_1 from the first row to the last.
     nodes
-        ``"centers"``: node (i, j) is the center of cell (i, j) of h × w equal cells, like pixels;
-        the outermost values continue to the borders. ``"corners"``: nodes lie at j/(w−1) and
-        i/(h−1), ends included; h and w are at least 2.
+        ``"centers"``: node (i, j) is the center of cell (i, j) of h × w equal cells, like pixels.
+        The outermost values continue to the borders.
+        ``"corners"``: nodes lie at j/(w−1) and i/(h−1), ends included; h and w are at least 2.
     periodic
         Whether x_0 wraps around from the last column to the first; only for ``"centers"``.
 
     Notes
     -----
-    The round trip ``invert(sample(u))`` loses digits of u_0 if the marginal density between two
-    rows grows by a large factor, because rounding of x_1 then moves the line on which u_0 is
-    computed.
+    The round trip ``invert(sample(u))`` may lose digits of u_0.
+    This happens if the marginal density between two rows grows by a large factor.
+    In this case, rounding of x_1 moves the line on which u_0 is computed.
     """
 
     dims: int = field(default=2, init=False)
@@ -87,7 +89,7 @@ class Bilinear(Density):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """On axis 1 the marginal cdf at the knots, where the slope of T changes."""
+        """The marginal cdf at the knots, where the slope of T changes, as breaks of axis 1."""
         inside = np.unique(self._tables.rows[1:-1])
         return (), tuple(inside[(inside > 0) & (inside < 1)].tolist())
 
@@ -177,7 +179,7 @@ def _held(a: float, b: float, t: float) -> float:
 
 @kernel
 def _mixed(table: Array, j: int, t: float, i: int) -> float:
-    """Entry i of rows j and j+1 of `table`, linear in t."""
+    """Interpolate entry i linearly between the rows j and j+1 of `table`."""
     return (1.0 - t) * table[j, i] + t * table[j + 1, i]  # type: ignore[no-any-return]
 
 
@@ -199,9 +201,9 @@ def _evaluate(xs: Array, ys: Array, nodes: Array, x: Array, out: Array) -> None:
 
 @kernel
 def _column(xs: Array, nodes: Array, sums: Array, j: int, t: float, u: float) -> float:
-    """Return x_0 below which the share u of the line at t between rows j and j+1 lies."""
+    """Return x_0 such that the share u of the line at t between rows j and j+1 lies below x_0."""
     total = _mixed(sums, j, t, xs.size - 1)
-    if total <= 0.0:  # a line without mass: the identity, which `_flatten` undoes
+    if total <= 0.0:  # a line without mass gets the identity, which `_flatten` undoes
         return u
     target = min(u * total, below(total))
     low, size = 0, xs.size - 1

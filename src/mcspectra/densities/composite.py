@@ -4,13 +4,14 @@ Selection of a part
 -------------------
 A mixture p = Σ_t w_t p_t [OwenZhou2000]_ has two ways in which one point chooses its part:
 
-* ``"coordinate"``: one coordinate of u chooses the part and is stretched for further use. Dims and
-  strata are kept, but the warp and g(u) = f/p jump at the borders of the shares w_t. Because of
-  these jumps, jittered and low-discrepancy points converge more slowly.
-* ``"extra"``: a further, last coordinate chooses the part. Each part gets all other coordinates,
-  but the estimator needs a sampler of d+1 dims, and g still jumps along the last dim.
-* A *deterministic split* draws n w_t points of each part. It is not a warp of one point, but
-  several techniques with the balance heuristic: `mcspectra.estimators.split_mixture`.
+* ``"coordinate"``: one coordinate of u chooses the part and is stretched for further use.
+  Dims and strata are kept, but the warp and g(u) = f/p jump at the borders of the shares w_t.
+  Because of these jumps, jittered and low-discrepancy points converge more slowly.
+* ``"extra"``: a further, last coordinate chooses the part. Each part gets all other coordinates.
+  The estimator needs a sampler of d+1 dims, and g still jumps along the last dim.
+* A *deterministic split* draws n w_t points of each part.
+  A split is not a warp of one point, but several techniques with the balance heuristic.
+  See `mcspectra.estimators.split_mixture`.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ from mcspectra.densities.registry import DENSITIES, as_density, density
 __all__ = ["Defensive", "Mixture", "Product"]
 
 _MAX_PARTS = 1024
-_PLACES = 4  # for each zero of a part: number of positions of the other coordinates
+_PLACES = 4  # number of positions of the other coordinates for each zero of a part
 _SELECTIONS = ("coordinate", "extra")
 
 
@@ -77,8 +78,8 @@ class Product(Density):
     Attributes
     ----------
     parts
-        Densities or spec strings. A spec string without ``dims`` stands for one dim:
-        ``product(parts=["linear(slope=1)", "tent"])`` is in 2-D.
+        Densities or spec strings. A spec string without ``dims`` stands for one dim.
+        For example, ``product(parts=["linear(slope=1)", "tent"])`` is in 2-D.
     """
 
     parts: Any = checked(lambda _, given: _as_parts(given, 1))
@@ -170,13 +171,12 @@ def _with_dims(part: Density) -> str:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Mixture(Density):
-    """Mixture of densities, p = Σ_t w_t p_t, the part chosen by one coordinate of u.
+    """Mixture of densities, p = Σ_t w_t p_t, in which one coordinate of u chooses the part.
 
     Attributes
     ----------
     dims
-        Number of dims; by default that of the parts, or 2 if they are spec strings without
-        ``dims``.
+        Number of dims. The default is the parts' number, or 2 for spec strings without ``dims``.
     parts
         Densities p_t or spec strings.
     weights
@@ -188,8 +188,8 @@ class Mixture(Density):
 
     Notes
     -----
-    The warp is not one-to-one, because each x may come from any part, so there is no inverse. The
-    pdf does not depend on the selection.
+    The warp is not one-to-one, because each x may come from any part, so there is no inverse.
+    The pdf does not depend on the selection.
     """
 
     dims: int = None  # type: ignore[assignment]  # the parts' own
@@ -303,7 +303,7 @@ class Mixture(Density):
         return np.asarray(np.minimum(sums, 1.0))
 
     def _place(self, t: int, v: Any) -> Any:
-        """Return the position on the choosing axis of v in [0,1), a coordinate of part t."""
+        """Return the place on the choosing axis of a coordinate v in [0,1) of part t."""
         low, high = self._borders[t : t + 2]
         return low + v * (high - low)
 
@@ -313,13 +313,12 @@ class Mixture(Density):
 class Defensive(Wrapper):
     """Mixture of a density with a share of the uniform one, so that 1/p is at most 1/share.
 
-    A mixture with a share of a density that is large enough everywhere is *defensive*
-    [Hesterberg1995]_.
+    A mixture is *defensive* if it has a part that is large enough everywhere [Hesterberg1995]_.
 
     Attributes
     ----------
     dims
-        Number of dims; by default that of the density, or 2 if its spec string has no ``dims``.
+        Number of dims. The default is the density's own, or 2 for a spec string without ``dims``.
     density
         A density or spec string.
     share
@@ -357,7 +356,7 @@ class Defensive(Wrapper):
 
 
 def _dims_of(parts: Any, dims: int | None) -> int:
-    """Return the dims for spec strings that state none: `dims`, or the dims of a given part."""
+    """Return the dims for spec strings without dims: `dims`, or the dims of a given part."""
     if dims is not None:
         return as_integer("dims", dims, least=1)
     given = parts if isinstance(parts, list | tuple) else []

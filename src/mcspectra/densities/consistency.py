@@ -13,9 +13,9 @@ from mcspectra.densities.adaptive import CELLS, SET_SIZE, SETS, integrate, recur
 
 __all__ = ["check_density"]
 
-_SPREADS = 7.0  # in standard errors: false alarm 7e-8 per cell, 2e-5 for 256 cells
-# If the mean count of a cell is k + q, all sets have the count k with probability (1 − q)^32: less
-# than 7e-8 for q > 0.4. If counts differ, their spread covers the deviation.
+_SPREADS = 7.0  # limit in standard errors; false alarms: 7e-8 per cell, 2e-5 for 256 cells
+# If the mean count of a cell is k + q, all sets have the count k with probability (1 − q)^32.
+# This is less than 7e-8 for q > 0.4. If counts differ, their spread covers the deviation.
 _ALIKE = 0.4
 _ROUND_TRIP = 1e-6
 _INTEGRAL = 1e-4
@@ -55,25 +55,31 @@ def check_density(density: Checkable) -> None:
     Raises
     ------
     DensityError
-        If these are inconsistent; the message names the error and, if possible, the wrong function.
+        If the functions are inconsistent. The message names the error and, if possible, the cause.
 
     Notes
     -----
     * pdf is finite and not negative at 4096 points, and its integral is 1 to 1e-4.
     * sample stays in [0,1]; invert(sample(u)) = u to 1e-6, plus the effect of rounding of x on u.
-    * Samples follow the pdf. In 1-D and 2-D, 32 shifted sets of 4096 points are counted in each of
-        64 (16 × 16) cells, and in cells of 2, 4, … times the edge. The shares of the cells are
-        compared with the integrals of the pdf. The bound is 7 standard errors, plus 0.4/4096 for
-        counts that are equal in all sets, plus the error of the quadrature. In 1-D this detects a
-        mass of 1/2 that is wrong by 0.1 %, and a mass of 1/64 that is wrong by 2 %, but not errors
-        within a cell. In three or more dims, where cells are too coarse, |det ∂T/∂u| · p(T(u)) = 1
-        is tested by central differences at 512 points. 2 % of the points may fail, because of
-        jumps. If the warp is not one-to-one (`Density.one_to_one`), the shares of the points in
-        each of 8 slabs of every axis are compared with the mean of the pdf over that slab, from the
-        same points. This tests marginals only.
+    * Samples follow the pdf, which is tested in one of three ways.
 
-    A density with errors below these bounds passes. Peaks narrower than 2^-20 (2^-12 in 2-D) of the
-    domain are not resolved.
+    In 1-D and 2-D, points of 32 shifted sets of 4096 points are counted in cells.
+    There are 64 (16 × 16) cells, and larger cells of 2, 4, … times the edge.
+    The shares of the cells are compared with the integrals of the pdf.
+    The bound is 7 standard errors, plus the error of the quadrature.
+    Counts that are equal in all sets add 0.4/4096 to the bound.
+    In 1-D this detects a mass of 1/2 that is wrong by 0.1 %, and a mass of 1/64 wrong by 2 %.
+    Errors within a cell are not detected.
+
+    In three or more dims, cells are too coarse, so |det ∂T/∂u| · p(T(u)) = 1 is tested instead.
+    The test uses central differences at 512 points. 2 % of the points may fail, because of jumps.
+
+    If the warp is not one-to-one (`Density.one_to_one`), each axis is divided into 8 slabs.
+    The share of the points in a slab is compared with the mean of the pdf over the slab.
+    Share and mean come from the same points. This test covers marginals only.
+
+    A density with errors below these bounds passes.
+    Peaks narrower than 2^-20 of the domain (2^-12 in 2-D) are not resolved.
     """
     if not hasattr(density, "_pdf"):
         raise DensityError(f"{density!r:.80} is not a density; give what mcs.density makes.")
@@ -145,7 +151,7 @@ def _mass_problem(density: Checkable, x: Array) -> str | None:
                 f"The pdf of {density.spec} integrates to {total:.6g} over the unit domain, "
                 "not to 1"
             )
-    # Share of each set in each of side^d cells, row-major
+    # Compute the share of each set in each of side^d cells, row-major
     index = np.minimum((x * side).astype(np.int64), side - 1) @ side ** np.arange(dims)[::-1]
     counts = [np.bincount(cells, minlength=side**dims) for cells in index]
     shares = np.stack(counts) / x.shape[1]

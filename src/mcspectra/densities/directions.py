@@ -1,11 +1,12 @@
 """The disk, and directions on the lat-long square: hemisphere and sphere, each with two warps.
 
-With solid angle dω = sin θ dθ dφ, a density q per steradian is p(x) = q |∂ω/∂x| on the square. It
-falls to 0 at the poles: ∫1/p diverges logarithmically, but ∫f²/p does not if f also contains sin θ.
+With the solid angle dω = sin θ dθ dφ, a density q per steradian is p(x) = q |∂ω/∂x| on the square.
+This p falls to 0 at the poles, so ∫1/p diverges logarithmically.
+But ∫f²/p does not diverge if f also contains sin θ.
 
-All densities use maps from the square to the disk or the sphere in polar coordinates. A point of
-the unit disk is (ρ, turn), a direction is (θ/π, turn), with turn = φ/2π in [0,1]. Maps to the disk
-preserve area up to the factor π, maps to the sphere up to 4π.
+All densities use maps from the square to the disk or the sphere in polar coordinates.
+A point of the unit disk is (ρ, turn), a direction is (θ/π, turn), with turn = φ/2π in [0,1].
+Maps to the disk preserve area up to the factor π, and maps to the sphere up to 4π.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ _Map = tuple[Callable[[Array], _Pair], Callable[[Array, Array], Array]]
 
 
 def _polar_to_disk(u: Array) -> _Pair:
-    """Map by turn = u_0, ρ² = u_1: unbounded distortion at the center, and x jumps at the seam."""
+    """Map by turn = u_0, ρ² = u_1. Distortion is unbounded at the center; x jumps at the seam."""
     return np.sqrt(u[..., 1]), u[..., 0]
 
 
@@ -134,20 +135,21 @@ def _as_center(name: str, value: Any) -> float | tuple[float, ...]:
 class DiskDensity(_TwoWarps):
     """Uniform on a disk inside the unit square, 0 outside.
 
-    Both warps preserve areas. They separate neighboring points at different places (see `warp`),
-    which changes the rate of correlated samplers.
+    Both warps preserve areas. They separate neighboring points at different places (see `warp`).
+    Therefore correlated samplers have different rates with the two warps.
 
     Attributes
     ----------
     radius
         Radius of the disk, between 1e-6 and ½.
     center
-        Center of the disk, one number for both coordinates or one per coordinate; the disk must lie
-        inside the square.
+        Center of the disk, one number for both coordinates or one per coordinate.
+        The disk must lie inside the square.
     warp
-        ``"polar"``: φ = 2π u_0, ρ² = radius² u_1. The sides u_0 = 0 and 1 coincide in x.
-        The sides of u_1 do not coincide: the side u_1 = 0 maps to the center. ``"concentric"``
-        [Shirley1997]_: squares around the center map to circles, and all sides lie on the rim.
+        ``"polar"``: φ = 2π u_0, ρ² = radius² u_1. The sides u_0 = 0 and u_0 = 1 coincide in x.
+        The sides of u_1 do not coincide: the side u_1 = 0 maps to the center.
+        ``"concentric"``: squares around the center map to circles [Shirley1997]_.
+        With this map, all sides of the square lie on the rim.
     """
 
     name: ClassVar[str] = "disk"
@@ -199,17 +201,18 @@ class HemisphereDensity(_TwoWarps):
     Attributes
     ----------
     weighting
-        ``"uniform"``: 1/2π per steradian, p = (π/2) sin θ. ``"cosine"``: cos θ/π per steradian,
-        p = (π/2) sin 2θ.
+        ``"uniform"`` is 1/2π per steradian, with p = (π/2) sin θ.
+        ``"cosine"`` is cos θ/π per steradian, with p = (π/2) sin 2θ.
     warp
-        Map to a disk: ρ² is the share up to θ. ``"polar"`` keeps x_0 = u_0 and is smooth
-        on the lat-long square. ``"concentric"`` ([Shirley1997]_, lifted as by Malley) is smooth on
-        the sphere, and x jumps where φ passes 0: along u_1 = ½, u_0 > ½.
+        Map to a disk, where ρ² is the share of the directions up to θ.
+        ``"polar"`` keeps x_0 = u_0 and is smooth on the lat-long square.
+        ``"concentric"`` ([Shirley1997]_, lifted as by Malley) is smooth on the sphere.
+        With this map, x jumps where φ passes 0: along u_1 = ½, u_0 > ½.
 
     Notes
     -----
-    On x_1 = 0 all x_0 are one direction; with the concentric warp `invert` returns one point for
-    them.
+    On x_1 = 0 all x_0 are one direction.
+    With the concentric warp, `invert` returns one point for this direction.
     """
 
     name: ClassVar[str] = "hemisphere"
@@ -243,9 +246,10 @@ class SphereDensity(_TwoWarps):
     Attributes
     ----------
     warp
-        ``"polar"``: x_0 = u_0, cos θ = 1 − 2 u_1, smooth on the lat-long square. ``"concentric"``:
-        the equal-area octahedral map [Clarberg2008]_, with the pole θ = 0 at the center of the
-        square and θ = π at its four corners; x jumps where φ passes 0: along u_1 = ½, u_0 > ½.
+        ``"polar"``: x_0 = u_0, cos θ = 1 − 2 u_1, smooth on the lat-long square.
+        ``"concentric"`` is the equal-area octahedral map [Clarberg2008]_.
+        The pole θ = 0 is at the center of the square, and θ = π is at its four corners.
+        With this map, x jumps where φ passes 0: along u_1 = ½, u_0 > ½.
     """
 
     name: ClassVar[str] = "sphere"

@@ -1,15 +1,17 @@
 """Densities of pictures and of environment maps, and MIS compensation of tables.
 
-Maps are in latitude and longitude with the conventions of `mcspectra.core.environments`: x_0 is
-φ/2π, x_1 is θ/π, and rows run from θ = 0. The density of *directions*, per steradian, is
-p(x)/(2π² sin(π x_1)).
+Maps are in latitude and longitude with the conventions of `mcspectra.core.environments`.
+x_0 is φ/2π, x_1 is θ/π, and rows run from θ = 0.
+The density of *directions*, per steradian, is p(x)/(2π² sin(π x_1)).
 
-Compensation lowers a table where other techniques already sample enough. With the balance heuristic
-and f proportional to a table p, the points of all techniques together should be distributed as p.
-Technique τ has a share β_τ = n_τ/Σ n of the points. Its own density should be the part that the
-other techniques leave, β_τ p'_τ = max(0, λ p − Σ_{s≠τ} β_s p_s), with λ such that p'_τ is a density
-[Karlik2019]_. This p'_τ minimizes ∫ f²/(β_τ p'_τ + Σ β_s p_s), hence the second moment. If nothing
-is cut off, λ = 1 and the estimate of f has no variance.
+Compensation lowers a table where other techniques already sample enough [Karlik2019]_.
+Let f be proportional to a table p, with the balance heuristic.
+Then the points of all techniques together should be distributed as p.
+Technique τ has a share β_τ = n_τ/Σ n of the points.
+The density p'_τ of technique τ should be the part of p that the other techniques leave.
+This means β_τ p'_τ = max(0, λ p − Σ_{s≠τ} β_s p_s), with λ such that p'_τ is a density.
+This p'_τ minimizes ∫ f²/(β_τ p'_τ + Σ β_s p_s), hence the second moment.
+If nothing is cut off, λ = 1 and the estimate of f has no variance.
 """
 
 from __future__ import annotations
@@ -64,8 +66,8 @@ class ImageDensity(Wrapper):
     channel
         ``"luminance"`` (Rec. 709; the only channel if there is one) or the number of a channel.
     floor
-        Smallest pixel value, as a multiple of the mean; lower pixels are raised to this value. If
-        it is above 0, the density is positive everywhere.
+        Smallest pixel value, as a multiple of the mean; lower pixels are raised to this value.
+        If the floor is above 0, the density is positive everywhere.
     linear
         Whether values of PNG and JPEG files are linear instead of sRGB.
     warp
@@ -107,21 +109,21 @@ class EnvironmentDensity(Wrapper):
     Attributes
     ----------
     path, values
-        A file in a format that `mcspectra.core.images.read_image` supports, or pixels (h, w) or
-        (h, w, channels), linear and at least 0; by default `synthetic_sky`.
+        A file that `mcspectra.core.images.read_image` can read, or linear pixels of at least 0.
+        Pixels have shape (h, w) or (h, w, channels). The default is `synthetic_sky`.
     channel
         ``"luminance"`` (Rec. 709; the only channel if there is one) or the number of a channel.
     interpolation
         ``"constant"``: constant in each pixel, with mass exactly L · solid angle.
         ``"bilinear"``: interpolates L sin θ between pixel centers, periodic in φ.
     sin_theta
-        Whether to weight rows by their solid angle. False samples L over the square, as for a flat
-        picture.
+        Whether to weight rows by their solid angle.
+        False samples L over the square, as for a flat picture.
     compensation
-        False, or the multiple of the mean radiance to subtract: p ∝ max(0, L − multiple · mean L),
-        the normal-independent form of [Karlik2019]_. True means 1, which suits equal numbers of
-        direction and BSDF samples. The density is then 0 at places where f is not, so use it
-        together with another technique.
+        False, or the multiple of the mean radiance to subtract: p ∝ max(0, L − multiple · mean L).
+        The subtraction is the normal-independent form of [Karlik2019]_.
+        True means 1, which suits equal numbers of direction and BSDF samples.
+        The density is then 0 at places where f is not 0, so combine it with another technique.
     warp
         Same as in `PiecewiseConstant`, for ``interpolation="constant"``.
 
@@ -193,13 +195,12 @@ def compensated(
     Parameters
     ----------
     density
-        The table p, which approximates f: `PiecewiseConstant` or `ImageDensity`, or its spec
-        string.
+        The table p, which approximates f: `PiecewiseConstant`, `ImageDensity`, or a spec string.
     others
         Densities of the other techniques, or spec strings.
     counts
-        Number of points of `density` and of each other technique, as in `MultipleImportance`; equal
-        by default.
+        Number of points of `density` and of each other technique, as in `MultipleImportance`.
+        By default, all numbers are equal.
 
     Returns
     -------
@@ -213,10 +214,11 @@ def compensated(
 
     Notes
     -----
-    The other densities enter by their means over cells, computed by Gauss rules of 4 nodes per
-    axis. A cell in which all other densities are 0 at one of these nodes keeps all of λ p, so that
-    f stays covered; `MultipleImportance` checks this again. Compensation is optimal only for f
-    proportional to p. If f has further factors, the estimate is still unbiased.
+    Means of the other densities over cells are computed by Gauss rules of 4 nodes per axis.
+    If all other densities are 0 at one of these nodes, the cell keeps its whole value λ p.
+    Therefore f stays covered, which `MultipleImportance` checks again.
+    Compensation is optimal only for f proportional to p.
+    If f has further factors, the estimate is still unbiased.
 
     Examples
     --------
@@ -257,7 +259,7 @@ def compensated(
 
 
 def _taken(others: list[Density], shares: Array, shape: tuple[int, ...]) -> Array:
-    """Return means of Σ β_s p_s over cells, 0 if it is 0 at a node of the cell: `shape`."""
+    """Return means of Σ β_s p_s over cells, in `shape`; 0 if the sum is 0 at a node of the cell."""
     node, weight = np.polynomial.legendre.leggauss(_NODES)
     grid = np.stack(np.meshgrid(*([0.5 * (node + 1)] * len(shape)), indexing="ij"), axis=-1)
     inside = grid.reshape(-1, len(shape))
@@ -282,7 +284,7 @@ def _level(p: Array, taken: Array, share: float) -> float:
     own, other = p.ravel()[inside], taken.ravel()[inside]
     ratio = other / own
     order = np.argsort(ratio)
-    # λ if exactly the first k cells in this order are above 0; valid if cell k + 1 is not above 0.
+    # Compute λ if exactly the first k cells are above 0; valid if cell k + 1 is not above 0.
     levels = (share * p.size + np.cumsum(other[order])) / np.cumsum(own[order])
     ends = np.append(ratio[order][1:], np.inf)
     return float(levels[np.flatnonzero(levels <= ends)[0]])

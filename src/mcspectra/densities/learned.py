@@ -1,16 +1,18 @@
 """Smooth spline densities, one axis after another, with a share of the uniform density.
 
-p(x) = δ + (1 − δ) Π_i q_i(x_i | x_1 … x_{i−1}), where q_i = Σ_m a_m B_m is a quadratic spline. The
-B_m are B-splines of integral 1. The weights a ≥ 0 have sum 1 and depend on the earlier coordinates:
+p(x) = δ + (1 − δ) Π_i q_i(x_i | x_1 … x_{i−1}), where q_i = Σ_m a_m B_m is a quadratic spline.
+The B_m are B-splines of integral 1.
+The weights a ≥ 0 have sum 1 and depend on the earlier coordinates:
 
-* *mixtures* of K products: a = Σ_k ω_k c_ki with ω_k ∝ w_k Π_{j<i} Σ_m c_kjm B_m(x_j); K = 1 is a
-  product.
+* *mixtures* of K products: a = Σ_k ω_k c_ki with ω_k ∝ w_k Π_{j<i} Σ_m c_kjm B_m(x_j).
+  With K = 1, a mixture is a product.
 * *flows*: a = softmax(θ_i φ), where φ are Legendre polynomials of each earlier coordinate x_j.
 
-The warp is Rosenblatt's [Rosenblatt1952]_ of p itself. Let Q be the density q of the given
-coordinates x_1 … x_{i−1}. Then u_i = ω F_i(x_i) + (1 − ω) x_i with ω = (1 − δ) Q/((1 − δ) Q + δ)
-and a monotone cubic spline F_i. No coordinate chooses a part: T is continuous, twice
-differentiable, and has an exact inverse.
+The warp is Rosenblatt's [Rosenblatt1952]_ of p itself.
+Let Q be the density q of the given coordinates x_1 … x_{i−1}, and F_i a monotone cubic spline.
+Then u_i = ω F_i(x_i) + (1 − ω) x_i with ω = (1 − δ) Q/((1 − δ) Q + δ).
+No coordinate chooses a part. Therefore T is continuous and twice differentiable.
+T has an exact inverse.
 """
 
 from __future__ import annotations
@@ -52,7 +54,7 @@ class SplineDensity(Density):
     knots
         Ends of the C cells of each axis, (d, C + 1), from 0 to 1. There are M = C + 2 splines.
     shares, tables
-        For a mixture: w (K,) of sum 1, and c (K, d, M), rows of sum 1. Empty for a flow.
+        For a mixture: w (K,) with sum 1, and c (K, d, M) with rows of sum 1. Empty for a flow.
     gates
         For a flow: θ (d, M, 1 + d·DEGREE), with 0 for later coordinates. Empty for a mixture.
     defensive
@@ -141,7 +143,7 @@ class Learned(Wrapper):
         return self._inside.dims
 
     def cuts(self, others: tuple[tuple[float, ...], ...]) -> tuple[tuple[float, ...], ...]:
-        """Return `others` and the domain places where the pdf is not smooth; in up to 2-D."""
+        """Return `others` and the domain places where the pdf is not smooth, in at most 2 dims."""
         if self.dims > 2:
             return others
         ends = self._inside.knots[:, 1:-1]
@@ -241,8 +243,8 @@ def _walk(
     given: Array,
     out: Array,
 ) -> None:  # pragma: no cover - compiled
-    # Fill out with the pdf (N, 1) at x, with x and pdf (N, d + 1) from u, or with u from x. The
-    # array a holds the spline weights of one axis
+    # Fill `out` with the pdf (N, 1) at x, with x and pdf (N, d + 1) from u, or with u from x.
+    # The array `a` holds the spline weights of one axis
     d, cells, parts = knots.shape[0], knots.shape[1] - 1, shares.size
     a, held, x = np.empty(cells + 2), np.empty(parts), np.empty(d)
     degree = (gates.shape[2] - 1) // d if parts == 0 else 0
@@ -252,7 +254,7 @@ def _walk(
         joint = 1.0
         held[:] = shares
         for i in range(d):
-            # Weights of the splines given the earlier coordinates
+            # Compute the weights of the splines, given the earlier coordinates
             a[:] = 0.0
             if parts:
                 for k in range(parts):
@@ -267,7 +269,7 @@ def _walk(
             spread = (1.0 - defensive) * joint
             spread /= spread + defensive
 
-            # The cell of x_i: found by the cdf at its end if sampling, else by the end itself
+            # Find the cell of x_i, by the cdf at its end if sampling, else by the end itself
             left, c = 0.0, 0
             while c < cells - 1:
                 end = knots[i, c + 1]
@@ -281,7 +283,7 @@ def _walk(
                 left += a[c]
                 c += 1
 
-            # The cubic of the cdf in this cell
+            # Compute the cubic of the cdf in this cell
             low, width = knots[i, c], knots[i, c + 1] - knots[i, c]
             k0, k1, k2, k3 = left, 0.0, 0.0, 0.0
             for r in range(3):

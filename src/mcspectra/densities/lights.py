@@ -1,12 +1,14 @@
 """Solid-angle sampling of a rectangular or triangular light, on the light's own area parameters.
 
-The square (s, t) maps to the light with a constant Jacobian, so the uniform density is area
-sampling. The densities here are uniform in solid angle, p(s, t) = area · cos θ' / (r² Ω), and
-positive everywhere. Both can be applied to any integrand in (s, t).
+The square (s, t) maps to the light with a constant Jacobian.
+Therefore the uniform density is area sampling.
+The densities here are uniform in solid angle, p(s, t) = area · cos θ' / (r² Ω).
+Both densities are positive everywhere, and can be applied to any integrand in (s, t).
 
-Cumulative solid angles are written without differences of nearly equal terms, and inverted by
-Newton's method. The closed forms of the papers lose all digits for small lights, because they
-compute a small angle Ω as a difference of angles of order 1.
+Cumulative solid angles are written without differences of nearly equal terms.
+Newton's method inverts them.
+The closed forms of the papers compute a small angle Ω as a difference of angles of order 1.
+Therefore they lose all digits for small lights.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ __all__ = ["SphericalRectangle", "SphericalTriangle"]
 Vector = tuple[float, float, float]
 
 _PERPENDICULAR = 1e-9  # largest cosine of the angle between edges of a rectangle
-_MOST = 120  # largest number of iterations: 53 of bisection, at most doubled by Newton's
+_MOST = 120  # largest number of iterations: 53 bisections, at most doubled by Newton steps
 _EPS = float(np.finfo(float).eps)
 
 
@@ -67,7 +69,8 @@ def _solve_increasing(function: Callable[[Array], tuple[Array, Array]], target: 
     Parameters
     ----------
     function
-        Function of s that returns F(s) and F'(s) > 0, with F(0) = 0, F(1) = 1; shapes as `target`.
+        Function of s that returns F(s) and F'(s) > 0, with F(0) = 0 and F(1) = 1.
+        Both values have the shape of `target`.
     target
         Values in [0,1].
 
@@ -100,8 +103,8 @@ def _solve_increasing(function: Callable[[Array], tuple[Array, Array]], target: 
 class SphericalRectangle(_Light):
     """Uniform in the solid angle of a rectangle, x = (s, t) for the point corner + s e_0 + t e_1.
 
-    u_0 is the share of solid angle up to s, u_1 the share up to t on the line of constant s
-    [Urena2013]_.
+    u_0 is the share of solid angle up to s [Urena2013]_.
+    u_1 is the share up to t on the line of constant s.
 
     Attributes
     ----------
@@ -110,7 +113,7 @@ class SphericalRectangle(_Light):
     edge0, edge1
         The edges e_0 and e_1 from the corner, at right angles.
     origin
-        The illuminated point; not in the plane of the light.
+        The illuminated point, which must not lie in the plane of the light.
     """
 
     corner: Vector = checked(as_vector, (-0.5, -0.5, 1.0))
@@ -177,19 +180,20 @@ class SphericalRectangle(_Light):
 @final
 @dataclass(frozen=True, kw_only=True)
 class SphericalTriangle(_Light):
-    """Uniform in the solid angle of a triangle, on an area-uniform map of the square to it.
+    """Uniform in the solid angle of a triangle, whose coordinates (s, t) are uniform in area.
 
-    x = (s, t) is the point b + √t ((1 − s) a + s c − b). s is the share of the area next to the
-    edge ab as seen from b, and t the share of the triangle cut off parallel to ac. u_0 is the
-    share of solid angle up to s, and u_1 the share up to t on the line of constant s. This is
-    Arvo's continuous map [Arvo1995]_.
+    x = (s, t) is the point b + √t ((1 − s) a + s c − b).
+    s is the share of the area next to the edge ab as seen from b.
+    t is the share of the triangle that a line parallel to ac cuts off.
+    u_0 is the share of solid angle up to s, and u_1 the share up to t on the line of constant s.
+    The map from u to x is Arvo's continuous map [Arvo1995]_.
 
     Attributes
     ----------
     a, b, c
         Corners of the triangle.
     origin
-        The illuminated point; not in the plane of the light.
+        The illuminated point, which must not lie in the plane of the light.
     """
 
     a: Vector = checked(as_vector, (-0.5, -0.5, 1.0))
@@ -240,8 +244,8 @@ class SphericalTriangle(_Light):
     def _share_of_line(self, s: Array, t: Array) -> tuple[Array, Array]:
         """Return the fraction of the line at s below t, and its derivative with respect to t.
 
-        The fraction is (1 − cos a)/(1 − cos b): the line from 0 to t spans the angle a, and the
-        whole line spans the angle b.
+        The fraction is (1 − cos a)/(1 − cos b).
+        The line from 0 to t spans the angle a, and the whole line spans the angle b.
         """
         point, whole = self._point(s, t), self._spread(self._opposite(s))
         return t * whole / self._spread(point), 0.5 * whole / norm(point) ** 3

@@ -1,16 +1,18 @@
 """The warp of a pdf without a known sampling function: numerical inversion, in 1-D and 2-D.
 
-1-D: the axis is divided into cells on which 12-point Chebyshev interpolants of the pdf are accurate
-to rounding. Jumps and kinks are enclosed in ever smaller cells. Matrices map the values at a cell's
-nodes to the coefficients of the interpolant and of its integral. Other matrices map the values to
-the interpolant at the nodes of both halves and at the ends, which shows whether the cell is
-resolved [Trefethen2013]_. The cdf is the integral of the interpolants; Newton's method inverts the
-cdf in the cell. The interpolants are compared with the pdf at 2^18 further points.
+In 1-D, the axis is divided into cells. Jumps and kinks are enclosed in ever smaller cells.
+On each cell, a 12-point Chebyshev interpolant of the pdf is accurate to rounding.
+Matrices map the values at a cell's nodes to coefficients of the interpolant and of its integral.
+Other matrices give the interpolant at the nodes of both halves and at the ends.
+The values at these points show whether the cell is resolved [Trefethen2013]_.
+The cdf is the integral of the interpolants, and Newton's method inverts the cdf in the cell.
+The interpolants are compared with the pdf at 2^18 further points.
 
-2-D: first the marginal of x_1, then x_0 given x_1, as in `mcspectra.densities.tabulated`. The row
-of each point is evaluated on common cells, so that the warp is as smooth along x_1 as the pdf.
-Cells are exact for jumps along lines x_0 = c and x_1 = c. If one of 1018 rows with 1024 places
-shows jumps or kinks along other lines, the pdf is refused.
+In 2-D, first x_1 is computed from its marginal, then x_0 from its density given x_1.
+The order is the same as in `mcspectra.densities.tabulated`.
+The row of each point is evaluated on common cells, so the warp is as smooth along x_1 as the pdf.
+Cells are exact for jumps along lines x_0 = c and x_1 = c.
+The pdf is refused if one of 1018 rows with 1024 places shows jumps or kinks along other lines.
 """
 
 from __future__ import annotations
@@ -99,7 +101,7 @@ class NumericalWarp:
 
     @cached_property
     def _last(self) -> _Axis:
-        """In 1-D the only axis, in 2-D the marginal of x_1."""
+        """The only axis in 1-D, or the marginal of x_1 in 2-D."""
         density = self.pdf if self.dims == 1 else self._marginal
         subject = f"The pdf of {self.spec}" if self.dims == 1 else f"The marginal of {self.spec}"
         cells = _refine(
@@ -168,11 +170,11 @@ class NumericalWarp:
     def _in_rows(self, v: Array, y: Array, *, inverse: bool) -> Array:
         """Return x_0 of u_0 = v in the rows at y, or u_0 of x_0 = v."""
         values = self._row_values(y)
-        # Cdf of each row at the borders of cells, scaled to end at 1
+        # Compute the cdf of each row at the borders of cells, scaled to end at 1
         sums = np.cumsum(self._rows.masses(values), axis=1)
         total = np.where(sums[:, -1] > 0, sums[:, -1], 1.0)[:, None]
         cdf = np.concatenate([np.zeros((len(y), 1)), sums / total], axis=1)
-        # Chebyshev series of density and integral in the cell of each point
+        # Compute Chebyshev series of density and integral in the cell of each point
         below = (cdf[:, :-1] <= v[:, None]).sum(axis=1) - 1
         cell = self._rows.find(v) if inverse else np.maximum(below, 0)
         each = np.arange(len(cell))
@@ -251,7 +253,7 @@ class _Axis:
 
 @dataclass(frozen=True)
 class _Cells:
-    """Cells of [0,1], in order: left ends `low` and `width`, (K,)."""
+    """Cells of [0,1] in ascending order, with left ends `low` and `width`, (K,)."""
 
     low: Array
     width: Array
@@ -303,9 +305,9 @@ def _refine(
 ) -> _Cells:
     """Split cells until the interpolants resolve a nonnegative function.
 
-    Details between the nodes of all cells are missed. Therefore, if the interpolant differs from
-    the function at a probe, the cells that contain the probe are split down to the distance of the
-    probes, and further if necessary.
+    Details between the nodes of all cells would be missed. Therefore the function is also probed.
+    If the interpolant differs from the function at a probe, the cells with the probe are split.
+    Cells are split down to the distance of the probes, and further if necessary.
 
     Parameters
     ----------
@@ -366,15 +368,15 @@ def _split(
     points: Array,
     narrow_enough: float,
 ) -> _Cells:
-    """Return cells that resolve the function; around `points` at most `narrow_enough` wide."""
+    """Return cells that resolve the function; cells at `points` are at most `narrow_enough`."""
     low, width = np.arange(start) / start, np.full(start, 1.0 / start)
     values = _checked(function(_spread(low, width)), subject)
     total = _size(values, width)
     kept: list[tuple[Array, Array]] = []
     unresolved = 0.0
     while low.size:
-        # Test at the nodes of both halves and at the ends: an end detects a jump between the end
-        # and the next node. 0 may be a pole, so the next node replaces it
+        # Test at the nodes of both halves, and at the ends, because a jump may lie next to an end.
+        # 0 may be a pole, so the next node replaces it
         nodes = _spread(*_halved(low, width)).reshape(low.size, 2 * _ORDER)
         first = np.where(low > 0, low, nodes[:, 0])
         ends = np.stack([first, np.nextafter(low + width, 0.0)], axis=1)
@@ -445,7 +447,7 @@ def _solve(
 ) -> None:  # pragma: no cover - compiled
     """Find where the integral (N, 13) of the density (N, 12) reaches mass (N,): t in [−1, 1].
 
-    Newton's method within a bracket; bisection replaces steps that leave the bracket.
+    Newton's method works within a bracket; bisection replaces steps that leave the bracket.
     """
     for i in range(mass.size):
         whole = 0.0

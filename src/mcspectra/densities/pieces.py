@@ -1,13 +1,17 @@
 """Products of 1-D densities that are constant or linear between given places of each axis.
 
-`AlignedStrata` places edges on borders of strata. Points of equal weight need strata of equal
-volume. The borders of such strata miss an edge, unless n times the edge's position is a whole
-number. Strata of unequal volume need points with weights. A warp provides both. Each piece between
-edges gets k_j of s strata, at least one and in proportion to its length L_j. The piecewise constant
-density p = k_j/(s L_j) maps the edges to (k_0 + … + k_j)/s in primary space, on borders of the s
-equal strata. Weights 1/p differ from 1 only by the rounding of the k_j, and the estimator is
-unbiased. (Rounding the k_j at random, with equal weights, is an alternative, but then an edge still
-cuts strata and determines the variance.)
+`AlignedStrata` places edges on borders of strata.
+Points of equal weight need strata of equal volume.
+The borders of such strata miss an edge, unless n times the edge's position is a whole number.
+Strata of unequal volume need points with weights. A warp provides both strata and weights.
+
+Each piece between edges gets k_j of s strata, at least one and in proportion to its length L_j.
+The piecewise constant density p = k_j/(s L_j) maps the edges to (k_0 + … + k_j)/s in primary space.
+These places are borders of the s equal strata.
+The weights 1/p differ from 1 only by the rounding of the k_j, and the estimator is unbiased.
+
+An alternative is to round the k_j at random, with equal weights.
+But then an edge still cuts strata and determines the variance.
 """
 
 from __future__ import annotations
@@ -48,7 +52,7 @@ def _piece(ends: Array, x: Array) -> Array:
 
 
 def _as_edges(name: str, edges: Any) -> Any:
-    """Convert to a tuple of ascending places, or of such tuples."""
+    """Convert edges to a tuple of ascending places, or to a tuple of such tuples."""
     if not isinstance(edges, Sequence | np.ndarray) or isinstance(edges, str):
         raise ParameterError(
             f"edges is {edges!r:.80}; give a list of places in (0, 1), one list per dim."
@@ -77,8 +81,8 @@ class AlignedStrata(Density):
     edges
         Ascending places in (0, 1): one list in 1-D, else one list per dim, which may be empty.
     strata
-        Number of strata s along each axis, one number or one per dim; n = s^d for jittered
-        samples.
+        Number of strata s along each axis, one number or one per dim.
+        For jittered samples, n = s^d.
     """
 
     edges: Any = checked(_as_edges)
@@ -210,14 +214,14 @@ def _as_lines(name: str, given: Any) -> tuple[tuple[float, ...], ...]:
 class GridDensity(Density):
     """Product over the dims of histograms whose bins have equal mass.
 
-    VEGAS adapts maps of this kind [Lepage1978]_: give the borders from VEGAS.
+    VEGAS adapts maps of this kind [Lepage1978]_, so the borders can come from VEGAS.
 
     Attributes
     ----------
     nodes
-        Increasing borders of the N bins of each dim: N + 1 numbers from 0 to 1. N may differ
-        between dims. In 1-D the list of borders itself. u in [i/N, (i+1)/N) maps linearly to bin i,
-        where p_i = 1/(N width_i).
+        Increasing borders of the N bins of each dim: N + 1 numbers from 0 to 1.
+        N may differ between dims. In 1-D, `nodes` is the list of borders itself.
+        u in [i/N, (i+1)/N) maps linearly to bin i, where p_i = 1/(N width_i).
     """
 
     name: ClassVar[str] = "grid"
@@ -286,14 +290,15 @@ class PiecewiseLinear(Density):
     Attributes
     ----------
     values
-        Relative density at each of k ≥ 2 nodes, at least 0 and not all 0, in any scale. Cells
-        between two zeros are empty.
+        Relative density at each of k ≥ 2 nodes, at least 0 and not all 0, in any scale.
+        Cells between two zeros are empty.
 
     Notes
     -----
-    Consider a cell with the densities a and b at its ends. The share r of its mass lies left of
-    t = (a + b) r/(a + √D) with D = a² + (b² − a²) r, written from the lower end as in `Linear`.
-    These are sums of positive terms, so there is no cancellation for a → b, or if a or b is 0.
+    Consider a cell with the densities a and b at its ends.
+    The share r of its mass lies left of t = (a + b) r/(a + √D) with D = a² + (b² − a²) r.
+    The formula starts from the lower end as in `Linear`, so that all terms are positive.
+    Therefore there is no cancellation for a → b, or if a or b is 0.
     """
 
     dims: int = field(default=1, init=False)

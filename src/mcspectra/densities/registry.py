@@ -42,7 +42,7 @@ def density(spec: str, dims: int | None = None) -> Density:
     spec
         ``name`` or ``name(key=value, ...)``; see ``mcspectra list densities``.
     dims
-        Number of dims; by default as in the spec, else the density's default, else 2.
+        Number of dims. The default is the number in the spec, else the density's own, else 2.
 
     Raises
     ------

@@ -2,37 +2,44 @@
 
 Choice of a warp
 ----------------
-In 1-D the inverse of the cdf is the only monotone warp. In 2-D one pdf has many warps. The warp
-determines where the primary-space integrand g(u) = f(T(u))/p(T(u)) jumps, and hence the rate.
-`warp` chooses one of four, for exactly the same pdf (h rows of w columns):
+In 1-D the inverse of the cdf is the only monotone warp. In 2-D one pdf has many warps.
+The warp T determines where the primary-space integrand g(u) = f(T(u))/p(T(u)) jumps.
+Hence it determines the rate.
+`warp` chooses one of four warps, for exactly the same pdf (h rows of w columns):
 
-* ``"marginal"`` [Shirley1992]_ [Pharr2016]_ (§13.6.7): u_1 chooses the row by the marginal cdf, u_0
-  the column by the cdf within that row. T_1 is continuous; T_0 jumps from row to row. All jumps lie
-  on axis-aligned segments: whole lines ``u_1 = row border``, and within each row segments ``u_0 =
-  column border``, which differ from row to row. A line along u_0 crosses no jump of T, a line along
-  u_1 at most h − 1. If all rows are proportional (a separable table), T is continuous, and g jumps
-  only where p does, on whole lines.
-* ``"hierarchical"`` [McCoolHarwood1997]_ [Clarberg2005]_ halves the table repeatedly, always the
-  longer side, down to the cells. Each split divides the coordinate of u along that side.
-  Neighborhoods stay compact along both axes, but each split jumps at all splits that it crosses:
-  lines along u_0 cross at most w − 1 jumps, lines along u_1 at most h − 1.
-* ``"alias"`` [Walker1977]_ [Vose1991]_ costs O(1): u_0 chooses one of h·w bins of equal size and
-  one of the two cells in it. The remainder of u_0 gives the position along x_0, and u_1 the
-  position along x_1. A line along u_0 crosses up to 2hw − 1 jumps, to arbitrary places. Sets remain
-  stratified only in u_1, within cells. Several bins may map to the whole of a cell, so T is
-  many-to-one and has *no inverse*.
-* ``"hilbert"`` [SteiglederMcCool2003]_: u_0 chooses a cell by the cdf along a Hilbert curve. The
-  remainder of u_0 gives the position in the direction in which the curve leaves the cell, and u_1
-  the position perpendicular to this direction. A line along u_0 crosses up to hw − 1 jumps, at
-  turns of the curve. Each jump stays within two neighboring cells if the table is a square of side
-  2^k (else the curve leaves the table and returns). A line along u_1 crosses no jumps. This warp is
-  made for n strata in u_0: square strata in 2-D provide only √n strata along the curve.
+* ``"marginal"`` [Shirley1992]_ [Pharr2016]_ (§13.6.7): u_1 chooses the row by the marginal cdf.
+  u_0 chooses the column by the cdf within that row.
+  T_1 is continuous; T_0 jumps from row to row. All jumps of g lie on axis-aligned segments.
+  These are whole lines ``u_1 = row border``, and segments ``u_0 = column border`` in each row.
+  The segments differ from row to row.
+  A line along u_0 crosses no jump of T, and a line along u_1 crosses at most h − 1 jumps.
+  If all rows are proportional (a separable table), T is continuous.
+  In this case, g jumps only where p jumps, on whole lines.
+* ``"hierarchical"`` [McCoolHarwood1997]_ [Clarberg2005]_: the table is halved repeatedly.
+  Each split halves the longer side, down to the cells.
+  A split divides the coordinate of u along that side.
+  Neighborhoods stay compact along both axes, but each split jumps at all splits that it crosses.
+  Lines along u_0 cross at most w − 1 jumps, lines along u_1 at most h − 1 jumps.
+* ``"alias"`` [Walker1977]_ [Vose1991]_: this warp costs O(1).
+  u_0 chooses one of h·w bins of equal size, and one of the two cells in the bin.
+  The remainder of u_0 gives the position along x_0, and u_1 gives the position along x_1.
+  A line along u_0 crosses up to 2hw − 1 jumps, to arbitrary places.
+  Sets remain stratified only in u_1, within cells.
+  Several bins may map to the whole of a cell, so T is many-to-one and has *no inverse*.
+* ``"hilbert"`` [SteiglederMcCool2003]_: u_0 chooses a cell by the cdf along a Hilbert curve.
+  The remainder of u_0 gives the position in the direction in which the curve leaves the cell.
+  u_1 gives the position perpendicular to this direction.
+  A line along u_0 crosses up to hw − 1 jumps, at turns of the curve.
+  If the table is a square of side 2^k, each jump stays within two neighboring cells.
+  Otherwise the curve leaves the table and returns. A line along u_1 crosses no jumps.
+  This warp is made for n strata in u_0. Square 2-D strata give only √n strata along the curve.
 
-*Bilinear* tables (`bilinear`) make p continuous, and hence g along rows. Use such tables if jumps
-reduce the rate.
+*Bilinear* tables (`bilinear`) make p continuous, and hence g along rows.
+Use such tables if jumps reduce the rate.
 
-A border cuts strata unless its position is a multiple of the side of a stratum. The variance of
-jittered sampling in 2-D then falls as n^-1.5 instead of n^-2 (see the environment-map study).
+A border cuts strata unless its position is a multiple of the side of a stratum.
+If strata are cut, the variance of jittered sampling in 2-D falls as n^-1.5 instead of n^-2.
+The environment-map study shows this.
 """
 
 from __future__ import annotations
@@ -117,11 +124,11 @@ class PiecewiseConstant(Density):
     Attributes
     ----------
     values
-        Relative density of each cell, at least 0 and not all 0, in any scale. Shape (w,), or
-        (h, w) with x_0 along a row and x_1 from the first row to the last.
+        Relative density of each cell, at least 0 and not all 0, in any scale.
+        Its shape is (w,), or (h, w) with x_0 along a row and x_1 from the first row to the last.
     warp
-        The warp T, ``"marginal"``, ``"hierarchical"``, ``"alias"`` or ``"hilbert"`` (see the
-        module). In 1-D all except ``"alias"`` are the same.
+        The warp T, ``"marginal"``, ``"hierarchical"``, ``"alias"`` or ``"hilbert"``.
+        The module describes these warps. In 1-D all except ``"alias"`` are the same.
     """
 
     warps: ClassVar[tuple[str, ...]] = WARPS
@@ -142,9 +149,9 @@ class PiecewiseConstant(Density):
     def breaks(self) -> tuple[tuple[float, ...], ...]:
         """Positions in u at which the warp or its slope jumps on a whole axis-normal line.
 
-        In 1-D this is the cdf at the borders between different cells, in 2-D the breaks of the
-        warp. Borders that form segments rather than lines are omitted, and so are the borders of an
-        axis with more than 4096.
+        In 1-D this is the cdf at borders between different cells, in 2-D the breaks of the warp.
+        Borders that form segments rather than lines are omitted.
+        All borders of an axis are omitted if there are more than 4096.
         """
         return self._warp.breaks()[: self.dims]
 
@@ -172,8 +179,7 @@ class PiecewiseConstant(Density):
 
     @cached_property
     def _warp(self) -> _Marginal | _Hierarchical | _Alias | _Hilbert:
-        # All warps map to the same masses, evenly within each cell, and differ in the order of
-        # cells only
+        # All warps map to the same masses, evenly within each cell. Only the order of cells differs
         if self.warp == "alias":
             return _Alias(self._cells)
         if self.dims == 1 or self.warp == "marginal":
@@ -218,9 +224,9 @@ def _inner(borders: Array, differ: Array | None = None) -> tuple[float, ...]:
     return tuple(found.tolist()) if found.size <= _MOST_BREAKS else ()
 
 
-# Kernels: cell i of k covers [i/k, (i+1)/k) *as rounded*, both in the look-up and for the samples,
-# so that no sample counts for an adjacent cell. `borders` are cdf values at cell borders, from 0 to
-# 1.
+# Kernels: cell i of k covers [i/k, (i+1)/k) *as rounded*, both in the look-up and for the samples.
+# Therefore no sample counts for an adjacent cell.
+# `borders` are cdf values at cell borders, from 0 to 1.
 
 
 @kernel
@@ -250,8 +256,8 @@ def _within(cell: int, rest: float, cells: int) -> float:
 def last_at_most(borders: Array, low: int, size: int, u: float) -> int:
     """Return the largest i of low … low + size − 1 with borders[i] <= u; borders[low] must be ≤ u.
 
-    Bisection without a branch: the chosen half is practically random, and mispredicted jumps cost
-    more than the arithmetic.
+    The bisection has no branch, because the chosen half is practically random.
+    Mispredicted branches would cost more than the arithmetic.
     """
     while size > 1:
         half = size >> 1
@@ -333,11 +339,12 @@ def _unwarp_rows(rows: Array, columns: Array, x: Array, u: Array) -> None:
 
 @final
 class _Hierarchical:
-    """Hierarchical warp: splits of the longer side down to the cells, by the coordinate along it.
+    """Hierarchical warp: the longer side is split down to the cells, by the coordinate along it.
 
-    `shares` is a heap: node k has the children 2k+1 (lower indices) and 2k+2, and shares[k] is the
-    fraction of its mass in the first child. `axes` (levels,) is the axis that each level splits:
-    0 columns, 1 rows. Tables are padded to powers of two with empty cells, which no sample reaches.
+    `shares` is a heap. Node k has the children 2k+1 (lower indices) and 2k+2.
+    shares[k] is the fraction of the mass of node k in its first child.
+    `axes` (levels,) is the axis that each level splits: 0 for columns, 1 for rows.
+    Tables are padded to powers of two with empty cells, which no sample reaches.
     """
 
     def __init__(self, cells: Array) -> None:
@@ -355,7 +362,7 @@ class _Hierarchical:
             pairs = (table[0::2], table[1::2]) if axes[depth] else (table[:, 0::2], table[:, 1::2])
             table = pairs[0] + pairs[1]
             share = np.divide(pairs[0], table, out=np.full(table.shape, 0.5), where=table > 0)
-            # Flatten the level: from row bits, then column bits, to the order of the splits
+            # Flatten the level from row bits and column bits to the order of the splits
             above = self.axes[:depth]
             order = np.empty(depth, np.int64)
             order[above == 1] = np.arange(above.sum())
@@ -416,7 +423,7 @@ def _return_to_root(shares: Array, axes: Array, size: tuple[int, ...], x: Array,
         column, row = _cell_at(x[k, 0], width), _cell_at(x[k, 1], height)
         rest_x = max(x[k, 0] * width - column, 0.0)
         rest_y = max(x[k, 1] * height - row, 0.0)
-        # Find the leaf: the bits of the cell, highest first, in the order of the splits
+        # Find the leaf from the bits of the cell, highest first, in the order of the splits
         rows, columns = row_bits, axes.size - row_bits
         node = 0
         for axis in axes:
@@ -442,7 +449,7 @@ def _return_to_root(shares: Array, axes: Array, size: tuple[int, ...], x: Array,
 
 @final
 class _Alias:
-    """Alias warp: u_0 chooses a bin, one of its two cells and the place along x_0; u_1 along x_1.
+    """Alias warp: u_0 gives the bin, one of its two cells, and the place along x_0; u_1 gives x_1.
 
     Bin i of n maps to cell i with probability `keep[i]`, otherwise to cell `other[i]`.
     """
@@ -468,9 +475,9 @@ class _Alias:
 def _alias_table(masses: Array) -> tuple[Array, Array]:
     """Return shares `keep` (n,) and cells `other` (n,) of masses (n,) whose mean is 1.
 
-    Cells above the mean fill the bins of cells below the mean. Empty cells get a share of exactly
-    0: their bins are filled first, while other cells are above the mean, and rounding leaves values
-    near 1.
+    Cells above the mean fill the bins of cells below the mean.
+    Bins of empty cells are filled first, while other cells are above the mean.
+    Therefore empty cells get a share of exactly 0. Rounding affects only values near 1.
     """
     n = masses.size
     left = masses.copy()
@@ -518,10 +525,12 @@ def _jump(keep: Array, other: Array, size: tuple[int, ...], u: Array, x: Array) 
 class _Hilbert:
     """Hilbert warp: u_0 is the position along a Hilbert curve through the cells, u_1 across it.
 
-    `borders` (n+1,) is the cdf of the cells in the order of the curve. `order` (n,) has the flat
-    indices of these cells, and `places` is its inverse. `headings` (n,) has the direction in which
-    the curve leaves each cell: 0 is +x_0, 1 is −x_0, 2 is +x_1, 3 is −x_1. `guide` has the cell of
-    each of 2^g equal shares, so that a search starts within one or two cells [ChenAsau1974]_.
+    `borders` (n+1,) is the cdf of the cells in the order of the curve.
+    `order` (n,) has the flat indices of these cells, and `places` is its inverse.
+    `headings` (n,) has the direction in which the curve leaves each cell.
+    The direction 0 is +x_0, 1 is −x_0, 2 is +x_1, and 3 is −x_1.
+    `guide` has the cell of each of 2^g equal shares [ChenAsau1974]_.
+    With this guide, a search starts within one or two cells.
     """
 
     def __init__(self, cells: Array) -> None:
@@ -573,8 +582,8 @@ def _position(side: int, column: int, row: int) -> int:
 def _places_on_curve(side: int, size: tuple[int, ...], places: Array, headings: Array) -> None:
     """Fill the numbers of the cells along the curve, (height · width,), and their headings.
 
-    The heading of a cell points to the neighbor with the next number. The heading of the last cell
-    is that of the cell before.
+    The heading of a cell points to the neighbor with the next number.
+    The last cell has the same heading as the cell before.
     """
     height, width = size
     last = side * side - 1

@@ -2,15 +2,16 @@
 
 Method
 ------
-An axis is cut into C cells of width 1/C with q Gauss-Legendre nodes each, at offsets o_q:
+An axis is cut into C cells of width 1/C, each with q Gauss-Legendre nodes at offsets o_q:
 
     ∫_0^1 f(x) exp(−2πi m x) dx ≈ Σ_q (w_q/C) exp(−2πi m o_q) FFT_q[m mod C],
 
-where FFT_q is over the cells, of the values at their node q. With q = 1 it is the midpoint grid,
-whose half-sample phase exp(−πi m/C) is required. Unlike a plain FFT, the rule has no jump between
-f(1) and f(0), because the border is the edge of a cell. Smooth f converge spectrally in q, periodic
-or not. A cell with a discontinuity inside is replaced by its pieces, each with q nodes. The pieces
-are few and are summed directly.
+where FFT_q is the transform, over the cells, of the values at node q of each cell.
+With q = 1 this is the midpoint grid, whose half-sample phase exp(−πi m/C) is required.
+Unlike a plain FFT, the rule has no jump between f(1) and f(0): the border is the edge of a cell.
+For smooth f, periodic or not, the rule converges spectrally in q.
+A cell with a discontinuity inside is replaced by its pieces, each with q nodes.
+The pieces are few and are summed directly.
 """
 
 from __future__ import annotations
@@ -44,7 +45,8 @@ __all__ = [
     "slabs",
 ]
 
-# Nodes per cell: at 4 nodes per wavelength, 16 give 1e-10; at 8 they give rounding accuracy
+# Nodes per cell. With 16 nodes, the error is 1e-10 at 4 nodes per wavelength.
+# At 8 nodes per wavelength, the error is at rounding level
 _ORDER = 16
 _LEAST_NODES = {1: 256, 2: 256, 3: 64, 4: 32}
 _BUDGET = 2**22  # Maximum number of evaluations of a refined grid
@@ -64,22 +66,23 @@ _LATTICE_POINTS = 2**20
 PROBE = 2**17
 """Number of points of `probe`; each represents 1/PROBE of the volume."""
 _SIGMAS = 3.0
-# Distance of corner values from the corner in 1-D and in more dims, as a fraction of the box
+# f is evaluated near the corners of a box, at this distance in 1-D and in more dims.
+# The distance is a fraction of the box
 _INSET = (1e-10, 1e-6)
-_LEAST_INSET = 2.0**-51  # Least distance of corner values, as a fraction of the position
-# Multiple of the last coefficients that smooth functions do not exceed at a corner
+_LEAST_INSET = 2.0**-51  # Least such distance, as a fraction of the corner's position
+# At a corner, smooth functions change by at most this multiple of the last coefficients
 _SMOOTH = 100.0
 _LEAST_SEEN = 30  # Least number of nonzero residuals whose spread is used as an error
 _LOOKS = 2  # Number of points of the second probe, as a multiple of the first
 # Smallest sizes of a box: relative to its position, and at 0
 _SMALLEST, _TINIEST = 2.0**-44, 2.0**-500
-# Largest ratio of successive differences, and number of levels that it is fitted to
+# Largest ratio of successive differences, and number of levels to which the ratio is fitted
 _SLOW, _LEVELS = 0.99, 4
 _HALVES, _UNSETTLED = 0.55, 1.5
 
 _LINE, _END = 2**14, 2.0**-40  # Number of steps of a line, and position of its first point
-_CANDIDATES = 16  # Number of the largest steps of a line that are searched for jumps
-# Number of cuts of a step, down to 2^-46, and their position, which is not a dyadic fraction
+_CANDIDATES = 16  # Number of largest steps of a line that are searched for jumps
+# Number of times that a step is cut, down to 2^-46. The place of a cut is not a dyadic fraction
 _CUTS, _CUT = 34, 0.4871
 # Number of peaks of a line, halvings around each peak, and growth that indicates a pole
 _PEAKS, _CLIMBS, _GROWN = 4, 24, 4.0
@@ -87,7 +90,7 @@ _STAYS = 0.5  # Fraction of the first step that must remain at a jump
 # Offset of the second line, and distance from the jump at which lines are compared
 _ASIDE, _ABOUT = 2.0**-20, 2.0**-30
 _SAME_BREAK = 2.0**-40
-_FOUND = 2.0**-46  # Uncertainty of a detected break
+_FOUND = 2.0**-46  # Uncertainty of the position of a detected break
 
 
 class QuadratureIntegrand(Protocol):
@@ -122,8 +125,8 @@ class Estimate:
     value, error, method
         The value, an estimate of its largest absolute error, and the method.
     unseen
-        Part of the error, by channel, due to regions that only the probe resolves. None if the
-        nodes resolve all of the probe's values.
+        Part of the error, by channel, due to regions that only the probe resolves.
+        None if the nodes resolve all values at the points of the probe.
     """
 
     value: Array
@@ -140,9 +143,9 @@ class AxisRule:
     Attributes
     ----------
     cells, order
-        C and q; the first C q nodes are uniform, the others belong to pieces of cut cells.
+        The numbers C and q. The first C q nodes are uniform; all others are in pieces of cut cells.
     nodes, weights
-        (P,); uniform nodes in cut cells have weight 0.
+        Arrays of shape (P,). Uniform nodes in cut cells have weight 0.
     """
 
     cells: int
@@ -189,12 +192,13 @@ class AxisRule:
 
 
 def refined_coefficients(function: QuadratureIntegrand, m: Sequence[Array]) -> Estimate:
-    """Return coefficients on a product of integers m[i] (U_i,): (U_0, …, U_{d−1}[, channels]).
+    """Return coefficients at a product of integers m[i] (U_i,): (U_0, …, U_{d−1}[, channels]).
 
-    The first grid has 16 nodes per wavelength of the highest frequency: 8 from 3-D on, and 4 if
-    more would exceed 2^24 evaluations. It has at least 256 nodes per axis (64 in 3-D, 32 in 4-D, 16
-    in more dims). Grids are doubled until two agree to 1e-10 of the largest coefficient or the next
-    would exceed 2^22 evaluations.
+    The first grid has 16 nodes per wavelength of the highest frequency, or 8 in three or more dims.
+    If more nodes would exceed 2^24 evaluations, it has 4 nodes per wavelength.
+    The grid has at least 256 nodes per axis (64 in 3-D, 32 in 4-D, 16 in more dims).
+    Grids are doubled until two of them agree to 1e-10 of the largest coefficient.
+    Doubling also ends if the next grid would exceed 2^22 evaluations.
 
     Raises
     ------
@@ -246,7 +250,7 @@ def grid_coefficients(
 
 
 def slabs(function: QuadratureIntegrand, rules: Sequence[AxisRule]) -> Iterator[tuple[int, Array]]:
-    """Yield values on slabs of the node grid along the first axis: start, (C, p, P_1, …)."""
+    """Yield slabs of the node grid along the first axis: start, and values (C, p, P_1, …)."""
     first, rest = rules[0].nodes, [rule.nodes for rule in rules[1:]]
     step = max(1, _BLOCK // math.prod(nodes.size for nodes in rest))
     for start in range(0, first.size, step):
@@ -271,18 +275,23 @@ def adaptive_integral(
     *,
     budget: int = _INTEGRAL_BUDGET,
 ) -> Estimate:
-    """Return ∫ f in up to 5 dims on boxes that split until they agree: value (C,), C ≥ 1 channels.
+    """Return ∫ f of C ≥ 1 channels in up to 5 dims, on boxes that split until their sums agree.
 
-    Gauss-Legendre tensor rules are used on cells cut at the `breaks` of each axis. `probed` are the
-    values at the points of `probe`, if they are known. While the `budget` of evaluations lasts, a
-    cell is replaced by its 2^d parts in two cases: they differ from it by more than its share of
-    1e-12 of ∫|f|, or the polynomial through their nodes differs from f at a point of `probe`. Each
-    point of the probe represents 2^-17 of the volume.
+    Gauss-Legendre tensor rules are used on cells cut at the `breaks` of each axis.
+    `probed` holds the values at the points of `probe`, if they are known.
+    Each point of the probe represents 2^-17 of the volume.
 
-    The error is the sum of the last differences and of the differences expected next. Alternatively
-    it is three standard errors of the mean of f minus the polynomials over the probe, if that is
-    less; the mean is then added to the value. Boxes that split only because of the probe show that
-    other regions may have been missed. 2^18 other points then correct the value and give its error.
+    While the `budget` of evaluations lasts, a cell is replaced by its 2^d parts in two cases.
+    First, if cell and parts differ by more than the cell's share of 1e-12 of ∫|f|.
+    Second, if the polynomial through the nodes of the parts differs from f at a point of the probe.
+
+    The error is the sum of the last differences and of the differences expected next.
+    An alternative value adds the mean over the probe of f minus the polynomials.
+    The error of the alternative is three standard errors of this mean.
+    The value with the smaller error is used.
+
+    Boxes that split only because of the probe show that other regions may have been missed.
+    In this case, 2^18 other points correct the value and give its error.
     """
     dims, method = function.dims, "adaptive Gauss-Legendre quadrature with a probe"
     order = _CELL_ORDER[dims]
@@ -296,7 +305,7 @@ def adaptive_integral(
         found = [np.searchsorted(e, t, side="right") - 1 for e, t in zip(edges, x.T, strict=True)]
         return np.asarray(np.ravel_multi_index(tuple(found), tuple(len(e) - 1 for e in edges)))
 
-    # Evaluate f at the points of the probe, and find the cell of each
+    # Evaluate f at the points of the probe, and find the cell of each point
     points = probe(dims)
     cell = cells_of(points)
     seen = probed = _at_points(function, points) if probed is None else probed
@@ -308,7 +317,7 @@ def adaptive_integral(
     halves = _tensor([np.array([0.0, 0.5])] * dims).reshape(-1, dims)
     digits = 2 ** np.arange(dims)[::-1]
     fresh, surprises = np.full(len(points), True), np.zeros(coarse.shape[1])
-    # Errors at the probe of boxes whose integral did not change
+    # Sum the errors at the probe in boxes whose integral did not change
     alone = np.zeros(coarse.shape[1])
     levels: list[tuple[Array, Array, Array, Array, Array]] = []
     left: list[Array] = []  # Differences of each level, in cells that changed
@@ -366,9 +375,9 @@ def adaptive_integral(
     if not surprises.any():
         return Estimate(total, float(error.max()), method)
 
-    # Probe the unchanged cells again at other points. In 1-D the first probe hits every region as
-    # wide as the one it found. In more dims a region that 2^18 points miss may exist with
-    # probability 5 %
+    # Probe the unchanged cells again at other points.
+    # In 1-D, the first probe hits every region that is as wide as the region it found.
+    # In more dims, a region that 2^18 points miss may exist with probability 5 %
     again = probe(dims, _LOOKS)
     rest = _hidden(levels, again, cells_of(again), _at_points(function, again)) / len(again)
     rest[np.abs(rest) * len(again) <= _INTEGRAL_TOLERANCE * scale] = 0.0
@@ -385,15 +394,16 @@ def adaptive_integral(
 def search_breaks(
     function: QuadratureIntegrand, *, budget: int = _INTEGRAL_BUDGET
 ) -> tuple[tuple[Array, ...], Array]:
-    """Return the breaks along each axis that f declares, with detected jumps and poles.
+    """Return the breaks that f declares along each axis, with the jumps and poles found.
 
-    The values at the points of `probe`, with which the search begins, are returned as well.
+    The search begins with the values at the points of `probe`, which are also returned.
 
-    Lines along each axis go through two points of the probe, and through its points with the least
-    and the greatest value. The largest steps of a line are cut down to 2^-46. A step that remains
-    is a jump or a pole. It lies across the axis if a neighboring line has it at the same position.
-    Boxes and tables are then cut there, because their nodes or cells could miss a thin slab. If the
-    breaks would make too many boxes, those with the largest jumps are kept.
+    Lines along each axis go through two points of the probe.
+    More lines go through the points of the probe with the least and the greatest value.
+    The largest steps of a line are cut down to 2^-46. A step that remains is a jump or a pole.
+    A jump is normal to the axis if a neighboring line has a jump at the same position.
+    Boxes and tables are then cut there, because their nodes or cells could miss a thin slab.
+    If the breaks would make too many boxes, the breaks with the largest jumps are kept.
     """
     dims, points = function.dims, probe(function.dims)
     breaks = [np.array([b for b in axis if 0.0 < b < 1.0]) for axis in function.breaks]
@@ -401,7 +411,7 @@ def search_breaks(
     spread = np.where(seen.std(axis=0) > 0.0, seen.std(axis=0), np.inf)
     lines = points[np.unique([0, 1, *seen.argmin(axis=0), *seen.argmax(axis=0)])]
     rows, steps = np.arange(len(lines))[:, None], (np.arange(_LINE) + math.sqrt(0.5)) / _LINE
-    # Tuples: whether the break is a peak, minus its height, its axis, its position
+    # Breaks found, as tuples: whether it is a peak, minus its height, its axis, its position
     found: list[tuple[bool, float, int, float]] = []
     for axis in range(dims):
 
@@ -463,8 +473,8 @@ def search_breaks(
         ):
             found += [(peak, -h, axis, b) for h, b in zip(heights, at_places, strict=True)]
 
-    # Take jumps before peaks, the highest first, while more boxes are affordable. Corners of boxes
-    # are graded toward a border at which g grows
+    # Take jumps before peaks, and the highest first, while more boxes are affordable.
+    # Corners of boxes are graded toward a border at which g grows
     for peak, _, axis, place in sorted(found):
         if min(place, 1.0 - place) < _ABOUT:
             continue
@@ -488,10 +498,11 @@ def _at_points(function: QuadratureIntegrand, points: Array) -> Array:
 
 
 def _after(left: list[Array]) -> Array:
-    """Return the sum of all later differences relative to the last, by a geometric series.
+    """Return the sum of all later differences in units of the last, by a geometric series.
 
-    It is 1 if differences halve. Next to a pole they shrink slowly and the ratio still rises, so
-    the sum is increased by half.
+    The sum is 1 if differences halve.
+    Next to a pole, differences shrink slowly and their ratio still rises.
+    Therefore the sum is increased by half.
     """
     first, last = np.maximum(left[0], 1e-300), left[-1]
     ratio = np.minimum((last / first) ** (1.0 / max(1, len(left) - 1)), _SLOW)
@@ -504,11 +515,12 @@ def _hidden(
     cell: Array,
     seen: Array,
 ) -> Array:
-    """Return values `seen` minus the polynomials of the last boxes that hold the points: (K, C).
+    """Return values `seen` minus the polynomials of the smallest boxes with the points: (K, C).
 
-    `levels` are lower corners, sizes, values at nodes, and flags of boxes that were split again and
-    that changed. `cell` is the first box of each point (K, d). The result is 0 in boxes that
-    changed last.
+    Each of the `levels` has lower corners, sizes, values at nodes, and two flags of its boxes.
+    The flags say that the box was split again, or that its integral changed.
+    `cell` is the first box of each of the points (K, d).
+    The result is 0 in boxes whose integral changed at the last split.
     """
     dims, found, number = points.shape[1], np.zeros(seen.shape), np.arange(len(points))
     digits = 2 ** np.arange(dims)[::-1]
@@ -527,10 +539,11 @@ def _hidden(
 def probe(dims: int, times: int = 1) -> Array:
     """Return points (2^17 `times`, d) that avoid cell borders, nodes and dyadic numbers.
 
-    They are the same at every call. They form a Latin hypercube: a permutation of a regular grid
-    along each axis, with an irrational offset. A slab across an axis is always hit if its width is
-    at least 2^-17. Any other region of volume v is hit with probability 1 − exp(−2^17 v), which is
-    1 − 5e-5 for v = 8e-5.
+    The points are the same at every call. They form a Latin hypercube.
+    Along each axis, they are a permutation of a regular grid with an irrational offset.
+    A slab across an axis is always hit if its width is at least 2^-17.
+    Any other region of volume v is hit with probability 1 − exp(−2^17 v).
+    For v = 8e-5, this probability is 1 − 5e-5.
     """
     keys = Stream(times - 1).uniforms(0, dims, times * PROBE)
     offsets = np.sqrt(np.arange(2, 2 + dims) + 0.5)[:, None] % 1.0
@@ -585,9 +598,9 @@ def _cell_values(
 def _slivers(values: Array, corners: Array) -> Array:
     """Return the largest ∫|f| that nodes miss along the faces of boxes of volume 1: (N, C).
 
-    f may jump beyond the outer nodes. A jump is assumed if f at a corner differs from the
-    polynomial through the nodes by more than a multiple of its last coefficients, which estimate
-    its own error.
+    f may jump beyond the outer nodes.
+    A jump is assumed if f at a corner is too far from the polynomial through the nodes.
+    The limit is a multiple of the polynomial's last coefficients, which estimate its error.
     """
     dims = round(math.log2(corners.shape[1]))
     order = round(values.shape[1] ** (1.0 / dims))
@@ -610,9 +623,9 @@ def _slivers(values: Array, corners: Array) -> Array:
 def lattice_integral(function: QuadratureIntegrand) -> Estimate:
     """Return ∫ f in any number of dims as a mean over 2^20 Kronecker points: value (C,).
 
-    The points are ½ + k α mod 1 with the steps α of `golden_vector`. The error is three standard
-    errors of 16 successive parts, which are shifted copies of each other. It exceeds the true
-    error.
+    The points are ½ + k α mod 1 with the steps α of `golden_vector`.
+    The error is three standard errors of 16 successive parts, shifted copies of each other.
+    Such an error estimate exceeds the true error.
     """
     alpha, sums = golden_vector(function.dims), []
     for start in range(1, _LATTICE_POINTS, 2**14):
@@ -625,7 +638,7 @@ def lattice_integral(function: QuadratureIntegrand) -> Estimate:
 
 
 def axis_rules(f: QuadratureIntegrand, half_width: int) -> list[AxisRule]:
-    """Return composite Gauss-Legendre rules, 16 nodes per wavelength (fewer beyond 2-D).
+    """Return composite Gauss-Legendre rules with 16 nodes per wavelength (fewer beyond 2-D).
 
     Raises
     ------
@@ -657,12 +670,12 @@ def product_coefficients(
     rules
         A rule for each axis, with P_i nodes.
     functions
-        Their values at the nodes of each axis, (P_i, N_i).
+        Values of the functions at the nodes of each axis, (P_i, N_i).
 
     Returns
     -------
     ndarray
-        float64 (channels or 1, N_0 · … · N_{d−1}), C order.
+        float64 of shape (channels or 1, N_0 · … · N_{d−1}), in C order.
     """
     total: Array | float = 0.0
     for start, values in slabs(f, rules):
@@ -681,7 +694,7 @@ def cell_integrals(f: QuadratureIntegrand, size: int) -> tuple[Array, str]:
     Raises
     ------
     ParameterError
-        If it needs more than 2^24 evaluations.
+        If the nodes of the cells need more than 2^24 evaluations.
     """
     cells = float(size) ** f.dims
     if cells > _LIMIT:

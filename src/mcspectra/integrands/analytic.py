@@ -21,7 +21,8 @@ from mcspectra.integrands.base import Integrand, any_dims, per_axis
 __all__ = ["Constant", "Cosine", "Gaussian", "Linear", "Polynomial", "squared_distance"]
 
 _MAX_DEGREE = 20  # Higher powers of x are ill-conditioned; see `Polynomial._fourier`
-_LOW_FREQUENCY = 4  # Cycles below which a Gauss rule is used: 2π·4 exceeds the highest degree, 20
+# Number of cycles below which a Gauss rule is used: 2π·4 exceeds the highest degree, 20
+_LOW_FREQUENCY = 4
 _NARROW = 0.5  # Width below which 8 Gauss nodes replace differences of erf (error 1e-19)
 
 
@@ -99,7 +100,7 @@ class Linear(Integrand):
         return _along_first_axis(self.gradient, self.dims)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Return f at the center, plus Σ_i (g_i h_i)²/12 for the square, with sides h_i."""
+        """Return f at the center; for the square, add Σ_i (g_i h_i)²/12: slopes g, sides h."""
         mean = self._evaluate(0.5 * (lo + hi))
         return mean, mean**2 + ((hi - lo) ** 2 @ self._slopes**2) / 12.0
 
@@ -150,8 +151,8 @@ class Polynomial(Integrand):
 
     def _fourier(self, m: Array) -> Array:
         # Integration by parts gives I_k = ∫ x^k exp(−2πi m x) dx = (k I_{k−1} − 1)/(2πi m).
-        # Rounding errors do not grow while k < 2π|m|. At lower frequencies a Gauss rule of degree
-        # 79 is exact to rounding (3 cycles).
+        # Rounding errors do not grow while k < 2π|m|.
+        # At lower frequencies (3 cycles), a Gauss rule of degree 79 is exact to rounding.
         node, weight = gauss_rule(40)
 
         def factor(frequency: Array) -> Array:
@@ -175,8 +176,8 @@ class Gaussian(Integrand):
     Parameters
     ----------
     center
-        Position of the maximum, where f is 1: one number for all axes or one for each. It may lie
-        outside the domain.
+        Position of the maximum, where f is 1: one number for all axes or one for each.
+        The maximum may lie outside the domain.
     width
         Standard deviation, > 0.
     dims
@@ -195,7 +196,7 @@ class Gaussian(Integrand):
         return mean.prod(axis=-1), square.prod(axis=-1)
 
     def _evaluate(self, x: Array) -> Array:
-        scale = min(math.sqrt(0.5) / self.width, sys.float_info.max)  # 0 · ∞ is not 0
+        scale = min(math.sqrt(0.5) / self.width, sys.float_info.max)  # otherwise 0 · ∞ = NaN
         exponent = squared_distance(x, self._centers, scale)
         np.negative(exponent, out=exponent)
         return np.asarray(np.exp(exponent, out=exponent))
@@ -232,7 +233,7 @@ class Cosine(Integrand):
         return _along_first_axis(self.frequency, self.dims)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Use cos at the center times Π sinc; f² = ½ + ½ cos of the doubled argument."""
+        """Use cos at the center times Π sinc. f² is ½ + ½ cos of the doubled argument."""
         argument = 2.0 * np.pi * (0.5 * (lo + hi) @ self._wave) + self.phase
         cycles = (hi - lo) * self._wave
         mean = np.cos(argument) * np.sinc(cycles).prod(axis=-1)
@@ -281,10 +282,10 @@ def squared_distance(x: Array, center: Array, scale: float = 1.0) -> Array:
 def _gaussian_fourier(m: Array, center: float, width: float) -> Array:
     """Return ∫_0^1 exp(−(x−c)²/(2w²)) exp(−2πi m x) dx for integer m.
 
-    With t = (x−c)/(w√2) and β = π m w√2, the integral is the difference between x = 0 and 1 of w√2
-    e^{−2πimc} e^{−β²} (√π/2) erf(t + iβ). It is written with the Faddeeva function W(z) = e^{−z²}
-    erfc(−iz) in the upper half plane. |W| ≤ 1 there, so nothing overflows at large m. The phases at
-    the ends are exp(−2πi m) = 1.
+    Let t = (x−c)/(w√2), β = π m w√2, and F(x) = w√2 e^{−2πimc} e^{−β²} (√π/2) erf(t + iβ).
+    The integral is F(1) − F(0).
+    F is written with the Faddeeva function W(z) = e^{−z²} erfc(−iz) in the upper half plane.
+    There |W| ≤ 1, so nothing overflows at large m. The phases at the ends are exp(−2πi m) = 1.
     """
     from scipy.special import wofz
 

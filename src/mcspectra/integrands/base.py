@@ -1,10 +1,11 @@
 """The interface of integrands: values, integral, Fourier coefficients; integrands of callables.
 
-The coefficients are f_m = ∫ f(x) exp(−2πi m·x) dx over [0,1)^d for integer m. Implementations
-define `_evaluate`, and `_integral` and `_fourier` if they are known exactly. Otherwise composite
-Gauss-Legendre quadrature (with an FFT for the coefficients) is used, and `integral_source` and
-`fourier_source` report it. Each integrand stores results of quadrature in its `IntegrandCache`, so
-it must always give the same values.
+The coefficients are f_m = ∫ f(x) exp(−2πi m·x) dx over [0,1)^d for integer m.
+Implementations define `_evaluate`, and also `_integral` and `_fourier` if these are known exactly.
+Otherwise composite Gauss-Legendre quadrature is used, with an FFT for the coefficients.
+`integral_source` and `fourier_source` report the method.
+Each integrand stores results of quadrature in its `IntegrandCache`.
+Therefore it must always give the same values.
 """
 
 from __future__ import annotations
@@ -111,23 +112,22 @@ def per_axis(default: float | None, **limits: float) -> Any:
 @final
 @dataclass(slots=True, eq=False, repr=False)
 class IntegrandCache:
-    """Results about one integrand, each computed at its first use; None before.
+    """Results about one integrand. Each is computed at its first use and is None before.
 
     Attributes
     ----------
     integral
         ∫ f by quadrature, or by the integrand's own rule (`numeric_integral`).
     coefficients
-        Fourier coefficients, keyed by the tensor product of their frequencies; the last four are
-        kept.
+        Fourier coefficients by the tensor product of their frequencies; the last four are kept.
     breaks
         Positions along each axis where f jumps, declared or detected (`found_breaks`).
     probed
-        Values at the points of `mcspectra.integrands._quadrature.probe`. The search for breaks
-        stores them for the integral, which deletes them.
+        Values at the points of `mcspectra.integrands._quadrature.probe`.
+        The search for breaks stores them for the integral, which deletes them.
     cut
-        The integrand with these breaks, or the integrand itself if it declares all of them
-        (`mcspectra.estimators.quadrature.looked_at`).
+        The integrand with these breaks, or the integrand itself if it declares all of them.
+        See `mcspectra.estimators.quadrature.looked_at`.
     moments
         A number a close to ∫ f, then ∫ (f − a), ∫ (f − a)² and the error of both
         (`mcspectra.estimators.quadrature.moments`).
@@ -143,8 +143,8 @@ class IntegrandCache:
         Largest values at the points of the probe, in descending order
         (`mcspectra.estimators.quadrature.beyond_points`).
     separable
-        f as sums or products of functions of one axis, one entry per channel; empty if f has no
-        such form (`mcspectra.prediction.separable.separated`).
+        f as sums or products of functions of one axis, one entry per channel.
+        Empty if f has no such form (`mcspectra.prediction.separable.separated`).
     """
 
     integral: Estimate | None = None
@@ -168,7 +168,7 @@ class Integrand(Component, ABC):
     dims
         Number of dimensions d.
     channels
-        0 for a scalar function, else the number of channels, the last axis of values.
+        Number of channels, which is the last axis of values; 0 for a scalar function.
     stock_samplers
         Specs of the samplers that come with the program that evaluates f.
     """
@@ -224,7 +224,7 @@ class Integrand(Component, ABC):
         Returns
         -------
         ndarray
-            complex128, shape (...) or (..., channels); `fourier_source` reports whether exact.
+            complex128, shape (...) or (..., channels); `fourier_source` reports if they are exact.
 
         Raises
         ------
@@ -316,8 +316,8 @@ class Integrand(Component, ABC):
         Returns
         -------
         tuple of ndarray, or None
-            Mean of f and mean of f², each (...) or (..., channels); None if they are not known. The
-            variance within a stratum is mean f² − (mean f)².
+            Mean of f and mean of f², each (...) or (..., channels); None if they are not known.
+            The variance within a stratum is mean f² − (mean f)².
         """
         return None
 
@@ -354,16 +354,17 @@ class Integrand(Component, ABC):
         dims
             Number of dimensions.
         integral
-            Its exact integral, if known. Measurements report a bias only then. Otherwise the
-            attribute `integral` is computed by quadrature of up to 2^21 calls.
+            Exact integral of the function, if known. Measurements report a bias only then.
+            Otherwise the attribute `integral` is computed by quadrature of up to 2^21 calls.
         fourier
-            Its exact coefficients as a callable of integer m (..., d), if known.
+            Exact coefficients of the function, if known, as a callable of integer m (..., d).
 
         Raises
         ------
         ParameterError
-            If the function is not callable, or returns another shape, complex numbers, NaN or
-            infinity on 28 test points, the only calls made here.
+            If the function is not callable.
+            If it returns another shape, complex numbers, NaN or infinity on 28 test points.
+            The test points are the only calls made here.
         """
         if not callable(function):
             raise ParameterError(
@@ -385,10 +386,10 @@ class Integrand(Component, ABC):
 
 
 class Derived(Integrand):
-    """An integrand made of another one, whose properties are the defaults.
+    """An integrand made from another integrand, whose properties are the defaults.
 
-    Subclasses are dataclasses with the field `integrand`. They set `text`, a format of the instance
-    ``{0}`` that gives their `spec` for messages.
+    Subclasses are dataclasses with the field `integrand`.
+    Each sets `text`, a format string with the instance as ``{0}``, for its `spec` in messages.
     """
 
     text: ClassVar[str]
@@ -425,7 +426,7 @@ class Derived(Integrand):
 
 @dataclass(frozen=True, kw_only=True)
 class NamedFunction(Derived):
-    """A test function: the `integrand` of a class, under the name of the class."""
+    """A test function: the attribute `integrand` of a class, under the name of the class."""
 
     integrand: Integrand = field(init=False, repr=False)
     spec = Component.spec
@@ -539,7 +540,7 @@ class FunctionIntegrand(Integrand):
         return self.checked_values(x)
 
     def checked_values(self, x: Array, *, finite: bool = True) -> Array:
-        """Return values at points of the unit cube, checked in shape and finite; not counted.
+        """Return values at points of the unit cube, checked but not counted: shape and finiteness.
 
         Without `finite`, values may be NaN or infinite.
         """
@@ -570,7 +571,7 @@ class FunctionIntegrand(Integrand):
 
 
 def fourier_grid(integrand: Integrand, half_width: int) -> Array:
-    """Return `Integrand.fourier_grid` of an integrand."""
+    """Return the coefficients that `Integrand.fourier_grid` returns for an integrand."""
     return _as_integrand(integrand).fourier_grid(half_width)
 
 
@@ -580,9 +581,10 @@ def fourier_accuracy(integrand: Integrand, half_width: int) -> tuple[str, float]
     Returns
     -------
     tuple
-        Description, and an estimate of the largest absolute error. The error is 0 if the
-        coefficients are exact, else the largest difference from a grid with half the nodes. For
-        smooth f that is far above the true error.
+        Description, and an estimate of the largest absolute error.
+        The error is 0 if the coefficients are exact.
+        Otherwise it is the largest difference from a grid with half the nodes.
+        For smooth f that is far above the true error.
     """
     if _as_integrand(integrand)._fourier(np.zeros((1, integrand.dims))) is not None:
         return integrand.fourier_source, 0.0
@@ -593,11 +595,13 @@ def fourier_accuracy(integrand: Integrand, half_width: int) -> tuple[str, float]
 def numeric_integral(integrand: Integrand) -> Any:
     """Return ∫ f by quadrature: a float, or an array (channels,).
 
-    Up to 5 dims, Gauss-Legendre quadrature on boxes is used. The boxes are cut at the breaks, and
-    at jumps across an axis that line searches detect. They are split adaptively to 1e-12 of ∫|f| or
-    2^21 evaluations. In more dims, the result is the mean over 2^20 points of a Kronecker sequence,
-    accurate to three to six digits. An integrand with its own rule, such as a pixel, uses that
-    rule. `integral_accuracy` estimates the error.
+    In up to 5 dims, Gauss-Legendre quadrature on boxes is used.
+    The boxes are cut at the breaks, and at jumps across an axis that line searches detect.
+    Boxes are split adaptively to 1e-12 of ∫|f| or 2^21 evaluations.
+    In more dims, the result is the mean over 2^20 points of a Kronecker sequence.
+    The mean over Kronecker points is accurate to three to six digits.
+    An integrand with its own rule, such as a pixel, uses that rule.
+    `integral_accuracy` estimates the error.
     """
     value = integral_estimate(integrand).value
     return value.copy() if integrand.channels else float(value[0])
@@ -636,9 +640,9 @@ def _quadrature(integrand: Integrand, m: Sequence[Array]) -> Estimate:
         return kept[key]
     found = refined_coefficients(integrand, m)
     if all((axis == 0).any() for axis in m):
-        # The integral, exact or from the better rule, replaces the coefficient at 0. If two grids
-        # agree by chance (a border along their diagonals), the difference from the integral reveals
-        # their error
+        # The integral, exact or from the better rule, replaces the coefficient at 0.
+        # Two grids can agree by chance, for instance if a border runs along their diagonals.
+        # Then the difference from the integral reveals their error
         zero = tuple(int(np.flatnonzero(axis == 0)[0]) for axis in m)
         value, integral = found.value.copy(), integrand.integral
         error = max(found.error, float(np.abs(value[zero] - integral).max()))
@@ -676,7 +680,7 @@ def found_breaks(integrand: Integrand) -> tuple[Array, ...]:
 
 def _probe(function: Callable[[Any], Any], dims: int) -> int:
     """Return the number of channels, 0 for a scalar function, after a test on 28 points."""
-    # Points of an additive recurrence, off all grid lines
+    # Use points of an additive recurrence, which lie off all grid lines
     steps = np.sqrt(np.arange(2, 2 + dims) + 0.5)
     x = ((0.5 + np.arange(1, 29)[:, None] * steps) % 1.0).reshape(*_PROBE, dims)
     try:
@@ -758,7 +762,7 @@ def _check_integral(integral: object, channels: int) -> Any:
 
 
 def _coefficients(fourier: Callable[[Any], Any], m: Array, channels: int) -> Array:
-    """Return coefficients of a user's callable, complex128, checked in shape and finite."""
+    """Return complex128 coefficients of a user's callable, after checks of shape and values."""
     shape = (*m.shape[:-1], channels) if channels else m.shape[:-1]
     found = np.asarray(fourier(m))
     if found.shape != shape or found.dtype.kind not in "biufc":

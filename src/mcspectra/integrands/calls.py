@@ -1,9 +1,10 @@
 """Calls of an expensive function: counted, limited by a budget, parallel, cached on disk.
 
-`Calls` is the only way to call an expensive function. It raises before a call that the budget does
-not cover. A point found in the cache counts toward the budget like any other, although it costs no
-call. Results therefore do not depend on the state of the cache, and an interrupted run gives the
-same bits when it is repeated.
+`Calls` is the only way to call an expensive function.
+`Calls` raises an error before a call that the budget does not cover.
+A point found in the cache counts toward the budget like any other, although it costs no call.
+Results therefore do not depend on the state of the cache.
+An interrupted run gives the same bits when it is repeated.
 """
 
 from __future__ import annotations
@@ -70,14 +71,15 @@ class Calls:
     vectorized
         False for a function that maps a single point, an array (d,), to a number.
     workers
-        Number of processes that call f, each on its own points. If more than 1, a script needs the
-        guard ``if __name__ == "__main__":``.
+        Number of processes that call f, each on its own points.
+        With more than 1, a script needs the guard ``if __name__ == "__main__":``.
     cache
-        Path of a file that stores the values by point; it is created if missing. One file is for
-        one function with one set of parameters.
+        Path of a file that stores the values by point; it is created if missing.
+        One file is for one function with one set of parameters.
     on_error
-        ``"raise"`` if f fails or gives NaN or infinity; or ``"skip"``, which gives NaN at such
-        points. If f fails on several points at once, it is called again for each of them.
+        With ``"raise"``, an error is raised if f fails or gives NaN or infinity.
+        With ``"skip"``, values at such points are NaN.
+        If f fails on several points at once, f is called again for each of these points.
 
     Attributes
     ----------
@@ -95,8 +97,8 @@ class Calls:
     Raises
     ------
     ParameterError
-        If f has channels or another number of dims, cannot be called or sent to other processes, if
-        an argument is out of range, or if the cache belongs to another function.
+        If f has channels or another number of dims, or cannot be called or sent to processes.
+        If an argument is out of range, or if the cache belongs to another function.
     FileFormatError
         If the cache is another kind of file.
 
@@ -299,7 +301,7 @@ class _OneByOne:
 
 
 def _pool(f: Integrand, workers: int) -> ProcessPoolExecutor:
-    """Return processes that hold f; they are spawned, because forks of threads may hang."""
+    """Return processes that hold f; they are spawned, because forking with threads may hang."""
     from multiprocessing import get_context
 
     cloudpickle = optional_package("cloudpickle", "cluster", "Calls in other processes need")

@@ -1,8 +1,9 @@
 """Integrands written as a formula such as ``exp(-x**2 - y**2)``, read as data.
 
 Python's parser reads the text, and its tree is converted once into a tree of NumPy functions.
-Syntax that is not in the lists below is an error. No other name is looked up and no Python is
-evaluated. Numbers become floats first, so ``9**9**9`` is infinite and does not run forever.
+Syntax that is not in the lists below is an error.
+No other name is looked up and no Python is evaluated.
+Numbers become floats first, so ``9**9**9`` is infinite and does not run forever.
 """
 
 from __future__ import annotations
@@ -63,11 +64,13 @@ _OPERATORS: Mapping[type, Callable[..., Any]] = {
 class Formula(Integrand):
     """A formula of the coordinates, read as data.
 
-    An example is ``exp(-x**2 - y**2)``. A formula may contain numbers, the coordinates x, y, z (or
-    x0, x1, …), pi, e, the operators + - * / ** %, comparisons and functions. A comparison is 1
-    where it holds and 0 elsewhere. The functions are sin, cos, tan, arcsin, arccos, arctan,
-    arctan2, sinh, cosh, tanh, exp, log, log2, log10, sqrt, hypot, abs, sign, sinc, floor, ceil,
-    min, max and where. Any other name is an error, and nothing is run as Python.
+    An example is ``exp(-x**2 - y**2)``. A formula may contain numbers, pi and e.
+    The coordinates are x, y, z (or x0, x1, …).
+    A formula may also contain the operators + - * / ** %, comparisons and functions.
+    A comparison is 1 where it holds and 0 elsewhere.
+    The functions are sin, cos, tan, arcsin, arccos, arctan, arctan2, sinh, cosh, tanh, exp, log,
+    log2, log10, sqrt, hypot, abs, sign, sinc, floor, ceil, min, max and where.
+    Any other name is an error, and nothing is run as Python.
 
     Parameters
     ----------
@@ -79,8 +82,8 @@ class Formula(Integrand):
     Raises
     ------
     ParameterError
-        If the text is not such a formula, names a coordinate beyond `dims`, or is not finite at
-        four test points inside the cube.
+        If the text is not such a formula, or names a coordinate beyond `dims`.
+        If it is not finite at four test points inside the cube.
 
     Examples
     --------
@@ -123,7 +126,7 @@ class Formula(Integrand):
 @lru_cache(64)
 def _compiled(text: str, dims: int) -> tuple[Evaluation, Breaks]:
     """Read a formula; return its function and the numbers that coordinates are compared to."""
-    # Python's parser needs stack for every mark; a million marks may end the process
+    # Python's parser needs stack for every token; a million tokens may end the process
     marks = sum(1 for _ in itertools.islice(_MARK.finditer(text), _MOST_MARKS + 1))
     if marks > _MOST_MARKS:
         raise ParameterError(

@@ -26,7 +26,7 @@ __all__ = [
     "GenzProductPeak",
 ]
 
-# Range of log s. The right end is added to log d; beyond this end e^−s is negligible
+# Range of log s. The right end is relative to log d; beyond this end e^−s is negligible
 _LEFT, _RIGHT = -40.0, 5.0
 
 
@@ -39,8 +39,9 @@ class Genz(Integrand):
     a
         Difficulty along the axes, > 0: one number for all axes or one for each.
     u
-        Positions of peaks, kinks or jumps, in [0,1]: one number for all axes or one for each. For
-        ``genz-oscillatory``, u is one number, a phase in cycles. ``genz-corner-peak`` has no u.
+        Positions of peaks, kinks or jumps, in [0,1]: one number for all axes or one for each.
+        For ``genz-oscillatory``, u is one number, a phase in cycles.
+        ``genz-corner-peak`` has no u.
     dims
         Number of dims.
     """
@@ -124,10 +125,10 @@ class GenzCornerPeak(Genz):
         return np.asarray((1.0 + x @ self._a) ** -(self.dims + 1.0))
 
     def _integral(self) -> float:
-        # The alternating sum over 2^d corners cancels. All terms of the integral ∫_0^∞ s^d
-        # e^{-s}/d! Π (1 − e^{−a_i s})/(a_i s) ds with s = e^y are positive
+        # The alternating sum over 2^d corners suffers from cancellation. Therefore use the integral
+        # ∫_0^∞ s^d e^{-s}/d! Π (1 − e^{−a_i s})/(a_i s) ds with s = e^y, whose terms are positive
         d = self.dims
-        # A quarter of a standard deviation gives rounding accuracy
+        # A step of a quarter of a standard deviation gives rounding accuracy
         step = 0.25 / math.sqrt(d + 64.0)
         y = np.arange(_LEFT, math.log(d + 1.0) + _RIGHT, step)
         s = np.exp(y)

@@ -1,9 +1,11 @@
 """Images as integrands: constant in each pixel, or as an environment that lights a surface.
 
-Environment maps follow `mcspectra.core.environments`: x_0 is φ/2π and x_1 is θ/π. The matching
-density is ``environment`` of `mcspectra.densities.environment`. Under sampling by luminance, a
-channel c keeps the ratio L_c / luminance, which jumps at the borders of colored pixels. Under
-sampling by its own density, only the cosine remains, which is smooth except at the horizon.
+Environment maps follow `mcspectra.core.environments`: x_0 is φ/2π and x_1 is θ/π.
+The matching density is ``environment`` of `mcspectra.densities.environment`.
+Under sampling by luminance, a channel c keeps the ratio L_c / luminance.
+The ratio L_c / luminance jumps at the borders of colored pixels.
+Under sampling by the channel's own density, only the cosine remains.
+The cosine is smooth except at the horizon.
 """
 
 from __future__ import annotations
@@ -73,8 +75,8 @@ class _Picture(Integrand):
 class Image(_Picture):
     """An image on the unit square, constant in each pixel; x_0 runs along rows, x_1 down them.
 
-    Its coefficients are exact at every frequency. For pixels v, w wide and h high, with the
-    discrete Fourier transform V, repeated periodically, they are
+    The Fourier coefficients are exact at every frequency.
+    With the discrete Fourier transform V of w × h pixels, repeated periodically, they are
 
       f_m = V[m_1 mod h, m_0 mod w]/(w h) · sinc(π m_0/w) sinc(π m_1/h) · exp(−πi (m_0/w + m_1/h)).
 
@@ -85,14 +87,14 @@ class Image(_Picture):
     values
         Pixels instead of a file: numbers of shape (h, w) or (h, w, channels), top row first.
     channel
-        Number of one channel, ``"luminance"`` (Rec. 709, three channels), or None for all. An image
-        with one channel is a scalar integrand.
+        Number of one channel, ``"luminance"`` (Rec. 709, three channels), or None for all.
+        An image with one channel is a scalar integrand.
 
     Raises
     ------
     ParameterError
-        If neither or both of path and values are given, the pixels are not finite numbers of such a
-        shape, or the channel does not exist.
+        If neither or both of path and values are given, or if the channel does not exist.
+        If the pixels are not finite numbers of such a shape.
     FileFormatError
         If the file is missing or cannot be read.
     """
@@ -174,28 +176,28 @@ class Image(_Picture):
 class Environment(_Picture):
     """Irradiance by a lat-long environment map: L(ω) max(0, n·ω), per unit of the square.
 
-    f(x) = 2π² sin(π x_1) L(x) max(0, n·ω(x)). Its integral is the irradiance of a surface with the
-    normal n.
+    f(x) = 2π² sin(π x_1) L(x) max(0, n·ω(x)), with radiance L and direction ω.
+    The integral of f is the irradiance of a surface with the normal n.
 
     Parameters
     ----------
     path, values
-        Image file that `mcspectra.core.images.read_image` reads, or pixels (h, w) or (h, w,
-        channels), linear and at least 0. The default is `synthetic_sky`.
+        Image file that `mcspectra.core.images.read_image` reads, or linear pixels of at least 0.
+        Pixels have the shape (h, w) or (h, w, channels). The default is `synthetic_sky`.
     channel
-        Number of one channel, ``"luminance"`` (Rec. 709, three channels), or None for all. A map
-        with one channel is a scalar integrand.
+        Number of one channel, ``"luminance"`` (Rec. 709, three channels), or None for all.
+        A map with one channel is a scalar integrand.
     normal
         Three numbers, not all 0, of any length; +z points to the first row.
     interpolation
-        ``"constant"`` in each pixel, or ``"bilinear"`` between centers. Bilinear interpolation is
-        periodic in φ and constant between the outermost rows and the poles.
+        ``"constant"`` in each pixel, or ``"bilinear"`` between centers.
+        ``"bilinear"`` is periodic in φ and constant between the outermost rows and the poles.
 
     Raises
     ------
     ParameterError
-        If both path and values are given, or the pixels, channel, normal or interpolation are
-        invalid.
+        If both path and values are given.
+        If the pixels, channel, normal or interpolation are invalid.
     FileFormatError
         If the file is missing or cannot be read.
     """
@@ -242,7 +244,7 @@ class Environment(_Picture):
         return np.asarray(radiance * (factor[..., None] if self.channels else factor))
 
     def _integral(self) -> Any:
-        """Exact for constant pixels and a vertical normal: ∫ cos θ sin θ dθ = ½ sin² θ."""
+        """Return the exact integral for constant pixels and a vertical normal, else None."""
         if self.interpolation != "constant" or not self._vertical:
             return None
         height, width = self._pixels.shape[:2]

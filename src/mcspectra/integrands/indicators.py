@@ -29,7 +29,7 @@ from mcspectra.integrands.base import (
 
 __all__ = ["Disk", "HalfSpace", "SmoothedStep", "Step"]
 
-_CYCLES, _ORDER = 8, 32  # Cycles of a wave in a panel, and Gauss nodes of the panel
+_CYCLES, _ORDER = 8, 32  # Number of cycles of a wave in a panel, and Gauss nodes of the panel
 _BLOCK = 2**22  # Complex numbers in one block of a sum over nodes: 64 MiB
 _CONDITION = 1e-10  # Largest relative rounding error that inclusion and exclusion may cause
 
@@ -42,7 +42,7 @@ class _Indicator(Integrand):
         """Return the fraction of each box where f is 1, or None if it is not known."""
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array] | None:
-        """Return the fraction of each box where f is 1, twice: f² = f."""
+        """Return the fraction of each box where f is 1, for both f and f², since f² = f."""
         share = self._share(lo, hi)
         return None if share is None else (share, share)
 
@@ -121,8 +121,8 @@ class SmoothedStep(Integrand):
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
         """Return the means of f and f² over each box.
 
-        f is 1 below the ramp, so this part adds its fraction of the box. Within the ramp
-        f is linear.
+        Below the ramp f is 1, so this part adds its fraction of the box.
+        Within the ramp f is linear.
         """
         start, stop = self._ramp
         low, high = lo[..., self.axis], hi[..., self.axis]
@@ -143,8 +143,8 @@ class SmoothedStep(Integrand):
         return float(start + (stop - start) * middle)
 
     def _fourier(self, m: Array) -> Array:
-        # Integrate by parts: f_m = (f(0) − f(1) + ∫ f' exp(−2πi m x) dx) / (2πi m), with f' =
-        # −1/width
+        # Integrate by parts with f' = −1/width:
+        # f_m = (f(0) − f(1) + ∫ f' exp(−2πi m x) dx) / (2πi m)
         along = m[..., self.axis]
         slope = _interval_fourier(along, *self._ramp) / self.width
         drop = self._height(0.0) - self._height(1.0)
@@ -157,9 +157,10 @@ class SmoothedStep(Integrand):
 class Disk(_Indicator):
     """The indicator of a ball, f(x) = 1 where |x − center| < radius, else 0.
 
-    In 2-D everything is exact. If the domain cuts the disk, the coefficients are integrated chord
-    by chord, to rounding. In 3-D and more, a ball inside the domain is exact (Bessel functions) and
-    a cut ball needs quadrature. There is no wrap-around.
+    In 2-D, integral and coefficients are exact.
+    If the domain cuts the disk, coefficients are integrated chord by chord, to rounding accuracy.
+    In 3-D and more, a ball inside the domain is exact (Bessel functions).
+    A ball that the domain cuts needs quadrature. The ball does not wrap around.
 
     Parameters
     ----------
@@ -190,7 +191,7 @@ class Disk(_Indicator):
 
     @property
     def breaks(self) -> Breaks:
-        """Both ends in 1-D; in more dims the border is not normal to an axis."""
+        """Both ends of a 1-D disk; in more dims, the border is not normal to an axis."""
         inside = tuple(end for end in self._interval if 0.0 < end < 1.0)
         return (inside,) if self.dims == 1 else ((),) * self.dims
 
@@ -233,9 +234,10 @@ class Disk(_Indicator):
 class HalfSpace(_Indicator):
     """The indicator of a half-space, f(x) = 1 where normal·x < offset, else 0.
 
-    Integral and coefficients are exact in 1-D and 2-D. In more dims the integral is exact if
-    inclusion and exclusion of the cube's corners keeps ten digits (at most 16 dims), and the
-    coefficients come from quadrature.
+    Integral and coefficients are exact in 1-D and 2-D.
+    In more dims, the coefficients come from quadrature.
+    The integral is exact if inclusion and exclusion of the cube's corners keeps ten digits.
+    This needs at most 16 dims.
 
     Parameters
     ----------
@@ -315,8 +317,9 @@ def _ball_volume(dims: int, radius: float) -> float:
 def _disk_share(lo: Array, hi: Array, center: Array, radius: float) -> Array:
     """Return the fraction of the rectangles [lo, hi], (..., 2), that lies in a disk.
 
-    Areas of quadrants are combined by inclusion and exclusion. Rectangles wholly inside or outside
-    are set to 1 or 0 first, because differences of nearly equal areas would leave rounding errors.
+    Areas of quadrants are combined by inclusion and exclusion.
+    Differences of nearly equal areas would leave rounding errors.
+    Therefore rectangles wholly inside or outside the disk are first set to 1 or 0.
     """
     a, b = (lo - center) / radius, (hi - center) / radius
     box = (b - a).prod(axis=-1)
@@ -351,9 +354,10 @@ def _half_area(x: Array) -> Array:
 def _cut_disk_fourier(m: Array, center: Array, radius: float) -> Array:
     """Return coefficients of a disk cut by the unit square at m (..., 2), chord by chord.
 
-    Along a chord the integral is exact. Chords are smooth in x_0 = c_0 + r sin θ between the kinks
-    at which the circle meets the borders. Gauss-Legendre panels there are short enough to integrate
-    the highest frequency to rounding. The cost is O(U_0 U_1 (|m| + const)) for U_i distinct m_i.
+    The integral along a chord is exact. With x_0 = c_0 + r sin θ, chords are functions of θ.
+    Chords are smooth between the kinks at which the circle meets the borders.
+    Gauss-Legendre panels between kinks integrate the highest frequency to rounding accuracy.
+    The cost is O(U_0 U_1 (|m| + const)) for U_i distinct m_i.
     """
     m0, where0 = np.unique(m[..., 0], return_inverse=True)
     m1, where1 = np.unique(m[..., 1], return_inverse=True)
@@ -388,9 +392,9 @@ def _cut_disk_fourier(m: Array, center: Array, radius: float) -> Array:
 def _half_plane_share(lo: Array, hi: Array, normal: Array, offset: float) -> Array:
     """Return the fraction of the boxes [lo, hi], (..., 1) or (..., 2), with normal·x < offset.
 
-    In units of the box, with the normal reflected to positive components, it is the distribution
-    function of a u + b v for uniform u, v. Its density is a trapezoid with corners at b and a, a ≥
-    b.
+    In units of the box, the normal is reflected to components a ≥ b ≥ 0.
+    The fraction is then the distribution function of a u + b v for uniform u and v.
+    The density of a u + b v is a trapezoid with corners at b and a.
     """
     sides = (hi - lo) * normal
     level = offset - lo @ normal - np.minimum(sides, 0.0).sum(axis=-1)
@@ -407,9 +411,10 @@ def _half_plane_share(lo: Array, hi: Array, normal: Array, offset: float) -> Arr
 def _cut_cube_volume(normal: Array, offset: float) -> float | None:
     """Return the volume of {x in [0,1]^d: normal·x < offset}, or None if rounding spoils it.
 
-    With k positive components after reflection, the volume is Σ_v (−1)^|v| (offset − n·v)_+^k / (k!
-    Π n_i) over the corners v of the cube [BarrowSmith1979]_. The terms cancel, so the relative
-    rounding error is checked.
+    Let k components n_i be positive after reflection.
+    The volume is Σ_v (−1)^|v| (offset − n·v)_+^k / (k! Π n_i) [BarrowSmith1979]_.
+    The sum is over the corners v of the cube.
+    The terms cancel, so the relative rounding error is checked.
     """
     level = offset - np.minimum(normal, 0.0).sum()
     n = np.abs(normal[normal != 0])
@@ -429,10 +434,10 @@ def _cut_cube_volume(normal: Array, offset: float) -> float | None:
 def _half_plane_fourier(m: Array, normal: Array, offset: float) -> Array:
     """Return coefficients of the indicator of normal·x < offset on the unit square, m (..., 2).
 
-    The region is {x_k < α + β x_j} or its complement. Axis k has the larger component of the
-    normal, so |β| ≤ 1. The line is inside the square for x_j in [a, b]. The integral along x_k is
-    exact there; an integral of exp(−2πi (m_j + β m_k) x_j) remains, which is regular also if m is
-    normal to the line.
+    The region is {x_k < α + β x_j} or its complement.
+    Axis k has the larger component of the normal, so |β| ≤ 1.
+    The line is inside the square for x_j in [a, b], where the integral along x_k is exact.
+    The integral of exp(−2πi (m_j + β m_k) x_j) remains, which is regular for all m.
     """
     k = int(np.argmax(np.abs(normal)))
     mj, mk = m[..., 1 - k], m[..., k]

@@ -19,7 +19,7 @@ __all__ = ["RectangleLight"]
 Vector = tuple[float, float, float]
 
 _CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-# Relative height of an occluder's plane over the origin below which the occluder hides nothing
+# An occluder hides nothing if its plane is at most at this relative height over the origin
 _FLAT = 1e-12
 
 
@@ -40,10 +40,12 @@ def _as_occluder(_: str, value: Any) -> tuple[Vector, Vector, Vector]:
 class RectangleLight(Integrand):
     """Irradiance at a point lit by a rectangle: f(s, t) = L cos θ cos θ' V area / r².
 
-    (s, t) stands for the point corner + s e_0 + t e_1 of the light, which emits the same radiance L
-    on both sides. θ is the angle to the receiver's normal (f = 0 below its horizon), θ' the angle
-    to the light's normal, and V the visibility past the occluder. The densities
-    ``spherical-rectangle`` and, for parallelograms, ``spherical-triangle`` sample these lights.
+    (s, t) stands for the point corner + s e_0 + t e_1 of the light.
+    The light emits the same radiance L on both sides.
+    θ is the angle to the receiver's normal, and f = 0 below the receiver's horizon.
+    θ' is the angle to the light's normal, and V is the visibility past the occluder.
+    The density ``spherical-rectangle`` samples these lights.
+    For parallelograms, use the density ``spherical-triangle``.
 
     Attributes
     ----------
@@ -56,14 +58,15 @@ class RectangleLight(Integrand):
     radiance
         L, at least 0.
     occluder
-        None, or the corner and both edges of an opaque parallelogram: ``[[x, y, z], …]``. Its
-        shadow makes f discontinuous.
+        None, or the corner and both edges of an opaque parallelogram: ``[[x, y, z], …]``.
+        Its shadow makes f discontinuous.
 
     Notes
     -----
-    The integral is exact. It is Lambert's formula for polygons, E = (L/2) Σ_i Γ_i n·(v_i ×
-    v_{i+1})/|…| with the angle Γ_i of the edge v_i v_{i+1}, minus the part of the light behind the
-    occluder. Its rounding error is about 1e-15 L for any size of the light.
+    The integral is exact, by Lambert's formula for polygons,
+    E = (L/2) Σ_i Γ_i n·(v_i × v_{i+1})/|…|, with the angle Γ_i of the edge v_i v_{i+1}.
+    The part of the light behind the occluder is subtracted.
+    The rounding error is about 1e-15 L for any size of the light.
     """
 
     dims: int = field(default=2, init=False)

@@ -42,7 +42,7 @@ def integrand(spec: str, dims: int | None = None) -> Integrand:
     spec
         ``name`` or ``name(key=value, ...)``; see ``mcspectra list integrands``.
     dims
-        Number of dims. By default the spec's own, else the integrand's, else 2.
+        Number of dims. The default is the number in the spec, else the integrand's own, else 2.
 
     Raises
     ------
@@ -57,12 +57,12 @@ def integrand(spec: str, dims: int | None = None) -> Integrand:
 
 
 def as_integrand(given: object, dims: int | None = None) -> Integrand:
-    """Return an integrand, or make one from a spec string; `dims`, if given, must agree.
+    """Return an integrand, or make one from a spec string. It must have `dims` dims, if given.
 
     Raises
     ------
     ParameterError
-        If `given` is neither, or has another number of dims.
+        If `given` is not an integrand or a spec, or has another number of dims.
     """
     if isinstance(given, str):
         return integrand(given, dims)

@@ -1,10 +1,12 @@
 """Smoothed edges: ramps instead of jumps, for faster convergence at the price of a bias.
 
-There are two methods. If the signed distance σ(x) to an edge is known (f = 1 where σ < 0), the edge
-becomes the linear ramp ½ − σ/δ, clipped to [0, 1]. That is the average of the edges moved by τ,
-uniform in [−δ/2, δ/2], so its integral and coefficients are averages over the moved edges. Any
-other integrand is averaged over a box of side δ about x. Reflection at the faces of the domain
-keeps the integral.
+There are two methods. One needs the signed distance σ(x) to an edge, with f = 1 where σ < 0.
+The edge becomes the linear ramp ½ − σ/δ of width δ, clipped to [0, 1].
+The ramp is the average of edges moved by τ, where τ is uniform in [−δ/2, δ/2].
+Integral and coefficients of the ramp are therefore averages over the moved edges.
+
+The other method averages an integrand over a box of side δ about x.
+Reflection at the faces of the domain keeps the integral.
 """
 
 from __future__ import annotations
@@ -28,7 +30,7 @@ from mcspectra.integrands.registry import as_integrand
 __all__ = ["BoxSmoothed", "EdgeSmoothed", "smoothed"]
 
 _METHODS = ("auto", "distance", "box")
-# Nodes over τ give rounding accuracy for 8 cycles of a wave, as for cut disks
+# These nodes over τ give rounding accuracy for 8 cycles of a wave, as for cut disks
 _CYCLES, _ORDER = 8, 32
 _MOST_NODES = 4096
 
@@ -50,12 +52,14 @@ def smoothed(
     width
         δ > 0, the width of the ramp across the edge or the side of the box.
     method
-        ``"distance"`` is a linear ramp across the edge, for step, disk, half-space and the
-        discontinuous test functions of [Christensen2018]_. ``"box"`` is the mean over a box, for
-        any f and δ ≤ 1. ``"auto"`` uses the distance if it is known, else the box.
+        ``"distance"`` is a linear ramp across the edge.
+        Step, disk, half-space and the discontinuous functions of [Christensen2018]_ allow it.
+        ``"box"`` is the mean over a box, for any f and δ ≤ 1.
+        ``"auto"`` uses the distance if it is known, else the box.
     nodes
-        Number of Gauss nodes along each axis for ``"box"`` if means over boxes have no closed form,
-        at most 4096 in total. Each jump is then divided into `nodes` smaller jumps and not removed.
+        Number of Gauss nodes along each axis for ``"box"``, at most 4096 in total.
+        The nodes are used if means over boxes have no closed form.
+        Each jump is then divided into `nodes` smaller jumps and not removed.
     dims
         Number of dims for a spec string without ``dims``.
 
@@ -132,7 +136,7 @@ class EdgeSmoothed(Integrand):
 
     @property
     def fourier_source(self) -> str:
-        """Method of the edge's coefficients, and quadrature over positions of the edge."""
+        """Name of the edge's own method, followed by quadrature over positions of the edge."""
         if self.edge._fourier(np.zeros((1, self.dims))) is None:
             return super().fourier_source
         return f"{self.edge.fourier_source}, averaged over edges by Gauss-Legendre quadrature"
@@ -244,8 +248,8 @@ class BoxSmoothed(Derived):
                 total = total + weight[list(place)].prod() * self.integrand(inside)
             return np.asarray(total)
 
-        # Split the box along each axis: below 0 (−1), inside (0) and above 1 (1); reflect the outer
-        # parts
+        # Split the box along each axis into parts below 0 (−1), inside (0) and above 1 (1).
+        # Reflect the outer parts
         low, high = x - 0.5 * self.width, x + 0.5 * self.width
         for parts in itertools.product((-1, 0, 1), repeat=self.dims):
             part = np.array(parts)

@@ -1,7 +1,7 @@
 """Draw plots with Bokeh for pages: plots with zoom, tooltips and legends that hide marks.
 
 Plots load nothing from a network and are readable on light and dark pages.
-Their description in words is the ARIA label.
+The description of a plot in words is its ARIA label.
 
 A `Drawn` can show another plot of the same structure by changing only data, limits and texts.
 """
@@ -104,8 +104,8 @@ def draw(plot: Plot) -> Drawn:
 def packed(model: LayoutDOM) -> str:
     """Return a model's JSON for ``Bokeh.embed.embed_item``, gzipped, in base64.
 
-    Bokeh numbers models over the life of a process. Here the models of each plot are renumbered
-    from 0, so the same plot gives the same text.
+    Bokeh numbers models over the life of a process.
+    Here the models of each plot are renumbered from 0, so the same plot gives the same text.
     """
     item = json.loads(serialize_json(json_item(model)))
     numbers: dict[str, str] = {}

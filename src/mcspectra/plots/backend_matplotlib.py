@@ -104,7 +104,7 @@ def draw(plot: Plot, axes: GivenAxes = None, *, pyplot: bool = False) -> Figure:
         Axes to draw into. Default: a new figure.
     pyplot
         Whether to register a new figure in pyplot.
-        Then notebooks show the figure and ``plt.savefig`` writes it.
+        Notebooks show a registered figure, and ``plt.savefig`` writes it.
 
     Raises
     ------
@@ -164,8 +164,8 @@ def encode(figure: Figure, *, with_pdf: bool = True) -> tuple[bytes, bytes]:
 
     Without `with_pdf`, the PDF is empty. The layout is computed once for both files.
 
-    The PNG has a palette of 256 colors. If the figure has maps or images, in which rounded colors
-    would be visible, the PNG has all colors.
+    The PNG has a palette of 256 colors if the figure has no maps or images.
+    Otherwise rounded colors would be visible, so the PNG has all colors.
     """
     import matplotlib as mpl
     from matplotlib.backends.backend_agg import FigureCanvasAgg

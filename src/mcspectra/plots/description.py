@@ -291,8 +291,8 @@ class Panel:
         Whether the panel has axis lines on all four sides instead of two.
     grid
         Whether faint lines mark the ticks behind the marks.
-    Text in an empty panel that says why the panel is empty.
-        Text in the middle of an empty panel that gives the reason.
+    note
+        Text in the middle of an empty panel that says why the panel is empty.
     """
 
     marks: tuple[Mark, ...]
@@ -322,7 +322,7 @@ class Plot:
         Panels in reading order.
     kind
         Kebab-case name of the kind of plot, such as ``convergence``.
-        It is set by `mcspectra.plots.kinds`.
+        The functions of `mcspectra.plots.kinds` set this name.
     columns
         Number of panels per row on paper; narrow screens use fewer.
     caption

@@ -1,4 +1,4 @@
-"""Groups of results: results of one analysis by name, as taken by functions that describe plots."""
+"""Groups of results of one analysis, by name. Functions that describe plots take such groups."""
 
 from __future__ import annotations
 
@@ -227,8 +227,9 @@ def labelled(stored: xr.Dataset) -> xr.Dataset:
         for key, value in stored.attrs.items()
         if str(key).startswith("labels_")
     }
-    # Labels of a dim have the name of the dim. All other labels, such as verdicts, belong to the
-    # dim of equal size. The dim "bound" (of size 2) comes first, so that other dims replace it
+    # Labels of a dim have the name of the dim.
+    # All other labels, such as verdicts, belong to the dim of equal size.
+    # The dim "bound" (of size 2) comes first, so that another dim of size 2 has priority
     dims = sorted(map(str, stored.dims), key=lambda dim: dim != "bound")
     own: dict[tuple[int, ...], Any] = {
         texts[dim].shape: dim for dim in dims if dim in texts and dim != "bound"

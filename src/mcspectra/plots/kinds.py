@@ -68,8 +68,8 @@ class PlotKind:
 def shown_variables(data: xr.Dataset) -> dict[str, int]:
     """Return the real variables that `anything` shows, with their numbers of dims.
 
-    These are variables over one or two dims, or else scalars. Intervals and standard errors are
-    not included, since they belong to other variables.
+    The shown variables are over one or two dims, or else they are scalars.
+    Intervals and standard errors are not included, since they belong to other variables.
     """
     partners = {f"{name}{end}" for name in data.data_vars for end in ("_ci", "_se")}
     found = {
@@ -83,8 +83,9 @@ def shown_variables(data: xr.Dataset) -> dict[str, int]:
 def anything(group: Group, styles: Styles) -> Plot:
     """Plot all variables of a result that no other kind shows, for instance from other packages.
 
-    Variables over one dim become curves of all samplers in one panel. Variables over two dims
-    become maps, one panel per sampler. If there are neither, scalars are plotted side by side.
+    Variables over one dim become curves of all samplers in one panel.
+    Variables over two dims become maps, one panel per sampler.
+    If there are no such variables, scalars are plotted side by side.
     """
     first, names = next(iter(group.values())), labels(list(group), 30)
     panels, said = [], []

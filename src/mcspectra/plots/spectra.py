@@ -151,8 +151,9 @@ def pair_correlation(group: Group, styles: Styles) -> Plot:
 def contributions(group: Group, styles: Styles) -> Plot:
     """Plot the contribution of each frequency to the variance: maps in 2-D, else bars.
 
-    There is one panel per sampler and technique. In three or more dims, bars are sums over shells
-    of equal |m|. The gray area is the contribution of the power alone, without correlation.
+    There is one panel per sampler and technique.
+    The gray area is the contribution of the power alone, without correlation.
+    In three or more dims, bars are sums over shells of |m|.
     """
     first = next(iter(group.values()))
     dims, techniques = len(frequency_dims(first)), first.sizes.get("technique", 1)

@@ -354,7 +354,7 @@ def _answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
 
 
 def _sampler_answer(last: xr.Dataset, found: Mapping[str, Any]) -> str:
-    """Name the sampler that is best at most pixels, and the bounce and decision that add most."""
+    """Name the best sampler at most pixels, and the bounce and decision that add most variance."""
     names = list(map(str, last["sampler"].values))
     shares = found["best_sampler"][str(last["strategy"].item())]
     best = max(names, key=lambda name: shares[name])

@@ -3,12 +3,13 @@
 Every report is a `Page`, which is plain data. `write_page` draws its figures and writes the HTML.
 Styles, scripts and images are embedded, so the page loads nothing.
 
-Each figure is an image. A `live` figure also has an interactive plot, which replaces the image
-once scripts run. On paper, the image is printed.
+Each figure is an image. A `live` figure also has an interactive plot.
+The plot replaces the image once scripts run. On paper, the image is printed.
 
-All text is escaped except `Markup`, which only our own code creates. The same page always gives
-the same bytes. Templates and interactive plots need the extra ``report``, whose presence
-`check_page_packages` checks. The other modules of this package do not need it.
+All text is escaped except `Markup`, which only our own code creates.
+The same page always gives the same bytes.
+Templates and interactive plots need the extra ``report`` (see `check_page_packages`).
+The other modules of this package do not need this extra.
 """
 
 from __future__ import annotations
@@ -306,7 +307,7 @@ def columns_of(table: Table, names: Sequence[str]) -> Table:
 def figures_of(
     plots: Mapping[str, Plot] | Iterable[Plot], *, live: bool = False
 ) -> tuple[Figures, ...]:
-    """Return one block of plots, or no block if there are no plots. Keys are file names."""
+    """Return one block of the plots by file name, or no block if there are no plots."""
     named = plots.items() if isinstance(plots, Mapping) else (("", plot) for plot in plots)
     figures = tuple(Figure(plot=plot, name=name, live=live) for name, plot in named)
     return (Figures(figures=figures),) if figures else ()

@@ -300,7 +300,7 @@ _OF_ANYTHING = (
 _TABLES: Mapping[
     str, tuple[str, str, tuple[str, ...], tuple[int, ...], Callable[[str, Any], Rows]]
 ] = {
-    # Heading, caption, columns, indices of columns of words, and function that yields the rows
+    # Heading, caption, columns, indices of columns with words, and function that yields the rows
     "remedies": (
         "Remedies",
         (

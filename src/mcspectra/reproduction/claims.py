@@ -66,8 +66,9 @@ Interval: TypeAlias = tuple[float, float]
 class Claim:
     """A statement with its expected and its measured value; `judge` computes the verdict.
 
-    The expectation is a number (`expected`), a bound (`above`, `below`), or a limit (`at_most`) of
-    a rounding or quadrature error. Otherwise the exhibit itself gives the verdict (`holds`).
+    The expectation is a number (`expected`), a bound (`above`, `below`), or a limit of an error.
+    The limit `at_most` is for errors of rounding or quadrature.
+    Otherwise the exhibit itself gives the verdict (`holds`).
 
     Attributes
     ----------
@@ -84,7 +85,7 @@ class Claim:
         Number of digits of the expected value that are shown.
     above, below
         Bounds. The claim agrees if the whole verdict interval satisfies them.
-        It disagrees if the whole interval violates them; otherwise there is no verdict.
+        The claim disagrees if the whole interval violates a bound. Otherwise there is no verdict.
     at_most
         Largest allowed magnitude of an error.
     holds
@@ -288,8 +289,8 @@ def largest_distance(statement: str, away: Array, se: Array, freedom: int = 0) -
     ----------
     statement
         Statement without a full stop; a description of the measured value is appended.
-    Differences (measured minus expected) and their positive standard errors, of equal shape.
-        Differences (measured minus expected) and their positive standard errors, same shape.
+    away, se
+        Differences (measured minus expected) and their positive standard errors, of equal shape.
     freedom
         Degrees of freedom of standard errors that come from a few batches.
     """

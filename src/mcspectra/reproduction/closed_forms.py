@@ -100,8 +100,8 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 "N³ times the power of jittered points at m = 1 tends to π²/3, so the variance "
                 "falls as N⁻³: relative difference at N = 1024.",
                 low / (np.pi**2 / 3) - 1.0,
-                # The series of 1 − sinc²(x) is x²/3 − 2x⁴/45 …, so the relative error is
-                # 2 (π/N)²/15 = 1.3e-6
+                # The relative error is 2 (π/N)²/15 = 1.3e-6,
+                # because the series of 1 − sinc²(x) is x²/3 − 2x⁴/45 …
                 at_most=1e-5,
             ),
             Claim(

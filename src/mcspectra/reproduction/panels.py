@@ -87,8 +87,8 @@ def variance_panel(
     exact
         Exact variances at the same counts, for some of the labels.
     rates
-        Theoretical rates for some of the labels. A rate is a dashed line through the last exact
-        variance, or else through the last measured variance.
+        Theoretical rates for some of the labels, drawn as dashed lines.
+        A line goes through the last exact variance, or else the last measured variance.
     relative
         Whether to divide by the squared mean at the largest N.
     title, x
