@@ -60,7 +60,7 @@ class GenzProduct(Genz):
 
     @abstractmethod
     def _factors(self, x: Array) -> Array:
-        """Return the values of all factors at x (..., d): (..., d)."""
+        """Return the values of all factors at points x, both of shape (..., d)."""
 
     @abstractmethod
     def _means(self) -> Array:
