@@ -59,8 +59,9 @@ def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[i
         float64, the numbers in the order of the text.
     runs
         int64 (K, 4), one row for each run of lines without a comment.
-        A row holds the number of the first line with numbers (from 0), the index of the first
-        value, the index after the last value, and the count of numbers per line.
+        A row holds four numbers. First comes the number of the first line with numbers, from 0.
+        Then come the index of the first value and the index after the last value.
+        The last number is the count of numbers per line.
         A comment before the run fills a row that has the count 0.
     hard
         int64 (N, 3), one row for each value that the caller has to read.

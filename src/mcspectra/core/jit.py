@@ -2,7 +2,7 @@
 
 `nogil` lets a thread pool run kernels in parallel; `cache` keeps compiled code between runs.
 Kernels use neither `parallel=True` nor cached `guvectorize`.
-The two options have race conditions under worker processes (numba issues 4807 and 10128).
+Both options have open race conditions under worker processes (numba issues 4807, 10128).
 """
 
 from __future__ import annotations

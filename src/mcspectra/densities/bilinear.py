@@ -227,7 +227,7 @@ def _shape(
         j = _interval(rows, u[k, 1])
         share = (u[k, 1] - rows[j]) / (rows[j + 1] - rows[j])
         x[k, 1] = _place(ys, j, _solve(sums[j, last], sums[j + 1, last], share))
-        t = _fraction(ys, j, x[k, 1])  # computed from the rounded point, as in `_flatten`
+        t = _fraction(ys, j, x[k, 1])  # use the rounded x_1, like `_flatten`
         x[k, 0] = _column(xs, nodes, sums, j, t, u[k, 0])
 
 

@@ -160,7 +160,7 @@ def _slices(sizes: list[int]) -> tuple[slice, ...]:
 
 
 def _with_dims(part: Density) -> str:
-    """Return the spec of a part, with its dims if not 1 and the class allows any number."""
+    """Return the spec of a part; it states the dims if they are not 1 and the class allows any."""
     spec, takes = part.spec, "dims" in inspect.signature(type(part)).parameters
     if part.dims == 1 or not takes or part.name == "function":
         return spec

@@ -211,7 +211,7 @@ class HemisphereDensity(_TwoWarps):
 
     Notes
     -----
-    On x_1 = 0 all x_0 are one direction.
+    All points with x_1 = 0 are the same direction, whatever x_0 is.
     With the concentric warp, `invert` returns one point for this direction.
     """
 

@@ -216,7 +216,7 @@ def compensated(
     -----
     Means of the other densities over cells are computed by Gauss rules of 4 nodes per axis.
     If all other densities are 0 at one of these nodes, the cell keeps its whole value λ p.
-    Therefore f stays covered, which `MultipleImportance` checks again.
+    This ensures that some technique samples f everywhere; `MultipleImportance` checks it again.
     Compensation is optimal only for f proportional to p.
     If f has further factors, the estimate is still unbiased.
 

@@ -8,7 +8,7 @@ The weights a ≥ 0 have sum 1 and depend on the earlier coordinates:
   With K = 1, a mixture is a product.
 * *flows*: a = softmax(θ_i φ), where φ are Legendre polynomials of each earlier coordinate x_j.
 
-The warp is Rosenblatt's [Rosenblatt1952]_ of p itself.
+The warp T is Rosenblatt's transformation of p itself [Rosenblatt1952]_.
 Let Q be the density q of the given coordinates x_1 … x_{i−1}, and F_i a monotone cubic spline.
 Then u_i = ω F_i(x_i) + (1 − ω) x_i with ω = (1 − δ) Q/((1 − δ) Q + δ).
 No coordinate chooses a part. Therefore T is continuous and twice differentiable.

@@ -282,8 +282,8 @@ def adaptive_integral(
     Each point of the probe represents 2^-17 of the volume.
 
     While the `budget` of evaluations lasts, a cell is replaced by its 2^d parts in two cases.
-    First, if cell and parts differ by more than the cell's share of 1e-12 of ∫|f|.
-    Second, if the polynomial through the nodes of the parts differs from f at a point of the probe.
+    In one case, cell and parts differ by more than the cell's share of 1e-12 of ∫|f|.
+    In the other case, the polynomial through the parts' nodes differs from f at a probe point.
 
     The error is the sum of the last differences and of the differences expected next.
     An alternative value adds the mean over the probe of f minus the polynomials.

@@ -100,7 +100,7 @@ class Linear(Integrand):
         return _along_first_axis(self.gradient, self.dims)
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:
-        """Return f at the center; for the square, add Σ_i (g_i h_i)²/12: slopes g, sides h."""
+        """Return f at the center. The mean of f² adds Σ_i (g_i h_i)²/12: slopes g, sides h."""
         mean = self._evaluate(0.5 * (lo + hi))
         return mean, mean**2 + ((hi - lo) ** 2 @ self._slopes**2) / 12.0
 

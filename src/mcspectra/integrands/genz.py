@@ -60,7 +60,7 @@ class GenzProduct(Genz):
 
     @abstractmethod
     def _factors(self, x: Array) -> Array:
-        """Return the values of all factors at x (..., d): (..., d)."""
+        """Return the values of all factors at points x, both of shape (..., d)."""
 
     @abstractmethod
     def _means(self) -> Array:
@@ -125,8 +125,9 @@ class GenzCornerPeak(Genz):
         return np.asarray((1.0 + x @ self._a) ** -(self.dims + 1.0))
 
     def _integral(self) -> float:
-        # The alternating sum over 2^d corners suffers from cancellation. Therefore use the integral
-        # ∫_0^∞ s^d e^{-s}/d! Π (1 − e^{−a_i s})/(a_i s) ds with s = e^y, whose terms are positive
+        # The alternating sum over 2^d corners suffers from cancellation.
+        # Use the integral ∫_0^∞ s^d e^{-s}/d! Π (1 − e^{−a_i s})/(a_i s) ds with s = e^y instead.
+        # All terms of this integral are positive
         d = self.dims
         # A step of a quarter of a standard deviation gives rounding accuracy
         step = 0.25 / math.sqrt(d + 64.0)

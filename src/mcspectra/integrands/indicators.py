@@ -236,8 +236,8 @@ class HalfSpace(_Indicator):
 
     Integral and coefficients are exact in 1-D and 2-D.
     In more dims, the coefficients come from quadrature.
-    The integral is exact if inclusion and exclusion of the cube's corners keeps ten digits.
-    This needs at most 16 dims.
+    In at most 16 dims, the integral is a sum over the cube's corners by inclusion and exclusion.
+    The sum counts as exact if it keeps ten digits.
 
     Parameters
     ----------

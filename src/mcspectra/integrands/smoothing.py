@@ -30,7 +30,7 @@ from mcspectra.integrands.registry import as_integrand
 __all__ = ["BoxSmoothed", "EdgeSmoothed", "smoothed"]
 
 _METHODS = ("auto", "distance", "box")
-# These nodes over τ give rounding accuracy for 8 cycles of a wave, as for cut disks
+# Integrals over τ use this number of nodes per 8 cycles of a wave, for rounding accuracy
 _CYCLES, _ORDER = 8, 32
 _MOST_NODES = 4096
 

@@ -244,7 +244,7 @@ def bottleneck(row: SummaryRow, terms: xr.Dataset | None = None, technique: str 
     if half is None or row.terms_n is None or terms is None:
         return _TERMS[largest]
     # Strata of n points in d dims have width n^(-1/d), which is the frequency n^(1/d).
-    # Frequencies below a quarter of this are coarse for all samplers.
+    # Frequencies below a quarter of n^(1/d) are coarse for all samplers.
     dims = sum(str(dim).startswith("m") and str(dim)[1:].isdigit() for dim in terms.dims)
     if half <= 0.25 * row.terms_n ** (1.0 / max(dims, 1)):
         return f"coarse shape ({_LENGTH}\u00a0≤\u00a0{half:.2g})"

@@ -172,7 +172,7 @@ def _of_the_mean(n: int, homogenized: bool) -> float:
         m = np.arange(len(power))
         seen = power[0] + 2.0 * (power[1:] * np.sinc(m[1:] / s) ** 2).sum()
         return float((whole**2 - seen**2) / n)
-    # Sum variances over strata: n⁻² Σ (∫∫ h² n − (∫∫ h n)²); both integrals are products over axes
+    # Sum n⁻² (∫∫ h² n − (∫∫ h n)²) over strata; both integrals are products over axes
     nodes, weights = np.polynomial.legendre.leggauss(24)
     q = symmetrized((np.arange(s)[:, None] + (nodes + 1) / 2) / s)
     means, squares = q @ weights / 2, q**2 @ weights / 2
