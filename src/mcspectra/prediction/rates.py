@@ -472,10 +472,11 @@ class DecayFit:
 
     Attributes
     ----------
-    The exponent γ and its 95 % interval.
-    Both are infinite if the coefficients are rounding noise.
-    The interval accounts for the scatter about a power law.
-    It does not account for another law beyond the half width.
+    decay, interval
+        The exponent γ and its 95 % interval.
+        Both are infinite if the coefficients are rounding noise.
+        The interval accounts for the scatter about a power law.
+        It does not account for another law beyond the half width.
     bend
         Change of the local exponent from the first shell of the fit to the last, by a parabola.
     half_width
