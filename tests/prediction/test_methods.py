@@ -41,9 +41,15 @@ CASES = [
     (WAVES, PLANE, "latin-hypercube", 2, 4, {"exact", "covariance", "terms", "measured"}),
     (WAVES, None, "latin-hypercube", 2, 7, {"exact", "covariance", "terms", "measured"}),
     (WAVES, None, "latin-hypercube | shift", 2, 4, CHECKS),
-    (WAVES, None, "multi-jittered | shift", 2, 16, CHECKS - {"exact"}),
+    pytest.param(
+        WAVES, None, "multi-jittered | shift", 2, 16, CHECKS - {"exact"}, marks=pytest.mark.slow
+    ),
     (WAVES, None, "perturbed-lattice", 2, 9, CHECKS - {"exact"}),
-    (WAVES, None, "poisson-disk", 2, 12, {"pair-correlation", "homogenized", "terms", "measured"}),
+    pytest.param(
+        *(WAVES, None, "poisson-disk", 2, 12),
+        {"pair-correlation", "homogenized", "terms", "measured"},
+        marks=pytest.mark.slow,
+    ),
     (WAVES, None, "sobol | owen", 2, 8, {"exact", "covariance", "terms", "measured"}),
     (WAVES, PLANE, "sobol | digital-shift", 2, 8, {"exact", "terms", "measured"}),
 ]
