@@ -29,7 +29,7 @@ from scipy.special import ndtr, ndtri, stdtrit
 
 import mcspectra as mcs
 from mcspectra.core.checks import Array
-from mcspectra.estimators.moments import rounding_floor
+from mcspectra.core.confidence import rounding_floor
 
 WITHIN, AT_MOST = 0.05, 0.2
 """Relative error below which a prediction is right, and the largest allowed relative error."""

@@ -6,7 +6,7 @@ import pytest
 import mcspectra as mcs
 from mcspectra.core.errors import CountError, DensityError, ParameterError
 from mcspectra.densities import AlignedStrata
-from mcspectra.measure.bands import make_bands
+from mcspectra.measure.views import make_bands
 from mcspectra.spectra.bases import make_basis
 
 LINE = mcs.sampler("jittered", dims=1)

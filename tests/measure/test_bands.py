@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import mcspectra as mcs
-from mcspectra.measure.bands import PARTITIONS, make_bands
+from mcspectra.measure.views import PARTITIONS, make_bands
 from mcspectra.spectra.bases import BASES, make_basis
 
 

@@ -16,7 +16,7 @@ from mcspectra.core.errors import (
 )
 from mcspectra.core.options import checked
 from mcspectra.core.progress import listening
-from mcspectra.estimators.sets import draw_sets
+from mcspectra.estimators.base import draw_sets
 from mcspectra.rendering import map_tiles as tiles
 from mcspectra.rendering import variance_map
 from mcspectra.rendering.builtin import figure1

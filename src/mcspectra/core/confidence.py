@@ -6,7 +6,13 @@ import numpy as np
 
 from mcspectra.core.checks import Array
 
-__all__ = ["CONFIDENCE_Z", "log_mean_interval", "standard_error", "student_t"]
+__all__ = [
+    "CONFIDENCE_Z",
+    "log_mean_interval",
+    "rounding_floor",
+    "standard_error",
+    "student_t",
+]
 
 CONFIDENCE_Z = 1.959963984540054
 """Half width of a two-sided 95 % interval in standard errors."""
@@ -40,3 +46,8 @@ def log_mean_interval(mean: Array, se: Array, count: int) -> Array:
     relative = np.divide(se, mean, out=np.array(se), where=mean > 0)
     factor = np.exp(student_t(count) * relative)
     return np.stack([mean / factor, mean * factor], axis=-1)
+
+
+def rounding_floor(size: Array) -> Array:
+    """Return the variance below which estimates of this size differ by rounding: (16 ulps)²."""
+    return np.asarray((16 * np.finfo(float).eps * np.abs(size)) ** 2)

@@ -30,6 +30,7 @@ __all__ = [
     "Variable",
     "attributes_of",
     "check_variables",
+    "coordinate",
     "dataset",
     "package_versions",
     "strict_json",
@@ -303,6 +304,11 @@ def dataset(
 
     attributes = {**attributes_of(**provenance), **package_versions()}
     return xr.Dataset(arrays, coords=coords, attrs=attributes)
+
+
+def coordinate(dim: str, values: Any, meaning: str) -> tuple[str, Any, dict[str, str]]:
+    """Return a coordinate of dimensionless numbers along a dim."""
+    return dim, values, {"long_name": meaning, "units": "1"}
 
 
 def attributes_of(**provenance: Any) -> dict[str, str | int | float]:

@@ -7,6 +7,20 @@ The estimate is I = Σ_t (1/n_t) Σ_k g_t(u_tk). There are two views of an estim
 * *primary space*: integrands g_t on the unit cube, with the sampler's own points;
 * *domain*: one integrand f, with all warped points x_tk = T_t(u_tk).
   Each point has the weight w_t/(p_t n_t), so that I = Σ_tk weight_tk f(x_tk).
+
+The point sets of the techniques are independent, shared or joint:
+
+* ``"independent"``: each technique draws its own set from its own random stream.
+  Covariances between techniques are 0.
+* ``"shared"``: all techniques use the same primary points, so their counts must be equal.
+  Errors cancel if techniques vary in opposite ways, and add up otherwise.
+* ``"joint"``: one set of n · Σ counts points is divided among the techniques.
+  From a *sequence* (`Sampler.sequence`), technique t gets n · counts[t] consecutive points.
+  Other sets are divided into groups of Σ counts consecutive points.
+  From each group, technique t gets counts[t] points that are chosen at random.
+  Consecutive points of strata are neighbors in space,
+  so each technique has points in every neighborhood.
+  The random choice makes the points of each technique uniform, so estimates are unbiased.
 """
 
 from __future__ import annotations
@@ -20,7 +34,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Protocol, final, runtime_checka
 
 import numpy as np
 
-from mcspectra.core.checks import BELOW_ONE, Array, as_integer
+from mcspectra.core.checks import BELOW_ONE, Array, as_choice, as_integer
 from mcspectra.core.display import html_of
 from mcspectra.core.errors import (
     CountError,
@@ -33,7 +47,6 @@ from mcspectra.core.errors import (
 )
 from mcspectra.core.streams import Stream
 from mcspectra.estimators.moments import Moments
-from mcspectra.estimators.sets import draw_sets, set_sizes
 from mcspectra.integrands import integral_accuracy
 from mcspectra.integrands.base import Breaks, Derived, Integrand
 
@@ -43,13 +56,22 @@ if TYPE_CHECKING:
 from mcspectra.samplers.law import Law
 
 __all__ = [
+    "SETS",
     "AbstractEstimator",
     "DomainEstimator",
     "PrimaryIntegrand",
     "Weighted",
     "carried_breaks",
     "check_counts",
+    "check_sets",
+    "draw_sets",
+    "set_sizes",
 ]
+
+SETS = ("independent", "shared", "joint")
+
+_TECHNIQUE = 1 << 20  # Random stream of the second technique
+_DEAL = (1 << 20) - 1  # Random stream that divides joint sets
 
 
 class AbstractEstimator(ABC):
@@ -60,7 +82,7 @@ class AbstractEstimator(ABC):
     counts
         For each technique, its number of points as a multiple of n.
     sets
-        How the point sets of the techniques are related; see `mcspectra.estimators.sets`.
+        How the point sets of the techniques are related; see `mcspectra.estimators.base`.
     """
 
     counts: tuple[int, ...]
@@ -237,7 +259,7 @@ class AbstractEstimator(ABC):
         """Draw realizations first … first+count−1. Return an array (count, n_t, d) per technique.
 
         The first technique uses `stream` itself and gets the points of ``sampler.draw(n, rng)``.
-        Point sets of other techniques are described in `mcspectra.estimators.sets`.
+        Point sets of other techniques are described in `mcspectra.estimators.base`.
         """
         return draw_sets(self.sets, self.counts, sampler, n, stream, first, count)
 
@@ -379,3 +401,57 @@ def check_counts(counts: Any, techniques: int) -> tuple[int, ...]:
             f" is {counts!r:.60}; give one number for each technique ({techniques}).",
         )
     return tuple(as_integer(f"counts[{i}]", c, least=1) for i, c in enumerate(values))
+
+
+def check_sets(sets: object, counts: tuple[int, ...]) -> str:
+    """Return `sets` if it is one of `SETS` and is possible with these counts."""
+    chosen = as_choice("sets", sets, SETS)
+    if chosen == "shared" and len(set(counts)) > 1:
+        raise ParameterError(
+            f"sets is 'shared' and counts is {list(counts)}; techniques that share their points "
+            "need equal counts."
+        )
+    return chosen
+
+
+def set_sizes(sets: str, counts: tuple[int, ...], n: int) -> list[int]:
+    """Return the sizes of the point sets that are drawn from the sampler."""
+    if sets == "joint":
+        return [n * sum(counts)]
+    return [n * counts[0]] if sets == "shared" else [n * count for count in counts]
+
+
+def draw_sets(
+    sets: str,
+    counts: tuple[int, ...],
+    sampler: Sampler,
+    n: int,
+    stream: Stream,
+    first: int,
+    count: int,
+) -> list[Array]:
+    """Return the points of each technique, (count, n · counts[t], d), for several realizations.
+
+    The realizations are first … first+count−1. The first set is drawn with `stream` itself,
+    so its points equal those of ``sampler.draw(size, rng)``.
+    """
+    sizes = set_sizes(sets, counts, n)
+    streams = [stream, *(stream.child(_TECHNIQUE + t) for t in range(1, len(sizes)))]
+    drawn = [
+        sampler.draw_stream(size, own, first, count)
+        for size, own in zip(sizes, streams, strict=True)
+    ]
+    if sets == "shared":
+        return drawn * len(counts)
+    if sets == "independent":
+        return drawn
+    if sampler.sequence:
+        return np.split(drawn[0], np.cumsum([n * c for c in counts])[:-1], axis=1)
+
+    # Distribute the points of each group of Σ counts consecutive points to the techniques
+    total, group = n * sum(counts), sum(counts)
+    keys = stream.child(_DEAL).uniforms(first, count, total).reshape(count, n, group)
+    order = np.argsort(keys, axis=2)[..., None]
+    mixed = np.take_along_axis(drawn[0].reshape(count, n, group, -1), order, axis=2)
+    parts = np.split(mixed, np.cumsum(counts)[:-1], axis=2)
+    return [part.reshape(count, -1, sampler.dims) for part in parts]

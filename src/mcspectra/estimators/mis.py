@@ -29,6 +29,7 @@ from mcspectra.estimators.base import (
     PrimaryIntegrand,
     carried_breaks,
     check_counts,
+    check_sets,
 )
 from mcspectra.estimators.heuristics import Combination, Heuristic, Residual, as_heuristic
 from mcspectra.estimators.importance import (
@@ -39,7 +40,6 @@ from mcspectra.estimators.importance import (
     known_dims,
     scale,
 )
-from mcspectra.estimators.sets import check_sets
 from mcspectra.integrands import Integrand, as_integrand
 from mcspectra.integrands.base import Breaks
 
@@ -121,7 +121,7 @@ class MultipleImportance(Combined):
         Numbers of points n_t as multiples of n; all equal by default.
     sets
         How the point sets of the techniques are related: ``"independent"``, ``"shared"`` or
-        ``"joint"``; see `mcspectra.estimators.sets`.
+        ``"joint"``; see `mcspectra.estimators.base`.
     dims
         Number of dims; needed for spec strings without ``dims``.
 
@@ -360,7 +360,7 @@ class TechniqueSum(AbstractEstimator):
         Numbers of points n_t as multiples of n; all equal by default.
     sets
         How the point sets of the techniques are related: ``"independent"``, ``"shared"`` or
-        ``"joint"``; see `mcspectra.estimators.sets`.
+        ``"joint"``; see `mcspectra.estimators.base`.
     dims
         Number of dims; needed for spec strings without ``dims``.
     """

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, final
 import numpy as np
 
 from mcspectra.core.checks import Array
-from mcspectra.core.confidence import CONFIDENCE_Z, student_t
+from mcspectra.core.confidence import CONFIDENCE_Z, rounding_floor, student_t
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -23,7 +23,6 @@ __all__ = [
     "Moments",
     "StoredSets",
     "mean_interval",
-    "rounding_floor",
     "variance_interval",
 ]
 
@@ -508,8 +507,3 @@ def mean_interval(values: Array) -> tuple[float, float]:
         above = max(t, 3.0 * (1.0 - math.cbrt(1.0 - skew * (t + skew / 6.0))) / skew)
     error = spread / math.sqrt(count)
     return mean - below * error, mean + above * error
-
-
-def rounding_floor(size: Array) -> Array:
-    """Return the variance below which estimates of this size differ by rounding: (16 ulps)²."""
-    return np.asarray((16 * np.finfo(float).eps * np.abs(size)) ** 2)

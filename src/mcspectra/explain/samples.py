@@ -28,10 +28,10 @@ from typing import final
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.confidence import rounding_floor
 from mcspectra.core.images import REC709
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator
-from mcspectra.estimators.moments import rounding_floor
 from mcspectra.estimators.tails import border_growth, growing_interval
 from mcspectra.samplers import as_sampler
 

@@ -17,17 +17,17 @@ from typing import TYPE_CHECKING, Any, final
 import numpy as np
 
 from mcspectra.core.checks import BELOW_ONE, Array, as_choice, as_integer, as_reals
+from mcspectra.core.confidence import rounding_floor
 from mcspectra.core.errors import NoClosedForm, ParameterError
 from mcspectra.core.fits import fit_rates
 from mcspectra.core.parallel import MAX_REALIZATIONS, available_workers
-from mcspectra.core.results import dataset
+from mcspectra.core.results import coordinate, dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.densities import AlignedStrata
 from mcspectra.estimators import AbstractEstimator, Estimator, as_estimator, as_subject
-from mcspectra.estimators.moments import rounding_floor, variance_interval
+from mcspectra.estimators.moments import variance_interval
 from mcspectra.integrands import Integrand
 from mcspectra.measure.converge import count_moments, count_stream
-from mcspectra.measure.doors import counted
 from mcspectra.prediction.exact import exact_variance
 from mcspectra.samplers import Sampler, StrataShift
 from mcspectra.samplers.law import Shifted
@@ -167,7 +167,7 @@ def strata_shift_scan(
         {n: ((*axes, *own), v.reshape(*shape, *v.shape[1:])) for n, (own, v) in variables.items()},
         {
             **{axis: (axis, places, attributes) for axis in axes},
-            "n": counted("n", ns, "number of points"),
+            "n": coordinate("n", ns, "number of points"),
             "bound": ["low", "high"],
         },
         drop=() if given.channels else ("channel",),

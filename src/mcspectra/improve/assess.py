@@ -17,12 +17,13 @@ from typing import final
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.confidence import rounding_floor
 from mcspectra.core.fits import RateFit, fit_rate, widening
 from mcspectra.core.ordered import weighted_sum
 from mcspectra.core.parallel import Block, realization_blocks
 from mcspectra.core.streams import Stream
 from mcspectra.estimators import AbstractEstimator
-from mcspectra.estimators.moments import rounding_floor, variance_interval
+from mcspectra.estimators.moments import variance_interval
 from mcspectra.explain.diagnosis import jumps_inside
 from mcspectra.improve.answers import Candidate, CandidateResult, Verdict, simultaneous_z
 from mcspectra.samplers import Sampler

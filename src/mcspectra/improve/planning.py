@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Annotated, Any, final
 import numpy as np
 from msgspec import Meta
 
-from mcspectra.core.analysis import Counted, Need, Reduction, Subject, whole
+from mcspectra.core.analysis import Counted, Need, Reduction, Subject, compute, whole
 from mcspectra.core.checks import Array
 from mcspectra.core.confidence import student_t
 from mcspectra.core.errors import CountError, NoClosedForm, Parameter, ParameterError
@@ -29,10 +29,11 @@ from mcspectra.core.memory import memory_of
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator
+from mcspectra.estimators.importance import as_subject
 from mcspectra.estimators.moments import mean_interval
 from mcspectra.estimators.tails import doubt
 from mcspectra.explain.samples import CURVE_SETTINGS, NETS, Curve, Sets, curve_of
-from mcspectra.measure.doors import NO_VARIANCE, VANISHES, answer
+from mcspectra.measure.blindness import NO_VARIANCE, VANISHES
 from mcspectra.prediction.known import Cells
 from mcspectra.prediction.prediction import LIMITS, Prediction, Predictor
 from mcspectra.samplers import Sampler, as_sampler
@@ -873,4 +874,5 @@ def plan(
     >>> found.attrs["answer"]
     'n = 256 with sobol | owen or 66513 with random'
     """
-    return answer(Plan, locals())
+    subject = as_subject(estimator, samplers, dims=dims, lists=True)
+    return compute(Plan.of(locals()), subject, rng, workers)

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, final
 import numpy as np
 from msgspec import Meta
 
-from mcspectra.core.analysis import Counted, Need, Reduction, Subject
+from mcspectra.core.analysis import Counted, Need, Reduction, Subject, compute
 from mcspectra.core.checks import Array, as_integer
 from mcspectra.core.errors import BudgetError, McspectraError, ParameterError
 from mcspectra.core.fits import UNRESOLVED, is_resolved
@@ -25,11 +25,11 @@ from mcspectra.core.memory import memory_of
 from mcspectra.core.results import dataset, strict_json
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.core.tally import counting
+from mcspectra.estimators.importance import as_subject
 from mcspectra.explain.diagnosis import Diagnosis, diagnose
 from mcspectra.improve.answers import Answer, Candidate, simultaneous_z
 from mcspectra.improve.assess import Assessed, Errors, MeasuredCandidate, assessed, estimates_of
 from mcspectra.improve.candidates import KINDS, Budget, Kind, candidates_of
-from mcspectra.measure.doors import answer
 from mcspectra.measure.setup import Setup, affordable_count
 from mcspectra.samplers import Sampler
 
@@ -350,7 +350,8 @@ def remedies(
     >>> str(found["remedy"].values[0])
     'unshifted'
     """
-    return answer(Remedies, locals())
+    subject = as_subject(estimator, sampler, dims=dims)
+    return compute(Remedies.of(locals()), subject, rng, workers)
 
 
 def ranked(

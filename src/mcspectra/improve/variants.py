@@ -16,14 +16,13 @@ import numpy as np
 
 from mcspectra.core.checks import as_real
 from mcspectra.core.errors import NoClosedForm, ParameterError
-from mcspectra.core.results import dataset
+from mcspectra.core.results import coordinate, dataset
 from mcspectra.core.streams import RngLike
 from mcspectra.densities import Density
 from mcspectra.estimators import MIRRORINGS, AbstractEstimator, Estimator, Mirrored, as_subject
 from mcspectra.integrands import Integrand, as_integrand, integral_accuracy
 from mcspectra.integrands.smoothing import BoxSmoothed, smoothed
 from mcspectra.measure.converge import convergence
-from mcspectra.measure.doors import counted
 from mcspectra.measure.sums import Variables
 from mcspectra.prediction.exact import exact_variance
 from mcspectra.samplers import Sampler, Shift
@@ -162,7 +161,7 @@ def smoothing_scan(
             ),
         },
         {
-            "width": counted("width", places, "width of smoothed edges"),
+            "width": coordinate("width", places, "width of smoothed edges"),
             "n": measured["n"],
             "bound": measured["bound"],
         },

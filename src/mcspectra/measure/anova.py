@@ -23,21 +23,21 @@ from typing import TYPE_CHECKING, Annotated, Any, final
 import numpy as np
 from msgspec import Meta
 
-from mcspectra.core.analysis import Analysis, Counted, Need, Reduction, Subject
+from mcspectra.core.analysis import Analysis, Counted, Need, Reduction, Subject, compute
 from mcspectra.core.checks import Array, as_integer
-from mcspectra.core.confidence import student_t
+from mcspectra.core.confidence import rounding_floor, student_t
 from mcspectra.core.errors import Function, NoClosedForm, Parameter, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNT, REALIZATIONS
 from mcspectra.core.ordered import weighted_sum
 from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.records import JOIN, Join
-from mcspectra.core.results import dataset
+from mcspectra.core.results import coordinate, dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import Estimator
-from mcspectra.estimators.moments import Moments, rounding_floor
+from mcspectra.estimators.importance import as_subject
+from mcspectra.estimators.moments import Moments
 from mcspectra.estimators.tails import tail_note
-from mcspectra.measure.doors import answer, counted
 from mcspectra.samplers import Sampler, as_sampler
 from mcspectra.spectra.closed_forms import closed_form_power
 from mcspectra.spectra.listed import power_at
@@ -274,11 +274,11 @@ class Anova(Counted, frozen=True, kw_only=True):
                 "variance_ci": (("channel", "bound"), moments.variance_ci),
             },
             {
-                "subset": counted("subset", np.arange(len(labels)), "subset of axes"),
+                "subset": coordinate("subset", np.arange(len(labels)), "subset of axes"),
                 "subset_label": ("subset", labels, {"long_name": "axes of the subset"}),
-                "subset_size": counted("subset", sizes, "number of axes"),
-                "axis": counted("axis", np.arange(dims), "axis"),
-                "axes": counted("axes", np.arange(1, dims + 1), "number of axes"),
+                "subset_size": coordinate("subset", sizes, "number of axes"),
+                "axis": coordinate("axis", np.arange(dims), "axis"),
+                "axes": coordinate("axes", np.arange(1, dims + 1), "number of axes"),
                 "bound": ["low", "high"],
             },
             drop=() if subject.estimator.channels else alone,
@@ -492,7 +492,8 @@ def anova_variances(
     >>> [round(float(share), 6) for share in parts["anova_share"][:3]]
     [1.0, 0.0, 0.0]
     """
-    return answer(Anova, locals())
+    subject = as_subject(estimator, sampler, dims=dims)
+    return compute(Anova.of(locals()), subject, rng, workers)
 
 
 def anova_spectrum(
@@ -557,7 +558,8 @@ def anova_spectrum(
     >>> bool(parts["anova_variance"][0] < 0.1 * parts["anova_variance"][3])  # strata on each axis
     True
     """
-    return answer(AnovaSpectrum, locals())
+    subject = as_subject(estimator, sampler, dims=dims)
+    return compute(AnovaSpectrum.of(locals()), subject, rng)
 
 
 @dataclass(frozen=True)

@@ -15,15 +15,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from mcspectra.core.checks import Array
+from mcspectra.core.confidence import rounding_floor
 from mcspectra.core.errors import McspectraError
 from mcspectra.estimators import AbstractEstimator
-from mcspectra.estimators.moments import Moments, rounding_floor
+from mcspectra.estimators.moments import Moments
 from mcspectra.estimators.quadrature import closed_moments, growth, square_integral
 from mcspectra.estimators.tails import unsampled_note
-from mcspectra.measure.doors import NO_VARIANCE, VANISHES
 from mcspectra.samplers import Random, Sampler
 
-__all__ = ["blindness", "blindness_of", "is_fixed"]
+__all__ = ["NO_VARIANCE", "VANISHES", "blindness", "blindness_of", "is_fixed"]
+
+NO_VARIANCE = "has no variance: add owen or shift, or compare |bias|"
+"""Message after the name of a sampler that always draws the same set."""
+
+VANISHES = "the variance vanishes to rounding"
+"""Message if all estimates are equal to the integral."""
 
 
 @dataclass(frozen=True)

@@ -27,8 +27,18 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, final
 import numpy as np
 from msgspec import Meta
 
-from mcspectra.core.analysis import Counted, MergeTree, Need, Reduction, Steps, Subject, in_step
+from mcspectra.core.analysis import (
+    Counted,
+    MergeTree,
+    Need,
+    Reduction,
+    Steps,
+    Subject,
+    compute,
+    in_step,
+)
 from mcspectra.core.checks import Array
+from mcspectra.core.confidence import rounding_floor
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.fits import check_window, fit_rates
 from mcspectra.core.memory import memory_of
@@ -40,13 +50,13 @@ from mcspectra.core.parallel import (
     realization_blocks,
     slices,
 )
-from mcspectra.core.results import dataset
+from mcspectra.core.results import coordinate, dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator
-from mcspectra.estimators.moments import Moments, rounding_floor
+from mcspectra.estimators.importance import as_subject
+from mcspectra.estimators.moments import Moments
 from mcspectra.estimators.tails import tail_note
 from mcspectra.measure.blindness import blindness, is_fixed
-from mcspectra.measure.doors import answer, counted
 from mcspectra.samplers import Sampler
 from mcspectra.samplers.law import independent_sets
 
@@ -256,7 +266,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         return dataset(
             {name: (("estimator", "sampler", *_DIMS[name]), v) for name, v in values.items()},
             {
-                "n": counted("n", list(self.counts), "number of points"),
+                "n": coordinate("n", list(self.counts), "number of points"),
                 "bound": ["low", "high"],
                 **{name: texts for name, texts in labels.items() if not single[name]},
             },
@@ -452,7 +462,8 @@ def convergence(
     >>> round(float(curve["rate"]), 1)
     -3.0
     """
-    return answer(Convergence, locals())
+    subject = as_subject(estimator, sampler, dims=dims, lists=True)
+    return compute(Convergence.of(locals()), subject, rng, workers)
 
 
 def realizations_needed(
@@ -520,7 +531,8 @@ def realizations_needed(
     >>> bool(found["reached"]), bool(found["variance_relative_se"] <= 0.1)
     (True, True)
     """
-    return answer(RealizationsNeeded, locals())
+    subject = as_subject(estimator, sampler, dims=dims)
+    return compute(RealizationsNeeded.of(locals()), subject, rng, workers)
 
 
 _Found: TypeAlias = tuple[Moments, bool]  # Moments, and whether the requested precision was reached

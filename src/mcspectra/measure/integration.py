@@ -46,7 +46,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mcspectra.core.checks import Array, as_choice, as_integer, as_real
-from mcspectra.core.confidence import student_t
+from mcspectra.core.confidence import rounding_floor, student_t
 from mcspectra.core.errors import (
     Function,
     InfiniteVarianceWarning,
@@ -64,7 +64,7 @@ from mcspectra.estimators import (
     function_dims,
     is_function,
 )
-from mcspectra.estimators.moments import Moments, mean_interval, rounding_floor
+from mcspectra.estimators.moments import Moments, mean_interval
 from mcspectra.estimators.tails import (
     border_growth,
     few_note,

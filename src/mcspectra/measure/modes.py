@@ -38,6 +38,7 @@ from mcspectra.core.analysis import (
     Reduction,
     Steps,
     Subject,
+    compute,
     compute_chunk,
 )
 from mcspectra.core.checks import Array, as_choice, as_integer
@@ -45,12 +46,11 @@ from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.ordered import eigenpairs, orthonormal, product
 from mcspectra.core.parallel import realization_blocks
-from mcspectra.core.results import dataset
+from mcspectra.core.results import coordinate, dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.measure.bands import check_bands, make_bands
-from mcspectra.measure.doors import answer, counted
+from mcspectra.estimators.importance import as_subject
 from mcspectra.measure.sums import BATCH_SETTINGS, spread
-from mcspectra.measure.views import Frequencies, View
+from mcspectra.measure.views import Frequencies, View, check_bands, make_bands
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -242,7 +242,7 @@ class Modes(Counted, frozen=True, kw_only=True):
         varying = int(np.count_nonzero(diagonal > least))
         level = trace / varying if varying else 0.0
         edge = level * (1.0 + math.sqrt(varying / (self.realizations - 1))) ** 2
-        mode = counted("mode", np.arange(modes), "mode, by eigenvalue")
+        mode = coordinate("mode", np.arange(modes), "mode, by eigenvalue")
         note = (
             f"{self.realizations} realizations of {size} coefficients: the largest eigenvalues "
             "of a sample are too large; compare noise_edge, the largest of a flat spectrum."
@@ -318,7 +318,7 @@ def covariance_modes(
         If false, find modes of S_m, which describe only the points.
     bands, band
         Labels of the bands to include. The default None means all bands.
-        The labels are from the partition `bands` (`mcspectra.measure.bands.make_bands`).
+        The labels are from the partition `bands` (`mcspectra.measure.views.make_bands`).
     channel
         Index of the channel of the integrand.
     passes
@@ -363,7 +363,8 @@ def covariance_modes(
     >>> bool(found["eigenvalue"][0] > found["eigenvalue"][1] > 0)
     True
     """
-    return answer(Modes, locals())
+    subject = as_subject(estimator, sampler, dims=dims)
+    return compute(Modes.of(locals()), subject, rng, workers)
 
 
 @dataclass(frozen=True)

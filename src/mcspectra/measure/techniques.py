@@ -3,7 +3,7 @@
 E_t is the part of an estimate from technique t.
 The variance is the sum of Cov(E_t, E_s) over all pairs of techniques.
 Off the diagonal the covariance is 0 for independent sets.
-It is not 0 for techniques that share points (`mcspectra.estimators.sets`).
+It is not 0 for techniques that share points (`mcspectra.estimators.base`).
 Each covariance has a dc, a power and a cross term.
 They use the spectrum S^t and the integrand f^t of technique t instead of S and f.
 
@@ -22,21 +22,22 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, final
 import numpy as np
 
 from mcspectra.core import options
-from mcspectra.core.analysis import Counted, Need, Reduction, Steps, Subject
+from mcspectra.core.analysis import Counted, Need, Reduction, Steps, Subject, compute
 from mcspectra.core.checks import Array
+from mcspectra.core.confidence import rounding_floor
 from mcspectra.core.errors import Parameter, ParameterError
 from mcspectra.core.fits import check_window, fit_rates
 from mcspectra.core.memory import memory_of
 from mcspectra.core.ordered import product, weighted_sum
 from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.records import JOIN
-from mcspectra.core.results import dataset
+from mcspectra.core.results import coordinate, dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator
-from mcspectra.estimators.moments import Moments, rounding_floor
-from mcspectra.measure.blindness import is_fixed
+from mcspectra.estimators.importance import as_subject
+from mcspectra.estimators.moments import Moments
+from mcspectra.measure.blindness import NO_VARIANCE, is_fixed
 from mcspectra.measure.converge import count_stream
-from mcspectra.measure.doors import NO_VARIANCE, answer, counted
 from mcspectra.measure.sums import BATCH_SETTINGS, Variables, ratio_factors, spread
 from mcspectra.measure.views import Frequencies, View
 from mcspectra.samplers import Sampler
@@ -186,7 +187,7 @@ class Techniques(Counted, frozen=True, kw_only=True):
             words = ["undecided" if t == UNDECIDED else f"technique {t}" for t in choice]
             notes["bottleneck"] = words[0] if scalar else "; ".join(words)
         numbers = np.arange(len(estimator.counts))
-        n = counted("n", list(counts), "number of points")
+        n = coordinate("n", list(counts), "number of points")
         return dataset(
             variables,
             {
@@ -304,7 +305,8 @@ def technique_terms(
     >>> d.attrs["bottleneck"]
     'technique 1'
     """
-    return answer(Techniques, locals())
+    subject = as_subject(estimator, sampler, dims=dims)
+    return compute(Techniques.of(locals()), subject, rng, workers)
 
 
 @dataclass(frozen=True)

@@ -15,18 +15,17 @@ import numpy as np
 from msgspec import Meta
 
 from mcspectra.core import options
-from mcspectra.core.analysis import Counted, Need, Reduction, Subject
+from mcspectra.core.analysis import Counted, Need, Reduction, Subject, compute
 from mcspectra.core.checks import Array
+from mcspectra.core.confidence import rounding_floor
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.memory import memory_of
 from mcspectra.core.ordered import weighted_sum
 from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import RngLike, Stream
-from mcspectra.estimators.moments import rounding_floor
-from mcspectra.measure.bands import check_bands, make_bands
+from mcspectra.estimators.importance import as_subject
 from mcspectra.measure.blindness import blindness_of, is_fixed
-from mcspectra.measure.doors import answer
 from mcspectra.measure.sums import (
     BATCH_SETTINGS,
     Batches,
@@ -37,7 +36,7 @@ from mcspectra.measure.sums import (
     spread,
     student_t,
 )
-from mcspectra.measure.views import Frequencies, View
+from mcspectra.measure.views import Frequencies, View, check_bands, make_bands
 from mcspectra.samplers import Sampler
 
 if TYPE_CHECKING:
@@ -294,7 +293,7 @@ def variance_terms(
         The default is the domain view, if there is a domain.
     bands
         One of the partitions ``"radial"``, ``"dyadic"``, ``"anova"`` and ``"wedge"``,
-        or an integer label ≥ 0 for every basis function; see `mcspectra.measure.bands.make_bands`.
+        or an integer label ≥ 0 for every basis function; see `mcspectra.measure.views.make_bands`.
     cross_matrix
         Whether to return C_ml and conj(f_m) f_l C_ml in full, for at most 4096 frequencies.
     engine, eps
@@ -363,7 +362,8 @@ def variance_terms(
     >>> bool(terms["cross_term"] < 0 < terms["power_term"])
     True
     """
-    return answer(Terms, locals())
+    subject = as_subject(estimator, sampler, dims=dims, lists=True)
+    return compute(Terms.of(locals()), subject, rng, workers)
 
 
 def _variables(total: TermSums, view: View, partition: Partition) -> Variables:

@@ -35,7 +35,7 @@ from mcspectra.core.streams import Stream
 from mcspectra.estimators.quadrature import grid, in_closed_form, stratum_moments
 from mcspectra.integrands import Integrand
 from mcspectra.integrands._quadrature import gauss_rule
-from mcspectra.measure.doors import NO_VARIANCE
+from mcspectra.measure.blindness import NO_VARIANCE
 from mcspectra.prediction.exact import level_variances, paired
 from mcspectra.prediction.known import Known, Predicted
 from mcspectra.samplers.law import AntitheticPair, Fixed, Law, Moved, PairedAxes, Scrambled, Strata

@@ -25,9 +25,9 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from mcspectra.core.analysis import Counted, Need, Reduction, Steps, Subject
+from mcspectra.core.analysis import Counted, Need, Reduction, Steps, Subject, compute
 from mcspectra.core.checks import Array
-from mcspectra.core.confidence import CONFIDENCE_Z, student_t
+from mcspectra.core.confidence import CONFIDENCE_Z, rounding_floor, student_t
 from mcspectra.core.errors import (
     CountError,
     NoClosedForm,
@@ -36,16 +36,17 @@ from mcspectra.core.errors import (
 from mcspectra.core.memory import memory_of
 from mcspectra.core.options import COUNTS, HALF_WIDTH, Counts
 from mcspectra.core.parallel import MAX_REALIZATIONS
-from mcspectra.core.results import dataset
+from mcspectra.core.results import coordinate, dataset
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.estimators import AbstractEstimator, Estimator
+from mcspectra.estimators.importance import as_subject
 from mcspectra.estimators.mirrored import FoldedIntegrand, SymmetrizedIntegrand
-from mcspectra.estimators.moments import Moments, rounding_floor
+from mcspectra.estimators.moments import Moments
 from mcspectra.estimators.quadrature import Pointwise, in_closed_form, looked_at, mesh, orders_of
 from mcspectra.estimators.tails import doubt
 from mcspectra.integrands import Integrand
+from mcspectra.measure.blindness import NO_VARIANCE, VANISHES
 from mcspectra.measure.converge import count_moments, count_stream
-from mcspectra.measure.doors import NO_VARIANCE, VANISHES, answer, counted
 from mcspectra.measure.terms import Terms
 from mcspectra.prediction.cross_checks import (
     draws_power,
@@ -966,7 +967,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         drop = ["sampler"] * alone + ["channel"] * (not estimator.channels)
         names, hows = (texts[0] if alone else texts for texts in (names, hows))
         coords = {
-            "n": counted("n", list(self.counts), "number of points"),
+            "n": coordinate("n", list(self.counts), "number of points"),
             "bound": ["low", "high"],
             "sampler": [s.spec for s in samplers],
             "method": list(methods),
@@ -1146,7 +1147,8 @@ def predict(
     >>> two.values.round(7)
     array([5.98e-05, 5.98e-05])
     """
-    return answer(Prediction, locals())
+    subject = as_subject(estimator, samplers, dims=dims, lists=True)
+    return compute(Prediction.of(locals()), subject, rng, workers)
 
 
 def knowledge(estimator: AbstractEstimator) -> list[Known]:

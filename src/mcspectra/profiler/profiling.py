@@ -38,7 +38,7 @@ from mcspectra.core.errors import (
     ParameterError,
 )
 from mcspectra.core.memory import memory_of
-from mcspectra.core.results import dataset, strict_json
+from mcspectra.core.results import coordinate, dataset, strict_json
 from mcspectra.core.streams import RngLike, Stream
 from mcspectra.densities.base import FunctionDensity
 from mcspectra.estimators import (
@@ -65,7 +65,6 @@ from mcspectra.improve.candidates import Budget, candidates_of
 from mcspectra.improve.improved import CHANGES, Evaluations
 from mcspectra.integrands import Calls, FunctionIntegrand, Integrand
 from mcspectra.measure.chains import chain_error
-from mcspectra.measure.doors import counted
 from mcspectra.measure.setup import Setup, affordable_count
 from mcspectra.samplers import Sampler, as_sampler
 
@@ -374,7 +373,7 @@ class Profile:
                 "calls": ((), np.int64(self.calls)),
             },
             {
-                "n": counted("n", ns, "number of points"),
+                "n": coordinate("n", ns, "number of points"),
                 "sampler": list(self.samplers),
                 "bound": ["low", "high"],
             },

@@ -55,8 +55,8 @@ from mcspectra.core.errors import NoClosedForm, Parameter, ParameterError
 from mcspectra.core.parallel import Block
 from mcspectra.core.records import Join
 from mcspectra.core.streams import Stream
+from mcspectra.estimators.base import draw_sets
 from mcspectra.estimators.moments import Moments
-from mcspectra.estimators.sets import draw_sets
 from mcspectra.rendering import map_statistics as statistics
 from mcspectra.rendering.backend import LOCK, load_mitsuba
 from mcspectra.rendering.paths import Dimension, Tracer

@@ -62,10 +62,9 @@ from mcspectra.core.fields import checked, choice, settle
 from mcspectra.core.results import dataset
 from mcspectra.core.streams import Stream
 from mcspectra.densities import Density
-from mcspectra.estimators.base import AbstractEstimator, check_counts
+from mcspectra.estimators.base import AbstractEstimator, check_counts, check_sets
 from mcspectra.estimators.heuristics import Heuristic, Pilot, as_heuristic
 from mcspectra.estimators.importance import Estimator, scale
-from mcspectra.estimators.sets import check_sets
 from mcspectra.integrands import Integrand
 from mcspectra.integrands.base import Estimate
 from mcspectra.rendering.backend import LARGEST_SAMPLE, LOCK, load_mitsuba
@@ -725,7 +724,7 @@ def pixel_mis(
     counts
         Samples of each technique as multiples of n; by default equal.
     sets
-        Dependence between the points of the techniques: `mcspectra.estimators.sets`.
+        Dependence between the points of the techniques: `mcspectra.estimators.base`.
 
     Raises
     ------
