@@ -341,7 +341,8 @@ class Reduction(Generic[State]):
     blocks
         Number of atomic blocks.
     cost
-        Work of all blocks relative to the other reductions of the step, for the progress bar.
+        Work of all blocks, relative to the other reductions of the step.
+        Expensive reductions start first, and progress counts by work.
     key
         Name that is unique within the analysis; it identifies stored states.
     result

@@ -174,6 +174,8 @@ class Integrand(Component, ABC):
     """
 
     stock_samplers: ClassVar[tuple[str, ...]] = ()
+    costly: ClassVar[bool] = False
+    """Whether an evaluation is so slow that predictions avoid methods with many evaluations."""
     dims: int
     channels: int = 0
 
