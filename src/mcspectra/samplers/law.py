@@ -436,8 +436,8 @@ class Fixed(Law):
     def agreements(self, bases: Sequence[int], levels: int) -> Array:
         """Return how many points, on average, share the first digits of a point (itself included).
 
-        Entry (l_1, …, l_d) of the array (levels + 1, …) is the mean of a count over all points.
-        The count is that of points whose coordinates share their first l_j digits in base j, for all j.
+        Entry (l_1, …, l_d) of the array (levels + 1, …) is the mean of a count over all points:
+        the number of points that share the first l_j digits of coordinate j in base j, for all j.
 
         Raises
         ------
@@ -676,7 +676,7 @@ class Scrambled(Law):
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
-        """Whether points are uniform: always after a shift, otherwise if the inner points are uniform."""
+        """Whether points are uniform: always after a shift, otherwise if the inner points are."""
         return self.shifts or self.inner.uniform
 
     @property
