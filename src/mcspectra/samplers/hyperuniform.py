@@ -318,7 +318,7 @@ class Determinantal(Sampler):
         return Stationary(n=n, dims=self.dims, power=lambda m: self._power(n, m))
 
     def _power(self, n: int, m: Array) -> Array:
-        """Return ⟨|S_m|²⟩ at integer m (..., d): (1 − share of waves k for which k + m is one)/n."""
+        """Return ⟨|S_m|²⟩ at integer m (..., d): (1 − share of waves k with k + m a wave)/n."""
         waves = self.frequencies(n)
         flat = np.rint(m).reshape(-1, self.dims).astype(np.int64)
         rows, back = np.unique(flat, axis=0, return_inverse=True)

@@ -81,7 +81,7 @@ class Basis(IndexGrid, ABC):
 
     @abstractmethod
     def _axis_oscillations(self) -> Array:
-        """Return, for each index of an axis, the smallest half width that includes it: int64 (N,)."""
+        """Return the smallest half width that includes each index of an axis: int64 (N,)."""
 
 
 @final

@@ -120,8 +120,8 @@ def closed_form_power(
         Frequencies must be integers if a shift is applied, or if sets wrap around the torus.
     density
         Importance density. Random points allow any density.
-        Jittered, latin-hypercube and grids, alone or with shift or strata-shift, allow some densities:
-        products over the axes, at integer frequencies.
+        Jittered, latin-hypercube and grids, alone or with shift or strata-shift,
+        allow densities that are products over the axes, at integer frequencies.
 
     Returns
     -------
@@ -465,7 +465,7 @@ def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> A
     n, levels = law.n, [_levels(law.points[:, j], b) for j, b in enumerate(bases)]
     most = max(levels)
     shares = (law.agreements(bases, most) - 1.0) / n
-    # Convert shares of pairs that agree in at least a digits to those that agree in exactly a digits
+    # Convert shares of pairs that agree in at least a digits to agreement in exactly a digits
     for axis in range(law.dims):
         shares = np.moveaxis(shares, axis, 0)
         shares = np.concatenate([shares[:-1] - shares[1:], shares[-1:]])
@@ -701,7 +701,7 @@ class _StrataAxis:
         return np.asarray(self.sides * (first + _strips(m, np.zeros(1), self._warp(over))))
 
     def of_grid(self, m: Array) -> Array:
-        """Return S_m of the grid with offset δ, where δ runs over the starts: (frequencies, starts)."""
+        """Return S_m of the grid with offset δ, for each start as δ: (frequencies, starts)."""
         total = np.zeros((m.size, self.starts.size), complex)
         for j in range(self.sides):
             x = self._warp(self.starts + j / self.sides)

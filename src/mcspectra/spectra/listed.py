@@ -259,14 +259,14 @@ def axis_frequencies(dims: int, half_width: int, *, step: float = 1.0) -> Array:
 def diagonal_frequencies(
     dims: int, half_width: int, *, signs: Sequence[int] | None = None, step: float = 1.0
 ) -> Array:
-    """Return frequencies step · t · signs on a diagonal, t = 1 … half_width; signs are 1 by default.
+    """Return the frequencies step · t · signs on a diagonal, t = 1 … half_width.
 
     Parameters
     ----------
     dims, half_width, step
         Number of dims, largest multiple t, and spacing of the frequencies.
     signs
-        Sign of each axis: −1, 0 or 1.
+        Sign of each axis: −1, 0 or 1. By default all signs are 1.
 
     Examples
     --------
