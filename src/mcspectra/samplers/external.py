@@ -268,7 +268,7 @@ def net_quality(points: Array, like: tuple[int, int] | None = None) -> tuple[int
     contains b^t points. Every set is a net for t = m.
     Therefore a set counts as a net only if m − t is large enough.
     The least m − t is 3 in base 2, and 2 in bases 3 and 5.
-    Below 64 points, it is 4 in base 2 and 3 in base 3 (or m if m is smaller).
+    Below 64 points, the least m − t is 4 in base 2 and 3 in base 3 (or m if m is smaller).
     If the same file has a larger net `like` in this base, a t no larger than the net's t suffices.
     Blue noise of 16 points or more is rarely taken for a net: in tests, at most 1 of 200 sets was.
     """

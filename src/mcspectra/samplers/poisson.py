@@ -17,7 +17,8 @@ The set is maximal when no cell remains.
 For "maximal" sets, increasing radii are tried, until the darts jam with at most n points.
 The missing points, a few percent, are placed one by one at the center of the largest empty disk.
 The radius of this disk is the largest minimum distance at which one more point fits.
-At the end no further disk fits: the last point is the farthest from all others [Schloemer2011]_.
+At the end no further disk fits,
+because the last point was put at the place farthest from all others [Schloemer2011]_.
 """
 
 from __future__ import annotations

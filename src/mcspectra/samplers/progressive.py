@@ -37,7 +37,7 @@ _ONE, _S11 = np.uint64(1), np.uint64(11)
 _EVEN_BITS = np.uint64(0x5555555555555555)
 _BITS = 5  # number of bits below the cell's bits that are chosen; finer bits matter little
 _UNIT_53 = 2.0**-53
-_CHOICES, _SHUFFLES = 1 << 40, 1 << 41  # first indices of their random numbers
+_CHOICES, _SHUFFLES = 1 << 40, 1 << 41  # first random numbers of choices and of shuffles
 
 
 class _PlaneSequence(PlaneSampler):

@@ -616,7 +616,7 @@ class SharedCells(Sampler):
     """One of W sets of n cells, chosen at random; together they cover a grid of W n cells once.
 
     A realization draws one offset, a uniform point of a cell.
-    All cells of the set have their point at the realization's offset, reflected along some axes.
+    In each cell of the set, the point is at this offset, possibly reflected along some axes.
     Every point is uniform on [0,1)^d for any sets, so estimates are unbiased.
     The function `design` computes sets of cells for this sampler.
 

@@ -295,7 +295,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 found[name], found[f"{name}_se"] = ((dim,), mean), ((dim,), se)
                 found[f"{name}_ci"] = (dim, "bound"), log_mean_interval(mean, se, count)
             if self.mean:
-                # Translations change coefficients, so realizations that reuse a set are also new samples
+                # Translations change the coefficients, so reused sets also give new samples
                 mean, mean_se = total.frequencies.coefficient(None if law.stationary else sets)
                 found["mean_coefficient"] = grid.names, grid.full(mean, conjugate=True)
                 found["mean_coefficient_se"] = grid.names, grid.full(mean_se)

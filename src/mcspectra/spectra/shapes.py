@@ -223,7 +223,7 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
         Result of `power_spectrum` in two dims.
     wedges
         Number of wedges in the half turn; the first is centered on the m0 axis.
-        For standard errors, it must be the number of wedges that was given to `power_spectrum`.
+        Standard errors need the number of wedges that was given to `power_spectrum`.
 
     Returns
     -------
