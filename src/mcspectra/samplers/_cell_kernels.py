@@ -5,8 +5,9 @@ Each cell starts as the square bounded by the bisectors between a point and its 
 The bisectors with nearby points then cut the cell.
 Removing or inserting a point changes only the adjacent cells.
 
-Notation for farthest points: n points in 2 dims. Buckets are as in `_spacing_kernels`,
-and cells as for power diagrams. Each row of the array holes (n, 4) describes a cell.
+Notation for farthest points: n points in 2 dims. Buckets are described in `_spacing_kernels`.
+Voronoi cells are stored like the cells of power diagrams (below).
+Each row of the array holes (n, 4) belongs to one Voronoi cell.
 The row holds the coordinates of the corner farthest from the cell's point,
 the squared distance of this corner, and the squared distance of the nearest neighbor.
 
@@ -18,9 +19,9 @@ The cuts end when the remaining sites are too far away.
 Notation for power diagrams: n sites in 2 dims; points (n, 2) in [0,1), weights w (n,).
 The array sites (n, 3) holds points and weights in the order of the grid.
 A cell (K, 4) is a counterclockwise polygon relative to its site. Each row describes a corner.
-The row holds x, y, the distance of the site beyond the edge to the next corner,
-and the number of that site (−1 for an image of the site itself).
-The array `spare` has the same shape and holds the corners before a cut.
+The row holds x, y, and two numbers for the site beyond the edge to the next corner:
+the distance of this site, and its index (−1 for an image of the cell's own site).
+The array `spare` (K, 4) holds the corners of a cell before a cut.
 
 Gaussian blue noise: the energy of all pairs of points, and the gradient of the energy.
 Notation: n points, d dims; `points` float64 in [0,1); `force` gets the gradient.
@@ -148,7 +149,7 @@ def _measure(i: int, points: Array, buckets: Any, cell: Array, spare: Array, hol
 
 @kernel
 def measure_all(points: Array) -> Any:
-    """Return buckets of about one point each, filled, and the holes (n, 4) of all cells."""
+    """Return filled buckets, and the farthest corner of every Voronoi cell as holes (n, 4)."""
     n = points.shape[0]
     buckets, holes = empty_buckets(n, 2, max(1, int(np.sqrt(n)))), np.empty((n, 4))
     cell, spare = np.empty((_CORNERS, 4)), np.empty((_CORNERS, 4))
@@ -210,7 +211,7 @@ class Diagram(NamedTuple):
     rows, neighbors, couplings
         Cell i has the faces rows[i, 0] … rows[i, 1] − 1. The neighbor of a face is the site beyond.
         The coupling of a face is length / (2 distance).
-        The area of cell i decreases by this amount per unit of the neighbor's weight.
+        Per unit of the neighbor's weight, the area of cell i decreases by the coupling.
     work
         Amount of work: the number of corners of the cell, summed over visited sites and grid cells.
     """
@@ -359,7 +360,7 @@ def _solve(diagram: Diagram, rest: Array) -> tuple[Array, int]:
             break
         work += _PRODUCTS * (n + diagram.couplings.size)
 
-        # The image is L times the direction
+        # Multiply the direction by the Laplacian L of the neighbor graph
         product = 0.0
         for i in range(n):
             total = 0.0
@@ -400,8 +401,8 @@ def balance(
     """Return weights whose cells have areas `masses`, and their power diagram.
 
     Newton steps start at `weights`, or at 0 if `weights` leave a cell empty.
-    They end after the given number of steps, or when all areas are right within the tolerance.
-    They also end when the areas no longer improve, or when the work exceeds `most_work`.
+    The steps end after a given number, or when all areas are right within the tolerance.
+    The steps also end when the areas no longer improve, or when the work exceeds `most_work`.
     This work includes the linear solver; `Diagram` defines the unit.
     No step is taken if some sites are so close that a cell is empty with equal weights.
 

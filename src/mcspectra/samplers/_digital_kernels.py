@@ -145,7 +145,7 @@ def all_balanced(digits: Array, base: int, places: int, level: int) -> bool:
     """Return whether every elementary interval of volume base^-level contains n/base^level points.
 
     The shapes of these intervals are the ways to write `level` as a sum of d ordered parts k_j ≥ 0.
-    They are enumerated in the order of Nijenhuis and Wilf's NEXCOM.
+    The shapes are enumerated in the order of Nijenhuis and Wilf's algorithm NEXCOM.
 
     digits int64 (d, n): the first `places` ≥ level digits of each coordinate as a whole number.
     """

@@ -3,7 +3,7 @@
 Notation: R realizations, n points, d dims; ``keys`` uint64 (R, 2) from `Stream.keys`.
 Arrays ``out`` are float64 (R, n, d) unless stated otherwise.
 Random number i·d + j of a realization belongs to coordinate j of point i.
-The numbers for shuffles come after these.
+Shuffles use the random numbers that follow the n·d numbers of the coordinates.
 """
 
 from __future__ import annotations

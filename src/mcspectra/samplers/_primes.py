@@ -1,4 +1,4 @@
-"""Primes, and powers of the bases of digits."""
+"""Prime numbers, and powers of the bases in which digits are expanded."""
 
 from __future__ import annotations
 

@@ -16,7 +16,7 @@ This result is uniform to 50 bits, and far from every multiple of b^-p.
 Therefore neither rounding nor a float ⌊x b^p⌋ moves it to another interval.
 
 Random numbers with addresses below 2^62 or at least 2^63 are used for binary digits.
-The addresses in between are used for nodes of trees in other bases.
+Addresses from 2^62 to below 2^63 are used for the nodes of digit trees in other bases.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def _six_flips(bits: Any, piece: Any) -> Any:
     # Return the flips of six bits, the highest first.
     # The higher bits determine the node that holds the flip of a bit.
     # Nodes are numbered as in a heap: node v has the children 2v and 2v + 1.
-    # Each flip is moved directly to its place.
+    # The flip of each of the six nodes is shifted to its position in the result.
     moved = bits << np.uint64(4)
     flips = (moved & np.uint64(32)) | (
         (moved >> (np.uint64(2) + (piece >> np.uint64(5)))) & np.uint64(16)
@@ -148,8 +148,8 @@ def _reversed(word: Any) -> Any:
 @kernel
 def _hashed(word: Any, add: Any, factor: Any, add_2: Any, factor_2: Any) -> Any:
     # Hash a reversed word so that every bit depends only on the bits below.
-    # Two operations have this property: XOR with the product by an even number,
-    # and multiplication of a sum by an odd factor. All numbers are uint32.
+    # The XOR of x and an even multiple of x has this property.
+    # The product (x + summand) · (odd factor) also has this property. All numbers are uint32.
     x = np.uint32(word)
     x = np.uint32(x ^ np.uint32(x * np.uint32(0x3D20ADEA)))
     x = np.uint32(np.uint32(x + add) * factor)
@@ -253,7 +253,7 @@ def fill_mixed(keys: Array, shift: bool, directions: Array, out: Array) -> None:
 
 @kernel
 def _format(base: int) -> tuple[int, float, float, float]:
-    # Return the number of digits m, b^m, the nudge that is added before ⌊·⌋, and the tail's unit.
+    # Return the number of digits m, b^m, the rounding correction to add before ⌊·⌋, and 2^-k.
     places, scale, unit = 0, 1.0, 1.0
     while scale < _LEAST:
         places, scale = places + 1, scale * base
@@ -355,7 +355,7 @@ def permute_digits(keys: Array, bases: Array, shift: bool, points: Array, out: A
 @kernel
 def _invert_digits(images: Array, start: int, scale: float, tail: float, out: Array) -> None:
     # Write the radical inverses of start, start + 1, … with digits replaced by their images (m, b).
-    # A tail is added, in units of b^-m = 1/scale. Sums are exact; out (n,).
+    # The tail, in units of b^-m = 1/scale, is added to every inverse. Sums are exact; out (n,).
     (places, base), n = images.shape, out.size
 
     # Tabulate the images of the lowest digits of the index, as long as the table saves time
@@ -365,7 +365,8 @@ def _invert_digits(images: Array, start: int, scale: float, tail: float, out: Ar
     table = np.zeros(size)
     width, weight = 1, base ** (places - 1)
     for k in range(low):
-        for digit in range(base - 1, -1, -1):  # digit 0 last: the others read its entries
+        # Digit 0 comes last, because the other digits read the table entries of digit 0
+        for digit in range(base - 1, -1, -1):
             image = np.float64(images[places - 1 - k, digit] * weight)
             for v in range(width):
                 table[digit * width + v] = table[v] + image
@@ -449,7 +450,8 @@ def _image(k0: np.uint64, k1: np.uint64, node: Any, digit: int, base: int) -> in
     # Return the image of a digit under the random permutation of a node.
     # The digit is followed through the swaps of Fisher and Yates.
     # A random number below c is the upper word of the product of c and 64 random bits.
-    # The lower word gives the next number, until the product of all c exceeds 2^32.
+    # The lower word of this product serves as the random bits of the next number.
+    # New random bits are made before the product of all c exceeds 2^32.
     position, used, drawn = digit, 1, 0
     bits = mix_bits(k0, k1, node)
     for t in range(base - 1):
@@ -536,8 +538,8 @@ def _multiply(matrix: Array, base: int, v: int, out: Array) -> None:
 def mix_triangles(keys: Array, bases: Array, shift: bool, points: Array, out: Array) -> None:
     """Multiply the digits of points by random lower triangular matrices modulo prime bases.
 
-    With `shift`, one random digit is added in each place.
-    Below the last place, one uniform number is added. Both are the same for all points.
+    With `shift`, one random digit is added in each place, and one uniform number below all places.
+    The added digits and the added number are the same for all points.
     """
     for r in range(out.shape[0]):
         k0, k1 = keys[r, 0], keys[r, 1]

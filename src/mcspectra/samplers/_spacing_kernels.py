@@ -3,11 +3,11 @@
 There are three groups of kernels.
 Dart throwing uses a grid whose cells contain at most one point; see `samplers.poisson`.
 Buckets are cells over the first axes of the domain, each with a chain of its points.
-They give distances from arbitrary places to points.
-Selection by such distances yields darts, best candidates and largest empty disks.
+Buckets help to find the distance from any place in the domain to the nearest point.
+Darts, best candidates and largest empty disks are found with this distance.
 
 Notation: R realizations, n points, d dims; ``out`` float64 (R, n, d), ``keys`` uint64 (R, 2).
-The argument at is the index of the next random number of a realization.
+The argument ``at`` is the index of the next random number of a realization.
 If wrap is true, distances are on the torus.
 Buckets are a tuple (side, axes, head, chain).
 Here side is the number of cells along an axis, and axes the number of axes that are divided.
@@ -37,7 +37,8 @@ __all__ = [
 _FINEST = 2**40
 _NOWHERE = 9.0  # coordinate that marks an empty cell, farther away than any radius
 _AXES = 3  # largest number of axes of buckets and grids; with more, cells are mostly empty
-# Reach of a new point, in cells of a quarter of the spacing; nearest distances are shorter
+# A new point lowers the bounds of cells up to 7 cells away. A cell is a quarter of the spacing
+# wide, so the distance to the nearest point is usually shorter than 7 cells.
 _REACH = 7
 _ROUNDING = 1e-9  # fraction of a cell added to bounds, because of rounding
 _FAR = 16.0  # larger than any squared distance in the domain, in up to 4 dims
@@ -65,7 +66,7 @@ def add_to_buckets(i: int, x: Array, buckets: Any) -> None:
 @kernel
 def _shell_cell(x: Array, code: int, ring: int, buckets: Any, wrap: bool) -> int:
     # Return one cell, given by its number (code), of the cube of cells around x.
-    # Return −1 for cells outside the domain, and for cells inside the shell, visited before.
+    # Return −1 for cells outside the domain, and for cells of smaller shells, visited before.
     side, axes = buckets[0], buckets[1]
     cell, reach = 0, 0
     for j in range(axes):
@@ -249,7 +250,7 @@ def throw_darts(
 def _lower_ceilings(x: Array, side: int, ceilings: Array) -> None:
     # Lower the bounds of the cells around a new point at x.
     # No place in a cell is farther from x than the cell's center plus half the diagonal.
-    # Cells beyond the reach keep their bounds.
+    # Cells more than `reach` cells away from x keep their bounds.
     dims = x.size
     half = 0.5 * np.sqrt(dims) + _ROUNDING
     reach = min(_REACH, side // 2)
@@ -266,8 +267,8 @@ def _lower_ceilings(x: Array, side: int, ceilings: Array) -> None:
 @kernel
 def _grids(points: Array, placed: int, room: int) -> Any:
     # Make buckets, with about one point per bucket when full; add the points that are placed.
-    # Also make ceilings, which are bounds for much smaller cells.
-    # In many dims there is a single ceiling, without effect.
+    # Also make ceilings: bounds of the squared distance to the nearest point in much smaller cells.
+    # In more than three dims, a single bound covers the domain and excludes no candidate.
     dims = points.shape[1]
     buckets = empty_buckets(room, dims, max(1, int(room ** (1.0 / min(dims, _AXES)))))
     side = 4 * buckets[0] if dims <= _AXES else 1

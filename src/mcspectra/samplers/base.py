@@ -41,10 +41,10 @@ __all__ = [
 ]
 
 MAX_COUNT = 2**31
-"""Largest number of points per realization, and of numbers per `draw` of a sampler (16 GiB)."""
+"""Largest number of points per realization, and of float64 values per call of `draw` (16 GiB)."""
 
 FIRST_STEP = 1 << 16
-"""Label of the first randomization's stream; lower labels are free for the samplers."""
+"""Label of the random stream of the first randomization; samplers may use lower labels."""
 
 _MOST_STEPS = 32
 
@@ -170,8 +170,9 @@ class Sampler(Component, ABC):
     def law(self, n: int) -> Law:
         """Return the joint distribution of the points of one realization of `n` points.
 
-        All predictions follow from the law of the sampler: closed forms of spectra and covariances,
-        exact variances and rates. The law also decides which predictions are refused.
+        All predictions follow from this joint distribution, the law of the sampler:
+        closed forms of spectra and covariances, exact variances, and rates.
+        A prediction is refused if the law is not known well enough.
         See `mcspectra.samplers.law`.
 
         Raises
@@ -186,7 +187,7 @@ class Sampler(Component, ABC):
         return law if law.source is not None else law.of(self)
 
     def _law(self, n: int) -> Law:
-        """Return the law of `n` points, by default from the declared properties."""
+        """Return the joint distribution of `n` points, by default from the declared properties."""
         bases = self.digit_bases if self.structure is Structure.DIGITS else None
         if not self.fixed:
             return Unknown(n=n, dims=self.dims, is_uniform=self.unbiased, bases=bases)
@@ -343,14 +344,14 @@ class Randomization(Component, ABC):
     independent: ClassVar[bool] = True
     """Whether the randomizations of different realizations are independent."""
     fits: ClassVar[Mapping[Structure, Structure]] = {s: s for s in Structure}
-    """Map from each allowed structure to the structure that remains; others are refused."""
+    """Map from each structure that the randomization accepts to the structure that remains."""
 
     @abstractmethod
     def apply(self, points: Array, stream: Stream, first: int) -> Array:
         """Return new points (count, n, d) in [0,1) for realizations first … first + count − 1."""
 
     def law_of(self, law: Law, n: int) -> Law:
-        """Return the law of `n` randomized points, given the `law` before."""
+        """Return the law of `n` randomized points, given the law before the randomization."""
         return Unknown(n=n, dims=law.dims, is_uniform=law.uniform or self.debiases)
 
     def count_inside(self, sampler: Sampler, n: int) -> int:  # noqa: ARG002
@@ -363,7 +364,7 @@ class Randomization(Component, ABC):
         Raises
         ------
         ParameterError
-            If it would break the structure of the sampler; the message names one that fits.
+            If the randomization would break the sampler's structure; the message names another one.
         """
         if sampler.structure not in self.fits:
             digits = ", digital-shift or owen" if sampler.structure is Structure.DIGITS else ""
@@ -380,7 +381,7 @@ class Randomization(Component, ABC):
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
-        """Draw realizations of `sampler` from `stream`, and randomize them with their own stream.
+        """Draw realizations of the sampler, and randomize them with the separate stream `own`.
 
         Override this method if the randomization draws other counts or realizations of `sampler`.
         """
@@ -452,15 +453,15 @@ class Randomized(Sampler):
 
     @property
     def powers_only(self) -> bool:
-        """Same as for the inner sampler if strata or elementary intervals remain, else False."""
+        """Inherited from the inner sampler if strata or elementary intervals remain, else False."""
         return self.base.powers_only and self.structure in (Structure.STRATA, Structure.DIGITS)
 
     def digit_strata(self, n: int, base: int) -> bool:
-        """Same as for the inner sampler."""
+        """Whether `n` and the sides of the inner sampler's strata are powers of `base`."""
         return self.base.digit_strata(n, base)
 
     def as_chain(self, n: int) -> Sampler:
-        """Return the chain of the inner sampler, followed by the same steps."""
+        """Return the chain of the inner sampler, followed by the randomizations of this sampler."""
         chain = self.base.as_chain(n)
         for step in self.steps:
             chain = chain.then(step)

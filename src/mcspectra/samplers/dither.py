@@ -7,11 +7,12 @@ It moves the points within their cells, so that they form a low-discrepancy set.
 Notation of the kernels: a ``pattern`` bool (s, s) on the torus has ones at the points.
 ``energy`` float64 (s, s) is the sum of Gaussians around the ones.
 ``weights`` (2·reach + 1,) is one Gaussian along an axis.
-``heads`` int64 (2, s) holds two columns for each row, −1 if the row has no such cell.
-They are the column of the one with the highest energy (tightest cluster),
+``heads`` int64 (2, s) holds two column numbers for each row of the pattern:
+the column of the one with the highest energy (tightest cluster),
 and the column of the zero with the lowest energy (largest void).
+A column number is −1 if the row has no ones, or no zeros.
 A ``grid`` is the tuple of pattern, energy and heads; cell (i, j) has the number i·s + j.
-Other ``points`` float64 (s, s, 2) have one point in each of s × s cells, in units of cells:
+Arrays ``points`` float64 (s, s, 2) have one point in each of s × s cells, in units of cells:
 the point of cell (i, j) is in [i, i+1) × [j, j+1), on the torus.
 
 The width of the Gaussian is 1.5 cells, as in Ulichney's paper.
@@ -114,7 +115,7 @@ class VoidAndCluster(PlaneSampler, OptimisedSampler):
         rounds = 0
         while not _relax(grid, weights, n):
             rounds += 1
-            report(1.0 - 0.5 ** (rounds / 4))  # the number of further rounds is unknown
+            report(1.0 - 0.5 ** (rounds / 4))  # the number of rounds until the end is unknown
         order, points = np.empty(n, np.int64), np.empty((n, 2))
         _rank_ones(grid, order)
         _jitter_cells(keys[0], keys[1], order, side, points)
@@ -136,7 +137,7 @@ def _spread(cell: Any, sign: float, weights: Array, energy: Array) -> None:
 
 @kernel
 def _find_heads(i: int, pattern: Array, energy: Array, heads: Array) -> None:
-    # Find the heads of row i (see the notation above).
+    # Store the columns of the tightest cluster and of the largest void in row i in heads.
     high, low = -np.inf, np.inf
     heads[_CLUSTER, i] = heads[_VOID, i] = -1
     for j in range(pattern.shape[0]):
@@ -150,7 +151,7 @@ def _find_heads(i: int, pattern: Array, energy: Array, heads: Array) -> None:
 
 @kernel
 def _random_grid(k0: np.uint64, k1: np.uint64, ones: int, side: int) -> Any:
-    # Return a grid with `ones` random ones, and its weights.
+    # Return a grid with `ones` ones in random cells, and the weights of the Gaussian.
     pattern, order = np.zeros((side, side), np.bool_), np.empty(side * side, np.int64)
     _shuffle(k0, k1, 0, order)
     for cell in order[:ones]:
@@ -220,12 +221,12 @@ def _relax(grid: Any, weights: Array, steps: int) -> bool:
 @kernel
 def _rank_ones(grid: Any, order: Array) -> None:
     # Clear the pattern, tightest cluster first.
-    # Write its cells to order (ones,) in reverse order: the cell cleared first comes last.
+    # Write the cleared cells to order (ones,), from the end: the cell cleared first comes last.
     weights, again = _start(grid), order.size // 2
     for rank in range(order.size - 1, -1, -1):
         order[rank] = _head(_CLUSTER, grid)
         _flip(order[rank], grid, weights)
-        if rank == again and rank > 0:  # the spacing of the remaining ones has grown
+        if rank == again and rank > 0:  # fewer ones are farther apart
             weights, again = _start(grid), again // 2
 
 
@@ -254,7 +255,7 @@ def _rank_all(grid: Any, order: Array) -> None:
 @kernel
 def _jitter_cells(k0: np.uint64, k1: np.uint64, cells: Array, side: int, out: Array) -> None:
     # Fill out (n, 2) with uniform points in cells (n,), moved together by random whole cells.
-    number = side * side  # lower numbers were used for the first pattern
+    number = side * side  # the first pattern used the random numbers below side²
     down, across = _mix_below(k0, k1, number, side), _mix_below(k0, k1, number + 1, side)
     for p in range(cells.size):
         number += 2
@@ -292,8 +293,8 @@ class LowDiscrepancyBlueNoise(PlaneSampler, OptimisedSampler):
 
     The blue-noise set is a jittered set, with points relaxed within their cells.
     Relaxation makes Gaussians of half a cell's width around the points overlap least.
-    It is computed for every realization.
-    The authors instead keep a table of one set.
+    A blue-noise set is computed for every realization.
+    Ahmed et al. instead keep a table of one blue-noise set.
 
     References
     ----------
@@ -367,13 +368,13 @@ def _relax_in_cells(k0: np.uint64, k1: np.uint64, number: int, step: float, poin
 def _snap_line(low: int, chunk: int, line: int, positions: Array, out: Array) -> None:
     # Divide the width of a line of s cells into s intervals, and assign one interval to each cell.
     # `positions` (s,) are the coordinates of the cells' points across the line.
-    # `out` (s,) gets the index of each cell's interval.
+    # `out` (s,) gets, for each cell, the index of the interval that is assigned to it.
     # The digits of `low` shift the digits of a van der Corput sequence.
     side, digits = positions.size, 0
     while chunk << digits < side:
         digits += 1
     for block in range(side // chunk):
-        # The low digits are common to the chunk: the chunk's number, digits reversed and shifted
+        # All points of a chunk share the low digits: the reversed and shifted digits of its number
         mine = 0
         for k in range(digits):
             mine |= ((block >> k) & 1) << (digits - 1 - k)
@@ -392,7 +393,7 @@ def snap_in_chunks(
     """Move points to a low-discrepancy set, keeping their order in chunks; out (s, s, 2).
 
     The s cells of each column divide the s intervals of the column's width among themselves.
-    The same holds for the cells of each row.
+    The s cells of each row divide the s intervals of the row's height in the same way.
     Within a chunk, intervals follow the order of the points.
     Chunks follow the van der Corput sequence with randomly shifted digits.
     A point is uniform within its interval.

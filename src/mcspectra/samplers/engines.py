@@ -59,7 +59,7 @@ class ScipySampler(OneByOne):
     Notes
     -----
     Scrambled Sobol, Halton and LatinHypercube engines without `optimization` count as unbiased.
-    Other engines do not count as unbiased.
+    All other engines of `scipy.stats.qmc` do not count as unbiased.
     """
 
     name: ClassVar[str] = "scipy"
@@ -248,7 +248,7 @@ class QmcpySampler(OneByOne):
 
     The generator's attributes ``d_limit`` and ``n_limit`` limit dims and counts.
     Counts are powers of two if the order of the generator is the radical inverse.
-    Other errors of a generator occur when points are drawn.
+    Other errors of a generator are raised only when points are drawn.
 
     Attributes
     ----------
@@ -363,7 +363,7 @@ class QmcpySampler(OneByOne):
                     "alone."
                 )
             try:
-                return source._spawn(seed, source.d)  # same as QMCPy's own ``spawn``
+                return source._spawn(seed, source.d)  # QMCPy's method ``spawn`` does the same
             except Exception as error:
                 raise ParameterError(
                     f"This {name} cannot be copied: {reason_of(error, 200)}."
@@ -374,7 +374,7 @@ class QmcpySampler(OneByOne):
         own = {key: given[key] for key in inspect.signature(cls).parameters if key in given}
         try:
             return cls(**{**own, **self.options})
-        except Exception as error:  # QMCPy raises its own types and bare assertions
+        except Exception as error:  # QMCPy raises its own exceptions and bare assertions
             raise ParameterError(
                 f"{cls.__name__} cannot be made in {self.dims} dims with "
                 f"{_shown(self.options) or 'its defaults'}: {reason_of(error, 200)}."
@@ -383,7 +383,7 @@ class QmcpySampler(OneByOne):
     def make_one(self, n: int, stream: Stream, realization: int) -> object:
         k0, k1 = stream.keys(realization, 1)[0]
         made = self._fresh(np.random.SeedSequence([int(k0), int(k1)]))
-        with self.refusals_named(n, Exception):  # QMCPy raises its own types and assertions
+        with self.refusals_named(n, Exception):  # QMCPy has its own exceptions
             points = np.asarray(made.gen_samples(n, warn=False), dtype=np.float64)
         points[points == 1.0] = BELOW_ONE
         return points

@@ -72,7 +72,7 @@ _MOST_WORK = 2**26  # largest product of points and interval shapes; takes about
 _WORD = 53  # number of bits of a coordinate
 _OFF_LATTICE = 0.01  # rounding tolerance of coordinates of a lattice, in units of 1/n
 
-# Code that specs may name because a Python class or the trust of a study allows it
+# Code that specs may name, because a Python class uses it or a trusted study allows it
 _own: set[str] = set()
 
 
@@ -118,9 +118,8 @@ class GivenPoints(Sampler):
     """Given points: realization r is set r of an array or of point-set files.
 
     It is an error to draw more realizations than there are sets, or a count that no set has.
-    If a randomization makes every point uniform (shift, digital-shift, owen),
-    sets are used repeatedly with fresh randomness.
-    One set then suffices for any number of realizations.
+    Randomizations that make every point uniform (shift, digital-shift, owen) can reuse the sets.
+    Each use of a set has new random numbers, so one set suffices for any number of realizations.
 
     Attributes
     ----------
@@ -128,15 +127,16 @@ class GivenPoints(Sampler):
         File, files or folder (.dat, .bin, .npz, .npy, .csv) with the sets.
         Files are taken in the order of their names; numbers in names are sorted by value.
         The wildcards ``*`` and ``?`` match any characters of a file name.
-        The placeholder ``{n}``, as in ``sets/n{n}_*.dat``, matches the number of points,
-        and the number in the name is then checked.
+        The placeholder ``{n}``, as in ``sets/n{n}_*.dat``, matches the number of points.
+        The number in a file's name is then compared with the number of points in the file.
         If points are given, the path is only a name for them.
     points
         The sets, shape (R, n, d) or (n, d), in [0,1). They are copied and read-only.
         If the sets have several counts, `points` has the sets with the fewest points.
     cycle
-        Whether realization r is set r mod R. Without a randomization this repeats data:
-        a variance is then the variance of R sets, however many are drawn.
+        Whether the R given sets are used cyclically: realization r is set r mod R.
+        Without a randomization, the sets are only repeated:
+        a variance over any number of realizations is the variance of the R sets.
     dims
         Number of coordinates, by default as in the sets; a given number must agree with them.
     name_
@@ -144,7 +144,7 @@ class GivenPoints(Sampler):
     sets
         All sets by number of points, (R, n, d) each.
         Digital nets in base 2, 3 or 5 are recognized, and so are lattices.
-        Predictions and randomizations of digits use this structure.
+        Predictions and randomizations of digits use the recognized nets and lattices.
     digest
         First 12 digits of the SHA-256 of shapes and coordinates.
 
@@ -152,7 +152,7 @@ class GivenPoints(Sampler):
     ------
     FileFormatError
         If a file is not a point set, or if no file matches a pattern.
-        Also if the n of a file differs from the n in its name.
+        If the number n in the name of a file differs from its number of points.
     ParameterError
         If neither a path nor points are given, or sets have different dims.
     DomainError
@@ -266,10 +266,11 @@ def net_quality(points: Array, like: tuple[int, int] | None = None) -> tuple[int
 
     A set of b^m points is a (t, m, d)-net if each elementary interval of volume b^(t − m)
     contains b^t points. Every set is a net for t = m.
-    Therefore a set counts as a net only if m − t is large enough:
-    at least 3 in base 2 (4 below 64 points), and at least 2 in bases 3 and 5.
-    A set also counts if the same file has a larger net, `like`, in this base with no smaller t.
-    Blue noise of 16 points or more does not count: in tests, at most one of 200 such sets did.
+    Therefore a set counts as a net only if m − t is large enough.
+    The least m − t is 3 in base 2, and 2 in bases 3 and 5.
+    Below 64 points, the least m − t is 4 in base 2 and 3 in base 3 (or m if m is smaller).
+    If the same file has a larger net `like` in this base, a t no larger than the net's t suffices.
+    Blue noise of 16 points or more is rarely taken for a net: in tests, at most 1 of 200 sets was.
     """
     n, dims = points.shape
     for base in _NET_BASES if like is None else (like[0],):
@@ -390,7 +391,7 @@ def _by_count(sets: Iterable[tuple[str, object]]) -> dict[int, Array]:
             )
         found.setdefault(len(points), []).append(points)
     if not found:
-        return {0: _as_sets([])}  # raises the error for no points
+        return {0: _as_sets([])}  # raises an error, because there are no points
     return {n: _as_sets(np.stack(found[n])) for n in sorted(found)}
 
 
@@ -456,7 +457,7 @@ class _OfCode(OneByOne):
 
     @property
     def unbiased(self) -> bool:  # type: ignore[override]
-        """The declared value, or False for a set that is always the same."""
+        """Whether points are declared as uniform; False for a set that is always the same."""
         return self.unbiased_ and not self.fixed
 
 
@@ -506,7 +507,7 @@ class PythonSampler(_OfCode):
     ----------
     function
         The name as ``module:function``. Modules are found on Python's path (PYTHONPATH).
-        The function is called as in `FunctionSampler`.
+        The function gets n and a random generator, as in `FunctionSampler`.
     dims
         Number of coordinates of the returned points.
     unbiased_
@@ -703,12 +704,13 @@ def allow_code(*names: str) -> None:
     The name ``'./mine {n} {seed}'`` allows the spec ``command('./mine {n} {seed}')``.
     The name ``'./mine'`` allows this program with any arguments.
     The name ``'module:function'`` allows the spec ``python('module:function')``.
-    Samplers made from the classes in Python need no permission, and allow their own specs.
+    Samplers that are made from their classes in Python need no permission.
+    Their specs are also allowed from then on.
 
     Raises
     ------
     ConfigError
-        If a name has another form.
+        If a name has none of these three forms.
     """
     allow(code=names)
 

@@ -64,7 +64,7 @@ class PerturbedLattice(GridSampler):
     -----
     The field is periodic, and is computed from white noise by a fast Fourier transform.
     For independent displacements n⟨|S_m|²⟩ = 1 − exp(−4π²|m|²(width/s)²).
-    The frequencies of the grid, m ≡ 0 modulo s, are an exception.
+    This formula does not hold at the frequencies of the grid, m ≡ 0 modulo s.
 
     References
     ----------
@@ -175,7 +175,7 @@ class StealthyHyperuniform(OptimisedSampler):
     -----
     Limited-memory BFGS starts from independent uniform points.
     It lowers the sum of n|S_m|² over the constrained frequencies to below 1e-22.
-    Neither the start nor the sum prefers a position, so every point is uniform.
+    The start is random and the sum is invariant under translation, so every point is uniform.
 
     References
     ----------
@@ -318,7 +318,7 @@ class Determinantal(Sampler):
         return Stationary(n=n, dims=self.dims, power=lambda m: self._power(n, m))
 
     def _power(self, n: int, m: Array) -> Array:
-        """Return ⟨|S_m|²⟩ at integer m (..., d): (1 − share of waves that m maps onto waves)/n."""
+        """Return ⟨|S_m|²⟩ at integer m (..., d): (1 − share of waves k with k + m a wave)/n."""
         waves = self.frequencies(n)
         flat = np.rint(m).reshape(-1, self.dims).astype(np.int64)
         rows, back = np.unique(flat, axis=0, return_inverse=True)
@@ -379,8 +379,8 @@ def _append(re: Array, im: Array, basis: tuple[Array, Array], i: int, cr: Array,
 
 @kernel
 def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], out: Array) -> None:
-    # Draw one realization. Untested proposals are kept for later points when a point is found,
-    # because the tests that they have passed remain valid.
+    # Draw one realization. When a point is found, other proposals are kept for later points,
+    # because the tests that a proposal has passed remain valid.
     n, dims = out.shape
     x, most, within = np.empty((_BATCH, dims)), np.empty(_BATCH), np.empty(_BATCH)
     re, im = np.empty((_BATCH, n)), np.empty((_BATCH, n))
@@ -409,7 +409,8 @@ def _draw(k0: np.uint64, k1: np.uint64, m: Array, basis: tuple[Array, Array], ou
                 if within[p] < most[p]:
                     within[p] += _add_block(re[p], im[p], vr, vi, cr[p, block], ci[p, block])
 
-        # Accept remaining proposals in order; each extends the basis and the later projections
+        # Accept the remaining proposals in order. Each accepted point adds a vector to the basis,
+        # and one more coefficient to the projections of the later proposals.
         for p in range(_BATCH):
             if i == n or within[p] >= most[p]:
                 continue

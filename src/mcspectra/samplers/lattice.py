@@ -53,7 +53,7 @@ class _Lattice(FixedSet):
 
 @kernel
 def _fill_lattice(vector: Array, out: Array) -> None:
-    # Fill out (n, d) with k z / n, k = 0 … n − 1, by repeated addition of z; vector int64 (d,) is z
+    # Fill out (n, d) with k z / n, k = 0 … n − 1, by repeated addition of vector z, int64 (d,)
     n, dims = out.shape
     for j in range(dims):
         step, multiple = vector[j], 0

@@ -8,7 +8,7 @@ The covariance C_ml is a property of the sampler's law.
 A sampler states its law once, in `Sampler.law`. All else is computed by functions of the law:
 closed forms, exact variances, predictions, rates and the fitting basis.
 These functions dispatch on the class at the root of a law, and recurse.
-They never test a sampler's name.
+These functions never test a sampler's name.
 
 A law is a small tree of frozen classes. Leaves describe how points are drawn:
 
@@ -95,7 +95,7 @@ _TERMS_AT_ONCE = 2**22
 
 
 class Source(Protocol):
-    """Attributes of `mcspectra.samplers.Sampler` that a law uses."""
+    """Attributes of a sampler that its law (joint distribution of the points) uses."""
 
     @property
     def spec(self) -> str: ...
@@ -114,7 +114,7 @@ class Law(ABC):
     n, dims
         Number of points and of coordinates.
     source
-        The sampler that has this law and draws its points.
+        The sampler that draws points with this joint distribution.
     fixed
         Whether all realizations are the same set.
     uniform
@@ -141,7 +141,7 @@ class Law(ABC):
         return type(self).__name__ if self.source is None else self.source.spec
 
     def of(self, source: Source) -> Self:
-        """Return this law with `source` as its sampler."""
+        """Return a copy of this law that names `source` as its sampler."""
         return replace(self, source=source)
 
 
@@ -165,7 +165,7 @@ class Motif(ABC):
         Number of points.
     wraps
         Whether points may leave their cell and are then wrapped around the torus.
-        If so, transforms are valid only at integer frequencies.
+        If points wrap, transforms are valid only at integer frequencies.
     uniform
         Whether a point of the motif is uniform in its cell, or on the torus if points wrap.
     """
@@ -199,7 +199,7 @@ class _Point(Motif):
         return np.asarray(np.prod(self.axis(a), axis=-1))
 
     def second(self, a: Array, b: Array) -> Array:
-        """Return the transform at the difference of the frequencies."""
+        """Return the transform at the difference of the frequencies a and b."""
         return self.mean(a - b)
 
 
@@ -301,19 +301,20 @@ class Strata(Law):
 Relation: TypeAlias = Literal["apart", "same", "mates"]
 """Relation of two points on one axis.
 
-They are independent in two different strata (apart), independent in one stratum (same),
-or uniform in two different parts of one stratum (mates)."""
+Points that are *apart* are independent and lie in two different strata.
+Points that are *same* are independent and lie in one stratum.
+Points that are *mates* are uniform in two different parts of one stratum."""
 
 
 @final
 @dataclass(frozen=True)
 class PairPattern:
-    """A group of ordered pairs of points with the same relation on each axis.
+    """Ordered pairs of points that all have the same relation on each axis, such as *apart*.
 
     Attributes
     ----------
     share
-        Number of pairs in the group, divided by n².
+        Number of ordered pairs with these relations, divided by n².
     axes
         Relation of the two points on each axis; the axes are independent.
     """
@@ -360,10 +361,11 @@ def latin_hypercube(n: int, dims: int) -> PairedAxes:
 def paired_axes_of_array(s: int, dims: int, *, shared_out: bool) -> PairedAxes:
     """Return the law of an orthogonal array of strength 2 with s² points and random level names.
 
-    There are s²(s² − 1) ordered pairs of different points. On each axis s²(s − 1) pairs agree,
-    and no pair agrees on two axes. Each level has one stratum with s points.
-    With `shared_out`, the stratum has s parts with one point each.
-    Otherwise its points are independent.
+    There are s²(s² − 1) ordered pairs of different points.
+    On each axis, s²(s − 1) of these pairs have equal levels. No pair has equal levels on two axes.
+    Each level of an axis is a stratum with s points.
+    With `shared_out`, each stratum has s parts with one point each.
+    Without `shared_out`, the points in a stratum are independent.
     """
     if dims == 1 and shared_out:
         return latin_hypercube(s * s, 1)
@@ -404,10 +406,10 @@ class Fixed(Law):
         Examples are lattices and Kronecker points. Translations preserve their evenness.
     digital
         Whether the digits of the points form a group under addition without carry.
-        If so, each point has the same relation to all other points.
+        In such a group, every point has the same relation to the set of all other points.
     columns
         Columns of the generator matrices of a digital net in base 2: uint64 (dims, log2 n).
-        They are 32-bit numbers with the first digit highest, or None if they are unknown.
+        A column is a 32-bit number with the first digit highest. None if the matrices are unknown.
     seed
         Seed of the set, if one realization of a sampler stands for all realizations.
     """
@@ -434,8 +436,8 @@ class Fixed(Law):
     def agreements(self, bases: Sequence[int], levels: int) -> Array:
         """Return how many points, on average, share the first digits of a point (itself included).
 
-        Entry (l_1, …, l_d) of the array (levels + 1, …) is a mean over the points.
-        It counts the points whose coordinate j has the same first l_j digits in base j, for all j.
+        Entry (l_1, …, l_d) of the array (levels + 1, …) is the mean of a count over all points:
+        the number of points that share the first l_j digits of coordinate j in base j, for all j.
 
         Raises
         ------
@@ -493,9 +495,9 @@ class Choice(Law):
     Attributes
     ----------
     laws
-        The laws, or a random selection if there are many.
+        The laws to choose from, or a random selection of them if there are many.
     sets
-        Number of all laws; None if it is unlimited.
+        Number of laws before such a selection; None if it is unlimited.
     """
 
     laws: tuple[Law, ...]
@@ -503,7 +505,7 @@ class Choice(Law):
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
-        """Whether all the laws are uniform."""
+        """Whether every point is uniform under each of the laws."""
         return all(law.uniform for law in self.laws)
 
 
@@ -548,19 +550,19 @@ class GroupedAxes(Law):
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
-        """Whether all parts are uniform."""
+        """Whether every point is uniform in each group of axes."""
         return all(part.uniform for part in self.parts)
 
     @property
     def stationary(self) -> bool:  # type: ignore[override]
-        """Whether all parts are stationary."""
+        """Whether the sets of all groups of axes are stationary."""
         return all(part.stationary for part in self.parts)
 
 
 @final
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Unknown(Law):
-    """Points that can only be drawn.
+    """Points whose joint distribution is unknown, so that they can only be drawn.
 
     Attributes
     ----------
@@ -581,7 +583,7 @@ class Unknown(Law):
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
-        """Return the declared property."""
+        """Whether the sampler declares that every point is uniform."""
         return self.is_uniform
 
 
@@ -637,10 +639,10 @@ class Moved(_Image):
 
 
 Scramble: TypeAlias = Literal["digital-shift", "permutation", "linear", "nested"]
-"""Kind of randomization of digits; each kind includes the kinds before.
+"""Kind of randomization of digits, from the most special to the most general kind.
 
 A digital shift adds one random digit to each place.
-A permutation permutes the digits of each place.
+A permutation permutes the b possible digits at each position of the expansion.
 A linear scramble is a random lower triangular matrix and a shift.
 Nested permutations depend on all higher digits."""
 
@@ -657,8 +659,9 @@ class Scrambled(Law):
     inner
         The law of the set before the digits are randomized.
     kind
-        Kind of randomization. Nested and linear scrambles have the same variances,
-        because they have the same law of pairs of points.
+        Kind of randomization.
+        Nested and linear scrambles give the same variances,
+        because pairs of points have the same distribution after both scrambles.
     bases
         Base of the digits of each coordinate.
     shifts
@@ -673,7 +676,7 @@ class Scrambled(Law):
 
     @property
     def uniform(self) -> bool:  # type: ignore[override]
-        """Whether points are uniform: always after a shift, else if they were before."""
+        """Whether points are uniform: always after a shift, otherwise if the inner points are."""
         return self.shifts or self.inner.uniform
 
     @property
@@ -715,7 +718,7 @@ class Mirrored(_Image):
         return self.mode == "uniform" and self.inner.fixed
 
 
-# Laws of randomized sets
+# Joint distributions (laws) of randomized sets
 
 
 def shifted(law: Law) -> Law:
@@ -754,11 +757,11 @@ def scrambled(law: Law, kind: Scramble, bases: Sequence[int], *, shifts: bool = 
 
 
 def as_scrambled(law: Law) -> Law:
-    """Convert the law of an orthogonal array with shared-out levels to that of a scrambled net.
+    """Convert the law of an orthogonal array with s parts per stratum to that of a scrambled net.
 
     The second digits are permuted within each first digit [Tang1993]_.
     The digits of one realization therefore describe all realizations.
-    Other laws are returned unchanged.
+    The laws of other sets are returned unchanged.
     """
     if not isinstance(law, PairedAxes) or law.base is None or law.source is None:
         return law
@@ -780,18 +783,19 @@ def unmoved(law: Law) -> tuple[Law, Array]:
 
 
 def leaf_of(law: Law) -> Law:
-    """Return the law of the set before all randomizations."""
+    """Return the joint distribution (law) of the set before all randomizations."""
     while isinstance(law, Shifted | Moved | Scrambled | Folded | Mirrored):
         law = law.inner
     return law
 
 
 def bases_to_scramble(laws: Sequence[Law]) -> tuple[int, ...] | None:
-    """Return bases in which sets of all these laws are nets, so that scrambling is the best choice.
+    """Return bases in which all given sets are nets, so that scrambling is the best randomization.
 
     The result is None for lattices, which scrambling breaks, and for sets that are not nets.
-    A shift suits both. A set of a few points can be both a net and a lattice.
-    In that case the other sets decide.
+    For lattices and for sets that are not nets, a shift is the better randomization.
+    A set of a few points can be both a net and a lattice.
+    The other sets then decide between scrambling and a shift.
     """
     found = {law.bases if isinstance(law, Fixed | Unknown) else None for law in laws}
     if len(found) > 1 or all(isinstance(law, Fixed) and law.even for law in laws):
@@ -807,7 +811,7 @@ def is_power(n: int, base: int) -> bool:
 
 
 def mean_of_terms(n: int, nu: Array, terms: Callable[[Array], Array]) -> Array:
-    """Return the mean of n terms at each frequency (..., d), computed in blocks (F, d).
+    """Return the mean of `terms` over n points at frequencies (..., d), in blocks (F, d).
 
     Raises
     ------

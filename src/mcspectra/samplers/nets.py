@@ -88,9 +88,10 @@ class Sobol(_BinaryNet):
 
     Notes
     -----
-    The order is natural: dimension 0 is the van der Corput sequence of the index,
-    not of the index's Gray code. Counts that are not powers of the base cause a warning.
-    Such sets are not balanced in elementary intervals.
+    The points are in natural order, not in the order of the Gray code:
+    dimension 0 is the van der Corput sequence of the index.
+    Counts that are not powers of the base cause a warning,
+    because their sets are not balanced in elementary intervals.
 
     A file has one line per dim. Its entries are the number of the dim, a polynomial's degree s,
     the polynomial itself (a), and the numbers m_1 … m_s. Headings and text after ``#`` are ignored.
@@ -165,7 +166,7 @@ def _directions_of_file(path: str, base: int) -> Array:
     try:
         stamp = Path(path).stat().st_mtime_ns
     except (OSError, ValueError, TypeError):
-        stamp = 0  # the attempt to read raises the error
+        stamp = 0  # reading the file below raises the error
     return _read_directions(path, base, stamp)
 
 
@@ -242,12 +243,12 @@ class Niederreiter(_BinaryNet):
     Notes
     -----
     Coordinate j belongs to the j-th irreducible polynomial p over the field of two elements:
-    x, x + 1, x² + x + 1, … The degree of this polynomial is e_j. For u < e_j,
-    row q·e_j + u of the matrix holds the coefficients of x^-1, x^-2, … in x^u / p^(q+1).
+    the polynomials are x, x + 1, x² + x + 1, … The degree of polynomial j is e_j.
+    Row q·e_j + u of the matrix, u < e_j, holds the coefficients of x^-1, x^-2, … in x^u / p^(q+1).
     This is the order of Bratley, Fox and Niederreiter.
 
-    The sequence has quality parameter t = Σ (e_j − 1). For degree e > 1, a single axis
-    is sure to be balanced only at n = 2^k with k divisible by e.
+    The sequence has quality parameter t = Σ (e_j − 1).
+    An axis of degree e > 1 is sure to be balanced only at n = 2^k with k divisible by e.
     Scrambling does not change this condition.
 
     References
@@ -327,8 +328,8 @@ def _irreducible() -> tuple[int, ...]:
 class LarcherPillichshammer(PlaneSampler, _BinaryNet):
     """Larcher and Pillichshammer's (0, m, 2)-net of n = 2^m points, deterministic (2-D).
 
-    The first coordinate is i/n. The matrix of the second is the upper triangle of ones,
-    which gives a smaller star discrepancy than hammersley.
+    The first coordinate is i/n. The matrix of the second coordinate is the upper triangle of ones.
+    The star discrepancy is smaller than that of hammersley.
     Randomize with owen or digital-shift.
 
     References
@@ -467,7 +468,7 @@ class DigitalNet(_AnyBaseNet):
     After that, each line has the columns of one matrix, as whole numbers.
     Text after the four numbers and lines that start with ``#`` are ignored.
     MatBuilder uses the second format: square matrices of digits, one below the other,
-    with one row per line. These files do not state the base, so give it.
+    each line has one row of a matrix. These files do not state the base, so give it as `base`.
 
     References
     ----------

@@ -40,7 +40,7 @@ __all__ = [
 Report: TypeAlias = Callable[[float], None]
 """Function that is called at intervals with the fraction of the work done."""
 
-_CHILD = 1  # label of the stream that translates reused sets
+_CHILD = 1  # label of the random stream for the translations of reused sets
 _MEMORY = 10  # number of stored steps, each with its change of the gradient; 5 to 20 are usual
 _DECREASE = 1e-4  # least decrease of an accepted step, relative to the slope
 _HALVINGS = 20
@@ -57,7 +57,7 @@ class OptimisedSampler(Sampler, ABC):
         With None, every realization is a new set, made from its own random numbers.
         With K, only K sets are made, the same for every seed.
         Realization r is then set r mod K under a random translation of the torus.
-        Means and variances are still right on average.
+        Estimated means and variances remain correct on average.
         However, the sample has only K sets, also for standard errors of spectra.
     """
 
@@ -126,7 +126,7 @@ def _source(cls: type) -> str:
 
 
 def _exact(value: object) -> object:
-    """Return a value whose text is complete; the text of a long array omits numbers."""
+    """Return an equal value whose text shows all numbers; the text of a long array omits some."""
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
@@ -138,7 +138,7 @@ def random_points(keys: Array, n: int, dims: int) -> Array:
 def wrap(points: Array) -> Array:
     """Return points modulo 1, with all coordinates below 1."""
     inside = points - np.floor(points)
-    inside[inside >= 1.0] = 0.0  # −1e-20 rounds to 1
+    inside[inside >= 1.0] = 0.0  # the remainder of −1e-20 modulo 1 rounds to 1
     return inside
 
 

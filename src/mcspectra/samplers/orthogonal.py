@@ -39,7 +39,7 @@ class LatinHypercube(Sampler):
     -----
     Strength 2 is Tang's construction: an orthogonal array divides each coordinate into p parts,
     and the p points in each part are shuffled over p sub-strata.
-    This equals orthogonal-array with its default jitter.
+    With strength 2, the sampler equals orthogonal-array with its default jitter.
 
     References
     ----------
@@ -121,8 +121,8 @@ class OrthogonalArray(Sampler):
     Notes
     -----
     The arrays were found by Bush [Bush1952]_ (for t = 2 by Bose), over the integers modulo s.
-    Each row contains the leading coefficient of a polynomial of degree below t,
-    and the polynomial's values at 0 … s − 1.
+    Each row belongs to one polynomial of degree below t:
+    it contains the leading coefficient, and the values of the polynomial at 0 … s − 1.
     Any t columns contain each of the s^t combinations of levels once.
     The levels of each column are renamed by a random permutation, as in [Owen1992]_.
     Points come in the order of the array.
@@ -178,13 +178,13 @@ def _orthogonal(n: int, dims: int, strength: int, jitter: str, keys: Array) -> A
     return out
 
 
-@lru_cache(maxsize=4)  # analyses draw many blocks for a few n; an entry is half as large as points
+@lru_cache(maxsize=4)  # analyses use few n; a cached int32 array is half as large as points
 def _slots(s: int, dims: int, strength: int, jitter: str) -> Array:
     """Return the stratum of each point on each axis before shuffles: int32 (s^t, dims), read-only.
 
     An axis has s strata (its levels) or n = s^t strata.
     The n strata are numbered by level, and within a level by the rank of the point.
-    This rank follows from the levels on t − 1 other axes.
+    The rank of a point within its level follows from its levels on t − 1 other axes.
     """
     slots = np.empty((s**strength, max(dims, strength)), np.int32)
     _bush_levels(s, strength, slots)

@@ -2,23 +2,23 @@
 
 Dart throwing is random sequential addition of darts that are uniform on the domain.
 A dart becomes a point if all earlier points are at least r away.
-On the torus this law is invariant under translation, so every point is uniform.
+On the torus, the distribution of sets is invariant under translation, so every point is uniform.
 For "exact" Poisson disks, n determines r in advance, and dart throwing stops at the n-th point.
 If a set jams earlier (see `PoissonDisk.radius`), it is discarded and a new set is started.
-This keeps the law invariant under translation.
+This restart keeps the distribution invariant under translation.
 
 Darts are thrown only where they can be accepted. The cells of a grid have diagonal r,
 so that each cell has at most one point. Cells that may have room are kept in a list.
-From time to time, these cells are halved along every axis.
+From time to time, the cells of the list are halved along every axis.
 Parts that a disk covers are dropped [Ebeida2012]_.
 Accepted darts are still uniform on the uncovered region, so the law does not change.
 The set is maximal when no cell remains.
 
 For "maximal" sets, increasing radii are tried, until the darts jam with at most n points.
 The missing points, a few percent, are placed one by one at the center of the largest empty disk.
-The radius of this disk is the largest minimum distance at which one more point fits
-[Schloemer2011]_. At the end no further disk fits,
-because the last point was put at the place farthest from all others.
+The radius of this disk is the largest minimum distance at which one more point fits.
+At the end no further disk fits,
+because the last point was put at the place farthest from all others [Schloemer2011]_.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ Throw: TypeAlias = Callable[[Any, Any, int, Array], tuple[int, int]]
 """Function that fills an array of points (n, d).
 
 Its other arguments are the keys of a realization, and the index of the next random number.
-It returns the number of points placed, and the new index."""
+The function returns the number of points placed, and the new index."""
 
 DENSEST = (1.0, 2.0 / 3.0**0.5, 2.0**0.5, 2.0, 2.0 * 2.0**0.5, 8.0 / 3.0**0.5, 8.0, 16.0)
 """n·r^d of the densest known packings of n spheres of diameter r in 1 to 8 dims.
@@ -127,7 +127,7 @@ class PoissonDisk(Sampler):
         Raises
         ------
         ParameterError
-            In mode "maximal", because every set has its own minimum distance.
+            If the mode is "maximal", because every set then has its own minimum distance.
         """
         if self.mode == "maximal":
             raise ParameterError(
@@ -191,8 +191,9 @@ class DartThrowing(Sampler):
         Number of dims, 1 to 8.
     radius_
         Minimum distance relative to the densest known packing of n points [Lagae2008]_.
-        It is above 0 and at most 1. Dart throwing jams at about 0.75 in 1-D, 0.78 in 2-D,
-        and 0.8 in more dims. Classic rejection becomes slow before that.
+        This ratio is above 0 and at most 1.
+        Dart throwing jams at a ratio of about 0.75 in 1-D, 0.78 in 2-D, and 0.8 in more dims.
+        Classic rejection becomes slow at smaller ratios.
 
     References
     ----------

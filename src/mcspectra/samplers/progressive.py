@@ -1,15 +1,16 @@
 """Progressive multi-jittered sequences in the plane: stratified at every power of two points.
 
-Each pass of a sequence doubles the number of points. Before pass k, each of 2^k equal intervals
-of an axis has one point, which lies in one half of the interval. Pass k fills the other half.
+Each pass of a sequence doubles the number of points.
+Before pass k, each of 2^k equal intervals of an axis has one point, in one half of the interval.
+Pass k puts one point into the other half of each interval.
 The assignment of new points to intervals determines the further stratification.
-The position within the half is random.
+The position of a point within its half is random.
 This makes the sequence Owen-scrambled without digit permutations [Helmer2021]_.
 
 Notation of the kernels: ``keys`` uint64 (R, 2) from `Stream.keys`; ``out`` float64 (R, n, 2).
 A coordinate is a word of 53 bits; its level-ℓ bit is worth 2^-(ℓ+1).
 Random numbers 2i and 2i + 1 of a realization are the low bits of point i.
-Other random numbers have higher addresses.
+Choices and shuffles use random numbers of higher indices.
 """
 
 from __future__ import annotations
@@ -31,12 +32,12 @@ from mcspectra.samplers.law import Choice, Fixed, Law, Unknown, is_power, scramb
 __all__ = ["PMJ", "PMJ02", "PMJ02BlueNoise", "pairings"]
 
 _PASSES = 31
-_SETS = 16  # number of sets that represent all sets in the law of pmj
+_SETS = 16  # number of random sets that represent the distribution of pmj
 _ONE, _S11 = np.uint64(1), np.uint64(11)
 _EVEN_BITS = np.uint64(0x5555555555555555)
 _BITS = 5  # number of bits below the cell's bits that are chosen; finer bits matter little
 _UNIT_53 = 2.0**-53
-_CHOICES, _SHUFFLES = 1 << 40, 1 << 41  # first addresses of numbers for choices and for shuffles
+_CHOICES, _SHUFFLES = 1 << 40, 1 << 41  # first random numbers of choices and of shuffles
 
 
 class _PlaneSequence(PlaneSampler):
@@ -65,7 +66,7 @@ class PMJ(_PlaneSequence):
 
     Any count. The first 2^k points have one point in each interval of width 2^-k along either axis.
     If 2^k is a square 4^j, there is also one point in each of 2^j × 2^j cells.
-    If 2^k is 2·4^j, there are two diagonal points in each of these cells.
+    If 2^k is 2·4^j, each of 2^j × 2^j cells has two points, diagonal to each other.
     Other counts cause a warning (`NotPowerOfTwoWarning`).
 
     Notes
@@ -80,8 +81,8 @@ class PMJ(_PlaneSequence):
     sequence: ClassVar[bool] = True
 
     def _law(self, n: int) -> Law:
-        # Sets are Owen-scrambled by construction. It is random which digits agree,
-        # and a few sets represent all sets.
+        # Sets are Owen-scrambled by construction. Which digits of two points agree is random;
+        # the mean over a few random sets represents all sets.
         sets = (Fixed(n=n, dims=2, bases=(2, 2), seed=k).of(self) for k in range(_SETS))
         return Choice(n=n, dims=2, laws=tuple(scrambled(each, "nested", (2, 2)) for each in sets))
 
@@ -143,8 +144,8 @@ class PMJ02BlueNoise(_PlaneSequence):
     A single point is not uniform: its density over sixteenths of an axis varies by up to a tenth.
 
     The papers choose the best of some candidates for each point in turn.
-    At that time, however, the choices are only as wide as the intervals.
-    Flips of strips avoid this restriction.
+    When a point is added, however, its candidates differ only within narrow free intervals.
+    Flips of all points in a strip are not restricted to these intervals.
 
     References
     ----------
@@ -162,14 +163,15 @@ def pairings() -> Array:
 
     The partner of point i on axis j in pass k is i xor out[j, k].
     The bits of the index are the coefficients of a polynomial in t over GF(2).
-    Its basis is 1, t, b, b·t, b², b²·t, … with b = t² + t.
+    The basis of the polynomials is 1, t, b, b·t, b², b²·t, … with b = t² + t.
     The digits of x are the polynomial's coefficients in powers of t.
     The digits of y are its coefficients in powers of t + 1.
     These are the first two axes of Sobol'.
 
     Multiples of b^m do not change the first m digits of x or y.
-    Each group of four blocks of points therefore shares the cells of the first group.
-    The partner differs in digit k only: by t^k, or (t + 1)^k, in that basis.
+    Each block of 4^m points therefore has one point in each of 2^m × 2^m cells.
+    On its axis, the partner differs from the point only in digit k of x, or of y.
+    The polynomials of the two points therefore differ by t^k, or (t + 1)^k.
     """
     even = 0x5555555555555555
     out = np.empty((2, _PASSES), np.uint64)
@@ -225,7 +227,7 @@ def _fill_pmj(keys: Array, out: Array) -> None:
         while 1 << level < n:
             # Choose column and row of the quarter of a cell for each point of the pass.
             # The second point of a cell is diagonal to its first.
-            # The third takes one of the other two quarters.
+            # The third point takes one of the other two quarters.
             size, side = 1 << level, level // 2 + 1
             columns, cells, shift = 1 << side, 1 << (2 * side - 2), np.uint64(53 - side)
             to = np.empty((2, size), np.int64)
@@ -264,7 +266,7 @@ def _pair_energy(dx: float, dy: float) -> float:
 @kernel
 def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array) -> float:
     # Return the decrease of the energy of point i if `bit` is flipped in all words of a strip.
-    # `members` holds the number of the strip, and the shift that turns a word into this number.
+    # `members` is (strip, shift): a word lies in the strip if word >> shift equals strip.
     # owner (columns, rows) is the point in each cell.
     strip, shift = members
     columns, rows = owner.shape
@@ -283,7 +285,7 @@ def _gain(i: int, axis: int, bit: Any, members: Any, words: Array, owner: Array)
             there = np.float64(word) * _UNIT_53
             far = np.float64(words[1 - axis, other]) * _UNIT_53 - across
             before = _pair_energy(there - here, far)
-            if word >> shift == strip:  # the other point also moves
+            if word >> shift == strip:  # the other point is in the strip and moves
                 there = np.float64(word ^ bit) * _UNIT_53
                 gain += 0.5 * (before - _pair_energy(there - moved, far))
             else:

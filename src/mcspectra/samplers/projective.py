@@ -5,12 +5,13 @@ Method
 Dart throwing: a dart is accepted if it is far enough from all earlier points in all projections.
 For each k from 1 to d, the distance in every projection on k of the d axes must be at least r_k.
 Let g_1 ≤ … ≤ g_d be the sorted gaps of two points along the axes.
-On k axes the distance is smallest in the projection on the axes of the k smallest gaps.
+Of all projections on k axes, the one on the axes of the k smallest gaps has the least distance.
 Therefore d conditions on partial sums, g_1² + … + g_k² ≥ r_k², check all 2^d − 1 projections.
 
-The projections on single axes leave little room, but these axes are independent.
+The projections on single axes reject most darts, but the coordinates of darts are independent.
 Each coordinate is therefore drawn until it is free on its own axis.
-The other projections are checked after that. This saves time and does not change the law.
+The projections on two or more axes are checked afterwards.
+This order saves time and does not change the distribution of the points.
 On the torus the law is invariant under translation, so every point is uniform.
 """
 

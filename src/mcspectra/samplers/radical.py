@@ -159,10 +159,10 @@ class Hammersley(RadicalInverses):
     Notes
     -----
     For n = 2^m the first coordinates i/n are scrambled in base 2.
-    For other n they have no distinct binary digits, and permute and owen raise an error.
-    The parameter `scramble` keeps the order of i/n for such n, and adds a random offset below 1/n.
-    This offset is the same for all points (``"permute"``) or different (``"owen"``).
-    In both cases each interval [i/n, (i+1)/n) of the first axis contains one point.
+    For other n, the fractions i/n have no exact binary digits; permute and owen raise an error.
+    For other n, the parameter `scramble` keeps the order of i/n, and adds random offsets below 1/n.
+    The offset is the same for all points (``"permute"``), or different for each (``"owen"``).
+    After either scramble, each interval [i/n, (i+1)/n) of the first axis contains one point.
 
     References
     ----------

@@ -35,7 +35,7 @@ from mcspectra.samplers.law import (
 __all__ = ["Decorrelate", "Mirror", "RandomRotation", "Shift", "StrataShift", "folded"]
 
 _MOST_IMAGED = 30  # largest number of dims of the uniform mode, which makes 2^d images
-_MASK_KEY = 0x3A5C  # arbitrary key of the mask, which is always the same; its place is random
+_MASK_KEY = 0x3A5C  # arbitrary key of the one mask, which is moved to random places
 _FIRST_REACH = 0.6  # half-side of a window of area 1.44, which nearly always has n + 1 points
 _REACH = 1.12  # half-side that always suffices: a disk of radius √5/2 contains two domains
 
@@ -134,17 +134,18 @@ class RandomRotation(Randomization):
     ----------
     boundary
         ``"toroidal"``: one of the d!·2^d symmetries of the cube, which permute and reflect axes.
-        The torus has no other rotations. These symmetries preserve distances on the torus,
-        strata of equal sides, and elementary intervals (with permuted shapes).
-        ``"clipped"`` (2-D): the periodically repeated points are rotated by a uniform angle,
-        and clipped to a square window at a random place.
+        The torus has no other rotations.
+        These symmetries preserve distances on the torus, and strata of equal sides.
+        Elementary intervals map to elementary intervals, whose shapes are permuted.
+        ``"clipped"`` (2-D): the periodically repeated points are rotated by a uniform angle.
+        Only the points in a square window at a random place are kept.
         The size of the window is the largest at which it has n points.
         The window is scaled to the unit square, and translated at random on the torus.
 
     Notes
     -----
-    If a unit square is rotated by another angle and wrapped, it covers parts of the torus twice,
-    and leaves other parts empty. The window avoids this.
+    If a unit square is rotated by another angle and wrapped, it covers parts of the torus twice.
+    Other parts of the torus stay empty. The window avoids both errors.
     Inside the window, distances are preserved up to a scale of 1 + O(n^-1/2) for random points.
     Distances across the window's border are not preserved.
     The translation moves this border to a random place, and makes every point exactly uniform.
@@ -398,7 +399,7 @@ class Decorrelate(Randomization):
     The realizations of one seed are the pixels of one image.
     All pixels share a set, and with a mask their shifts share one pattern.
     Variances over the pixels are variances within an image.
-    They do not converge to variances over seeds.
+    Variances over the pixels do not converge to variances over seeds.
 
     A mask has one number per dim, which suffices for shift, and for digital-shift in base 2.
     In one pixel every point is uniform with any mask.

@@ -146,7 +146,7 @@ def _from_object(source: Any, dims: int | None) -> Sampler:
 
 
 def _built(registry: Registry, call: Call, dims: int | None = None) -> Any:
-    """Build one part of a chain; the error explains if the name is in the other registry."""
+    """Build a sampler or a randomization; the error explains if one was given for the other."""
     first = registry is SAMPLERS
     if first and call.name in RUN_CODE:
         from mcspectra.samplers.external import check_code

@@ -130,7 +130,7 @@ class Bnot(_CentroidSampler):
     The start is random, and the method does not depend on the origin, so every point is uniform.
     The paper also jitters regions that have become regular; here the descent ends earlier instead.
     An earlier, discrete form is capacity-constrained Voronoi tessellation [Balzer2009]_.
-    It swaps samples of the density between points.
+    The discrete form assigns samples of the density to points, and swaps samples between points.
 
     References
     ----------
@@ -215,7 +215,8 @@ def transport_cost(points: object) -> float:
             f"The transport cost was not found in {_NEWTON} Newton steps or some seconds: the "
             "points are too far from uniform; transform them to be nearly uniform, or give fewer."
         )
-    # The dual value counts missing areas with their weights, so that errors are of second order
+    # Missing areas are counted with their weights (dual value of the transport problem).
+    # The error of the cost is then of second order in the missing areas.
     return float(np.sum(diagram.moments) + np.sum(weights * lacking))
 
 
@@ -236,10 +237,10 @@ class GaussianBlueNoise(OptimisedSampler):
 
     Notes
     -----
-    The paper descends along the gradient. Here the gradient drives limited-memory BFGS,
-    which needs fewer steps. In up to 3 dims, pairs are cut off at 6 σ, and work grows like n.
+    The paper uses gradient descent. Here limited-memory BFGS is used, which needs fewer steps.
+    In up to 3 dims, pairs are cut off at 6 σ, and work grows like n.
     In more dims, all images count, through the Fourier series of the Gaussian on the torus.
-    Then work grows like n².
+    In more than 3 dims, work grows like n².
     The start is random and the energy is invariant under translation, so every point is uniform.
 
     References
@@ -304,8 +305,8 @@ def series_energy(sigma: float, points: Array) -> tuple[float, Array]:
 class FarthestPoint(PlaneSampler, OptimisedSampler):
     """Farthest-point optimized points: minimum distance near the densest packing (2-D torus).
 
-    The points start at random. Each point in turn is moved to the place farthest from all others,
-    the center of the largest empty disk. The minimum distance never decreases.
+    The points start at random. Each point in turn moves to the center of the largest empty disk.
+    This center is the place farthest from all other points. The minimum distance never decreases.
     One sweep over n points takes O(n²) with a small constant: 1024 points and 30 sweeps take 2 s.
 
     Attributes

@@ -47,7 +47,7 @@ class _OfDigits(Randomization):
     base: Base
 
     def fit(self, sampler: Sampler) -> Self:
-        """Adopt the bases of the sampler; raise an error if `base` differs or strata break."""
+        """Adopt the bases of the sampler; raise an error if `base` would break its structure."""
         if sampler.antithetic and not self.keeps_pairs:
             raise ParameterError(
                 f"{self.name} would break the pairs of {sampler.spec}, whose points mirror "
@@ -93,7 +93,7 @@ class _OfDigits(Randomization):
         if not self._fill(keys, sampler, n, out):
             points = sampler.draw_stream(n, stream, first, 1 if sampler.fixed else count)
             if count == 1 and isinstance(sampler, FixedSet):
-                out = points  # these points are not used elsewhere
+                out = points  # overwrite the points, which nothing else uses
             self._scramble(keys, np.array(self._bases(sampler.dims)), points, out)
         return out
 
@@ -194,7 +194,7 @@ class Permute(_OfPlaces):
     Attributes
     ----------
     base
-        Same as for digital-shift.
+        Base of the digits: one number, or one per dim, as for digital-shift.
 
     References
     ----------
@@ -222,15 +222,15 @@ class Owen(_OfDigits):
         A few multiplications scramble all bits of the reversed word.
         In each multiplication, lower bits change only higher bits.
         Points are exactly uniform and nets stay nets. Variances depend on pairs of points.
-        For pairs, the flips below the first different digit pass tests of independence.
-        The joint flips of many points fail these tests.
+        For pairs of points, bit flips below the first different digit pass tests of independence.
+        For many points together, bit flips fail tests of independence.
     base
-        Same as for digital-shift.
+        Base of the digits: one number, or one per dim, as for digital-shift.
 
     Notes
     -----
     The hash is from Laine and Karras, in the form and with the constants of Vegdahl (2021).
-    The seed is longer: 126 random bits for two rounds.
+    The seed is longer than in these hashes: 126 random bits for two rounds.
     Each round has a random summand and a random odd factor.
 
     Halton, hammersley and van-der-corput points are drawn from the top of their trees of digits.
@@ -259,7 +259,7 @@ class Owen(_OfDigits):
     def draw(
         self, sampler: Sampler, n: int, stream: Stream, own: Stream, first: int, count: int
     ) -> Array:
-        """Make scrambled radical inverses from the `stream`, which plain inverses do not use."""
+        """Draw scrambled points; radical inverses use `stream`, unused by plain inverses."""
         if self.method == "nested" and isinstance(sampler, RadicalInverses) and sampler.fixed:
             return sampler.draw_nested(n, stream, first, count)
         return _OfDigits.draw(self, sampler, n, stream, own, first, count)
@@ -279,8 +279,8 @@ class Lms(_OfDigits):
     The digits of each coordinate are multiplied by a random lower triangular matrix.
     Its diagonal is nonzero. Arithmetic is modulo the base, which must be a prime. Nets stay nets.
     Pairs of points of a net have the same law as with owen.
-    Variances are therefore the same, at lower cost.
-    There are fewer different sets, and these are more regular.
+    Variances are therefore the same as with owen, at lower cost.
+    There are fewer different sets than with owen, and these sets are more regular.
 
     Attributes
     ----------
@@ -288,7 +288,7 @@ class Lms(_OfDigits):
         Whether a digital shift follows.
         Without the shift points are not uniform, because the origin does not move.
     base
-        Same as for digital-shift.
+        Base of the digits: one number, or one per dim, as for digital-shift.
 
     References
     ----------
@@ -300,7 +300,7 @@ class Lms(_OfDigits):
     base: Base = checked(_as_base, None)
 
     def law_of(self, law: Law, n: int) -> Law:  # noqa: ARG002
-        """Return the law after a linear scramble, with or without a shift."""
+        """Return the law (joint distribution) after a linear scramble, with or without a shift."""
         return scrambled(law, "linear", self._bases(law.dims), shifts=self.shift)
 
     @property

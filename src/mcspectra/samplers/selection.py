@@ -38,8 +38,8 @@ class Subset(Randomization):
     Attributes
     ----------
     of
-        Number N of points of the whole set. The default is the sampler's smallest count ≥ n,
-        which makes any n possible with any sampler.
+        Number N of points of the whole set.
+        The default, the sampler's smallest count ≥ n, makes any n possible with any sampler.
     pick
         ``"random"``: every subset of n of the N points has the same probability.
         ``"run"``: n successive points from a random start, continued cyclically.
@@ -62,12 +62,13 @@ class Subset(Randomization):
         if self.of is not None:
             _check_size(self, sampler, self.of)
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore", NotPowerOfTwoWarning)  # a subset is never balanced
+                # A random subset is not balanced, whatever the number of points of the whole set
+                warnings.simplefilter("ignore", NotPowerOfTwoWarning)
                 sampler.check_count(self.of)
         return Randomization.fit(self, sampler)
 
     def law_of(self, law: Law, n: int) -> Law:
-        """Return the law; independent points stay independent, and a full subset keeps its law."""
+        """Return the law of the subset; it is known for independent points and for the full set."""
         if isinstance(law, Independent):
             return Independent(n=n, dims=law.dims)
         return law if law.n == n else Randomization.law_of(self, law, n)
@@ -93,7 +94,7 @@ class Subset(Randomization):
         return _picked(sampler, size, pick, stream, first, np.empty((count, n, sampler.dims)))
 
     def counts_near(self, sampler: Sampler, n: int) -> tuple[int | None, int]:
-        """Return n as both nearest counts, if the whole set is large enough."""
+        """Return (n, n) if the whole set has at least n points: every such n is possible."""
         below, above = sampler._counts_near(n) if self.of is None else (self.of, self.of)
         if n <= above <= MAX_COUNT:
             return n, n
@@ -122,8 +123,8 @@ class Skip(Randomization):
     -----
     The sampler must be a sequence (sobol, halton, kronecker, random, …) or points from outside.
     Other sets are refused, because without their first points they cover only a part of the domain.
-    If only the origin is omitted, the balance of a net is lost. In base b,
-    a run of b^m points has this balance only if `count` is a multiple of b^m.
+    If only the origin is omitted, the balance of a net is lost.
+    In base b, a run of b^m points has this balance only if `count` is a multiple of b^m.
     Skipped points are computed and discarded.
 
     References
@@ -154,7 +155,7 @@ class Skip(Randomization):
         return Randomization.law_of(self, law, n)
 
     def count_inside(self, sampler: Sampler, n: int) -> int:  # noqa: ARG002
-        """Return the number of points that are drawn."""
+        """Return the number of points to draw, including the omitted points."""
         return n + self.count
 
     def apply(self, points: Array, stream: Stream, first: int) -> Array:

@@ -84,8 +84,8 @@ class SlicedOptimalTransport(OptimisedSampler):
 def projected_quantiles(direction: Array, n: int) -> Array:
     """Return the quantiles (k − ½)/n, k = 1 … n, of θ·(x − ½) for x uniform in the cube.
 
-    The distribution of the widest component is the start. For each further component,
-    the distribution is averaged over an interval of that component's width.
+    The computation starts with the distribution function of the widest component.
+    For each further component, the function is averaged over an interval of the component's width.
     """
     widths = np.sort(np.abs(direction))[::-1]
     end = widths.sum() / 2
@@ -93,7 +93,7 @@ def projected_quantiles(direction: Array, n: int) -> Array:
     below = np.clip(t / widths[0] + 0.5, 0.0, 1.0)
     for width in widths[1:]:
         if width > _NARROW:
-            # Average the distribution over the width around each t; it is 1 beyond the table
+            # Average the distribution function over t ± width/2; the function is 1 above the last t
             strips = np.cumsum((below[1:] + below[:-1]) * ((t[1] - t[0]) / 2))
             primitive = np.concatenate([[0.0], strips])
             upper, lower = t + width / 2, t - width / 2

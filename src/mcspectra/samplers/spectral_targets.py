@@ -37,7 +37,7 @@ Profile: TypeAlias = Callable[[Array], Array]
 _REACH = 2.0  # largest |m|/√n at which power is matched
 _PCF_REACH = 4.0  # largest |m|/√n for pair correlations; resolves 1/8 of the mean distance
 _TRIED = np.linspace(0.0, 6.0, 601)  # places at which transforms of targets are checked
-_LINE = np.linspace(0.0, 2 * _PCF_REACH, 1601)  # reaches the corners of the square of frequencies
+_LINE = np.linspace(0.0, 2 * _PCF_REACH, 1601)  # values of |m|/√n up to the largest |m|
 _NEGATIVE = -1e-6  # values below this count as negative; quadrature errors are 1e-9
 _LARGEST_STEP = 1 / math.sqrt(math.pi)
 _MOST_KNOTS, _LARGEST_PLACE = 200, 4.0
@@ -131,10 +131,11 @@ class TargetSpectrum(_MatchedSampler):
     Notes
     -----
     The descent starts from independent uniform points.
-    It fits the mean power of rings of frequencies of width one.
+    The descent fits the mean power of rings of frequencies of width one.
     Single sets therefore follow the curve more closely than random fluctuations would allow.
     If the pair correlation of the target (its Hankel transform) is negative somewhere,
-    no such sets exist, and the target is refused. `misfit` measures the remaining difference.
+    no point sets have this power, and the target is refused.
+    `misfit` measures the difference between the power of a set and the target.
 
     References
     ----------
@@ -268,7 +269,7 @@ class RingLoss:
     The loss is Σ (mean power − target)² over rings.
     The target is averaged over the same frequencies.
     Rings have equal weights, because the lowest rings matter most.
-    With weights by number of frequencies, their error would be ten times as large.
+    With weights by number of frequencies, errors of the lowest rings would be ten times as large.
 
     Parameters
     ----------

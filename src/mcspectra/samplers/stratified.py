@@ -1,13 +1,13 @@
 """Random points, square and hexagonal grids, jittered and multi-jittered sets, shared cells.
 
-The unit cube is divided into n cells of equal volume, s per side (n = s^d),
-unless other sides are given.
+The unit cube is divided into n cells of equal volume.
+By default each axis has s cells, so that n = s^d.
 Points come in row-major order of their cells, the last coordinate fastest.
 
 Notation of the kernels: R realizations, n points, d dims.
 Arrays ``out`` are float64 (R, n, d), and ``keys`` are uint64 (R, 2) from `Stream.keys`.
 Random number i·d + j of a realization belongs to coordinate j of point i.
-The numbers for shuffles come after these.
+Shuffles use the random numbers that follow the n·d numbers of the coordinates.
 """
 
 from __future__ import annotations
@@ -287,7 +287,7 @@ class GaussianJitter(GridSampler):
     Notes
     -----
     A point is not uniform. Its density along each axis is 1 + 2 exp(−2π² width²) cos(2πsx) + …,
-    which varies by 58 % at width 0.25 and by 10^-8 at width 1. Shift makes the point uniform.
+    This density varies by 58 % at width 0.25 and by 10^-8 at width 1. Shift makes points uniform.
     Points may leave their cells; a point that leaves the domain enters at the other end.
     The default is close to the standard deviation of jittered, 0.29, and is not from a paper.
 
@@ -323,7 +323,7 @@ class AntitheticJittered(Sampler):
     -----
     The linear part of the integrand cancels within each pair.
     The variance of smooth integrands therefore falls like n^(−1 − 4/d).
-    For jittered points it falls like n^(−1 − 2/d).
+    For jittered points, this variance falls like n^(−1 − 2/d).
 
     References
     ----------
@@ -429,12 +429,12 @@ class CorrelatedMultiJittered(PlaneSampler):
     For counts n = a·b with a ≤ b ≤ 2a, the sampler takes the most nearly square a × b.
     Each of the a × b cells, and each of n intervals of either axis, contains one point.
 
-    Other counts follow the memo's code: a = ⌊√n⌋ columns and b = ⌈n/a⌉ rows of height a/n.
+    Other counts follow Kensler's code: a = ⌊√n⌋ columns and b = ⌈n/a⌉ rows of height a/n.
     The last row is incomplete. Each of n intervals of the second axis contains one point.
-    Each cell, and each of a·b intervals of the first axis, contains at most one.
+    Each cell, and each of a·b intervals of the first axis, contains at most one point.
 
-    Digit scrambles need a full rectangle.
-    Shuffles are true random permutations, whereas the memo hashes indices.
+    Randomizations of digits need a complete last row.
+    Shuffles are true random permutations, whereas Kensler's code hashes indices.
     Points come in the order of their second coordinate; add shuffle for a random order.
 
     References
@@ -510,7 +510,7 @@ class Hexagonal(PlaneSampler, FixedSet):
     """Triangular lattice (hexagonal cells) stretched to fit the torus; randomize with shift.
 
     2-D; counts n = 2ab for a = 1, 2, 3, …, where b is the whole number nearest to a/√3, but not 0.
-    These are 2, 4, 12, 16, 30, 36, 56, 80, …
+    The smallest counts are 2, 4, 12, 16, 30, 36, 56 and 80.
 
     Notes
     -----
@@ -518,8 +518,8 @@ class Hexagonal(PlaneSampler, FixedSet):
     The set is deterministic.
     On a square torus no such array is exactly regular, because that needs b = a/√3.
     The chosen b differs from a/√3 by at most ½. There are two distances between neighbors.
-    Their ratio is 1.41, 1.12, 1.11, 1.12, 1.03 and 1.12 at the first six counts.
-    The ratio is at most 1.06 for n ≥ 56 and 1.02 for n ≥ 780.
+    The ratio of these distances is 1.41, 1.12, 1.11, 1.12, 1.03 and 1.12 at the first six counts.
+    The ratio of the distances is at most 1.06 for n ≥ 56 and 1.02 for n ≥ 780.
 
     References
     ----------
@@ -588,7 +588,7 @@ def cell_side(s: int) -> float:
     """Return 1/s minus 2^-52, so that k/s + side·u stays below (k + 1)/s for all u < 1.
 
     The quotient k/s, the product, the sum and (k + 1)/s are each rounded by at most 2^-54 below 1.
-    The subtracted 2^-52 is four times this error.
+    The subtracted 2^-52 is four times this rounding error.
     """
     return 1.0 / s - _SLACK
 
@@ -616,16 +616,16 @@ class SharedCells(Sampler):
     """One of W sets of n cells, chosen at random; together they cover a grid of W n cells once.
 
     A realization draws one offset, a uniform point of a cell.
-    Each cell of the realization's set uses this offset, possibly reflected along some axes.
+    In each cell of the set, the point is at this offset, possibly reflected along some axes.
     Every point is uniform on [0,1)^d for any sets, so estimates are unbiased.
-    The function `design` makes such sets.
+    The function `design` computes sets of cells for this sampler.
 
     Attributes
     ----------
     path
         File .npz with an array ``cells`` of integers of shape (W, n, d).
         An entry is 1 + the index of the cell along an axis, negative if the offset is reflected.
-        The number of cells along an axis is the largest absolute value of an entry.
+        The largest absolute value in the array is the number of cells along an axis.
     dims
         Number of coordinates, by default as in the file; a given number must agree with it.
 

@@ -81,7 +81,7 @@ class Basis(IndexGrid, ABC):
 
     @abstractmethod
     def _axis_oscillations(self) -> Array:
-        """Return the half width at which each index of an axis is first included: int64 (N,)."""
+        """Return the smallest half width that includes each index of an axis: int64 (N,)."""
 
 
 @final
@@ -264,7 +264,7 @@ def make_basis(name: str, dims: int, half_width: int) -> Basis:
     ParameterError
         If the name is unknown, or the half width is too large or not allowed for the basis.
     """
-    FrequencyGrid(dims, half_width)  # checks the limits that hold for all bases
+    FrequencyGrid(dims, half_width)  # this constructor checks the limits of all bases
     return _CLASSES[as_choice("basis", name, BASES)](dims, half_width)
 
 
@@ -276,13 +276,13 @@ def fitting_basis(law: Law, half_width: int) -> str:
     The cosine basis fits mirrored points if they were shifted before.
     For mirrored points without a shift the Walsh basis fits,
     because reflections and folding permute Walsh functions up to signs.
-    In all these cases the cross term vanishes (for strata only if their number per side is 2^k).
+    With these bases the cross term vanishes (for strata only if their number per side is 2^k).
 
-    In all other cases cosine is a compromise.
+    For all other samplers the cosine basis is chosen, as a compromise.
     For smooth functions and jittered sets its cross term is small,
     and the sum over m converges fast because it has no boundary term.
-    For discontinuous functions its cross term is as large as in the Fourier basis
-    (a disk, n = 64: −0.40 of the variance).
+    For discontinuous functions its cross term is as large as in the Fourier basis.
+    For a disk and n = 64, the cross term is −0.40 of the variance.
     In Haar and Walsh, the cross term vanishes with 2^k strata per side,
     but the sums over m converge slowly for smooth functions.
     """

@@ -2,7 +2,7 @@
 
 Random, jittered and lattice points are derived in docs/theory.md, "Closed forms".
 At *integer* m, a Cranley-Patterson shift multiplies S_m by a random phase.
-It does not change the power, and makes C_ml diagonal.
+The shift does not change the power, and makes the covariance matrix C_ml diagonal.
 
 Method
 ------
@@ -22,16 +22,16 @@ The transform of a grid of s points is A_s(ν) = (1/s) Σ_{j<s} exp(−2πi νj/
   ⟨exp(−2πi (m·x − l·y))⟩ over all ordered pairs of points x, y.
   A point paired with itself contributes χ(m − l) on each axis.
   For two different points the axes are independent, given the strata they share.
-  Each axis then has one of three laws:
-  *free* points are independent and uniform and contribute χ(m) conj χ(l);
-  *same* points are independent in one of s strata: A_s(m − l) χ(m/s) conj χ(l/s);
-  *apart* points lie in two different strata of s: (s free − same) / (s − 1).
+  On each axis, the two coordinates contribute one of three products, on average:
+  *free* = χ(m) conj χ(l), if both are uniform and independent;
+  *same* = A_s(m − l) χ(m/s) conj χ(l/s), if both are independent in one of s strata;
+  *apart* = (s *free* − *same*) / (s − 1), if both lie in different strata of s.
   Determinantal sets also have a known law of pairs.
 
-Importance-sampled points, x = T(u) with weights 1/(n p), are covered for some densities:
-these must be products over the axes, with monotone warps.
-For them, the transform M_t(m) of the stratum that starts at t replaces the interval's transform.
-The terms *same* and *apart* are means over the strata, or over all t after a random shift.
+Importance-sampled points, x = T(u) with weights 1/(n p), are covered for some densities p:
+the density must be a product over the axes, with monotone warps T.
+The transform M_t(m) of the warped stratum that starts at t then replaces the transform χ.
+The products *same* and *apart* are means over the strata, or over all t after a random shift.
 A grid with one offset δ has C_ml = Π_i ∫ A_δ(m_i) conj A_δ(l_i) dδ − δ_m0 δ_l0,
 where A_δ(m) is the coefficient S_m of the grid with offset δ on one axis.
 """
@@ -91,7 +91,7 @@ _MOST_PAIR_TERMS = 2**31
 _TERMS_AT_ONCE = 2**22
 """Number of terms held in memory at a time: 64 MB of complex numbers."""
 
-# Constants of closed forms with a density
+# Constants for closed forms of importance-sampled points
 _BLOCK = 2**20  # number of values processed at a time
 _MAX_STRATA_WORK = 2**31  # largest number of strata × frequency pairs; takes minutes
 _ORDER = 16
@@ -114,14 +114,14 @@ def closed_form_power(
         Sampler (or spec string) and number of points. A shift may follow each sampler.
         Supported samplers are random, regular grids, lattices, Latin hypercubes, nets,
         orthogonal arrays of strength 2, jittered, multi-jittered, determinantal sets,
-        and jitters around a grid.
+        and grids whose points are displaced at random.
     frequencies
-        Real frequencies ν, shape (..., d), in cycles per unit. Frequencies must be integers
-        if a shift is applied, or if sets are wrapped around the torus.
+        Real frequencies ν, shape (..., d), in cycles per unit.
+        Frequencies must be integers if a shift is applied, or if sets wrap around the torus.
     density
         Importance density. Random points allow any density.
         Jittered, latin-hypercube and grids, alone or with shift or strata-shift,
-        allow products over the axes at integer frequencies.
+        allow densities that are products over the axes, at integer frequencies.
 
     Returns
     -------
@@ -169,7 +169,7 @@ def closed_form_covariance(
     Parameters
     ----------
     sampler, n, density
-        Same as for `closed_form_power`.
+        Sampler, number of points and importance density, same as for `closed_form_power`.
     frequencies, others
         Frequencies m and l, with shapes (..., d) that broadcast; only integers with a density.
 
@@ -427,11 +427,12 @@ def _same(m: Array, other: Array, s: int | Array) -> Array:
 def _apart(m: Array, other: Array, s: int | Array) -> Array:
     strata = np.asarray(s, float)
     difference = strata * _free(m, other) - _same(m, other, s)
-    return np.asarray(difference / np.maximum(strata - 1.0, 1.0))  # one stratum has no such pair
+    # A single stratum has no pair in different strata
+    return np.asarray(difference / np.maximum(strata - 1.0, 1.0))
 
 
 def _level_mates(m: Array, other: Array, s: int | Array, parts: int | Array | None = None) -> Array:
-    """Two points in the same stratum of s, but in different ones of its `parts` (default s)."""
+    """Return the mean product for two points in one of s strata, in different parts of it."""
     return _comb(m - other, s) * _apart(m / s, other / s, s if parts is None else parts)
 
 
@@ -457,16 +458,15 @@ def _(law: Scrambled) -> SpectralMoments | None:
 def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> Array:
     """Return (1/n²) Σ over pairs of different points after nested scrambling.
 
-    Suppose that two coordinates agree in their first a digits, and differ in the next.
-    They then lie in one of b^a strata, and are uniform in two different parts of its b parts
-    [Owen1997]_.
+    Suppose that two coordinates agree in their first a digits, and differ in the next digit.
+    After scrambling, both lie in the same one of b^a strata, each of which has b parts.
+    The coordinates are uniform in two different parts of this stratum [Owen1997]_.
     """
     n, levels = law.n, [_levels(law.points[:, j], b) for j, b in enumerate(bases)]
     most = max(levels)
     shares = (law.agreements(bases, most) - 1.0) / n
-    for axis in range(
-        law.dims
-    ):  # From agreement in at least a digits to agreement in exactly a digits
+    # Convert shares of pairs that agree in at least a digits to agreement in exactly a digits
+    for axis in range(law.dims):
         shares = np.moveaxis(shares, axis, 0)
         shares = np.concatenate([shares[:-1] - shares[1:], shares[-1:]])
         shares = np.moveaxis(shares, 0, axis)
@@ -484,7 +484,7 @@ def _nested_pairs(law: Fixed, bases: Sequence[int], m: Array, other: Array) -> A
     for axis in range(law.dims - 1, -1, -1):
         b, row, column = bases[axis], flat[:, axis : axis + 1], far[:, axis : axis + 1]
         by_level = [_level_mates(row, column, b**a, b)[:, 0] for a in range(most)]
-        # Last entry: equal coordinates, whose scrambled digits all stay equal
+        # The last entry is for equal coordinates, whose scrambled digits are all equal
         by_level.append(_same(row, column, b ** _scrambled_digits(b))[:, 0])
         total = np.einsum("...af,af->...f", total, np.array(by_level))
     return np.asarray(total.reshape(m.shape[:-1]))
@@ -497,7 +497,7 @@ def _scrambled_digits(base: int) -> int:
 def _levels(x: Array, base: int) -> int:
     """Return the least number of digits that distinguishes all coordinates.
 
-    It is at most the number of scrambled digits.
+    The result is at most the number of scrambled digits.
     """
     most = _scrambled_digits(base)
     different = len(np.unique(x))
@@ -514,8 +514,8 @@ def _place_pairs(net: Fixed, bases: Sequence[int], shifted: bool, m: Array, othe
     The images of two digits then depend only on their difference.
     Otherwise the digits of each place are permuted at random.
     The images of two digits then depend only on whether the digits are equal.
-    Places are independent, so each place contributes a factor.
-    All digits below these places are shifted by one uniform number.
+    The changes at different places are independent, so each place contributes a factor.
+    All digits below the scrambled places are shifted by one uniform number.
     If the digits form a group, the pairs that contain one given point represent all pairs.
     """
     n, dims, points = net.n, net.dims, net.points
@@ -593,7 +593,7 @@ def _interval(nu: Array) -> Array:
 def _comb(nu: Array, sides: Any) -> Array:
     """Return the transform of the grid {j/s}, A_s(ν), of each coordinate; its period is s."""
     s = np.asarray(sides, float)
-    rest = nu - s * np.rint(nu / s)  # within half a period, the divisor is not 0
+    rest = nu - s * np.rint(nu / s)  # |rest| ≤ s/2, so the divisor below is not 0
     return np.asarray(_interval(rest) / _interval(rest / s))
 
 
@@ -648,13 +648,13 @@ def _weighted_covariance(law: Law, name: str, m: Array, other: Array, density: D
             Function("variance_terms"),
             ".",
         )
-    # Each axis uses the strata at their positions, or at all offsets if a random shift follows
+    # Each axis averages over the given strata, or over all shifts of the strata if a shift follows
     highest, pairs = _highest(m, other), np.ones(m.shape[:-1])
     for i, (p, s) in enumerate(zip(_factors(density), sides, strict=True)):
         rule = np.remainder(np.arange(s) / s + offset[i], 1.0), np.full(s, 1.0 / s)
         axis = _StrataAxis(p, s, *(_all_offsets(p, s, 1.0, highest) if shifted else rule))
         same = axis.mean_product(axis.of_stratum, m[..., i], other[..., i])
-        if latin:  # two different strata; if there is only one, no pair
+        if latin:  # two points never share a stratum
             free = (m[..., i] == 0) & (other[..., i] == 0)
             same = (n * free - same) / max(n - 1, 1)
         pairs = pairs * same
@@ -691,14 +691,17 @@ class _StrataAxis:
         return out.reshape(m.shape)
 
     def of_stratum(self, m: Array) -> Array:
-        """Return the transforms M_t(m), (frequencies, starts); strata that pass 1 continue at 0."""
+        """Return the transform M_t(m) of the stratum at each start t: (frequencies, starts).
+
+        Strata that extend beyond 1 continue at 0.
+        """
         end = self.starts + 1.0 / self.sides
         over = np.maximum(end - 1.0, 0.0)
         first = _strips(m, self._warp(self.starts), self._warp(np.minimum(end, 1.0)))
         return np.asarray(self.sides * (first + _strips(m, np.zeros(1), self._warp(over))))
 
     def of_grid(self, m: Array) -> Array:
-        """Return A_δ(m), shape (frequencies, offsets); the starts serve as offsets."""
+        """Return S_m of the grid with offset δ, for each start as δ: (frequencies, starts)."""
         total = np.zeros((m.size, self.starts.size), complex)
         for j in range(self.sides):
             x = self._warp(self.starts + j / self.sides)

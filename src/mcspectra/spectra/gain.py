@@ -63,7 +63,7 @@ def gain_coefficients(
     Raises
     ------
     NoClosedForm
-        If the sampler draws different points each time, so that its gains are random.
+        If the gains are random, because the sampler draws different points each time.
     ParameterError
         If there are too many levels, points or dims to count.
 
@@ -97,7 +97,7 @@ def gains_at(net: Fixed, bases: Sequence[int], levels: int) -> Array:
     """Return the gains (levels + 1, …) of a set that is scrambled in the given bases.
 
     The gains are differences, along each axis, of the numbers of pairs whose leading digits agree.
-    The errors are the same as for `gain_coefficients`.
+    Exceptions are the same as those of `gain_coefficients`.
     """
     gains = net.agreements(bases, levels)
     for axis, base in enumerate(bases):
@@ -124,7 +124,7 @@ def nested_variances(
     -------
     ndarray
         float64 (levels + 1, …), or (channels, levels + 1, …), with 0 at level 0 of all axes.
-        The sum is the variance of f without its finer levels.
+        The sum over all levels is the variance of f, without the levels above `levels`.
 
     Raises
     ------

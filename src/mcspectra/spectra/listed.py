@@ -1,8 +1,8 @@
 """Expected power at listed frequencies, real or integer, in any number of dims.
 
 Grids of frequencies are limited to a few dims; lists are not.
-Examples of lists are slices along the axes, planes of two axes (the projections of a set),
-and the frequencies of one ANOVA subset.
+A list can be a slice along an axis, or a plane of two axes (a projection of the set).
+A list can also hold all frequencies of one ANOVA subset of the axes.
 `power_at` takes any list; `axis_frequencies` and similar functions return float64 lists (F, d).
 On axes and diagonals only ν is listed and −ν is not, since S_{−ν} = conj S_ν.
 
@@ -17,7 +17,7 @@ Engines
     The cost is O(n + F) with a large constant, plus the cost of a grid over all frequencies.
 ``auto``
     The engine that should be faster according to measured constants.
-    In three or more dims this is direct, because type 3 has no advantage there.
+    In three or more dims ``direct`` is used, because type 3 is not faster there.
 """
 
 from __future__ import annotations
@@ -259,14 +259,14 @@ def axis_frequencies(dims: int, half_width: int, *, step: float = 1.0) -> Array:
 def diagonal_frequencies(
     dims: int, half_width: int, *, signs: Sequence[int] | None = None, step: float = 1.0
 ) -> Array:
-    """Return frequencies step · t · signs for t = 1 … half_width; by default the main diagonal.
+    """Return the frequencies step · t · signs on a diagonal, t = 1 … half_width.
 
     Parameters
     ----------
     dims, half_width, step
-        Number of dims, largest t, and spacing.
+        Number of dims, largest multiple t, and spacing of the frequencies.
     signs
-        Sign of each axis: −1, 0 or 1.
+        Sign of each axis: −1, 0 or 1. By default all signs are 1.
 
     Examples
     --------

@@ -59,8 +59,8 @@ def pair_correlation(
         Seed (SPEC 7).
     boundary
         ``"toroidal"``: distances wrap around the torus.
-        ``"border"`` is for sets that end at the border: distances do not wrap,
-        and pairs count only for points at least r from the border.
+        ``"border"`` is for sets that end at the border, so that distances do not wrap.
+        A pair at distance r counts only if its first point is at least r from the border.
     max_distance
         Largest r, at most 1/2; by default 1/2, or 1/4 with the border correction.
     workers
@@ -129,7 +129,7 @@ class PairCorrelation(Analysis, frozen=True, kw_only=True):
         return Need(cost=self._cost, memory=memory_of(self.n, source.dims) + 128 * self.bins)
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[MeanSums]:
-        """Return the reduction, in which each block is one set."""
+        """Return the computation as a sum over blocks, where each block is one set."""
         source, n, wrap = subject.sampler, self.n, self.boundary == "toroidal"
         edges = np.linspace(0.0, self._most, self.bins + 1)
         # Volume of the unit ball
@@ -183,8 +183,8 @@ def count_pairs(points: Array, edges: Array, *, wrap: bool) -> Array:
     """Count pairs of points (n, d) by distance, in equal bins from 0: float64 (bins,).
 
     With `wrap`, distances are on the torus and each pair counts once.
-    Otherwise pairs are ordered, and count only if the first point is far from the border:
-    its distance must be at least the upper end of the bin.
+    Without `wrap`, ordered pairs are counted.
+    The border must be at least the bin's upper end away from the first point of a pair.
     """
     n, bins = len(points), len(edges) - 1
     limit = min(float(edges[-1]), 0.5) if wrap else float(edges[-1])
@@ -197,7 +197,7 @@ def count_pairs(points: Array, edges: Array, *, wrap: bool) -> Array:
         count_ordered_pairs(coordinates, per_unit, limit, last, ordered)
         return ordered.astype(float)
     copies = coordinates[:, coordinates[0] <= limit]
-    copies = copies + np.eye(len(coordinates), 1)  # shifted by one along the first axis
+    copies = copies + np.eye(len(coordinates), 1)  # copies move by 1 along axis 0
     counts = np.zeros((4, bins + 1), np.int64)
     count_distances(np.concatenate([coordinates, copies], axis=1), n, per_unit, limit, counts)
     return np.asarray(counts[:, :bins].sum(axis=0), float)

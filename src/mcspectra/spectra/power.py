@@ -1,9 +1,10 @@
 """Expected power spectra of point sets, uniform or importance-sampled, by simulation.
 
 Power is summed by frequency, and over rings and wedges of frequencies, for each realization.
-Frequencies of one set are not independent: with a density, the fluctuation of the weights
-affects all frequencies. Means over many frequencies are therefore summed as well,
-and their errors are computed from these means.
+Frequencies of one set are not independent:
+with a density, the fluctuation of the weights affects all frequencies.
+Means over many frequencies are therefore also summed for each realization,
+and standard errors of the means are computed from these sums.
 """
 
 from __future__ import annotations
@@ -49,12 +50,12 @@ __all__ = [
     "weighted_points",
 ]
 
-_BLOCKS = 8  # smallest number of blocks, shared by threads and machines
+_BLOCKS = 8  # smallest number of blocks that threads and machines can share
 _MOST_COORDINATES = 2**26  # largest number of coordinates of a set; half a GiB
 _EPS = 1e-9  # tolerance of transforms in double precision
 _SINGLE_EPS = 1e-5, 1e-6  # tolerances of transforms in single precision, cheapest first
 _MOST_ERROR = 0.02  # largest single-precision error of a ring mean, in standard errors
-_TRIED_FROM = 16  # fewest realizations for which a trial of both precisions pays
+_TRIED_FROM = 16  # fewest realizations for which both precisions are tried
 
 MAX_WEDGES = 360
 """Largest number of directions into which a half turn is divided."""
@@ -98,10 +99,11 @@ def power_spectrum(
     engine
         See `mcspectra.spectra.transforms`.
     eps
-        Relative accuracy of the transforms. The default is 1e-5 or 1e-6, in single precision,
-        if this error is far below the statistical error; else the default is 1e-9.
-        The first two realizations decide: on all rings, errors must be below 0.02 standard errors.
-        The attribute ``transform_error`` is the largest of these errors.
+        Relative accuracy of the transforms.
+        The default is 1e-5 or 1e-6, in single precision, if transform errors are small enough:
+        on all rings of the first two realizations, they must be below 0.02 standard errors.
+        If transform errors are larger, the default is 1e-9.
+        The attribute ``transform_error`` is the largest transform error, in standard errors.
         The attribute ``eps`` is the accuracy that was used.
     workers
         Number of threads; by default all processors. Results do not depend on it.
@@ -111,7 +113,7 @@ def power_spectrum(
     xarray.Dataset
         ``power`` and its standard error ``power_se`` on dims m0, m1, …
         The power at m = 0 is ⟨S_0²⟩. The power of random points is 1/n, or ∫1/p / n with a density.
-        The attribute ``random_level``, divided by n, has this value.
+        The attribute ``random_level`` is n times this power of random points.
 
         ``radial_power`` and its standard error ``radial_power_se`` on dim radius.
         The radius is |m| in cycles per unit; rings are one frequency step wide and exclude m = 0.
@@ -129,18 +131,18 @@ def power_spectrum(
     ------
     ParameterError
         If a value is out of range, dims disagree, or the grid is too large.
-        Also if a set has more than 2^26 coordinates.
+        If a set has more than 2^26 coordinates.
     ConfigError
         If more memory is needed than is available.
 
     Notes
     -----
-    Power is ⟨|S_m|²⟩, as in the slides.
+    Power is ⟨|S_m|²⟩, without a factor n.
     Multiply power by n for the convention of UTK, where the power of random points is 1.
     The cost is O(n log^d(1/eps) + M log M) for a pair of realizations with M frequencies.
     Memory does not depend on the number of realizations. A thread takes at most 100 M bytes.
-    Points (and phases, in the direct engine) take up to 64 MB more per thread,
-    or 100 n d bytes if two sets are larger than that.
+    Points (and phases, in the direct engine) take up to 64 MB more per thread.
+    If two sets take more than 64 MB, the limit is 100 n d bytes instead.
 
     Examples
     --------
@@ -221,7 +223,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
         return Need(cost=self._cost(grid), memory=memory_of(self.n, dims, 1, grid.size))
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[_SpectrumSums]:
-        """Return the reduction: sums over blocks of realizations; two sets share a transform."""
+        """Return the computation as a sum over blocks of realizations; sets share transforms."""
         source, p = _warped(subject)
         grid = self._grid(source, p)
         polar = _PolarMeans.of(grid, self.wedges)
@@ -293,7 +295,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
                 found[name], found[f"{name}_se"] = ((dim,), mean), ((dim,), se)
                 found[f"{name}_ci"] = (dim, "bound"), log_mean_interval(mean, se, count)
             if self.mean:
-                # Translations change the coefficients, so each realization counts
+                # Translations change the coefficients, so reused sets also give new samples
                 mean, mean_se = total.frequencies.coefficient(None if law.stationary else sets)
                 found["mean_coefficient"] = grid.names, grid.full(mean, conjugate=True)
                 found["mean_coefficient_se"] = grid.names, grid.full(mean_se)
@@ -339,7 +341,7 @@ class Points(_OfPointSets, frozen=True, kw_only=True):
         return Need(cost=self.n, memory=memory_of(self.n, source.dims))
 
     def reduction(self, subject: Subject, stream: Stream) -> Reduction[xr.Dataset]:
-        """Return the reduction that draws the set in one step."""
+        """Return the drawing of one set as a computation of one block."""
         source, p = _warped(subject)
 
         def points() -> xr.Dataset:
@@ -353,7 +355,7 @@ class Points(_OfPointSets, frozen=True, kw_only=True):
 
 
 def _warped(subject: Subject) -> tuple[Sampler, Density | None]:
-    """Return the sampler and the density of its points: the subject's, else the estimator's."""
+    """Return the sampler and its density: that of `subject`, or that of its estimator."""
     given = subject.density
     if given is None:
         given = getattr(subject.estimator, "density", None)
@@ -438,7 +440,7 @@ class _PolarMeans:
     """Rings (and in two dims wedges) of frequencies, over which power is averaged."""
 
     # Cell of each frequency of the half grid: ring · (wedges + 1) + wedge, int64 (H,).
-    # A further cell holds m = 0 and frequencies beyond the rings.
+    # The last cell holds m = 0 and the frequencies beyond the rings.
     # The last wedge lies outside the circle of the half width.
     label: Array
     cells: Array  # number of frequencies in each cell: (rings, wedges + 1)
@@ -476,7 +478,7 @@ class _PolarMeans:
         )
 
     def add(self, sums: MeanSums, power: Array) -> None:
-        """Add the means of sets from power (sets, …) summed by label; NaN for empty wedges."""
+        """Add the mean power of rings and wedges, given sums by label (sets, …); NaN if empty."""
         for own in power[:, :-1].reshape(-1, *self.cells.shape):
             with np.errstate(invalid="ignore"):
                 rings = own.sum(axis=1) / self.cells.sum(axis=1)

@@ -6,7 +6,7 @@ Standard errors are those over realizations, of the means over rings and wedges.
 Directions may have different exponents; the largest power decides.
 A Latin hypercube has power ∝ m² along its axes and the power of random points elsewhere.
 If the power at one length depends on direction, each class of directions is fitted separately.
-Classes are the sets of axes that frequencies involve and, in 2-D, the wedges.
+A class holds the frequencies with the same nonzero axes and, in 2-D, in the same wedge.
 """
 
 from __future__ import annotations
@@ -129,13 +129,13 @@ def radial_statistics(spectrum: xr.Dataset) -> xr.Dataset:
     -------
     xarray.Dataset
         Values are on dim radius, for rings of one frequency step.
-        They are NaN for rings with one direction or without power.
+        Anisotropies are NaN for rings with one direction or without power.
         ``radial_power`` is the mean, and ``radial_power_se`` its standard error.
         The spectrum supplies this error; if it does not, frequencies count as uncorrelated.
         ``anisotropy`` is the variance over direction, divided by the mean² [Ulichney1988]_.
         ``anisotropy_db`` is 10 log10 of the anisotropy.
-        ``anisotropy_noise_db`` is the same value for noise alone in an isotropic spectrum.
-        It is −10 log10 of the number of realizations for Gaussian S.
+        ``anisotropy_noise_db`` is the anisotropy (dB) of an isotropic spectrum due to noise alone.
+        For Gaussian S, this noise value is −10 log10 of the number of realizations.
 
     Examples
     --------
@@ -223,7 +223,7 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
         Result of `power_spectrum` in two dims.
     wedges
         Number of wedges in the half turn; the first is centered on the m0 axis.
-        Standard errors need the number that was given to `power_spectrum`.
+        Standard errors need the number of wedges that was given to `power_spectrum`.
 
     Returns
     -------
@@ -232,7 +232,7 @@ def wedge_means(spectrum: xr.Dataset, wedges: int = 12) -> xr.Dataset:
         Angles are in degrees, at the centers of the wedges.
         Values are NaN for wedges without frequencies.
         If the spectrum has another number of wedges, errors with a density are NaN.
-        Errors for uniform points then treat frequencies as uncorrelated.
+        In this case, errors for uniform points treat frequencies as uncorrelated.
     """
     half = _HalfSpectrum.of(spectrum)
     wedges = as_integer("wedges", wedges, least=1, most=MAX_WEDGES)
@@ -267,8 +267,8 @@ def low_frequency_exponent(
         Between the integers ⟨S_ν⟩ is not 0. The fit is then to ⟨|S_ν|²⟩ − |⟨S_ν⟩|².
         This needs the means of S, that is ``mean=True``.
     up_to
-        Largest |ν| of the fit. The default is a quarter of the points' mean frequency n^(1/d),
-        but it includes at least three lengths and is at most the half width.
+        Largest |ν| of the fit. The default is a quarter of the points' mean frequency n^(1/d).
+        The default includes at least three lengths |ν|, and is at most the half width.
     axis
         Axis along which to fit. The default is a fit over all directions. If directions differ,
         the default is the directions with the largest power at the lowest frequency.
@@ -288,14 +288,15 @@ def low_frequency_exponent(
     Raises
     ------
     ParameterError
-        If there are no errors, fewer than three lengths, or no means (needed between integers).
+        If the spectrum has no standard errors, or fewer than three lengths |ν|.
+        If frequencies lie between the integers and the spectrum has no means of S.
 
     Notes
     -----
     The method is weighted least squares of log power on log |ν|.
     All frequencies of one length (and class of directions) are averaged.
     With k classes, the interval of each class has the level 1 − 0.05/k.
-    The exponent depends on the window.
+    The exponent depends on the largest frequency of the fit.
     For 1 − sinc² of jittered points, b is 2 at 0 and 1.8 at n^(1/d)/4.
 
     Examples
@@ -346,7 +347,7 @@ def low_frequency_exponent(
     lengths = lengths[lengths <= window * (1 + 1e-9)]
     label[label >= len(lengths)] = -1
 
-    # Fit the lengths at which the power is above rounding
+    # Fit the lengths |ν| of frequencies at which the power is above rounding
     power, se, _ = half.mean_by(label, len(lengths))
     if np.isnan(se).any():
         raise ParameterError(
@@ -356,7 +357,7 @@ def low_frequency_exponent(
     approximate = spectrum.attrs.get("engine") == "nufft"
     least = 10 * spectrum.attrs.get("eps", 0.0) if approximate else 0.0
     if "transform_error" in spectrum.attrs:
-        # Errors of the chosen single precision are small only where the power is large
+        # In single precision, small powers are only rounding
         least = _SINGLE_ROUNDING
     empty = int(np.count_nonzero(power <= max(least, 1e-14) ** 2))
     reason = None
@@ -419,7 +420,7 @@ def _over_directions(half: _HalfSpectrum, label: Array, lengths: Array) -> _LowF
     spread = (half.power[several] - own) ** 2 * k / (k - 1)
     excess = float(np.mean((spread - half.se[several] ** 2) / own**2)) if several.any() else 0.0
     # Some lengths have several directions, such as (3, 4) and (5, 0).
-    # If no length does, unequal powers show as a misfit of the line.
+    # If every length has only one direction, unequal powers show as a misfit of the line.
     if half.grid.dims == 1 or (excess <= _ISOTROPIC and whole.chi2 <= _SUSPECT):
         return whole
     # Classify frequencies by their nonzero axes and, in 2-D if both are nonzero, by wedges
@@ -473,8 +474,9 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
     -------
     float
         The variance, for randomly shifted sets at *integer* frequencies (``frequency_step=1``).
-        It is exact up to the truncation of the grid. Between the integers ⟨S_ν⟩ is not 0.
-        The sum then includes the bias of a finite window, and never falls below it [Singh2019]_.
+        This variance is exact up to the truncation of the grid.
+        Between the integers, where ⟨S_ν⟩ is not 0, the sum includes the bias of a finite window.
+        The sum never falls below this bias [Singh2019]_.
 
     Raises
     ------
@@ -510,7 +512,7 @@ def variance_from_spectrum(spectrum: xr.Dataset, coefficients: Any) -> float:
             f"{grid.shape}, one for each frequency."
         )
     # Warn if the points are not stationary; a spec of given points does not show whether they are.
-    # Between the integers the sum is not the variance (see Returns)
+    # Between the integers, the returned sum is not the variance (see Returns)
     try:
         source = None if spec is None else as_sampler(spec, grid.dims)
     except (ParameterError, FileFormatError):

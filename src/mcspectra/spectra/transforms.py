@@ -6,27 +6,26 @@ Engines
     Type-1 non-uniform FFT. FINUFFT [Barnett2019]_ spreads points onto a fine grid.
     SciPy transforms the grid. Each Python thread reuses one plan of FINUFFT.
     Along each axis, the grid is 1.25 times as fine as the frequencies.
-    If there are many points per frequency, it is twice as fine.
+    With many points per frequency, the grid is twice as fine.
     The relative l2 error is 1e-9. With ``eps=1e-12`` the grid is twice as fine.
-    The transform then takes 2.3 times as long (512²).
+    On a grid twice as fine, the transform of 512² frequencies takes 2.3 times as long.
 
     Single precision halves the time: its error is at best 1e-6 of the peak.
     On a grid 1.12 times as fine the error is 1e-5, and the time is a fifth less.
     Coordinates are rounded to 2^-25 in single precision.
 
     Real frequencies on a grid of step s are integer frequencies of the coordinates s·x.
-    Two realizations share a transform with complex weights:
-    the weights of the first plus i times the weights of the second.
-    Hermitian symmetry separates the two.
+    Two realizations with weights w_1 and w_2 share a transform with the weights w_1 + i w_2.
+    Hermitian symmetry separates the transforms of the two realizations.
     The cost is O(n log^d(1/eps) + M log M) per pair, for n points and M frequencies.
     In four dims there is one 3-D transform for each frequency of the first axis.
-    Realizations are then transformed one at a time.
+    In four dims, realizations are transformed one at a time.
 ``direct``
     Separable direct summation by matrix products, exact to rounding, at cost O(n M).
     It is the reference for tests, and the faster engine for few points.
 ``auto``
-    NUFFT, except in three cases. The direct engine is used if n M < 4000,
-    where its arithmetic is about a microsecond faster than a plan call.
+    NUFFT, except in three cases.
+    The direct engine is used if n M < 4000: it is about a microsecond faster than a plan call.
     It is also used below about a thousand points in four dims, and in more than four dims.
 
 Real weights make S_{−m} = conj S_m, so results cover *half* the grid:
@@ -61,9 +60,9 @@ __all__ = [
 ENGINES = ("auto", "nufft", "direct")
 _DIRECT_BELOW = 4000
 _DIRECT_NUMBERS = 2**22  # number of phases held at a time: 64 MiB
-_SPARSE = 1 / 16  # points per frequency below which it is faster to spread in parts
+_SPARSE = 1 / 16  # points per frequency below which points are spread in groups
 _SPREAD_POINTS = 1024
-_CELL_COST = 50.0  # cost of transforming a cell relative to spreading to a cell; measured
+_CELL_COST = 50.0  # measured: time to transform a cell / to spread to a cell
 _LEAST_FINE = 32  # least number of cells of the fine grid per axis; kernels are narrower
 
 MAX_FREQUENCIES = 2**27
@@ -87,7 +86,7 @@ class IndexGrid:
     hermitian: ClassVar[bool] = False
     """Whether indices run from −K to K, and coefficient −m is the conjugate of coefficient m.
 
-    If so, only the first half is stored, up to and including m = 0."""
+    With this symmetry, only the coefficients up to and including m = 0 are stored."""
 
     @property
     def side(self) -> int:
@@ -133,7 +132,7 @@ class IndexGrid:
 
     @property
     def coords(self) -> dict[str, Any]:
-        """Coordinates of the dims."""
+        """Coordinate arrays of the dims m0, m1, …, with their labels and units."""
         attributes = {"long_name": self.label, "units": self.units}
         return {name: (name, self.axis, attributes) for name in self.names}
 
@@ -238,7 +237,7 @@ class Transform:
                 Parameter("engine", "direct"),
                 ".",
             )
-        if engine == "auto":  # derived from times measured on one core
+        if engine == "auto":  # limits from times measured on one core
             slab = float(grid.size // grid.shape[0])
             pays = n * grid.size < _DIRECT_BELOW
             if grid.dims > 3:
@@ -251,8 +250,8 @@ class Transform:
         self._sparse = density < _SPARSE
         self._packs = engine == "nufft" and grid.dims <= 3
         self.single = single and self._packs
-        # A finer grid is more accurate. Its transform takes longer, but its spreading less time:
-        # in double precision its kernels have 11 cells per side instead of 15.
+        # A finer grid is more accurate. Its transform takes longer, but spreading takes less time:
+        # in double precision a point is spread to 11 cells per side, instead of 15.
         spreading = 0.0 if self.single else density * (15.0**dims - 11.0**dims)
         finer = self.eps < 1e-9 or spreading > _CELL_COST * (2.0**dims - 1.25**dims)
         coarse = 1.12 if self.single and self.eps >= 1e-5 else 1.25
@@ -296,7 +295,7 @@ class Transform:
         """Add a block's sums of |S_m|², |S_m|⁴ and S_m to the given arrays (H,).
 
         The function `groups` gets the sums of |S_m|² over all frequencies with the same label.
-        Its argument is an array (sets, number of labels) for one or two sets.
+        The sums have shape (sets, number of labels), for one or two sets.
         """
         # S_0 is exactly the sum of the weights
         sums = given_or_equal(weights, points).sum(axis=1)
@@ -368,9 +367,9 @@ class Transform:
     def _execute(self, strengths: Array, out: Array) -> Array:
         """Transform the current points to `out`, a grid of frequencies, and return it flat.
 
-        FINUFFT only spreads. Its own FFT is FFTW, whose fast plans vary between runs,
-        because they depend on timings. SciPy's FFT computes only the needed frequencies.
-        It takes half the time of reproducible FFTW plans (648²).
+        FINUFFT only spreads. Its own FFT is FFTW, whose fast plans depend on timings and vary.
+        SciPy's FFT computes only the needed frequencies.
+        On a grid of 648², SciPy's FFT takes half the time of reproducible FFTW plans.
         """
         from scipy.fft import fft
 
@@ -419,7 +418,8 @@ class Transform:
         import finufft
 
         # With spread_sort=2, FINUFFT decides by the density of points whether to sort.
-        # At low density it spreads to parts of the grid that fit into the cache (0: all at once).
+        # At low density, points are spread in groups, to parts of the grid that fit into the cache.
+        # The value 0 spreads all points at once.
         return finufft.Plan(
             1,
             shape,
@@ -475,11 +475,11 @@ def direct_sum(points: Array, frequencies: Array, weights: Array | None = None) 
     Parameters
     ----------
     points
-        (..., n, d).
+        Points of shape (..., n, d).
     frequencies
-        (F, d), real.
+        Real frequencies of shape (F, d).
     weights
-        (..., n); None means 1/n each.
+        Weights of shape (..., n); None means 1/n for each point.
 
     Returns
     -------
