@@ -13,7 +13,7 @@ A function agrees with brute force under these conditions:
     Examples are a preintegration along some direction, and a regression.
     A different set-up is also accepted if both set-ups have the same RMSE within their intervals;
 * `plan`: with the RMSE by brute force as target, its interval for n overlaps the reference.
-  The reference is 4,096 evaluations; the interval of the RMSE, converted by the rate, gives its ends;
+  The reference is 4,096 evaluations; the RMSE's interval and the rate give its ends;
 * `predict`: the interval of the variance at 4,096 evaluations overlaps that by brute force.
 
 An open interval always overlaps.

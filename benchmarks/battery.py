@@ -226,7 +226,7 @@ def cases() -> Iterator[Case]:
         many,
     )
 
-    # All realizations have the same points, in the whole estimator or in one technique
+    # Points that are equal in every realization, a technique that misses a peak, and an option
     yield Case("the same set", lambda x: np.exp(x[:, 0]), 1, e, ("deterministic-set",), "regular")
     yield Case(
         "the same set in 2-D",
