@@ -13,7 +13,7 @@ A function agrees with brute force under these conditions:
     Examples are a preintegration along some direction, and a regression.
     A different set-up is also accepted if both set-ups have the same RMSE within their intervals;
 * `plan`: with the RMSE by brute force as target, its interval for n overlaps the reference.
-  The reference is 4,096 evaluations; the RMSE's interval and the rate give its ends;
+  The reference interval contains 4,096 evaluations; its ends follow from the RMSE's interval;
 * `predict`: the interval of the variance at 4,096 evaluations overlaps that by brute force.
 
 An open interval always overlaps.
@@ -40,7 +40,7 @@ from mcspectra.estimators import AbstractEstimator, as_estimator
 from mcspectra.measure.setup import Setup, affordable_count
 
 BUDGET = 4096
-ESTIMATES, RENDERED = 1000, 200  # number of estimates by brute force; RENDERED: for scenes
+ESTIMATES, RENDERED = 1000, 200  # numbers of estimates by brute force: functions, scenes
 REALIZATIONS = 100  # realizations of each candidate in remedies
 KINDS = ("sampler", "unshifted", "mirrored", "regression", "preintegrated", "fitted", "techniques")
 SIGMAS = 1.96

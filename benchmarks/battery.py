@@ -258,7 +258,7 @@ def cases() -> Iterator[Case]:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Profile of a case, and its comparison with measurements; None if one does not apply."""
+    """Profile of a case, compared with measurements; a comparison that is not made is None."""
 
     case: Case
     found: mcs.Profile

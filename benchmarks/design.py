@@ -5,7 +5,7 @@ The design with the least variance over 400 members is measured over 2,000 other
 The members form 20 groups, each with its own 32 realizations.
 Rivals are sobol | owen, pmj02, and shifted Korobov, rank-1 and Fibonacci lattices.
 ``MCSPECTRA_NETS`` may name a folder with direction numbers of OneTwo and quad-optimized nets.
-If it does, these nets in base 3, scrambled by owen, are also rivals.
+With such a folder, nets in base 3, scrambled by owen, are also rivals.
 
 The last lines compare with folded lattices, on Gaussians of random orientation.
 In this class, a few narrow members carry half of the mean variance.

@@ -7,7 +7,7 @@ The raw calls copy results to NumPy, without statistics.
 The map loops over samples, and evaluates a technique once for plain and weighted estimates.
 The line "kernels alone" measures the map's loops without its statistics.
 ``--full`` maps 256 × 170 pixels without predictions and compares with the raw calls alone.
-It takes minutes. By default the map is smaller.
+This map takes minutes. The default map is smaller.
 """
 
 from __future__ import annotations

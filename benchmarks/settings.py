@@ -8,8 +8,8 @@ The cases of `PoleSettings` are poles |A(x − c)|^−a of known order and rank.
 The flag ``--NAME`` measures one setting.
 
 ``--rates`` tests `CurveSettings` with five functions whose rate with scrambled nets is known.
-The benchmark prints the root mean square error of the rates and the mean half width
-of their intervals, and the fraction of intervals that contain the true rate.
+The benchmark prints the root mean square error of the rates.
+It also prints the mean half width of the intervals, and how many contain the true rate.
 
 ``--chains`` tests `ChainSettings` with chains of 500 to 2,000 draws.
 Each chain has one known fault or none.

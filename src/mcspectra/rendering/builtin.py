@@ -123,8 +123,8 @@ def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[s
     The occluder is rotated by 25° so that its shadow's border is not parallel to strata.
     The named pixels P and Q show the floor points P and Q. From P, the whole light is visible.
     Neither point is below the light's center.
-    Below the center, the integrand would be equal at opposite borders of the unit square,
-    and shifted points would lose nothing.
+    Below the center, the integrand would be equal at opposite borders of the unit square.
+    For such an integrand, a shift of the points has no disadvantage.
 
     With an edge, radiance is a texture of 256² texels with bilinear interpolation.
     Mitsuba samples such a light texel by texel, in proportion to the texture.

@@ -87,15 +87,15 @@ def frames(
         Every number of samples needs at least two files.
     spp
         Samples per pixel of all frames.
-        By default the name of the file or folder gives the number (``spp64`` or ``64spp``).
-        Otherwise EXR headers do: ``samplesPerPixel`` of pbrt, ``cycles.*.samples`` of Blender.
+        The default is read from the name of the file or folder (``spp64`` or ``64spp``),
+        or else from EXR headers: ``samplesPerPixel`` (pbrt) or ``cycles.*.samples`` (Blender).
     against
         Frames of the same view by another renderer, integrator or setting.
     target
         Relative root mean square error (σ / mean) that pixels should reach.
     seconds, seconds_against
-        Render time of a frame in seconds.
-        By default EXR headers give it: ``renderTimeSeconds`` (pbrt) or ``RenderTime`` (Blender).
+        Render time of a frame in seconds. By default the time is read from EXR headers.
+        The header is ``renderTimeSeconds`` in files of pbrt, and ``RenderTime`` for Blender.
     layer
         Layer or channel of EXR files to measure; by default the first picture.
     tone_mapped
@@ -111,7 +111,7 @@ def frames(
         ``mean`` and ``variance`` of the luminance of one frame, ``variance_ci`` (bound),
         ``relative_rmse``, and ``largest_share``, one frame's share in the sum of squares.
         With several n: ``rate`` and ``rate_ci`` of the variance, averaged over a square of pixels.
-        The attribute ``smoothing`` is the width of the square for rates, in pixels.
+        The attribute ``smoothing`` is the width in pixels over which rates are averaged.
         On n: ``picture_variance``, the mean over the pixels, with ``picture_variance_ci``;
         ``picture_rate`` with its interval. With a target: ``needed_spp``.
         ``error_spectrum(n, radius)`` with ``error_spectrum_ci``: power of the standardized errors.
@@ -525,7 +525,7 @@ def _group(
     independent = (count - 1) * loss**2
     half = np.maximum(half, CONFIDENCE_Z * measured * np.sqrt(2.0 / (rings.sizes * independent)))
     # The sum of squared correlations also contains the squares of their errors.
-    # A squared error has the mean: true sum / (pixels · (R − 1) · loss²)
+    # The mean of a squared error is: true sum / (pixels · (R − 1) · loss²)
     alike = max(1.0, float((every**2).sum()) / (1.0 + 1.0 / independent))
     near, repeat, repeated = _lags(every, alike / (varied.sum() * independent))
     pair, relation = _related(sample, alike)
@@ -567,7 +567,7 @@ def _group(
 
 
 def _log_variance(moments: Moments) -> tuple[Array, Array]:
-    """Standard error of log s², and an estimate of log σ² that few values do not bias.
+    """Standard error of log s², and an estimate of log σ² that is unbiased even for few values.
 
     For ν + 1 normal values, log s² has the mean log σ² + ψ(ν/2) − log(ν/2).
     The variance of log s² is ψ'(ν/2).

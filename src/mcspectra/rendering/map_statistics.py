@@ -98,8 +98,8 @@ def slowest(rate: Array, rate_se: Array) -> Array:
     """Which of two techniques (2, y, x) has the slower rate, by the interval of the difference.
 
     The techniques must have their own points, so that the squares of the standard errors add up.
-    To compare two separate intervals would be weaker: the rates would have to differ
-    1.4 times as much, if both have the same standard error.
+    A test whether the intervals of the two rates overlap would be less sensitive.
+    For equal standard errors, it would need a difference 1.4 times as large.
     """
     return _larger(rate[0] - rate[1], rate_se, np.isnan(rate).all(axis=0))
 
@@ -193,7 +193,7 @@ def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, A
 def gain(single: LineFits, mis: LineFits, total: float, missed: Array) -> tuple[Array, Array]:
     """Ratio of the best single strategy's variance to that of MIS, each with `total` samples.
 
-    Strategies marked in `missed` are excluded, because the variance lacks the light they missed.
+    Strategies marked in `missed` missed light. They are excluded, as their variance is too small.
 
     Both variances come from the fitted lines. MIS gives each technique half of the samples.
     The standard error treats the two variances as independent.

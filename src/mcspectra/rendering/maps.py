@@ -428,7 +428,7 @@ def variance_map(
         Odd width in pixels of a square window over which rates are averaged, which blurs them.
         Averages have smaller standard errors only with ``points="own"``.
     predict_every
-        The variance at the largest count is predicted at every such pixel along x and y.
+        Step between the pixels at which the variance at the largest count is predicted.
         A pixel has a prediction if x and y are multiples of this step; 0 gives no predictions.
         Jittered points use stratum quadrature; random points are exact.
         In 2-D, shifted points use the power spectrum, and scrambled nets in base 2 use gains.
@@ -455,8 +455,7 @@ def variance_map(
         With ``"mis"``, ``bottleneck`` is the technique with the slower rate in MIS.
         The value 0 stands for light sampling, and 1 for BSDF sampling.
         The value is −1 if the 95 % interval of the difference of the rates contains 0.
-        The values of ``dominant_technique`` are 0, 1 or −1 in the same way.
-        They name the technique with the larger variance at the largest n.
+        ``dominant_technique`` is the technique with the larger variance at the largest n, or −1.
         If the single strategies are also measured: ``mis_gain`` and ``mis_gain_ci``,
         the variance of the better single strategy divided by that of MIS.
         Both variances are for the same total of samples (the largest n), by the fitted lines.

@@ -45,7 +45,7 @@ The integral is the mean over independently scrambled Sobol' points.
 A pixel's integrand jumps along curves that no axis follows, the edges of lights and occluders.
 Boxes of Gauss-Legendre nodes therefore do not converge.
 The scrambled points are unbiased for any integrand.
-The spread of their means is a reliable error [Owen1997]_.
+The spread of the means of scrambled sets is a reliable error [Owen1997]_.
 """
 
 from __future__ import annotations
@@ -177,7 +177,7 @@ class Pixel(MitsubaIntegrand):
         For ``"environment"``: a density in 2 dims over the square of latitude and longitude.
         Specs are accepted, for example ``"environment(interpolation='bilinear', channel=0)"``.
         A spec without a ``path`` means the scene's own map.
-        By default the density is proportional to `channel` of the scene's own map, bilinear.
+        By default, the density interpolates `channel` of the scene's own map bilinearly.
         Nothing is sampled where the density is 0.
         Densities with compensation are therefore for `pixel_mis` only.
 
@@ -270,8 +270,8 @@ def describe_pixel(scene: Scene, x: int, y: int) -> dict[str, Any]:
     Returns
     -------
     dict
-        The keys are ``shape`` (id), ``bsdf`` (type), ``light`` (name, or None without emission),
-        and ``position`` and ``normal``, which are three floats each in world space.
+        The keys are ``shape`` (id), ``bsdf`` (type), and ``light`` (name; None without emission).
+        The other keys, ``position`` and ``normal``, have three floats each in world space.
         All values are None if the ray leaves the scene.
 
     Raises
@@ -472,7 +472,7 @@ def incident_light(
     Raises
     ------
     ParameterError
-        If the resolution is out of range, the channel is ``"rgb"``, or `Pixel` raises it.
+        If the resolution is out of range, the channel is ``"rgb"``, or `Pixel` raises this error.
     """
     request = as_scene(scene)
     rows = as_integer("resolution", resolution, least=4, most=1024)

@@ -46,8 +46,8 @@ def check_scene(scene: Scene, *, light: int | str | None = None) -> list[str]:
     -------
     list of str
         A sentence for each unsupported part; empty if everything is supported.
-        Not supported are a missing camera, a camera with a lens or a shutter, a missing light,
-        participating media, and an integrator of more than direct light.
+        A scene must have a light, and a camera without a lens or a shutter.
+        A scene must not have participating media, or an integrator of more than direct light.
         Lights must not be delta functions (point, spot, directional, …).
         An environment must not be scaled, and its pixels must be radiances.
         Shapes must not have a BSDF with a delta function (dielectric, smooth conductor, mask, …).

@@ -269,7 +269,7 @@ def pixel_sums(
     """Sum over samples u: (R, n, D), equal for all pixels, or (R, P, n, D); gives (numbers, R, P).
 
     Each lane is one realization of one pixel.
-    The argument `values` maps the pixels of the lanes to a function of the row number in u.
+    The function `values` gets the pixel of each lane, and returns a function of a row of u.
     """
     import drjit
 

@@ -8,7 +8,7 @@ The memory is limited by the number of samples in a chunk.
 It does not depend on the number of pixels or of samples per pixel.
 
 The first two columns of u are the position in the pixel, if it is sampled.
-Two columns are the direction, and a further column may select a light or a lobe of the BSDF.
+Two columns of u are the direction; a further one may select a light or a lobe of the BSDF.
 The strategy ``mis`` adds up both techniques at the same surface point.
 This strategy has a block of columns for the light, then one for the BSDF.
 """
@@ -70,7 +70,7 @@ class Wavefront:
     film
         ``"center"``: rays through the pixels' centers.
         ``"sampled"``: rays through a point of the pixel, uniform by the first two columns of u.
-        The image then has a box filter.
+        With sampled positions, the image has a box filter.
     heuristic
         ``"balance"`` or ``"power"`` (β = 2), for the ``mis`` strategies.
     emission

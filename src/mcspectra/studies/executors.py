@@ -305,7 +305,7 @@ class Dask:
     def workers(self) -> int:
         """Number of worker threads, at least 1.
 
-        With no worker at all, one task is thus submitted and waits for a worker.
+        If there is no worker, one task is submitted and waits for a worker.
         """
         now = time.monotonic()
         if now - self._threads[1] >= _FRESH and self._ready:

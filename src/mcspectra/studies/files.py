@@ -405,7 +405,7 @@ class Slugs:
         self._next: dict[str, int] = {}
 
     def __call__(self, text: str) -> str:
-        """Return a group name for a text; earlier calls have returned all other names."""
+        """Return a group name for a text, different from all names of earlier calls."""
         base = re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.")[:60].strip("-.") or "x"
         slug = base
         while slug in self._taken:

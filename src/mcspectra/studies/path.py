@@ -12,7 +12,7 @@ A change that needs a pilot is compared with the given path at an equal total of
 The total number of paths includes those of the pilot.
 
 If each path samples one light, the best probabilities p_j are proportional to √(p_j E f_j²).
-Here f_j is the contribution of light j, and p_j E f_j² is its second moment if light j is chosen.
+Here p_j E f_j² is the second moment of light j's contribution, if light j is always chosen.
 """
 
 from __future__ import annotations
@@ -170,7 +170,7 @@ def analyse_path(
     parts: dict[str, xr.Dataset] = {"convergence": curves}
     report("path: parts", 0.4)
     dimensions = f.dimensions
-    kinds = {  # By kind of group: the group of each coordinate
+    kinds = {  # The group of each coordinate, for four kinds of groups
         "bounce": [f"bounce {d.bounce}" if d.bounce else "camera" for d in dimensions],
         "decision": [d.decision for d in dimensions],
         "request": [str(Dimension(d.bounce, d.decision)) for d in dimensions],
@@ -345,8 +345,7 @@ def path_remedies(
     -------
     xarray.Dataset
         Same as in `mcspectra.remedies`.
-        Each candidate has a ``kind``: ``sampler``, ``padding``, ``order``, ``roulette`` or
-        ``selection``.
+        A ``kind`` is ``sampler``, ``padding``, ``order``, ``roulette`` or ``selection``.
         ``error`` is the error at the budget without a pilot's cost; ``error_ratio`` includes it.
     """
     ns, budget = list(counts)[-_COUNTS:], int(counts[-1])

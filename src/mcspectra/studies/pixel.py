@@ -248,8 +248,7 @@ def analyse_pixel(
             parts[f"predict/{strategy}"] = predict(estimator, sources, ns, **shared)
         report("pixel: terms", 0.4)
         terms = {"half_width": chosen.half_width[dims], "space": "primary", **options}
-        # Use the middle count, because at few points the truncated spectrum captures more of
-        # the variance
+        # With few strata, a truncated spectrum captures more of the variance: use the middle count
         middle = ns[(len(ns) - 1) // 2]
         for strategy, estimator in strategies.items():
             for basis in _BASES:
@@ -328,7 +327,7 @@ def check_compared(
     ------
     McspectraError
         If an argument is not a list, or a sampler is listed twice.
-        If there are fewer than two counts, or counts do not ascend or suit a sampler.
+        If there are fewer than two counts, counts do not ascend, or a sampler rejects a count.
     """
     if isinstance(samplers, str) or not samplers:
         raise ParameterError(f"samplers is {shown(samplers)}; give a list of samplers.")

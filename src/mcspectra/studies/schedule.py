@@ -286,7 +286,7 @@ class Schedule:
         """Return the next task; None if all are handed out, or results must arrive first.
 
         If an earlier run recorded all of a cell, the cell is restored, and None is returned.
-        Take its result from `settled`, then call again; thus one such result is in memory.
+        Take its result from `settled` before the next call, to keep one result in memory.
         """
         while True:
             for active in self._active.values():
