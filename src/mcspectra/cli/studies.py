@@ -248,8 +248,9 @@ def report_(options: argparse.Namespace) -> VerbOutput:
     """Write the report of a finished or interrupted study again, or compare two studies.
 
     Writes DIR/report.html and DIR/figures/.
-    With --compare it writes DIR2/comparison.html: ratios of variances, differences of rates,
-    and the curves of both studies. Nothing is measured again.
+    With --compare it writes DIR2/comparison.html.
+    This page has ratios of variances, differences of rates, and the curves of both studies.
+    Nothing is measured again.
     """
     from mcspectra.report import write_comparison, write_report
     from mcspectra.report.result_files import check_result_file

@@ -5,7 +5,7 @@ A failed task is an ordinary outcome. An executor raises an exception only if it
 
 Worker processes on this machine also form a dask cluster.
 These processes can be stopped at a time limit, and they may crash.
-One rule for tasks of dead workers therefore covers all clusters.
+Tasks of dead workers are therefore handled in the same way on all clusters.
 The package dask is imported only when it is needed.
 """
 
@@ -303,7 +303,10 @@ class Dask:
 
     @property
     def workers(self) -> int:
-        """Number of worker threads; 1 without workers, so that one task waits for a worker."""
+        """Number of worker threads, at least 1.
+
+        If there is no worker, one task is submitted and waits for a worker.
+        """
         now = time.monotonic()
         if now - self._threads[1] >= _FRESH and self._ready:
             with contextlib.suppress(OSError):
@@ -337,7 +340,7 @@ class Dask:
                         "--resume continues."
                     ) from None
                 # Give up a local cluster that cannot start workers.
-                # Other clusters may gain workers later
+                # A cluster that this process did not start may get workers later
                 self._deserted = 0.0 if self._threads[0] else self._deserted + _POLL
                 if self._options.local and self._deserted >= _DESERTED:
                     raise ClusterLost(
@@ -568,8 +571,8 @@ def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
 def _muted(opened: contextlib.ExitStack) -> dict[logging.Handler, int]:
     """Keep dask's log off the terminal, because this package reports problems in its own messages.
 
-    The stack `opened` restores the log levels that remain in the returned mapping.
-    After an interruption it restores no level, because dask logs until the process ends.
+    When the stack `opened` ends, the returned log levels are set again.
+    After an interruption dask stays silent, because it logs until the process ends.
     """
     levels = {each: each.level for each in logging.getLogger("distributed").handlers}
 
