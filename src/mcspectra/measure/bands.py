@@ -67,16 +67,16 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
         ``anova`` groups functions by the axes along which they vary,
         so the bands are the parts of the ANOVA decomposition.
         ``wedge`` (2-D) has a band for the constant and 12 sectors of 15° for the direction of ±m.
-        For Walsh and Haar functions, m are the numbers of oscillations along the axes,
-        which are powers of two.
+        For Walsh and Haar functions, m are the numbers of oscillations along the axes.
+        These numbers of oscillations are powers of two.
         Labels may also be an array of integers ≥ 0 with the shape of the basis.
         The labels of m and −m must be equal.
 
     Raises
     ------
     ParameterError
-        If the name is unknown, labels have a wrong shape, type or range,
-        or labels differ between m and −m.
+        If the name is unknown, or labels have a wrong shape, type or range.
+        If the labels of m and −m differ.
     """
     check_bands(bands, basis)
     labels: tuple[str, ...] | list[str]
@@ -124,8 +124,8 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
                     "bands must be the same for m and −m, so that band estimates are real."
                 )
             labels = tuple(map(str, range(int(of.max()) + 1)))
-    # The last labels may have no members,
-    # because small grids and bases without negative indices lack some directions.
+    # Small grids and bases without negative indices lack some directions.
+    # Drop the last labels if no coefficient has these labels
     return Bands(of, tuple(labels[: int(of.max()) + 1]), f"band ({meaning})")
 
 
