@@ -73,7 +73,7 @@ def affordable_count(setup: Setup, budget: int) -> int | None:
     """Return the largest n that can be drawn within `budget` evaluations, or None.
 
     Nets have poor counts away from powers of their base, for which a sampler warns.
-    Such counts are skipped.
+    The search skips counts with such a warning.
     """
     source = setup.estimator.randomized(setup.sampler)
     n: int | None = min(max(budget - setup.overhead, 0) // setup.cost, source.max_count)

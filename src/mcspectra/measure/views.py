@@ -63,7 +63,7 @@ class Frequencies:
 
         The basis ``"auto"`` fits the points of the estimator.
         In the domain, the points of a mirrored integrand are folded.
-        In primary space they are the points of the sampler.
+        In primary space, the points of the estimator are those of the sampler.
         """
         estimator, space, basis = subject.estimator, asked.space, asked.basis
         domain = estimator.domain_integrand
@@ -156,14 +156,14 @@ class Frequencies:
 
 @dataclass(frozen=True)
 class View:
-    """The domain or the primary view: integrand coefficients with the transforms of points."""
+    """Coefficients of an integrand and transforms of points, in the domain or primary space."""
 
     estimator: AbstractEstimator
     space: str
     basis: Basis
-    transforms: tuple[Coefficients, ...]  # One for each technique, or one for all points
+    transforms: tuple[Coefficients, ...]  # Transform of the points of each technique, or of all
     engine: str
-    integrand_coefficients: Array  # f^t, (C, T, H)
+    integrand_coefficients: Array  # Coefficients f^t of each technique t, (C, T, H)
     source: str  # Source of the coefficients
 
     def spectra(self, points: list[Array]) -> list[Array]:
