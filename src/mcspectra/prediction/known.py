@@ -2,7 +2,7 @@
 
 A method is a function ``(law, known, stream) -> Predicted``.
 It raises `NoClosedForm` if it does not apply.
-It may evaluate g anywhere except at the sampler's own points.
+A method may evaluate g anywhere except at the points of the sampler itself.
 """
 
 from __future__ import annotations
