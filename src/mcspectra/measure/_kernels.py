@@ -9,7 +9,7 @@ All sums over h with conj(f_h) S_h are real because the full spectrum is Hermiti
 Coefficients are processed in tiles that stay in the first cache during a loop over realizations.
 Tiles change neither the terms of the sums nor their order.
 Tiles are slices, because Numba vectorizes loops that begin at 0.
-It does not vectorize loops with a variable start, whose sign it cannot infer.
+Numba does not vectorize loops with a variable start, whose sign it cannot infer.
 """
 
 from __future__ import annotations

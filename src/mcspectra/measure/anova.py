@@ -426,7 +426,7 @@ def anova_variances(
     estimator, sampler, n
         The estimator with its sampler and number of points, in up to 64 dims or groups.
         Random sampling with n = 1 is the default.
-        It gives the ANOVA variances σ²_u of the integrand itself.
+        With this default, c_u are the ANOVA variances σ²_u of the integrand itself.
     dims
         Number of dims of a function, or of a spec without ``dims``.
         The default is the number of dims of the sampler, unless the sampler is a spec.
@@ -468,7 +468,7 @@ def anova_variances(
         Shares and dimensions have 95 % intervals ``_ci``, which are not clipped to 0 and 1.
         Intervals of ratios of means come from the delta method with Student's t.
         The interval of an effective dimension ends where the interval of the shares crosses 99 %.
-        Its upper end is infinite if the lower ends of all shares are below 99 %.
+        The upper end is infinite if the lower ends of all shares are below 99 %.
         With fewer than 4 realizations, errors and intervals are NaN.
         Several channels add a dim channel.
 
@@ -513,10 +513,10 @@ def anova_spectrum(
     ----------
     estimator
         An estimator of one integrand with exact Fourier coefficients and uniform points.
-        It may have up to 64 dims.
+        The integrand may have up to 64 dims.
     sampler, n
         Random points, or points with a random shift.
-        Their distribution must be the same after any translation.
+        The distribution of the points must be the same after any translation.
     dims
         Number of dims of a function, or of a spec without ``dims``.
         The default is the number of dims of the sampler, unless the sampler is a spec.

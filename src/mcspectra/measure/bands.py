@@ -29,7 +29,7 @@ class BandSettings:
     # The covariance of 4,096 bands takes 128 MiB per channel.
     most: int = 4096
     # Number of sectors of directions ±m, with 15° each.
-    # Both axes and both diagonals are centers of sectors, with two other sectors in between.
+    # Sectors are centered on the axes and the diagonals, with two other sectors in between.
     wedges: int = 12
 
 

@@ -1,7 +1,7 @@
 """Comparison of samplers on standard integrands by variance, rank, spectrum, quality and speed.
 
 The module combines `convergence`, `power_spectrum`, `pair_correlation` and `quality_figures`.
-It is not an `Analysis`, because analyses must give the same bits every time.
+A bench is not an `Analysis`, because analyses must give the same bits every time.
 Measured speeds differ from run to run.
 """
 

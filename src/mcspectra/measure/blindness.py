@@ -32,7 +32,8 @@ class BlindnessSettings:
 
     # Share of one square in Σ (estimate − mean)² above which the tail is not resolved.
     # For 1,000 exponential numbers, the median share of the largest square is 4 %.
-    # It exceeds 17 % in one of a thousand samples. For normal numbers these are 1.2 and 2.4 %.
+    # This share exceeds 17 % in one of a thousand samples.
+    # For normal numbers, both shares are 1.2 % and 2.4 %.
     large_share: float = 0.2
     # Probability that the largest square of a few normal estimates exceeds its limit.
     # Fewer estimates have a larger limit for this square.
@@ -79,7 +80,7 @@ def blindness(
     -------
     tuple
         Whether each variance has no upper bound, in the shape of ``variance``.
-        The second value is a list of sentences that give the reasons.
+        A list of sentences gives the reasons.
     """
     from scipy.special import gammainc, ndtr, stdtrit
 
@@ -108,7 +109,7 @@ def blindness(
         techniques = range(len(e.counts) if not e.is_black_box else 0)
         peaks = np.max([growth(e.primary_integrand(t)) for t in techniques], axis=0, initial=0.0)
         # n times the variance of random points, Σ_t (∫g_t² − (∫g_t)²)/counts[t].
-        # It is NaN without a closed form.
+        # The value is NaN without a closed form.
         # If the variance may be infinite, ∫g² is computed by quadrature
         doubtful, of_random = bool((suspect & varies)[i].any()), np.zeros(max(1, e.channels))
         for t, count in enumerate(e.counts):

@@ -12,7 +12,7 @@ The autocovariances are corrected for the subtracted mean:
 if the mean has variance V, subtracting it lowers all autocovariances by V.
 
 The scatter of the chains' means is a second, independent estimate.
-Both estimates are pooled by their degrees of freedom.
+Both estimates of the error are pooled by their degrees of freedom.
 If they disagree, the chains are in different parts of the distribution.
 The error of the mean then has no upper bound.
 """
@@ -150,7 +150,7 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
         ``mean`` has the interval ``mean_ci``.
         ``mcse`` is the standard error of the mean, with the interval ``mcse_ci``.
         ``ess`` is the effective sample size: the variance of the draws divided by mcse².
-        It has the interval ``ess_ci``, and exceeds n for antithetic chains.
+        ``ess`` has the interval ``ess_ci``, and exceeds n for antithetic chains.
         ``spectrum_at_zero`` is S(0).
         ``burn_in`` is the number of initial draws of each chain that depend on the start.
         All other results omit these draws.
@@ -178,9 +178,8 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
     -----
     S(0) from an autoregression has a smaller error than two alternatives,
     and its interval has a coverage closer to 95 %; see docs/theory.md, "Chains".
-    The first alternative is the initial monotone sequence.
-    It cannot resolve antithetic or oscillating chains.
-    The second alternative averages the spectrum over the lowest frequencies.
+    The initial monotone sequence cannot resolve antithetic or oscillating chains.
+    The other alternative averages the spectrum over the lowest frequencies.
     The cost is O(n log n).
 
     Examples

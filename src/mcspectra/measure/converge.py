@@ -417,7 +417,7 @@ def convergence(
 
         ``realizations_used(n)`` is the number of realizations.
         With `relative_error`, ``reached(n)`` is 1 if the error was reached.
-        It is 0 if `realizations` was reached first, or there was no spread.
+        ``reached`` is 0 if `realizations` was reached first, or there was no spread.
 
         ``rate`` has the interval ``rate_ci(bound)``.
         ``fit_first_n`` is the smallest count of the fit.
@@ -426,7 +426,7 @@ def convergence(
         A deterministic set has the variance 0 and no rate, which the attribute ``note`` reports.
         The note also reports estimates that missed the source of their variance.
         The estimates may be all equal, or their tails may not be resolved.
-        Their mean may be five standard errors from the integral.
+        The mean of the estimates may be five standard errors from the integral.
         ∫g² may diverge, or show that the variance of random points is larger than measured.
         Most of ∫g² may lie where no sample falls (`mcspectra.estimators.tails`).
 
@@ -495,7 +495,7 @@ def realizations_needed(
     xarray.Dataset
         ``realizations_used`` is the number of realizations.
         ``reached`` is 1 if the last stage confirmed the error.
-        It is 0 if the maximum was reached first, or the estimates had no spread.
+        ``reached`` is 0 if the maximum was reached first, or the estimates had no spread.
         ``variance`` has the interval ``variance_ci`` and the error ``variance_relative_se``.
         This error is NaN without spread. It is infinite if tails are not resolved,
         which the attribute ``note`` reports.

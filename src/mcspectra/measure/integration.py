@@ -7,7 +7,7 @@ Smooth functions with scrambled nets are an example.
 For θ near 1, more replicates are best, because they make the quantile t smaller at no cost.
 
 A quarter of the budget measures θ with eight replicates.
-Their points are prefixes of randomized sequences, and later sets start with the same points.
+These replicates are prefixes of randomized sequences. Later sets start with the same points.
 
 The interval is the smallest that contains Student's t interval and Hall's transform of it.
 Intervals of `mean_interval` were tested with 300 seeds at 256 calls.
@@ -154,7 +154,7 @@ def integrate(
     ----------
     f
         A vectorized function of points (…, d) with values (…).
-        It may also be an integrand without channels, its spec string,
+        Other choices are an integrand without channels, its spec string,
         or an estimator of one technique, such as ``Estimator(f, density)``.
     budget
         Maximum number of calls of f, where each point is one call.

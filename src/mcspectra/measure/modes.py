@@ -351,8 +351,8 @@ def covariance_modes(
 
     Notes
     -----
-    For R realizations of n points and M frequencies, the analysis takes
-    O(passes · R (n + M log M + M modes)) time and O(M modes) memory for each thread.
+    The time for R realizations of n points and M frequencies is
+    O(passes · R (n + M log M + M modes)). Each thread takes O(M modes) memory.
 
     Examples
     --------

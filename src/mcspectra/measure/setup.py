@@ -18,7 +18,7 @@ class CountSettings:
     """Limits in the search for an affordable number of points."""
 
     # Number of candidate counts, for samplers that allow a count near every number.
-    # Its inverse is the relative step between candidates.
+    # The inverse of this number is the relative step between candidates.
     # 64 and 1,024 candidates find the same count.
     tries: int = 256
 

@@ -3,9 +3,9 @@
 E_t is the part of an estimate from technique t.
 The variance is the sum of Cov(E_t, E_s) over all pairs of techniques.
 Off the diagonal the covariance is 0 for independent sets.
-It is not 0 for techniques that share points (`mcspectra.estimators.sets`).
+Techniques that share points have a covariance (`mcspectra.estimators.sets`).
 Each covariance has a dc, a power and a cross term.
-They use the spectrum S^t and the integrand f^t of technique t instead of S and f.
+The terms use the spectrum S^t and the integrand f^t of technique t instead of S and f.
 
 For large n, the slowest rate of a technique becomes the rate of the sum.
 That technique is the *bottleneck* if its rate is significantly slower:

@@ -312,7 +312,7 @@ def variance_terms(
         ``predicted_variance`` is their sum, and ``measured_variance`` the sample variance.
         The terms, their sum and the measured variance have 95 % intervals ``_ci``.
         ``captured`` with ``_ci`` is predicted/measured.
-        It is NaN if the measured variance is rounding noise.
+        ``captured`` is NaN if the measured variance is rounding noise.
 
         ``energy_share`` is the part of ∫f² within the half width.
         ``tail_term`` is the variance of the rest for random points.

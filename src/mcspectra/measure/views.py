@@ -32,7 +32,7 @@ class FrequencySettings:
     """Limits of the default half width, and the number of points for mean squares."""
 
     # Least default half width.
-    # It resolves features of 1/128 of the cube, such as the pixels of a thumbnail.
+    # A half width of 64 resolves features of 1/128 of the cube, such as pixels of a thumbnail.
     least_width: int = 64
     # Largest number of frequencies of a default half width, 2^17.
     # In 2-D a half width of 128 fits, and one spectrum takes 1 MiB in half storage.

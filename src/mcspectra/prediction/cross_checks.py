@@ -85,7 +85,7 @@ class CheckSettings:
         Number of cells along each axis, by number of dims, for samples of the autocorrelation of g.
         The error of ∫g² due to sampling cancels.
         A linear interpolant of a wave of frequency k has the relative error (2πk/cells)²/8.
-        This is 5e-6 k² in 2-D and 5e-9 k² in 1-D.
+        The relative error is 5e-6 k² in 2-D and 5e-9 k² in 1-D.
     most_points
         Largest number of points of a set whose pairs are counted.
         A set of 2^17 points has 8.6e9 pairs.
@@ -156,7 +156,7 @@ def of_homogenized(
 def draws_power(estimator: AbstractEstimator, sampler: Sampler, n: int) -> bool:
     """Return whether the method homogenized needs power that is measured from drawn sets.
 
-    This is so if the method applies, but the power of the sampler has no closed form.
+    Drawn sets are needed if the method applies, but the power has no closed form.
     """
     given = _of_one_technique(estimator)
     try:

@@ -201,7 +201,7 @@ def exact_variance(
         Latin hypercubes and nets need about n cells per side.
         This limits n to some thousands in 2-D and some tens in 3-D.
         Sums and products of functions of one axis work in any dims.
-        They also work with orthogonal arrays and shifted sets.
+        Such sums and products also work with orthogonal arrays and shifted sets.
     dims
         Number of dims of a function, and of a spec without ``dims``.
         The default is the number of dims of the sampler, unless the sampler is a spec.
@@ -221,15 +221,15 @@ def exact_variance(
     -------
     float or ndarray
         The variance. It is an array (channels,) if f has several channels.
-        Its relative error is less than `tolerance`. It is infinite if ∫g² diverges.
+        The relative error is less than `tolerance`. The variance is infinite if ∫g² diverges.
         For integrands with a known integral, a variance at rounding level is exactly 0.
 
     Raises
     ------
     NoClosedForm
         If the variance is not known for this sampler, or the quadrature does not converge.
-        It may not converge at discontinuities that are not axis-aligned,
-        unless they are integrated in closed form.
+        Quadratures may not converge at discontinuities that are not axis-aligned,
+        unless f is integrated in closed form.
         If g is equal at all points of the probe, but not declared constant.
     ParameterError
         If `tolerance` is not a number from 1e-12 to 1.
@@ -241,12 +241,12 @@ def exact_variance(
     If ∫g has no closed form, the sums of the quadrature are compared with other integrals.
     These integrals are checked at 2^17 probe points.
     The points find a slab across an axis in which g differs, if its width is 2^-17 or more.
-    They hit any other region of volume v with probability 1 − exp(−2^17 v).
+    The probe points hit any other region of volume v with probability 1 − exp(−2^17 v).
     For v = 8e-5 this is 1 − 5e-5. Narrower peaks and their variance may be missed.
     Regions that only the probe finds are examined at 2^18 other points and enter the error.
 
     ∫g² is infinite if g grows across an axis like t^-½ or faster (exponent at least 0.4995).
-    It is also infinite if the contribution of its poles does not shrink under refinement.
+    ∫g² is also infinite if the contribution of the poles does not shrink under refinement.
 
     Examples
     --------

@@ -65,7 +65,7 @@ class LevelsSettings:
     long, most_cells
         Number of cells of a table that is longer along some axes.
         The limit `long` n Π b_j covers the digits of n and one more digit.
-        The second limit is `most_cells`. Halving or doubling either value changes nothing.
+        Another limit is `most_cells`. Halving or doubling either value changes nothing.
     more
         Number of digits beyond the digits of n for which gains are computed.
         Beyond the digits of n all coordinates usually differ.

@@ -6,7 +6,7 @@ In primary space each technique has its own integrand on the unit cube,
 and the variances of independent techniques add up.
 
 ``auto`` tries the methods that apply.
-It returns the first prediction with a narrow enough interval,
+``auto`` returns the first prediction with a narrow enough interval,
 or else the prediction with the narrowest interval.
 The last of these methods, ``extrapolated``, measures small sets of the sampler.
 The remaining methods check a prediction.
@@ -130,7 +130,7 @@ class QuadratureSettings:
         A tolerance of 0.003 rejects one more quadrature, and 0.03 accepts one more.
     evaluations
         Number of evaluations of g above which other methods come first.
-        It is a sixteenth of the limit of `exact_variance`.
+        This number is a sixteenth of the limit of `exact_variance`.
         Values from 2^20 to 2^24 give the same results for the same samplers.
     most_breaks
         Randomly shifted strata in several dims are integrated up to this number of breaks of g.
@@ -249,7 +249,7 @@ class ExtrapolationSettings:
         Least number of realizations of a count close to n, and least total number of points.
         The number of realizations satisfies both requirements.
         Halving or doubling both changes variances by less than 4 %.
-        This is well within the intervals of 14 to 60 %.
+        These changes are well within the intervals of 14 to 60 %.
     most_factor
         Largest factor of the reported error of an extrapolation, so that exponentials stay finite.
         Values from 15 to 60 give the same results.
@@ -279,7 +279,7 @@ class EvaluationLimits:
     predictions
         Least number of evaluations per technique at which methods other than measurements are used.
         Predictions by these other methods need 1.2 to 13 million evaluations.
-        This was measured for smooth functions and jumps in 1-D to 4-D with four samplers.
+        These numbers are for smooth functions and jumps in 1-D to 4-D with four samplers.
     sets, least_sets
         Number of realizations of each count above which larger counts are measured as well.
         `least_sets` is the least number of realizations of any count.
@@ -1070,7 +1070,7 @@ def predict(
     max_evaluations
         Maximum number of evaluations of the integrand.
         By default ``auto`` and ``extrapolated`` evaluate users' functions at most 2^18 times.
-        They then measure sets of small counts and have wider intervals (``extrapolated``).
+        Both methods then measure sets of small counts, which gives wider intervals.
         With 2^24 or more evaluations for each technique, ``auto`` predicts.
         A method raises before it starts if it is known to need more than the limit.
 
@@ -1116,14 +1116,14 @@ def predict(
 
     f is evaluated at quadrature nodes and on grids that `predict` chooses.
     The method ``moves`` applies up to 8,192 random shifts or scrambles to a fixed set.
-    It is used for lattices with shift and nets with digital-shift in 1 to 3 dims.
-    All shifted or scrambled sets use ``moves`` if sums of products leave over 3 % half interval.
+    Lattices with shift and nets with digital-shift use ``moves`` in 1 to 3 dims.
+    Other shifted or scrambled sets use it if sums of products leave a half interval over 3 %.
     Linear scrambles replace nested scrambles, because their pairs have the same law.
 
     For samplers without known structure, in 1 to 3 dims, the method ``table`` is used.
-    It measures variances on a table of f.
+    The method ``table`` measures variances on a table of f.
     In more dims, or for expensive f, ``auto`` uses the method ``extrapolated``.
-    It evaluates f at 2,000 realizations of each small count.
+    The method ``extrapolated`` evaluates f at 2,000 realizations of each small count.
     If f is cheap, counts close to n are used instead, but never n itself.
     Such measurements are also made if jumps and kinks across many axes leave a wide interval.
     An interval is wide if it exceeds a fifth of the predicted variance.

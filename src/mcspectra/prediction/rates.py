@@ -132,7 +132,7 @@ class JumpSettings:
     border
         A jump closer to the border of a stratum than this does not cut the stratum.
         The distance is a fraction of the width of a stratum.
-        It exceeds the rounding errors of positions in strata for n up to 2^30.
+        The distance exceeds rounding errors of positions in strata for n up to 2^30.
         Values from 1e-8 to 1e-4 give the same results.
     """
 
@@ -216,11 +216,11 @@ def predicted_rate(b: float, decay: float | str, dims: int) -> float:
         Sets that are optimized for smooth functions have larger exponents than jittered sets.
     decay
         The decay γ: averaged over directions, |f_m|² is proportional to |m|^-γ.
-        It must exceed `dims` for a finite variance. `integrand_decay` measures it.
+        The decay must exceed `dims` for a finite variance. `integrand_decay` measures γ.
         `fitted_decay` also gives the interval of γ.
-        If γ − d < b, dividing it by `dims` gives the interval of the rate.
+        If γ − d < b, the interval of γ, divided by `dims`, gives the interval of the rate.
         Alternatively give ``"jump"``, ``"kink"`` or ``"smooth"``, as in `DECAYS`.
-        This is the worst discontinuity of the integrand on the torus.
+        These words name the worst discontinuity of the integrand on the torus.
     dims
         Number of dims d.
 
@@ -237,7 +237,7 @@ def predicted_rate(b: float, decay: float | str, dims: int) -> float:
     Notes
     -----
     The formula holds for homogeneous (randomly shifted) sets.
-    Their power spectrum determines the variance.
+    The power spectrum of homogeneous sets determines the variance.
     For jittered sets without shift, the border is not a jump of a smooth function.
     Use ``"smooth"`` for these sets.
 
@@ -475,7 +475,7 @@ class DecayFit:
     ----------
     decay, interval
         The exponent γ and its 95 % interval.
-        Both are infinite if the coefficients are rounding noise.
+        The exponent and its interval are infinite if the coefficients are rounding noise.
         The interval accounts for the scatter about a power law.
         The interval does not account for a different power law beyond the half width.
     bend

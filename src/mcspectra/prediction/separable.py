@@ -16,7 +16,7 @@ Within a distance ε of the pole, a power law gives the integrals:
 The sum or product of the curves is compared with g at all points of the probe
 (`mcspectra.integrands._quadrature.probe`).
 The comparison finds every slab across an axis in which g differs, if it is 2^-17 wide or wider.
-It finds any other region of volume v with probability 1 − exp(−2^17 v).
+The comparison finds any other region of volume v with probability 1 − exp(−2^17 v).
 """
 
 from __future__ import annotations

@@ -196,7 +196,7 @@ class SubsetSettings:
         Number of offsets within a stratum over which a uniform offset is averaged.
         The offsets are at the centers of equal parts.
         With 8 and 32 offsets, variances differ by 0.2 %. With 4 and 8 offsets they differ by 2 %.
-        This was measured for a sum of two jumps, with latin-hypercube | shift at n = 64.
+        These changes are for a sum of two jumps, with latin-hypercube | shift at n = 64.
     """
 
     few_dims: int = 3
@@ -407,7 +407,7 @@ class _Pairs:
     def tables(self, parts: AnovaModel) -> tuple[Array, Array, Array, Array]:
         """Return the four arguments of `pair_sums`.
 
-        They contain the covariances of g_i and of products, the means and the weights.
+        The arguments are covariances of g_i and of products, means and weights.
         """
         singles, pairs, averages = list[Array](), list[Array](), list[Array]()
         for base, levels, curves, main, factors, offsets in zip(

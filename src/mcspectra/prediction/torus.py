@@ -107,7 +107,7 @@ class TorusSettings:
         Halving or doubling this value changes variances by less than 0.2 %.
     block
         Number of frequencies in memory whose power has a closed form.
-        It has no effect on the result.
+        The number has no effect on the result.
     precision
         Relative error of the Fourier transforms, far below the error of the variance.
     shells
@@ -245,9 +245,9 @@ class MovesSettings:
         Number of offsets, and number of evaluations of g, which limits the offsets at large n.
         With fewer than the least number of offsets, intervals exceed 35 % and the method raises.
         Halving or doubling the number of offsets changes variances by less than 1.2 %.
-        This is within the intervals of 1 to 3 %.
+        This change is within the intervals of 1 to 3 %.
     block
-        Number of evaluations per call. It has no effect on the result.
+        Number of evaluations per call. The number has no effect on the result.
     spreads
         Number of successive parts of the offsets whose variances give the standard error.
         With 8 or 32 parts instead of 16, half intervals are 1 to 1.6 times as wide.
@@ -597,7 +597,7 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
         how = f"{scramble.name} scrambles of the set"
 
     # Average g over the moved sets. The offsets are multiples of a random vector.
-    # They are pairwise independent, and therefore at least as good as random offsets.
+    # Such offsets are pairwise independent, and therefore at least as good as random offsets.
     # Multiples of a fixed vector might coincide with the points of the set
     start, step = own.uniforms(0, 1, 2 * g.dims).reshape(2, g.dims)
     offsets = (start + np.arange(count)[:, None] * step) % 1.0
@@ -643,7 +643,7 @@ def moves_resolve(law: Law, known: Known) -> bool:
     """Return whether `of_moves` resolves a set in 1 to 3 dims better than other methods.
 
     This holds for shifted lattices if the coefficients of g are not exact.
-    It also holds for nets in base 2 with a digital shift, whose weights depend on g.
+    The same is true for nets in base 2 with a digital shift, whose weights depend on g.
     """
     if law.dims > 3 or not moves_at_once(law):
         return False

@@ -40,7 +40,7 @@ class Jumps:
     ----------
     heights
         Size of the jump between a cell and the next along each axis, (d, N) or (d, N, N).
-        It is 0 without a jump. The last cell of each axis has no next cell.
+        The size is 0 without a jump. The last cell of each axis has no next cell.
     poles
         Whether the function grows without bound at the jump, with the shape of `heights`.
         A pole with similar values on both sides is not detected.
@@ -129,7 +129,7 @@ def curve_length(crossed: Array) -> float:
     -----
     A curve is treated as straight in blocks of 8 × 8 cells.
     If it crosses c_0 and c_1 intervals along the axes, its length is √(c_0² + c_1²)/N.
-    This is exact for straight lines, except at their ends.
+    This length is exact for straight lines, except at their ends.
     """
     if len(crossed) == 1:
         return float(np.count_nonzero(crossed))

@@ -243,7 +243,7 @@ def generalized_l2_discrepancy(points: object) -> float:
     """Return the L2 star discrepancy combined over all projections.
 
     D² = (4/3)^d − 2/n Σ_i Π_k (3 − x_ik²)/2 + 1/n² Σ_ij Π_k (2 − max(x_ik, x_jk)).
-    This is the sum of the squared L2 star discrepancies of the projections on all sets of axes
+    D² is the sum of the squared L2 star discrepancies of the projections on all sets of axes
     [Hickernell1998]_.
 
     Raises

@@ -34,7 +34,7 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
     xarray.Dataset
         The first variables are maps over the cells of primary space.
         ``stretch`` (u0, u1) is the largest singular value of ∂T/∂u divided by the smallest.
-        It is 1 in 1-D, and infinite where T is flat.
+        The stretch is 1 in 1-D, and infinite where T is flat.
         ``jump`` (axis, u0, u1) is the jump of T between a cell and the next along each axis.
         The jump is 0 where T is continuous.
         ``warped`` (u0, u1, coordinate) is T at the cell centers.
