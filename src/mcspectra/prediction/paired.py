@@ -64,7 +64,7 @@ class PairedSettings:
         Number of pairs in each replicate for the entries of `_MULTIPLES`.
         Halving or doubling these numbers changes variances by less than 0.5 %.
         The change was measured with orthogonal-array | shift in 4-D at n = 289.
-        The half intervals are 0.9 % for a Gaussian, 2.1 % for a ball and 0.5 % for a kink.
+        The intervals are ±0.9 % for a Gaussian, ±2.1 % for a ball and ±0.5 % for a kink.
     replicates
         Number of independent scrambled nets that supply the pairs of points.
         The spread over the nets gives the interval, with 15 degrees of freedom.

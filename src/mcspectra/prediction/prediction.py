@@ -297,7 +297,7 @@ class EvaluationLimits:
     fitted
         Number of measured counts to whose variances a line is fitted.
         Five counts leave three degrees of freedom, for which Student's t is 3.2.
-        With four counts, intervals are 1.4 times as wide.
+        A line through four counts has intervals that are 1.4 times as wide.
         A line through six counts does not follow curves that bend.
     """
 

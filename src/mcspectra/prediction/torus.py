@@ -235,9 +235,9 @@ class DualSettings:
 class MovesSettings:
     """Settings for the offsets that move a set.
 
-    The changes stated below were measured in three cases:
-    a jump along a line with rank1-lattice | shift, a ball in 4-D with kronecker | shift,
-    and a smooth function with sobol | digital-shift.
+    The changes stated below were measured in three cases.
+    With rank1-lattice | shift the case is a jump along a line,
+    with kronecker | shift a ball in 4-D, and with sobol | digital-shift a smooth function.
 
     Attributes
     ----------
