@@ -262,7 +262,7 @@ def of_pairs(
 ) -> Cells:
     """Return the variance from the pairs of points alone. It is infinite if ∫g² diverges.
 
-    For random and jittered points the density of pairs is known: the error is about 1e-6.
+    For random and jittered points the density of pairs is known, to a relative error of 1e-6.
     Pairs of other stationary sets in 1-D or 2-D are counted in `realizations` sets.
 
     Raises
