@@ -348,6 +348,19 @@ def test_forged_tallies_give_sentences(place, honest, capsys, kind):
 
 
 @pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("path", [None, b"\xff", 5, "a", ""])
+def test_paths_of_other_types_give_sentences(place, honest, capsys, path):
+    forged_ledger(place, honest)
+    with contextlib.closing(sqlite3.connect(place / "study.sqlite")) as connection:
+        connection.execute("UPDATE cells SET path = ? WHERE place = 0", (path,))
+        connection.commit()
+    for more in ((), ("--verify",)):
+        main(["status", str(place), *more])
+        assert "Unexpected" not in capsys.readouterr().err
+    assert "list of cells" in study_status(place, verify=True).damaged
+
+
+@pytest.mark.filterwarnings("ignore")
 def test_a_forged_header_prints_short_lines(place, honest, capsys):
     note = msgspec.structs.replace(
         StudyNote.of(CONFIG, {}),

@@ -260,7 +260,7 @@ class _Header(msgspec.Struct, frozen=True, kw_only=True):
     """Fixed values of a ledger, except inputs: the study, its number of cells, a path digest."""
 
     study: StudyNote
-    cells: _Count
+    cells: Annotated[int, msgspec.Meta(ge=0, le=2**26)]  # Verifying a damaged file lists all
     plan: str
 
 
