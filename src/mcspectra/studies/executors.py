@@ -30,14 +30,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib import metadata
 from multiprocessing import resource_tracker
-from pathlib import Path
 from typing import Any, NamedTuple, Protocol, cast, final
 
 import msgspec
 
+from mcspectra.core import decoding
 from mcspectra.core.checks import as_integer, as_real
 from mcspectra.core.display import shown
-from mcspectra.core.errors import McspectraError, ParameterError
+from mcspectra.core.errors import FileFormatError, McspectraError, ParameterError
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.registry import optional_package
 from mcspectra.studies.foreign_code import explain
@@ -67,6 +67,7 @@ __all__ = [
 _GRACE = 5.0
 # Largest time limit, in seconds (30 years), because clocks and waits overflow above it
 _LONGEST_LIMIT = 1e9
+_MOST_SCHEDULER = 2**20  # Maximum number of bytes read from a scheduler file
 _LOOPBACK = "127.0.0.1"
 _ADDRESS = re.compile(
     r"(?:(tcp|tls)://)?[\w.-]+:\d{1,5}|(?:(tcp|tls)://)?\[[0-9a-fA-F:]+\]:\d{1,5}"
@@ -482,12 +483,16 @@ def _connected(options: Cluster, opened: contextlib.ExitStack) -> Any:
             target = options.address
             if target.endswith(".json"):
                 try:
-                    found = msgspec.json.decode(Path(target).read_bytes(), type=_SchedulerFile)
-                    target = found.address
-                except (OSError, msgspec.DecodeError) as error:
+                    with decoding.opened(target, "a file of a dask scheduler") as (
+                        stream,
+                        *_,
+                    ):
+                        text = stream.read(_MOST_SCHEDULER)
+                    target = msgspec.json.decode(text, type=_SchedulerFile).address
+                except (FileFormatError, msgspec.DecodeError) as error:
                     raise ParameterError(
                         f"{shown(target)} is not a file written by a dask scheduler "
-                        f"(--scheduler-file): {error}."
+                        f"(--scheduler-file): {str(error).rstrip('.')}."
                     ) from error
             _greet_scheduler(target, options.patience)
         client = make(target, timeout=options.patience, set_as_default=False)

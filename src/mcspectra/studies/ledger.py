@@ -31,7 +31,7 @@ import time
 from collections.abc import Collection, Iterable, Iterator, KeysView, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar, final
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias, TypeVar, final
 
 import msgspec
 import numpy as np
@@ -164,6 +164,13 @@ _Step: TypeAlias = tuple[str, tuple[Any, ...]]
 
 _Note = TypeVar("_Note", bound=msgspec.Struct)
 
+# Types of notes; they are checked when a note is read, since a forged one may hold anything
+_Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
+_Time: TypeAlias = Annotated[
+    str, msgspec.Meta(pattern=r"\A[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}\+00:00\Z")
+]
+_Digest: TypeAlias = Annotated[str, msgspec.Meta(pattern=r"\A[0-9a-f]{64}\Z")]
+
 
 class StudyNote(msgspec.Struct, frozen=True, kw_only=True):
     """Identification of the study that a ledger holds.
@@ -212,13 +219,13 @@ class Holder(msgspec.Struct, frozen=True):
     """Process that writes into a folder, or was killed while writing: host, id and start."""
 
     host: str
-    pid: int
-    since: str
+    pid: _Count
+    since: _Time
 
     @property
     def in_words(self) -> str:
         """Description of the process in messages: ``process 12 on host 'a' since …``."""
-        return f"process {self.pid} on host {self.host!r} since {self.since}"
+        return f"process {self.pid} on host {shown(self.host)} since {self.since}"
 
 
 class StudyTally(msgspec.Struct, frozen=True, kw_only=True):
@@ -236,11 +243,11 @@ class StudyTally(msgspec.Struct, frozen=True, kw_only=True):
         Process that is writing; None after it has ended normally.
     """
 
-    done: int = 0
-    size: int = 0
-    digest: str = f"{0:064x}"
-    started: str | None = None
-    finished: str | None = None
+    done: _Count = 0
+    size: _Count = 0
+    digest: _Digest = f"{0:064x}"
+    started: _Time | None = None
+    finished: _Time | None = None
     hosts: tuple[str, ...] = ()
     holder: Holder | None = None
 
@@ -256,7 +263,7 @@ class _Header(msgspec.Struct, frozen=True, kw_only=True):
     """Note that runs never change: the study, the number of cells, and a digest of all paths."""
 
     study: StudyNote
-    cells: int
+    cells: Annotated[int, msgspec.Meta(ge=0, le=2**26)]  # Verifying a damaged file lists all
     plan: str
 
 
@@ -861,7 +868,9 @@ class Ledger:
             with contextlib.suppress(_Damaged):
                 rows = self._rows(f"{_TEXTS.format(table)} AND name = ?", ("note", name))
             for _, text, digest in rows:
-                with contextlib.suppress(msgspec.MsgspecError, TypeError, AttributeError):
+                with contextlib.suppress(
+                    msgspec.MsgspecError, TypeError, AttributeError, ValueError, RecursionError
+                ):
                     note = msgspec.json.decode(text, type=kind)
                     study = note.study if isinstance(note, _Header) else self.study
                     if digest == _digest(study, "note", (name,), text.encode()):

@@ -502,7 +502,7 @@ def _planned(study: Any) -> dict[str, tuple[Names, Names]]:
 def _unplanned(study: Any, paths: Iterable[str]) -> str | None:
     """Return the first path that is not a cell of the study, or None if all are cells."""
     groups = _planned(study)
-    for path in paths:
+    for path in map(str, paths):  # A forged path may be anything
         first, _, rest = path.partition("/")
         sampler, _, analysis = rest.partition("/")
         samplers, analyses = groups.get(first, ({}, {}))
