@@ -31,7 +31,7 @@ __all__ = ["SETS", "check_sets", "draw_sets", "set_sizes"]
 SETS = ("independent", "shared", "joint")
 
 _TECHNIQUE = 1 << 20  # Random stream of the second technique
-_DEAL = (1 << 20) - 1  # Random stream that divides joint sets
+_DEAL = (1 << 20) - 1  # Random stream that divides a joint set among the techniques
 
 
 def check_sets(sets: object, counts: tuple[int, ...]) -> str:
