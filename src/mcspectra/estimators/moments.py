@@ -413,7 +413,7 @@ class Moments:
         return np.asarray(np.where(np.isfinite(index), share * law, 0.0))
 
     def _farthest(self, many: int) -> tuple[Array, Array]:
-        """Return distances of far values from the mean, on its longer side, and their tail index."""
+        """Return distances of far values from the mean, on its longer side, and the tail index."""
         assert self.extremes is not None
         below = (self.mean - self.extremes[:many])[::-1]
         above = self.extremes[-many:] - self.mean

@@ -283,7 +283,7 @@ class Sets:
             of_slabs = partial(_of_slabs, slabs=settings.slabs)
             many = counts[counts >= settings.slabs]
             found["latin-hypercube"] = self._curve(of_slabs, many, settings, -1.0)
-        # Variances of strata and slabs are differences of means: omit curves without significant ones
+        # Variances of strata and slabs are differences: omit curves without significant values
         if len(found["random"].counts):
             found = {name: curve for name, curve in found.items() if len(curve.counts)}
         return found
