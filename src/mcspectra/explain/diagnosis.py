@@ -76,7 +76,8 @@ class Diagnosis:
         Parameters
         ----------
         kind, name, biased
-            The estimator and the sampler of the `mcspectra.improve.answers.Candidate`.
+            Attributes of the `mcspectra.improve.answers.Candidate`.
+        unbounded, jumps
             For another warp: whether ∫1/p diverges, and whether g jumps inside the cube;
             `jumps` is None if jumps were not tested.
         """
