@@ -82,7 +82,7 @@ class LearnSettings:
     # Maximum number of dims of a learned density. The fit of a flow in 24-D takes 9 s.
     most_dims: int = 24
     # Least allowed number of evaluations. Of 256, one half is for the fit.
-    # A quarter is for the choice: six sets of two points for each of five candidates.
+    # A quarter is for the choice of one of five candidates: six sets of two points for each.
     # Another quarter is for the check of the result on fresh points.
     least_evaluations: int = 256
     # Least number of evaluations by default: `most_fitted` for the fit,
