@@ -83,7 +83,7 @@ class LineSettings:
     # If a line may cross a jump, its last step is bisected this number of times.
     # A jump keeps at least this fraction of its height.
     # A cusp of order 0.15 keeps 2^(−8 · 0.15) = 0.44 of its height on average.
-    # The step after 8 bisections is 6e-8 of the line: a steep ramp of this width counts as a jump.
+    # The step after 8 bisections is 6e-8 of the line: a ramp narrower than this looks like a jump.
     bisections: int = 8
     kept: float = 0.75
     # Exponent below which the roughest place is a cusp, unless it is a jump or a pole.
