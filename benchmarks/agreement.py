@@ -1,23 +1,24 @@
 """Comparison of profile, remedies, plan, predict and brute force: are their answers equal?
 
-There are sixty estimators: functions, importance densities, multiple importance sampling,
-pixels and paths. Each function searches for the best set-up at 4,096 evaluations.
-Brute force then measures the RMSE of the given and of the recommended set-ups
-with 1,000 new estimates each, or with 200 estimates of pixels and paths.
-A function agrees under these conditions:
+The benchmark has sixty estimators. They are functions, importance densities,
+multiple importance sampling, pixels of scenes, and light paths.
+Each function of the package searches for the best set-up at 4,096 evaluations.
+Brute force then measures the RMSE of the given and of the recommended set-ups.
+It makes 1,000 new estimates for each set-up, but only 200 for pixels and paths.
+A function agrees with brute force under these conditions:
 
 * `profile`: the interval of the RMSE of the recommended set-up overlaps that by brute force;
 * `remedies`: the recommended set-up is the same as in the profile.
-    Another set-up is accepted if both measured it with overlapping intervals.
+    A different set-up is accepted if the intervals that both functions measure for it overlap.
     Examples are a preintegration along some direction, and a regression.
-    It is also accepted if the RMSE of both set-ups are equal within their intervals;
-* `plan`: for the RMSE by brute force, the planned interval of n overlaps that by brute force.
-  Brute force gives 4,096 evaluations, converted by the slope of the variance;
+    A different set-up is also accepted if both set-ups have the same RMSE within their intervals;
+* `plan`: with the RMSE by brute force as target, its interval for n overlaps the reference.
+  The reference interval contains 4,096 evaluations; its ends follow from the RMSE's interval;
 * `predict`: the interval of the variance at 4,096 evaluations overlaps that by brute force.
 
 An open interval always overlaps.
-In addition, no recommended set-up may be worse than the given set-up,
-and no function may exceed the allowed number of evaluations.
+In addition, no recommended set-up may be worse than the given set-up.
+No function may use more evaluations than its budget.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from mcspectra.estimators import AbstractEstimator, as_estimator
 from mcspectra.measure.setup import Setup, affordable_count
 
 BUDGET = 4096
-ESTIMATES, RENDERED = 1000, 200  # brute-force estimates of each set-up, and of pixels and paths
+ESTIMATES, RENDERED = 1000, 200  # numbers of estimates by brute force: functions, scenes
 REALIZATIONS = 100  # realizations of each candidate in remedies
 KINDS = ("sampler", "unshifted", "mirrored", "regression", "preintegrated", "fitted", "techniques")
 SIGMAS = 1.96

@@ -2,10 +2,10 @@
 
 The page is the default page: 256 jittered points and 129² frequencies.
 A key moves the slider of the strata shift.
-The page records when bokeh receives new data for the first figure,
-and for the last figure of the round with the fewest realizations.
-The processor time of the server is a mean over all moves.
-This time counts from the key to the last figure of all rounds.
+The page records when bokeh receives new data for the first figure.
+It also records when the last figure of the round with the fewest realizations gets its data.
+The processor time of the server is a median over all moves.
+For each move it counts from the key press to the last figure of all rounds.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from typing import Any
 MOVES = 8
 MOST = 150.0  # milliseconds to the first figure
 _FIGURES = 7  # number of figures whose data change in each round
-_PATIENCE = 120_000  # milliseconds until a wait fails
+_PATIENCE = 120_000  # longest wait for the page, in milliseconds
 _WATCH = """() => {
   window.heard = [];
   const models = [...Bokeh.documents[0]._all_models.values()];

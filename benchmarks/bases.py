@@ -1,4 +1,4 @@
-"""Bases: size of the cross term for each randomization, and convergence of the three terms' sum."""
+"""Compare bases of functions: size of the cross term, and convergence of the sum of all terms."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ WIDTHS = (4, 8, 16, 32)
 
 
 def main() -> None:
-    """Print cross / predicted variance, then predicted / measured by half width."""
+    """Print ratios: cross term to predicted variance, and predicted to measured variance."""
     for function in FUNCTIONS.values():
         print(f"cross / predicted, {function}, n = 64, half width 32, 2000 realizations")
         print(f"{'':42s}" + "".join(f"{basis:>18s}" for basis in BASES))

@@ -1,13 +1,14 @@
 """Profiles of estimators with known problems: is the cause found, and is the advice good?
 
-Each case has a function or estimator with a sampler, an integral,
-and the causes that may come first. A profile has a budget of 8,192 evaluations.
+Each case has a function or estimator with a sampler, and its true integral.
+It also lists the causes that the profile may report first.
+A profile has a budget of 8,192 evaluations.
 A case checks these points:
 
 * The interval of the profile contains the integral.
 * The first reported cause is an expected cause.
 * The recommended change lowers the variance.
-  To check this, both set-ups are measured again at the same counts.
+  The variances before and after the change are measured again, at the same counts.
 * The rate with scrambled nets is right to 0.1 or within its interval.
   The true rate comes from 10,000 realizations at the last counts of the curve.
   The budget is 8,192 or 262,144 evaluations.
@@ -158,7 +159,7 @@ def cases() -> Iterator[Case]:
     )
     yield Case("hinge in 4-D", lambda x: np.maximum(x @ (1, -1, 0.5, 0.2), 0.0), 4, math.nan, kink)
 
-    # Different opposite faces, with sets that wrap around
+    # f differs between opposite faces of the cube, and shifted points wrap around at the faces
     faces = ("border-jump",)
     yield Case("ramp, shifted", lambda x: x[:, 0], 1, 0.5, faces, "jittered | shift")
     yield Case("ramps, lattice", lambda x: x @ (1.0, 2.0), 2, 1.5, faces, "rank1-lattice | shift")
@@ -166,7 +167,7 @@ def cases() -> Iterator[Case]:
         "exp, Halton shifted", lambda x: np.exp(x.sum(axis=1)), 2, e**2, faces, "halton | shift"
     )
 
-    # Cases with growth at the border
+    # f grows without bound toward the border of the cube
     grows = ("border-growth",)
     yield Case("root", lambda x: _inner(x[:, 0]) ** -0.3, 1, 1 / 0.7, grows)
     yield Case("root in 2-D", lambda x: _inner(x[:, 1]) ** -0.25 * x[:, 0], 2, 2 / 3, grows)
@@ -225,7 +226,7 @@ def cases() -> Iterator[Case]:
         many,
     )
 
-    # Deterministic sets and techniques
+    # Points that are equal in every realization, a technique that misses a peak, and an option
     yield Case("the same set", lambda x: np.exp(x[:, 0]), 1, e, ("deterministic-set",), "regular")
     yield Case(
         "the same set in 2-D",
@@ -257,7 +258,7 @@ def cases() -> Iterator[Case]:
 
 @dataclass(frozen=True)
 class Outcome:
-    """Results of a case; None if a result does not apply."""
+    """Profile of a case, compared with measurements; a comparison that is not made is None."""
 
     case: Case
     found: mcs.Profile

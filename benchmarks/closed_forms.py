@@ -1,7 +1,7 @@
 """Closed-form Fourier power and covariance of scrambled nets compared with many realizations.
 
 Each net is tested with each randomization in 1 to 4 dims.
-Its powers and covariances are compared with means over 100,000 realizations.
+The closed forms are compared with means over 100,000 realizations of the net.
 The frequencies are random integers.
 Each difference in standard errors is called z.
 Real and imaginary parts of a covariance count separately.

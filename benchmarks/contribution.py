@@ -1,7 +1,7 @@
 """Time of `variance_terms` with 64 given bands, relative to drawing and transforming the points.
 
-The reference also draws the points.
-The whole analysis is therefore compared with its indispensable parts.
+The reference draws and transforms the points, and does nothing else.
+Every analysis of this kind needs these two steps.
 Seconds are the least of all rounds. The ratio is the median of the ratios of each round.
 The ratio of least times is also printed, because the machine may have been busy.
 """
@@ -16,7 +16,7 @@ from mcspectra.core.parallel import realization_blocks
 from mcspectra.core.streams import Stream
 from mcspectra.spectra.transforms import FrequencyGrid, Transform
 
-SIZES = ((64, 1024, 1000), (128, 4096, 500), (256, 4096, 120))  # half width, points, realizations
+SIZES = ((64, 1024, 1000), (128, 4096, 500), (256, 4096, 120))  # (half width, n, realizations)
 BANDS = 64
 
 

@@ -1,8 +1,8 @@
 """Convergence of jittered points compared with one fused numba loop: sample, evaluate, accumulate.
 
 The task has five counts from 16 to 4096, 1000 realizations, two integrands and one thread.
-The fused loop is written for this one task. It has no array of points or values,
-and evaluates both integrands at one point.
+The fused loop is written for this one task, and has no array of points or values.
+It evaluates both integrands at each point.
 The loop uses the package's own generator, and sums only the first two powers.
 """
 

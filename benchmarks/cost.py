@@ -32,7 +32,7 @@ HALF_WIDTHS = (16, 32, 64, 128, 256)
 REALIZATIONS = (2, 4, 8, 16, 32, 64)
 ACCURACIES = (1e-2, 1e-4, 1e-6, 1e-8)
 FIXED = (4096, 64)  # number of points and half width while R and ε vary
-_SECONDS = 0.15  # seconds spent on each case, twice
+_SECONDS = 0.15  # seconds of repeated calls per case in each of two sweeps
 
 
 @dataclass(frozen=True)

@@ -61,7 +61,7 @@ def _of_variances() -> Iterator[tuple[str, ...]]:
 
 
 def _weighted(x: np.ndarray, f: Any, power: float, m: np.ndarray, c: np.ndarray) -> np.ndarray:
-    """Integrand over p ∝ x^power, truncated to the frequencies m and in full: (2, ...)."""
+    """Return the Fourier sum of f over frequencies m, and f itself, divided by p ∝ x^power."""
     cut = sum((each * np.exp(2j * np.pi * k * x)).real for k, each in zip(m, c, strict=True))
     return np.stack([cut, f(x)]) / ((1 + power) * x**power)
 

@@ -1,9 +1,9 @@
 """SciPy's L-BFGS-B, QR and eigensolver compared with ours: minima, and stability of bits.
 
-For descents of optimized samplers, ``python -m benchmarks descent`` prints the smallest values.
-These are the values after as many evaluations as our descent takes.
-The command then repeats the computations of the libraries with other numbers of threads,
-and with the kernels of OpenBLAS for other processors.
+The command ``python -m benchmarks descent`` minimizes the functions of optimized samplers.
+It prints the smallest values after as many evaluations as our descent takes.
+The command then repeats the computations of the libraries with other numbers of threads.
+It also repeats them with the kernels of OpenBLAS for other processors.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from mcspectra.samplers.relaxation import near_energy
 STARTS = 3
 COUNTS = (256, 1024)
 _FURTHER = 2  # L-BFGS-B may use at most this many times our evaluations
-_MEMORY = 10  # number of corrections that both methods store
+_MEMORY = 10  # number of past steps that L-BFGS stores, in both programs
 
 DIGESTS = """
 import hashlib
@@ -64,7 +64,7 @@ MACHINES = (
 
 
 class Task(NamedTuple):
-    """A descent of an optimized sampler; `goal` is a value that is small enough."""
+    """A function that an optimized sampler minimizes; the descent stops at the value `goal`."""
 
     name: str
     n: int
@@ -161,7 +161,7 @@ def print_bits() -> None:
 
 
 def main() -> None:
-    """Print the values that descents reach, then the bits that change."""
+    """Print the smallest values of both programs, then whether their results keep their bits."""
     print_values()
     print_bits()
 

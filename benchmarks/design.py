@@ -5,7 +5,7 @@ The design with the least variance over 400 members is measured over 2,000 other
 The members form 20 groups, each with its own 32 realizations.
 Rivals are sobol | owen, pmj02, and shifted Korobov, rank-1 and Fibonacci lattices.
 ``MCSPECTRA_NETS`` may name a folder with direction numbers of OneTwo and quad-optimized nets.
-These nets in base 3, scrambled by owen, are then also rivals.
+With such a folder, nets in base 3, scrambled by owen, are also rivals.
 
 The last lines compare with folded lattices, on Gaussians of random orientation.
 In this class, a few narrow members carry half of the mean variance.
@@ -37,7 +37,7 @@ KINDS = {
     1024: ("lattice", "digital-net"),
 }
 RIVALS = ("sobol | owen", "korobov | shift", "rank1-lattice | shift")
-PLANE = ("pmj02",)  # additional rival in 2-D
+PLANE = ("pmj02",)  # further samplers that designs are compared with, only in 2-D
 FOLDED = ("korobov | shift | mirror(mode='fold')", "rank1-lattice | shift | mirror(mode='fold')")
 TURNED = ((2, 64, ("lattice", "points")), (2, 256, ("lattice",)), (4, 64, ("lattice", "points")))
 """Dims, n and kinds for Gaussians of random orientation."""
@@ -119,7 +119,7 @@ def _compare_folded(dims: int, n: int, kinds: tuple[str, ...]) -> None:
 
 
 def _least_error(dims: int, n: int) -> float:
-    """Return the mean squared error of half-spaces for fixed sets, least of three descents.
+    """Return the least mean squared error of fixed sets for half-spaces, from three descents.
 
     Along a direction v, u_i = F(v·x_i), where F is the distribution of v·x for uniform x.
     The sorted values are u_(1) ≤ u_(2) ≤ ….

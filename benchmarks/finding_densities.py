@@ -147,7 +147,10 @@ def infinite_weights() -> Plots:
 
 
 def defensive(f: Any, p: Any) -> dict[str, Curve]:
-    """Return exact variances of jittered points for a density, a mixture and a split mixture."""
+    """Return exact variances of jittered points with p, and with p mixed with a uniform density.
+
+    The split mixture draws a fixed number of points from each density.
+    """
     mixture = mcs.density("defensive(density='linear(slope=2)', share=0.1)", dims=1)
     ways = {
         "p alone": mcs.Estimator(f, p),

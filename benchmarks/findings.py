@@ -2,7 +2,7 @@
 
 Each function prints the numbers of one page, with 95 % intervals, and returns its figures by name.
 With ``--plot`` the lines are also written to ``docs/findings/numbers.txt``.
-The pages may quote these lines.
+The pages in ``docs/findings`` may quote only numbers in this file.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def homogenisation() -> Plots:
 
 
 def alignment() -> Plots:
-    """Compare exact and measured variances of a step by offset, and of two edges."""
+    """Shift the strata: plot exact and measured variances for one step and for two edges."""
     step, bar = (
         mcs.integrand(s, dims=1) for s in ("step(at=0.3)", "disk(center=0.47, radius=0.27)")
     )

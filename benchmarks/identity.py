@@ -10,7 +10,7 @@ import mcspectra as mcs
 from mcspectra.core.streams import Stream
 from mcspectra.spectra.transforms import FrequencyGrid, direct_sum
 
-SIZES = {1: (8, 12), 2: (16, 5), 3: (8, 3)}  # dims: number of points, half width
+SIZES = {1: (8, 12), 2: (16, 5), 3: (8, 3)}  # by dims: (number of points, half width)
 
 
 def _one_sided(dims: int) -> mcs.Sampler:
@@ -39,7 +39,7 @@ def _difference(dims: int, name: str, density: str | None, space: str) -> float:
 
 
 def _pairing() -> None:
-    """Print predictions by C_ml and by its conjugate for points crowded at one side."""
+    """Print predictions by the covariances of S_m and S_l, and by their complex conjugates."""
     f = mcs.Integrand.from_function(
         lambda x: np.exp(3 * np.cos(2 * np.pi * (x[..., 0] - 0.15))), dims=1
     )

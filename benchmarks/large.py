@@ -1,4 +1,4 @@
-"""Seconds and peak memory of large `variance_terms` with bands.
+"""Seconds and peak memory of `variance_terms` with bands of frequencies on large grids.
 
 Each case runs in its own process.
 The memory of a process that only imports the needed modules is also printed.
@@ -38,7 +38,7 @@ print(json.dumps([seconds, used]))
 
 @dataclass(frozen=True)
 class Case:
-    """A grid of half width K in some dims, jittered points, and realizations."""
+    """Sizes of one call: the grid of frequencies, n jittered points, and their realizations."""
 
     dims: int
     half_width: int

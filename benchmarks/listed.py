@@ -27,7 +27,7 @@ def _subset(dims: int, count: int) -> Array:
 
 
 CASES: tuple[tuple[str, Callable[[int, int], Array], int, int, int], ...] = (
-    # Label, function that makes frequencies, dims, points, number of frequencies
+    # Each case: label, function that makes frequencies, dims, n, and number of frequencies
     ("2-D, real", _real, 2, 1024, 2000),
     ("2-D, real", _real, 2, 4096, 4000),
     ("6-D, real", _real, 6, 1024, 2000),

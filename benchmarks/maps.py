@@ -4,10 +4,10 @@ The raw calls evaluate each of four strategies separately: light, BSDF, and thei
 The kernels of these calls read existing tables.
 The kernels have one lane per sample, and sum over the samples of a pixel.
 The raw calls copy results to NumPy, without statistics.
-The map evaluates a technique once for both the plain and the weighted estimate,
-in a loop over samples. "kernels alone" means these loops without the map's statistics.
-``--full`` maps 256 × 170 pixels without predictions and compares with the raw calls alone,
-which takes minutes. By default a smaller map is used.
+The map loops over samples, and evaluates a technique once for plain and weighted estimates.
+The line "kernels alone" measures the map's loops without its statistics.
+``--full`` maps 256 × 170 pixels without predictions and compares with the raw calls alone.
+This map takes minutes. The default map is smaller.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def main(*flags: str) -> None:
             ("kernels alone", raw.loops),
         ]
     seconds = dict.fromkeys([name for name, _ in works], float("inf"))
-    for _ in range(1 if full else ROUNDS):  # alternate both, because a busy machine slows both
+    for _ in range(1 if full else ROUNDS):  # take turns, because the machine may be busy
         for name, work in works:
             start = time.perf_counter()
             work()
@@ -96,7 +96,7 @@ class RawCalls:
                         self._kernel(technique, weighted, n, part)
 
     def loops(self) -> None:
-        """Evaluate both techniques in the map's own kernels."""
+        """Compute the estimates of light and BSDF sampling with the kernels that the map uses."""
         for technique in TECHNIQUES:
             for n, table in self._tables.items():
                 u = table.reshape(2, REALIZATIONS, n)

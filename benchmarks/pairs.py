@@ -1,7 +1,7 @@
 """Pair correlation of 4096 points in 200 bins, compared with `freud.density.RDF`.
 
-Both programs count the pairs of a periodic square up to the same distance,
-and divide by the expected count for random points.
+Both programs count the pairs of a periodic square up to the same distance.
+They divide the counts by the expected count for random points.
 Both programs use default settings on one thread.
 """
 
@@ -15,7 +15,7 @@ from benchmarks.timing import compare
 from mcspectra.spectra.pairs import count_pairs
 
 POINTS, BINS = 4096, 200
-DISTANCES = (0.49, 0.1)  # freud allows distances below half the side
+DISTANCES = (0.49, 0.1)  # largest distance; the program freud needs it below 0.5
 
 
 def main() -> None:

@@ -2,7 +2,7 @@
 
 A film has 8 × 6 pixels with a box filter.
 Mitsuba's render and our variance map with random points each make 400 estimates of 64 paths.
-Both give the means and the variances of these estimates.
+Both programs give the mean and the variance of their estimates.
 Welch's test compares the values and the squared deviations.
 The test uses logarithms of variances, which are closer to normal.
 The variance of all bounces together is also compared with 64 times the variance of the renders.
@@ -75,7 +75,8 @@ def compared(scene: Scene, integrator: str) -> str:
         means = (found["mean"].values[0] - mean) / np.sqrt((own + variance) / REALIZATIONS)
         both = np.hypot(found["variance_relative_se"].values[0, -1], relative)
         ratio = np.log(own / variance) / both
-        # Compare all bounces together with the variance of a path, where this is precise enough
+        # Compare the variance of one path (all bounces) with 64 times that of the renders,
+        # at pixels where both variances are precise enough
         path = np.log(whole / (N * variance)) / np.hypot(error / whole, relative)
         told = seen & (error < LARGEST_SE * whole) & (relative < LARGEST_SE)
     weight = weight.where(told)
@@ -127,7 +128,8 @@ def times() -> dict[str, list[float]]:
 
     works = {"raw": raw, "map": mapped(0), "map with shares of 128 chains": mapped(128)}
     ratios: dict[str, list[float]] = {name: [] for name in works}
-    # Rounds are adjacent in time, because a busy machine slows all works; the first round compiles
+    # A round times each function once, because a busy machine then slows all of them alike.
+    # The first round is not counted, because it compiles kernels
     for turn in range(ROUNDS + 1):
         seconds = {}
         for name, work in works.items():

@@ -5,18 +5,18 @@ There are ten integrands, each with 30 seeds and all methods in one run:
 * ``profile``: `mcspectra.profile` uses a quarter of the evaluations.
   The function `integrate(profile=…)` uses the remaining evaluations;
 * ``after``: the same, but all evaluations follow a profile of equal cost (8,192 in total).
-  This is the case of a function that is integrated repeatedly;
-** ``integrate``: `mcspectra.integrate` without a profile;
+  A function that is integrated repeatedly needs its profile only once;
+* ``integrate``: the function `mcspectra.integrate`, called without a profile;
 * ``scipy``: 16 scrambled Sobol' sets of SciPy, with Student's t interval;
 * ``net``, ``lattice``: QMCPy's CubQMCNetG and CubBayesLatticeG with all evaluations in one set;
 * ``vegas``: four iterations adapt the grid and four integrate.
   Each iteration takes an eighth of the evaluations.
 
 A line gives the RMS error of each method.
-In brackets, it gives the number of intervals that contain the integral.
+The number in brackets counts the intervals that contain the integral.
 A peer counts if at least 27 intervals contain the integral.
 The errors of ``profile`` and ``after`` should be at most 1.2 times that of the best such peer.
-The last line gives the number of integrands for which this is true.
+The last line gives the number of integrands whose errors are within this limit.
 """
 
 from __future__ import annotations

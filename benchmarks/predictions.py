@@ -1,18 +1,18 @@
 """Predicted variances compared with precise measured ones: accuracy and coverage of intervals.
 
 Each row is a sampler in a group of problems; each cell of a row is a problem at a count.
-A cell is right if prediction and measurement agree to 5 %,
-or to two standard errors of the measurement.
-An interval covers if the difference of both is within their combined interval.
+A cell is right if prediction and measurement agree to 5 %.
+It is also right if they agree to two standard errors of the measurement.
+An interval covers if prediction and measurement differ by less than their combined interval.
 Predictions do not evaluate f at the points of the sampler.
 Measurements have at least 1,000 realizations.
 The option ``--group=2-D`` selects one group, and ``--group=new`` selects all new groups.
 
-New groups have every fast sampler with an offset (shift, strata-shift, digital-shift),
-problems in 4 to 8 dims, and unbounded problems.
+New groups have every fast sampler with an offset (shift, strata-shift, digital-shift).
+Some of their problems have 4 to 8 dims, and some have unbounded integrands.
 References are measured with 20,000 realizations.
-If the moments of estimates are unbounded, references come from closed-form integrals,
-which are summed over strata and pairs of points (`Unbounded`).
+If the moments of estimates are unbounded, references come from closed-form integrals.
+The class `Unbounded` sums these integrals over strata and pairs of points.
 """
 
 from __future__ import annotations
@@ -32,7 +32,10 @@ from mcspectra.core.checks import Array
 from mcspectra.core.confidence import rounding_floor
 
 WITHIN, AT_MOST = 0.05, 0.2
-"""Relative error below which a prediction is right, and the largest allowed relative error."""
+"""Limits of the relative error of a prediction.
+
+Predictions within the first limit are right; no prediction may exceed the second limit.
+"""
 
 REALIZATIONS = 10_000
 """Number of realizations, for a relative standard error of about 1.4 % of normal estimates."""
@@ -41,7 +44,7 @@ _DEAR = {"bnot": 2000, "poisson-disk": 4000}  # number of realizations for slow 
 
 
 NEW_REALIZATIONS = 20_000
-"""Number of realizations in new groups, for a relative standard error of about 1 %."""
+"""Number of realizations for groups named ``new``; variances get relative errors of about 1 %."""
 
 MOST_MISSED = 4.0
 """Largest allowed error of a prediction, in standard errors of reference and prediction."""
@@ -99,7 +102,7 @@ class Tail:
         nodes, weights = _ends_rule()
         k, half = np.arange(n)[:, None], n // 2
         if self.even:
-            # Reflect the upper half of the grid: 1 − (k + t)/n = (n − 1 − k + 1 − t)/n
+            # An even function needs only x below ½: the point 1 − x replaces x in the upper half
             low = nodes[: len(nodes) // 2]
             reflected = np.concatenate([1.0 - low, low])
             x = np.concatenate([k[:half] + nodes, k[: n - half] + reflected]) / n
@@ -173,8 +176,8 @@ class Unbounded:
         starts = [offset] * d
         if step == "strata-shift":
             starts = [0.5 * n ** (-1.0 / d) * s for s in sides]
-        # For strata, Latin hypercubes and scrambled nets,
-        # pairs have the same distribution on each axis
+        # A sum over axes depends only on the points along each axis.
+        # Strata, Latin hypercubes and scrambled nets are stratified along each axis
         if not self.product:
             if base == "random":
                 return d * (h.square - h.mean**2) / n
@@ -201,7 +204,7 @@ class Unbounded:
         cells = np.rint(points * n).astype(np.int64)
         total = 0.0
         for i in range(n):
-            # Number of bits below the common prefix
+            # Two points share their leading bits; count the bits after these
             apart_bits = np.frexp((cells ^ cells[i]).astype(float))[1]
             total += float(of_level[levels - apart_bits].prod(axis=-1).sum())
         return total / n**2 - float(h.mean ** (2 * d))
@@ -296,7 +299,7 @@ def groups() -> dict[str, Group]:
     else:
         found["pixels"] = Group(pixels, ("random", "jittered | shift", "sobol | owen"), counts[:-1])
 
-    # New groups: offsets in 2-D for all fast samplers
+    # Groups of 1-D and 2-D problems for all fast samplers that have an offset
     many = NEW_REALIZATIONS
     rotated, disk = (
         formula("exp(-9*(x0+x1-0.7)**2-2*(x0-x1)**2)", 2),
@@ -310,7 +313,7 @@ def groups() -> dict[str, Group]:
         many,
     )
 
-    # New groups: problems in 4 to 8 dims
+    # Groups of problems in 4 to 8 dims
     def ball(dims: int, square: float) -> Any:
         text = "+".join(f"(x{i}-0.5)**2" for i in range(dims))
         return formula(f"where({text}<{square},1,0)", dims)
@@ -329,7 +332,7 @@ def groups() -> dict[str, Group]:
     roof = formula("max(" + "+".join(f"x{i}" for i in range(8)) + "-4,0)", 8)
     found["new 8-D"] = Group([product(8, 0.7), roof], IN_MANY_DIMS, (256,), many)
 
-    # New groups: unbounded problems
+    # Groups of problems with unbounded integrands
     found["new sums"] = Group(
         [Unbounded("t3", 2), Unbounded("root", 2)],
         (

@@ -83,7 +83,7 @@ def cells() -> None:
     count = 3000  # more cells than a run writes to a store at the end
     with _timed(f"decode and plan {count:,} short cells", count):
         plan = make_plan(_study(count), Path())
-    plan.cells[0].compute(0)  # first import modules and compile
+    plan.cells[0].compute(0)  # The first call imports modules and compiles
     with _timed("compute them", count):
         results = [cell.compute(0) for cell in plan.cells]
     with _timed("make bytes of their results", count):
@@ -209,7 +209,7 @@ class _Blocks(Analysis, frozen=True, kw_only=True):
 
 
 class _Nothing:
-    """Records of a study that are not stored."""
+    """A substitute for the database of a study; it stores nothing."""
 
     def tasks(self, path: str) -> list[Any]:  # noqa: ARG002
         return []
@@ -230,7 +230,7 @@ def _drive_many(count: int) -> None:
 
 
 class Napping:
-    """Threads whose tasks take `seconds` and almost no processor time."""
+    """Threads that sleep until `seconds` have passed since the start of a task."""
 
     def __init__(self, workers: int, seconds: float) -> None:
         self._threads = Threads(workers)

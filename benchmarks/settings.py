@@ -2,21 +2,21 @@
 
 Without a flag, the benchmark tests `CauseSettings` and its parts.
 Each case has two seeds and 8,192 evaluations.
-The cases come from the tests of `profile`, and from the benchmark ``battery``
-if their first cause is known.
+The cases come from the tests of `profile` and from the benchmark ``battery``.
+Only cases with a known cause of noise are used.
 The cases of `PoleSettings` are poles |A(x − c)|^−a of known order and rank.
 The flag ``--NAME`` measures one setting.
 
 ``--rates`` tests `CurveSettings` with five functions whose rate with scrambled nets is known.
-The benchmark prints the root mean square error of rates,
-the fraction of intervals that contain the rate, and the mean half width.
+The benchmark prints the root mean square error of the rates.
+It also prints the mean half width of the intervals, and how many contain the true rate.
 
 ``--chains`` tests `ChainSettings` with chains of 500 to 2,000 draws.
 Each chain has one known fault or none.
 
 ``--stages`` tests `StageSettings` with 150 searches for a variance to 10 %.
-The benchmark prints the mean number of realizations,
-the root mean square of the true relative error, and the mean number of stages.
+The benchmark prints mean numbers of realizations and stages.
+It also prints the root mean square of the true relative error.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def all_cases() -> Iterator[tuple[mcs.Estimator, mcs.Sampler, tuple[str, ...]]]:
 
 
 def is_right(seen: Evidence, causes: tuple[str, ...]) -> bool:
-    """Whether the first cause is an expected cause."""
+    """Whether the cause of noise that is reported first is one of the given causes."""
     return causes_of(seen)[0].name in causes
 
 
@@ -115,7 +115,7 @@ def changed(settings: Any, name: str, factor: float) -> Any:
 
 
 def variants() -> Iterator[tuple[str, str, list[CauseSettings]]]:
-    """Yield class and name of each setting, with settings in which it is halved or doubled."""
+    """Yield each setting: class, name, and all settings with its value halved or doubled."""
     for part in ("", *NESTED):
         own = getattr(CAUSE_SETTINGS, part) if part else CAUSE_SETTINGS
         for field in fields(own):
@@ -182,7 +182,7 @@ def chains() -> None:
     groups = faulty_chains()
 
     def right(settings: ChainSettings) -> str:
-        """Return numbers of chains for which the expected cause or evidence is reported."""
+        """Count the chains whose report names the right cause or contains the right evidence."""
         counts = {}
         for name, (wanted, group) in groups.items():
             found = [quantity_error(x, np.ones(x.shape), settings) for x in group]
@@ -275,7 +275,7 @@ def main(*only: str) -> None:
     ]
 
     def right(settings: CauseSettings, *, again: bool) -> str:
-        """Return the number of right causes, and of right poles if a setting may affect poles."""
+        """Count cases with the right cause; also recognized poles, if settings may affect poles."""
         count = 0
         for (e, sampler, causes, seed), seen in zip(given, usual, strict=True):
             try:

@@ -14,7 +14,7 @@ from benchmarks.timing import compare
 from mcspectra.spectra.transforms import FrequencyGrid, Transform, direct_sum
 
 POINTS, HALF_WIDTH, REALIZATIONS = 4096, 256, 8
-CHOSEN = 64  # realizations if statistical errors limit the accuracy
+CHOSEN = 64  # number of realizations for the comparison of `power_spectrum`
 
 
 def main() -> None:

@@ -27,7 +27,7 @@ from mcspectra.studies.executors import Cluster, Dask, Threads
 from mcspectra.studies.run import MakeExecutor
 
 SECONDS = 0.5
-LONG = 1.5  # seconds of a cell that is worth a start of processes
+LONG = 1.5  # seconds per cell, long compared with the start of a process
 ROUNDS = 3
 CELLS = 16
 STUDY = """
@@ -105,7 +105,7 @@ def _print_efficiency(what: str, one: float, several: float, workers: int) -> No
 def _side_by_side(config: StudyConfig) -> float:
     """Return the seconds in which two started processes each compute half of the cells."""
     context = multiprocessing.get_context("spawn")
-    gate = context.Barrier(3, timeout=600)  # if one half fails, the wait ends
+    gate = context.Barrier(3, timeout=600)  # fails unless both halves start
     halves = [context.Process(target=_half, args=(config, i, gate)) for i in range(2)]
     for half in halves:
         half.start()

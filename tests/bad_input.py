@@ -354,7 +354,7 @@ COMMAND = _rows(
     ("points jittered -n many", "whole number"),
     ("points jittered", "-n"),
     ("profile draws.npy draws.txt", "'draws.txt' is not a file of draws"),
-    ("profile draws.npy", "No such file"),
+    ("profile draws.npy", "There is no file"),
     ("profile draws.npy --budget 512", "--budget is for integrands"),
     ("profile gaussian --weights w", "--weights is for files of draws"),
     ("predict gaussian --sampler random --counts 16,abc", "--counts is 'abc'"),

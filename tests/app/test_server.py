@@ -119,6 +119,18 @@ def test_other_sites_without_origin_are_refused(path, headers):
     assert not answers(*headers, path=path)
 
 
+@pytest.mark.parametrize(
+    "path",
+    [
+        *("/autoload.js", "/autoload_js", "/autoload%js?bokeh-autoload-element=1", "/metadata"),
+        *("//", "", "?n=4", "/static", "/ws/", "/index.html"),
+    ],
+)
+def test_paths_of_bokeh_that_the_page_does_not_use_are_refused(path):
+    """The pattern ``/autoload.js`` matches any character, and an empty path opened a session."""
+    assert not answers(OWN, path=path)
+
+
 def test_another_site_posts_nothing():
     assert not answers(*fetch("cross-site", *LINK), method="POST")
 
@@ -170,7 +182,12 @@ def get(port, path="/", **headers):
 
 
 def test_no_page_may_embed_this_one(port):
-    for path, code in (("/", 200), ("/static/js/bokeh.min.js", 200), ("/autoload.js", 403)):
+    for path, code in (
+        ("/", 200),
+        ("/static/js/bokeh.min.js", 200),
+        ("/autoload.js", 403),
+        ("/autoload_js?bokeh-autoload-element=1", 403),
+    ):
         status, headers, text = get(port, path)
         assert status == code
         assert headers["Content-Security-Policy"] == "frame-ancestors 'none'"
@@ -234,7 +251,8 @@ def test_requests_write_nothing_on_the_terminal(port, caplog):
             with socket.create_connection((ADDRESS, port), timeout=30) as client:
                 head = f"GET {path} HTTP/1.1\r\nHost: {ADDRESS}:{port}\r\nConnection: close\r\n\r\n"
                 client.sendall(head.encode())
-                assert b" 404 " in (answer := client.recv(100)) or b" 500 " in answer
+                answer = client.recv(100)
+                assert any(code in answer for code in (b" 403 ", b" 404 ", b" 500 "))
         assert caplog.text == ""
         own.error("Uncaught exception %s", "GET /\x9b2J")
         assert "exception GET /\\x9b2J" in caplog.text

@@ -130,12 +130,16 @@ def test_every_verb_escapes_control_characters(run, here, verb):
 
 
 def test_columns_of_draws(run, here):
-    draws = np.random.default_rng(1).standard_normal((50, 2)).tolist()
+    draws = np.random.default_rng(1).standard_normal((50, 3)).tolist()
     with (here / "draws.csv").open("w", newline="", encoding="utf-8") as stream:
-        csv.writer(stream).writerows([[SHORT.replace("\n", " "), "=1+1"], *draws])
-    code, out, err = run("profile", "draws.csv", "-o", "curve.csv")
-    assert_harmless(out, err, (here / "curve.csv").read_text("utf-8"))
+        names = [SHORT.replace("\n", " "), "=1+1", r"\input{x}^^5cinput{x}"]
+        csv.writer(stream).writerows([names, *draws])
+    code, out, err = run("profile", "draws.csv", "-o", "curve.csv", "--out", "curve.tex")
     assert code == 0, err
+    tex = (here / "curve.tex").read_text("utf-8")
+    assert_harmless(out, err, (here / "curve.csv").read_text("utf-8"), tex)
+    assert r"\input" not in tex
+    assert "^^" not in tex
 
 
 def test_layers_of_frames(run, here):

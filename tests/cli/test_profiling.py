@@ -1,5 +1,9 @@
 """The verb `profile` for files of draws: formats, text, figures and errors."""
 
+import json
+import os
+import pickle
+
 import numpy as np
 import pytest
 import xarray as xr
@@ -90,10 +94,94 @@ def test_weights_of_a_file(run_json, files):
     assert found["mcse"] == mcs.measure.chain_error(DRAWS, weights=weights)["mcse"].item()
 
 
+@pytest.mark.parametrize("name", ["pipe.npy", "pipe.csv", "pipe.nc", "pipe.zarr", "zero.csv"])
+def test_pipes_and_devices_are_refused(run, tmp_path, name):
+    """A pipe blocked forever, and a device filled the memory."""
+    os.mkfifo(tmp_path / name) if name[0] == "p" else (tmp_path / name).symlink_to("/dev/zero")
+    code, _, err = run("profile", tmp_path / name)
+    assert code == 2
+    assert "is a device or a pipe; give" in err or "is not a folder; give" in err
+
+
+def test_a_huge_sparse_table_is_refused(run, tmp_path):
+    (tmp_path / "a.csv").touch()
+    os.truncate(tmp_path / "a.csv", 2**40)
+    assert "MB of memory to read" in run("profile", tmp_path / "a.csv")[2]
+
+
+RAN = []
+
+
+class Evil:
+    def __reduce__(self):
+        return RAN.append, ("code of the store",)
+
+
+def store(folder, own=(), **changed):
+    """Write a store of format 2 whose only chunk is a pickle, or 20 numbers."""
+    chunk = pickle.dumps(Evil()) if changed.pop("evil", False) else np.arange(20.0).tobytes()
+    array = {"chunks": [1, 20], "compressor": None, "dtype": "<f8", "fill_value": None}
+    array |= {"filters": None, "order": "C", "shape": [1, 20], "zarr_format": 2} | changed
+    files = {
+        ".zgroup": {"zarr_format": 2},
+        "mu/.zarray": array,
+        "mu/.zattrs": {"_ARRAY_DIMENSIONS": ["chain", "draw"]},
+        **dict(own),
+    }
+    (folder / "mu").mkdir(parents=True)
+    for name, document in files.items():
+        (folder / name).write_text(json.dumps(document))
+    (folder / "mu" / "0.0").write_bytes(chunk)
+    return folder
+
+
+def test_a_store_runs_no_code(run, tmp_path, monkeypatch):
+    """numcodecs before 0.16.6 loads pickles of any store, later ones if it is allowed."""
+    monkeypatch.setattr("numcodecs.pickles.ALLOW_UNSAFE_PICKLE_DECODE", True, raising=False)
+    pickled = {"id": "pickle", "protocol": 5}
+    texts = {"dtype": "|O", "fill_value": None}
+    for number, changed in enumerate(
+        (
+            texts | {"filters": [{"id": "vlen-utf8"}, pickled]},
+            texts | {"filters": [pickled]},
+            {"compressor": pickled},
+            {"dtype": [["a", "<f8"]]},
+        )
+    ):
+        code, _, err = run("profile", store(tmp_path / f"{number}.zarr", evil=True, **changed))
+        assert code == 2
+        assert "which is not read from a file: give a store" in err
+        assert err.count("\n") == 1
+    assert not RAN
+
+
+def test_a_store_is_refused_for_its_size_and_for_links(run, tmp_path):
+    for number, changed in enumerate(
+        (
+            {"shape": [1, 10**12]},
+            {"chunks": [10**6, 10**6]},
+            {"shape": [1, 10**6], "chunks": [1, 1]},
+        )
+    ):
+        code, _, err = run("profile", store(tmp_path / f"{number}.zarr", **changed))
+        assert code == 2
+        assert "MB of memory to read" in err
+    linked = store(tmp_path / "linked.zarr")
+    (linked / "mu" / "0.0").unlink()
+    (linked / "mu" / "0.0").symlink_to("/dev/zero")
+    assert "is a link, a device or a pipe; give a store" in run("profile", linked)[2]
+
+
+def test_a_sound_store_of_format_2_is_read(run, tmp_path):
+    assert run("profile", store(tmp_path / "sound.zarr"))[0] == 0
+    consolidated = {".zmetadata": {"zarr_consolidated_format": 1, "metadata": {}}}
+    assert run("profile", store(tmp_path / "other.zarr", consolidated))[0] == 0
+
+
 @pytest.mark.parametrize(
     ("names", "words"),
     [
-        (("none.npy",), "none.npy cannot be read as .npy: No such file"),
+        (("none.npy",), "There is no file"),
         (("draws.txt",), "is not a file of draws, which ends in .npy, .csv, .nc or .zarr. Give"),
         (("both.npy", "gaussian"), "'gaussian' is not a file of draws"),
         (("both.npy", "--budget", "512"), "--budget is for integrands; leave it out with files"),
@@ -103,13 +191,10 @@ def test_weights_of_a_file(run_json, files):
         (("0.npy", "0.csv"), "do not hold one chain each"),
         (("chains.csv", "--weights", "nu"), "no column 'nu'. Did you mean 'mu'?"),
         (("both.npy", "--weights", "w"), "no column 'w'"),
-        (("bad.csv",), "bad.csv cannot be read as .csv"),
-        (("ragged.csv",), "ragged.csv cannot be read as .csv"),
-        (
-            ("empty.csv",),
-            "empty.csv cannot be read as .csv: it holds no draws; give a line of names",
-        ),
-        (("names.csv",), "names.csv cannot be read as .csv: it holds no draws"),
+        (("bad.csv",), "bad.csv cannot be read as draws of Markov chains"),
+        (("ragged.csv",), "ragged.csv cannot be read as draws of Markov chains"),
+        (("empty.csv",), "empty.csv holds no draws; give a line of names"),
+        (("names.csv",), "names.csv holds no draws"),
         (("text.csv",), "could not convert string to float"),
     ],
 )

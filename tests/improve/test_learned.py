@@ -262,8 +262,13 @@ def test_other_files_are_refused(tmp_path, text):
     path.write_text(text)
     with pytest.raises(FileFormatError, match="json is not a learned density, or is damaged; give"):
         Learned(path=path)
-    with pytest.raises(FileFormatError, match="cannot be read"):
+    with pytest.raises(FileFormatError, match="There is no file"):
         mcs.density(f"learned(path={str(tmp_path / 'none.json')!r})")
+    os.mkfifo(tmp_path / "pipe.json")
+    os.truncate(path, 2**40)
+    for name, words in (("pipe", "a device or a pipe; give"), ("density", "MB of memory to read")):
+        with pytest.raises(FileFormatError, match=words):
+            Learned(path=tmp_path / f"{name}.json")
 
 
 def test_invalid_tables_are_refused(tmp_path):

@@ -1,5 +1,6 @@
 """Generators of QMCPy as samplers: equal points, correct counts, no guesses."""
 
+import os
 import sys
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 from tests.conftest import NO_QMCPY
 
 import mcspectra as mcs
-from mcspectra.core.errors import CountError, MissingDependency, ParameterError
+from mcspectra.core.errors import CountError, FileFormatError, MissingDependency, ParameterError
 from mcspectra.core.streams import Stream
 from mcspectra.quality.nets import net_t_value
 from mcspectra.samplers import Sampler, as_sampler, sampler
@@ -175,3 +176,34 @@ def test_a_missing_package_is_one_sentence(monkeypatch):
     monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     with pytest.raises(MissingDependency, match=r"pip install 'mcspectra\[qmcpy\]'"):
         sampler("qmcpy")
+
+
+@pytest.mark.parametrize(
+    ("generator", "key", "lines"),
+    [
+        ("DigitalNetB2", "generating_matrices", "2\n2\n8\n3\n4 2 1\n4 6 7\n"),
+        ("Lattice", "generating_vector", "2\n8\n1\n3\n"),
+    ],
+)
+def test_tables_are_files_and_never_come_from_the_network(
+    tmp_path, monkeypatch, generator, key, lines
+):
+    """QMCPy asked a server for every name first, so a spec sent paths of this machine there."""
+    asked = []
+    monkeypatch.setattr("urllib.request.urlopen", lambda *given, **_: asked.append(given))
+    (tmp_path / "table.txt").write_text(lines)
+    os.mkfifo(tmp_path / "pipe.txt")
+
+    def spec(name):
+        return f"qmcpy(generator={generator!r}, options={{{key!r}: {name!r}, 'randomize': False}})"
+
+    assert sampler(spec(str(tmp_path / "table.txt"))).draw(8).shape == (1, 8, 2)
+    for name, words in {
+        str(tmp_path / "none.txt"): "There is no file",
+        str(tmp_path / "pipe.txt"): "a device or a pipe",
+        "http://evil.example/a.txt": "There is no file",
+        "a.npy": "does not end in one of .txt",
+    }.items():
+        with pytest.raises(FileFormatError, match=words):
+            sampler(spec(name))
+    assert asked == []

@@ -500,10 +500,13 @@ def test_the_address_of_a_worker_is_refused(cluster):
         Dask(TEXT, options, squares())
 
 
-@pytest.mark.parametrize("content", [None, "", "{}", "[1]", "\x00", '{"address": 3}'])
+@pytest.mark.parametrize("content", [None, "pipe", "", "{}", "[1]", "\x00", '{"address": 3}'])
 def test_invalid_scheduler_files_are_refused(tmp_path, content):
+    """A pipe blocked forever."""
     file = tmp_path / "scheduler.json"
-    if content is not None:
+    if content == "pipe":
+        os.mkfifo(file)
+    elif content is not None:
         file.write_text(content)
     with pytest.raises(ParameterError, match="is not a file written by a dask scheduler"):
         Dask(TEXT, Cluster(address=str(file)), squares())

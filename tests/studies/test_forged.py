@@ -7,6 +7,7 @@ kind.
 import contextlib
 import itertools
 import json
+import sqlite3
 import sys
 import tempfile
 from collections import Counter
@@ -18,10 +19,12 @@ import pytest
 import xarray as xr
 from tests.report.conftest import words_alone
 
+from mcspectra.cli.main import main
 from mcspectra.core.errors import McspectraError, StoreError
 from mcspectra.core.records import pack
 from mcspectra.report import page, write_comparison, write_report
 from mcspectra.studies import decode_study, make_plan, run_study, summarize
+from mcspectra.studies import ledger as ledger_module
 from mcspectra.studies.files import plain_study, planned_groups
 from mcspectra.studies.ledger import Ledger, StudyNote
 from mcspectra.studies.results import (
@@ -291,6 +294,86 @@ def test_a_cell_outside_the_study_is_refused(place, honest, name):
     assert "list of cells" in study_status(place, verify=True).damaged
     with pytest.raises(StoreError, match="belongs to another study"):
         run_study(CONFIG, place, resume=True)
+
+
+STRANGE = "2026-01-01T00:00:00+00:00\n\x1b[2JFORGED"
+TALLIES = {
+    "digest": [{"digest": "x"}, {"digest": "-1"}, {"digest": "f" * 10**5}],
+    "number": [{"size": 10**400}, {"size": -1}, {"done": -1}, {"done": 10**30}],
+    "time": [{"started": STRANGE}, {"finished": "x" * 10**6}],
+    "hosts": [{"hosts": []}, {"hosts": ["a\nFORGED"]}, {"hosts": ["x" * 10**6]}],
+    "holder": [
+        {"holder": {"host": "\x1b[2J\nFORGED", "pid": 1, "since": STRANGE}},
+        {"holder": {"host": "x" * 10**6, "pid": 10**400, "since": STRANGE[:25]}},
+        {"holder": {"host": "x" * 10**6, "pid": 1, "since": STRANGE[:25]}},
+    ],
+    "text": ["[" * 10**5, "null", '{"done":1e999}', '{"size":' + "9" * 5000 + "}"],
+}
+
+
+def forged_note(folder, name, text):
+    """Replace both copies of a note, with valid digests."""
+    with contextlib.closing(sqlite3.connect(folder / "study.sqlite")) as connection:
+        study = Ledger.read(folder).study
+        digest = ledger_module._digest(study, "note", (name,), text.encode())
+        for table in ("texts", "notes"):
+            connection.execute(
+                f"UPDATE {table} SET text = ?, digest = ? WHERE kind = 'note' AND name = ?",
+                (text, digest, name),
+            )
+        connection.commit()
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("kind", TALLIES)
+def test_forged_tallies_give_sentences(place, honest, capsys, kind):
+    """``status --verify`` used to end with ValueError, OverflowError or IndexError."""
+    for number, changed in enumerate(TALLIES[kind]):
+        folder = forged_ledger(place.with_name(f"forged{number}"), honest)
+        with Ledger.read(folder) as ledger:
+            plain = msgspec.to_builtins(ledger.tally)
+        forged_note(
+            folder, "tally", changed if isinstance(changed, str) else json.dumps(plain | changed)
+        )
+        for verb in (("status",), ("status", "--verify"), ("status", "--verify", "--json")):
+            assert main([verb[0], str(folder), *verb[1:]]) in (0, 1)
+            out, err = capsys.readouterr()
+            assert "Unexpected" not in err
+            lines = out.splitlines()
+            assert not any(line.startswith(("FORGED", "\x1b")) for line in lines)
+            assert "--json" in verb or max(map(len, lines)) < 1100
+        kept = study_status(folder, verify=True).done
+        with Ledger.resume(folder, StudyNote.of(CONFIG, {}), PATHS) as ledger:
+            assert tuple(ledger.done) == kept
+
+
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize("path", [None, b"\xff", 5, "a", ""])
+def test_paths_of_other_types_give_sentences(place, honest, capsys, path):
+    forged_ledger(place, honest)
+    with contextlib.closing(sqlite3.connect(place / "study.sqlite")) as connection:
+        connection.execute("UPDATE cells SET path = ? WHERE place = 0", (path,))
+        connection.commit()
+    for more in ((), ("--verify",)):
+        main(["status", str(place), *more])
+        assert "Unexpected" not in capsys.readouterr().err
+    assert "list of cells" in study_status(place, verify=True).damaged
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_forged_header_prints_short_lines(place, honest, capsys):
+    note = msgspec.structs.replace(
+        StudyNote.of(CONFIG, {}),
+        title="x" * 10**6,
+        seed=10**4000,
+        versions={"mcspectra": "\nFORGED" + "x" * 10**6},
+    )
+    Ledger.create(place, note, PATHS).close()
+    for verb in (("status",), ("status", "--verify")):
+        assert main([verb[0], str(place), *verb[1:]]) in (0, 1)
+        lines = capsys.readouterr().out.splitlines()
+        assert max(map(len, lines)) < 1100
+        assert not any(line.startswith("FORGED") for line in lines)
 
 
 @pytest.mark.filterwarnings("ignore")

@@ -100,9 +100,8 @@ class Guard(routing.Router):
             return False
         if not all(each.lower() in self._origins for each in origins):
             return False
-        if request.path.endswith(
-            "/autoload.js"
-        ):  # This script would give a session to pages of other sites
+        # Bokeh's other paths open sessions as well; its pattern of autoload.js matches other names
+        if request.path not in ("/", "/ws") and not request.path.startswith("/static/"):
             return False
         is_page = request.path == "/" and request.method in ("GET", "HEAD")
         sites = headers.get_list("Sec-Fetch-Site")

@@ -3,12 +3,12 @@
 Every analysis of `mcspectra.core.analysis.ANALYSES` with a verb becomes a verb of the command.
 This includes analyses of other packages.
 The subject comes first: an integrand with densities and a sampler, or only a sampler.
-The options of the analysis follow (`mcspectra.core.options.options_of`).
+The options of the analysis come after the subject (`mcspectra.core.options.options_of`).
 The module `mcspectra.cli.texts` makes the text of the result.
 
 Several analyses may share a verb; ``--split`` chooses one.
-The parser then has the options of this analysis,
-and rejects options of the other analyses by name.
+The parser has the options of the chosen analysis.
+An option of another analysis is an error that names the right ``--split``.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ _ESTIMATOR = (
         repeated="all",
     ),
 )
-"""Options of the estimator; the option of the sampler depends on the analysis."""
+"""Options that describe the estimator; each analysis has its own option for the sampler."""
 
 
 def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
@@ -183,7 +183,7 @@ def analysis_verb(names: Sequence[str], given: Sequence[str] = ()) -> Verb:
             for file in options.out:
                 check_result_file(file)
 
-        # Compute, write and show
+        # Compute the result, write the output files, and print a view
         given = given_of(options, *(each.name for each in own))
         subject = _subject(options, analysis, default_sampler)
         if all_sets and isinstance(subject.sampler, GivenPoints):
@@ -261,7 +261,7 @@ def _subject(
 def _of_splits(chosen: str, options: dict[str, tuple[Option, ...]]) -> list[Declaration]:
     """Declare the options of all splits; only options of the chosen split may be given.
 
-    Options that all splits share come first. One group for each set of splits follows.
+    Options of all splits come first. Then each group has the options of certain splits.
     """
     owners: dict[str, list[str]] = {}
     for split, its in options.items():
@@ -334,13 +334,13 @@ def declared(
     Parameters
     ----------
     given
-        The option of the analysis.
+        The option to declare: its name, type, default and description.
     default_note
         Text that follows the default in the help.
     flags
         Flags to declare; by default all flags of the option.
     refuse
-        Function that raises an error, for an option that belongs to another split.
+        Function that raises an error if the option is given, for options of other splits.
     """
     flags = _flags(given) if flags is None else flags
     text = given.extra.get("help", given.meaning).rstrip(".")

@@ -63,8 +63,8 @@ class Read(argparse.Action):
     read
         Function that returns the value from the option's name and text; by default the text.
     repeated
-        Effect of a repeated option: ``"last"`` keeps the last value, ``"once"`` raises an error,
-        and ``"all"`` collects all values in a list, including the items of tuples.
+        Effect of a repeated option: ``"last"`` keeps the last value, ``"once"`` raises an error.
+        ``"all"`` collects all values in a list, including the items of tuples.
     """
 
     def __init__(

@@ -76,7 +76,7 @@ def design_(options: argparse.Namespace) -> VerbOutput:
     Ctrl-C ends the search and keeps the best sampler found.
 
     A density is learned for one integrand and one sampler.
-    The table compares the variances with and without it, at points not used for learning.
+    The table compares variances with and without the density, at points not used for learning.
     If the density does not lower the variance, the result is uniform.
     """
     density = options.kind == _DENSITY

@@ -2,8 +2,8 @@
 
 Exit codes: 0 success; 1 the run failed; 2 bad input; 130 interrupted.
 Verbs are bound by name, so ``--help`` imports none of them (docs/decisions/0002).
-In its module, the verb ``run`` has the name ``run_``. This module prints the output of a verb.
-The module `mcspectra.cli.analysis` makes the verbs of analyses.
+Each verb is a function: the verb ``run`` is the function ``run_``. This module prints its output.
+The module `mcspectra.cli.analysis` turns each analysis into a verb.
 """
 
 from __future__ import annotations
@@ -192,7 +192,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _dispatch(given: list[str]) -> int:
     """Find the verb, read its options, run it and print its output."""
-    # Move options that precede the verb behind it
+    # Options may precede the verb: move them after the verb
     first = 0
     while first < len(given) and (name := given[first].partition("=")[0]) in _BEFORE:
         first += 1 if "=" in given[first] else 1 + _BEFORE[name]
@@ -353,8 +353,8 @@ def _outside_verbs() -> tuple[dict[str, list[str]], dict[str, str]]:
 
     An analysis is left out if its verb and split, or its function, belong to another analysis.
     Analyses of this package have priority.
-    Analyses that cannot be loaded appear in neither part.
-    The command `mcspectra list analyses` gives the reason for such analyses.
+    The result does not contain analyses that cannot be loaded.
+    The command `mcspectra list analyses` says why an analysis cannot be loaded.
     """
     if not entry_points(group="mcspectra.analyses"):
         return {}, {}

@@ -12,10 +12,11 @@ from mcspectra.cli.analysis import analysis_verb
 from mcspectra.cli.common import Verb, VerbOutput, option
 from mcspectra.cli.texts import data_of, table_of_anything
 from mcspectra.core.analysis import ANALYSES
-from mcspectra.core.display import QUOTED, printable, shown
+from mcspectra.core.decoding import check_decoded_size, check_zarr, opened, read_npy
+from mcspectra.core.display import shown
 from mcspectra.core.errors import (
     FileFormatError,
-    MissingDependency,
+    McspectraError,
     ParameterError,
     UnknownName,
     close_match_hint,
@@ -31,6 +32,7 @@ __all__ = ["profile_"]
 
 
 _SUFFIXES = (".npy", ".csv", ".nc", ".zarr")
+_TEXT_RATIO = 10  # Bytes of memory for each byte of a .csv file
 _PROFILE = analysis_verb(["profile"])
 
 
@@ -140,34 +142,45 @@ def _draws(name: str) -> Any:
     import xarray as xr
 
     file = Path(name)
-    try:
-        match file.suffix.lower():
+    if file.suffix.lower() == ".zarr":
+        optional_package("zarr", "store", "Files .zarr need")
+        try:
+            if not file.is_dir():
+                raise FileFormatError(f"{file} is not a folder; give the path of a store.")
+            check_zarr(file)
+            with xr.open_datatree(file, engine="zarr", consolidated=False) as tree:
+                return _posterior(tree).load()
+        except McspectraError:
+            raise
+        except Exception as error:  # noqa: BLE001 - zarr and its codecs may raise anything
+            raise FileFormatError(f"{file} cannot be read as .zarr: {reason_of(error)}.") from None
+    with opened(file, "draws of Markov chains", _SUFFIXES) as (stream, size, named, extension):
+        match extension:
             case ".npy":
-                return np.load(file, allow_pickle=False)
+                return read_npy(stream, size, named)
             case ".csv":
-                return _table(file)
+                check_decoded_size(named, size, _TEXT_RATIO * size)
+                return _table(stream.read().decode("utf-8-sig"), named)
             case _:
-                if file.suffix.lower() == ".zarr":
-                    optional_package("zarr", "store", "Files .zarr need")
-                tree = xr.open_datatree(file)
-                return getattr(tree, "posterior", tree).to_dataset()
-    except MissingDependency:
-        raise
-    except Exception as error:  # noqa: BLE001 - readers of formats may raise anything
-        reason = getattr(error, "strerror", None) or reason_of(error)
-        raise FileFormatError(
-            f"{printable(file, QUOTED)} cannot be read as {file.suffix}: {reason}."
-        ) from None
+                with xr.open_datatree(file) as tree:
+                    check_decoded_size(named, size, tree.nbytes)
+                    return _posterior(tree).load()
 
 
-def _table(file: Path) -> xr.Dataset:
+def _posterior(tree: xr.DataTree) -> xr.Dataset:
+    return getattr(tree, "posterior", tree).to_dataset()
+
+
+def _table(text: str, file: str) -> xr.Dataset:
     """Read the quantities of a .csv file, without Stan's diagnostics (names ending in __)."""
     import xarray as xr
 
-    lines = [line for line in file.read_text("utf-8-sig").splitlines() if line.strip()]
+    lines = [line for line in text.splitlines() if line.strip()]
     lines = [line.replace('"', "") for line in lines if line[0] != "#"]
     if len(lines) < 2:
-        raise ValueError("it holds no draws; give a line of names and a line of numbers per draw")
+        raise FileFormatError(
+            f"{file} holds no draws; give a line of names and a line of numbers per draw."
+        )
     table = np.genfromtxt(lines, delimiter=",", names=True, deletechars="", ndmin=1)
     columns = {name: ("draw", table[name]) for name in table.dtype.names or ()}
     _, chain = columns.pop("chain", ("", np.zeros(table.size)))

@@ -77,7 +77,7 @@ def list_(options: argparse.Namespace) -> VerbOutput:
             row = {"name": name, "summary": f"not available: {reason}", "parameters": []}
         rows.append(row)
 
-    # Show each entry: its summary and parameters, with the verb, or with dims, counts and sources
+    # Print summary and parameters of each name; then its verb, or its dims, counts and sources
     widest, lines = max(len(row["name"]) for row in rows), []
     for row in rows:
         lines.append(f"{row['name'].ljust(widest)}  {row['summary']}")
@@ -252,8 +252,8 @@ def bench_(options: argparse.Namespace) -> VerbOutput:
     The 95 % intervals of the rates are simultaneous.
     A sampler is left out for dims that it does not support.
 
-    The page, FILE.html or DIR/index.html, has a section for each sampler:
-    its points and spectrum in 2-D, its dims, counts and sources.
+    The page, FILE.html or DIR/index.html, has a section for each sampler.
+    A section shows points and spectrum in 2-D, and lists dims, counts and sources.
     DIR/bench.csv has the numbers.
     """
     from mcspectra.report.bench_page import bench_table, check_bench_file, is_folder, write_bench

@@ -119,12 +119,14 @@ def render_(options: argparse.Namespace) -> VerbOutput:
     or a Mitsuba XML file, which is never changed.
 
     Without --integrator the image is direct light by one strategy.
-    The verb prints the mean radiance and the samples per second,
-    including the time to compile kernels. With several images (-m) or a --reference
-    it also prints the root mean square of the pixels' standard errors.
-    --compare renders a reference, and light, BSDF and multiple importance sampling
-    with equal samples. A .png shows these images side by side, and an .exr has one layer each.
-    The verb prints their errors.
+    The verb prints the mean radiance and the samples per second.
+    The time for this rate includes the compilation of kernels.
+    With several images (-m) or a --reference, the verb also prints a standard error:
+    the root mean square of the standard errors of all pixels.
+    --compare renders a reference, and one image for each strategy with equal samples:
+    light sampling, BSDF sampling, and multiple importance sampling.
+    A .png shows these images side by side, and an .exr has one layer each.
+    The verb prints the error of each image.
 
     With --integrator Mitsuba renders whole paths, and --sampler replaces the scene's own sampler.
     A scene file can also name a sampler of this package:
@@ -363,9 +365,9 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
 
     The pixel is X Y, counted from the left and from the top, or its name (figure1 has P and Q).
 
-    Without --integrator this measures direct light. With --integrator it measures whole paths:
-    rates of samplers, the variance by bounce, decision and light,
-    and the number of coordinates in which good points reduce the variance.
+    Without --integrator this measures direct light. With --integrator it measures whole paths.
+    The results for paths are rates of samplers, and the variance by bounce, decision and light.
+    They include the number of coordinates in which good points reduce the variance.
     """
     x: int | str = options.x
     if options.y is not None:
@@ -424,7 +426,7 @@ def pixel_(options: argparse.Namespace) -> VerbOutput:
         write = path_page.write_path
     written = None if options.out is None else write(tree, options.out)
 
-    # Show the tried changes, the named sentences, and the page if it was written
+    # Print the tried changes, the findings in sentences, and the name of a written page
     def filled(named: list[tuple[str, str]]) -> list[str]:
         return [textwrap.fill(f"{k}: {v}", _WIDTH, subsequent_indent="  ") for k, v in named]
 
@@ -499,7 +501,8 @@ def map_(options: argparse.Namespace) -> VerbOutput:
         for k, (each, part) in enumerate(zip(samplers, parts, strict=True))
     )
     study = StudyConfig(title=f"Map of {options.scene}", seed=options.seed or 0, scenes=entries)
-    trust = process_trust().widened(folders=(Path(Path.cwd().anchor),))  # The user named the files
+    # The user named the scene's files on the command line, so they may be in any folder
+    trust = process_trust().widened(folders=(Path(Path.cwd().anchor),))
     folder = options.out or "out/map"
     run_study(study, folder, resume=options.resume, workers=options.workers, trust=trust)
     tree = open_results(folder)

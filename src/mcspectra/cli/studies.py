@@ -21,7 +21,7 @@ from mcspectra.cli.common import (
     verb,
     whole,
 )
-from mcspectra.core.display import counted, printable
+from mcspectra.core.display import QUOTED, counted, printable, shown
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.fits import UNRESOLVED
 from mcspectra.core.registry import optional_package
@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 __all__ = ["estimate_text", "export_", "init_", "report_", "run_", "status_"]
 
+_LONGEST_TITLE = 200  # Maximum number of characters shown of a title
+_LONGEST_REASON = 1000  # Maximum number of characters shown of a cell and its error
 _LISTED = 10  # Maximum number of unfinished cells listed per state
 
 
@@ -248,8 +250,9 @@ def report_(options: argparse.Namespace) -> VerbOutput:
     """Write the report of a finished or interrupted study again, or compare two studies.
 
     Writes DIR/report.html and DIR/figures/.
-    With --compare it writes DIR2/comparison.html: ratios of variances, differences of rates,
-    and the curves of both studies. Nothing is measured again.
+    With --compare it writes DIR2/comparison.html.
+    This page has ratios of variances, differences of rates, and the curves of both studies.
+    Nothing is measured again.
     """
     from mcspectra.report import write_comparison, write_report
     from mcspectra.report.result_files import check_result_file
@@ -283,14 +286,15 @@ def status_(options: argparse.Namespace) -> VerbOutput:
     from mcspectra.studies.results import study_status
 
     status = study_status(options.folder, verify=options.verify)
-    lines = [f"{printable(status.title)}: {status.state}"]
+    lines = [f"{printable(status.title, _LONGEST_TITLE)}: {status.state}"]
 
     # Report when, where and by which process the folder was written
     if status.started is not None:
         ended = "" if status.finished is None else f", finished {status.finished}"
-        lines.append(f"started {status.started} on {status.hosts[0]!r}{ended}")
-    version = status.versions.get("mcspectra", "unknown")
-    lines.append(f"seed {status.seed}, mcspectra {version}, store format {status.format}")
+        on = f" on {shown(status.hosts[0])}" if status.hosts else ""
+        lines.append(f"started {status.started}{on}{ended}")
+    version = printable(status.versions.get("mcspectra", "unknown"), QUOTED)
+    lines.append(f"seed {shown(status.seed)}, mcspectra {version}, store format {status.format}")
     if status.holder is not None:
         ended = "" if status.state == "running" else ", which has ended"
         lines.append(f"written by {status.holder.in_words}{ended}")
@@ -316,7 +320,9 @@ def status_(options: argparse.Namespace) -> VerbOutput:
     listed = {"damaged": status.damaged, "failed": status.failed, "missing": missing}
     for kind, reasons in listed.items():
         for path, reason in list(reasons.items())[:_LISTED]:
-            lines.append(printable(f"{kind}: {path}{': ' if reason else ''}{reason}"))
+            lines.append(
+                printable(f"{kind}: {path}{': ' if reason else ''}{reason}", _LONGEST_REASON)
+            )
         if len(reasons) > _LISTED:
             lines.append(f"{kind}: … {len(reasons) - _LISTED} more; --json lists all")
     if any(not name.startswith("the ") for name in status.damaged):

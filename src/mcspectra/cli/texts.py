@@ -33,7 +33,7 @@ _MANY = 10_000  # Maximum number of values of a variable in --json
 
 
 View = Callable[["xr.Dataset"], VerbOutput]
-"""A function that returns a text, and JSON entries that replace or extend those of `data_of`."""
+"""Function of a result: returns a text, and JSON entries that are merged into `data_of`."""
 
 VIEWS: dict[str, dict[str, View]] = {}
 """Views by analysis and name; the first view is the default, and --show selects another."""
@@ -456,7 +456,7 @@ def remedies_table(result: xr.Dataset) -> str:
     made = analysis_table("remedies", {"": result})
     assert made is not None
     columns = ("Remedy", "Verdict", "Variance", "Ratio", "95 % interval", "Rate")
-    return page_table(columns_of(made[1], columns), words=2)  # The verdict is also left-aligned
+    return page_table(columns_of(made[1], columns), words=2)  # Align remedy and verdict left
 
 
 @_view("modes")

@@ -9,6 +9,7 @@ Then the reader calls `check_decoded_size` before anything is decoded.
 from __future__ import annotations
 
 import io
+import json
 import math
 import os
 import stat
@@ -16,19 +17,34 @@ import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 
 from mcspectra.core.checks import Array, is_path
 from mcspectra.core.errors import FileFormatError, McspectraError, reason_of
 
-__all__ = ["check_decoded_size", "known_path", "opened", "path_to_write", "read_npy", "read_npz"]
+__all__ = [
+    "check_decoded_size",
+    "check_zarr",
+    "known_path",
+    "opened",
+    "path_to_write",
+    "read_npy",
+    "read_npz",
+]
 
 _MOST_BYTES = 2**31
 _MOST_RATIO = 64  # largest number of bytes of memory for each byte of a file
 # Bytes of memory that any file may take: an uncompressed image of 3840 x 2160 pixels
 _ALWAYS_READ = 2**28
+_CHUNK_BYTES = 4096  # Bytes that a chunk of Zarr counts as memory: many tiny chunks also take time
+# Codecs of Zarr that only compress and order numbers and texts; others may run code, such as pickle
+_CODECS = {
+    *("blosc", "bytes", "bz2", "crc32c", "gzip", "lz4", "lzma", "shuffle"),
+    *("transpose", "vlen-utf8", "zlib", "zstd"),
+}
+_TEXT_BYTES = 64  # Bytes that a text of unknown length counts as memory
 _NPY_HEADER = 2**14  # largest header of a .npy file in bytes; NumPy itself allows 10,000 characters
 
 
@@ -172,3 +188,55 @@ def read_npz(
             raise FileFormatError(f"{name} is not compressed as NumPy does; use savez_compressed.")
         with archive.open(member) as content:
             return read_npy(content, size, name, member.file_size)
+
+
+def check_zarr(folder: Path) -> None:
+    """Check a Zarr store of formats 2 or 3 before another reader opens it.
+
+    The reader must ignore consolidated metadata, which this function does not check.
+
+    Raises
+    ------
+    FileFormatError
+        If the store has links, devices or pipes, an array with a codec that does more than compress
+        and order, or takes too much memory.
+    ValueError, LookupError, TypeError, OSError
+        If a document of the store cannot be read.
+    """
+    size, decoded = 0, 0.0
+    for base, *names in os.walk(folder):
+        for place in (Path(base, name) for each in names for name in each):
+            status = place.lstat()
+            if not (stat.S_ISREG(status.st_mode) or stat.S_ISDIR(status.st_mode)):
+                raise FileFormatError(
+                    f"{place} is a link, a device or a pipe; give a store that holds files only."
+                )
+            size += status.st_size
+            if place.name in (".zarray", "zarr.json"):
+                decoded += _decoded_zarr(str(place), json.loads(place.read_bytes()))
+    check_decoded_size(folder, size, decoded)
+
+
+def _decoded_zarr(name: str, document: dict[str, Any]) -> float:
+    """Return the memory in bytes of an array of Zarr by its document; 0 for a group."""
+    if document.get("node_type") == "group":
+        return 0.0
+    kind: Any = document.get("dtype", document.get("data_type"))
+    given = [document.get("compressor"), *(document.get("filters") or ())]
+    given += document.get("codecs") or ()
+    codecs = {each.get("id", each.get("name")) for each in given if each is not None}
+    if not codecs <= _CODECS or not isinstance(kind, str | dict):
+        others = ", ".join(sorted(map(repr, codecs - _CODECS))) or f"the type {kind!r:.80}"
+        raise FileFormatError(
+            f"{name} needs {others:.200}, which is not read from a file: give a store whose arrays "
+            "hold numbers or texts, without other codecs than compression."
+        )
+    width = kind["configuration"]["length_bytes"] if isinstance(kind, dict) else _TEXT_BYTES
+    if isinstance(kind, str) and kind not in ("string", "|O"):
+        width = np.dtype(kind).itemsize
+    grid = document.get("chunk_grid") or {"configuration": {"chunk_shape": document.get("chunks")}}
+    sides = list(zip(document["shape"], grid["configuration"]["chunk_shape"], strict=True))
+    chunks = math.prod(math.ceil(length / max(1, chunk)) for length, chunk in sides)
+    # A chunk is decoded as a whole, even if the array is smaller
+    entries = math.prod(max(length, chunk) for length, chunk in sides)
+    return float(max(0, entries) * max(0, int(width)) + max(0, chunks) * _CHUNK_BYTES)

@@ -22,13 +22,12 @@ import math
 import os
 from dataclasses import dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Any, ClassVar, final
 
 import numpy as np
 
 from mcspectra.core.checks import Array, as_real, as_real_array
-from mcspectra.core.decoding import known_path
+from mcspectra.core.decoding import check_decoded_size, known_path, opened
 from mcspectra.core.errors import FileFormatError, McspectraError
 from mcspectra.core.fields import settle
 from mcspectra.core.jit import kernel
@@ -39,6 +38,7 @@ __all__ = ["DEGREE", "Learned", "SplineDensity", "flow_features", "spline_basis"
 
 DEGREE = 4  # degree of the polynomials of a flow
 _FORMAT = "mcspectra density 1"
+_TEXT_RATIO = 8  # Bytes of memory for each byte of a file
 _MOST_GATE = 1e6  # largest absolute value of θ; fitted values are smaller
 _PDF, _SAMPLE, _INVERT = 0, 1, 2
 _SETTLED = 1e-14  # a Newton step this small ends the iteration
@@ -154,8 +154,11 @@ class Learned(Wrapper):
 
     @cached_property
     def _inside(self) -> SplineDensity:
+        with opened(self.path, "a learned density", (".json",)) as (stream, size, named, _):
+            check_decoded_size(named, size, _TEXT_RATIO * size)
+            text = stream.read()
         try:
-            found = json.loads(Path(self.path).read_text())
+            found = json.loads(text)
             share = as_real("defensive", found["defensive"], above=0.0, most=1.0)
             knots, shares, tables, gates = (
                 as_real_array(n, found[n]) for n in ("knots", "shares", "tables", "gates")
@@ -180,8 +183,6 @@ class Learned(Wrapper):
                 tables=tables.reshape(size, d, splines),
                 gates=gates.reshape(-1, splines, 1 + d * DEGREE),
             )
-        except OSError as error:
-            raise FileFormatError(f"{self.path} cannot be read: {error.strerror}.") from None
         except (ValueError, LookupError, TypeError, RecursionError, McspectraError):
             raise FileFormatError(
                 f"{self.path} is not a learned density, or is damaged; give a file that "

@@ -71,7 +71,7 @@ __all__ = [
 SETS = ("independent", "shared", "joint")
 
 _TECHNIQUE = 1 << 20  # Random stream of the second technique
-_DEAL = (1 << 20) - 1  # Random stream that divides joint sets
+_DEAL = (1 << 20) - 1  # Random stream that divides a joint set among the techniques
 
 
 class AbstractEstimator(ABC):
@@ -215,7 +215,7 @@ class AbstractEstimator(ABC):
         return sampler
 
     def law(self, sampler: Sampler, n: int) -> Law:
-        """Return the law of the points of the first technique."""
+        """Return the joint distribution of the points of the first technique."""
         return self.randomized(sampler).law(set_sizes(self.sets, self.counts, n)[0])
 
     def check_sampler(self, sampler: Sampler, n: int) -> None:
@@ -256,7 +256,7 @@ class AbstractEstimator(ABC):
             )
 
     def draw(self, sampler: Sampler, n: int, stream: Stream, first: int, count: int) -> list[Array]:
-        """Draw realizations first … first+count−1. Return an array (count, n_t, d) per technique.
+        """Draw `count` realizations, from number `first` on: (count, n_t, d) for each technique.
 
         The first technique uses `stream` itself and gets the points of ``sampler.draw(n, rng)``.
         Point sets of other techniques are described in `mcspectra.estimators.base`.

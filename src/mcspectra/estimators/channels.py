@@ -145,7 +145,7 @@ def channel_estimators(
     dict
         The estimators ``one`` (if given), ``own``, ``shared`` and ``mis``; see the module.
         With n points per technique, ``one`` evaluates f n times and the others C n times.
-        Therefore compare them at equal Σ counts · n.
+        Therefore compare the estimators at equal numbers of evaluations, Σ counts · n.
 
     Examples
     --------

@@ -58,7 +58,9 @@ _BISECTIONS = 45
 _EDGE = 1e-12  # Breaks within this distance from the ends of [0,1] are dropped
 
 _MOST_SAMPLES = 2**22
-_SINGULAR = 1e-10  # Singular values are relative; densities below this share one α
+# Densities count as identical if A has a singular value below this fraction of its largest one:
+# they then share one α
+_SINGULAR = 1e-10
 # Upper limit of v_t = 1 + μ²/σ², reached if all samples of a technique are equal
 _MOST_FACTOR = 1e8
 # Number of cells of a quadrature that only tests whether an integral diverges
@@ -119,8 +121,8 @@ HEURISTICS = Registry(
 class Pilot(ABC):
     """Values of f and of all p_t at sampled points, for heuristics that use f.
 
-    A point is a row of an array whose meaning only the pilot knows: a point of a common domain,
-    or a record of a renderer's path.
+    The samples are the rows of an array. A row is a point of the common domain,
+    or a record of a renderer's path in a format that only this pilot can read.
 
     Attributes
     ----------
@@ -380,8 +382,8 @@ class Optimal(_Piloted):
     Attributes
     ----------
     pilot
-        Source of A and b. ``"samples"``: random points of all techniques in proportion to
-        the counts. ``"quadrature"``: α has the accuracy of the quadrature.
+        How the integrals A and b are computed. ``"samples"`` uses random points of all techniques,
+        in proportion to their counts. ``"quadrature"`` makes α as accurate as the quadrature.
     samples
         Number of pilot points of all techniques together, at least 2; n does not include them.
     seed
@@ -430,7 +432,7 @@ class VarianceAware(_Piloted):
     """
 
     def adapt(self, pilot: Pilot) -> tuple[tuple[float, ...], None]:
-        """Return the counts times the factors v_t, and no control variate."""
+        """Return the counts multiplied by the factors v_t, and None for the control variate."""
         techniques = len(pilot.shares)
         if self.pilot == "quadrature":
             found = pilot.quadrature(pilot.moments)

@@ -185,7 +185,7 @@ def as_subject(
     ----------
     estimator, sampler
         Same as in `as_estimator` and `mcspectra.samplers.as_sampler`.
-        With `lists`, each may also be a list.
+        If `lists` is true, a list of estimators or a list of samplers is also allowed.
     dims
         Number of dims; needed for functions and for spec strings without ``dims``.
         The default is the dims of the first sampler that is not a spec string.

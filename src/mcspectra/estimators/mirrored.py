@@ -56,8 +56,8 @@ class Mirrored(AbstractEstimator):
     In all modes n counts evaluations of the integrand, so variances at one n have equal cost.
     `samples_per_point` is the number of evaluations for each point of the sampler.
     In d dims, mirroring spreads n evaluations more thinly.
-    With ``"integrand"`` they cover 2^d times the volume,
-    so that strata are twice as long in units of f.
+    With ``"integrand"`` the evaluations cover 2^d mirror images of the cube,
+    so that each stratum is twice as long in the domain of f as without mirroring.
     With ``"uniform"`` there are only n/2^d points.
 
     The mirrored integrand has period 2. If f is continuous on the closed cube,
@@ -70,8 +70,8 @@ class Mirrored(AbstractEstimator):
 
     A mirrored estimator with a sampler ``S`` equals the inner estimator with
     ``S | mirror(mode=...)``, point by point. For ``"integrand"`` the mode is ``'fold'``.
-    In contrast, the shift in ``S | mirror(...) | shift`` moves folded points
-    across the jump between f(1) and f(0).
+    In contrast, ``S | mirror(...) | shift`` shifts the points after folding:
+    points then move across the jump between f(1) and f(0).
 
     In ``"random"`` mode the reflections are independent. Their part of the variance is 1/n times
     the variance of f over the images of a point, so it falls as 1/n for every sampler.
@@ -193,7 +193,7 @@ class FoldedIntegrand(Derived):
         mean: Any = 0.0
         square: Any = 0.0
         for sides in itertools.product((False, True), repeat=self.dims):
-            # Fold the part above or below ½, and compute its share of each box
+            # Fold the part of each box above or below ½, and compute its share of the volume
             above = np.array(sides)
             low = np.where(above, 1.0 - np.clip(hi, 0.5, 1.0), np.clip(lo, 0.0, 0.5))
             high = np.where(above, 1.0 - np.clip(lo, 0.5, 1.0), np.clip(hi, 0.0, 0.5))
@@ -209,7 +209,7 @@ class FoldedIntegrand(Derived):
         return mean, square
 
     def _evaluate(self, x: Array) -> Array:
-        # At x = 1, which no sample reaches, rounding gives −2^-53
+        # At x = 1, which no sample reaches, rounding gives −2^-53 instead of 0 after folding
         return self.integrand(np.maximum(folded(x), 0.0))
 
 

@@ -54,8 +54,8 @@ __all__ = [
 
 SELECTIONS = ("extra", "coordinate")
 
-_SUM = 1e-9  # The sum of probabilities may differ from 1 by this
-_EXACT = 1e-9  # Shares are replaced by fractions within this distance
+_SUM = 1e-9  # Largest allowed difference between 1 and the sum of the probabilities
+_EXACT = 1e-9  # Largest distance between a share and the fraction that replaces it
 
 
 class Combined(DomainEstimator):
@@ -218,8 +218,9 @@ class OneSampleMIS(Combined):
         because adding α_t/P_t would increase the variance.
     selection
         ``"extra"``: the last of d + 1 coordinates selects the technique.
-        ``"coordinate"``: the first of d coordinates selects it, and is stretched for reuse.
-        The borders of the selection are Σ_{s<t} P_s.
+        ``"coordinate"``: the first of d coordinates selects the technique, and is used again:
+        the interval of the coordinate that selects a technique is stretched to [0, 1).
+        The interval of technique t begins at Σ_{s<t} P_s.
     dims
         Number of dims of f; needed for spec strings without ``dims``.
 
@@ -234,7 +235,7 @@ class OneSampleMIS(Combined):
     -----
     The primary-space integrand usually jumps where the selection changes.
     This jump along an axis makes the rate of stratified points slower.
-    `MultipleImportance` does not have this jump, because its techniques have separate sets.
+    With `MultipleImportance` no such jump exists, because each technique has its own point set.
 
     Examples
     --------

@@ -35,7 +35,7 @@ _LEAST_TAIL = 300  # With fewer values, the extreme values are not a tail
 _CLUMPS = 4.0  # Up to this kurtosis, extreme values are not a tail
 _LEAST_POINTS = 3000  # With fewer points, the 256 farthest values are not a tail
 # Largest allowed share of the variance beyond all values, which is small for bounded values.
-# The keys are numbers of farthest values to which the tail is fitted
+# Each key is the number of farthest values to which a tail is fitted; its value is the limit
 _BEYOND = {16: 0.005, 64: 0.02, 256: 0.15}
 # Largest squared error. For larger ones there is less than one degree of freedom,
 # and the upper end of the variance is above 100 s²
@@ -43,7 +43,7 @@ _MOST_ERROR = 2.0
 # Three limits for tails. If the tail index is above the first number,
 # the upper end of the variance accounts for the tail.
 # The second number is the standard error of an index from 64 tail values.
-# If the index is above the third number, the variance is unbounded.
+# If the tail index is above the third number, the values give no upper bound of the variance.
 # At index ¼ the kurtosis is infinite. For 1,000 values u^−0.3 the interval holds in 96 % of cases,
 # and in 85 % with the kurtosis alone. For uniform, normal and exponential values it is the same.
 _TAILED, _INDEX_ERROR, _MOST_INDEX = 0.05, 0.16, 0.32
@@ -96,7 +96,7 @@ class Measured:
         return cls(float(data[name]), low, high, log)
 
     def __truediv__(self, other: Measured | float) -> Measured:
-        """Divide by a number without error, or by another variance that is independent.
+        """Return the ratio to a number without error, or to a variance with an independent error.
 
         For common random numbers the interval is too wide, because both variances vary together.
         If a variance is not positive or has no upper bound, the ratio is NaN.
@@ -111,7 +111,7 @@ class Measured:
         return Measured(value, value * math.exp(-half), value * math.exp(half), log=True)
 
     def __sub__(self, other: Measured) -> Measured:
-        """Subtract another number that is independent."""
+        """Return the difference from another number whose error is independent."""
         value = self.value - other.value
         half = math.hypot(*((each.high - each.low) / 2 for each in (self, other)))
         return Measured(value, value - half, value + half)
@@ -294,8 +294,8 @@ class Moments:
         """Relative standard error of the variance, from the kurtosis of the values.
 
         Var(s²)/σ⁴ = (κ − (R−3)/(R−1))/R [Kenney & Keeping 1951].
-        Few values underestimate the kurtosis κ. Therefore κ is moved toward 3,
-        its value for a normal law, with the weight of 20 values.
+        Few values underestimate the kurtosis κ. Therefore κ is averaged with its normal value, 3:
+        κ has the weight of the number of values, and 3 has the weight of 20 values.
         If stored sets are reused, the result is at least the error from the jackknife.
         """
         return np.maximum(self._alone_se, self._stored_errors()[0])
@@ -325,7 +325,7 @@ class Moments:
 
     @property
     def _alone_se(self) -> Array:
-        """The error `relative_se` for independent values."""
+        """Relative standard error of the variance under the assumption of independent values."""
         n = self.count
         if n < 2:
             return np.full_like(self.m2, np.nan)
@@ -345,7 +345,7 @@ class Moments:
         """95 % interval of the variance, (..., 2). Without `resolved`, the upper end is infinite.
 
         The interval is logarithmic and uses the kurtosis, as in [Bonett2006]_.
-        The skewness moves its center, as a trimmed mean does in that work.
+        The kurtosis is about a center that the skewness moves, where Bonett uses a trimmed mean.
         It is wider upward, because values that miss a tail make s² and its error too small.
         If the tail index is above 0.05, the upper end is at least the quantile for values u^−k,
         where k is one standard error above the index.
@@ -370,7 +370,7 @@ class Moments:
     def resolved(self) -> Array:
         """Whether the values bound their variance from above.
 
-        There are three cases in which they do not.
+        In three cases the values do not bound the variance.
         First, one or two values may have most of the variance.
         Second, the tail index of the squared values may exceed 0.64 and the kurtosis 4.
         Above 0.64 the mean is far from normal for any feasible number of values [Vehtari2024]_.
@@ -391,8 +391,8 @@ class Moments:
         """Index k̂ of a generalized Pareto distribution that is fitted to the farthest values.
 
         An index of 0 means an exponential tail, and ½ means infinite variance.
-        It is estimated by probability-weighted moments [HoskingWallis1987]_ of the distances
-        of the 63 largest values from the 64th, on the side of the mean that reaches farther.
+        Probability-weighted moments [HoskingWallis1987]_ estimate the index from 63 distances:
+        those of the 63 largest values from the 64th, on the side of the mean that reaches farther.
         The two sides are not combined, because one tail may end where the other begins.
         The index is NaN for fewer than 300 values, or without `tails`.
         """
@@ -403,8 +403,8 @@ class Moments:
     def beyond(self, many: int) -> Array:
         """Return the share of the variance beyond all values, from the `many` farthest ones.
 
-        If values follow t^-k and M values are above a quantile, the fraction M^(2k − 1)
-        of their sum of squares lies beyond all values.
+        Let values follow t^-k, and let M values be above a quantile. In expectation, values beyond
+        the largest of the M values contribute the fraction M^(2k − 1) of the sum of squares.
         """
         far, index = self._farthest(many)
         share = np.divide((far**2).sum(axis=0), self.m2, out=0.0 * self.m2, where=self.m2 > 0)
@@ -412,15 +412,15 @@ class Moments:
         return np.asarray(np.where(np.isfinite(index), share * law, 0.0))
 
     def _farthest(self, many: int) -> tuple[Array, Array]:
-        """Return distances of the farthest values from the mean on the longer side, and index k̂."""
+        """Return distances of far values from the mean, on its longer side, and the tail index."""
         assert self.extremes is not None
         below = (self.mean - self.extremes[:many])[::-1]
         above = self.extremes[-many:] - self.mean
         far = np.where(above[-1] >= below[-1], above, below)
         excess = far[1:] - far[0]
 
-        # Values on a grid, such as shares of hits, represent cells of the grid:
-        # the tail begins half a step below the smallest value
+        # Values on a grid, such as shares of hits, represent cells of the grid.
+        # Therefore the tail begins half a step of the grid below the smallest of the values
         step = np.where(excess > 0, excess, np.inf).min(axis=0)
         grid = (excess[0] == 0) & (far[0] > 0) & np.isfinite(step)
         excess = excess + np.where(grid, step / 2, 0.0)
@@ -461,7 +461,7 @@ def _tail_end(index: Array, count: int) -> Array:
     k = np.clip(index + _INDEX_ERROR, _TAIL_INDICES[0], _TAIL_INDICES[-1])
     columns = np.arange(len(_TAIL_INDICES))
     place, rows = np.interp(k, _TAIL_INDICES, columns), np.log(_TAIL_COUNTS)
-    # Interpolate by powers of the count between rows, and extrapolate by the last power
+    # Between rows of the table the end is a power of the count; beyond it, the last power is used
     x = math.log(count)
     row = int(np.clip(np.searchsorted(rows, x) - 1, 0, len(rows) - 2))
     part = (x - rows[row]) / (rows[row + 1] - rows[row])

@@ -1,7 +1,7 @@
 """Quadrature of primary-space integrands: means over strata and shifted grids, and ∫g².
 
 Strata are cut at the seam of the torus, and at the discontinuities that the integrand declares
-(`breaks`). They are cut more finely toward 0 and 1, where warps are singular.
+(`breaks`). The pieces of strata are smaller toward 0 and 1, where warps are singular.
 Pieces are integrated by Gauss-Legendre rules.
 If the integrand has closed-form moments over boxes, they are integrated exactly.
 """
@@ -62,10 +62,10 @@ _ORDERS = ((12, 20), (6, 10), (4, 6))
 # For more strata than this, orders are lower. Nets in 2-D have n² cells,
 # and 10² nodes in each cell would be too many
 _MANY = 400
-# Least number of panels of the whole axis in means over offsets, for grids with few strata
+# In 1-D, means over offsets divide [0, 1] into at least this number of panels
 _LEAST_PANELS = 32
 # Maximum number of cells per level. It is enough to resolve jumps along curves,
-# and takes an eighth of the usual time
+# and needs an eighth of the time of the default number of cells
 _FEW_CELLS = 2**13
 # If a mean has an error below this fraction of √∫g², the rule resolves all of g
 _SAME = 1e-9
@@ -85,7 +85,7 @@ _GROWTH_LINES, _STEADY = 4, 0.02
 _FAR, _NEAR, _INSIDE = (30, 60, 90, 120), (20, 30, 40, 50), (8, 14, 20, 26)
 # Number of largest values at the probe that are stored, and rank above which the power law is used
 _TOP, _RANK = 256, 8
-# Least exponent of a power law, least ratio of its two slopes, and largest exponent that is used
+# Power law t^-a: least a, least ratio of the slopes at high and lower ranks, largest a for ∫g²
 _HEAVY, _AS_POWER, _LARGEST_POWER = 0.1, 0.6, 0.47
 # Growth is unbounded if log2 |g| rises by at least this much from each distance to the next
 _RISES = 0.02
@@ -175,10 +175,10 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
     Returns
     -------
     ndarray
-        The difference from integrals by a second rule, plus the error of these integrals.
+        Difference of the means from integrals by a second rule, plus the error of the integrals.
         The second rule detects regions between nodes
         (`mcspectra.integrands._quadrature.adaptive_integral`).
-        The result is 0 if the sums agree with the second rule and it resolves g,
+        The result is 0 if the two rules agree and the second rule resolves g,
         or if the sums agree with a closed form of ∫g.
     """
     mean, square = means.mean(axis=0), squares.mean(axis=0)
@@ -193,7 +193,7 @@ def blindness(g: Integrand, means: Array, squares: Array) -> Array:
     square_off = np.abs(square - 2.0 * middle * mean + middle**2 - second) - error - rounding
     largest = np.abs(means - middle).max(axis=0)
     missed = np.maximum(square_off, 0.0) + 2.0 * largest * np.maximum(off, 0.0)
-    # If an integral is not resolved, the rule may miss as much as its error.
+    # If the second rule does not resolve ∫g², the first rule may miss as much as this error.
     # If breaks were detected, g has jumps
     hides = (error > _RESOLVED * second) | isinstance(g, _Cut)
     return np.asarray(missed + np.where(hides, error, 0.0))
@@ -203,9 +203,9 @@ def moments(g: Integrand) -> tuple[Array, Array, Array, Array]:
     """Return a number a near ∫g, with ∫(g − a), ∫(g − a)² and their error, each (channels or 1,).
 
     They have a closed form, or come from the rule that detects regions between nodes.
-    They are cached. With a learned density, f is integrated over the domain.
-    Knots of the density are on planes normal to the axes in the domain,
-    but on curves in primary space.
+    The integrals are cached. With a learned density, f is integrated over the domain:
+    there, the knots of the density are on planes normal to the axes,
+    whereas in primary space the knots are on curves.
     """
     cache = g._cache
     if cache.moments is None:
@@ -282,8 +282,8 @@ def beyond_points(g: Integrand) -> Array:
 
     It is 0 without poles. A pole is assumed if g is `unbounded` on lines,
     or if its largest values follow a power law.
-    Such values fall from rank 4 to 32 by about the same factor as from 32 to 256.
-    For bells, the logarithm of the first factor is only an eighth of the second logarithm.
+    Values t^-a fall from rank 4 to rank 32 by about the same factor as from 32 to 256.
+    For a smooth peak, log(g_4/g_32) is only an eighth of log(g_32/g_256), with g_k of rank k.
     For N points with values t^-a, ranks above k contribute k g_k² / (N (1 − 2a)) to ∫g².
     """
     none = np.zeros(max(1, g.channels))
@@ -359,8 +359,8 @@ def strata(
     Strata are displaced by `offset` on the torus.
 
     The shapes are (strata, channels), (channels,) and (channels,). The error is the `blindness`.
-    If jumps are unknown, two orders may agree by chance in the mean.
-    In this case, twice the standard error of their differences in independent strata is added.
+    If jumps of g are unknown, rules of two orders may give the same variance by chance.
+    Therefore the error includes twice the standard error of their differences in single strata.
     """
     means, squares = stratum_moments(g, sides, offset, rule.order, rule.most)
     unseen = blindness(g, means, squares)
@@ -476,7 +476,7 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
     If g = f/p, it integrates f²/p over the domain:
     in primary space, double precision has few points next to 1.
     The integral is infinite if the unresolved part does not shrink,
-    unless a pole along a plane normal to an axis explains this.
+    unless g grows toward a plane normal to an axis with an exponent below ½ (`growth`).
     Otherwise the result with the smaller error is used.
     In more dims, other poles are visible at best as a large error.
     """
@@ -529,7 +529,7 @@ def square_integral(g: Integrand) -> tuple[Array, Array]:
         # The rule by levels can miss thin slabs, and the rule by boxes can miss the tips of poles
         more = by_levels - value - level_errors - error
         alike = np.abs(by_levels - value) <= level_errors + error
-    hidden = unseen(g)  # The error in slabs, which levels miss
+    hidden = unseen(g)  # Error from thin slabs, which the rule by levels misses
     better = alike & (level_errors + hidden < error) & (hidden < _HIDDEN * error)
     better |= np.isinf(by_levels) | over_domain & (more > 0.0)
     level_errors = np.where(np.isinf(by_levels), 0.0, level_errors + hidden)
@@ -550,7 +550,7 @@ def growth(g: Integrand) -> Array:
     """Return the largest exponent a of g ~ t^-a near an end of an axis or a break; 0 if bounded.
 
     Here t is the distance. The exponents, (channels or 1,), are slopes of log |g|
-    over the last distances on some lines. The slopes must agree.
+    at the smallest distances on some lines. The last two slopes of a line must agree.
     ∫g² diverges for a ≥ ½, and ∫g⁴ for a ≥ ¼. Integrands in closed form have no such poles.
     Integrands that are costly or warped by a density are not tested.
     """

@@ -7,8 +7,8 @@ All probes are the same in each run:
 * known zeros of the densities (empty cells of tables at any position);
 * landmarks of integrands: both sides of their breaks, and the brightest pixels of an image;
 * gaps of warps in 1-D, and in 1-D parts of products and mixtures.
-  A warp T has a gap where it jumps over a region with p = 0. Bisection of 1024 intervals of u
-  finds the largest jump in each interval, if it is wider than 2^-30.
+  A warp x = T(u) has a gap where x jumps over a region with p = 0.
+    In each of 1024 intervals of u, bisection finds the largest jump if it is wider than 2^-30.
 
 A density may be 0 at single points, such as a power at 0 or a tent at its ends,
 because no probe lies at these points. Regions without a probe are missed in 2-D and more.
@@ -46,7 +46,7 @@ def check_support(integrand: Integrand, densities: Sequence[Density]) -> None:
     Raises
     ------
     DensityError
-        If there is such a probe; the message gives its position.
+        If f is not 0 at a probe where all densities are 0; the message gives the position.
     """
     x = uncovered(integrand, densities)
     if not len(x):

@@ -2,13 +2,13 @@
 
 ∫1/p and the variance may be finite and yet far larger than any simulation can measure.
 As an example, let f = 1, and let p be normal about ½ with σ = 0.02. Then ∫f²/p is 4e131,
-and 99.8 % of it come from x within 0.005 of the ends. One sample in 3e134 falls there.
+of which x within 0.005 of 0 and of 1 contributes 99.8 %. One sample in 3e134 has such an x.
 
 If f grows without bound toward a face of the cube,
 the outermost stratum causes most of the variance of stratified points.
-For f ∝ t^−κ at the distance t, errors of sets are distributed as u^−κ with uniform u,
-up to a scale. Student's t of few such errors is skewed.
-Its quantiles depend only on κ and on the number of sets.
+If f ∝ t^−κ at the distance t, the error of a point set is proportional to u^−κ
+with a uniform random u. Student's t of few such errors is skewed.
+The quantiles of this t depend only on κ and on the number of point sets.
 `growing_interval` computes these quantiles by simulation.
 """
 
@@ -43,7 +43,7 @@ __all__ = [
 ]
 
 _LEAST, _POINTS = 2**12, 2**16
-_LARGE = 0.1  # Above this share of the second moment there is a note
+_LARGE = 0.1  # Least share of ∫f²/p in regions without samples that is reported
 
 
 @final
@@ -51,11 +51,11 @@ _LARGE = 0.1  # Above this share of the second moment there is a note
 class TailSettings:
     """Settings that detect from values at points whether f grows at the border."""
 
-    # The values at the points closest to a face are fitted. These are the largest number
-    # of such points, and the inverse of their largest share of all points
+    # The exponent is fitted to values at the points closest to a face:
+    # at most `most` points, and at most the fraction 1/`part` of all points
     most: int = 64
     part: int = 16
-    # Least number of these points; a fit has three parameters
+    # Least number of points in a fit, which has three parameters
     least: int = 16
     # Candidates for the exponent κ, from −1 for a smooth function to values above a pole of order 1
     exponents: tuple[float, float, int] = (-1.0, 1.3, 116)
@@ -72,18 +72,18 @@ class TailSettings:
     no_integral: float = 0.95
     # Least exponent for which ∫f⁴ is infinite, so that the error of a variance is unknown: ¼
     infinite_error: float = 0.25
-    # Largest exponent whose quantiles are computed. For a larger exponent, the interval
-    # of the mean is unbounded if the lower end of the exponent exceeds `surely`.
-    # Among 2,700 integrals of exp(x + y), five exceeded the first limit by chance
+    # Largest exponent whose quantiles are computed. Above this exponent,
+    # the interval of the mean is infinite if the lower end of the exponent exceeds `surely`.
+    # Among 2,700 integrals of exp(x + y), five had an exponent above `largest` by chance
     largest: float = 0.46
     surely: float = 0.25
-    # Probability that the integral is beyond the end on the side of the growth.
+    # Probability that the integral is beyond the end of its interval toward which f grows.
     # The other end comes from Student's t, and the integral is hardly ever beyond it
     beyond: float = 0.04
     # If fewer values than this hold half of the variance, most sets miss important regions.
-    # Of 8,192 values, the numbers that hold half of the variance are: 700 or more for smooth
-    # functions; 60 for x^−0.3; 45 for a peak of 1 % of the square;
-    # and one for three narrow peaks in 8 dims
+    # Of 8,192 values of a smooth function, 700 or more hold half of the variance.
+    # For x^−0.3 these are 60 values, and for a peak on 1 % of the square 45 values.
+    # For three narrow peaks in 8 dims, a single value holds half of the variance
     few: int = 4
     # Number of simulated values of Student's t. Quantiles at 4 % then have errors of 1 %
     samples: int = 40_000
@@ -182,8 +182,8 @@ def growing_interval(
 ) -> tuple[float, float]:
     """Return a 95 % interval of the mean of estimates (R,) by strata, for a growing function.
 
-    The interval is `mean_interval`, extended on the side of the growth:
-    it reaches the quantile of Student's t for errors u^−κ.
+    The interval is `mean_interval`, extended on the side toward which f grows:
+    the extended end is the quantile of Student's t for errors proportional to u^−κ.
     It is infinite if the exponent is close to ½ or above.
     """
     low, high = mean_interval(estimates)
@@ -298,7 +298,7 @@ def unsampled_share(estimator: AbstractEstimator, samples: int) -> float:
     Notes
     -----
     Means are taken over as many points of an additive recurrence as there are samples.
-    The number is at least 4096 and at most 65,536, so this costs no more than the simulation.
+    At least 4096 and at most 65,536 points are used, so this costs no more than the simulation.
     A region without any of these points counts as empty,
     so in many dims the share is more likely too small than too large.
     With several channels the largest share is returned.

@@ -1,7 +1,7 @@
 """Causes of noise in an estimator. Each cause has a detector, evidence as numbers, and a sentence.
 
-`Evidence.of` evaluates the integrand. Detectors do not evaluate it again:
-they take the evidence and return a `Cause` or None.
+`Evidence.of` evaluates the integrand. Detectors do not evaluate it again.
+Each detector takes the evidence, and returns a `Cause` or None.
 `CAUSES` lists the detectors, beginning with the most harmful cause.
 `causes_of` returns causes in the same order.
 """
@@ -82,9 +82,9 @@ Name: TypeAlias = Literal[
 class CauseSettings:
     """Fractions of a budget of evaluations, and thresholds above which causes are reported.
 
-    "Values from a to b give the same results" refers to ``python -m benchmarks settings``.
-    With a and with b, the first cause is right in all of its 152 cases, as it is with the setting.
-    itself.
+    "Values from a to b give the same results" refers to ``python -m benchmarks settings``:
+    with the values a and b, profiles find the right first cause in all 152 test cases,
+    as they do with the setting itself. A cause is "wrong" if it is not the right first cause.
     """
 
     # Least number of scrambled nets.
@@ -107,11 +107,12 @@ class CauseSettings:
     # Values from 0.125 to 0.5 give the same results.
     given_share: float = 0.25
     # Largest fraction of the lines' evaluations that is spent on the search for a pole.
-    # Values from 0.4 to 0.8 give the same results; without any lines four of 152 causes are wrong.
+    # Values from 0.4 to 0.8 give the same results.
+    # If the search for a pole leaves no evaluations for lines, four of 152 causes are wrong.
     pole_share: float = 0.8
     # Fraction of the lines' evaluations that is spent on the mean dimension.
     # Values from 0.125 to 0.25 give the same results.
-    # With 0.5 less is left for lines, and four causes are wrong.
+    # With 0.5 fewer evaluations are left for lines, and four of 152 causes are wrong.
     dimension_share: float = 0.25
     # Number of points at which values are computed again to detect noise.
     # A function that is random at half of all points is detected with probability 1 − 2^−8 = 0.996.
@@ -120,20 +121,20 @@ class CauseSettings:
     # Rounding is smaller, both for sums of 1e6 terms in float64
     # and for sums of a few terms in float32, in any order.
     same_value: float = 1e-6
-    # A pole is searched for in many dims only if the largest squared deviation is above
-    # this number times the variance.
+    # In many dims, a pole is searched for only if the largest squared deviation of g from its mean
+    # exceeds the variance of g by more than this factor.
     # Values from 150 to 600 give the same results.
     climbed: float = 300.0
-    # Smallest and largest allowed size of g. For any number of points, the sum of squares
-    # of such values is within the range 1e-308 to 1e308 of float64.
+    # Smallest and largest allowed size of g. Within these limits, the sum of squares of g
+    # is in the range 1e-308 to 1e308 of float64 for any number of points.
     smallest: float = 1e-120
     largest: float = 1e120
     # Least number of dims in which the mean dimension is estimated.
     # In 1 to 3 dims, points fill the cube well enough for interactions of all axes.
     # Values from 4 to 8 give the same results; with 2, one of 152 causes is wrong.
     many_dims: int = 4
-    # Number of points at which the law of the sampler is read.
-    # The kind of law is the same for all n (tested with 32 and 128).
+    # Number of points for which the joint distribution of a sampler's points is examined.
+    # The kind of distribution is the same for all n (tested with 32 and 128).
     law_at: int = 64
     # Error of a measured exponent of growth. The variance is infinite for exponents above ½.
     # Because of this error, exponents above 0.48 are also reported as infinite variance.
@@ -152,8 +153,8 @@ class CauseSettings:
     # Values from 0.08 to 0.16 give the same results.
     grows: float = 0.08
     # A tail is heavy if few values hold most of the variance
-    # and the kurtosis of g is above this limit. The kurtosis is 3 for normal values,
-    # 9 for exponential values, and 114 for lognormal values with σ = 1.
+    # and the kurtosis of g is above this limit.
+    # The kurtosis is 3 for normal, 9 for exponential, and 114 for lognormal values with σ = 1.
     # Values from 15 to 60 give the same results.
     heavy_kurtosis: float = 30.0
     # A tail is also heavy if a single value has more than this fraction of the sum of squares.
@@ -170,7 +171,7 @@ class CauseSettings:
     # This is the largest number of different values, as a fraction of all evaluations.
     # Values from 0.025 to 0.1 give the same results.
     few_different: float = 0.05
-    # Least number of lines for the conclusion that there is no problem.
+    # Least number of lines from which a profile concludes that g has no problem.
     # 4 lines miss a feature that half of all lines cross with probability 1/16.
     # Values from 2 to 8 give the same results.
     least_lines: int = 4
@@ -182,8 +183,8 @@ class CauseSettings:
     # One line in 100 through a cusp of order ½ appears to be a jump by chance.
     jumps_of_cusps: float = 0.05
     # The function oscillates if more than this fraction of places along a line are local extremes.
-    # The fraction is ⅔ for noise. Values from 0.165 to 0.33 give the same results;
-    # with ⅔, four causes are wrong.
+    # For noise, ⅔ of all places are local extremes.
+    # Values from 0.165 to 0.33 give the same results; with ⅔, four of 152 causes are wrong.
     turns: float = 0.33
     # Least number of waves along a line for an oscillation.
     # Smaller numbers of waves are resolved by the 16 steps of a line.
@@ -193,7 +194,7 @@ class CauseSettings:
     # Values from 2 to 8 give the same results.
     resolved: float = 4.0
     # Number of points that resolve a smooth function without waves.
-    # Each axis with waves doubles this number.
+    # The number is doubled for each axis along which g has waves.
     # Values from 8 to 32 give the same results.
     coarse_cube: float = 16.0
     # Mean dimension above which g varies with many axes at once.
@@ -207,21 +208,22 @@ class CauseSettings:
     # The difference is the mean squared difference of g, divided by the variance of g.
     # Values from 5e-4 to 2e-3 give the same results.
     opposite: float = 1e-3
-    # Number of points that measure the integral of a wrong density. If 1/p is smooth, a net
-    # of this size is accurate to the four printed digits. No decision depends on this number.
+    # Number of points that measure the integral of a wrong density.
+    # If 1/p is smooth, a net of 4096 points is accurate to the four printed digits.
+    # No decision depends on this number.
     pdf_points: int = 4096
     # Least number of sets from which a variance is estimated.
     # With 95 % confidence, 8 sets determine the variance within the factors 0.44 and 4.1.
     few_sets: int = 8
-    # Numbers of standard errors that exclude chance. The first number is for the correlation
-    # between consecutive sets. It has a probability of a false alarm of 3e-6.
-    # The second number is for the mean over sets. Its probability is 1e-5,
-    # by Student's t with 19 degrees of freedom.
+    # Two numbers of standard errors above which a deviation is not due to chance.
+    # The correlation between consecutive sets exceeds the first number with probability 3e-6.
+    # The mean over sets is off by more than the second number with probability 1e-5
+    # (Student's t with 19 degrees of freedom).
     serial: float = 4.5
     away: float = 6.0
     # Means over sets count as equal if their standard deviation is below this value.
-    # Rounding of means is about 1e-16. The mean of x along an axis varies by 0.29 n^−1.5
-    # for a scrambled net, which is more than 1e-9 for up to 400,000 points.
+    # Rounding of means is about 1e-16. For a scrambled net, the mean of x along an axis
+    # has the standard deviation 0.29 n^−1.5, above 1e-9 for up to 400,000 points.
     rounding: float = 1e-9
     # Rounding matters if floating-point numbers differ by more than this fraction of g's spread.
     # Steps of 1 % of the spread change the variance by 1e-5.
@@ -229,9 +231,10 @@ class CauseSettings:
     # Values from 0.005 to 0.02 give the same results.
     coarse: float = 1e-2
     # Two limits of a technique's part of the variance.
-    # Above the first limit, the technique is the cause.
-    # Above the second, it is the cause if its rate is also slower.
-    # For the first, values from 0.4 to 1.6 give the same results; for the second, from 0.25 to 1.
+    # A technique whose part is above the first limit is reported as a cause.
+    # If its rate is also slower, a technique is reported above the second limit.
+    # Values from 0.4 to 1.6 for the first limit give the same results.
+    # Values from 0.25 to 1 for the second limit give the same results.
     dominant: float = 0.8
     largest_part: float = 0.5
     # With 95 % confidence, a technique has a slower rate if the rates differ by this number
@@ -369,7 +372,7 @@ class Evidence:
         sets = Sets.of(estimator, n, nets, stream.child(0))
         calls = nets * n * each
         size = max(float(np.abs(v).max()) for v in sets.values)
-        if not math.isfinite(size):  # The pdf has a fault, not f
+        if not math.isfinite(size):  # f is finite here, so the pdf is wrong
             raise ParameterError("The pdf is not finite at some samples; give a finite pdf.")
         if size and not settings.smallest <= size <= settings.largest:
             raise ParameterError(
@@ -923,7 +926,7 @@ def _cusp(seen: Evidence) -> Cause | None:
         return None
     order, d = float(np.median(seen.each("exponent")[cusps])), seen.sets.dims
     # Cells of side h next to the cusp have a variance ∝ h^(2a).
-    # The number of these cells is about n^(1 − 1/d)
+    # Of n cells, about n^(1 − 1/d) are next to the cusp
     limit = -1.0 - min(1.0 + 2.0 * order, 2.0) / d
     return Cause(
         "cusp",

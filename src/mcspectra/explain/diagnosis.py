@@ -26,18 +26,18 @@ class DiagnosisSettings:
     """Number of evaluations for the causes, and limits of the odd part of the variance."""
 
     # Number of evaluations of g in the search for causes.
-    # It is the smallest budget with which `python -m benchmarks battery` detects the causes.
+    # With fewer evaluations, `python -m benchmarks battery` does not detect all causes.
     evaluations: int = 8192
-    # Two limits of the odd part of g, as fractions of the variance of g. Above the first,
+    # Two limits of the odd part of g, as fractions of the variance of g. Above the first limit,
     # the odd part is the reason for a gain, because all other variance is below 10 %.
-    # Above the second, it is one of several reasons, because it explains at least a tenth.
+    # Above the second limit, the odd part is one of several reasons: it explains at least a tenth.
     mostly: float = 0.9
     partly: float = 0.1
     # Maximum number of dims in which the odd part is measured,
     # because all 2^d reflections of each point are evaluated.
     odd_dims: int = 4
-    # Number of points for this measurement.
-    # It determines the odd part of the variance to about 1 %, enough for both limits.
+    # Number of points at which the odd part is measured.
+    # This number determines the odd part to about 1 % of the variance, enough for both limits.
     odd_points: int = 2**12
 
 
@@ -76,9 +76,10 @@ class Diagnosis:
         Parameters
         ----------
         kind, name, biased
-            The estimator and the sampler of the `mcspectra.improve.answers.Candidate`.
+            Attributes of the `mcspectra.improve.answers.Candidate`.
+        unbounded, jumps
             For another warp: whether ∫1/p diverges, and whether g jumps inside the cube;
-            None if this was not tested.
+            `jumps` is None if jumps were not tested.
         """
         # Find the cause that this kind of change removes
         inside = _jumps(self.causes)

@@ -40,8 +40,8 @@ class PictureSettings:
     near: float = 2.0**-26
     nearer: float = 2.0**-40
     # Fraction of a difference between opposite faces that remains at the smaller distance.
-    # Above this limit, the difference is a jump. A jump remains in full. Without a jump,
-    # the fraction is 2^−14 for a smooth g, and 2^−7 for a square root.
+    # Above this limit, the difference is a jump. The fraction is 1 for a jump,
+    # 2^−14 for a smooth g, and 2^−7 for a square root.
     stays: float = 0.5
     # g has a pole at a face if it grows by this factor from the larger to the smaller distance.
     # The power t^−a grows by more than this for a > 1/14; bounded functions grow less.
@@ -88,7 +88,7 @@ def primary_picture(
         ``primary_jump`` (axis, u0, u1) is the size of the jump to the next cell along each axis,
         and 0 where g is continuous.
         ``face_jump`` (axis[, along]) is the size of the jump from u_axis = 0 to u_axis = 1.
-        It is computed at centers along the other axis, and is infinite at poles.
+        It is computed at the centers of cells along the other axis. At poles the jump is infinite.
         This jump matters for samplers that wrap around.
         The following variables have the two kinds ``interior`` and ``boundary``:
         ``primary_jump_length`` is the length of the curves on which g jumps (in 1-D their number),
@@ -127,8 +127,7 @@ def primary_picture(
     face_poles = np.zeros(faces.shape, bool)
     along = grid_centers(side, found.dims - 1) if found.dims > 1 else np.empty((1, 0))
     for axis in range(found.dims):
-        # Values (2, k, channels) on both faces at two distances: first the larger distance,
-        # next the smaller distance
+        # Values (2, k, channels) on both faces at two distances, the larger distance first
         near, nearer = (
             np.stack([g(np.insert(along, axis, end, axis=1)) for end in (gap, 1.0 - gap)])
             for gap in (_SETTINGS.near, _SETTINGS.nearer)

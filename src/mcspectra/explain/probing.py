@@ -1,11 +1,11 @@
 """Roughness of a black-box function: jumps, cusps and kinks on lines, and poles.
 
 g is evaluated in equal steps along a line, and close to its ends.
-The step is halved repeatedly around the largest second difference,
-with two evaluations for each halving.
+The step is halved repeatedly around the largest second difference.
+Each halving takes two evaluations of g.
 The second difference shrinks with the square of the step where the function is smooth.
-At a kink it shrinks with the step, and at a cusp |t|^a with the step to the power a.
-It stays constant at a jump, and it grows at a pole.
+At a kink the second difference shrinks with the step, and at a cusp |t|^a with its power a.
+The second difference stays constant at a jump, and it grows at a pole.
 Steps shrink faster toward the ends of lines along the axes.
 There the slope of log |g| is the exponent with which g grows at the border.
 
@@ -16,14 +16,14 @@ The ellipsoid of directions adapts to the moves ([Hansen2001]_).
 The climb ends early if the function is bounded.
 A function that grows as r^−a toward a set of codimension k leads the climb to that set.
 On rays from the top, the differences g(r) − g(4r) are ∝ r^−a.
-They determine a for any additive constant.
+These differences determine a, whatever constant is added to g.
 |g|^(−2/a) is a quadratic form of the distance, and its rank is k.
 Each face that contains the top contributes one to the rank.
 
 The volume in which |g| > λ is ∝ λ^(−k/a). Therefore ∫g² is infinite for a/k ≥ ½,
-and the integral does not exist for a/k ≥ 1. A product of powers of the distances
-to several faces has one of two tails where these faces meet:
-the tail of the largest power toward one face, or the tail of the mean power of all faces.
+and the integral does not exist for a/k ≥ 1.
+Where several faces meet, g may be a product of powers of the distances to these faces.
+Its tail is that of the largest power at a single face, or that of the mean power of all faces.
 """
 
 from __future__ import annotations
@@ -65,11 +65,11 @@ class LineSettings:
     # With 32 steps there are half as many lines, and two of 152 causes are wrong.
     steps: int = 16
     # Number of halvings of the step around the roughest place.
-    # The last step is 2^−12 of a step, or 1.5e-5 of the line. This is far above rounding,
-    # and far below the distance between features that 16 steps can find.
+    # The last step is 2^−12 of a step, or 1.5e-5 of the line. This is far above rounding.
+    # Features that 16 steps can find are much farther apart than the last step.
     # With 6 halvings 29 of 152 causes are wrong; values from 12 to 24 give the same results.
     halvings: int = 12
-    # The second differences of this number of last halvings give the exponent.
+    # Number of the last halvings whose second differences give the exponent.
     # Values from 3 to 6 give the same results; with 12 two of 152 causes are wrong.
     late: int = 6
     # Exponent below which the roughest place is a pole.
@@ -82,8 +82,8 @@ class LineSettings:
     jump: float = 0.4
     # If a line may cross a jump, its last step is bisected this number of times.
     # A jump keeps at least this fraction of its height.
-    # A cusp of order 0.15 keeps 2^(−8 · 0.15) = 0.44 on average. A smooth step wider than 1e-7
-    # counts as a jump, because the step after 8 bisections is 6e-8 of the line.
+    # A cusp of order 0.15 keeps 2^(−8 · 0.15) = 0.44 of its height on average.
+    # The step after 8 bisections is 6e-8 of the line: a ramp narrower than this looks like a jump.
     bisections: int = 8
     kept: float = 0.75
     # Exponent below which the roughest place is a cusp, unless it is a jump or a pole.
@@ -119,15 +119,16 @@ class LineSettings:
     # Values from 0.0025 to 0.01 give the same results.
     aside: float = 0.005
     # Number of groups of axes; a displacement moves the roughest place along one group.
-    # An edge normal to an axis moves with one group only. An edge that is oblique to two axes
-    # seems normal to an axis with probability 1/3. With more axes this probability is smaller.
+    # A chord is moved off an edge that is normal to an axis only if the group contains this axis.
+    # An edge that is oblique to two axes seems normal to an axis with probability 1/3.
+    # With more axes this probability is smaller.
     groups: int = 3
     # Distances from both ends at which g is evaluated on a line along an axis.
-    # The last two have the ratio 2^10. Even t^−0.08 grows by a factor of 1.7 between them.
+    # Between the last two distances, which have the ratio 2^10, even t^−0.08 grows by 1.7 times.
     # 2^−40 is still exact next to 1. Half and twice the value give the same results.
     ends: tuple[float, ...] = (2.0**-4, 2.0**-12, 2.0**-20, 2.0**-30, 2.0**-40)
-    # Distance from an end of a line at which g must be computable;
-    # samples of a few thousand points come as close.
+    # Distance from an end of a line at which g must be computable.
+    # A sample of a few thousand points also has points at this distance from the border.
     inside: float = 2.0**-12
 
     @property
@@ -153,8 +154,8 @@ class PoleSettings:
     Numbers of cases come from ``python -m benchmarks settings``, as in `CauseSettings`.
     """
 
-    # Maximum number of halvings of the step of a climb. After them, the largest radius
-    # of the rays (`radii`) is 1/16 of the first step, the distance between neighboring points.
+    # Maximum number of halvings of the step of a climb. The first step is the distance between
+    # neighboring points. After all halvings, the largest of the `radii` is 1/16 of the first step.
     # With 8 halvings 30 of 152 causes and 10 of 18 poles are wrong.
     # Values from 16 to 32 give the same results.
     halvings: int = 16
@@ -165,7 +166,7 @@ class PoleSettings:
     # With 2, one of 18 poles is wrong; values from 3 to 6 give the same results.
     group: int = 3
     # Ratio of the last gain to the gain before. Below this value g is bounded, and the climb ends.
-    # Near a smooth top, gains fall by 4^−3 in a group of three halvings.
+    # Near a smooth top, three halvings multiply the gain in height by 4^−3.
     # For ln r, gains stay equal. Values from 0.15 to 0.6 give the same results.
     bounded: float = 0.3
     # Number of rays from the top. The median of their exponents is used.
@@ -175,26 +176,27 @@ class PoleSettings:
     # Values from 0.2 to 0.4 give the same results; with 0.8 one of 18 poles is wrong.
     learning_rate: float = 0.4
     # Radii along the rays, in units of the last step; each is 4 times the previous radius.
-    # The smallest is 16: an error of the top by one step changes the distance by 6 % at most.
+    # The smallest radius is 16: if the top is off by one step, the distance changes by 6 % at most.
     # Half and twice the value give the same results.
     radii: tuple[float, ...] = (2.0**4, 2.0**6, 2.0**8, 2.0**10, 2.0**12)
-    # At this number of the smallest radii, g is also evaluated toward each face alone.
-    # Three radii determine an exponent for any additive constant.
-    # With 2 radii, four of 152 causes are wrong; values from 3 to 6 give the same results.
+    # Number of small radii at which g is also evaluated toward each single face.
+    # Three radii determine an exponent, whatever constant is added to g.
+    # With 2 radii, four of 152 causes are found wrong; values from 3 to 6 give the same results.
     near: int = 3
     # The top is not a pole if g rises outward on more than this fraction of the rays.
     # Values from 0.125 to 0.5 give the same results.
     rising: float = 0.25
     # Distance from all other faces at which growth toward one face is measured.
-    # Its unit is the last step. The distance is half of the first step.
-    # It is 2^7 times the largest of the first three radii.
+    # The distance is in units of the last step. It equals half of the first step,
+    # and is 2^7 times as large as the third of the radii.
     # Values from 2^14 to 2^16 give the same results.
     away: float = 2.0**15
     # If the exponent is above this value, the function grows toward one face alone.
     # Values from 0.025 to 0.1 give the same results.
     alone: float = 0.05
-    # Eigenvalues of the quadratic form above this fraction of the largest one count for
-    # the codimension. Values from 0.002 to 0.008 give the same results.
+    # The codimension is the number of eigenvalues of the quadratic form
+    # that are above this fraction of the largest eigenvalue.
+    # Values from 0.002 to 0.008 give the same results.
     rank: float = 0.004
     # A move is accepted if the height grows by more than this factor.
     # Values down to 0.5 give the same results.
@@ -206,8 +208,9 @@ class PoleSettings:
     # A climb starts only if the largest and the last of these heights differ by this fraction.
     # Values from 0.05 to 0.2 give the same results.
     stands_out: float = 0.1
-    # Growth with an exponent below this value counts as logarithmic. If the exponent is below
-    # minus this value, there is no pole. Measured exponents are right to 0.02
+    # Growth with an exponent below this value counts as logarithmic.
+    # If the exponent is below minus this value, there is no pole.
+    # Measured exponents have errors up to 0.02
     # (`test_exponents_and_codimensions_of_poles_are_measured`).
     # Values from 0.01 to 0.04 give the same results.
     least_exponent: float = 0.02
@@ -257,7 +260,7 @@ class Lines:
         Settings of lines, with the limits of the exponents.
     failed
         Reason, with a position, why g has no values close to some ends; empty if it has values.
-        No growth is reported at these ends.
+        If g has no values close to an end, no growth is reported at this end.
     """
 
     axis: Array
@@ -415,8 +418,9 @@ def lines_of(
     ends[straight] = outer[1, :, 1] - outer[0, :, 1]
 
     # Halve the steps around the largest second difference.
-    # Near an end this requires that g does not grow there. In every other line use
-    # the largest fourth difference, which shows a kink even if g is steep elsewhere
+    # Near an end, second differences are used only if g does not grow toward this end.
+    # Every second line uses the largest fourth difference instead,
+    # which shows a kink even if g is steep elsewhere
     wide = np.full((2, len(axis)), np.nan)
     wide[:, straight] = np.where(grows, np.nan, outer[..., 1])
     t = np.column_stack([np.full(len(axis), gaps[1]), t, np.full(len(axis), 1.0 - gaps[1])])
@@ -440,7 +444,7 @@ def lines_of(
     floor = max(settings.negligible * scale, settings.grains * grain(y[:, 1:-1]))
     rough = size[-1] > floor
     # Ignore second differences at rounding level: they are meaningless.
-    # If the last one is at this level, use the first one above it
+    # If the last second difference is at this level, use the first one that is above the level
     first = np.argmax(size > floor, axis=0)
     size = np.where(size > floor, size, np.maximum(size[first, rows], 1e-300))
     slope = -np.polyfit(np.arange(settings.late + 1), np.log2(size), 1)[0]
@@ -465,9 +469,9 @@ def lines_of(
         ends_y = np.where(left, np.hstack([ends_y[:, :1], new]), np.hstack([new, ends_y[:, 1:]]))
     kept[may] = np.abs(np.diff(ends_y, axis=1)[:, 0]) / np.maximum(height[may], 1e-300)
 
-    # Displace the last window toward the inside.
-    # A line parallel to an axis is displaced along all other axes,
-    # and a chord is displaced along one group of axes after another.
+    # Displace the smallest steps around the roughest place toward the center of the cube.
+    # A line parallel to an axis is displaced along all other axes at once.
+    # A chord, which is oblique, is displaced along one group of axes after another.
     # A discontinuity that is not normal to an axis moves away
     stays = np.ones(len(axis), bool)
     if dims > 1:
@@ -612,14 +616,14 @@ def _climbed(
     rng: np.random.Generator,
     settings: PoleSettings,
 ) -> tuple[Array, float, int]:
-    """Return the top, the last step (0 if g is bounded), and the number of evaluations."""
+    """Return the top of the climb, its last step (0 if g is bounded), and its evaluations."""
     d, made, moves, value = len(x), 0, 0, 0.0
     heights, shape = list[float](), np.eye(d)
     while len(heights) < settings.halvings:
         if made + 2 * d > evaluations:
             return x, 0.0, made
         ways = np.linalg.qr(rng.standard_normal((d, d)))[0] @ np.linalg.cholesky(shape).T
-        size = step * rng.uniform(0.8, 1.25)  # A random factor avoids repeated places
+        size = step * rng.uniform(0.8, 1.25)  # Random steps never return to the same point
         around = np.clip(x + size * np.concatenate([ways, -ways]), 0.5 * step, 1.0 - 0.5 * step)
         new = g(around)
         made += 2 * d
@@ -662,7 +666,7 @@ def _measured(
         return None
     if exponent < settings.least_exponent:
         return Pole(top, 0.0, 1, bool(side.any()))
-    if side.sum() > 1:  # Compare with growth toward a single face
+    if side.sum() > 1:  # Measure the growth toward each single face
         faces = np.flatnonzero(side)
         aside = np.where(side, top + settings.away * step * inward, top)
         close = radii[: settings.near]
@@ -685,7 +689,7 @@ def _measured(
     table[first, second] = table[second, first] = size
     own = np.diag(table)
     form = 0.5 * (table - own[:, None] - own) + 1.5 * np.diag(own)
-    # A face counts unless the pole extends from this face inward
+    # A face counts for the codimension unless the pole extends from this face inward
     side &= own > settings.rank * own.max()
     free = np.linalg.eigvalsh(form[np.ix_(~side, ~side)])
     rank = int(side.sum() + (free > settings.rank * own.max()).sum())

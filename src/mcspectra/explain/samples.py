@@ -1,18 +1,18 @@
 """Variances of several samplers at all counts, from one array of evaluations.
 
-R scrambled nets of N points are evaluated once. A run of 2^k successive points of a net
-is a scrambled net itself, if the run starts at a multiple of 2^k.
+R scrambled nets of N points are evaluated once. In each net, a run of 2^k successive points
+that starts at a multiple of 2^k is itself a scrambled net.
 Therefore means over runs have the variance of nets of all sizes.
-Different nets have independent points in each cell of the strata.
-Therefore the variance between their values is the variance of jittered points.
+Different nets have independent points in each stratum.
+Therefore the variance between nets, within strata, is the variance of jittered points.
 In the same way, slabs of an axis give the variance of Latin hypercubes,
 and the whole cube gives the variance of random points.
 Products of values from the same net are omitted, because these values are correlated.
 
 Errors come from a jackknife over the nets, which includes the correlation between counts.
-In the model of the rate, the rate is constant over the last octaves,
-and drifts by a random walk over earlier octaves.
-The likelihood of the curve gives weights to several step sizes of the walk.
+In the model of the rate, the rate is constant over the last octaves of n.
+Over earlier octaves the rate drifts by a random walk.
+Several step sizes of this walk are averaged, weighted by the likelihood of the curve.
 All counts of a straight curve contribute to its rate,
 but the rate of a bent curve depends on the last counts only.
 """
@@ -61,8 +61,8 @@ class CurveSettings:
 
     # Number of slabs along an axis that replace the strata of a Latin hypercube.
     # Values from 16 to 64 give the same results.
-    # The estimate is an upper bound for additive functions with n > 32 points:
-    # it is (n/32)² times too large.
+    # For additive functions and n > 32 points, the estimated variance of a Latin hypercube
+    # is an upper bound, (n/32)² times the true variance.
     slabs: int = 32
     # Largest number of dims in which the variance of jittered points is estimated.
     # Values from 2 to 6 give the same results.
@@ -71,12 +71,13 @@ class CurveSettings:
     jittered_dims: int = 3
     # Number of last octaves over which the rate is assumed to be constant. With 2 octaves,
     # intervals of rates are 1.4 times as wide and contain the rate equally often.
-    # With 6 octaves, they contain the rate in 63 % instead of 93 % of cases.
+    # With 6 octaves, intervals contain the true rate in 63 % instead of 93 % of cases.
     octaves: int = 3
     # Candidate standard deviations of the drift of the rate in an octave, weighted by likelihood.
-    # They range from 1/20, for a straight curve, to values that change a rate by 1 to 3 (its
-    # usual range) in a few octaves. With half of these values, intervals contain the rate
-    # in 94 % of cases; with double values or 0.2 alone, in 92 %.
+    # The smallest, 1/20, is for straight curves. The largest changes a rate by 1 to 3,
+    # the usual range of rates, in a few octaves.
+    # With half of these values, intervals contain the true rate in 94 % of cases;
+    # with double values, or with the value 0.2 alone, intervals contain it in 92 % of cases.
     drifts: tuple[float, ...] = (0.05, 0.1, 0.2, 0.4)
     # If a rate is not known, −1 is used with this standard error.
     # Rates from −2 to 0 are within two standard errors.
@@ -109,13 +110,13 @@ class Curve:
         Degrees of freedom of the errors.
     drift
         Estimated standard deviation of the change of the slope in an octave.
-        The same drift is assumed beyond the counts.
+        The same drift is assumed at counts beyond the measured ones.
     vanishes
         Smallest count at which all sets gave equal estimates.
     level, scatter
         Logarithm of the ratio of the fitted line to the variance at the last count,
-        and standard deviation of the logarithms of the variance about the line.
-        Both are needed to extrapolate curves that are not lines.
+        and standard deviation of log variances about the fitted line.
+        Extrapolation of a curve that is not a straight line needs both.
     bend
         Expected change of the slope beyond the measured counts, and its standard error.
     """
@@ -184,7 +185,7 @@ class _Part:
     values: Array
 
     def between(self, cell: Array, cells: int) -> Array:
-        """Return the mean over cells of squared means, without products within one net."""
+        """Return the mean over cells of products of values from two different nets."""
         r = len(self.values)
         place = (np.arange(r)[:, None] * cells + cell).ravel()
         sums = np.bincount(place, self.values.ravel(), r * cells).reshape(r, cells)
@@ -282,7 +283,7 @@ class Sets:
             of_slabs = partial(_of_slabs, slabs=settings.slabs)
             many = counts[counts >= settings.slabs]
             found["latin-hypercube"] = self._curve(of_slabs, many, settings, -1.0)
-        # A variance between strata is a difference. If no difference is significant, omit the curve
+        # Variances of strata and slabs are differences: omit curves without significant values
         if len(found["random"].counts):
             found = {name: curve for name, curve in found.items() if len(curve.counts)}
         return found

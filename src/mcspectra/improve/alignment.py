@@ -58,12 +58,13 @@ class AlignmentSettings:
     # The factor 100 allows for rounding in the sums of these means.
     exact_rounding: float = 1e-14
     # Relative standard error of exact variances in the fit of a rate.
-    # All counts have equal weights for any value of this setting.
+    # All counts have this error and therefore equal weights, whatever the value is.
     # Rates and their intervals agree to 9 digits for values from 1e-9 to 1e-3.
     exact_se: float = 1e-6
     # Number of times that the pattern search halves its step.
-    # The last step is 1/256 of the spacing of the scan. For 11 points and disks in 1-D,
-    # 16 halvings lower the variance by 0.02 %, and 4 halvings raise the variance by 0.3 %.
+    # The last step is 1/256 of the spacing of the scan.
+    # For 11 points and disks in 1-D, 16 halvings lower the variance by 0.02 %,
+    # and 4 halvings raise the variance by 0.3 %.
     halvings: int = 8
 
 
@@ -221,8 +222,8 @@ def best_alignment(
         ``strata_offset(candidate, axis)`` is the offset of each candidate.
         ``predicted_variance`` and ``measured_variance`` have sums over channels.
         ``variance_ratio`` is the ratio of the measured variance to that of the first candidate.
-        ``improvement`` is 1 if its interval ``variance_ratio_ci`` is below 1,
-        −1 if the interval is above 1, and 0 otherwise.
+        ``improvement`` depends on the interval ``variance_ratio_ci``:
+        1 if the interval is below 1, −1 if the interval is above 1, and 0 otherwise.
         The attribute ``best`` names the candidate with the least predicted variance,
         or with the least measured variance if a candidate has no prediction.
         The attribute ``improved`` is yes, no or undecided for the best candidate.
@@ -399,7 +400,7 @@ class _Offsets:
             if exact:
                 # Raise an error if no closed form is known.
                 # Edges at multiples of the side cut strata if the offset is about half a side;
-                # such strata may have no closed form
+                # strata that are cut may have no closed form
                 for probe, n in itertools.product((0.0, 0.4375), counts):
                     found.at([probe] * estimator.dims, n)
         except NoClosedForm:

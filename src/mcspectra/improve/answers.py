@@ -211,7 +211,7 @@ class Answer:
     def of(budget: int, results: Sequence[CandidateResult], **said: Any) -> Answer:
         """Make the answer from results: the given set-up first, then changes by preference.
 
-        `said` contains values for other fields of the answer.
+        The keyword arguments `said` set further fields of the answer, such as `why`.
         """
         given, *others = results
         better = [result for result in others if result.verdict == "better"]

@@ -88,7 +88,8 @@ class Errors:
         Errors are relative to the integral if `biased`, else to the mean of the estimates.
         `tolerance` is the relative tolerance of the integral.
         """
-        # Compute mean squared errors about the integral or the mean, and influences (R,)
+        # Compute mean squared errors about the integral or the mean,
+        # and the influence of each realization on its error, (R,)
         parts = []
         for values in estimates:
             count = len(values)
@@ -194,7 +195,7 @@ class Comparison:
 def compare(errors: Errors, reference: Errors, budget: float, pilot: int = 0) -> Comparison:
     """Compare two set-ups with the same number of realizations and the same random numbers.
 
-    `pilot` is the number of evaluations that the other set-up took beyond the budget.
+    `pilot` is the number of evaluations in a pilot, in addition to the budget.
     The reference may use the same number of evaluations in addition to its budget.
     """
     carry = not errors.overhead and not reference.overhead
@@ -294,7 +295,7 @@ class MeasuredCandidate:
 @final
 @dataclass(frozen=True)
 class Assessed:
-    """A candidate with its result, and the difference of its rate from the given rate.
+    """A candidate with its result, and its rate minus the rate of the given set-up.
 
     Attributes
     ----------

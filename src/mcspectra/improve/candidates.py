@@ -81,7 +81,7 @@ class CandidateSettings:
     most_aligned_dims: int = 2
     # Maximum number of dims in which cubic stratification is tried.
     # In 4-D, order 4 needs at least 4^4 = 256 cells.
-    # There its rate n^(−1 − 8/d) gains little over nets.
+    # In 4-D, the rate n^(−1 − 8/d) of this order gains little over nets.
     most_cubic_dims: int = 3
     # Maximum number of dims in which edges are smoothed by means over boxes.
     # In more dims, means take too many evaluations; smoothing by the distance takes only one.
@@ -89,18 +89,18 @@ class CandidateSettings:
     # A pilot takes the budget B divided by this number. With an eighth, evaluations remain for
     # estimates at the two largest budgets of `mcspectra.remedies`, B/4 and B, which give a rate.
     pilot_divisor: int = 8
-    # Least number of points of a pilot. Each half of the pilot has 32 points. They determine
-    # 8 coefficients with 4 evaluations each (`ChangeSettings.evaluations_per_term`).
+    # Least number of points of a pilot. Each half of the pilot has 32 points,
+    # 4 for each of 8 coefficients of a regression (`RegressionSettings.evaluations_per_term`).
     least_pilot: int = 64
     # Maximum number of points of a pilot.
-    # For an Asian option in 16-D, 1.08, 0.93 and 0.89 % of the variance remain after regressions
-    # on 2048, 4096 and 8192 evaluations.
-    # Fitted densities differ by 3 % (`benchmarks improvements`).
+    # With 2048, 4096 and 8192 points, regressions of an Asian option in 16-D
+    # leave 1.08, 0.93 and 0.89 % of the variance.
+    # The variances of fitted densities differ by 3 % (`benchmarks improvements`).
     most_pilot: int = 4096
     # Widths of smoothed edges that are scanned, in units of the domain: octaves from 2^-10 to 1/4.
     # A wider edge covers most of the domain; a narrower edge is a jump at the budgets in use.
     widths: tuple[float, ...] = tuple(2.0**-k for k in range(10, 1, -1))
-    # Maximum number of realizations for each variance in scans for a width and an offset.
+    # Maximum number of realizations for each variance in a scan over widths or over offsets.
     # The relative standard error of √(2/300) = 8 % is small:
     # neighboring widths differ by a factor of two.
     scan_realizations: int = 300
@@ -147,7 +147,7 @@ Kind: TypeAlias = Literal[
 def candidates_of(given: Setup, kinds: Sequence[Kind], budget: Budget) -> _Candidates:
     """Yield each candidate of the given kinds once, and ``name: reason`` of other changes.
 
-    If a kind raises an error, the error is the reason.
+    If a kind raises an error, the reason is the message of the error.
     A mirrored estimator is changed inside and mirrored again.
     """
     seen = {Candidate("given", "given", "", given).key}

@@ -11,8 +11,8 @@ The changes of these kinds keep the integral, whatever the evaluations of g are:
   along which g varies most ([Liu2023]_), since the first coordinates of nets are the best;
 * *regression*: g minus fitted polynomials of mean 0;
 * *preintegrated*: means along the first direction, in which g jumps or leaves 0 at one point.
-  The means are taken on both sides of this point, and over a bracket that contains it.
-  Each of these three parts is sampled at one or two points.
+  The mean has three parts: one on each side of this point, and one over a bracket around it.
+    Each part of the mean is sampled at one or two points.
   The bracket depends on the other coordinates only,
   so the sum over the parts has the expectation of g.
 
@@ -59,34 +59,35 @@ __all__ = [
 class ChangeSettings:
     """Settings of changed estimators, and of the densities that are fitted to g."""
 
-    # Number of rounds of a pilot whose points follow g. After two rounds, the variance of a narrow
-    # peak in 3-D is several times as large, and eight rounds are no better
-    # (`benchmarks improvements`).
+    # Number of rounds of a pilot whose points follow g.
+    # With two rounds, the variance of a narrow peak in 3-D is several times as large.
+    # Eight rounds are no better than four (`benchmarks improvements`).
     rounds: int = 4
     # Candidates of `fit_splines`: for joint densities, and for products. Each has three numbers:
     # cells of each axis; parts of a mixture, or 0 for a flow; weight of the smoothness.
-    # The first joint candidate also places the points of the rounds.
+    # The first joint candidate is also fitted in each round, to place the points of the next round.
     # Without the flow, the variance of a ridge across two axes is 17 times as large.
-    # Without the finer product, the density follows a narrow peak less well.
-    # Without the mixture, results are the same.
+    # Without the product of 24 cells, the fitted density follows a narrow peak less well.
+    # Without the joint mixture of 4 parts, all results are the same.
     joint: tuple[tuple[int, int, float], ...] = ((16, 0, 1e-4), (12, 4, 1e-3))
     products: tuple[tuple[int, int, float], ...] = ((12, 1, 1e-3), (24, 1, 1e-4))
     # Maximum number of dims in which joint densities are tried.
-    # With 16 cells, a flow of d axes has about 36 d² weights. In 5-D these are 800 weights,
-    # a fifth of the evaluations of the largest pilot.
+    # With 16 cells, a flow of d axes has about 36 d² weights.
+    # In 5-D the number of weights is a fifth of the number of evaluations in the largest pilot.
     most_joint_dims: int = 5
-    # Share of the uniform density in a fitted density. It limits g/q to 20 |g|, but adds variance:
-    # shares of 0.025, 0.05 and 0.1 leave 0.6, 1.1 and 2.2 % of the variance of a ridge.
+    # Share of the uniform density in a fitted density. It limits g/q to 20 |g|, but adds variance.
+    # With shares of 0.025, 0.05 and 0.1, a ridge keeps 0.6, 1.1 and 2.2 % of its variance.
     defensive: float = 0.05
     # Least variance of a fitted normal density along any direction.
     # Variances below 1, the variance of z, would make the density vanish at the border of the cube.
-    # There g/q would grow without bound.
+    # Toward the border, g/q would then grow without bound.
     least_spread: float = 1.0
     # Settings of the fits of splines
     splines: LearnSettings = field(default_factory=LearnSettings)
     # Largest expected share of the variance at which a change is offered, without its cost.
-    # The pilot estimates this share. Changes with a larger share may be worse, because
-    # the smallest pilot has a relative standard error of √(2/64) = 18 %.
+    # A pilot estimates which share of the variance a change leaves.
+    # In the smallest pilot, this estimate has a relative standard error of √(2/64) = 18 %.
+    # Therefore a change with a larger share may be worse than no change.
     most_left: float = 0.8
     # Number of points that are evaluated at once. A table of 256 polynomials then takes 32 MB.
     # Results do not depend on this number.
@@ -100,11 +101,11 @@ class RegressionSettings:
 
     # Least number of evaluations for each coefficient.
     # With k evaluations, a fit of p coefficients multiplies the remaining variance by 1 + p/k.
-    # This factor is at most 1.25 here.
-    # Results of four problems of `benchmarks improvements` are the same for 2 and 8.
+    # With 4 evaluations for each coefficient, this factor is at most 1.25.
+    # With 2 or 8, the results of four problems of `benchmarks improvements` are the same.
     evaluations_per_term: int = 4
     # Regularization: a number that is added to the diagonal of the normal equations.
-    # It is relative to the mean squares of the basis, which are 1.
+    # The number is relative to the mean squares of the basis functions, which are 1.
     # Results are the same to three digits for values from 1e-12 to 1e-4.
     ridge: float = 1e-9
     # Maximum number of terms of a basis, which limits the cost of an evaluation.
@@ -405,11 +406,11 @@ class _Controlled(_Changed):
 class Cubic(_Changed):
     """Integrand g minus a polynomial in each of side^d cells ([Chopin2024]_).
 
-    The polynomial has degree r − 1 along each axis, and goes through g at cell centers:
-    along each axis, these are the centers of the r nearest cells.
+    The polynomial has degree r − 1 along each axis, and equals g at the centers of r^d cells.
+    These are the r nearest cells along each axis.
     The mean of the polynomial over the cell is added again, so the integral does not change.
     If r is even, each point is averaged with its image about the center of the cell.
-    These means contain even powers only, so r = 2 needs no centers.
+    Such a mean contains no odd powers. Therefore r = 2 needs no polynomial.
     Jittered points in the same cells have a variance ∝ n^(−1 − 2r/d) if g has r derivatives.
 
     Attributes
@@ -492,9 +493,9 @@ class _Preintegrated(_Changed):
     axis
         The number of the axis.
     halvings
-        Number of times that the bracket of the point is halved.
+        Number of times that the bracket around the place of the jump is halved.
         After 7 halvings the bracket is 2^-7 of the axis, and it is sampled by one point.
-        The variance of this part is at most 2^-16 of the squared jump.
+        The variance of the part over the bracket is at most 2^-16 of the squared jump.
     """
 
     name: ClassVar[str] = "preintegrated"
@@ -654,9 +655,9 @@ def _order(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:
 def _preintegrated(g: Integrand, seen: Evaluations, settings: ChangeSettings) -> _Found:  # noqa: ARG001
     """Take means along the axis that leaves the least variance, or along the first direction.
 
-    The remaining variance has two bounds. The lower bound is the part
-    that a regression assigns to the other coordinates alone.
-    The upper bound is the variance without the main effect of this coordinate.
+    The remaining variance has two bounds.
+    The lower bound comes from the terms of a regression that do not depend on this axis.
+    The upper bound is the variance without the main effect of this axis.
     The expected variance is the geometric mean of both bounds.
     Squared coefficients are estimated by products of coefficients from two halves.
     """

@@ -1,15 +1,16 @@
 """Importance densities learned from evaluations of an integrand, for a given sampler.
 
-A density p of `mcspectra.densities.learned` is fitted to values f(x_k) at points x_k
-that have the density π. The fit minimizes
+A density p of `mcspectra.densities.learned` is fitted to values f(x_k).
+The points x_k have the density π. The fit minimizes this sum:
 
     log Σ_k ρ_k p(x_k) − Σ_k w_k log p(x_k) + smoothness,   ρ_k = 1/π(x_k),   w_k ∝ ρ_k |f(x_k)|.
 
 The sum without smoothness is the relative entropy of |f| and p.
-Both of its integrals are estimated from the *same* points.
+Both integrals of the relative entropy are estimated from the *same* points.
 If |f| belongs to the family, the minimum is |f| itself for any number of points.
-The mean of log p alone would have the noise of the points. The penalty for smoothness uses
-second differences of the logarithms of the splines' weights, as in P-splines [Eilers1996]_.
+A fit by the mean of log p alone would follow the random density of the points.
+As in P-splines [Eilers1996]_, the smoothness penalty depends on
+second differences of the logarithms of the splines' weights.
 
 A candidate is defined by numbers of cells and parts, and by the weight of the penalty.
 Candidates are compared by the variance of f/p with points of the sampler itself.
@@ -63,7 +64,7 @@ class LearnSettings:
 
     # Candidates of the two kinds, from smooth to fine. Each has three numbers: cells of each axis;
     # parts of a mixture, or 0 for a flow; weight of the smoothness penalty.
-    # The first candidate also places the points of the first rounds.
+    # The first candidate is also fitted in each round, to place the points of the next round.
     # Evaluations that were not used in any fit choose one candidate. Without any one of them,
     # the variance of a peak in 2-D and of two bells in 3-D changes by −30 to +6 %.
     mixture: tuple[tuple[int, int, float], ...] = (
@@ -81,15 +82,15 @@ class LearnSettings:
     # Maximum number of dims of a learned density. The fit of a flow in 24-D takes 9 s.
     most_dims: int = 24
     # Least allowed number of evaluations. Of 256, one half is for the fit.
-    # A quarter is for the choice: six sets of two points for each of five candidates.
-    # Another quarter is for the check.
+    # A quarter is for the choice of one of five candidates: six sets of two points for each.
+    # Another quarter is for the check of the result on fresh points.
     least_evaluations: int = 256
     # Least number of evaluations by default: `most_fitted` for the fit,
-    # and the same number for the choice and the check together.
+    # `most_fitted` for the choice of a candidate, and `most_fitted` for the check.
     usual_evaluations: int = 3 * 2**13
     # Default number of evaluations for each of the n points, in addition to `most_fitted`.
-    # The choice takes half of them: with 8 n, each of five candidates has six sets of n/4 points.
-    # The check takes the other half: the result and uniform points have 16 sets of n/4 points each.
+    # The choice takes half of the 16 n: each of five candidates has six sets of n/4 points.
+    # The check takes half of the 16 n: 16 sets of n/4 points of the result, and 16 uniform sets.
     evaluations_per_point: int = 16
     # Ratio of n to the smallest number of points at which candidates may be compared.
     # At n/16, the ratios of variances of nets are already close to the ratios at n.
@@ -111,8 +112,8 @@ class LearnSettings:
     # Half or twice as many steps change the variances by 5 % at most.
     steps: int = 120
     # Largest change of the logarithm of a weight in one step of L-BFGS.
-    # With 1, a weight changes by a factor of at most e.
-    # With 0.5 or 2 variances change by 1 %, and one falls by 18 %.
+    # If this is 1, a weight changes by a factor of at most e in a step.
+    # With 0.5 or 2, the variances of fitted densities change by 1 %, and one falls by 18 %.
     longest: float = 1.0
     # L-BFGS ends if the entropy decreases by less than this number.
     # For values from 2e-10 to 2e-8, the variances are the same to three digits.
@@ -242,7 +243,7 @@ class _Seen:
     settings: LearnSettings = _SETTINGS
 
     def mixture(self, own: Array, count: int, steps: int) -> tuple[Array, Array]:
-        """Fit shares (K,) of parts and logarithms of tables (K, d, M); start from groups."""
+        """Fit the shares (K,) of the parts of a mixture, and their log spline weights (K, d, M)."""
         from scipy.special import log_softmax, softmax
 
         # Start from the means of the splines over the groups
@@ -280,11 +281,11 @@ class _Seen:
         return softmax(best[:count]), log_softmax(best[count:].reshape(tables.shape), axis=-1)
 
     def flow(self, features: Array, start: Array) -> Array:
-        """Return a mask of the gates, if axes depend on the given axes (d, d), and the loss."""
+        """Fit the gates of a flow: coefficients by which splines depend on earlier axes."""
         shape, before = (*start.shape, features.shape[1]), np.tri(len(start), k=-1, dtype=bool)
 
         def loss_of(followed: Array) -> tuple[Array, Callable[[Array], tuple[float, Array]]]:
-            """Return which gates are used if axes depend on given axes (d, d), and the loss."""
+            """Return a mask of the gates in use, and the loss, for dependences of axes (d, d)."""
             columns = np.insert(np.repeat(followed, DEGREE, axis=1), 0, True, axis=1)
             used = np.broadcast_to(columns[:, None], shape)
             seen = [features[:, c] for c in columns]
@@ -318,8 +319,8 @@ class _Seen:
 
             return used, loss
 
-        # Let each axis depend on the axes whose gates change the product most.
-        # The number of such axes is limited by the number of points
+        # Let each axis depend on the axes whose gates change the product of splines most.
+        # The number of points limits how many dependences between axes are fitted
         each = self.settings.evaluations_per_gate
         gates, most = np.zeros(shape), self.rho.size // (each * shape[1] * DEGREE)
         gates[:, :, 0] = start
@@ -381,8 +382,8 @@ def learned_density(
         An integrand with one or more channels, a spec,
         or a function that maps points (k, d) to values (k,).
     kind
-        ``"mixture"`` is a mixture of products of splines. In a ``"spline-flow"``, the weights
-        of the splines of each coordinate depend on the coordinates before it.
+        ``"mixture"`` is a mixture of products of splines.
+        In a ``"spline-flow"``, the spline weights of a coordinate depend on earlier coordinates.
     sampler, n
         The sampler and the number of points that will be used. The sampler must be random.
     dims
@@ -419,9 +420,10 @@ def learned_density(
 
     Notes
     -----
-    Candidates (`mcspectra.improve.learned.LEARNED`) range from smooth to fine. The variance
-    of f/p is compared for at least six realizations of the sampler. Each has n points,
-    or as many as the evaluations allow: at least n/16, by default usually n/4.
+    Candidate densities (`mcspectra.improve.learned.LEARNED`) range from smooth to fine.
+    The variance of f/p is compared for at least six realizations of the sampler.
+    Each realization has n points if the evaluations allow it.
+    Otherwise it has at least n/16 points, and by default usually n/4.
     The best candidate is checked on fresh points. At least 16 realizations must show,
     with 95 % confidence, that it has less variance than uniform points.
     In addition, ∫f²/p must be smaller than ∫f². The effective number of uniform points,
@@ -625,7 +627,7 @@ def in_rounds(
 
 
 def _padded(given: Array, by: float, block: int) -> Array:
-    """Append the entries that fill the last block."""
+    """Append entries with the value `by` until the length is a multiple of `block`."""
     more = [(0, -len(given) % block)] + [(0, 0)] * (given.ndim - 1)
     return np.pad(given, more, constant_values=by)
 

@@ -1,7 +1,7 @@
 """Planning: the least number of points that reaches an error.
 
 For known integrands, the variance is predicted at powers of two.
-Between two powers, it is predicted at counts from bisection.
+Between two powers, the variance is predicted at the counts of a bisection.
 For a user's function the variance is measured.
 Scrambled nets give the variance of several samplers at once (`mcspectra.explain.samples`).
 Other samplers draw their own sets.
@@ -67,8 +67,8 @@ class PlanSettings:
     steps: int = 256
     # The answer contains the interval of n if the ratio of its ends is larger than this.
     wide: float = 1.25
-    # Number of consecutive counts that are tried for an estimator of several techniques.
-    # At such a count, the sampler must have sets for all techniques.
+    # If an estimator has several techniques, the sampler must have sets for all of them.
+    # This is the number of consecutive counts that are tried until such sets exist.
     tries: int = 256
 
 
@@ -89,7 +89,7 @@ class MeasuredPlanSettings:
     # With 2, sets have half as many points, and rates of functions with jumps become uncertain.
     doubling: int = 3
     # Least number of points in each set of the first stage.
-    # A rate can then be computed from smaller counts within a set.
+    # With 8 points, parts of a set give variances at smaller counts, and therefore a rate.
     least: int = 8
     # Least number of sets for a variance, same as in `profile`; for samplers with few stored sets.
     least_sets: int = 3
@@ -381,10 +381,11 @@ def _least(
     best = float(counts[first]), variances[first], found[first].named()
     before = [k for k in known if k < first]
 
-    # Bisect the octaves between the last count that misses the target and the first count
-    # that reaches it, because the curve need not be monotone.
+    # Bisect between the last count that misses the target and the first count that reaches it.
+    # Several octaves can be between these counts, because the curve need not be monotone.
     # Searches for two targets take the same steps while both are reached or both are missed.
-    # After that, only the search for the smaller target continues toward larger n.
+    # When one target is reached and the other is missed,
+    # only the search for the smaller target continues toward larger n.
     # Nets are balanced only at powers of their base
     if not before or _base(estimator.law(sampler, counts[first])):
         return best
@@ -456,8 +457,8 @@ class _Stage:
         Points (N, d) of a single technique, or None if there are several techniques;
         and values (N, channels) of the technique with the largest variance.
     largest
-        Number of evaluations of the largest sets, divided by the evaluations of a point;
-        this is R times the number of points of a set.
+        Number of points in all sets of the largest size:
+        R times the number of points of one set.
     evaluations
         Number of evaluations of this stage and all earlier stages together.
     """
@@ -616,7 +617,7 @@ def _in_stages(source: _Nets | _Own, sampler: Sampler, target: Array) -> _Found:
     estimator, least, best = source.estimator, 0.0, None
     for stage in source.stages():
         curves = stage.curves.get(sampler.spec)
-        if curves is None:  # The error of the variance exceeds it
+        if curves is None:  # No variance is known: its error is too large
             continue
         curve = _Ladder.of(curves)
         note, _ = doubt(stage.points, stage.values) or ("", False)
@@ -726,12 +727,12 @@ class _Ladder:
 
 
 def _crossing(x: Array, off: Array) -> float:
-    """Return the first x at which a line through points (x, off) is at most 0, or infinity."""
+    """Return the first x at which a piecewise linear curve (x, off) is at most 0, or infinity."""
     reached = np.flatnonzero(off <= 0.0)
     if not len(reached):
         return math.inf
     k = int(reached[0])
-    # A variance of zero reaches the target at its own count
+    # If the variance falls to zero, do not interpolate: the count with zero variance is the answer
     if not k or off[k] < off[k - 1] + 0.5 * math.log(_TINY):
         return float(x[k])
     return float(np.interp(0.0, -off[k - 1 : k + 1], x[k - 1 : k + 1]))
@@ -851,12 +852,12 @@ def plan(
         and the attribute ``note`` gives the reason. ``planned_error`` is the RMSE at ``planned_n``.
         ``target_variance`` is the square of the target.
         ``predicted_variance(n)`` with ``predicted_variance_ci(n, bound)`` is the curve of variance.
-        Its counts are allowed powers of two.
+        The counts of this curve are allowed powers of two.
         The curve ends at a quarter of the target variance or at 2^16 points.
         For larger n it is extrapolated by the last slope, which ``how`` reports.
         The coordinates ``method`` and ``how`` are the same as in `predict`.
         For measurements they are ``"measured"`` and the number of evaluations.
-        For a single sampler, ``method`` and ``how`` are attributes.
+        If there is a single sampler, ``method`` and ``how`` are attributes of the dataset.
         A list of samplers adds the dim sampler.
         The attribute ``answer`` is a sentence.
 

@@ -47,8 +47,8 @@ class RemedySettings:
     # Number of budgets at which each set-up is measured: B/256, B/64, B/16, B/4 and B.
     # A rate from five budgets leaves three degrees of freedom for the lack of fit.
     steps: int = 5
-    # Ratio of successive budgets. A smaller ratio costs more. The total of all budgets
-    # is 1/(1 − 1/ratio) = 4/3 times the largest budget.
+    # Ratio of successive budgets. A smaller ratio costs more:
+    # the sum of all budgets is 1/(1 − 1/ratio) = 4/3 times the largest budget.
     # With a larger ratio, only two or three budgets would be large enough for two points.
     ratio: int = 4
     # Expected number of changes of each kind, for estimates of cost and memory before a run.
@@ -58,17 +58,17 @@ class RemedySettings:
     # Means are rounded to about 1e-15.
     # The margin allows for values that cancel to 1e-6 of their size.
     exact_tolerance: float = 1e-9
-    # The same limit for an integral by quadrature or by many points,
-    # whose estimated error can be too small.
+    # The same limit for an integral by quadrature or by many points.
+    # It is larger, because the estimated error of such an integral can be too small.
     # Equal estimates that miss a rare event differ from the integral by far more than this.
     quadrature_tolerance: float = 1e-3
-    # If this number of standard errors of such an integral exceeds `quadrature_tolerance`,
-    # it is the limit instead. A normal error is beyond 4 with probability 6e-5.
+    # Differences up to this number of standard errors of such an integral are also allowed.
+    # A normal error exceeds 4 standard errors with probability 6e-5.
     sigmas: float = 4.0
 
 
 _SETTINGS = RemedySettings()
-# Random stream label of searches. The labels of the budgets are smaller numbers
+# Label of the random stream of searches. The streams of the budgets have smaller labels
 _SEARCH = _SETTINGS.steps
 
 _DIMS: dict[str, tuple[str, ...]] = {
@@ -285,8 +285,8 @@ def remedies(
     workers
         Number of threads; all processors by default. It has no effect on results.
     max_evaluations
-        Maximum number of evaluations of the integrand. An error is raised before any evaluation
-        if the given set-up and its diagnosis need more.
+        Maximum number of evaluations of the integrand.
+        If the given set-up and its diagnosis need more, an error is raised before any evaluation.
         All kinds have equal shares of the remaining evaluations.
         A change that needs more than the share of its kind is not tried.
 
@@ -302,8 +302,8 @@ def remedies(
         ``rate_difference`` with ``rate_difference_ci`` is this rate minus that of the given set-up.
         Intervals of ratios and of differences are simultaneous, at 95 %.
         ``rank_by_rate`` is the rank of the rate.
-        The coordinates are the kind, the change as an imperative, the reason and two verdicts:
-        ``kind``, ``change``, ``reason``, ``verdict`` and ``rate_verdict``.
+        The coordinates of a remedy are its ``kind``, ``change`` (an imperative) and ``reason``,
+        and the verdicts on its error, ``verdict``, and on its rate, ``rate_verdict``.
         A verdict is better, worse, undecided or given.
         Variables on (remedy, step): ``cost`` and ``error_at_cost``.
         Attributes: ``diagnosis`` and ``answer`` are sentences,
@@ -318,7 +318,7 @@ def remedies(
     Notes
     -----
     The kinds ``fitted``, ``regression``, ``order`` and ``preintegrated`` use a pilot.
-    They change the estimator after the pilot, and keep its integral.
+    These kinds change the estimator after the pilot, and keep its integral.
     The pilot takes an eighth of the budget, but at most 4096 evaluations.
 
     If no count of points costs exactly the budget, the largest count below it is measured,
@@ -335,7 +335,7 @@ def remedies(
     Its error is taken about the integral of the given estimator.
     If ∫f is unknown, biased changes are not tried.
     A change to another integral has no rate, since its error converges to the square of the bias.
-    Pilots of heuristics and the values of a mean over a box count as evaluations.
+    All evaluations count, including those in pilots of heuristics and in means over boxes.
 
     If all estimates are equal but differ from the integral, they have missed a rare event.
     In this case error and ratio are NaN, and the verdict is undecided.

@@ -68,7 +68,7 @@ def smoothing_scan(
         The integrand f, or a spec of an integrand.
     sampler, counts
         A sampler, and one number of points n or several in ascending order.
-        A rate needs at least two.
+        A rate needs at least two numbers of points.
     widths
         Widths δ in ascending order; see `mcspectra.smoothed`. The width 0 means f itself.
     density
@@ -84,7 +84,7 @@ def smoothing_scan(
         A dataset. ``variance(width, n)`` with ``variance_ci`` is the variance,
         and ``rate(width)`` with ``rate_ci`` is its rate.
         ``smoothing_bias(width)`` is the change of the integral.
-        ``bias_squared(width)`` is the square of this change.
+        ``bias_squared(width)`` is the square of the change of the integral.
         Its interval ``bias_squared_ci`` is computed from the errors of the integrals.
         ``mse(width, n)`` with ``mse_ci`` is the mean squared error, bias² + variance.
         ``best_width(n)`` is the width with the least mse. ``best_width_range(n, bound)`` is
@@ -136,8 +136,8 @@ def smoothing_scan(
     low, high = np.maximum(np.abs(bias) - error, 0.0), np.abs(bias) + error
     square_ci = np.stack([low, high], axis=-1) ** 2
 
-    # For each n, find the width with the least error,
-    # and the range of widths that may have an error as small
+    # For each n, find the width with the least error.
+    # Also find the widths whose error may be as small as the least error
     mse = measured["variance"].values + np.expand_dims(bias**2, 1)
     mse_ci = measured["variance_ci"].values + np.expand_dims(square_ci, 1)
     total, ci = (mse.sum(axis=2), mse_ci.sum(axis=2)) if f.channels else (mse, mse_ci)

@@ -2,14 +2,14 @@
 
 The indices are: r for realizations of a block; c for channels; a for bands; k for half widths.
 Index h is for coefficients: half spectra of all techniques, one technique after another.
-Index j is for the real numbers of the coefficients, which are 2 each if they are complex.
+Index j is for real coordinates: one of a real coefficient, two of a complex coefficient.
 `double[h]` is 2 for a coefficient that also stands for −m, else 1.
 All sums over h with conj(f_h) S_h are real because the full spectrum is Hermitian.
 
 Coefficients are processed in tiles that stay in the first cache during a loop over realizations.
 Tiles change neither the terms of the sums nor their order.
 Tiles are slices, because Numba vectorizes loops that begin at 0.
-It does not vectorize loops with a variable start, whose sign it cannot infer.
+Numba does not vectorize loops with a variable start, whose sign it cannot infer.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ __all__ = [
     "term_sums",
 ]
 
-# Number of coefficients of a tile. The number is compiled into the kernels.
-# It has no effect on the sums.
+# Number of coefficients of a tile, a constant of the compiled kernels.
+# The size of a tile has no effect on the sums.
 # The arrays of a tile take 512 · 56 bytes = 28 KiB, which fits into a first cache of 32 KiB.
-# They are the complex spectrum and coefficient, the weight and two labels.
+# These arrays are the complex spectrum and coefficient, the weight and two labels.
 _TILE = 512
 
 

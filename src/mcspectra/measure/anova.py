@@ -2,8 +2,8 @@
 
 docs/theory.md, "Analysis by axes", derives both methods of this module.
 `anova_variances` uses pick-freeze estimates [Sobol2001]_ with whole point sets.
-The part of the empty set of axes is 0. Its sample is subtracted from all other samples,
-because it contains most of their errors. Therefore shares near 1 are precise.
+The part of the empty set of axes is 0. Its sample is subtracted from all other samples.
+The samples share most of their errors, which cancel. Therefore shares near 1 are precise.
 
 `anova_spectrum` draws frequencies with the probability q(m) = Π_{i∈u} q_1(m_i).
 Here q_1(k) is proportional to 1/k² up to K.
@@ -61,10 +61,10 @@ class AnovaSettings:
     # Largest number of stored estimates, over all subsets and realizations: 0.5 GiB in float64.
     most_values: int = 2**26
     # Largest total number of frequencies. In 1-D the frequencies take 0.6 GiB in all.
-    # Each has four numbers: a component, a probability, a power and a coefficient.
+    # Each frequency has four numbers: a component, a probability, a power and a coefficient.
     most_frequencies: int = 2**24
     # Least number of realizations that give a standard error.
-    # With two realizations, both products of deviations are equal and the error would be 0.
+    # Two realizations have equal products of deviations, so the error would be 0.
     # `variance_terms` also needs four realizations.
     least: int = 4
     # Number of independent batches of frequencies, whose spread gives the standard error.
@@ -215,7 +215,7 @@ class Anova(Counted, frozen=True, kw_only=True):
             below(*u) - sum((below(a) for a in u if len(u) > 1), np.zeros(len(frozen)))
             for u in listed
         ]
-        # The variance from the same pairs, and the part of each realization in this variance
+        # Terms of the whole variance, one for each realization, and their mean
         varies = moments.variance > rounding_floor(moments.mean)
         every = weighted_sum(below(*axes), products)
         whole = np.where(varies, every.mean(axis=0), np.nan)
@@ -426,7 +426,7 @@ def anova_variances(
     estimator, sampler, n
         The estimator with its sampler and number of points, in up to 64 dims or groups.
         Random sampling with n = 1 is the default.
-        It gives the ANOVA variances σ²_u of the integrand itself.
+        With this default, c_u are the ANOVA variances σ²_u of the integrand itself.
     dims
         Number of dims of a function, or of a spec without ``dims``.
         The default is the number of dims of the sampler, unless the sampler is a spec.
@@ -467,8 +467,8 @@ def anova_variances(
 
         Shares and dimensions have 95 % intervals ``_ci``, which are not clipped to 0 and 1.
         Intervals of ratios of means come from the delta method with Student's t.
-        Intervals of effective dimensions end where the ends of the shares cross 99 %.
-        If the lower end of the shares does not cross 99 %, they end at infinity.
+        The interval of an effective dimension ends where the interval of the shares crosses 99 %.
+        The upper end is infinite if the lower ends of all shares are below 99 %.
         With fewer than 4 realizations, errors and intervals are NaN.
         Several channels add a dim channel.
 
@@ -480,10 +480,10 @@ def anova_variances(
     Notes
     -----
     The cost is O(R n d²) evaluations for order 2 and O(R n d) for order 1.
-    Correlated parts may have a negative c_u. Noise may also make c_u negative,
-    within its standard error.
+    Correlated parts may have a negative c_u.
+    Noise may also make c_u slightly negative, within its standard error.
     Given sets (`Sampler.from_points`) have no independent partners.
-    Random points replace them as partners, so errors are larger.
+    Random points are then the partners of the given sets, so errors are larger.
 
     Examples
     --------
@@ -514,10 +514,10 @@ def anova_spectrum(
     ----------
     estimator
         An estimator of one integrand with exact Fourier coefficients and uniform points.
-        It may have up to 64 dims.
+        The integrand may have up to 64 dims.
     sampler, n
         Random points, or points with a random shift.
-        Their distribution must be the same after any translation.
+        The distribution of the points must be the same after any translation.
     dims
         Number of dims of a function, or of a spec without ``dims``.
         The default is the number of dims of the sampler, unless the sampler is a spec.
@@ -597,7 +597,7 @@ def _least(shares: Array) -> Array:
 
 
 def _least_ci(ends: Array) -> Array:
-    """Return the interval of the number of axes, (channels, 2), from shares (s, channels, 2)."""
+    """Return the interval of an effective dimension, (channels, 2), from (s, channels, 2)."""
     least = _least(ends)[..., ::-1]
     unknown = np.asarray(np.isnan(ends).any(axis=(0, 2)))[:, None]
     return np.where(unknown, np.nan, np.nan_to_num(least, nan=np.inf))

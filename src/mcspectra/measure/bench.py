@@ -1,7 +1,7 @@
 """Comparison of samplers on standard integrands by variance, rank, spectrum, quality and speed.
 
 The module combines `convergence`, `power_spectrum`, `pair_correlation` and `quality_figures`.
-It is not an `Analysis`, because analyses must give the same bits every time.
+A bench is not an `Analysis`, because analyses must give the same bits every time.
 Measured speeds differ from run to run.
 """
 
@@ -79,7 +79,7 @@ class BenchSettings:
     half_widths: tuple[int, ...] = (256, 64, 20)
     # Number of sets whose figures of quality are averaged.
     # At 256 points in 2-D, single figures of scrambled nets differ by 1 to 5 %.
-    # Those of random points differ by 11 to 27 %.
+    # Single figures of random points differ by 11 to 27 %.
     # Means of 8 sets are therefore accurate to 2 % for nets and 10 % for random points.
     quality_sets: int = 8
     # Least number of sets for an interval of the pair correlation.
@@ -91,8 +91,8 @@ class BenchSettings:
     pair_sets: int = 16
     # Largest number of points of a drawn set. Pictures of more points have overlapping dots.
     most_pictured: int = 1024
-    # Largest number of dims of the integrands. Genz's difficulty is divided among the dims,
-    # so in more dims his functions are nearly linear along each axis.
+    # Largest number of dims of the integrands. Genz's difficulty is divided among the dims.
+    # In more dims, Genz's functions would be nearly linear along each axis.
     most_dims: int = 64
 
 
@@ -142,7 +142,7 @@ def sampler_bench(
         Spec strings are built for all dims. Other samplers are used in their own dims.
         Sets that are always the same are randomized before variances are measured:
         digital nets by owen, other sets by shift.
-        The same holds if fewer than 16 sets of a count are given.
+        Given sets are also randomized if there are fewer than 16 sets with the same count.
         Points of files are recognized as nets in base 2, 3 or 5.
     counts
         Numbers of points. Each sampler uses its allowed counts nearest to these numbers.
@@ -158,27 +158,27 @@ def sampler_bench(
     Returns
     -------
     xarray.Dataset
-        On the dims (sampler, integrand, n): ``mean``, ``variance``, ``variance_ci``,
-        and the count ``points_made``.
+        On the dims (sampler, integrand, n): ``mean``, ``variance``, ``variance_ci``.
+        ``points_made`` is the allowed count of the sampler that was used for n.
 
         On (sampler, integrand): ``rate``, ``rate_ci`` and ``rank``.
-        The rank is by n · variance at the largest n.
+        Samplers are ranked by n · variance at the largest n.
         ``rank_ci`` holds simultaneous 95 % intervals of all ranks.
 
         On (sampler, n): the figures of quality, and ``points_per_second``.
-        This is the speed of one thread that generates points; it is NaN for points that are read.
+        ``points_per_second`` is the speed of one thread. It is NaN for points that are read.
 
-        On (sampler, m0, …) and (sampler, radius) there are spectra, in 1 to 3 dims.
+        Spectra in 1 to 3 dims are on (sampler, m0, …) and (sampler, radius).
         The spectra are ``power``, ``radial_power`` and ``anisotropy_db``.
 
         On (sampler, r): ``pair_correlation`` and ``pair_correlation_ci``.
 
         On (sampler, point, axis): ``points``, one set in the sampler's largest number of dims.
-        ``pictured_n`` is the count of the spectra.
+        ``pictured_n`` is the number of points of the spectra and pair correlations.
 
         Values are NaN if a sampler does not allow the dims or the count.
-        If a randomization was added for the measurement of variances,
-        the coordinate ``randomization`` and the attribute ``note`` name it.
+        Variances may be measured with an added randomization.
+        The coordinate ``randomization`` and the attribute ``note`` name this randomization.
 
     Raises
     ------
@@ -227,8 +227,8 @@ def sampler_bench(
                 reason = reason or error
         if reason is not None and not sources:
             raise reason
-        # Skip dims in which a sampler allows only one of the requested counts,
-        # such as strata in 10-D
+        # Skip dims in which a sampler allows only one of the requested counts.
+        # Strata in 10-D are an example
         single = [d for d, each in sources.items() if len(_nearest(each, asked)) < 2]
         for d in single if len(single) < len(sources) else ():
             del sources[d]
@@ -340,7 +340,7 @@ def ranks(variance: Array, variance_ci: Array, n: Array) -> tuple[Array, Array]:
         Ranks (sampler, task), where 1 is the least variance, and their ends (sampler, task, 2).
         The lower end is one more than the number of significantly better samplers.
         The test compares independent estimates of log variance.
-        It uses the Bonferroni correction over all pairs on all tasks.
+        The test uses the Bonferroni correction over all pairs of samplers on all tasks.
     """
     known = (variance >= 0.0) & np.isfinite(variance)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -440,7 +440,7 @@ def free_of(source: Sampler, counts: Sequence[int]) -> tuple[Sampler, str]:
 
 
 def randomized(source: Sampler, counts: Sequence[int]) -> tuple[Sampler, str]:
-    """Return a sampler with a randomization that suits its laws at these counts, and a name."""
+    """Return the sampler with owen (nets) or shift (other sets), and the name of this step."""
     nets = bases_to_scramble([source.law(n) for n in counts]) is not None
     step = Owen() if nets else Shift()
     return source.then(step), step.name

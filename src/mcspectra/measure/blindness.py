@@ -1,9 +1,9 @@
-"""Detection of estimates that missed the source of their variance, and sentences about them.
+"""Detect estimates that missed the source of their variance, and explain each in a sentence.
 
-Three kinds of estimates give no upper bound of the variance. The first has no spread.
-The second has a mean that differs from the integral.
-In the third, one estimate causes most of the variance.
-`blindness` detects them by the known integral, by ∫g² and by poles.
+Three kinds of estimates give no upper bound of the variance:
+estimates without spread, estimates whose mean differs from the integral,
+and estimates of which a single one causes most of the variance.
+`blindness` detects these estimates by the known integral, by ∫g² and by poles.
 """
 
 from __future__ import annotations
@@ -38,17 +38,18 @@ class BlindnessSettings:
 
     # Share of one square in Σ (estimate − mean)² above which the tail is not resolved.
     # For 1,000 exponential numbers, the median share of the largest square is 4 %.
-    # It exceeds 17 % in one of a thousand samples. For normal numbers these are 1.2 and 2.4 %.
+    # This share exceeds 17 % in one of a thousand samples.
+    # For normal numbers, both shares are 1.2 % and 2.4 %.
     large_share: float = 0.2
     # Probability that the largest square of a few normal estimates exceeds its limit.
-    # The limit is larger for fewer estimates.
+    # Fewer estimates have a larger limit for this square.
     rarely: float = 1e-3
     # If κ − 1 of the estimates exceeds this, ∫g² is computed to test for an infinite variance.
     # Here κ is the kurtosis. κ − 1 is 2 for normal and 8 for exponential estimates.
     # A smaller value only costs time. With a larger value, other tests must detect more poles.
     peaked: float = 9.0
     # Exponent of a pole above which ∫g⁴ diverges.
-    # It is the limit ¼ minus 5e-4, the error of fitted slopes.
+    # In theory this exponent is ¼. The difference of 5e-4 is the error of fitted slopes.
     no_kurtosis: float = 0.2495
     # Distance of the mean from the integral, in standard errors, that cannot be due to chance.
     # The normal probability is 6e-7. It remains small for the many counts of a study together.
@@ -76,22 +77,22 @@ def blindness(
     Parameters
     ----------
     measured
-        Arrays (estimator, sampler, n, channel) by name.
-        The names are ``realizations``, ``variance`` and its ``relative_se``, ``largest_share``,
-        ``resolved``, ``tail_index``, ``bias``, ``bias_se`` and ``floor``.
+        Arrays (estimator, sampler, n, channel) by name: ``realizations``, ``variance``,
+        ``relative_se`` of the variance, ``tail_index``, ``bias`` and ``bias_se``.
         ``largest_share`` is the largest share of one square in the variance.
         ``resolved`` states whether the variance is resolved; ``floor`` is its rounding error.
 
     Returns
     -------
     tuple
-        Whether each variance has no upper bound, in the shape of ``variance``, and the sentences.
+        Whether each variance has no upper bound, in the shape of ``variance``.
+        A list of sentences gives the reasons.
     """
     from scipy.special import gammainc, ndtr, stdtrit
 
     r = measured["realizations"]
-    # Tails get lighter with more points. If a tail is heavy at n, it is also heavy
-    # at smaller counts, even if it was not observed there
+    # Tails get lighter with more points.
+    # A tail that is heavy at n is also heavy at smaller n, even if it was not observed there
     heavy, unresolved = (
         np.logical_or.accumulate(found[:, :, ::-1], axis=2)[:, :, ::-1]
         for found in (measured["largest_share"] > _large_share(r), ~measured["resolved"])
@@ -114,7 +115,7 @@ def blindness(
         techniques = range(len(e.counts) if not e.is_black_box else 0)
         peaks = np.max([growth(e.primary_integrand(t)) for t in techniques], axis=0, initial=0.0)
         # n times the variance of random points, Σ_t (∫g_t² − (∫g_t)²)/counts[t].
-        # It is NaN without a closed form.
+        # The value is NaN without a closed form.
         # If the variance may be infinite, ∫g² is computed by quadrature
         doubtful, of_random = bool((suspect & varies)[i].any()), np.zeros(max(1, e.channels))
         for t, count in enumerate(e.counts):
@@ -141,8 +142,8 @@ def blindness(
             agrees = ~missed[at] & (varies[at].any(axis=0) | (e.integral_source == "exact"))
             excess = true / np.where(varies[at], of["variance"], np.nan)
 
-            # For each count, report the first condition that holds,
-            # with the worst value over the counts
+            # For each count, report the first condition that holds.
+            # If it holds at several counts, report its worst value
             everywhere = np.ones_like(low)
             for text, where, size in (
                 ("∫g² diverges: infinite variance", everywhere & np.isinf(of_random), excess),
@@ -201,8 +202,8 @@ def blindness_of(
 def _large_share(realizations: Array) -> Array:
     """Return the share of one square in the variance above which the tail counts as unresolved.
 
-    The share is a fifth, or more for few realizations.
-    Normal estimates exceed it with probability 0.001 [Grubbs 1950].
+    This threshold is a fifth of the variance, or more for few realizations.
+    Normal estimates exceed the threshold with probability 0.001 [Grubbs 1950].
     """
     from scipy.special import stdtrit
 

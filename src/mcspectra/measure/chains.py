@@ -12,9 +12,9 @@ The autocovariances are corrected for the subtracted mean:
 if the mean has variance V, subtracting it lowers all autocovariances by V.
 
 The scatter of the chains' means is a second, independent estimate.
-Both estimates are pooled by their degrees of freedom.
-If they disagree, the chains are in different parts of the distribution,
-and the error has no upper bound.
+Both estimates of the error are pooled by their degrees of freedom.
+If they disagree, the chains are in different parts of the distribution.
+The error of the mean then has no upper bound.
 """
 
 from __future__ import annotations
@@ -46,10 +46,10 @@ class ChainSettings:
     # Least number of draws of a chain. With fewer draws the autoregression has order 2 at most,
     # because the largest order is a quarter of the draws.
     least_draws: int = 10
-    # Chains count as correlated if the power of their mean deviates by more standard errors.
+    # Deviation of the mean chain's power, in standard errors, above which chains are correlated.
     # A normal law exceeds 5 standard errors with probability 6e-7.
-    # Half this value gives 2 false alarms in 475 cases.
-    # Twice this value misses all of 50 sets of chains with a common part of 0.3.
+    # A score of 2.5 gives 2 false alarms in 475 cases.
+    # A score of 10 misses all of 50 sets of chains that have a common part of 0.3.
     score: float = 5.0
     # Probability that a test reports a fault of chains without faults.
     # Each quantity has two tests of drift and one of means.
@@ -57,21 +57,21 @@ class ChainSettings:
     # With 1e-2 there are 4 false alarms in 475 cases. With 1e-6 the same faults are found.
     alarm: float = 1e-4
     # Length of a chain, in autocorrelation times, below which it still depends on its start.
-    # Half this value misses 43 of 50 chains with autocorrelation ρ = 0.99.
-    # Twice this value reports 21 of 25 short chains as stuck.
+    # With a length of 4, 43 of 50 chains with autocorrelation ρ = 0.99 are missed.
+    # With a length of 16, 21 of 25 short chains are reported as stuck.
     forgotten: float = 8.0
     # Initial parts of a chain, as fractions of its draws.
-    # Their means are compared with the mean of the last half.
-    # Shorter parts have too few draws for a normal law. Longer parts would reach the last half.
+    # The mean of each initial part is compared with the mean of the last half.
+    # Smaller fractions have too few draws for a normal law. Larger ones would reach the last half.
     starts: tuple[float, ...] = (0.05, 0.1, 0.2)
-    # Probability of a difference above which the remaining draws count as stationary.
-    # The second value is the factor by which the burn-in is lengthened,
-    # because the bias of the mean may still be one standard error.
+    # `settled` is the p-value above which the draws after a burn-in count as stationary.
+    # `margin` is the factor by which the burn-in is then lengthened:
+    # at its end the mean may still have a bias of one standard error.
     # The values were tested on 200 sets of 4 chains of 1,000 normal draws + 5 exp(−t/100).
     # A burn-in is reported for 153 sets (the other 47 are stuck, without an end of the burn-in).
-    # Of the intervals, 93 % contain the mean.
-    # With 0.3 and 1.5, 76 % are reported and 93 % of intervals contain the mean.
-    # With 0.1 and 1.5, the fractions are 90 % and 89 %.
+    # Of the 95 % intervals, 93 % contain the mean.
+    # With settled 0.3 and margin 1.5, 76 % are reported and 93 % of intervals contain the mean.
+    # With settled 0.1 and margin 1.5, these fractions are 90 % and 89 %.
     settled: float = 0.2
     margin: float = 2.0
     # Significance level of the test whether the last two quarters of a chain differ.
@@ -79,7 +79,7 @@ class ChainSettings:
     # With 0.001, 4 of 50 linear drifts are reported as a burn-in.
     ends_alike: float = 0.05
     # Number of candidates for the length of the burn-in, equally spaced along a chain.
-    # The second value is the largest fraction of a chain that may be burn-in.
+    # The largest fraction of a chain that may be burn-in is one half.
     # The last half is kept, because the start is compared with it.
     cuts: int = 40
     most_left_out: float = 0.5
@@ -87,11 +87,11 @@ class ChainSettings:
     # Values from 0.05 to 0.1 give the same results. With 0.2, a run of 110 in 1,000 is missed.
     run: float = 0.1
     # Number of different values above which repeated draws are a fault.
-    # Counts and flags have few different values, and repeat them.
+    # Discrete quantities, such as counts and flags, have few different values and repeat them.
     values: int = 20
-    # Draws lie on two levels if more than this part of the variance lies between two groups:
+    # Draws lie on two levels if more than this share of the variance lies between two groups:
     # the draws above and below the mean.
-    # The part is 0.64 for a normal law, 0.75 for a uniform law and 1 for two values.
+    # This share of the variance is 0.64 for a normal law, 0.75 for a uniform law, 1 for two values.
     # With 0.7, 22 of 50 random walks are reported as levels.
     # With 0.95, levels that are 8 standard deviations apart are missed.
     two_levels: float = 0.85
@@ -104,17 +104,17 @@ class ChainSettings:
     # Of 50 chains with infinite variance, thresholds of 0.5, 0.6 and 0.8 find 49, 47 and 25.
     heavy: float = 0.6
     # Least number of draws in a tail whose index is fitted. 20 draws give the index to about 0.3.
-    # With 10 draws there is one false alarm in 475 cases.
-    # 20 and 40 draws cause no false alarm and find the same tails.
+    # A least tail of 10 draws gives one false alarm in 475 cases.
+    # Least tails of 20 and 40 draws cause no false alarm and find the same tails.
     least_tail: int = 20
     # Smallest allowed magnitude of the largest draw of a quantity.
     # The largest allowed magnitude is the inverse of this value.
     # Squares of both magnitudes, summed over any number of draws, are within the range of float64.
     smallest: float = 1e-100
-    # Degrees of freedom of the error below which the draws count as too few.
-    # With 6 degrees the error is accurate to 1/√12 = 29 %.
-    # With 3 degrees, one of 25 chains of 12 draws is missed.
-    # With 12 degrees, there are 12 false alarms in 475 cases.
+    # Draws count as too few if the error has fewer degrees of freedom than this.
+    # With 6 degrees of freedom the error is accurate to 1/√12 = 29 %.
+    # A limit of 3 degrees of freedom misses one of 25 chains of 12 draws.
+    # A limit of 12 degrees of freedom gives 12 false alarms in 475 cases.
     few_degrees: float = 6.0
 
 
@@ -138,8 +138,7 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
     draws
         Real numbers: (n,) for one chain, (chain, draw), or (chain, draw, quantity).
         A DataArray or Dataset with the dims chain and draw is also possible.
-        So is an object with such a Dataset as its group posterior,
-        for example ArviZ's InferenceData or DataTree.
+        An object with a Dataset named posterior also works: ArviZ's InferenceData or DataTree.
     weights
         Importance weights or multiplicities of the draws, (n,) or (chain, draw), not negative.
         By default the weights are equal.
@@ -151,15 +150,15 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
         ``mean`` has the interval ``mean_ci``.
         ``mcse`` is the standard error of the mean, with the interval ``mcse_ci``.
         ``ess`` is the effective sample size: the variance of the draws divided by mcse².
-        It has the interval ``ess_ci``, and exceeds n for antithetic chains.
+        ``ess`` has the interval ``ess_ci``, and exceeds n for antithetic chains.
         ``spectrum_at_zero`` is S(0).
         ``burn_in`` is the number of initial draws of each chain that depend on the start.
         All other results omit these draws.
 
         The dim ``band`` has octaves of frequency, named by their periods.
-        ``band_low`` and ``band_high`` are their ends in cycles per draw.
-        For each band, ``error_share`` is the share of the squared error,
-        and ``draw_share`` the share of the variance of the draws.
+        ``band_low`` and ``band_high`` are the ends of each band in cycles per draw.
+        ``error_share`` is the share of each band in the squared error.
+        ``draw_share`` is the share of each band in the variance of the draws.
         ``chain_spectrum`` is the measured mean of S, with ``chain_spectrum_ci``.
         ``fitted_spectrum`` is the mean of S from the autoregression.
 
@@ -172,16 +171,15 @@ def chain_error(draws: Any, *, weights: Any = None) -> xr.Dataset:
     ------
             DomainError, ParameterError
         If there are fewer than 10 draws, dims are wrong, or values are not finite.
-        The same holds if weights are negative or all zero in a chain,
-        or if the squares of draws exceed the range of floats.
+        If weights are negative or all zero in a chain.
+        If the squares of draws exceed the range of floats.
 
     Notes
     -----
     S(0) from an autoregression has a smaller error than two alternatives,
     and its interval has a coverage closer to 95 %; see docs/theory.md, "Chains".
-    One alternative is the initial monotone sequence.
-    It cannot resolve antithetic or oscillating chains.
-    The other alternative is averages of the lowest frequencies.
+    The initial monotone sequence cannot resolve antithetic or oscillating chains.
+    The other alternative averages the spectrum over the lowest frequencies.
     The cost is O(n log n).
 
     Examples
@@ -254,7 +252,7 @@ def _quantities(draws: Any) -> tuple[list[str], Array]:
     """Return names of the quantities (empty for one) and values (quantity, chain, draw)."""
     import xarray as xr
 
-    # If the draws have groups, use the variables of the group posterior
+    # Objects such as ArviZ's InferenceData hold the draws in a group named posterior
     given = getattr(draws, "posterior", draws)
     if isinstance(given, xr.DataTree):
         given = given.to_dataset()
@@ -313,7 +311,7 @@ class _ChainFit:
 
 
 def _fitted(z: Array) -> _ChainFit:
-    """Fit chains (chain, draw), each about its own mean."""
+    """Fit an autoregression to chains (chain, draw), after subtracting the mean of each chain."""
     from scipy.fft import irfft, next_fast_len, rfft
     from scipy.linalg import solve_toeplitz
 
@@ -353,8 +351,8 @@ def _fitted(z: Array) -> _ChainFit:
 
     # Compute the error of log S(0) by the delta method.
     # The covariance of the coefficients contains Γ⁻¹.
-    # AIC chooses up to two unnecessary orders, so the error includes one more coefficient,
-    # even if that coefficient is 0
+    # AIC chooses up to two unnecessary orders.
+    # The error therefore includes one more coefficient, even if this coefficient is 0
     order = len(chosen) + 1
     sums = solve_toeplitz(covariance[:order], np.ones(order)).sum() * innovation
     square = (2.0 + 4.0 * max(float(sums), 0.0) / float(chosen.sum()) ** 2) / (n * chains)
@@ -466,8 +464,8 @@ def _stationary_error(
     causes: dict[str, str] = {}
 
     # If chains move together, their error is the error of their mean chain.
-    # For independent whitened chains, consider the power of the mean chain over the power of all.
-    # At each frequency this ratio has the law Beta(1, m − 1)
+    # Whiten the chains and compare the power of the mean chain with the power of all chains.
+    # For m independent chains this ratio of powers has the law Beta(1, m − 1) at each frequency
     fit = own = _fitted(z)
     series, remark = z, ""
     if chains > 1:
@@ -588,7 +586,8 @@ def _tail_index(z: Array, least: int) -> float:
     likelihood = most * (np.log(-b / k) - k - 1)
     weight = np.exp(likelihood - likelihood.max())
     index = float(np.log1p(-(b @ weight) / weight.sum() * excess).mean())
-    return (most * index + 5) / (most + 10)  # Prior: ten more draws of index ½
+    # Shrink the index toward ½, as ten further draws with index ½ would (prior)
+    return (most * index + 5) / (most + 10)
 
 
 def _edges(n: int) -> Array:

@@ -89,8 +89,9 @@ class StageSettings:
     # A stage that is a quarter longer confirms the previous stage.
     # After a factor of 4 the kurtosis is twice as accurate, so the next length is better chosen.
     # With a least factor of 1.1, searches for 10 % end at an error of 10.3 %.
-    # With 1.25 they end at 9 %. A factor of 1.5 takes 30 % more realizations.
-    # Values from 2 to 8 for the largest factor give the same results
+    # With a least factor of 1.25, they end at an error of 9 %.
+    # A least factor of 1.5 takes 30 % more realizations.
+    # Largest factors from 2 to 8 give the same results
     # (`python -m benchmarks settings --stages`).
     step: float = 1.25
     leap: float = 4.0
@@ -98,15 +99,16 @@ class StageSettings:
     # If an event has probability 3e-4 per realization,
     # it occurs in 10,000 realizations with probability 95 %.
     blank: int = 10_000
-    # Divisor of the usual block length.
-    # A thousand realizations of a thousand points then have two blocks for two threads.
+    # The usual length of a block is divided by this number, so that threads share small analyses.
+    # For example, a thousand realizations of a thousand points are two blocks for two threads.
     parts: int = 2
 
 
 STAGE_SETTINGS = StageSettings()
 """Default settings of searches."""
 
-_TAIL = ("largest_share", "resolved", "tail_index")  # Fields of `Moments` that describe the tail
+# Fields of `Moments` that describe the tail of the distribution of estimates
+_TAIL = ("largest_share", "resolved", "tail_index")
 
 _DIMS = {
     "variance": ("n", "channel"),
@@ -183,7 +185,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         ])  # fmt: skip
 
         # Moments for every estimator, sampler and count.
-        # Estimators that share realizations come last
+        # If several estimators share realizations, move their axis to the front
         estimators, samplers = subject.estimators, subject.samplers
         flat = [each for cell in found for each in cell]
         joint = len(cells[0].estimators) > 1
@@ -287,7 +289,7 @@ class Convergence(Counted, frozen=True, kw_only=True):
         return self._cells(subject, stream)[part].run(part, first, realizations)
 
     def _cells(self, subject: Subject, stream: Stream) -> list[MomentsCell]:
-        """Return cells for each group of estimators, each sampler and each count.
+        """Return one cell of work for each group of estimators, each sampler and each count.
 
         Estimators of one technique without their own `draw` share realizations,
         because they use the sampler's points.
@@ -405,7 +407,7 @@ def convergence(
         By default all realizations are used. See also `realizations_needed`.
     fit_last
         Number of the largest counts to which the rate is fitted. The default is all counts.
-        ``"auto"`` uses as many counts as lie on a line; see `mcspectra.core.fits.fit_rate`.
+        ``"auto"`` uses the largest counts that lie on a line; see `mcspectra.core.fits.fit_rate`.
     workers
         Number of threads. The default is all processors. It has no effect on results.
     max_evaluations
@@ -425,7 +427,7 @@ def convergence(
 
         ``realizations_used(n)`` is the number of realizations.
         With `relative_error`, ``reached(n)`` is 1 if the error was reached.
-        It is 0 if `realizations` was reached first, or there was no spread.
+        ``reached`` is 0 if `realizations` was reached first, or there was no spread.
 
         ``rate`` has the interval ``rate_ci(bound)``.
         ``fit_first_n`` is the smallest count of the fit.
@@ -434,14 +436,14 @@ def convergence(
         A deterministic set has the variance 0 and no rate, which the attribute ``note`` reports.
         The note also reports estimates that missed the source of their variance.
         The estimates may be all equal, or their tails may not be resolved.
-        Their mean may be five standard errors from the integral.
-        ∫g² may diverge, or exceed the value of random points.
+        The mean of the estimates may be five standard errors from the integral.
+        ∫g² may diverge, or show that the variance of random points is larger than measured.
         Most of ∫g² may lie where no sample falls (`mcspectra.estimators.tails`).
 
         Tails are not resolved in three cases. One square may be a fifth or more of the variance.
-        The tail index k̂ may belong to a variance that is hardly finite.
-        Values of a user's function of one technique may follow a power law,
-        with much of the variance beyond the largest value.
+        The tail index k̂ of the estimates may be too large for a reliable variance.
+        Values of a user's function of one technique may follow a power law.
+        Much of the variance may then lie beyond the largest value.
         In these cases the upper end of ``variance_ci`` and both ends of ``rate_ci`` are infinite.
 
         A sampler may have fewer stored sets than realizations, and reuse them under translations.
@@ -504,7 +506,7 @@ def realizations_needed(
     xarray.Dataset
         ``realizations_used`` is the number of realizations.
         ``reached`` is 1 if the last stage confirmed the error.
-        It is 0 if the maximum was reached first, or the estimates had no spread.
+        ``reached`` is 0 if the maximum was reached first, or the estimates had no spread.
         ``variance`` has the interval ``variance_ci`` and the error ``variance_relative_se``.
         This error is NaN without spread. It is infinite if tails are not resolved,
         which the attribute ``note`` reports.
@@ -518,10 +520,10 @@ def realizations_needed(
 
     Notes
     -----
-    The search takes about (κ − 1)/relative_error² realizations, where κ is the kurtosis,
-    and a quarter more for confirmation.
+    The search takes about (κ − 1)/relative_error² realizations, where κ is the kurtosis.
+    The confirmation takes a quarter more realizations.
     The search cannot account for events that are too rare to occur.
-    Compare ``skewness`` with its value for the integrand.
+    ``skewness`` can be compared with the skewness of the integrand, if that is known.
 
     Examples
     --------

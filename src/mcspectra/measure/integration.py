@@ -7,27 +7,27 @@ Smooth functions with scrambled nets are an example.
 For θ near 1, more replicates are best, because they make the quantile t smaller at no cost.
 
 A quarter of the budget measures θ with eight replicates.
-Their points are prefixes of randomized sequences, and later sets start with the same points.
+These replicates are prefixes of randomized sequences. Later sets start with the same points.
 
-The interval is the hull of two intervals: Student's t, and Hall's transform of Student's t
-(`mean_interval`). It was tested with 300 seeds at 256 calls.
-It contains the integral of x^−½ in 88 % of cases, and Student's t alone in 74 %.
-For the integral of e^(x + y) the fractions are 97 % and 96 %.
+The interval is the smallest that contains Student's t interval and Hall's transform of it.
+Intervals of `mean_interval` were tested with 300 seeds at 256 calls.
+They contain the integral of x^−½ in 88 % of cases, and Student's t alone in 74 %.
+For the integral of e^(x + y), both kinds contain it in 97 % and 96 % of cases.
 
 If f grows without bound toward a face of the cube, the errors of strata follow another law.
-If the interval is then wider, the quantiles of this law replace the quantiles of Student's t
+The quantiles of this law replace those of Student's t if the interval is then wider
 (`estimators/tails.py`).
 
-Both intervals are asymptotic in R, and R is at least eight.
-Replicates may miss events with a probability below 1/R for each replicate.
-An example is a step along an axis next to a line of the net.
-The interval is then too short [Owen2025]_.
+Both intervals are accurate for a large number R of replicates, and R is at least eight.
+Replicates may all miss an event whose probability in one replicate is below 1/R.
+An interval from replicates that missed an event is too short [Owen2025]_.
+An example of an event is a point between a cell border of a net and a jump next to it.
 Intervals that hold for any bounded function would need n = Θ(N^{1/(θ+1)}) [Jain2026]_.
 Such intervals would spend most of the budget on replicates.
-The error of a smooth function would then be ten times as large.
+The integral of a smooth function would then have ten times the error.
 
 A few linear scrambles of a net cause most of the variance.
-All other scrambles have far smaller errors.
+The many remaining linear scrambles have far smaller errors.
 The *median* of replicates ignores the few bad scrambles.
 For smooth f its error falls faster than any power of n ([Pan2024]_).
 Order statistics bound the median for any distribution,
@@ -87,22 +87,22 @@ __all__ = ["integrate"]
 class IntegrationSettings:
     """Settings that divide a budget into replicates, and that choose between median and mean.
 
-    Numbers in the comments are from 40 runs with 512 and with 4,096 calls on five functions:
-    smooth functions in 2 and 4 dims, x^−½, a quarter disk and a kink.
+    Numbers in the comments are from 40 runs with 512 and with 4,096 calls on five functions.
+    The functions are smooth in 2 and 4 dims, x^−½, a quarter disk and a kink.
     """
 
     # Least number of replicates.
     # For smooth functions, intervals of 16 replicates are 1.6 to 1.9 times as wide.
-    # Intervals of 4 replicates are as wide as intervals of 8 on average,
-    # but miss events of probability 1/8 more often.
+    # Intervals of 4 replicates are as wide as intervals of 8 on average.
+    # Four replicates miss events of probability 1/8 more often.
     least: int = 8
     # Least number of replicates of a median. It is odd, so that one replicate is the median.
-    # The 95 % interval then extends from the second replicate to the last but one.
-    # One bad scramble on either side therefore has no effect.
-    # Intervals of 7 replicates are as wide on average. Intervals of 21 are 1.5 times as wide.
+    # The 95 % interval of the median extends from the second replicate to the last but one.
+    # One bad scramble at either end of the sorted replicates therefore has no effect.
+    # Intervals of 7 replicates have the same mean width. Intervals of 21 are 1.5 times as wide.
     least_of_median: int = 11
     # Number of points for which the law of the sampler is determined.
-    # The law states the kind of scramble, which is equal for all n.
+    # The law includes the kind of scramble, which is equal for all n.
     law_at: int = 64
     # Largest ratio of the size of a set to the size of the sets that measure the rate.
     # Values from 2 to 8 give the same results: widths differ by 1 % on average.
@@ -116,14 +116,14 @@ class IntegrationSettings:
     # With 4, intervals are 12 % wider.
     stands_out: float = 2.0
     # Number of calls before the width of the interval is first compared with a tolerance.
-    # They are 8 replicates of 128 points, whose interval is right for usual functions.
+    # The first calls are 8 replicates of 128 points, whose interval is right for usual functions.
     first: int = 2**10
     # Ratio of the number of calls to the number that the rate requires.
     # The width from 8 replicates has a standard error of 25 %.
     # With this margin, most tolerances nevertheless take only two rounds.
     margin: float = 1.3
     # Largest ratio between the numbers of calls of consecutive rounds.
-    # It is limited because first rates are uncertain.
+    # This ratio is limited because the first measured rates are uncertain.
     growth: float = 4.0
 
 
@@ -154,7 +154,7 @@ def integrate(
     ----------
     f
         A vectorized function of points (…, d) with values (…).
-        It may also be an integrand without channels, its spec string,
+        Other choices are an integrand without channels, its spec string,
         or an estimator of one technique, such as ``Estimator(f, density)``.
     budget
         Maximum number of calls of f, where each point is one call.
@@ -169,20 +169,20 @@ def integrate(
     vectorized, workers, cache
         Options for slow functions: see `mcspectra.integrands.Calls`.
         An interrupted call continues when it is repeated with the same cache.
-        It then gives the same bits.
+        The repeated call gives the same bits as a call without interruption.
     on_error
         ``"raise"`` raises an error if f fails or is not finite. ``"skip"`` counts such points.
-        The value then uses the mean of all other points for each failed point,
-        and the interval covers their least to largest value.
+        The value then uses the mean of all other points for each failed point.
+        For the interval, failed points may have any value between the least and the largest.
         The note reports the number of failed points and the first failed point.
     tolerance
-        Half width of the interval at which calls end, even if the budget allows more calls.
+        Half width of the interval at which evaluation stops, even within the budget.
         The note reports if the budget is spent first.
     profile
         The `mcspectra.Profile` of f, which recommends the estimator and the sampler.
         Evaluations of the profile are reused, and are not part of this budget.
-        The value is the mean of the profile's integral and the new integral,
-        weighted by their intervals.
+        The result combines the integral of the profile with the integral of the new calls.
+        Both integrals are weighted by their intervals.
     rng
         Seed (SPEC 7).
 
@@ -202,7 +202,7 @@ def integrate(
         The interval is infinite in three cases, and the attribute ``note`` gives the reason.
         All replicates may be equal, or a few values may hold most of the variance.
         The growth of f toward a face of the cube may make its variance infinite.
-        Slower growth widens the interval on the side of the growth.
+        Slower growth widens the interval upward if f grows to +∞, and downward if f falls to −∞.
 
     Warns
     -----
@@ -288,7 +288,7 @@ def integrate(
         sets = _sampled(calls, setup, stream, allowed, median=median)
         found = _estimated(sets, law, median=median, linear=linear)
         while allowed < calls.budget and not found.half_width <= least_width:
-            # The width falls as the root of the variance.
+            # The width of the interval falls as the root of the variance.
             # If the interval is infinite, double the number of calls
             wider = min(found.half_width / least_width, 2.0**_SETTINGS.growth)
             more = wider ** (2.0 / sets.rate if sets.rate > 0.0 else 2.0)
@@ -385,10 +385,10 @@ def _sampled(
         if n < max(pilot or 1, 2):
             break
         counts.add(n)
-    # Half widths of Student's t intervals, up to a constant factor
+    # Half widths of Student's t intervals for each n, except for a constant factor
     widths = {n: student_t(r := allowed // n) * n ** (-0.5 * rate) * r**-0.5 for n in counts}
     n = min(widths, key=lambda n: widths[n])
-    # Reuse values of prefixes of sequences, or of sets with the same count
+    # Reuse values that are known: prefixes of sequences, or sets with the same count
     have = first if known is None or not splits else known.values
     if known is not None and known.values.shape[1] == n:
         have = known.values
@@ -439,7 +439,7 @@ def _estimated(sets: _Replicates, law: Law, *, median: bool, linear: bool) -> _E
     moments = Moments.of(means, tails=True)
     value, interval = float(moments.mean), mean_interval(means)
     # If f grows toward the border, strata have skewed errors, and a variance may not exist.
-    # Other unresolved tails leave the interval unbounded
+    # Other tails that are not resolved make the interval infinite
     growths = border_growth(sets.points.reshape(-1, sets.points.shape[-1]), values.ravel())
     endless = growth_note(growths)
     note = None if growths else tail_note(moments) or few_note(values.ravel())
@@ -509,7 +509,7 @@ def _with_profile(
     if found.alike and twice[0] <= value <= twice[1] and high - low < math.inf:
         # f varied in the profile. At the points of the recommended sampler, f is constant
         # except for rounding.
-        # The value is within two half widths, about four standard errors, of the profile's mean
+        # The value is within about four standard errors (two half widths) of the profile's mean
         away = math.sqrt(float(rounding_floor(np.array(value))))
         return value, (value - away, value + away), "all replicates are equal to rounding"
     widths = interval[1] - interval[0], high - low

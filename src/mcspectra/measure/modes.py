@@ -1,21 +1,21 @@
 """Leading modes of a covariance of spectra: patterns of coefficients that vary together.
 
 The modes are eigenvectors of Cov(y_m, y_l), with y_m = conj(f_m) S_m or y_m = S_m.
-They are patterns over the frequencies whose amplitudes are uncorrelated.
-The eigenvalues are the variances of these amplitudes.
+The modes are patterns over the frequencies whose amplitudes are uncorrelated.
+The eigenvalues are the variances of the amplitudes of the modes.
 
 The covariance matrix A is never stored.
 Randomized subspace iteration [Halko2011]_ needs only the product of A with a few vectors.
 Each product takes one pass over the realizations, which are drawn again for each pass.
-For a random Ω, the range of A Ω holds the leading eigenvectors up to errors.
-The errors shrink with every further product.
+The range of A Ω, for a random Ω, holds the leading eigenvectors up to small errors.
+Every further product with A reduces these errors.
 The result is the eigenpairs of A projected on that range (Rayleigh-Ritz).
 The distance of λ to an eigenvalue of A is at most ‖A v − λ v‖.
 The coordinates are the real and imaginary parts of the stored coefficients.
-They have a factor √2 if −m is not stored.
+A coordinate has a factor √2 if its frequency −m is not stored.
 
-A is estimated from a sample. Each batch of realizations gives a variance along v.
-The spread over batches gives the error of λ as the variance along v.
+A is estimated from a sample. Each batch of realizations gives a variance along a mode v.
+The spread over batches gives the error of the eigenvalue λ as the variance along v.
 This error excludes the bias of choosing v for a large λ.
 `noise_edge` is the largest eigenvalue that this choice gives for a flat spectrum.
 """
@@ -334,11 +334,10 @@ def covariance_modes(
         ``eigenvalue_se(mode)`` is the error of the variance along the mode, by batch means.
 
         ``noise_edge`` is the largest expected sample eigenvalue if all true eigenvalues are equal.
-        Sampling alone makes flat spectra steep,
-        unless there are many more realizations than coefficients.
+        Sample eigenvalues differ unless realizations are far more numerous than coefficients.
 
-        ``eigenvalue_residual(mode)`` is a bound of the numerical error:
-        the distance to an eigenvalue of the sample covariance.
+        ``eigenvalue_residual(mode)`` is a bound of the numerical error of an eigenvalue:
+        an eigenvalue of the sample covariance is at most this far away.
         ``eigenvalue_share(mode)`` is the share of the trace.
         ``mode_contribution(mode)`` is the mode's own part of the variance of the estimate,
         where the estimate is limited to the bands.
@@ -352,8 +351,8 @@ def covariance_modes(
 
     Notes
     -----
-    For R realizations of n points and M frequencies, the analysis takes
-    O(passes · R (n + M log M + M modes)) time and O(M modes) memory for each thread.
+    The time for R realizations of n points and M frequencies is
+    O(passes · R (n + M log M + M modes)). Each thread takes O(M modes) memory.
 
     Examples
     --------

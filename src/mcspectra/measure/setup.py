@@ -18,7 +18,7 @@ class CountSettings:
     """Limits in the search for an affordable number of points."""
 
     # Number of candidate counts, for samplers that allow a count near every number.
-    # Its inverse is the relative step between candidates.
+    # The inverse of this number is the relative step between candidates.
     # 64 and 1,024 candidates find the same count.
     tries: int = 256
 
@@ -73,7 +73,7 @@ def affordable_count(setup: Setup, budget: int) -> int | None:
     """Return the largest n that can be drawn within `budget` evaluations, or None.
 
     Nets have poor counts away from powers of their base, for which a sampler warns.
-    Such counts are skipped.
+    The search skips counts with such a warning.
     """
     source = setup.estimator.randomized(setup.sampler)
     n: int | None = min(max(budget - setup.overhead, 0) // setup.cost, source.max_count)

@@ -122,7 +122,7 @@ class TermSums:
         return TermSums(sums, measured, None, groups)
 
     def merge(self, other: TermSums) -> TermSums:
-        """Return the sums of both objects, group by group."""
+        """Return the sums over the realizations of `self` and `other`, group by group."""
         groups = None
         if self.by_group is not None and other.by_group is not None:
             groups = dict(self.by_group)
@@ -135,7 +135,7 @@ class TermSums:
         return TermSums(sums, measured, batches, groups)
 
     def all_batches(self, partition: Partition) -> Batches | None:
-        """Return batches by block or stored sets, or None if all batches have one realization."""
+        """Return batches, one for each block or stored set. None if none has two realizations."""
         if self.by_group is None:
             return self.batches
         each = (Batches.of(g.sums, g.measured, partition) for g in self.by_group.values())
@@ -170,7 +170,7 @@ class SpectralSums:
     band_m2: Array  # (C, A, A)
     truncated: Moments  # Moments of the estimate truncated at each half width: (C, K+1)
     # Σ_r (S−S̄)_m conj(S−S̄)_l and the same without conj, (H, 2H).
-    # Together they give all four signs of (m, l)
+    # These sums give the covariances for all four signs of (m, l)
     matrix: Array | None
 
     @staticmethod
@@ -244,7 +244,7 @@ class RunningSpread:
     """Sums over blocks of arrays x of weight w, for the error of their weighted mean.
 
     All arrays have the same shape and type.
-    Deviations are from the mean with weights w², which is the plain mean for equal blocks.
+    Deviations are from the mean with weights w². Equal blocks have the plain mean.
     For complex numbers the error is the root of the mean |error|².
     """
 
@@ -327,9 +327,9 @@ def spread(deviation: Array, share: Array) -> Array:
 
 
 def ratio_factors(above: Array, below: Array, share: Array) -> Array:
-    """Return ends of the 95 % interval of a ratio of means, over the ratio: (..., 2).
+    """Return the 95 % interval of a ratio of two means, as factors of the ratio: (..., 2).
 
-    The means are of positive block values (B, ...).
+    Both means are over positive values of blocks (B, ...).
     The interval is logarithmic, by the jackknife with Student's t [Miller1974]_.
     If few blocks hold most of the error, the other blocks missed the tail.
     The interval is then 1 + √(excess kurtosis / B) times as wide.
@@ -352,5 +352,5 @@ def ratio_factors(above: Array, below: Array, share: Array) -> Array:
     skewness, kurtosis = (unit**3).mean(axis=0), (unit**4).mean(axis=0)
     wider = 1.0 + np.sqrt(np.maximum(kurtosis - 3.0, 0.0) / blocks)
     low, high = (error * (wider + np.maximum(sign * skewness, 0.0)) for sign in (-1, 1))
-    with np.errstate(over="ignore"):  # No upper end if only rounding noise is captured
+    with np.errstate(over="ignore"):  # An overflow means that there is no upper end
         return np.asarray(np.exp(np.stack([-low, high], axis=-1)))

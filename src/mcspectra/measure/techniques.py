@@ -3,9 +3,9 @@
 E_t is the part of an estimate from technique t.
 The variance is the sum of Cov(E_t, E_s) over all pairs of techniques.
 Off the diagonal the covariance is 0 for independent sets.
-It is not 0 for techniques that share points (`mcspectra.estimators.base`).
+Techniques that share points have a covariance (`mcspectra.estimators.base`).
 Each covariance has a dc, a power and a cross term.
-They use the spectrum S^t and the integrand f^t of technique t instead of S and f.
+The terms use the spectrum S^t and the integrand f^t of technique t instead of S and f.
 
 For large n, the slowest rate of a technique becomes the rate of the sum.
 That technique is the *bottleneck* if its rate is significantly slower:
@@ -163,7 +163,7 @@ class Techniques(Counted, frozen=True, kw_only=True):
             for part, each in enumerate(zip(views, counts, streams, strict=True))
         ]
 
-        # Variables of all counts, along a first axis n
+        # Join the variables of all counts along a first axis n
         parts = [_variables(total, view) for total, view in zip(totals, views, strict=True)]
         variables: Variables = {
             name: (("n", *dims), np.stack([part[name][1] for part in parts]))
@@ -237,7 +237,7 @@ def technique_terms(
     estimator, sampler
         A `MultipleImportance`, a `TechniqueSum` or any other estimator, and its sampler.
     counts
-        Number of points n of each technique, in units of the ``counts`` of the estimator.
+        Number n. Each technique takes n times its number in ``counts`` of the estimator.
         A list of ascending numbers adds the dim n, rates and the bottleneck.
     dims, half_width, basis, engine, eps, workers
         Same as in `variance_terms`.
@@ -245,7 +245,7 @@ def technique_terms(
         Number of independent realizations for each n, at least 2.
     rng
         Seed (SPEC 7). With a single n, the realizations are the same as in `variance_terms`.
-        With a list, each n has the same stream as in `convergence`.
+        With a list, each n has the same random numbers as in `convergence`.
     space
         ``"domain"`` or ``"primary"`` as in `variance_terms`.
         The default is the domain, if there is one. In primary space the dc terms are 0,
@@ -267,7 +267,7 @@ def technique_terms(
         With at least 4 realizations, all four have standard errors ``_se`` by batch means.
 
         ``dc_term``, ``power_term`` and ``cross_term`` are the same as in `variance_terms`.
-        In the domain they are sums over all pairs.
+        In the domain, each of these three terms is a sum over all pairs of techniques.
         In primary space each technique has its own frequencies.
         The dc and power terms are then sums over the diagonal, and the cross term is the rest.
         ``captured`` has the interval ``captured_ci``.
@@ -275,9 +275,9 @@ def technique_terms(
         On technique: ``technique_variance`` with ``_ci`` is the diagonal of the covariances.
 
         With a list of n: ``technique_rate`` and ``rate`` have intervals ``_ci``.
-        ``bottleneck`` is the technique whose rate is significantly slower than all other rates,
-        so that their intervals do not overlap. It is −1 if undecided.
-        The attribute ``bottleneck`` has its name.
+        ``bottleneck`` is the technique whose rate is significantly slower than all other rates:
+        the 95 % interval of its rate overlaps no other. The value −1 means undecided.
+        The attribute ``bottleneck`` has the name of this technique.
         Techniques without variance are excluded. Several channels add a dim channel.
 
     Raises
@@ -292,8 +292,8 @@ def technique_terms(
 
     Notes
     -----
-    For R realizations, T techniques and M frequencies,
-    the analysis takes O(R (n + T² M)) time and O(T² M) memory.
+    The time is O(R (n + T² M)) for R realizations, T techniques and M frequencies.
+    The memory is O(T² M).
     The bottleneck compares the techniques' own variances.
     Correlations between techniques may cancel part of these variances.
 
@@ -322,13 +322,13 @@ def _variables(total: _Total, view: View) -> Variables:
     """Return result variables of one count, with a leading channel axis."""
     found, moments = total.sums.covariances(view), total.sums.moments
     share = total.weights / total.weights.sum()
-    # If few stored sets raise the error of the whole variance by a factor,
-    # multiply all errors by this factor
+    # Few stored sets may raise the error of the whole variance by a factor.
+    # The errors of all techniques are multiplied by the same factor
     wider = moments.widening[:, -1]
     errors = spread(total.values - weighted_sum(share, total.values), share)
     errors = errors * wider[:, None, None]
     predicted = found[:3].sum(axis=(0, 2, 3))
-    # Predicted and measured variance of the whole estimate for each block, (B, 2, C)
+    # Compute predicted and measured variance of the whole estimate by block, (B, 2, C)
     whole = total.values.sum(axis=(-2, -1))
     sides = np.stack([whole[:, :3].sum(axis=1), whole[:, 3]], axis=1)
     # As in `variance_terms`, each technique has its own frequencies in primary space
@@ -365,7 +365,7 @@ class TechniqueSums:
     mean: Array  # (T, H)
     products: Array  # (T, T, H): Σ_r (S^t − S̄^t) conj(S^s − S̄^s)
     values_mean: Array  # Truncated and full estimates of the techniques, (2, C, T)
-    values_products: Array  # (2, C, T, T)
+    values_products: Array  # Sums of products of their deviations, (2, C, T, T)
     moments: Moments  # Moments of the techniques' full estimates and of their sum: (C, T + 1)
 
     @staticmethod
@@ -374,7 +374,7 @@ class TechniqueSums:
     ) -> TechniqueSums:
         """Return sums of a block. `first` and `sets` are the same as in `Moments.of`."""
         parts = view.spectra(points)
-        # Part of the estimate from each technique, (R, C, T), truncated and complete
+        # Truncated and full estimates: the part of the estimate from each technique, (R, C, T)
         weighted = view.integrand_coefficients.conj() * view.basis.double
         truncated = np.stack(
             [product(s, weighted[:, t].T).real for t, s in enumerate(parts)], axis=2
@@ -445,9 +445,9 @@ def technique_rates(
 
     `moments` holds the moments of `technique_estimates` for each count.
     """
-    variance = np.stack([m.variance for m in moments])  # (N, C, T + 1)
+    variance = np.stack([m.variance for m in moments])  # Axes: count, channel, technique
     relative = np.stack([m.relative_se for m in moments])
-    # Rounding is relative to the whole estimate, because the part of a technique may be 0
+    # Rounding errors scale with the whole estimate, because the part of a technique may be 0
     size = np.stack([np.abs(m.mean).max(axis=1, keepdims=True) for m in moments])
     floor = np.broadcast_to(rounding_floor(size), variance.shape)
     fits = fit_rates(np.array(ns), variance, relative, floor, window)

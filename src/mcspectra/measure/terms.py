@@ -47,9 +47,9 @@ __all__ = ["Terms", "variance_terms"]
 
 @dataclass(frozen=True)
 class TermSettings:
-    """Limit of memory for the full cross matrix."""
+    """Limit of memory for the covariances of all pairs of frequencies."""
 
-    # Largest number of frequencies of a full cross matrix.
+    # Largest number of frequencies whose full matrix of covariances is returned.
     # Two complex matrices of that size take 0.5 GiB.
     most_matrix: int = 4096
 
@@ -309,9 +309,9 @@ def variance_terms(
     xarray.Dataset
         ``dc_term``, ``power_term`` and ``cross_term`` are the three terms.
         ``predicted_variance`` is their sum, and ``measured_variance`` the sample variance.
-        All five have 95 % intervals ``_ci``.
+        The terms, their sum and the measured variance have 95 % intervals ``_ci``.
         ``captured`` with ``_ci`` is predicted/measured.
-        It is NaN if the measured variance is rounding noise.
+        ``captured`` is NaN if the measured variance is rounding noise.
 
         ``energy_share`` is the part of ∫f² within the half width.
         ``tail_term`` is the variance of the rest for random points.
@@ -324,16 +324,16 @@ def variance_terms(
         Several techniques in primary space add a dim technique on maps.
 
         Standard errors ``_se`` come from batch means and need at least 4 realizations.
-        They exist for the terms, ``contribution``, ``band_covariance`` and both matrices.
+        The three terms, ``contribution``, ``band_covariance`` and both matrices have them.
         The attribute ``batches`` is the number of batches.
         95 % intervals use Student's t with one degree of freedom less.
         The interval of ``captured`` is logarithmic.
-        It is wider if few batches hold most of the error.
+        Few batches that hold most of the error widen the interval of ``captured``.
 
         A set that is always the same has no variance, which the attribute ``note`` reports.
         The note also names estimates that missed the source of their variance (see `convergence`).
-        The upper end of ``measured_variance_ci`` is then infinite,
-        and the lower end of ``captured_ci`` is 0.
+        For these estimates the upper end of ``measured_variance_ci`` is infinite.
+        The lower end of ``captured_ci`` is 0 for these estimates.
 
     Raises
     ------
@@ -348,11 +348,11 @@ def variance_terms(
 
     Notes
     -----
-    For R realizations of n points and M frequencies,
-    the analysis takes O(R (n + M log M)) time and O(M + bands²) memory.
+    The time is O(R (n + M log M)) for R realizations of n points and M frequencies.
+    The memory is O(M + bands²).
     95 % intervals follow from the kurtosis of the estimates.
     A truncated spectrum predicts part of the variance, which ``captured`` reports.
-    `mcspectra.predict` predicts all of it.
+    The function `mcspectra.predict` predicts the whole variance.
 
     Examples
     --------
@@ -370,7 +370,7 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
     """Return all variables with a channel axis first. Errors are NaN for fewer than two blocks."""
     sums, measured, basis = total.sums, total.measured, view.basis
     batches = total.all_batches(partition)
-    assert batches is not None  # The first block has two or more realizations
+    assert batches is not None  # The first block of realizations has at least two
     f, degrees = partition.coefficients, sums.count - 1
     shape = (len(f), len(view.transforms), basis.stored)
     maps, pairs = ("channel", "technique", *basis.names), ("channel", "band", "band_other")
@@ -397,7 +397,7 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
 
     # Part of the variance within the frequencies, or NaN if the variance is rounding noise
     real = np.where(measured.variance > rounding_floor(measured.mean), measured.variance, np.nan)
-    with np.errstate(invalid="ignore"):  # 0 times infinity is NaN if nothing is captured
+    with np.errstate(invalid="ignore"):  # 0 · ∞ is NaN if the frequencies have no power
         captured_ci = (predicted / real)[:, None] * batches.captured_factors()
     variables |= {
         "captured": (("channel",), predicted / real),
@@ -420,7 +420,7 @@ def _variables(total: TermSums, view: View, partition: Partition) -> Variables:
     # Full C_ml and conj(f_m) f_l C_ml. Errors of conjugates are equal and scale with |f_m f_l|
     if sums.matrix is not None and batches.matrix is not None:
         # Find the position of each coefficient of each technique among the stored coefficients,
-        # and whether it is conjugated
+        # and whether the stored coefficient is conjugated
         techniques, (place, conjugate) = len(view.transforms), basis.whole()
         index = (np.arange(techniques)[:, None] * basis.stored + place).ravel()
         flip = np.tile(conjugate, techniques)

@@ -39,7 +39,7 @@ class FrequencySettings:
     """Limits of the default half width, and the number of points for mean squares."""
 
     # Least default half width.
-    # It resolves features of 1/128 of the cube, such as the pixels of a thumbnail.
+    # A half width of 64 resolves features of 1/128 of the cube, such as pixels of a thumbnail.
     least_width: int = 64
     # Largest number of frequencies of a default half width, 2^17.
     # In 2-D a half width of 128 fits, and one spectrum takes 1 MiB in half storage.
@@ -60,7 +60,7 @@ class BandSettings:
     # The covariance of 4,096 bands takes 128 MiB per channel.
     most: int = 4096
     # Number of sectors of directions ±m, with 15° each.
-    # Both axes and both diagonals are centers of sectors, with two other sectors in between.
+    # Sectors are centered on the axes and the diagonals, with two other sectors in between.
     wedges: int = 12
 
 
@@ -83,7 +83,7 @@ class Frequencies:
 
         The basis ``"auto"`` fits the points of the estimator.
         In the domain, the points of a mirrored integrand are folded.
-        In primary space they are the points of the sampler.
+        In primary space, the points of the estimator are those of the sampler.
         """
         estimator, space, basis = subject.estimator, asked.space, asked.basis
         domain = estimator.domain_integrand
@@ -176,14 +176,14 @@ class Frequencies:
 
 @dataclass(frozen=True)
 class View:
-    """The domain or the primary view: integrand coefficients with the transforms of points."""
+    """Coefficients of an integrand and transforms of points, in the domain or primary space."""
 
     estimator: AbstractEstimator
     space: str
     basis: Basis
-    transforms: tuple[Coefficients, ...]  # One for each technique, or one for all points
+    transforms: tuple[Coefficients, ...]  # Transform of the points of each technique, or of all
     engine: str
-    integrand_coefficients: Array  # f^t, (C, T, H)
+    integrand_coefficients: Array  # Coefficients f^t of each technique t, (C, T, H)
     source: str  # Source of the coefficients
 
     def spectra(self, points: list[Array]) -> list[Array]:
@@ -287,16 +287,16 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
         ``anova`` groups functions by the axes along which they vary,
         so the bands are the parts of the ANOVA decomposition.
         ``wedge`` (2-D) has a band for the constant and 12 sectors of 15° for the direction of ±m.
-        For Walsh and Haar functions, m are the numbers of oscillations along the axes,
-        which are powers of two.
+        For Walsh and Haar functions, m are the numbers of oscillations along the axes.
+        These numbers of oscillations are powers of two.
         Labels may also be an array of integers ≥ 0 with the shape of the basis.
         The labels of m and −m must be equal.
 
     Raises
     ------
     ParameterError
-        If the name is unknown, labels have a wrong shape, type or range,
-        or labels differ between m and −m.
+        If the name is unknown, or labels have a wrong shape, type or range.
+        If the labels of m and −m differ.
     """
     check_bands(bands, basis)
     labels: tuple[str, ...] | list[str]
@@ -344,8 +344,8 @@ def make_bands(bands: str | Array, basis: Basis) -> Bands:
                     "bands must be the same for m and −m, so that band estimates are real."
                 )
             labels = tuple(map(str, range(int(of.max()) + 1)))
-    # The last labels may have no members,
-    # because small grids and bases without negative indices lack some directions.
+    # Small grids and bases without negative indices lack some directions.
+    # Drop the last labels if no coefficient has these labels
     return Bands(of, tuple(labels[: int(of.max()) + 1]), f"band ({meaning})")
 
 

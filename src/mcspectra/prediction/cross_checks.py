@@ -2,7 +2,7 @@
 
 Three of the methods sum over frequencies, but only up to a half width.
 `energy_share` is the part of ∫f² at these frequencies.
-If it is 1, all methods give the same number (docs/spectra.md).
+All methods give the same number if `energy_share` is 1 (docs/spectra.md).
 
 The pair correlation is explained in docs/theory.md, "Pair correlation".
 Pairs of random and jittered points have a known density.
@@ -11,8 +11,8 @@ The sum over pairs has the terms A(x_i − x_k), where A is the autocorrelation 
 A is tabulated on the torus and interpolated linearly.
 
 An average of A over directions, g(|h|), would be exact for isotropic sets only.
-For smooth integrands and shifted Latin hypercubes, this average overestimates the variance.
-The factor is 1.7 to 3.7 at n = 16.
+For smooth integrands and shifted Latin hypercubes of 16 points,
+this average over directions overestimates the variance by factors of 1.7 to 3.7.
 """
 
 from __future__ import annotations
@@ -85,13 +85,13 @@ class CheckSettings:
         Number of cells along each axis, by number of dims, for samples of the autocorrelation of g.
         The error of ∫g² due to sampling cancels.
         A linear interpolant of a wave of frequency k has the relative error (2πk/cells)²/8.
-        This is 5e-6 k² in 2-D and 5e-9 k² in 1-D.
+        The relative error is 5e-6 k² in 2-D and 5e-9 k² in 1-D.
     most_points
         Largest number of points of a set whose pairs are counted.
         A set of 2^17 points has 8.6e9 pairs.
     tolerance
         Relative error above which the variance from known pairs is rejected.
-        It equals the default tolerance of `exact_variance`, which this method checks.
+        The value is the default tolerance of `exact_variance`, whose results are checked here.
     """
 
     most_frequencies: int = 625
@@ -156,7 +156,7 @@ def of_homogenized(
 def draws_power(estimator: AbstractEstimator, sampler: Sampler, n: int) -> bool:
     """Return whether the method homogenized needs power that is measured from drawn sets.
 
-    This is so if the method applies, but the power of the sampler has no closed form.
+    Drawn sets are needed if the method applies, but the power has no closed form.
     """
     given = _of_one_technique(estimator)
     try:
@@ -262,7 +262,7 @@ def of_pairs(
 ) -> Cells:
     """Return the variance from the pairs of points alone. It is infinite if ∫g² diverges.
 
-    The pairs of random and jittered points are known, with a relative error of about 1e-6.
+    For random and jittered points the density of pairs is known, to a relative error of 1e-6.
     Pairs of other stationary sets in 1-D or 2-D are counted in `realizations` sets.
 
     Raises
@@ -291,7 +291,7 @@ def of_pairs(
     for technique, count in enumerate(estimator.counts):
         g = estimator.primary_integrand(technique)
         if exact:
-            # Use all pairs of random points, or the pairs of jittered points in different cells
+            # Random points use all their pairs. Jittered points use the pairs in different cells
             (square, square_error), points = square_integral(g), n * count
             sides: Any = getattr(source.law(points), "sides", (1,) * g.dims)
             squares = []  # Σ_j (∫_cell j g)²

@@ -5,7 +5,7 @@ in the sections "Exact variances of strata" and "Gains of scrambled nets".
 Strata may have a common offset. Further samplers have these formulas:
 
 * Digital shift in base 2, for coordinates that are multiples of 2^-L. The shift has L random bits.
-  Below them is an offset δ that is uniform in a cell and the same for all points.
+  Below these bits is an offset δ that is uniform in a cell and the same for all points.
   For given δ, the values of g on the grid have the Walsh spectrum ĝ_m(δ).
   The points have ŝ_m = (1/n) Σ_k wal_m(x_k).
   For digital nets |ŝ_m|² is 1 on the dual net and 0 elsewhere. Then
@@ -109,7 +109,7 @@ class ExactSettings:
 
     "The same results" means that no variance changes by more than 1e-9 in twelve cases.
     The cases are sums and products with jumps, kinks and poles, a wave, a disk and a ridge.
-    They have n = 64 and 1024 points.
+    Every case was measured with n = 64 and 1024 points.
     """
 
     # An error below this fraction of ∫g²/n is accepted for every tolerance.
@@ -117,13 +117,13 @@ class ExactSettings:
     negligible: float = 1e-9
     # The error of the higher order is at most the difference of two orders times this factor.
     # At a jump both orders have errors of about the same size.
-    # With half the value, the second attempt is skipped in the case of the ridge.
+    # With half this value, the integrand with a ridge gets no second attempt.
     safety: float = 3.0
     # An error message suggests a larger tolerance if the relative error is below this value.
     offered: float = 0.5
     # Factor by which the second attempt raises the orders of the quadrature.
     # A second attempt is made if the error is at most `hope` times the tolerance.
-    # Half the factor changes the variance of the ridge by 1e-5, twice the factor by 8e-10.
+    # For the integrand with a ridge, half the factor changes the variance by 1e-5.
     finer: int = 4
     hope: float = 10.0
     # Least number of dims, and least tolerance, for fits by sums of products.
@@ -136,26 +136,26 @@ class ExactSettings:
     # Factor for the reported error of ∫h² next to a pole.
     # The factor changes intervals, but not variances.
     doubt: float = 3.0
-    # Relative rounding errors of ∫g² and of sums along an axis.
+    # `rounding` is the relative rounding error of ∫g², and `exact` that of sums along an axis.
     rounding: float = 4e-15
     exact: float = 1e-9
     # Largest number of cells of an axis. The variance of halton | shift at n = 1024 depends on it:
     # half the value changes the variance by 2e-4, twice the value by 5e-5.
-    # The second number limits the time. It bounds the pairs of points times the dims.
+    # `most_pairs` limits the time. It bounds the pairs of points times the dims.
     most_cells: int = 2**18
     most_pairs: float = 2.0**32
     # Number of quadrature nodes per cell, and a smaller number for more than 2^14 cells.
-    # With 3 nodes instead of 6 the variance of a sum with poles changes by 3e-6.
-    # With 12 nodes it changes by 8e-11.
+    # For a sum with poles, 3 instead of 6 nodes change the variance by 3e-6.
+    # For the same sum, 12 instead of 6 nodes change the variance by 8e-11.
     many_nodes: int = 16
     few_nodes: int = 6
     deep: int = 14
     # Relative error of the power beyond the last octave.
     # There the power is assumed to equal its mean over the last octave.
-    # The value changes intervals, but not variances.
+    # This error changes intervals, but not variances.
     white: float = 0.02
-    # Rounding error of a mean over a set, as a fraction of √∫h².
-    # Rounding error of the variance of such means, as a fraction of ∫h²/n.
+    # Rounding error of a mean of a curve h over a set, as a fraction of √∫h².
+    # Rounding error of the variance of means over sets, as a fraction of ∫h²/n.
     # Halving or doubling the values gives the same results.
     rounded_mean: float = 1e-15
     rounded_variance: float = 1e-15
@@ -196,12 +196,12 @@ def exact_variance(
         The samplers random, jittered, regular and uniform-jitter are allowed, alone or with
         shift, strata-shift or mirror. So are antithetic-jittered and latin-hypercube.
         The sampler latin-hypercube may also have shift.
-        Nets and sequences, such as sobol or halton, are allowed with owen.
-        In base 2 they are also allowed with digital-shift.
+        Nets and sequences, such as sobol or halton, are allowed with the randomization owen.
+        In base 2, the randomization digital-shift is also allowed.
         Latin hypercubes and nets need about n cells per side.
         This limits n to some thousands in 2-D and some tens in 3-D.
         Sums and products of functions of one axis work in any dims.
-        They also work with orthogonal arrays and shifted sets.
+        Such sums and products also work with orthogonal arrays and shifted sets.
     dims
         Number of dims of a function, and of a spec without ``dims``.
         The default is the number of dims of the sampler, unless the sampler is a spec.
@@ -212,8 +212,8 @@ def exact_variance(
         The error message gives a feasible value.
         With 1e-3 or more in at least 4 dims, f may be fitted by a sum of products.
         The factors of these products are functions of one axis.
-        The fit is used if its 95 % interval is within the tolerance.
-        It is available for latin-hypercube, nets with owen and sets with shift.
+        The fit is used if the 95 % interval of the variance is within the tolerance.
+        Fits are available for latin-hypercube, nets with owen and sets with shift.
     max_evaluations
         Maximum number of evaluations of a user's function. More evaluations raise BudgetError.
 
@@ -221,15 +221,15 @@ def exact_variance(
     -------
     float or ndarray
         The variance. It is an array (channels,) if f has several channels.
-        Its relative error is less than `tolerance`. It is infinite if ∫g² diverges.
+        The relative error is less than `tolerance`. The variance is infinite if ∫g² diverges.
         For integrands with a known integral, a variance at rounding level is exactly 0.
 
     Raises
     ------
     NoClosedForm
         If the variance is not known for this sampler, or the quadrature does not converge.
-        It may not converge at discontinuities that are not axis-aligned,
-        unless they are integrated in closed form.
+        Quadratures may not converge at discontinuities that are not axis-aligned,
+        unless f is integrated in closed form.
         If g is equal at all points of the probe, but not declared constant.
     ParameterError
         If `tolerance` is not a number from 1e-12 to 1.
@@ -238,14 +238,15 @@ def exact_variance(
     -----
     Undeclared jumps and poles of g across an axis are found along lines. Cells are cut there.
 
-    If ∫g has no closed form, the sums of the quadrature are compared with other integrals,
-    which 2^17 probe points check. The probe finds a slab across an axis of width 2^-17 or more.
-    It finds any other region of volume v, in which g differs, with probability 1 − exp(−2^17 v).
+    If ∫g has no closed form, the sums of the quadrature are compared with other integrals.
+    These integrals are checked at 2^17 probe points.
+    The points find a slab across an axis in which g differs, if its width is 2^-17 or more.
+    The probe points hit any other region of volume v with probability 1 − exp(−2^17 v).
     For v = 8e-5 this is 1 − 5e-5. Narrower peaks and their variance may be missed.
     Regions that only the probe finds are examined at 2^18 other points and enter the error.
 
     ∫g² is infinite if g grows across an axis like t^-½ or faster (exponent at least 0.4995).
-    It is also infinite if the contribution of its poles does not shrink under refinement.
+    ∫g² is also infinite if the contribution of the poles does not shrink under refinement.
 
     Examples
     --------
@@ -288,7 +289,7 @@ def estimated_variance(
                 raise
             found = by_axes.variance, by_axes.error
         total = total + np.stack(found)
-    if not total[0].any():  # One of several techniques may have a constant g
+    if not total[0].any():  # One technique may have a constant g, but not all of them
         said = [constant(given.primary_integrand(t)) for t in range(len(given.counts))]
         if all(said):
             raise NoClosedForm(f"{said[0]}.")
@@ -301,8 +302,9 @@ def of_integrand(
     """Return variance and a bound of its error, (channels or 1,). It is 0 at rounding level.
 
     The error is the difference between two orders plus the `blindness` of the higher order.
-    For random points it is the error of ∫g². Orders are raised once if that would suffice.
-    They are not raised if `most` is lower because other methods follow.
+    For random points the error is that of ∫g².
+    If higher orders of the quadrature would suffice, the orders are raised once.
+    If `most` is lower, other methods follow, and the orders are not raised.
 
     Raises
     ------
@@ -312,7 +314,7 @@ def of_integrand(
     """
     g, lines = looked_at(g), False
     if not (in_closed_form(g) or g.costly):
-        # Lines resolve poles and waves that cells do not resolve, at a small part of the cost
+        # Lines cost little. They resolve poles and waves that cells do not resolve
         lines = bool(beyond_points(g).any()) or (most >= MOST_EVALUATIONS and g.dims > 1)
         if lines and separated(g):
             with contextlib.suppress(NoClosedForm):
@@ -340,8 +342,8 @@ def _by_cells(law: Law, g: Integrand, tolerance: float, most: float) -> tuple[Ar
     if isinstance(law, Independent):
         middle, first, second, error = moments(g)
         value = second - first**2
-        # The error of the integrals is three standard errors. Widen it to 4.5 standard errors,
-        # because none of 1,000 functions exceeds this error
+        # The error of the integrals is three standard errors.
+        # Use 4.5 standard errors, because none of 1,000 functions exceeds this error
         error = 1.5 * error * (1.0 + 2.0 * np.abs(first)) + 4e-15 * (second + middle**2)
         if (error > tolerance * value).any() and np.isfinite(square).all():
             mean, off = np.atleast_1d(g.integral), integral_accuracy(g)[1]
@@ -532,7 +534,10 @@ def _of_separable(law: Law, g: Separable) -> tuple[float, float]:
 
 
 def _over_offsets(curve: PiecewiseCurve, side: int, order: int) -> float:
-    """Average the variance within cells over all offsets, with cusps at the curve's places."""
+    """Average the variance within cells over all offsets of the cells.
+
+    As a function of the offset, the variance has cusps where cell borders meet `curve.places`.
+    """
     node, weight = gauss_rule(order)
     ends = {0.0, 1.0}
     for place in (0.0, *curve.places.tolist()):
@@ -614,7 +619,7 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
                 and n % period == 0
                 and not (places % (n // period)).any()
             ):
-                # The mean over a grid is a curve of the offset within one cell
+                # The mean over a grid is a function of the grid's offset within one cell
                 steps = np.arange(period) / period
 
                 def mean(t: Array, curve: PiecewiseCurve = curve, steps: Array = steps) -> Array:
@@ -644,7 +649,7 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
                     energy[-1] *= 0.5
                     found.append(float(energy[1:] @ power[1:]) + float(spreads.mean()) / n)
                     continue
-                # For other points, use the power at the frequencies that cells resolve.
+                # For other points, use the measured power at low frequencies, which cells resolve.
                 # At higher frequencies, use white noise
                 most = size // 8
                 m = np.arange(1, most + 1)
@@ -656,7 +661,7 @@ def _of_projections(law: Law, inner: Fixed, g: Separable) -> tuple[float, float]
                 power = np.abs(sums[most + 1 :]) ** 2
                 energy = energy[1 : most + 1] / np.sinc(m / size) ** 2
                 tail = max(curve.square - float(energy.sum()), 0.0)
-                last = slice(most // 2, most)  # The tail has the mean power of this octave
+                last = slice(most // 2, most)  # Last octave, whose mean power the tail gets
                 weight = n * float(energy[last] @ power[last]) / max(energy[last].sum(), 1e-300)
                 error += (abs(weight - 1.0) + _SETTINGS.white) * tail / n if size == finest else 0.0
                 found.append(float(energy @ power) + weight * tail / n)
@@ -723,7 +728,7 @@ def _refined(fine: float, middle: float, coarse: float) -> tuple[float, float]:
 
 
 def _variance(law: Law, g: Integrand, rule: Rule) -> tuple[Array, Array]:
-    """Return the variance of the mean of g over a set, and its possible error, (channels or 1,)."""
+    """Return the variance of a mean of g over a set, and a bound of its error, (channels or 1,)."""
     n, none = law.n, np.zeros(g.dims)
     match law:
         # Use the variance of the inner set with another integrand
@@ -799,7 +804,7 @@ def paired(g: Integrand, side: int) -> Integrand:
         cell = np.minimum(np.floor(x * side), side - 1.0)
         return np.asarray(np.clip((2.0 * cell + 1.0) / side - x, 0.0, 1.0))
 
-    borders = (np.arange(1, side) / side).tolist()  # Positions where the average jumps
+    borders = (np.arange(1, side) / side).tolist()  # The average of g jumps at cell borders
     breaks = tuple(
         tuple(sorted({*axis, *reflected(np.asarray(axis, float)).tolist(), *borders}))
         for axis in g.breaks
@@ -812,8 +817,8 @@ def _latin(law: Law, g: Integrand, rule: Rule, *, shifted: bool) -> tuple[Array,
     """Average over the offset of the cells. For each offset the points are uniform.
 
     If n^d cells are too many, larger cells are used, which hold a whole number of small cells.
-    They are combined with slabs of width 1/n.
-    Interactions within the larger cells then have a weight from 1 to 1 + 1/(n − 1).
+    The larger cells are combined with slabs of width 1/n along each axis.
+    Interactions within these larger cells have a weight from 1 to 1 + 1/(n − 1).
     """
     n = law.n
     fine, nodes, weights = (n,) * g.dims, np.zeros((1, g.dims)), np.ones(1)
@@ -851,8 +856,8 @@ def _nested(net: Fixed, bases: tuple[int, ...], g: Integrand, rule: Rule) -> tup
     digits = []
     for axis, base in enumerate(bases):
         level, limit = 0, math.floor(_SETTINGS.most_bits / math.log2(base))
-        # Coordinates may be rounded down to just below a digit. As in spectra.gain,
-        # such coordinates count as that digit
+        # Rounding may move coordinates just below a multiple of b^-level.
+        # Such coordinates count as the multiple, as in spectra.gain
         x = points[:, axis] + (0.0 if base & (base - 1) == 0 else 2.0**-50)
         while len(np.unique(np.floor(x * base**level))) < n:
             level += 1
@@ -924,7 +929,7 @@ def level_variances(means: Array, bases: tuple[int, ...], axis: int = 0) -> Arra
     The result has shape (L_0 + 1, L_1 + 1, …, channels).
     At level 0 of all axes it holds the square of the mean.
     The means are split along `axis` into the contributions of each digit.
-    The later axes follow in the same way.
+    The later axes are split in the same way, one after the other.
     """
     if axis == len(bases):
         return np.asarray((means**2).mean(axis=tuple(range(axis))))

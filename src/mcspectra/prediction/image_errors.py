@@ -1,10 +1,10 @@
 """The error spectrum of an image whose pixels share a set: predicted from spectra, and measured.
 
 With a sampler that ends in ``decorrelate``, pixel p moves the shared set by a shift δ_p.
-Its error is Σ_{m≠0} conj(f^p_m) S_m e^{−2πi m·δ_p}.
+The error of pixel p is Σ_{m≠0} conj(f^p_m) S_m e^{−2πi m·δ_p}.
 The spectrum S_m is the same for all pixels, and each pixel has its own phase.
 The covariance of two pixels is the cross term with their two integrands.
-Its Fourier transform is the power of the error image over spatial frequencies.
+The Fourier transform of this covariance is the power of the error image.
 The effect of a mask depends on f and on S_m, so masks are ranked for one integrand.
 """
 
@@ -51,12 +51,12 @@ class ImageErrorSettings:
         Largest number of coefficients, or of points of one image: 256 MiB of complex numbers.
     half_width, lost, most_modes
         Initial half width. It is doubled until the frequencies capture the power of every band.
-        A band is captured if less than the fraction `lost` of its power has higher frequencies.
+        A band is captured if higher frequencies hold less than the fraction `lost` of its power.
         Doubling stops at `most_modes` frequencies, which is half width 724 in 2-D and 63 in 3-D.
-        One percent is less than the standard error of 16 images.
+        The fraction of one percent is less than the standard error of 16 images.
     beyond
         A note reports a band if more than this fraction of its power lies beyond the half width.
-        Such a fraction can change the order of masks.
+        Power of this size beyond the half width can change the order of masks.
     precision
         Relative error of the transforms, far below that of the images.
     """
@@ -115,8 +115,8 @@ def image_error_spectrum(
         White noise has the variance of a pixel at every frequency.
         ``tail_term`` is the part of the prediction beyond the half width.
         If that part is large, the attribute ``note`` reports it.
-        ``low_share`` ranks masks. It is the predicted power below 1/8 cycle per pixel,
-        divided by the mean power. It is 1 for white noise.
+        ``low_share`` ranks masks. It is the predicted power below 1/8 cycle per pixel
+        in units of the mean power. White noise has a ``low_share`` of 1.
 
     Raises
     ------

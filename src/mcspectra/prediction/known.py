@@ -1,8 +1,8 @@
 """Common parts of all prediction methods: facts about an integrand, and the type of a result.
 
 A method is a function ``(law, known, stream) -> Predicted``.
-It raises `NoClosedForm` if it does not apply.
-It may evaluate g anywhere except at the sampler's own points.
+A method raises `NoClosedForm` if it does not apply.
+A method may evaluate g anywhere except at the points of the sampler itself.
 """
 
 from __future__ import annotations

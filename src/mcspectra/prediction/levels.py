@@ -1,14 +1,14 @@
 """Variances of scrambled nets and of strata from means of g over cells.
 
-Nested uniform scrambling multiplies σ²_l by the gain Γ_l of the net.
+Nested uniform scrambling multiplies each variance σ²_l by a factor, the gain Γ_l of the net.
 The theory is in docs/theory.md, "Gains of scrambled nets".
 Here σ²_l is the variance of the part of g that varies with l_j digits of coordinate j.
 All but finitely many gains are 1. The exceptions are levels of at most about n cells.
-For these Σ l_j is near log n, but not every l_j is near log n. Therefore
+These levels have Σ l_j near log n, although not every l_j is near log n. The result is
 
     n Var = Σ_{l ≤ T} Γ_l σ²_l + ω²_T − Σ_{l ≰ T} (1 − Γ_l) σ²_l,
 
-where ω²_T is the mean variance within the cells of one table T.
+Here ω²_T is the mean variance of g within the cells of one table T.
 The σ²_l come from tables with equally many cells that are longer along some axes.
 A digital shift has weights that depend on g; see `of_moves`.
 
@@ -65,31 +65,32 @@ class LevelsSettings:
     long, most_cells
         Number of cells of a table that is longer along some axes.
         The limit `long` n Π b_j covers the digits of n and one more digit.
-        The second limit is `most_cells`. Halving or doubling either value changes nothing.
+        Another limit is `most_cells`. Halving or doubling either value changes nothing.
     more
         Number of digits beyond the digits of n for which gains are computed.
-        All coordinates usually differ there. Values from 1 to 6 give the same results.
+        Beyond the digits of n all coordinates usually differ.
+        Values from 1 to 6 give the same results.
     orders
         Orders of the coarse and the fine Gauss-Legendre rule in each cell, by number of dims.
         The error is the difference of the two rules.
     parts
         Number of parts along each axis of a cell with a jump, by number of dims.
         Half this number changes variances by up to 0.13 %, and twice this number by 0.05 %.
-        Both changes are within the intervals.
+        Both changes are within the intervals of the predicted variances.
     most_rough, rough
         Largest number of cells that are divided, by number of dims.
-        Least variation of g in such a cell, relative to the mean cell.
+        Least variation of g in a divided cell, relative to the mean cell.
         Halving or doubling either value changes nothing.
         A jump cuts a few hundred of 65,536 cells in 2-D, and a few thousand of 32,768 in 3-D.
     block
         Number of evaluations per call, 16 MB in 2-D. It has no effect on the result.
     clear, doubt
         The part of ∫g² that tables miss is added if it exceeds this number of its errors.
-        The second value is the uncertainty of its weight.
-        This part lies at poles within one cell, and has a gain between 0 and about 1.
+        `doubt` is the uncertainty of the weight of this part.
+        Such a part lies at poles within one cell, and has a gain between 0 and about 1.
         Half of `clear` adds noise of 0.015 % of a variance; twice the value changes nothing.
     most_error, noise
-        Largest half interval relative to the variance. Above it the method raises.
+        The method raises an error above this half interval, relative to the variance.
         Other methods then have smaller errors, which are below a fifth.
         A half interval below `noise` times ∫g² is always accepted.
         Halving or doubling either value changes nothing.
@@ -124,18 +125,18 @@ def of_levels(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
     Parameters
     ----------
     law
-        Law in 1 to 3 dims of fixed sets with nested or linear scrambling.
-        It may also be the law of strata that are not shifted at random.
+        Law of the sets in 1 to 3 dims: fixed sets with nested or linear scrambling,
+        or strata that are not shifted at random.
     known
         The integrand g, and the tables made for other counts and samplers.
     stream
-        This stream is not used, because the method draws no random numbers.
+        The random stream is not used, because the method draws no random numbers.
 
     Raises
     ------
     NoClosedForm
         If the sampler has another law, more than 3 dims or no randomness.
-        Also if g is not finite at a node, or the result may be wrong by more than a fifth.
+        If g is not finite at a node, or the result may be wrong by more than a fifth.
 
     References
     ----------
@@ -243,16 +244,16 @@ def _table(
     """Return energies of g over cells, by a coarse and a fine rule (Q = 2) or exactly (Q = 1).
 
     The energies σ²_l have shape (Q, levels + 1 of each axis, channels).
-    At level 0 this is the square of the mean.
-    The next results are the mean variance within the cells, (Q, channels),
-    and twice its standard error.
+    At level 0 the energy is the square of the mean.
+    The next result is the mean variance within the cells, (Q, channels).
+    The last result is twice the standard error of this mean variance.
     """
     sides = tuple(map(pow, bases, levels))
     means, squares = _cell_moments(g, sides, np.zeros(g.dims), refined=whole)
 
-    # Squares of means and the variance within cells have opposite errors at jumps, which cancel.
-    # If cells are long, the variance within cells is not computed.
-    # The results of the two rules are then multiplied, because their errors are hardly correlated
+    # At jumps, the squares of means and the variance within cells have opposite errors.
+    # These errors cancel in the sum. If cells are long, the variance within cells is not computed.
+    # The means of both rules are then multiplied, because their errors are hardly correlated
     pairs = ([(0, 0), (-1, -1)] if whole else [(-1, -1), (0, -1)])[: len(means)]
     halves = [0.5 * (means[a] + sign * means[b]) for a, b in pairs for sign in (1.0, -1.0)]
     sums, differences = (
@@ -265,7 +266,7 @@ def _spread(means: Array, squares: Array) -> tuple[Array, Array]:
     """Return the mean variance within cells, (Q, channels), and twice its error.
 
     Moments are (Q, …, channels). Rules have independent errors in each cell.
-    Their means may agree by chance, so the error is the root sum of squares over cells.
+    Means of two rules may agree by chance. The error is the root sum of squares over cells.
     """
     within = np.maximum(squares - means**2, 0.0).reshape(len(means), -1, means.shape[-1])
     error = 2.0 * np.sqrt(((within[-1] - within[0]) ** 2).sum(axis=0)) / within.shape[1]
@@ -311,7 +312,7 @@ def _cell_moments(
     chosen = np.argpartition(rough.ravel(), rough.size - most)[rough.size - most :]
     chosen = np.sort(chosen[rough.ravel()[chosen] > limit])
 
-    # Integrate over the parts of these cells
+    # Integrate over the parts of the chosen cells
     channels = means.shape[-1]
     for q, order in enumerate(_SETTINGS.orders[dims]):
         node, weight = gauss_rule(order)
@@ -377,7 +378,7 @@ def _merged(moment: Array, sides: tuple[int, ...]) -> Array:
 def _predicted(
     scaled: Array, n: int, square: Array, how: str, *, rest: Any = 0.0, doubt: Any = 0.0
 ) -> Predicted:
-    """Return the prediction from n times the variance by each rule, (Q, channels), and ∫g²."""
+    """Return the prediction from n times the variance by one or two rules, (Q, channels)."""
     rounding = _ROUNDING * square
     value = np.where(scaled[-1] > rounding, scaled[-1], 0.0)
     error = np.abs(scaled[-1] - scaled[0]) + doubt + rounding + 1e-9 * value

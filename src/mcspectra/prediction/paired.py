@@ -14,11 +14,11 @@ Let E_u be the energy of g with part u_i along axis i. Then
 
     n Var = Σ_u (1 + λ_u) E_u,    λ_u = n Σ_p share_p Π_i factor_p,i(u_i),
 
-with the sum over the patterns p of pairs.
+Here p runs over the patterns of pairs of points, which state a relation for each axis.
 Arrays of strength 2 have λ = −1 if u has one β or two β, and all other parts are means.
-The same holds for one δ if each stratum has one point per part.
-These energies add no variance [Owen1992]_.
-For more axes λ decreases with powers of 1/s.
+If every part of a stratum has one point, λ = −1 also for a single δ with means.
+Energies with λ = −1 add no variance [Owen1992]_.
+If more parts of u are not means, λ decreases with powers of 1/s.
 
 The fit of `mcspectra.prediction.subsets` adds functions of single axes and their products.
 The variance of the fit is known.
@@ -50,7 +50,7 @@ __all__ = ["PairedSettings", "evaluations", "is_array", "of_arrays"]
 
 _MEAN, _BETWEEN, _AMONG = "mean", "between strata", "between parts"
 _MULTIPLES = {"two": (_BETWEEN,) * 2, "parts": (_BETWEEN, _AMONG), "three": (_BETWEEN,) * 3}
-"""Combinations of parts whose energies are estimated. All other energies are bounded."""
+"""Combinations of parts u whose energies E_u are estimated. All other energies are bounded."""
 
 
 @final
@@ -62,12 +62,12 @@ class PairedSettings:
     ----------
     pairs
         Number of pairs in each replicate for the entries of `_MULTIPLES`.
-        Halving or doubling it changes variances by less than 0.5 %.
-        This was measured with orthogonal-array | shift in 4-D at n = 289.
-        The half intervals are 0.9 % for a Gaussian, 2.1 % for a ball and 0.5 % for a kink.
+        Halving or doubling these numbers changes variances by less than 0.5 %.
+        The change was measured with orthogonal-array | shift in 4-D at n = 289.
+        The intervals are ±0.9 % for a Gaussian, ±2.1 % for a ball and ±0.5 % for a kink.
     replicates
-        Number of scrambled nets of pairs. Their spread gives the interval.
-        The interval has 15 degrees of freedom.
+        Number of independent scrambled nets that supply the pairs of points.
+        The spread over the nets gives the interval, with 15 degrees of freedom.
     """
 
     pairs: tuple[int, int, int] = (1 << 16, 1 << 13, 1 << 13)
@@ -94,7 +94,7 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
     one, part, two, both, three = (
         _weight(array, along) for along in ((_BETWEEN,), (_AMONG,), *_MULTIPLES.values())
     )
-    # Largest weight of the energies of three or more axes that are not estimated
+    # Most energies of three or more axes are not estimated. Find the largest of their weights
     rest = max(
         abs(_weight(array, (_BETWEEN,) * k + (_AMONG,) * (axes - k)))
         for axes in range(3, max(law.dims, 3) + 1)
@@ -110,7 +110,7 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
             functools.partial(_energies, p, c, s, parts, offsets, known),
         )
         # Compute n Var of single axes, of the fit in several axes, and of the rest.
-        # The first has entries for all profiles and for each group
+        # The result for single axes has entries for all profiles together and for each group
         alone = sums.single @ np.array([1.0, 1.0 + part, 1.0 + one])
         several = _of_products(array, sums)
         beside = more @ np.array([1.0, two, both, three])
@@ -126,7 +126,7 @@ def of_arrays(law: Law, known: Known, stream: Stream) -> Predicted:  # noqa: ARG
 
 
 def evaluations() -> float:
-    """Return evaluations of g for one prediction, in addition to those of the fit."""
+    """Return the number of evaluations of g for one prediction, besides those for the fit."""
     return float(2 * sum(_SETTINGS.pairs) * _SETTINGS.replicates)
 
 
@@ -138,7 +138,7 @@ def is_array(law: Law) -> bool:
     array, _ = unmoved(law)
     if not isinstance(array, PairedAxes) or array.latin or array.dims == 1:
         return False
-    # A pattern has the same share for all arrangements of its relations along the axes
+    # A pattern must have the same share for every order of its relations along the axes
     shares: dict[tuple[Relation, ...], list[float]] = {}
     for pattern in array.patterns:
         shares.setdefault(tuple(sorted(pattern.axes)), []).append(pattern.share)
@@ -186,8 +186,8 @@ class _Sums:
     means
         Means of the factors, (dims, products).
     covariances
-        Covariances of the values of the factors, of their means over parts, and over strata:
-        shape (dims, 3, products, products).
+        Three kinds of covariances: of the factors, of means over parts, and of means over strata.
+        The shape of all three is (dims, 3, products, products).
     """
 
     single: Array
@@ -223,8 +223,8 @@ def _energies(
 ) -> tuple[_Sums, Array]:
     """Return energies of single axes and moments of the fit, and energies of g minus the fit.
 
-    The last array has shape (replicates, 4).
-    Its first column holds all parts of several axes, the others the entries of `_MULTIPLES`.
+    The energies of g minus the fit have shape (replicates, 4).
+    Their first column holds the energy of several axes, the others the entries of `_MULTIPLES`.
     """
     singles, means, covariances = np.zeros((len(p.main[0]), 3)), list[Array](), list[Array]()
     own, centers = len(p.main[0]), list[Array]()
@@ -286,8 +286,8 @@ def _energies(
         one, two = left(x), left(other)
         middle = 0.5 * (one + two).mean(axis=(1, 2), keepdims=True)
         one, two = one - middle, two - middle
-        # A sum over choices of axes is their number times the mean.
-        # Two different parts can be exchanged
+        # The sum over choices of axes is the number of choices times the mean.
+        # If the two parts of a pair have different kinds, count both orders
         many = math.comb(d, len(along)) * (2 if name == "parts" else 1)
         product, square = one * two, 0.5 * (one**2 + two**2)
         more[:, 1 + k] = many * (product[0] - product[1]).mean(axis=-1)

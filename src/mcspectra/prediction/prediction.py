@@ -2,11 +2,11 @@
 
 `METHODS` lists the methods in their order of trust.
 Methods up to ``extrapolated`` work in primary space.
-There each technique has its own integrand on the unit cube,
+In primary space each technique has its own integrand on the unit cube,
 and the variances of independent techniques add up.
 
 ``auto`` tries the methods that apply.
-It returns the first prediction with a narrow enough interval,
+``auto`` returns the first prediction with a narrow enough interval,
 or else the prediction with the narrowest interval.
 The last of these methods, ``extrapolated``, measures small sets of the sampler.
 The remaining methods check a prediction.
@@ -107,7 +107,10 @@ __all__ = [
 ]
 
 _OFFSET = 0.5 - 0.5 / 3**0.5
-"""Offset c of strata at which c(1 − c), the weight of jumps at faces, equals its mean over c."""
+"""Offset c, in strata, at which c(1 − c) equals its mean 1/6 over all offsets.
+
+The variance from jumps at the faces of the cube is proportional to c(1 − c).
+"""
 _MEMORY = 2**29
 """Largest memory, in bytes, of coefficients and transforms of all regions."""
 _OVERHEAD = 1e6
@@ -123,12 +126,12 @@ class QuadratureSettings:
     ----------
     tolerance
         Largest relative error of a quadrature that precedes all other methods.
-        The intervals of the other methods are at best of this size if g jumps.
-        For 5 samplers and a jump along a line at n = 64, 0.003 rejects one more quadrature,
-        and 0.03 rejects one less.
+        If g jumps, the intervals of the other methods are no narrower than this.
+        Tolerances were tested on a jump along a line with 5 samplers at n = 64.
+        A tolerance of 0.003 rejects one more quadrature, and 0.03 accepts one more.
     evaluations
         Number of evaluations of g above which other methods come first.
-        It is a sixteenth of the limit of `exact_variance`.
+        This number is a sixteenth of the limit of `exact_variance`.
         Values from 2^20 to 2^24 give the same results for the same samplers.
     most_breaks
         Randomly shifted strata in several dims are integrated up to this number of breaks of g.
@@ -148,20 +151,21 @@ class AutoSettings:
     Attributes
     ----------
     moved, measured
-        Half intervals of sums of products, relative to the variance.
-        Above the first value, offsets of the set are tried; above the second, measurements.
+        Largest half intervals of sums of products, relative to the variance.
+        Above `moved`, offsets of the set are tried; above `measured`, measurements are tried.
         8,192 offsets have a standard error of √(2/8192) = 1.6 % and intervals of 3 %.
         Extrapolations have intervals of about a fifth.
     ahead, most_ahead
-        Factor from the last requested count to a larger count that shows the limit of rates.
-        The second value is log2 of the largest such count.
+        Largest additional count, as a multiple of the last requested count.
+        The additional counts show the limit to which the rate tends.
+        `most_ahead` is log2 of the largest additional count.
         Strata use their largest count, because one table of cells makes them cheap.
     loose
         Half interval, relative to the variance, above which a larger count is not used for rates.
         Over two octaves such an interval changes a slope by 0.16.
     square, coefficients, tables
-        Approximate evaluations of ∫g², of its coefficients, and of tables of cells or of products.
-        The first is the budget of the integral. The others are the sizes of the tables in 2-D.
+        Approximate numbers of evaluations for ∫g², for coefficients of g and for tables.
+        `square` is the budget of the integral. The other values are sizes of tables in 2-D.
     """
 
     moved: float = 0.03
@@ -179,27 +183,27 @@ class AutoSettings:
 class TableSettings:
     """Settings for a table of g at the centers of cells, measured with sets of the sampler.
 
-    The stated changes were measured in three cases at n = 64.
-    Two are a jump along a line and a smooth g, both in 2-D with pmj02.
-    The third is a Gaussian of width 0.1 in 3-D with latin-hypercube.
-    Their half intervals are about 3 %.
+    The changes stated below were measured in three cases at n = 64:
+    a jump along a line and a smooth g, both in 2-D with pmj02,
+    and a Gaussian of width 0.1 in 3-D with latin-hypercube.
+    The half intervals of these cases are about 3 %.
 
     Attributes
     ----------
     cells
         Number of cells along each axis, by number of dims: about a million cells in 2-D and 3-D.
         Halving or doubling it changes the variance by less than 1 %.
-        If g jumps, it changes half intervals by 0.6 %.
+        If g jumps, half or twice the number changes half intervals by 0.6 %.
     probe
         Number of random points at which the table is compared with g.
-        The mean square difference has a relative standard error of about 1/256,
-        unless the difference is heavy-tailed.
+        For usual g, the mean square difference has a relative standard error of about 1/256.
+        Heavy-tailed differences have larger errors.
         Values from 2^15 to 2^17 give the same results.
     block
         Number of points per call, 1 MB in 2-D. It has no effect on the result.
     points
         Total number of points of all sets, which limits the work at large n.
-        Above n = 420 there are fewer sets than `most_sets`.
+        For n above 420, the limit allows fewer sets than `most_sets`.
     least_sets, most_sets
         Least and largest number of sets.
         The variance of R sets has the relative standard error √(2/R), here 10 % and 1.4 %.
@@ -218,19 +222,19 @@ class TableSettings:
 class ExtrapolationSettings:
     """Settings for the measured counts, and for the line through their variances.
 
-    The stated changes were measured in three cases.
-    Two use sobol | owen at n = 256 and 1024: a jump along a plane in 4-D and a smooth g in 2-D.
-    The third is a smooth g in 4-D with latin-hypercube at n = 100.
+    The changes stated below were measured in three cases:
+    a jump along a plane in 4-D and a smooth g in 2-D with sobol | owen at n = 256 and 1024,
+    and a smooth g in 4-D with latin-hypercube at n = 100.
 
     Attributes
     ----------
     small
         Small counts, whose measurements cost little.
-        They are used if there are few counts close to n.
+        Small counts are used if there are few counts close to n.
         One more or one less count gives the same results.
     largest
         Largest measured count of a cheap f.
-        Between 2^11 and 2^13 variances change by less than 1.5 %.
+        Values from 2^11 to 2^13 change variances by less than 1.5 %.
     near
         Inverse of the largest distance between counts close to n, as a fraction of n.
         These counts lie within an eighth of n, and the line hardly extrapolates.
@@ -239,14 +243,14 @@ class ExtrapolationSettings:
         Number of counts closest to n that the line is fitted to.
         Three counts leave one degree of freedom, for which Student's t is 12.7.
         Four counts leave two degrees of freedom, for which t is 4.3.
-        Eight counts halve the interval and need twice the evaluations.
+        Eight counts halve the width of the interval and need twice the evaluations.
     sets
         Realizations of each small count. The relative error of a variance is √(2/2000) = 3 %.
     near_sets, near_points
-        Least number of realizations of a count close to n, and of their points.
-        The larger requirement holds.
-        Halving or doubling it changes variances by less than 4 %.
-        This is well within the intervals of 14 to 60 %.
+        Least number of realizations of a count close to n, and least total number of points.
+        The number of realizations satisfies both requirements.
+        Halving or doubling both changes variances by less than 4 %.
+        These changes are well within the intervals of 14 to 60 %.
     most_factor
         Largest factor of the reported error of an extrapolation, so that exponentials stay finite.
         Values from 15 to 60 give the same results.
@@ -265,35 +269,36 @@ class ExtrapolationSettings:
 @final
 @dataclass(frozen=True, kw_only=True)
 class EvaluationLimits:
-    """Limits on evaluations of users' functions, and the counts that few evaluations measure.
+    """Limits on evaluations of users' functions, and counts that are measured within the limits.
 
     Attributes
     ----------
     evaluations
         Default for the most evaluations. A function that takes 4 µs per point needs one second.
         An interval then extends from the variance divided by a factor to the variance times it.
-        The factor is 1.5 at measured counts, and 2 at n = 4,096.
+        The factor of such an interval is 1.5 at measured counts, and 2 at n = 4,096.
     predictions
         Least number of evaluations per technique at which methods other than measurements are used.
-        These methods need 1.2 to 13 million evaluations.
-        This was measured for smooth functions and jumps in 1-D to 4-D with four samplers.
+        Predictions by these other methods need 1.2 to 13 million evaluations.
+        These numbers are for smooth functions and jumps in 1-D to 4-D with four samplers.
     sets, least_sets
         Number of realizations of each count above which larger counts are measured as well.
-        The second value is the least number of realizations.
-        The variances have standard errors of 14 % and 35 %.
+        `least_sets` is the least number of realizations of any count.
+        Variances of 100 and of 16 realizations have standard errors of 14 % and 35 %.
     first, least_counts
         Smallest measured count, and least number of measured counts.
-        A line takes two counts, and its error one or two more. The predicted count is excluded.
+        Two counts determine a line, and one or two further counts determine its error.
+        The predicted count is excluded.
     beyond
         Ratio of the largest measured count to the largest requested count.
     probe
-        Fraction of the evaluations that are at random points: 16,384 of 2^18.
+        Fraction of the evaluations that are spent on random points: 16,384 of 2^18.
         These points detect growth toward the border, and variances that depend on a few values.
         Such variances are not predicted.
     fitted
-        Number of counts that a line is fitted to.
+        Number of measured counts to whose variances a line is fitted.
         Five counts leave three degrees of freedom, for which Student's t is 3.2.
-        With four counts, intervals are 1.4 times as wide.
+        A line through four counts has intervals that are 1.4 times as wide.
         A line through six counts does not follow curves that bend.
     """
 
@@ -348,7 +353,7 @@ def of_table(law: Law, known: Known, stream: Stream, settings: TableSettings = _
     """Measure a table of g with sets of the sampler, and add the part that the table misses.
 
     The table holds g at the centers of fine cells. It serves all samplers and counts.
-    It is linear between the centers.
+    Between the centers, the table is interpolated linearly.
     The missing part varies within cells and is treated as white noise: ∫(g − table)²/n.
     """
     if known.g.dims not in settings.cells:
@@ -383,7 +388,8 @@ def of_table(law: Law, known: Known, stream: Stream, settings: TableSettings = _
     if not (moments.resolved & (moments.variance > rounding_floor(moments.mean))).all():
         raise NoClosedForm(f"{sets} sets do not resolve the variance of {law.name}.")
     tail = missed / n
-    # Within cells, points may be as good as at larger scales, or only as good as random points
+    # The whole tail is also an error: within cells, the points may be as good as at larger scales,
+    # or only as good as random points
     error = CONFIDENCE_Z * moments.relative_se * moments.variance + tail + miss / n
     share = 1.0 - np.minimum(missed / known.square[0], 1.0)
     return Predicted(moments.variance + tail, error, f"{sets} sets", share, tail)
@@ -443,7 +449,7 @@ def extrapolated(
             "variance."
         )
 
-    # Assume that the scatter about the line is at least the error of the measurements
+    # Assume that the scatter about the fitted line is at least the error of the measurements
     from scipy.special import stdtrit
 
     x = np.log([float(count) for count, _ in found])
@@ -473,15 +479,15 @@ class Method:
     name, summary
         Name, and short description of the computation.
     predict
-        Function that predicts the mean of g over the points of a law, for one technique.
-        It raises `NoClosedForm` if the method does not apply.
-        It is None for methods that work on whole estimators only.
+        Function that predicts the variance of the mean of g over points with a given law.
+        It predicts one technique, and raises `NoClosedForm` if the method does not apply.
+        Methods that work on whole estimators only have no such function.
     applies
         Whether ``auto`` tries the method for a law and an integrand, decided without evaluations.
         A method requested by name is always tried.
     ahead
-        Whether ``auto`` tries the method beyond the requested counts, for the limit of rates.
-        Such a method must be cheap at large n and draw no sets. It may compute facts about g.
+        Whether ``auto`` tries the method at larger counts than requested, to find the limit rate.
+        Such a method must be cheap at large n and draw no sets, but it may compute facts about g.
     enough
         Largest half interval, relative to the variance, with which ``auto`` accepts the prediction.
         The next method is then not tried.
@@ -489,7 +495,7 @@ class Method:
         Approximate or largest number of evaluations of g, unless another count has made them.
     of_estimator
         Function that predicts the variance of a whole estimator.
-        It is used for methods requested by name that do not work technique by technique.
+        It is used if a method is requested by name and cannot predict techniques separately.
     realized
         Whether the method uses realizations of the estimates. Methods share realizations.
     """
@@ -508,7 +514,7 @@ class Method:
 
 
 def _mirrored(law: Law) -> bool:
-    """Return whether the set before mirroring has the same variance with a changed integrand."""
+    """Return whether the prediction can use the set before mirroring and a changed integrand."""
     return isinstance(law, Folded | Mirrored) and not law.inner.fixed
 
 
@@ -523,12 +529,15 @@ def _latin(law: Law) -> bool:
 
 
 def _moves_apply(law: Law, known: Known) -> bool:
-    """Return whether offsets of a set are worth their evaluations of g."""
+    """Return whether it is worthwhile to evaluate g at random offsets of a set."""
     return moves_resolve(law, known) or (not known.costly and moves_at_once(law))
 
 
 def _enough_of_sums(law: Law, known: Known) -> float:
-    """Return the accepted half interval of sums of products, which may miss jumps and kinks."""
+    """Return the half interval up to which a prediction by sums of products is accepted.
+
+    Sums of products may miss jumps and kinks.
+    """
     if _moves_apply(law, known):
         return _AUTO.moved
     leaf = leaf_of(law)  # The variance of a lattice does not predict that of close counts
@@ -555,7 +564,7 @@ def _exactly(
 def _checked(
     check: Callable[[AbstractEstimator, Sampler, int, Terms, Stream], Cells],
 ) -> Callable[[AbstractEstimator, Sampler, int, Prediction, Stream], Cells]:
-    """Wrap a cross-check so that it takes the options of a prediction."""
+    """Adapt a method that checks predictions to the arguments of a prediction."""
 
     def of_estimator(
         estimator: AbstractEstimator, sampler: Sampler, n: int, asked: Prediction, stream: Stream
@@ -679,7 +688,7 @@ NAMES = tuple(dict.fromkeys(method.name for method in METHODS))
 """Names of methods in the order of `METHODS`."""
 
 _LIMIT = "limit"
-"""Name for ``auto`` at counts beyond the requested counts."""
+"""Internal name of the method ``auto`` at counts beyond the requested counts."""
 
 
 def tried(name: str, law: Law, known: Known) -> list[Method]:
@@ -751,7 +760,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
     def limit(self, subject: Subject) -> int | None:
         """Return the maximum number of evaluations of functions.
 
-        By default there is no limit for known integrands or for methods requested by name.
+        By default, known integrands and methods requested by name have no maximum.
         """
         chosen = self.method in ("auto", "extrapolated")
         if self.max_evaluations is None and chosen and subject.estimator.is_black_box:
@@ -809,7 +818,7 @@ class Prediction(Counted, frozen=True, kw_only=True):
         return cost
 
     def _terms(self, subject: Subject, n: int) -> tuple[Terms, Need, str]:
-        """Return the analysis of the sampled methods, its need, and why frequencies are missing."""
+        """Return the analysis of sampled methods, its resources, and why it lacks frequencies."""
         asked = terms_for(subject.estimator, n, self.half_width, self.realizations)
         without, refusal = msgspec.structs.replace(asked, half_width=0), ""
         if self.method != "measured":
@@ -924,10 +933,10 @@ class Prediction(Counted, frozen=True, kw_only=True):
             3, 0, 1, 2
         )
         seen = auto and predictor.measured is None
-        if not seen:  # Only counts beyond the requested counts show the limit of rates
+        if not seen:  # The limit of a rate needs counts beyond the requested counts
             limit, bend = np.full_like(limit, np.nan), np.full_like(bend, np.nan)
 
-        # Remove the additional counts
+        # Keep only the results at requested counts
         variance, low, high, share, tail = (
             values.reshape(full)[:, :, asked]
             for values in (cells.variance, cells.low, cells.high, cells.share, cells.tail)
@@ -1031,7 +1040,7 @@ def predict(
     method
         ``"auto"`` is the most trusted method that applies.
         ``"all"`` computes every method, on a dim ``method``.
-        Other values are these names from `METHODS`.
+        Every other value is the name of one method of `METHODS`:
 
         * ``"exact"``: a closed form, or quadrature over strata or levels, as in `exact_variance`
         * ``"torus"``: Σ|g_m|² times the power, for points that are the same after any translation
@@ -1049,20 +1058,20 @@ def predict(
         Largest relative error of a variance by the method exact.
     half_width
         Half width for the methods covariance, homogenized and terms.
-        They sum over the frequencies m in {−half_width … half_width}^d.
+        These methods sum over the frequencies m in {−half_width … half_width}^d.
         The default is the half width of `variance_terms`.
     realizations
         Realizations for the methods pair-correlation, homogenized, terms and measured.
         Standard errors need at least 4 realizations.
     rng
         Seed (SPEC 7) of methods that draw sets.
-        Pairs are counted in other sets than the measured sets.
+        Sets whose pairs are counted differ from the sets of the method measured.
     workers
         Number of threads. The default is all processors. It has no effect on results.
     max_evaluations
         Maximum number of evaluations of the integrand.
         By default ``auto`` and ``extrapolated`` evaluate users' functions at most 2^18 times.
-        They then measure sets of small counts and have wider intervals (``extrapolated``).
+        Both methods then measure sets of small counts, which gives wider intervals.
         With 2^24 or more evaluations for each technique, ``auto`` predicts.
         A method raises before it starts if it is known to need more than the limit.
 
@@ -1081,13 +1090,13 @@ def predict(
         ``predicted_rate`` is the slope over all counts, fitted as in `convergence`.
         ``limit_rate`` is the exponent that rates tend to.
         ``bend_n`` is the n at which the earlier rate gives way to the limit.
-        It is given if the two rates differ by more than 0.3.
-        Both are NaN if they are not known or `method` is not ``"auto"``.
+        ``bend_n`` is given if the two rates differ by more than 0.3.
+        ``limit_rate`` and ``bend_n`` are NaN if unknown or if `method` is not ``"auto"``.
 
         The coordinate ``method`` is the name of the method at each n. ``"none"`` means no value.
         With ``"all"`` it is a dim.
-        The coordinate ``how`` has details, such as the number of sets,
-        or the reason for a missing value.
+        The coordinate ``how`` has details of each value, such as the number of sets.
+        If a value is missing, ``how`` has the reason.
         A list of samplers adds the dim sampler. Several channels add the dim channel.
         A variance at rounding level is NaN, and the attribute ``note`` reports it.
         The method exact returns 0 for such a variance.
@@ -1098,7 +1107,7 @@ def predict(
     CountError, ParameterError
         If a sampler does not allow a count, dims disagree, or counts are not ascending.
     NoClosedForm
-        If a single method, other than exact, applies to no sampler at any n.
+        If one method other than exact is requested, and it applies to no sampler at any n.
 
     Notes
     -----
@@ -1108,28 +1117,28 @@ def predict(
 
     f is evaluated at quadrature nodes and on grids that `predict` chooses.
     The method ``moves`` applies up to 8,192 random shifts or scrambles to a fixed set.
-    It is used for lattices with shift and nets with digital-shift in 1 to 3 dims.
-    If sums of products leave a half interval over 3 %, it serves all shifted or scrambled sets.
+    Lattices with shift and nets with digital-shift use ``moves`` in 1 to 3 dims.
+    Other shifted or scrambled sets use it if sums of products leave a half interval over 3 %.
     Linear scrambles replace nested scrambles, because their pairs have the same law.
 
     For samplers without known structure, in 1 to 3 dims, the method ``table`` is used.
-    It measures variances on a table of f.
+    The method ``table`` measures variances on a table of f.
     In more dims, or for expensive f, ``auto`` uses the method ``extrapolated``.
-    It evaluates f at 2,000 realizations of each small count.
+    The method ``extrapolated`` evaluates f at 2,000 realizations of each small count.
     If f is cheap, counts close to n are used instead, but never n itself.
-    The same is done if jumps and kinks across many axes leave a wide interval.
-    The limit is a fifth of the predicted variance.
+    Such measurements are also made if jumps and kinks across many axes leave a wide interval.
+    An interval is wide if it exceeds a fifth of the predicted variance.
     Then the narrower of the two intervals is used.
 
     The limit of the rate is known in theory for random points, and for jumps in up to 5 dims.
-    It is −1 for random points.
-    It is −1 − 1/d for strata of the cube and for jumps along curves.
+    Random points have the limit −1.
+    Strata of the cube and jumps along curves have the limit −1 − 1/d.
     For other sets it is −2 if g jumps across an axis, unless the jumps are always at cell borders.
     These limits are used if the last slopes are no slower.
 
     Otherwise the slopes over the last octaves must agree.
     The octaves extend to 4 times the last count, or to n = 2^16 for strata.
-    They extend that far only if no sets have to be drawn, in 1 to 3 dims.
+    This extension is made only in 1 to 3 dims, and only if no sets have to be drawn.
     The limit is then a nearby exponent of theory: −1 − k/d with an integer k, −2 or −3.
     If no such exponent is near and the slope is constant, the limit is the slope itself.
     If the slopes do not agree, ``limit_rate`` is NaN and the attribute ``note`` has the last rates.
@@ -1192,7 +1201,7 @@ class Predictor:
                 raise NoClosedForm(f"a deterministic sampler {NO_VARIANCE}")
             known, stream = self._known, self._stream
             if self.measured is not None:
-                if name == _LIMIT:  # A measurement does not give the limit of rates
+                if name == _LIMIT:  # Measurements end at the requested counts
                     raise NoClosedForm("a measurement does not extend beyond the requested counts")
                 reason, lost = known[0].once("doubt", self._doubted) or ("", False)
                 if lost:
@@ -1201,7 +1210,7 @@ class Predictor:
                     estimator, sampler, n, known[0], stream, self.measured[sampler.spec]
                 )
                 high = found.variance + found.error
-                # On a logarithmic scale, the lower end has the same distance as the upper end
+                # On a logarithmic scale, both ends are equally far from the variance
                 low = found.variance**2 / high
                 if reason:
                     high = np.full_like(high, math.inf)
@@ -1324,7 +1333,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
         except NoClosedForm as refusal:
             reason = refusal
             continue
-        # No interval is narrower than the error from regions that only the probe resolves
+        # The error is at least that of the regions which only the probe points resolve
         if np.isfinite(found.variance).all():
             error = np.maximum(found.error, known.unseen / law.n)
             if not found.poles:
@@ -1345,7 +1354,7 @@ def predicted(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
 def _of_the_set_inside(law: Law, known: Known, stream: Stream, name: str) -> Predicted:
     """Predict the variance for the set before folding or mirroring, with another integrand.
 
-    The other integrand is explained in `mcspectra.prediction.exact`.
+    `mcspectra.prediction.exact` explains the integrand that belongs to the inner set.
     """
     assert isinstance(law, Folded | Mirrored)
     if isinstance(law, Folded):

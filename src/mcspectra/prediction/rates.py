@@ -2,9 +2,9 @@
 
 The theory is in docs/theory.md, "Rates".
 The decay γ of |f_m|² is fitted to means of |f_m|² over shells half an octave wide.
-Two effects scatter these means about the line.
-One is terms of higher order. The other is ripples of the spectrum:
-their frequency is one over the distance of two jumps.
+The means over shells scatter about the fitted line for two reasons.
+The first reason is terms of higher order, the second is ripples of the spectrum.
+Two jumps at distance t cause ripples whose period in m is 1/t.
 The interval of γ comes from this scatter, with Student's t.
 """
 
@@ -54,7 +54,7 @@ __all__ = [
 ]
 
 DECAYS = {"jump": 1.0, "kink": 3.0, "smooth": math.inf}
-"""γ − d for a jump of values, for a jump of first derivatives (a kink), and without a jump.
+"""Values of γ − d for a jump of g, for a jump of first derivatives (a kink), and without a jump.
 
 Here γ is the decay of |f_m|², and d the number of dims. Jumps are across a hypersurface.
 """
@@ -73,15 +73,15 @@ class DecaySettings:
         With four, a Gaussian of width 0.1 appears to decay like |m|^-12 instead of |m|^-5.
     least_shells
         Least number of shells of half an octave in a fit. Fewer shells leave no scatter.
-        The value matters only if rounding noise hides the other shells.
+        The limit matters only if rounding noise hides most of the shells.
     bend
         Change of the exponent over these octaves above which a fit is reported as not settled.
-        For test functions with jumps and kinks the change is at most 0.9.
-        It is 8.6 for a Gaussian of width 0.1, whose kink at the border is still hidden.
+        For test functions with jumps and kinks, the exponent changes by at most 0.9.
+        It changes by 8.6 for a Gaussian of width 0.1, whose kink at the border is still hidden.
     widths, width
         Default half widths by number of dims, and the default for all other numbers of dims.
         The half width is larger in 1-D, because 1-D spectra have few frequencies per shell.
-        This matters for ripples. Each half width takes less than a second.
+        Few frequencies leave ripples in the means. Each half width takes less than a second.
     noise
         Rounding noise of |f_m|² relative to the largest |f_m|².
         Coefficients are accurate to 1e-13. Values from 1e-28 to 1e-24 give the same results.
@@ -101,7 +101,7 @@ class JumpSettings:
     """Settings for the search for jumps along lines.
 
     "The same results" means that the rates of 10 integrands in 1 to 4 dims did not change.
-    These have jumps along and across the axes, kinks, a pole, or a narrow Gaussian.
+    These integrands have jumps along and across the axes, kinks, a pole, or a narrow Gaussian.
 
     Attributes
     ----------
@@ -110,14 +110,14 @@ class JumpSettings:
     lines, places
         Number of lines along each axis, and of points on each line.
         The search takes 16,384 evaluations per axis.
-        It finds a jump along a curve with probability 0.97 if one line in ten crosses the curve.
+        If one line in ten crosses a curve of jumps, the curve is found with probability 0.97.
         Halving or doubling both values changes nothing.
     largest
         Number of the largest steps of each line that are bisected.
         A line crosses few jumps, and it suffices to find one of them on one line.
         Values from 2 to 8 give the same results.
     halvings
-        Number of bisections of such a step. 512 points and 30 halvings reduce it to 2e-12.
+        Number of bisections of a large step. 512 points and 30 halvings reduce it to 2e-12.
         Over that distance a slope of 1e7 changes g by less than `least`.
         With 15 halvings, a Gaussian of width 0.02 appears to jump.
     beside
@@ -131,8 +131,8 @@ class JumpSettings:
         Values from 1e-6 to 1e-2 give the same results.
     border
         A jump closer to the border of a stratum than this does not cut the stratum.
-        The distance is a fraction of the stratum.
-        It covers rounding of n times a position up to n = 2^30.
+        The distance is a fraction of the width of a stratum.
+        The distance exceeds rounding errors of positions in strata for n up to 2^30.
         Values from 1e-8 to 1e-4 give the same results.
     """
 
@@ -162,13 +162,14 @@ class LimitSettings:
         With 8 octaves the limits of 4 curves of scrambled nets, which bend late, are not found.
     near
         A theoretical exponent closer to the slope than this is the limit.
-        The distance is at most 0.4/d, because exponents are 1/d apart.
+        This difference is limited to 0.4/d, because theoretical exponents are 1/d apart.
         Values from 0.1 to 0.4 give the same results.
     agree
         Largest difference of the local slopes within these octaves.
         Values from 0.2 to 0.4 give the same results. With 0.1, one limit of 64 is not found.
     leaves
-        An exponent is excluded if the slopes move away from it and end farther away than this.
+        A theoretical exponent is excluded if the slopes move away from it
+        and the last slope differs from it by more than this number.
         Values from 0.025 to 0.1 give the same results.
     still
         Largest change of three slopes that count as constant.
@@ -186,7 +187,7 @@ class LimitSettings:
         Positions are 0.1 octaves apart over 10 octaves. Bends are known to this accuracy.
     better
         A curve bends if its scatter about the best bent curve is small.
-        The scatter must be less than this fraction of the scatter about a line.
+        A small scatter is below this fraction of the scatter about a straight line.
         Values from 0.125 to 0.25 give the same results. With 0.5, one more curve bends.
     """
 
@@ -210,16 +211,16 @@ def predicted_rate(b: float, decay: float | str, dims: int) -> float:
     Parameters
     ----------
     b
-        Low-frequency exponent of the power of the points. It is 0 for random and Poisson disk sets,
-        and 2 for jittered sets. It is larger for sets optimized for smooth functions,
-        and infinite for step noise.
+        Exponent of the power of the points at low frequencies.
+        It is 0 for random and Poisson disk sets, 2 for jittered sets and infinite for step noise.
+        Sets that are optimized for smooth functions have larger exponents than jittered sets.
     decay
         The decay γ: averaged over directions, |f_m|² is proportional to |m|^-γ.
-        It must exceed `dims` for a finite variance. `integrand_decay` measures it.
+        The decay must exceed `dims` for a finite variance. `integrand_decay` measures γ.
         `fitted_decay` also gives the interval of γ.
-        If γ − d < b, dividing it by `dims` gives the interval of the rate.
+        If γ − d < b, the interval of γ, divided by `dims`, gives the interval of the rate.
         Alternatively give ``"jump"``, ``"kink"`` or ``"smooth"``, as in `DECAYS`.
-        This is the worst discontinuity of the integrand on the torus.
+        These words name the worst discontinuity of the integrand on the torus.
     dims
         Number of dims d.
 
@@ -231,12 +232,12 @@ def predicted_rate(b: float, decay: float | str, dims: int) -> float:
     Raises
     ------
     ParameterError
-        If a value is out of range: b ≤ −d or γ ≤ d.
+        If the exponent b is −d or less, or the decay γ is d or less.
 
     Notes
     -----
     The formula holds for homogeneous (randomly shifted) sets.
-    Their power spectrum determines the variance.
+    The power spectrum of homogeneous sets determines the variance.
     For jittered sets without shift, the border is not a jump of a smooth function.
     Use ``"smooth"`` for these sets.
 
@@ -265,8 +266,8 @@ class Slowest:
     exponent
         Lower bound of the limit. It is −∞ if nothing is known.
     sure
-        Whether the bound is the limit if the curve falls at least this fast.
-        Otherwise the slopes must also agree.
+        Whether the lower bound is the limit of any curve that falls at least as fast.
+        If false, the last slopes must also agree.
     """
 
     exponent: float = -math.inf
@@ -276,13 +277,13 @@ class Slowest:
 def slowest_of_jumps(g: Integrand, laws: Sequence[Law], settings: JumpSettings = _JUMPS) -> Slowest:
     """Return the rate that jumps of g impose on stratified sets, lattices and nets.
 
-    `laws` are the laws at several n. The rates are as follows.
+    `laws` are the laws of the sets at several n.
     A jump along a curve cuts n^(1 − 1/d) strata with equal contributions. This gives −1 − 1/d.
-    A jump across an axis gives −2 for sets whose projections are stratified:
-    it cuts one of n strata. It cuts no stratum if it lies at a stratum border at all counts.
+    A jump across an axis cuts one of n strata. Sets with stratified projections have the rate −2.
+    A jump at a stratum border at all counts cuts no stratum.
     On the torus, g may also jump at the border of the cube.
     Lattices resolve a straight line as well as an axis.
-    For disks they reach −1 − 1/d only in the mean over n.
+    For disks, lattices reach −1 − 1/d only in the mean over n.
     """
     d, law = g.dims, laws[-1]
     curves = -1.0 - 1.0 / d
@@ -391,18 +392,18 @@ def rates_of(
     slowest
         Theoretical bound of the rate.
     settings
-        Conditions for a limit and for a bend.
+        Conditions under which a rate has a limit, and a curve of variances bends.
 
     Returns
     -------
     tuple
-        Rate: the slope of a line through the requested counts.
+        Rate: the slope of a straight line through the variances at the requested counts.
 
-        Limit: the bound of theory, if it is certain and the last slope is no slower.
+        Limit: the theoretical bound, if it is certain and the last slope is at least as steep.
         The last slope is over the last four octaves.
         Otherwise, if this slope hardly changes, it is a nearby exponent of theory, in up to 3 dims.
         These exponents are −1 − k/d, −2 or −3.
-        The values of k mean white power (0), a jump (1), strata (2) or a kink (3).
+        Here k is 0 for white power, 1 for a jump, 2 for strata and 3 for a kink.
         The exponent −3 may have a factor (log n)^(d − 1).
 
         Bend: the n at which the power law of smaller n meets the power law of the limit,
@@ -420,7 +421,7 @@ def rates_of(
     if len(x) < 2:
         return rate, limit, bend, ""
 
-    # The slope over the last octaves, and the slopes between their counts
+    # Compute the slope over the last octaves, and the slopes between successive counts
     late = min(len(x), max(3, int((x >= x[-1] - settings.late * math.log(2.0) - 1e-9).sum())))
     end = line_fit(x[-late:], y[-late:], np.ones(late)).slope
     steps = np.diff(y) / np.diff(x)
@@ -452,7 +453,7 @@ def rates_of(
         )
 
     # Fit two powers of n, where the second has the exponent of the limit.
-    # Use their sum if the curve flattens, and the sum of their inverses if it gets steeper
+    # Add both powers if the curve flattens. Add their inverses if the curve gets steeper
     if len(x) > 3 and abs(steps[0] - limit) > settings.change:
         at = np.linspace(x[0], x[-1], settings.tried)[:, None, None]
         change = np.linspace(-settings.most_change, settings.most_change, settings.tried)[:, None]
@@ -474,9 +475,9 @@ class DecayFit:
     ----------
     decay, interval
         The exponent γ and its 95 % interval.
-        Both are infinite if the coefficients are rounding noise.
+        The exponent and its interval are infinite if the coefficients are rounding noise.
         The interval accounts for the scatter about a power law.
-        It does not account for another law beyond the half width.
+        The interval does not account for a different power law beyond the half width.
     bend
         Change of the local exponent from the first shell of the fit to the last, by a parabola.
     half_width
@@ -509,7 +510,7 @@ def integrand_decay(
     half_width
         The slope is fitted over the last three octaves up to |m| = K. K is at least 8.
         The default is 512 in 1-D and 64 in more dims.
-        In 1-D this finds a jump anywhere to ±0.06.
+        In 1-D, the exponent of a jump at any position is accurate to ±0.06.
         In more dims, jumps along the axes can have larger errors; see `fitted_decay`.
     max_evaluations
         Maximum number of evaluations of a user's function. More evaluations raise BudgetError.
@@ -517,14 +518,14 @@ def integrand_decay(
     Returns
     -------
     float
-        The exponent γ. It is infinite if the coefficients there are rounding noise.
+        The exponent γ. It is infinite if the coefficients at high frequencies are rounding noise.
         The least γ of several channels is returned. `fitted_decay` also returns its interval.
 
     Warns
     -----
     PreasymptoticWarning
-        If the exponent changes by more than 1 over these octaves.
-        K is then too small to show the end of the spectrum.
+        If the exponent changes by more than 1 over the fitted octaves.
+        The half width K is then too small to show the decay at high frequencies.
         This happens for smooth functions before rounding noise is reached.
 
     Examples
@@ -560,7 +561,7 @@ def fitted_decay(
     Returns
     -------
     DecayFit
-        The fit of the channel with the least γ.
+        The fit of the channel whose exponent γ is the smallest.
 
     Examples
     --------

@@ -13,9 +13,10 @@ Within a distance ε of the pole, a power law gives the integrals:
 
     ∫_0^ε h = ε h(ε) / (1 − a),    ∫_0^ε h² = ε h(ε)² / (1 − 2a).
 
-All probe points (`mcspectra.integrands._quadrature.probe`) test the sum or product of curves.
-The test finds every slab across an axis, of width 2^-17 or more, in which g differs.
-It finds another region of volume v with probability 1 − exp(−2^17 v).
+The sum or product of the curves is compared with g at all points of the probe
+(`mcspectra.integrands._quadrature.probe`).
+The comparison finds every slab across an axis in which g differs, if it is 2^-17 wide or wider.
+The comparison finds any other region of volume v with probability 1 − exp(−2^17 v).
 """
 
 from __future__ import annotations
@@ -73,7 +74,7 @@ class PiecewiseSettings:
     least: float = 2.0**-50
     least_at_0: float = 2.0**-64
     # The exponent of a pole is fitted at the distances 2^-k, for the k given here.
-    # One list is for a pole at 0, the other for all other poles.
+    # The list `near_0` is for a pole at 0, the list `inside` for all other poles.
     # The power law begins at the last distance.
     # If each k changes by 5, the variance of a sum with poles changes by less than 1e-6.
     near_0: tuple[int, ...] = (40, 45, 50, 55, 60)
@@ -82,13 +83,13 @@ class PiecewiseSettings:
     # Halving or doubling the value gives the same results.
     pole: float = 0.02
     # Relative error of the distances to a pole that is not at 0.
-    # The value changes intervals, but not variances.
+    # This error changes intervals, but not variances.
     place: float = 2.0**-16
     # Smallest change of a function from one distance to the next that counts as a pole.
-    # It is a fraction of the function's value.
+    # The change is relative to the value of the function.
     # Halving or doubling the value gives the same results.
     step: float = 1e-6
-    # Pieces on the other side of a pole belong to the pole up to this distance.
+    # Largest distance from a pole at which pieces on its other side still belong to the pole.
     # Halving or doubling the value gives the same results.
     gap: float = 2.0**-40
     # Number of probe points among which the largest value of a product is sought.
@@ -100,7 +101,8 @@ class PiecewiseSettings:
     # Relative rounding error of g in the test of a sum or product.
     # Halving or doubling the value gives the same results.
     same: float = 1e-7
-    # A value shared by more than this fraction of the points is a constant added to a product.
+    # If more than this fraction of the points share a value of g,
+    # this value is taken for a constant that is added to a product.
     # An example is the value 0 of an indicator function.
     # Halving or doubling the value gives the same results.
     common: float = 0.1
@@ -256,8 +258,8 @@ class PiecewiseCurve:
         low, high, coefficients = low[order], high[order], coefficients[order]
         start, width = low.copy(), high - low
 
-        # Poles may lie at the ends and where pieces do not settle.
-        # Several pieces may belong to one pole.
+        # Poles may lie at the ends, at given breaks, and where the polynomials do not settle.
+        # Several adjacent pieces may belong to one pole.
         rough += [(e, e, 0.0) for e in (0.0, *(e for e in ends if 0.0 < e < 1.0), 1.0)]
         clusters: list[list[tuple[float, float, float]]] = []
         for piece in sorted(rough):
@@ -267,7 +269,8 @@ class PiecewiseCurve:
                 clusters.append([piece])
         places = []
         for cluster in clusters:
-            a, b, _ = max(cluster, key=lambda piece: piece[2])  # The piece with the largest values
+            # A pole lies in the piece with the largest values
+            a, b, _ = max(cluster, key=lambda piece: piece[2])
             places.append(
                 0.0 if cluster[0][0] == 0.0 else 1.0 if cluster[-1][1] == 1.0 else 0.5 * (a + b)
             )
@@ -279,7 +282,7 @@ class PiecewiseCurve:
                 logs = _SETTINGS.near_0 if place == 0.0 else _SETTINGS.inside
                 at = place + way * 0.5 ** np.array(logs, float)
                 distance = np.abs(at - place)
-                # At geometric distances t, differences of A t^-a + B have a constant ratio
+                # If distances t have a constant ratio, so have the differences of A t^-a + B
                 with np.errstate(all="ignore"):
                     value = np.asarray(function(at), float)
                     steps = np.diff(value)
@@ -300,14 +303,14 @@ class PiecewiseCurve:
                 doubt += square * off / (1.0 - 2.0 * a)
                 begin, stop = (place, place + size) if way > 0.0 else (place - size, place)
                 tails.append((begin, stop, first, second))
-                # On this side the pieces end where the power law begins.
-                # On the other side they end close to the pole.
+                # On the side with the power law, the pieces end where this law begins.
+                # On the other side, the pieces end close to the pole.
                 wide = (begin, min(stop + (way < 0.0) * _SETTINGS.gap, 1.0))
                 wide = (max(0.0, begin - (way > 0.0) * _SETTINGS.gap), stop) if way > 0.0 else wide
                 cut_low = (low >= wide[0]) & (low < wide[1])
                 cut_high = (high > wide[0]) & (high <= wide[1])
                 low, high = np.where(cut_low, wide[1], low), np.where(cut_high, wide[0], high)
-        # Kinks lie in narrow pieces. Take the narrowest of adjacent pieces
+        # A kink lies in narrow pieces. Of adjacent narrow pieces, take the narrowest
         narrow = np.flatnonzero(width < _SETTINGS.kink)
         for some in np.split(narrow, np.flatnonzero(np.diff(start[narrow]) > _SETTINGS.kink) + 1):
             if some.size:
@@ -429,7 +432,7 @@ def _separated(g: Integrand, channel: int) -> Separable | None:
     def line(
         z: Array, axis: int, constant: float, origin: float, product: bool
     ) -> Callable[[Array], Array]:
-        """Return the function of an axis along the line through z; the first includes g(z)."""
+        """Return the curve of one axis along the line through z. The first curve includes g(z)."""
 
         def at(x: Array) -> Array:
             points = np.repeat(z[None], len(x), axis=0)

@@ -8,27 +8,28 @@ The variance of the mean of g over the set is a mean over pairs (a, b) of points
 
     Var = (1/n²) Σ_{a,b} Σ_v C_v(a, b),    C_v = Cov(g_v(a), g_v(b)) over the randomization.
 
-On each axis, C_v depends on a single quantity.
-For nested scrambling it is the number of common digits of a_i and b_i.
-For a digital shift it is the difference of their digits.
-For a shift it is their difference on the torus.
+On each axis, the covariance C_v depends on a single quantity:
+the number of common digits of a_i and b_i under nested scrambling,
+the difference of their digits under a digital shift,
+and the difference a_i − b_i on the torus under a shift.
 
-Subsets v of one axis are exact.
-For larger subsets g is fitted by a sum of products Σ_r Π_i h_ri(x_i). For these products
+For a subset v of one axis the sum is exact.
+For larger subsets g is fitted by a sum of products Σ_r Π_i h_ri(x_i).
+For these products, the covariances of all subsets add up to
 
     Σ_v C_v = Σ_{r,s} Π_i (μ_ri μ_si + k_i^rs(a_i, b_i)) − I²
 
-contains all subsets at once. Here μ are the means of the factors h.
-The k are the covariances that remain between the factors under the randomization.
+Here μ_ri is the mean of the factor h_ri.
+The covariance of the factors h_ri and h_si under the randomization is k_i^rs.
 The part of g outside the fit is treated as white noise, so its energy is divided by n.
 The interval covers a noise between zero and twice this size.
-It also covers a correlation of ½ between the noise and the fit.
+The interval also covers a correlation of ½ between this noise and the fit.
 
 All quantities come from values of g at points of this module:
 
 * Profiles g(·, z) along each axis for many z. Their leading singular vectors are the basis of h_ri.
 * Least squares over scrambled nets, one axis after another.
-* The residual on another net.
+* The energy of g minus the fit, at the points of another net.
 * ∫g² with Student's t.
 
 The part g_i of axis i is taken from the fit, plus the mean deviation of the profiles from the fit.
@@ -101,8 +102,8 @@ class SubsetSettings:
     The stated changes were measured in six cases at n = 64 and 256.
     The integrands are smooth functions, a ball in 4-D, a slab, a jump along a line and a kink.
     The samplers are latin-hypercube, rank1-lattice | shift, and sobol with owen or digital-shift.
-    The half interval of the ball is 63 %, and the other half intervals are 0.2 to 1.3 %.
-    "Only the ball case" means a change of less than 8 % for the ball, and none for the others.
+    The half interval is 63 % for the ball, and 0.2 to 1.3 % for the other integrands.
+    "Only the result for the ball" means less than 8 % for the ball, and nothing for the others.
     "The same results" means changes of less than 1e-6.
 
     Attributes
@@ -118,33 +119,34 @@ class SubsetSettings:
         A total of 131,072 pairs gives a half interval of 0.8 % for normal differences.
     profile_work
         Total evaluations of profiles along all axes.
-        Halving or doubling this number changes only the ball case.
+        Halving or doubling this number changes only the result for the ball.
     nodes
         Number of nodes of a profile along an axis.
-        Half this number changes the kink by 0.1 %. Twice this number changes only the ball case.
+        Half this number changes the variance for the kink by 0.1 %.
+        Twice this number changes only the result for the ball.
     groups
         Number of independent groups of profiles. Their spread is the error.
-        Halving or doubling this number changes only the ball case.
+        Halving or doubling this number changes only the result for the ball.
     fitted
-        Number of replicates for the fit. One more replicate tests it.
-        Halving or doubling this number changes only the ball case.
+        Number of replicates to which products are fitted. One more replicate tests the fit.
+        Halving or doubling this number changes only the result for the ball.
     basis, negligible
         Largest number of functions of an axis, and energy that is neglected.
-        Halving or doubling either value changes only the ball case.
+        Halving or doubling either value changes only the result for the ball.
     rank, few_rank
         Largest number of products, and the same limit for few dims.
         In few dims only functions with jumps across axes need this method.
         More products would not resolve these jumps.
-        Three products give the ball an interval of 86 %, and twelve products 53 %.
-        The other cases do not change.
+        With three products the half interval of the ball is 86 %, with twelve products 53 %.
+        The results for the other integrands do not change.
     sweeps, settled
         Largest number of sweeps of a fit.
-        A fit stops earlier if the ratio of successive residuals exceeds the second value.
+        A fit stops earlier if the ratio of successive residuals exceeds `settled`.
         Halving or doubling the number of sweeps changes nothing.
-        Ratios of 0.95 and 0.995 change only the ball case.
+        Ratios of 0.95 and 0.995 change only the result for the ball.
     block
-        Number of points of a block of the least squares.
-        It is small enough that libraries do not start threads.
+        Number of points of a block in the least-squares fit.
+        Blocks are so small that numerical libraries start no threads.
     ridge
         Ridge of the least squares, relative to the mean of the diagonal.
         Halving or doubling this value changes variances by less than 5e-7.
@@ -153,14 +155,14 @@ class SubsetSettings:
         Halving or doubling this value gives the same results.
     stands_out
         At a jump, a profile changes more between two nodes than in the neighboring steps.
-        At a kink, this holds for its slope. The value is the least ratio of these changes.
-        Halving or doubling it changes only the ball case.
+        At a kink, the slope of the profile stands out. The value is the least ratio of changes.
+        Halving or doubling it changes only the result for the ball.
     halvings
         Number of bisections of a jump. They reduce steps of 1/128 to 2^-47.
         Values from 20 to 80 give the same results.
     shared
         A jump is shared by profiles if the mean profile has a large step.
-        Its square must exceed this fraction of the mean square of the steps of all profiles.
+        The square of this step must exceed this fraction of the mean square step of all profiles.
         Values from 0.05 to 0.2 give the same results.
     bent
         Least change of the slope at a kink, as a fraction of the largest slope.
@@ -177,7 +179,8 @@ class SubsetSettings:
     start
         Spread of the initial coefficients of a new product. The constant of the product is 1.
     adds_up
-        Factor by which the residual of the fit widens the interval if one offset moves all points.
+        If one offset moves all points, the residual of the fit is multiplied by this factor.
+        The factor widens only the interval.
         On lattices the contributions of kinks add up. For other sets the factor is 1.
     resolved
         Relative errors of curves between their nodes, for smooth curves and for curves with jumps.
@@ -185,15 +188,15 @@ class SubsetSettings:
         Largest work: the number of pairs times axes times squared products, 1.7e10.
     draws
         Number of sets that are drawn if sets are random before their shift or scramble.
-        The spread of their variances is part of the interval.
+        The spread of the variances of the drawn sets is part of the interval.
     digits
         Least number of cells of an axis that digits distinguish.
-        If the number of points is larger, it is used instead.
+        If the number of points is larger, digits distinguish as many cells as points.
     offsets
         Number of offsets within a stratum over which a uniform offset is averaged.
         The offsets are at the centers of equal parts.
-        The variance changes by 0.2 % from 8 to 32 offsets, and by 2 % from 4 to 8.
-        This was measured for a sum of two jumps, with latin-hypercube | shift at n = 64.
+        With 8 and 32 offsets, variances differ by 0.2 %. With 4 and 8 offsets they differ by 2 %.
+        These changes are for a sum of two jumps, with latin-hypercube | shift at n = 64.
     """
 
     few_dims: int = 3
@@ -243,7 +246,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
         Nested scrambles, linear scrambles and digital shifts in base 2 are also possible.
     known
         The integrand, in at least two dims. It takes about 2^20 evaluations.
-        They are made once for all counts and samplers.
+        The evaluations are made once for all counts and samplers.
     stream
         Stream for sets that are random before their shift or scramble.
 
@@ -288,18 +291,18 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
         sums = [
             pair_sums(x, rows, mode, pairs.bases[0], first, rest, means, weights) for x in codes
         ]
-        by_set = np.array(sums).mean(axis=1) / n  # (sets, 1 + groups + 1)
+        by_set = np.array(sums).mean(axis=1) / n  # Rows: sets. Columns: single axes, products
         sets, mean = by_set[:, 0] + by_set[:, -1], by_set.mean(axis=0)
         ones, more = mean[:-1], mean[-1]
-        # The part outside the fit may differ from white noise by 100 %.
-        # It has a correlation of up to ±½ with the fit.
-        # If one offset moves all points, this part may add up
+        # The variance of g minus the fit is between zero and twice that of white noise.
+        # The correlation of this part of g with the fit is at most ±½.
+        # If one offset moves all points, the contributions of this part may add up
         tail = p.residual / n
         together = pairs.kind != "digits" and len(codes) == 1
         half = (SUBSET_SETTINGS.adds_up if together else 1.0) * tail + math.sqrt(
             max(ones[0] + more, 0.0) * tail
         )
-        # Interactions of Latin hypercubes come from the points, or from the whole energy
+        # The energy of interactions is known from pairs, or as the whole energy minus single axes
         single = first[:, -1].sum(axis=0)
         of_whole = (
             p.variance - float(single[0]),
@@ -313,7 +316,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
             tail, half = joint + either - more, joint_half / n + either
         value = ones[0] + more + tail
         drawn = half_interval(sets) if len(sets) > 1 else 0.0
-        # Add the error due to peaks that few points hit
+        # Add an error for peaks of g, which few points hit
         seen = p.half / p.variance if p.variance > 0.0 else 0.0
         rough = any(len(axis.knots) > 2 for axis in p.axes)
         rough |= pairs.leaves_cells and 32 * n > SUBSET_SETTINGS.finest
@@ -328,7 +331,7 @@ def of_subsets(law: Law, known: Known, stream: Stream) -> Predicted:
 @final
 @dataclass(frozen=True)
 class Curves:
-    """Partition of an axis: the ends of its smooth pieces, and the nodes between these ends."""
+    """An axis in smooth pieces: the knots are the ends of pieces, with the nodes between them."""
 
     knots: Array
     nodes: Array
@@ -374,8 +377,8 @@ class AnovaModel:
     axes: list[Curves]
     main: list[Array]  # g_i of all groups and of each group: (1 + groups, nodes)
     factors: list[Array]  # h_ri: (products, nodes)
-    residual: float  # Energy outside the products
-    # Energy of several axes, and half of its 95 % interval
+    residual: float  # Energy of g minus the sum of products
+    # Energy of interactions of several axes, and half of its 95 % interval
     joint: tuple[float, float]
 
 
@@ -404,7 +407,7 @@ class _Pairs:
     def tables(self, parts: AnovaModel) -> tuple[Array, Array, Array, Array]:
         """Return the four arguments of `pair_sums`.
 
-        They are the covariances of g_i, the covariances of products, the means and the weights.
+        The arguments are covariances of g_i and of products, means and weights.
         """
         singles, pairs, averages = list[Array](), list[Array](), list[Array]()
         for base, levels, curves, main, factors, offsets in zip(
@@ -423,7 +426,7 @@ class _Pairs:
             )
             k = 1 if base == TORUS else k
             own = len(main)
-            # Covariances of g_i, (1 + groups, differences), and of pairs of h_ri
+            # Compute the covariances of g_i, (1 + groups, differences), and of all pairs of factors
             left, right = np.triu_indices(len(factors))
             left, right = (np.concatenate([np.arange(own), own + side]) for side in (left, right))
             of_offsets = []
@@ -432,7 +435,7 @@ class _Pairs:
                 mean = values.mean(axis=-1, keepdims=True)
                 values = values - mean
                 if self.kind == "digits":
-                    # In entry k, the first k digits agree. In the last entry all digits agree
+                    # Entry k: the first k digits agree. Last entry: all digits agree
                     means = values.reshape(len(values), cells, -1).mean(axis=-1)
                     energy = [(values[left] * values[right]).mean(axis=-1)]
                     while means.shape[-1] > 1:
@@ -456,7 +459,7 @@ class _Pairs:
         width = max(first.shape[-1] for first in singles)
 
         def stacked(tables: list[Array]) -> Array:
-            # If an axis has fewer digits, further common digits do not change its covariance
+            # If an axis has fewer digits than others, repeat its last covariance
             wide = [np.pad(t, ((0, 0), (0, width - t.shape[-1])), "edge") for t in tables]
             return np.ascontiguousarray(np.stack(wide).transpose(0, 2, 1))
 
@@ -481,7 +484,7 @@ def pair_sums(
 
     The inputs are codes (n, d, digits), rows (rows,), first (d, differences, variants),
     rest (d, differences, q), means (d, q) and weights (q,).
-    The first entries of a row are Σ_i first_i, one for each variant.
+    Each row begins with Σ_i first_i for every variant, the covariances of single axes.
     The last entry is Σ_q weight Σ_{|v| ≥ 2} Π_{i∈v} rest_i Π_{i∉v} mean_i.
     Mode 0 counts common digits, mode 1 uses bits that differ, and mode 2 the torus of `cells`.
     """
@@ -572,7 +575,8 @@ def all_parts(known: Known) -> list[AnovaModel]:
         at = np.concatenate(middles)
         at = np.concatenate([at[0] * _GRADED, at, 1.0 - (1.0 - at[-1]) * _GRADED[::-1]])
         along = profiles(axis, at)
-        even = np.append(np.abs(np.diff(at, 2)) < 1e-9, False)  # Whether the next step is equal
+        # Mark the nodes whose two neighboring steps are equal
+        even = np.append(np.abs(np.diff(at, 2)) < 1e-9, False)
         # Find undeclared jumps of the mean profile and bisect them.
         # A jump is a change that stands out between two nodes and that many profiles share.
         # At jumps that are not across the axis, each profile has its own jump
@@ -667,7 +671,7 @@ def _fitted(
         axis.cells(basis, SUBSET_SETTINGS.cells) for axis, basis in zip(axes, bases, strict=True)
     ]
     # The products of these blocks are so small that BLAS starts no threads.
-    # Waiting for threads would dominate the time
+    # With threads, waiting would take most of the time
     blocks = [basis[:, :-1].reshape(len(basis), -1, SUBSET_SETTINGS.block) for basis in known]
     train = [np.ascontiguousarray(basis.swapaxes(0, 1)) for basis in blocks]
     scale = float(np.abs(values).max()) or 1.0
@@ -695,9 +699,9 @@ def _fitted(
             [t[1:] for t in tested], axis=0
         ).sum(0)
         missed = scale**2 * float(((values[-1] / scale - sums) ** 2).mean())
-        # The energy of the fit where it was not tested is also missed.
-        # The variance of g at the test points shows the sampling error
-        curves = [w @ c for w, c in zip(weights, cells, strict=True)]  # (1 + products, cells)
+        # Energy of the fit that its test points do not show is also missed,
+        # except for the sampling error, which the variance of g at these points shows
+        curves = [w @ c for w, c in zip(weights, cells, strict=True)]  # Rows: sum, products
         averages = np.stack([c.mean(axis=1) for c in curves])
         squares = np.stack([c @ c.T / c.shape[1] for c in curves])
         products = np.prod(averages[:, 1:], axis=0)
@@ -729,7 +733,7 @@ def _fitted(
     main = []
     for i, given in enumerate(profiles):
         others = np.prod(np.delete(at, i, axis=0), axis=0).reshape(-1, *given.shape[:2])
-        # Functions of other axes only add a constant to a profile, so all profiles are centered
+        # Functions of the other axes shift a profile by a constant, so all profiles are centered
         beside = given - np.einsum("rgj,rk->gjk", others, factors[i])
         beside = (beside - beside.mean(axis=-1, keepdims=True)).mean(axis=1) - sums[i]
         own = np.prod(np.delete(means, i, axis=0), axis=0) @ factors[i] + sums[i]
@@ -760,7 +764,7 @@ def _least_squares(
     curves = [w @ b for w, b in zip(weights, bases, strict=True)]  # (blocks, 1 + products, size)
     last = math.inf
     for _ in range(SUBSET_SETTINGS.sweeps):
-        # Products over the axes after each axis and, during the sweep, over the axes before it
+        # For each axis, prepare the product over the later axes. The sweep adds the earlier axes
         after = [np.ones_like(curves[0][:, 1:])]
         for c in curves[:0:-1]:
             after.append(after[-1] * c[:, 1:])
@@ -793,7 +797,9 @@ def _least_squares(
 
 
 def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
-    """Return the law of pairs, codes (sets, n, d, digits), and the rows that show all pairs.
+    """Return the kind of pairs of points, codes (sets, n, d, digits), and representative rows.
+
+    The pairs of these rows with all points have the same distribution as all pairs.
 
     Raises
     ------
@@ -837,7 +843,7 @@ def pairs_of(law: Law, stream: Stream) -> tuple[_Pairs, Array, Array]:
     codes = np.zeros((*x.shape, max(levels)), np.int64)
     for axis, (b, most) in enumerate(zip(bases, levels, strict=True)):
         # Rounding may move a coordinate slightly below a multiple of b^−most.
-        # Add a small number, so that its digits are the digits of the multiple
+        # Add a small number, so that the coordinate gets the digits of the multiple
         whole = np.floor(x[..., axis] * b**most + (0.0 if b & (b - 1) == 0 else 1e-9))
         for level in range(most):
             codes[..., axis, level] = whole // b ** (most - 1 - level) % b

@@ -4,9 +4,9 @@ The covariance C_ml of such sets is diagonal. With the power P(m) = ⟨|S_m|²�
 
     Var = Σ_{m≠0} |g_m|² P(m) = Σ_{m in C} |g_m|² P(m) + (∫g² − I² − Σ_{m in C} |g_m|²) / n + …,
 
-where C is the set of counted frequencies. It consists of three parts:
+where C is the set of counted frequencies. The set C consists of three parts:
 a box; strips along the axes, which hold the energy of functions that are not periodic;
-and integer diagonals, which hold the energy of jumps along diagonals.
+and multiples of a few integer vectors, which hold the energy of jumps along diagonals.
 Outside C, P tends to 1/n.
 The error of the tail is the difference between P and 1/n at the border of the box,
 weighted by |g_m|².
@@ -64,7 +64,7 @@ __all__ = [
 @final
 @dataclass(frozen=True)
 class Reach:
-    """Range of counted coefficients for some number of dims.
+    """Largest counted frequencies for one number of dims.
 
     Attributes
     ----------
@@ -74,7 +74,7 @@ class Reach:
         Ends of strips along the axes, and the half widths of the strips.
         Drawn sets use the first strips only.
     diagonal
-        End of integer diagonals.
+        Largest |m_i| of frequencies along diagonals of the cube, or 0 without diagonals.
     """
 
     box: int
@@ -87,7 +87,7 @@ class Reach:
 class TorusSettings:
     """Settings for the counted coefficients.
 
-    The stated changes were measured in seven cases in 2-D and 3-D at n = 64 and 256.
+    The changes stated below were measured in seven cases in 2-D and 3-D at n = 64 and 256.
     The integrands are a jump along a line, smooth functions and a disk.
     The samplers are jittered, latin-hypercube, halton and rank1-lattice under shift, and
     poisson-disk.
@@ -107,9 +107,9 @@ class TorusSettings:
         Halving or doubling this value changes variances by less than 0.2 %.
     block
         Number of frequencies in memory whose power has a closed form.
-        It has no effect on the result.
+        The number has no effect on the result.
     precision
-        Relative error of transforms, far below the error of the sums.
+        Relative error of the Fourier transforms, far below the error of the variance.
     shells
         Number of shells of the box, each √2 wide, whose power tests whether the tail is white.
         The shells begin at an eighth of the half width.
@@ -146,33 +146,33 @@ class TorusSettings:
 class DrawnSettings:
     """Settings for drawn sets, if power has no closed form, and for the fit of their power law.
 
-    The stated changes refer to a smooth function in 2-D with poisson-disk at n = 64.
+    The changes stated below refer to a smooth function in 2-D with poisson-disk at n = 64.
     The half interval of this case is 3.1 %.
 
     Attributes
     ----------
             least_sets, most_sets, points
         Number of sets that are transformed at all frequencies, and largest number of sets.
-        The third value is the total number of points. It limits the work at large n.
+        `points` is the total number of points, which limits the work at large n.
         Halving or doubling these numbers changes the variance by less than 0.8 %.
     slow, slow_points
         Largest `max_count` of slow samplers, which optimize their points.
-        The second value is the total number of their points.
+        `slow_points` is the total number of points of all sets of a slow sampler.
         Slow samplers draw half as many first sets, which are cached for other integrands.
     precision
-        Half interval, relative to the variance, above which more sets are drawn.
-        Half this value is not reached with `most_sets`. Twice it changes the variance by 1.9 %.
+        More sets are drawn if the half interval, relative to the variance, exceeds this number.
+        Half this value needs more than `most_sets`. Twice this value changes the variance by 1.9 %.
     low
         Half width of the frequencies at which all sets are transformed.
         These frequencies hold the energy of smooth functions.
         Halving or doubling this value changes the variance by less than 0.5 %.
     length, least_lengths
         Largest |m| n^(-1/d) at which power follows a smooth law of the length |m|.
-        The second value is the least number of different lengths in such a fit.
+        `least_lengths` is the least number of different lengths in a fit of the smooth law.
         The first peak of the power of stochastic sets lies at 1.
         Halving or doubling either value changes the variance by less than 0.1 %.
     agrees
-        The law and the measured power must agree within this number of standard errors.
+        The smooth law and the measured power must agree within this number of standard errors.
         Values from 1 to 4 give the same results.
     steps
         Number of Newton steps, after which the fit has converged.
@@ -180,7 +180,7 @@ class DrawnSettings:
     least_box, box
         Half width of the box of a homogeneous set: least value, and value in units of n^(1/d).
         Halving or doubling this value changes the variance by less than 0.3 %.
-        Half a box triples the error.
+        Half the half width triples the error of the variance.
     """
 
     least_sets: int = 16
@@ -203,8 +203,8 @@ class DrawnSettings:
 class DualSettings:
     """Settings for the counted frequencies of a dual lattice.
 
-    The stated changes refer to a disk with rank1-lattice | shift at n = 64.
-    Its half interval is 0.11 %.
+    The changes stated below refer to a disk with rank1-lattice | shift at n = 64.
+    The half interval of the disk is 0.11 %.
 
     Attributes
     ----------
@@ -212,11 +212,11 @@ class DualSettings:
         Number of frequencies of the dual lattice in a box.
         Halving or doubling this value changes the variance by less than 0.04 %.
     periods, strip
-        Ends of strips in units of n, and number of frequencies of the dual lattice in the strips.
+        `periods` is the end of the strips in units of n, and `strip` their number of frequencies.
         Halving or doubling either value changes the variance by less than 0.03 %.
     jump
-        Largest ratio of the energy of an octave to the energy of the octave before.
-        The ratio is one half if g jumps along curves, and less otherwise.
+        Largest ratio of the energies Σ |g_m|² of two successive octaves of frequency.
+        This ratio is one half if g jumps along curves, and less otherwise.
         A lower limit would cut the tail of jumps. A limit of one would make the tail infinite.
     whole
         Rounding error of n times the differences of lattice points, which are multiples of 1/n.
@@ -235,9 +235,9 @@ class DualSettings:
 class MovesSettings:
     """Settings for the offsets that move a set.
 
-    The stated changes were measured in three cases. They are
-    a jump along a line with rank1-lattice | shift, a ball in 4-D with kronecker | shift,
-    and a smooth function with sobol | digital-shift.
+    The changes stated below were measured in three cases.
+    With rank1-lattice | shift the case is a jump along a line,
+    with kronecker | shift a ball in 4-D, and with sobol | digital-shift a smooth function.
 
     Attributes
     ----------
@@ -245,12 +245,12 @@ class MovesSettings:
         Number of offsets, and number of evaluations of g, which limits the offsets at large n.
         With fewer than the least number of offsets, intervals exceed 35 % and the method raises.
         Halving or doubling the number of offsets changes variances by less than 1.2 %.
-        This is within the intervals of 1 to 3 %.
+        This change is within the intervals of 1 to 3 %.
     block
-        Number of evaluations per call. It has no effect on the result.
+        Number of evaluations per call. The number has no effect on the result.
     spreads
         Number of successive parts of the offsets whose variances give the standard error.
-        With 8 and 32 parts, half intervals are 1 to 1.6 times as wide as with 16 parts.
+        With 8 or 32 parts instead of 16, half intervals are 1 to 1.6 times as wide.
     steps
         Number of rounds of lattice reduction. Values from 6 to 24 give the same results.
     """
@@ -295,7 +295,7 @@ class Region:
     energy
         |g_m|², doubled where −m is not in the region: (channels or 1, *grid).
     table
-        Energies from a coarser table. None if the coefficients are exact.
+        The same energies from a coarser table of g, or None if the coefficients are exact.
     near
         Whether drawn sets use this region.
     """
@@ -374,7 +374,7 @@ def _energies(g: Integrand) -> tuple[Region, ...]:
             f = g.fourier(_listed(vectors, low, high)).reshape(*shape, -1)
             found = [np.ascontiguousarray(np.moveaxis(np.abs(f) ** 2, -1, 0))]
         else:
-            # Use a fine and a coarse table of g, for a region along permuted axes
+            # Compute the coefficients from a fine and a coarse table of g, with the axes permuted
             order = vectors.argmax(axis=1)
             m = [np.arange(low[i], high[i] + 1, dtype=float) for i in np.argsort(order)]
             found = []
@@ -386,7 +386,7 @@ def _energies(g: Integrand) -> tuple[Region, ...]:
         for energy in found:
             if low[0] > 0:
                 energy *= 2.0
-            else:  # For k_0 = 0 the box holds both m and −m
+            else:  # The frequencies with k_0 = 0 include both m and −m
                 energy[:, 1:] *= 2.0
                 middle = math.prod(-2 * l + 1 for l in low[1:]) // 2
                 energy[:, 0].reshape(len(energy), -1)[:, middle] = 0.0
@@ -567,7 +567,7 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
     The interval comes from the variances of successive parts of the offsets, with Student's t.
 
     Sampling the pairs E g(u) g(u + x_k) over independent u would need more evaluations.
-    The square of the mean of a moved set averages over all pairs of its points.
+    The square of the mean over one moved set averages over all pairs of points of the set.
 
     Raises
     ------
@@ -596,8 +596,8 @@ def of_moves(law: Law, known: Known, stream: Stream) -> Predicted:
     if scramble is not None:
         how = f"{scramble.name} scrambles of the set"
 
-    # Average g over the moved sets. Multiples of a random vector are pairwise independent,
-    # and therefore at least as good as random offsets.
+    # Average g over the moved sets. The offsets are multiples of a random vector.
+    # Such offsets are pairwise independent, and therefore at least as good as random offsets.
     # Multiples of a fixed vector might coincide with the points of the set
     start, step = own.uniforms(0, 1, 2 * g.dims).reshape(2, g.dims)
     offsets = (start + np.arange(count)[:, None] * step) % 1.0
@@ -630,7 +630,7 @@ def _scramble(law: Scrambled) -> Randomization:
 def moves_at_once(law: Law) -> bool:
     """Return whether one random offset or scramble moves all points of a fixed set.
 
-    The result is False if n is too large to evaluate g for enough offsets.
+    Return False if n is too large to evaluate g for enough offsets.
     """
     if not isinstance(law, Shifted | Scrambled):
         return False
@@ -643,7 +643,7 @@ def moves_resolve(law: Law, known: Known) -> bool:
     """Return whether `of_moves` resolves a set in 1 to 3 dims better than other methods.
 
     This holds for shifted lattices if the coefficients of g are not exact.
-    It also holds for nets in base 2 with a digital shift, whose weights depend on g.
+    The same is true for nets in base 2 with a digital shift, whose weights depend on g.
     """
     if law.dims > 3 or not moves_at_once(law):
         return False
@@ -669,7 +669,7 @@ def _drawn(
     Sets are added until the error is small compared with the variance,
     or the total number of points is reached.
     If power depends only on the length of m, a smooth law may fit the measured power.
-    The law then replaces the measured power.
+    This smooth law then replaces the measured power.
     """
     from scipy.special import stdtrit
 
@@ -687,7 +687,7 @@ def _drawn(
     lawful = isotropic and len(np.unique(np.rint(length[inside] ** 2 * n))) >= _DRAWN.least_lengths
     core = replace(low, energy=np.where(inside, low.energy, 0.0) if lawful else 0.0 * low.energy)
     sums, low_sum, count = [np.zeros(r.shape) for r in regions], np.zeros(low.shape), 0
-    # Powers in the core, at the other low frequencies, and at all other frequencies
+    # Powers at the low frequencies of the smooth law, at other low frequencies, and at all others
     values: tuple[list[Array], ...] = ([], [], [])
     while True:
         for x in (

@@ -1,9 +1,9 @@
 """One call that measures the noise of an estimator, finds its causes and gives advice.
 
-All evaluations are within a budget.
+The number of evaluations of the function is at most the given budget.
 
 Most of the budget goes to scrambled nets (`samples`).
-These give the variances of several samplers at once.
+These nets give the variances of several samplers at once.
 A fifth goes to lines that detect discontinuities and kinks (`probing`).
 If the nets do not give the variance of the given sampler, a part goes to this sampler.
 `causes` finds the causes in these evaluations.
@@ -80,16 +80,17 @@ class ProfileSettings:
     """Settings of a profile."""
 
     # Least budget, in evaluations. Twenty nets of four points take 80 evaluations.
-    # They must fit into 40 % of the budget if the given sampler is also measured.
+    # The nets get only 40 % of the budget if the given sampler is also measured.
     least_budget: int = 256
     # Width of the text of a cause in columns, one line of a usual terminal or page.
     width: int = 100
     # Points of each net to which changes are fitted; 20 nets take 1280 evaluations.
-    # In 12 profiles of 8192 evaluations (six functions, two seeds), half or double this number
-    # gave the same advice. The RMSE after one fitted change differed by a factor of 2.4.
+    # In 12 profiles of 8192 evaluations (six functions, two seeds), the advice was the same
+    # with half and with double this number of points.
+    # The RMSE after one of the fitted changes differed by a factor of 2.4.
     fitted_points: int = 64
-    # Dependence of draws is a cause if the ratio of effective draws to all draws is at most this,
-    # even at the upper end of the interval of the ratio.
+    # Dependence of draws is a cause if the ratio of effective draws to all draws is at most this.
+    # The upper end of the interval of the ratio must also be at most this.
     # At this ratio, standard errors are 20 % larger than for independent draws.
     dependent: float = 0.7
     # Least number of points of each net in measurements of a change.
@@ -108,7 +109,7 @@ class ProfileSettings:
     # With 0.25 or 1 the RMSE of 12 profiles changed by 6 % at most.
     teeth_error: float = 0.5
     # The level of such a sawtooth is the mean over this number of its last counts.
-    # The second number is the standard deviation of the log variance about the level.
+    # About this level, the log variance has the standard deviation `teeth_scatter`.
     # If a uniform share p of the stratum is on one side of the jump, the variance is ∝ p(1 − p),
     # and its logarithm has the standard deviation √(4 − π²/3) = 0.84.
     teeth: int = 4
@@ -116,28 +117,30 @@ class ProfileSettings:
     # Standard error of the prior assumption that a change of the estimator keeps the rate.
     # With 0.2 or 0.8 the RMSE of 12 profiles changed by 8 % at most.
     alike_error: float = 0.4
-    # A change without variance is dropped if its mean differs by more than this number of
-    # standard errors from the mean of the nets. A normal mean is beyond 4 with probability 6e-5.
+    # A change without variance is dropped if its mean differs from the mean of the nets
+    # by more than this number of standard errors.
+    # A normal error exceeds 4 standard errors with probability 6e-5.
     off_sigmas: float = 4.0
     # If a net has fewer points than this, the rate of a change is limited to `steepest_rate`.
     # Few points do not show whether a steep rate continues,
     # and the gain at the budget would be exaggerated.
     # The advice of 12 profiles was the same for 8 or 32 points, and for rates of −1.5 or −3.
-    # The RMSE after one change differed by a factor of up to 1.9.
+    # The RMSE after one of the changes differed by a factor of up to 1.9 between these values.
     few_points: int = 16
     steepest_rate: float = -2.0
     # Number of errors by which the log variance of a change at the budget must be lower,
     # if g grows at the border or has a heavy tail.
-    # This was tested in 112 profiles with 4096 evaluations each: seven such functions,
-    # two samplers and eight seeds. With 1, none of 88 recommendations had a larger variance
-    # than the given set-up. With 0.5, one of 99 had, and with 0, five of 109 had.
+    # This was tested in 112 profiles with 4096 evaluations each:
+    # there were seven such functions, two samplers and eight seeds.
+    # With 1, none of 88 recommended changes had a larger variance than the given set-up.
+    # With 0.5, one of 99 recommended changes was worse, and with 0, five of 109 were worse.
     tail_errors: float = 1.0
     # Number of sets of a lattice at each count. It is small because the remaining budget is small,
     # and rates of lattices require several counts.
     lattice_sets: int = 10
     # Standard deviation of the log variance of lattices about a line through all counts.
-    # It is large because each count has another vector.
-    # For smooth functions it is 1.3 in 4 to 6 dims, and 0.6 in 2 and 3 dims.
+    # The deviations are large because each count has another generating vector.
+    # For smooth functions the standard deviation is 1.3 in 4 to 6 dims, and 0.6 in 2 and 3 dims.
     lattice_scatter: float = 1.3
     # Largest number of dims in which antithetic pairs in strata are measured.
     # In more dims, folded lattices are measured, which have the rate −4.
@@ -228,7 +231,7 @@ class Profile:
         Number of evaluations of f, and the number that the user allowed.
     variance, rate, rate_ci
         Variance of an estimate of `budget` evaluations with the given sampler, and its slope.
-        If the given sampler could not be measured, both are for nets.
+        If the given sampler could not be measured, variance and rate are those of nets.
     points
         Number of points of an estimate at the budget: `budget` over the evaluations of a point.
     reference
@@ -350,7 +353,7 @@ class Profile:
 
     @property
     def dataset(self) -> xr.Dataset:
-        """The curves on (sampler, n), with NaN at other counts. The answer is in attributes."""
+        """Curves of variance on (sampler, n), NaN at unused counts. The answer is in attributes."""
         ns = sorted({int(n) for curve in self.samplers.values() for n in curve.counts})
         place = {n: k for k, n in enumerate(ns)}
         shape = (len(self.samplers), len(ns))
@@ -439,15 +442,16 @@ def profile(
         An interrupted profile continues from the cache.
     on_error
         For functions: ``"raise"`` raises an error if f fails or is not finite.
-        ``"skip"`` counts such points, replaces their values by the mean of all others,
-        and widens the interval, as in `mcspectra.integrate`.
+        ``"skip"`` counts such points, and replaces their values by the mean of all others.
+        The interval is then wider, as in `mcspectra.integrate`.
         With ``"raise"``, f may still fail at the probes that are closest to the border.
 
     Returns
     -------
     Profile
         The results; ``print`` shows them.
-        `Profile.to_dict` has all numbers, and `Profile.dataset` has the curves.
+        `Profile.to_dict` returns the results as plain numbers and texts.
+        `Profile.dataset` contains the curves of variance.
 
     Raises
     ------
@@ -504,7 +508,7 @@ def profile(
             found = _with_skipped(found, calls, given.function)
         found = replace(found, function=f)
     if isinstance(calls, Calls):
-        calls.budget = sys.maxsize  # Allow unlimited use of the result
+        calls.budget = sys.maxsize  # Do not limit later calls of the function
     return found
 
 
@@ -518,7 +522,7 @@ class _Filled:
 
     @staticmethod
     def of(calls: Calls) -> Any:
-        """Return the calls unchanged if they raise errors instead of skipping points."""
+        """Return calls that fill in NaN, or the calls unchanged if they raise errors instead."""
         return _Filled(calls) if calls.skips else calls
 
     def __call__(self, x: Array) -> Array:
@@ -689,7 +693,7 @@ def _profiled(subject: Subject, budget: int, stream: Stream) -> Profile:
         found = sure + found + [each for each in made if not each.sure]
     curve = curves.get(given.spec, curves[NETS])
     # The interval is known if the values do not depend on a few of them,
-    # or if lines have fitted a pole
+    # or if growth at the border was found
     names = {cause.name for cause in causes}
     infinite = "infinite-variance" in names
     no_integral = any(
@@ -793,7 +797,7 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     first = _shape(causes)
     if name in {_LATTICE, _FOLDED} and math.isfinite(curve.rate):
         # In theory, the variance for smooth functions is n^−4 (log n)^(2d − 2).
-        # Use two thirds of the exponent of the logarithm.
+        # Compute the rate with two thirds of the exponent 2d − 2 of log n.
         # Limit the rate, because few points may show a steeper rate in many dims
         third = (dims - 1) / (3.0 * math.log(max(curve.counts[-1], 2.0)))
         limit = min(-4.0 + 4.0 * third, -1.0)
@@ -803,8 +807,8 @@ def _by_theory(name: str, curve: Curve, causes: Sequence[Cause], dims: int, poin
     if name not in {NETS, "jittered"} or first not in _EXPONENTS or not math.isfinite(curve.rate):
         return curve
     # A jump cuts n^(1 − 1/d) of n strata. If the jump is along an axis or g is smooth,
-    # nets have the rate of 1-D, with up to d − 1 logarithms.
-    # Assume two thirds of the logarithms, with a standard error of one third
+    # nets have the rate of 1-D, with up to d − 1 factors log n.
+    # Assume two thirds of d − 1 as the number of these factors, and one third as its error
     strata = name == "jittered" or first == "interior-jump"
     third = 0.0 if strata else (dims - 1) / (3.0 * math.log(curve.counts[-1]))
     rate = -1.0 - _EXPONENTS[first] / (dims if strata else 1) + 2.0 * third
@@ -832,7 +836,7 @@ def _rival(evidence: Evidence, causes: Sequence[Cause]) -> str:
     Lattices have the rates of Fourier series if g agrees on opposite faces of the cube,
     or if points are folded [Hickernell2002]_. They also gain from kinks, cusps and waves.
     For smooth g, antithetic pairs about the centers of strata have the rate −1 − 4/d,
-    the rate of cubic stratification of second order.
+    which is also the rate of cubic stratification of second order.
     """
     smooth = _is_smooth(causes)
     grows = any(cause.name == "border-growth" for cause in causes)
@@ -889,7 +893,7 @@ def _measured(
 
 
 def _replicates(points: Sequence[Array], estimates: Array) -> Replicates:
-    """Return replicates from the points (R, n, d) of each technique and from some estimates."""
+    """Return the estimates of R point sets, and means over each set, from points (R, n, d)."""
     x = np.concatenate([np.asarray(p) for p in points], axis=1)
     angle = 2.0 * math.pi * x
     waves = [each.mean(axis=1) for each in (x - 0.5, np.cos(angle), np.sin(angle))]
@@ -1079,7 +1083,7 @@ def _paid(offer: Candidate, left: int, *, last: bool) -> tuple[int, int]:
     """Return how many points and nets `left` evaluations allow to measure the removal of a jump.
 
     The number of nets is halved if all nets would need too many evaluations,
-    or would leave too few for another change.
+    or if too few evaluations would be left for another change.
     If `left` is too small, the number of points is 0.
     """
     nets, least = CAUSE_SETTINGS.nets, _SETTINGS.least_checked
@@ -1098,12 +1102,12 @@ def _improved(
     left: int,
     stream: Stream,
 ) -> tuple[list[_FoundSampler], list[str], int]:
-    """Measure changes of the estimator, and return them with the tried names and the calls.
+    """Measure changes of the estimator. Return results, names of tried changes, evaluations.
 
     A change is measured with nets. The rest of the budget determines their number of points.
     The search ends with the first change that is significantly better.
     A change is compared with `base`, the curve of the best sampler, at equal evaluations.
-    Its own curve gives its variance at the budget.
+    The curve of a change gives its variance at the budget.
     """
     estimator, jumps = evidence.estimator, _shape(causes) in _JUMPS
     found, tried, calls, least = list[_FoundSampler](), list[str](), 0, _SETTINGS.least_checked

@@ -39,7 +39,7 @@ __all__ = [
 ]
 
 MOST_PROJECTED_AXES = 10
-"""Number of leading axes whose pairs are used for projections (45 pairs)."""
+"""Number of leading axes. Projections use all 45 pairs of these axes."""
 
 _MOST_TRANSPORTED = 2**13  # Largest number of points for the transport cost, which takes seconds
 
@@ -75,8 +75,8 @@ def quality_figures(
     -------
     xarray.Dataset
         One variable per figure on the dim ``realization``.
-        A figure is NaN if it cannot be computed. Its attribute ``missing`` gives the reason:
-        too many points, too many dims, or a number of points that is not a power of the base.
+        A figure is NaN if it cannot be computed. Its attribute ``missing`` gives the reason.
+        There may be too many points or dims, or n may not be a power of the base.
         The attribute ``sets`` is the number of different sets if the sampler has a limited number.
         ``projections`` lists the pairs of axes that were used.
 
@@ -88,7 +88,7 @@ def quality_figures(
     Notes
     -----
     The t-value and elementary intervals use the base of the sampler's digits.
-    They are missing if the coordinates have different bases.
+    Both figures are missing if the coordinates have different bases.
     """
     sampler = as_sampler(source)
     if n is None:
@@ -272,4 +272,4 @@ FIGURES: Mapping[str, Callable[..., float | None]] = {
 }
 """Figures of a set (n, d) by name. `core.results` describes each figure."""
 
-_OF_DIGITS = ("t_value", "elementary_intervals")  # Figures that depend on the base
+_OF_DIGITS = ("t_value", "elementary_intervals")  # Figures that use the base of the digits

@@ -2,7 +2,7 @@
 
 The interval between two neighboring grid points is halved repeatedly.
 Each halving keeps the half in which the function changes more.
-If the change shrinks with the interval, it is a slope.
+If the change between its ends shrinks with the interval, the function has a slope.
 If the change stays, it is a jump. If it grows, there is a pole.
 """
 
@@ -18,13 +18,16 @@ from mcspectra.core.checks import Array
 
 __all__ = ["Jumps", "curve_length", "find_jumps", "grid_centers"]
 
-_FIRST, _NEXT = 6, 12  # Numbers of halvings: to discard slopes, and between comparisons
-# Fraction of the change that must remain after the first halvings. For a line 1/64 remains
+# Number of halvings before slopes are discarded, and number between two later comparisons
+_FIRST, _NEXT = 6, 12
+# Fraction of the change that must remain after the first halvings.
+# For a straight line, 1/64 of the change remains
 _SLOPE = 1 / 32
-_STAYS = 0.5  # Fraction of a jump that remains after the last halvings. For a root 2^-6 remains
+# Fraction of a jump that remains after the last halvings. For a square root, 2^-6 remains
+_STAYS = 0.5
 _GROWS = 2.0  # Factor of growth above which the change is a pole
 _NEGLIGIBLE = 1e-7  # Fraction of the scale below which changes are ignored
-_BLOCK = 8  # Number of cells per side of a block in which a curve is treated as straight
+_BLOCK = 8  # Blocks of 8 × 8 cells, in which a curve is treated as straight
 
 Function = Callable[[Array], Array]
 
@@ -37,7 +40,7 @@ class Jumps:
     ----------
     heights
         Size of the jump between a cell and the next along each axis, (d, N) or (d, N, N).
-        It is 0 without a jump. The last cell of each axis has no next cell.
+        The size is 0 without a jump. The last cell of each axis has no next cell.
     poles
         Whether the function grows without bound at the jump, with the shape of `heights`.
         A pole with similar values on both sides is not detected.
@@ -80,11 +83,10 @@ def find_jumps(function: Function, dims: int, side: int, *, scale: float) -> Jum
 
     Notes
     -----
-    A jump may be smaller than about 1/60 of the smooth change between two cells.
-    It cannot be distinguished from a slope then.
+    Jumps below about 1/60 of the smooth change between two cells are taken for slopes.
     Of several jumps in one interval only the largest is found.
-    The search takes about 7 evaluations for each of d·side^d intervals,
-    and 24 more for each possible jump.
+    The grid has d·side^d intervals. The search takes about 7 evaluations for each interval,
+    and 24 further evaluations for each possible jump.
     """
     heights = np.zeros((dims, *[side] * dims))
     poles = np.zeros(heights.shape, bool)
@@ -121,13 +123,13 @@ def curve_length(crossed: Array) -> float:
     ----------
     crossed
         Booleans (1, N) or (2, N, N), one for each cell and axis.
-        They state whether a curve passes between the cell and the next cell along the axis.
+        Each boolean states whether a curve passes between a cell and the next along the axis.
 
     Notes
     -----
     A curve is treated as straight in blocks of 8 × 8 cells.
     If it crosses c_0 and c_1 intervals along the axes, its length is √(c_0² + c_1²)/N.
-    This is exact for straight lines, except at their ends.
+    This length is exact for straight lines, except at their ends.
     """
     if len(crossed) == 1:
         return float(np.count_nonzero(crossed))

@@ -2,8 +2,8 @@
 
 An elementary interval in base b is a box with sides b^-k_j.
 The corners of the box are multiples of its sides.
-A set of n = b^m points is a (t, m, d)-net if all elementary intervals of volume b^(t−m)
-contain b^t points each.
+A set of n = b^m points is a (t, m, d)-net
+if every elementary interval of volume b^(t−m) contains b^t points.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ def net_t_value(points: object, base: int = 2) -> int | None:
 
 
 def elementary_intervals(points: object, base: int = 2, t: int = 0) -> bool:
-    """Whether every elementary interval of volume b^(t−m) contains b^t of the n = b^m `points`.
+    """Whether each elementary interval of volume b^(t−m) contains b^t of the n = b^m points.
 
     Parameters and errors are the same as in `net_t_value`.
     In addition, a CountError is raised if n is not a power of the base.

@@ -91,7 +91,7 @@ def nearest_distances(points: object) -> Array:
         raise ParameterError(f"{n} points are too many for distances; give at most {_TREE_POINTS}.")
     from scipy.spatial import cKDTree
 
-    # Equal points have distance 0. A tree would visit all pairs of equal points
+    # Equal points have distance 0. Remove them, because a k-d tree would visit all their pairs
     sites, index, counts = distinct_points(x)
     distances = np.zeros(len(sites))
     if len(sites) > 1:
@@ -188,8 +188,8 @@ def star_discrepancy(points: object) -> float:
 def _star_discrepancy_2d(x: Array, y: Array) -> float:
     """Return the star discrepancy D* of the points (x_i, y_i), with x ascending.
 
-    The supremum is over boxes [0,a) × [0,b).
-    It is reached or approached where a and b are coordinates of points, or 1.
+    The supremum of |share of points − volume| is over boxes [0,a) × [0,b).
+    It suffices that a and b run over the coordinates of the points, and 1.
     The grid of all coordinates is scanned column by column.
     For each column, the points to its left are sorted by y.
     """
@@ -222,8 +222,8 @@ def l2_discrepancy(points: object, kind: str = "star") -> float:
         One set in [0,1), (n, d).
     kind
         ``"star"``, ``"centered"``, ``"wraparound"`` [Hickernell1998]_ or ``"mixture"``.
-        The kind ``"mixture"`` is from [ZhouFangNing2013]_. The result is never squared,
-        although SciPy returns squares for the last three.
+        The definition of ``"mixture"`` is from [ZhouFangNing2013]_.
+        The result is not squared. SciPy returns squares for the last three kinds.
 
     Raises
     ------
@@ -243,7 +243,7 @@ def generalized_l2_discrepancy(points: object) -> float:
     """Return the L2 star discrepancy combined over all projections.
 
     D² = (4/3)^d − 2/n Σ_i Π_k (3 − x_ik²)/2 + 1/n² Σ_ij Π_k (2 − max(x_ik, x_jk)).
-    This is the sum of the squared L2 star discrepancies of the projections on all sets of axes
+    D² is the sum of the squared L2 star discrepancies of the projections on all sets of axes
     [Hickernell1998]_.
 
     Raises

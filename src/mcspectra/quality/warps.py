@@ -15,7 +15,8 @@ from mcspectra.quality.jumps import find_jumps, grid_centers
 __all__ = ["warp_quality"]
 
 _STEP = 1e-3  # Step of the finite differences, as a fraction of a cell
-_ASIDE = (0.31, 0.17)  # Offset from the cell centers, in cells. Creases may pass through centers
+# Offset of the probes from the cell centers, in cells. Kinks of a warp may pass through centers
+_ASIDE = (0.31, 0.17)
 
 
 def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset:
@@ -31,22 +32,22 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
     Returns
     -------
     xarray.Dataset
-        There are three maps over the cells.
+        The first variables are maps over the cells of primary space.
         ``stretch`` (u0, u1) is the largest singular value of ∂T/∂u divided by the smallest.
-        It is 1 in 1-D, and infinite where T is flat.
+        The stretch is 1 in 1-D, and infinite where T is flat.
         ``jump`` (axis, u0, u1) is the jump of T between a cell and the next along each axis.
-        It is 0 where T is continuous.
+        The jump is 0 where T is continuous.
         ``warped`` (u0, u1, coordinate) is T at the cell centers.
 
-        The numbers are as follows.
+        The other variables are single numbers for the whole warp.
         ``mean_stretch`` is the geometric mean over cells where T is not flat.
         ``max_stretch`` is the largest stretch.
         ``jump_length`` is the length of the jump curves, or the number of jumps in 1-D.
         ``mean_jump`` is the mean size of a jump.
         ``distortion`` compares the image of a small square with a square of the image's area.
-        It is the geometric mean of the ratio of their diameters. It is 1 if squares stay squares.
-        ``neighbor_expansion`` is the root mean square distance between images of neighboring cells,
-        divided by the distance of the cells. It includes jumps.
+        It is the geometric mean of the ratio of both diameters, and 1 if squares stay squares.
+        ``neighbor_expansion`` is the distance between images of neighboring cells, in cells.
+        This distance is a root mean square over all neighbors, including jumps.
 
     Raises
     ------
@@ -56,7 +57,7 @@ def warp_quality(density: Density | str, *, resolution: int = 256) -> xr.Dataset
     Notes
     -----
     Slopes are one-sided differences over a thousandth of a cell.
-    The smaller of the differences to both sides is used, so that it does not cross a jump.
+    The smaller of the left and the right difference is used, because it does not cross a jump.
     Jumps are found by refinement (`mcspectra.quality.jumps`).
     Opposite sides of the square are not compared.
     All figures refer to the unit square. For directions this is the lat-long square,

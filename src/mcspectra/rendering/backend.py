@@ -62,7 +62,7 @@ _OLDEST_LLVM = 19
 _PROBE_SECONDS = 120.0
 _INSTALL = "install it with: pip install 'mcspectra[render]'"
 _SYSTEM_FOLDERS = {
-    # platform: folder of libraries, file pattern
+    # By platform: folders that may hold libLLVM, with patterns of file names
     "Linux": (
         ("/usr/lib", "*/libLLVM*.so*"),
         ("/usr/lib", "llvm*/lib/libLLVM*.so*"),
@@ -114,7 +114,7 @@ class Verdict:
     library
         Path of libLLVM.
     works
-        Whether the variant compiled and ran a kernel with it.
+        Whether Mitsuba compiled and ran a kernel with this library.
     reason
         Why the test failed; empty if the library works.
     version

@@ -99,8 +99,9 @@ def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[s
     Parameters
     ----------
     edge
-        Width of the light's soft border as a fraction of its half side. From the border inwards,
-        radiance rises from 0 to full as a smoothstep, 3t² − 2t³; 0 gives constant radiance.
+        Width of the light's soft border as a fraction of its half side.
+        In the soft border the radiance rises inwards from 0 as a smoothstep, 3t² − 2t³.
+        With 0 the radiance is constant.
     width, height
         Film size in pixels.
 
@@ -122,11 +123,12 @@ def figure1(*, edge: float = 0.0, width: int = 384, height: int = 256) -> dict[s
     The occluder is rotated by 25° so that its shadow's border is not parallel to strata.
     The named pixels P and Q show the floor points P and Q. From P, the whole light is visible.
     Neither point is below the light's center.
-    There, the integrand would be equal at opposite borders, so a shifted set would lose nothing.
+    Below the center, the integrand would be equal at opposite borders of the unit square.
+    For such an integrand, a shift of the points has no disadvantage.
 
     With an edge, radiance is a texture of 256² texels with bilinear interpolation.
     Mitsuba samples such a light texel by texel, in proportion to the texture.
-    For BSDF sampling, the light then has no silhouette.
+    For BSDF sampling, a light with a soft border has no silhouette.
     With ``edge=1``, the rate of jittered points at P goes from −1.5 to −1.9.
     """
     radiance: Any = _RADIANCE
@@ -165,7 +167,7 @@ def smooth_light(*, edge: float = 0.5, width: int = 384, height: int = 256) -> d
 
 _LIGHT_Y, _LIGHT_HALF_SIDE, _PENUMBRA_RADIANCE = 3.0, 0.8, 16.0
 _BALL, _BALL_RADIUS = (-1.2, 1.0, 0.3), 0.4
-_ROD = ((-2.2, 0.7, 1.1), (0.2, 0.9, 1.3), 0.07)  # both ends of the rod, and its radius
+_ROD = ((-2.2, 0.7, 1.1), (0.2, 0.9, 1.3), 0.07)  # the rod is given by its two ends and its radius
 _BLADES = (0.6, 1.15, 1.7)  # x coordinates of three parallel blades
 
 
@@ -273,10 +275,10 @@ def sky(*, width: int = 384, height: int = 256) -> dict[str, Any]:
     Notes
     -----
     The map is `mcspectra.integrands.synthetic_sky` with 64 × 128 pixels, its first row toward +y.
-    Nothing is downloaded. Mitsuba places the columns at atan2(x, −z) = 2π (column + ½) / 128
-    and the rows at acos(y) = π row / 63, from pole to pole, and interpolates linearly.
-    The named pixels show the open floor, the upper front of each sphere,
-    and the floor where the diffuse sphere touches it.
+    Nothing is downloaded. Mitsuba places the columns at atan2(x, −z) = 2π (column + ½) / 128.
+    It places the rows at acos(y) = π row / 63, from pole to pole, and interpolates linearly.
+    The named pixels show the open floor and the upper front of each sphere.
+    One named pixel shows the floor where the diffuse sphere touches it.
     The BSDF of plastic chooses between two lobes (``dims=3``).
     """
     pixels = synthetic_sky(*_MAP_SIZE).astype(np.float32)

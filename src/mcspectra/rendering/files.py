@@ -39,8 +39,9 @@ def write_render(
     Parameters
     ----------
     path
-        A file ``.exr`` gets ``image`` as R, G, B, the provenance as a comment, and the layers
-        ``variance`` and ``image_se`` if they exist. A file ``.png`` gets only ``image``.
+        A file ``.exr`` gets ``image`` as R, G, B, and the provenance as a comment.
+        The file also gets the layers ``variance`` and ``image_se`` if they exist.
+        A file ``.png`` gets only ``image``.
     result
         A rendered image, as returned by `render` or `reference`.
     exposure
@@ -156,7 +157,7 @@ def write_png(path: str | PathLike[str], image: Array, *, exposure: float = 0.0)
         File name that ends in ``.png``.
     image
         Radiance. Negative values become black, and values of at least 1 become white.
-        The exposure is applied before.
+        The exposure is applied before values are clipped.
     exposure
         Brightness in stops: radiance is multiplied by 2^exposure.
 
@@ -198,7 +199,7 @@ def check_image_path(path: object, extensions: tuple[str, ...] = RENDER_EXTENSIO
     try:
         problem = "is a folder" if file.is_dir() else ""
         problem = problem or ("" if file.parent.is_dir() else "is in a folder that does not exist")
-    except OSError:  # the name is too long
+    except OSError:  # raised if the name is too long
         problem = "is not a possible file name"
     if "\0" in str(file):
         problem = "is not a possible file name"

@@ -2,8 +2,8 @@
 
 Frames are independent renders of one view, as files.
 Each file is read twice, one file at a time.
-The first pass computes the moments of every pixel,
-and the second computes correlations between the deviations from the mean.
+The first pass computes the moments of every pixel.
+The second pass computes correlations between the deviations from the mean.
 Deviations are divided by the standard deviation of their pixel.
 Bright corners therefore do not dominate, and white noise has power 1 at all frequencies.
 """
@@ -51,7 +51,7 @@ _REACH = 8  # largest lag in pixels, to either side, for which correlations are 
 _FILTER = 2  # lag in pixels at which a reconstruction filter may correlate errors
 _SAMPLE = 2**14  # number of pixels at which frames are compared with each other
 _TAIL = 64  # number of extreme deviations kept per frame; `Moments` uses the same number
-_TABLE = 4001  # number of correlations in the table
+_TABLE = 4001  # number of true correlations for which the bias is tabulated
 _SIGNIFICANCE = 0.05  # significance level of a test of all pixels, frames or lags together
 _OUTLIER = 1e-3  # significance level of Grubbs' test at each pixel
 _RELATED = 0.1  # smallest correlation of two frames to report, whatever its significance
@@ -59,7 +59,7 @@ _REPEATED = 0.05  # smallest correlation of distant pixels to report
 _LEAST_GRUBBS = 5  # minimum number of frames for Grubbs' test
 # If one error of one frame exceeds this share of all squares, no upper limit is given
 _ONE_SQUARE = 0.05
-# Largest window for averages of rates, in pixels, and standard error of a rate that is small enough
+# Rates are averaged over windows, at most 15 pixels wide, until their standard error is below 0.1
 _WIDEST, _KNOWN_RATE = 15, 0.1
 _SLOWEST = -0.5  # slowest rate that is used to extrapolate to a target
 _SPP = re.compile(r"(?<![a-z0-9])(?:spp[_-]?(\d+)|(\d+)[_-]?spp)(?![a-z0-9])", re.IGNORECASE)
@@ -82,20 +82,20 @@ def frames(
     Parameters
     ----------
     paths
-        A folder (its images, and those in its subfolders), a pattern such as ``out/*_64spp.exr``,
-        or files: EXR, PFM or .npy of one size with linear values.
+        A folder with its subfolders, a pattern such as ``out/*_64spp.exr``, or a list of files.
+        The files are EXR, PFM or .npy of one size with linear values.
         Every number of samples needs at least two files.
     spp
         Samples per pixel of all frames.
-        By default from the file or folder name (``spp64`` or ``64spp``) or else from EXR headers.
-        These are ``samplesPerPixel`` of pbrt and ``cycles.*.samples`` of Blender.
+        The default is read from the name of the file or folder (``spp64`` or ``64spp``),
+        or else from EXR headers: ``samplesPerPixel`` (pbrt) or ``cycles.*.samples`` (Blender).
     against
         Frames of the same view by another renderer, integrator or setting.
     target
         Relative root mean square error (σ / mean) that pixels should reach.
     seconds, seconds_against
-        Render time of a frame in seconds. By default the time comes from EXR headers,
-        ``renderTimeSeconds`` of pbrt or ``RenderTime`` of Blender.
+        Render time of a frame in seconds. By default the time is read from EXR headers.
+        The header is ``renderTimeSeconds`` in files of pbrt, and ``RenderTime`` for Blender.
     layer
         Layer or channel of EXR files to measure; by default the first picture.
     tone_mapped
@@ -111,11 +111,11 @@ def frames(
         ``mean`` and ``variance`` of the luminance of one frame, ``variance_ci`` (bound),
         ``relative_rmse``, and ``largest_share``, one frame's share in the sum of squares.
         With several n: ``rate`` and ``rate_ci`` of the variance, averaged over a square of pixels.
-        The attribute ``smoothing`` is the side of that square.
+        The attribute ``smoothing`` is the width in pixels over which rates are averaged.
         On n: ``picture_variance``, the mean over the pixels, with ``picture_variance_ci``;
         ``picture_rate`` with its interval. With a target: ``needed_spp``.
-        ``error_spectrum(n, radius)`` with ``error_spectrum_ci``: power of the standardized errors
-        by radial frequency in cycles per pixel; it is 1 for white noise.
+        ``error_spectrum(n, radius)`` with ``error_spectrum_ci``: power of the standardized errors.
+        The power is 1 for white noise. The radius is a frequency in cycles per pixel.
         ``error_correlation(n, lag_y, lag_x)``: correlation of errors at a lag in pixels.
         ``image(y, x, band)``: mean of the frames with most samples.
         ``flip(n, y, x)``: the FLIP error [Andersson2021]_ of the first frame against ``image``.
@@ -435,7 +435,7 @@ def _listed(paths: Any) -> list[Path]:
     for kinds in (
         LINEAR_EXTENSIONS,
         ENCODED_EXTENSIONS,
-    ):  # such pictures next to the frames are previews
+    ):  # PNG and JPEG next to linear frames are previews
         if files := [file for file in inside if file.suffix.lower() in kinds]:
             return files
     raise FileFormatError(
@@ -520,10 +520,12 @@ def _group(
     measured, curve = rings.mean(power), np.maximum(rings.mean(np.fft.rfft2(every).real), 0.0)
     half *= np.divide(curve, measured, out=np.ones_like(curve), where=measured > 0)
     # With two frames, one deviation is the negative of the other and has no spread of its own.
-    # Use at least the spread of normal noise: the mean of (R − 1) exponentials per conjugate pair
+    # The error is at least that of normal noise. For normal noise, each pair of frequencies
+    # m and −m gives (R − 1) independent exponential values, whose mean is the power
     independent = (count - 1) * loss**2
     half = np.maximum(half, CONFIDENCE_Z * measured * np.sqrt(2.0 / (rings.sizes * independent)))
-    # A squared correlation also contains its squared error: true sum / (pixels · (R − 1) · loss²)
+    # The sum of squared correlations also contains the squares of their errors.
+    # The mean of a squared error is: true sum / (pixels · (R − 1) · loss²)
     alike = max(1.0, float((every**2).sum()) / (1.0 + 1.0 / independent))
     near, repeat, repeated = _lags(every, alike / (varied.sum() * independent))
     pair, relation = _related(sample, alike)
@@ -565,10 +567,10 @@ def _group(
 
 
 def _log_variance(moments: Moments) -> tuple[Array, Array]:
-    """Standard error of log s², and log σ² without the bias of log s² for few values.
+    """Standard error of log s², and an estimate of log σ² that is unbiased even for few values.
 
     For ν + 1 normal values, log s² has the mean log σ² + ψ(ν/2) − log(ν/2).
-    Its variance is ψ'(ν/2).
+    The variance of log s² is ψ'(ν/2).
     """
     from scipy.special import digamma, polygamma
 
@@ -612,7 +614,7 @@ def _lags(every: Array, variance: float) -> tuple[Array, list[int] | None, float
     rows, columns = np.nonzero(far >= 0.9 * largest)
     nearest = np.argmin(np.hypot(down[rows], right[columns]))
     lag = int(down[rows[nearest]]), int(right[columns[nearest]])
-    # The period may be smaller: also search the near lags
+    # The period may be a divisor of this lag, so test smaller lags as well
     for part in range(2, math.gcd(*lag) + 1):
         inner = lag[0] // part, lag[1] // part
         whole = math.gcd(*lag) % part == 0 and max(map(abs, inner)) > _FILTER

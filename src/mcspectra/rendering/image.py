@@ -63,7 +63,7 @@ def render(
 
     Rays start at the center of the lens and at the midpoint of the shutter's time.
     A camera with a lens or a shutter therefore gives an `IncompleteImageWarning`.
-    A strategy that misses a light or a surface because it is a delta function also gives it.
+    The warning also appears if a strategy misses a light or surface that is a delta function.
 
     Parameters
     ----------
@@ -96,15 +96,15 @@ def render(
     -------
     xarray.Dataset
         ``image`` (y, x, channel): mean of R images.
-        With R > 1 also ``variance``, the variance of one image (ddof = 1),
-        and ``image_se``, the standard error of ``image``.
+        If R > 1, ``variance`` is the variance of one image (ddof = 1).
+        If R > 1, ``image_se`` is the standard error of ``image``.
         Coordinates are pixels of the film. The attribute ``camera`` describes where rays start.
 
     Raises
     ------
     ParameterError
         If a parameter is out of range, the crop leaves the film, or the scene cannot be rendered.
-        Also if an environment map is scaled or has pixels that are not a radiance.
+        If an environment map is scaled or has pixels that are not a radiance.
     CountError
         If the sampler cannot make `spp` points.
     MissingDependency
@@ -229,7 +229,7 @@ def compare_strategies(
         Same as in the function `render`.
     spp
         Samples per pixel, an even number.
-        Multiple importance sampling takes half of them from each technique.
+        Multiple importance sampling takes half of the samples from each technique.
     reference_spp
         Samples per pixel of each technique in the reference, see `reference`.
 

@@ -4,7 +4,7 @@ Method
 ------
 Coordinate j of point i is an XOR of columns of its generator matrix; the bits of i select them.
 The nested uniform scrambling is the hash of ``owen(method='hash')``.
-With the same keys, it gives the same points as float32 numbers (`NetPoints`).
+The class `NetPoints` computes the same points from the same keys, rounded to float32.
 Renderers request one or two numbers at a time and need sets in a random order.
 Such sets (`Pads`) are scrambled by one round of the hash with 63 random bits.
 Their points are ordered at random.
@@ -57,7 +57,7 @@ def net_of(sampler: Sampler | None) -> Net | None:
 
 
 def scramble_key(stream: Stream) -> int:
-    """Key of the stream with which a sampler with one randomization scrambles realizations."""
+    """Key with which a sampler scrambles its realizations, if it has one randomization."""
     return stream.child(_FIRST_STEP).key
 
 
@@ -101,7 +101,7 @@ def _philox(module: Any, key: Any, number: Any) -> tuple[Any, Any]:
 
 
 def _halves(module: Any, bits: Any) -> tuple[Any, Any]:
-    """Return a random summand and an odd factor."""
+    """Split 64 random bits into two numbers for a hash: a summand and an odd factor."""
     return module.UInt32(bits >> 32), module.UInt32(bits) | 1
 
 
@@ -115,7 +115,7 @@ def _unit(module: Any, word: Any) -> Any:
 @final
 @dataclass(frozen=True)
 class NetPoints:
-    """Points 0 … count−1 of scrambled nets, for given realizations of each random stream.
+    """The first `count` points of scrambled nets, for given realizations of random streams.
 
     The points are those of ``owen(method='hash')``, rounded down to float32.
     The keys of the streams are uint64 (S,), and the numbers of the realizations uint32 (R,).
@@ -163,7 +163,7 @@ def _hashed(x: Any, *keys: tuple[Any, Any]) -> Any:
 
 
 class Pads:
-    """Sets of 2^m points of nets in one and two dims, each in a random order, point by point.
+    """Sets of 2^m net points in one and two dims, in random orders, computed one by one.
 
     Each order is a row of a table of random permutations, which is the same in every process.
     Random numbers shift the argument of a permutation and are XORed to its values.

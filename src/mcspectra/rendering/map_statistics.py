@@ -9,8 +9,8 @@ Var f = Σ_k (Var E[f | x_1 … x_k] − Var E[f | x_1 … x_{k−1}]).
 No part is negative, and an interaction of requests counts for the last of them.
 Let h_k = f(x_1 … x_k, y_{k+1} … y_K) for two independent paths x and y of K requests.
 Part k is then the mean of (h_k − h_{k−1}) (h_K − c), the pick-freeze estimator [Sobol2001]_.
-K + 1 evaluations therefore give all parts. Any function c of h_k + h_{k−1} is valid.
-The regression of h_K on this sum has the least error, whether early or late parts are small.
+K + 1 evaluations therefore give all parts. The mean is right for any function c of h_k + h_{k−1}.
+The error is least if c is the regression of h_K on h_k + h_{k−1}.
 The slope of the regression comes from the same chains, which gives a bias of order 1/R.
 """
 
@@ -98,7 +98,8 @@ def slowest(rate: Array, rate_se: Array) -> Array:
     """Which of two techniques (2, y, x) has the slower rate, by the interval of the difference.
 
     The techniques must have their own points, so that the squares of the standard errors add up.
-    A test for separate intervals would need a difference 1.4 times as large, at equal errors.
+    A test whether the intervals of the two rates overlap would be less sensitive.
+    For equal standard errors, it would need a difference 1.4 times as large.
     """
     return _larger(rate[0] - rate[1], rate_se, np.isnan(rate).all(axis=0))
 
@@ -113,7 +114,8 @@ def dominant(variance: Array, relative_se: Array) -> Array:
 def least(variance: Array, relative_se: Array) -> Array:
     """Index of the sampler with the least variance (S, …), if its ratios to others are certain.
 
-    Undecided if the interval of one ratio contains 1; NaN if a sampler has no positive variance.
+    The index is `UNDECIDED` if the interval of one ratio contains 1.
+    The index is NaN if the variance of a sampler is not positive.
     """
     with np.errstate(invalid="ignore", divide="ignore"):
         log = np.where(variance > 0.0, np.log(variance), np.nan)
@@ -133,21 +135,22 @@ def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, A
     chains
         Values h_0 … h_K of R chains at P pixels, (R, K + 1, P).
     partitions
-        Requests (K,) that belong to each part, (G, K); every request belongs to one part.
+        Each partition is a mask (G, K) that assigns the K requests of a path to G parts.
+        Every request belongs to exactly one part.
 
     Returns
     -------
     tuple
         The variance and its standard error (2, P).
-        The shares of all partitions with the ends of their 95 % intervals (3, ΣG, P).
+        The shares of all parts, each with the two ends of its 95 % interval (3, ΣG, P).
         Intervals use Student's t, with a degree of freedom for each chain that carries variance.
         Intervals are NaN if the standard error of the variance exceeds half of the variance.
-        The largest part of each partition (partitions, P).
-        It is undecided if the interval of its difference from another part contains 0.
+        For each partition, the index of the part with the largest share (partitions, P).
+        The index is `UNDECIDED` if the interval of a difference from another share contains 0.
     """
     from scipy.special import stdtrit
 
-    # Compute the part of each request in each chain, with its control variate
+    # Estimate from each chain the variance that each request adds, with a control variate
     count, mean = len(chains), chains.mean(axis=(0, 1))
     values = chains - mean
     last, steps = values[:, -1:], np.diff(values, axis=1)
@@ -190,7 +193,7 @@ def path_shares(chains: Array, partitions: list[Array]) -> tuple[Array, Array, A
 def gain(single: LineFits, mis: LineFits, total: float, missed: Array) -> tuple[Array, Array]:
     """Ratio of the best single strategy's variance to that of MIS, each with `total` samples.
 
-    A strategy that `missed` light is excluded, because its estimated variance is too small.
+    Strategies marked in `missed` missed light. They are excluded, as their variance is too small.
 
     Both variances come from the fitted lines. MIS gives each technique half of the samples.
     The standard error treats the two variances as independent.

@@ -16,9 +16,9 @@ All pixels of a tile use the same table of samples. The number of points is n.
 
 *Jittered* points: Var = n⁻² Σ_j Var_j(g) over the strata j.
 Each Var_j = ∫g² − (∫g)² comes from pairs of independent samples.
-Each cell of a grid in the stratum has one pair.
+A grid divides the stratum into cells, and each cell has one pair.
 The product of the two means estimates the square of ∫g, so that the prediction is unbiased.
-Its standard error comes from two such predictions per stratum.
+Two independent predictions per stratum give the standard error.
 
 *Random* points: Var = (∫g² − (∫g)²)/n on a midpoint grid.
 
@@ -29,7 +29,7 @@ A power ⟨|S_m|²⟩ without a closed form adds its own error.
 
 *Nets* in base 2 with nested scrambling, in two dims:
 n Var = Σ_l Γ_l σ²_l, with the gains Γ_l of levels l.
-The part σ²_l of the variance of g varies with l_j digits of coordinate j.
+The variance of g is the sum of σ²_l, the parts that depend on l_j bits of coordinate j.
 The parts come from means over blocks of a grid with a random point in each cell.
 
 The last three predictions take their standard errors from grids of half the resolution.
@@ -103,7 +103,7 @@ TILE_LANES = 2**19
 
 _BLOCK_REALIZATIONS = 1024
 _TABLE_NUMBERS = 2**23  # maximum number of values in one table of points, 64 MiB
-_KEPT_NUMBERS = 2**24  # maximum number of values in all tables for the next tile
+_KEPT_NUMBERS = 2**24  # maximum number of values in tables that all tiles share
 _PREDICTED_VALUES = 2**21  # maximum number of integrand values computed at once
 _CHAIN_VALUES = 2**20  # maximum number of path values computed at once
 # Labels of two random streams: samples of predictions, and chains
@@ -119,7 +119,8 @@ class Maps:
     """Results at P pixels: status, moments (strategies, counts, P), predictions (strategies, P).
 
     The predicted variances are for the largest count; NaN if there is nothing to estimate.
-    The last three fields are the results of `path_shares`: (2, P), (3, parts, P) and (2, P).
+    The last three fields are the results of `path_shares`, with these shapes:
+    ``path_variance`` (2, P), ``shares`` (3, parts, P) and ``largest`` (2, P).
     """
 
     status: _Pixels
@@ -140,7 +141,7 @@ class Measurement:
 
     With a `tracer` it measures whole paths, and ``path`` is the only strategy.
     The attribute `uses` holds the dimensions of the path's coordinates.
-    If there are `chains`, they give shares of the variance.
+    The shares of the variance come from this number of `chains`; 0 gives no shares.
 
     Realization r of n points is realization r of ``stream.child(n)``, as in `convergence`.
     If pixels have their `own` points, pixel number k = y·width + x uses k·realizations + r.
@@ -180,7 +181,7 @@ class Measurement:
 
     @property
     def partitions(self) -> tuple[dict[Any, Array], dict[Any, Array]]:
-        """Return the requests (K,) of each bounce and of each decision, or empty without chains."""
+        """Masks of the requests for each bounce, and for each decision; empty without chains."""
         requests = self._requests if self.chains else []
         bounces, decisions = ([each[k] for each in requests] for k in (0, 1))
         both = ({v: np.array([w == v for w in of]) for v in of} for of in (bounces, decisions))
@@ -351,7 +352,8 @@ class Receivers:
     status
         What each pixel shows, int8 (P,); `RECEIVER` if there is something to estimate.
     pixels
-        Pixels of the receivers, which are estimated; a single pixel is listed twice.
+        Pixels that show a receiver, whose light is estimated.
+        If there is a single such pixel, it is listed twice, so that sums keep their order.
     """
 
     def __init__(self, lighting: Lighting, pixels: Array) -> None:
@@ -362,7 +364,7 @@ class Receivers:
             self.status = self._look(pixels)[0]
             seen = pixels[self.status == RECEIVER]
             # NumPy adds up a single column in another order than several columns.
-            # A single pixel is therefore listed twice.
+            # List a single pixel twice, so that its sums have the same order
             self.pixels = np.repeat(seen, 2, axis=0) if len(seen) == 1 else seen
             # Trace these pixels alone again, so that no lane is spent on other pixels
             self._kept = self._look(self.pixels)[1] if len(self.pixels) else None
@@ -408,7 +410,7 @@ class Receivers:
         at = follow_camera(scene, film)
         specular = mitsuba.has_flag(at.bsdf().flags(), mitsuba.BSDFFlags.Delta)
         status = drjit.select(specular, mitsuba.Int32(SPECULAR), RECEIVER)
-        status[at.emitter(scene) != None] = SHINES  # "is not" does not compare lane by lane
+        status[at.emitter(scene) != None] = SHINES  # != compares all lanes; "is not" does not
         status[~at.is_valid()] = NOTHING
         drjit.make_opaque(at)
         return np.broadcast_to(np.asarray(status.numpy()), len(pixels)).astype(np.int8), at
@@ -443,7 +445,8 @@ class Receivers:
 
 
 _REPEATS = 2  # predictions per stratum, for their standard error
-# Approximate number of cells in all strata, at least 2 per axis; many cells hit small lights
+# Approximate number of grid cells in all strata together; more cells resolve smaller lights.
+# A stratum has at least 2 cells per axis
 _CELLS = 4096
 _GRIDS = {2: 64, 3: 16}  # number of midpoints along each axis by dims, an even number
 _POWER_REALIZATIONS = 1024
@@ -459,10 +462,10 @@ def surely(prediction: Prediction, values: Array) -> Array:
 def unmet(prediction: Prediction, values: Array, there: Array) -> Array:
     """Error (P,) of a variance predicted from values (N, P) whose integral is at least `there`.
 
-    A part M of the integral on a fraction q of the cube has the variance M²/(q n) for any
-    stratification of the n points, because few points hit that part.
+    The values may miss a part M of the integral, on a small fraction q of the cube.
+    This part adds the variance M²/(q n) for any stratification, because few points hit it.
     If none of N samples hit the part, q is at most about 1/N.
-    If M exceeds what the values' own error explains, q is arbitrary and the error is infinite.
+    If M exceeds three standard errors of the mean value, q is arbitrary and the error is infinite.
     """
     mean, se = prediction.mean(values)
     missed = np.maximum(there - mean, 0.0)
@@ -496,7 +499,7 @@ def prediction_for(sampler: Sampler, n: int, stream: Stream) -> Prediction | Non
 @final
 @dataclass(frozen=True, kw_only=True)
 class _Strata:
-    """Numbers of the strata in the order of samples: (repeat, pair, stratum, cell)."""
+    """Prediction by strata; the samples have the order (repeat, member of pair, stratum, cell)."""
 
     count: int
     samples: Array = field(repr=False)
@@ -544,7 +547,7 @@ class _Grid:
     samples: Array = field(repr=False)
     power: Array | None = field(repr=False, default=None)  # entry m is frequency m, also for m < 0
     power_se: Array = field(repr=False, default_factory=lambda: np.zeros(()))
-    gains: Array | None = field(repr=False, default=None)  # gains at each pair of levels
+    gains: Array | None = field(repr=False, default=None)  # gains Γ_l at levels l = (i, j)
 
     def variance(self, values: Array) -> tuple[Array, Array]:
         """Variance; its error comes from the power and from grids of half the resolution."""
@@ -595,7 +598,7 @@ Prediction: TypeAlias = _Strata | _Grid
 def _student(squares: Array) -> Array:
     """Return the ratio of the quantile of Student's t to the normal quantile, for each pixel.
 
-    The variance of a pixel is the sum of its `squares` (J, P) over the J strata.
+    The squared error of a pixel is the sum of `squares` (J, P) over the J strata.
     If one stratum has nearly all of this sum, the standard error has one degree of freedom.
     """
     from scipy.special import stdtrit
@@ -617,7 +620,10 @@ def _energy(grid: Array) -> Array:
 
 
 def _sum(power: Array, energy: Array) -> Array:
-    """Sum of energy times power over the frequencies of the energy; the power may have more."""
+    """Return Σ_m |g_m|² ⟨|S_m|²⟩ for the energy |g_m|².
+
+    The power ⟨|S_m|²⟩ may have further frequencies, which are ignored.
+    """
     side = len(energy)
     m = np.fft.fftfreq(side, 1.0 / side).astype(int)
     return np.tensordot(power[np.ix_(m, m)], energy, axes=2)

@@ -1,8 +1,8 @@
 """Maps over an image: variance, its rate, the bottleneck technique, and the gain of MIS.
 
 Every pixel is the integrand `Pixel` with the ray through its center.
-Pixels are measured as in `convergence`: variances over realizations at several counts n,
-and the slope of log variance against log n.
+Pixels are measured as in `convergence`: variances over realizations at several counts n.
+The rate is the slope of log variance against log n.
 An image can afford only few realizations, so all results have wide intervals.
 The standard error of a variance of 64 normal estimates is 18 %.
 """
@@ -329,7 +329,7 @@ class Map(Analysis, frozen=True, kw_only=True):
 
     @property
     def _strategies(self) -> tuple[str, ...]:
-        """Strategies in their usual order; ``"mis"`` also adds its two parts."""
+        """Strategies in their usual order; the parts of ``"mis"`` are measured as well."""
         if self.integrator is not None:
             return ("path",)
         given = (self.strategies,) if isinstance(self.strategies, str) else self.strategies
@@ -392,14 +392,14 @@ def variance_map(
     strategies
         Some of these strategies, with n samples per technique: ``"light"``, ``"bsdf"``,
         the parts ``"mis-light"`` and ``"mis-bsdf"`` of multiple importance sampling, and ``"mis"``.
-        The strategy ``"mis"`` also adds its two parts.
+        If ``"mis"`` is given, its two parts are measured as well.
     sampler
         Sampler or its spec; by default ``"jittered"``, or ``"sobol | owen"`` with an integrator.
         Each technique has its own points. A list of samplers compares them.
     counts
         Numbers of samples n of a technique, ascending, at least two.
-        By default (4, 9, 16, 36, 64), with an integrator (4, 16, 64),
-        or the nearest numbers that the sampler can make in its dims.
+        The default is (4, 9, 16, 36, 64), or (4, 16, 64) with an integrator.
+        Default numbers are rounded to the nearest numbers that the sampler can make in its dims.
     realizations
         Independent realizations for each n, at least 2.
     crop
@@ -413,7 +413,7 @@ def variance_map(
     dims
         2, the default, or 3; the third coordinate chooses a light or a BSDF lobe.
         With an integrator, the number is the same as in `PathPixel`.
-        The default is then the number that paths through 256 of the pixels use.
+        With an integrator, the default is the number that paths through 256 of the pixels use.
     integrator
         Measure whole paths like `PathPixel`; the only strategy is then ``"path"``.
         The value ``"scene"`` is the scene's own integrator.
@@ -426,9 +426,9 @@ def variance_map(
         ``"own"``: every pixel has its own realizations, and the errors are noise.
     smoothing
         Odd width in pixels of a square window over which rates are averaged, which blurs them.
-        Their standard errors fall accordingly only with ``points="own"``.
+        Averages have smaller standard errors only with ``points="own"``.
     predict_every
-        Step of the pixels with a prediction of the variance at the largest count.
+        Step between the pixels at which the variance at the largest count is predicted.
         A pixel has a prediction if x and y are multiples of this step; 0 gives no predictions.
         Jittered points use stratum quadrature; random points are exact.
         In 2-D, shifted points use the power spectrum, and scrambled nets in base 2 use gains.
@@ -436,7 +436,7 @@ def variance_map(
     chains
         Number of pairs of random paths for the shares of the variance of whole paths.
         By default 128; 0 gives no shares.
-        A pair takes K + 1 paths for K requests of random numbers.
+        If a path requests random numbers K times, each pair takes K + 1 paths.
     rng
         Seed (SPEC 7).
     workers
@@ -452,10 +452,10 @@ def variance_map(
         At the largest n also ``mean(strategy)`` and ``mean_se(strategy)``.
         Fits of the rate: ``rate(strategy)``, ``rate_se``, ``rate_ci(bound)`` and ``fit_chi2``.
 
-        With ``"mis"``: ``bottleneck`` is the technique whose part of MIS has the slower rate.
-        Its codes are 0 for light and 1 for BSDF.
-        The code is −1 if the 95 % interval of the difference of the rates contains 0.
-        With the same codes, ``dominant_technique`` has the larger variance at the largest n.
+        With ``"mis"``, ``bottleneck`` is the technique with the slower rate in MIS.
+        The value 0 stands for light sampling, and 1 for BSDF sampling.
+        The value is −1 if the 95 % interval of the difference of the rates contains 0.
+        ``dominant_technique`` is the technique with the larger variance at the largest n, or −1.
         If the single strategies are also measured: ``mis_gain`` and ``mis_gain_ci``,
         the variance of the better single strategy divided by that of MIS.
         Both variances are for the same total of samples (the largest n), by the fitted lines.
@@ -469,8 +469,8 @@ def variance_map(
         The ratio is NaN if measured estimates significantly miss light that another strategy hits.
 
         With an integrator: ``path_variance``, the variance of one random path, with ``_se``.
-        ``bounce_share(bounce)`` is the variance that a bounce adds to that of earlier bounces,
-        divided by the total variance. Bounce 0 stands for the random numbers of the camera.
+        ``bounce_share(bounce)`` is the share of the variance that a bounce adds to earlier bounces.
+        Bounce 0 stands for the random numbers of the camera.
         ``decision_share(decision)`` is the same for each kind of decision, summed over bounces.
         Each kind of share sums to 1; interactions count for the last number involved.
         Estimates may be negative, and intervals ``_ci`` extend below 0.
@@ -495,14 +495,14 @@ def variance_map(
     -----
     All shares come from the same chains and depend on outliers.
     With 128 chains, a share of a few per cent that rare paths cause is mostly too small.
-    The interval of such a share is also too small.
+    The interval of a share with rare paths is also too small.
 
     Pixels are measured in tiles. Memory is therefore about 200 MiB plus the result for any image.
     A study keeps finished tiles and can resume.
     If few realizations hit a light, variances are mostly far too small at the smaller n.
     There is no rate if a variance at a smaller n is zero, or has a relative standard error above ½.
-    More realizations then give a rate.
-    For each pixel, ``bottleneck`` is one comparison at 95 % of techniques with their own points.
+    With more realizations, more pixels have a rate.
+    For each pixel, ``bottleneck`` is a test at 95 % of two techniques with independent points.
     If both rates are equal, one pixel in 20 is decided by chance.
     """
     analysis = Map.of(locals())
@@ -511,7 +511,7 @@ def variance_map(
     with _threads(workers):
         subjects = []
         for each in several:
-            # The reduction checks the dims later
+            # The number of dims of whole paths is not known yet; it is checked later
             whole = integrator is not None and not isinstance(each, str)
             source = as_sampler(each, None if whole else analysis.points_dims)
             subjects.append(Subject(None, source))
@@ -650,7 +650,7 @@ def compared(maps: Sequence[xr.Dataset]) -> xr.Dataset:
 def missed(row: dict[str, int], mean: Array, se: Array, realizations: int) -> Array:
     """Whether a strategy (S, y, x) significantly missed light that another one hit (t-test).
 
-    The variance of such a strategy lacks the missed part.
+    The measured variance of a strategy is too small if the strategy missed light.
     The two parts of MIS estimate different integrals and are never marked.
     """
     from scipy.special import stdtrit

@@ -2,8 +2,9 @@
 
 Method
 ------
-An integrator requests numbers from a sampler. Our sampler returns the D coordinates of a point u,
-in the order of the requests. The radiance is therefore a function of u in [0,1)^D.
+An integrator requests random numbers from a sampler.
+Our sampler answers these requests in order with the D coordinates of a point u.
+The radiance is therefore a function of u in [0,1)^D.
 Its integral over the cube is the mean over a pixel with a box filter.
 Position in the pixel, lens and time of the shutter come first, as in Mitsuba's own loop.
 The sampler advances for each request, even if a path does not need the number.
@@ -13,13 +14,13 @@ Numbers for bounces that a path does not reach have no effect on that path.
 A dry run, with the loop evaluated instead of recorded, finds D and the bounce of each number:
 Dr.Jit evaluates the counter of numbers between two iterations of the loop.
 If the requests of a bounce match an integrator of Mitsuba, each number has a known decision.
-Otherwise requests are numbered.
+The requests of any other integrator are only numbered.
 Mitsuba selects a light by stretching the first coordinate of its point.
 The choice of the light and the choice of the point are therefore one decision.
 
 Rare paths need numbers beyond D, as do all paths if fewer dims are requested.
 These numbers are hashed from the last two coordinates.
-The integrand remains a function of u, and these dims are random for any points.
+The integrand remains a function of u, but the hashed numbers are random for any points.
 
 Integrators return the radiance of all lights together.
 The choice of paths does not depend on the emission.
@@ -84,7 +85,7 @@ __all__ = [
 SCENE_INTEGRATOR = "scene"
 """Name of the integrator that the scene itself contains."""
 
-# Number of paths in a dry run; number of pixels along each side of a window
+# A dry run follows 2^14 paths, through 16 × 16 pixels of a window
 _DRY_LANES, _DRY_PIXELS = 2**14, 16
 _PAIR = ("x", "y")
 _MOST_DIMS = 64  # default limit of dims, because analyses by axes support no more
@@ -94,7 +95,7 @@ _DIMMED = 2.0**-30  # factor that dims all other lights; exact in float32
 _EMITTED = r"(\w+_)?scale|(radiance|intensity|irradiance)\.(.+\.)?(value|data)"
 _PATH = ((2, "light"), (1, "lobe"), (2, "direction"), (1, "roulette"))
 _ORDERS = {
-    # Class of the integrator: for each request of a bounce, its count of numbers and its decision
+    # By class of integrator: all requests of one bounce, as (count of numbers, decision)
     "PathIntegrator": (_PATH,),
     "PRBIntegrator": (_PATH,),
     # Two orders, because compilers evaluate the arguments of a call in different orders
@@ -105,7 +106,7 @@ _ORDERS = {
 @final
 @dataclass(frozen=True)
 class Dimension:
-    """Use of one coordinate.
+    """Use of one coordinate of u: its bounce, and the decision that it makes.
 
     Attributes
     ----------
@@ -140,8 +141,8 @@ class PathPixel(MitsubaIntegrand):
     x, y
         Pixel, counted from the left and from the top; the integral is the mean over its square.
     integrator
-        ``"scene"``, the scene's own integrator; or the name of a plugin with its properties,
-        such as ``"path(max_depth=5, rr_depth=100)"``.
+        ``"scene"`` is the scene's own integrator.
+        Any plugin may be named with its properties: ``"path(max_depth=5, rr_depth=100)"``.
         Your own plugins that are registered with Mitsuba also work.
     channel
         ``"luminance"`` (Rec. 709), 0, 1 or 2 for red, green or blue, or ``"rgb"`` for all three.
@@ -200,7 +201,10 @@ class PathPixel(MitsubaIntegrand):
 
     @property
     def numbers_per_path(self) -> float:
-        """Mean count of a path's numbers without the camera's; it is the same per iteration."""
+        """Mean count of random numbers per path, without those of the camera.
+
+        Each iteration of the integrator's loop uses the same count.
+        """
         return self._tracer.dry_run(((self.x, self.y),))[1]
 
     @property
@@ -246,7 +250,7 @@ def parts_by_light(f: PathPixel, u: Array) -> Array:
     """Part of each light in the values of f at points u (..., D): (L, ...); the sum is f.
 
     The emission of some lights, such as a black body, cannot be changed in Mitsuba.
-    Such a light is a ParameterError.
+    A scene with a light of this kind raises a ParameterError.
     """
     with LOCK:
         lights = len(load_scene(f.scene).emitters())
@@ -287,8 +291,9 @@ class Tracer:
     integrator: str
     channel: str | int
     size: tuple[int, int]
-    # Probabilities of the lights (None: the scene's own); the only undimmed light (None: all)
+    # Probability of each light; by default the scene's own probabilities
     selection: tuple[float, ...] | None = None
+    # Index of the only light that is not dimmed; by default no light is dimmed
     light: int | None = None
 
     def dimensions(

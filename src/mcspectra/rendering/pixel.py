@@ -9,18 +9,19 @@ The integrand is evaluated at the direction that belongs to u in [0,1)².
 ``light`` samples a light, ``bsdf`` the BSDF, and ``environment`` one of our densities (`skies`).
 ``mis-light`` and ``mis-bsdf`` weight the first two by a heuristic [VeachGuibas1995]_.
 The heuristic is for equal numbers of samples.
-With independent points, their sum is therefore multiple importance sampling.
+With independent points, the sum of both parts is therefore multiple importance sampling.
 `pixel_mis` has all heuristics, any counts and any techniques.
-The techniques share directions but no warp: each technique has its own unit cube,
-there is no domain view, and densities are per steradian.
+The techniques share directions but no warp, because each technique has its own unit cube.
+Results therefore exist only in primary space, and densities are per steradian.
 Light that reaches the camera directly is excluded.
 
 Mitsuba computes in float32: values carry relative errors of about 1e-7.
 Averages are taken in float64. Use a single light for a clean experiment.
 With all lights, Mitsuba selects one, uniformly or by ``sampling_weight``.
-To do so, it stretches the first coordinate.
+For this selection, Mitsuba stretches the first coordinate.
 This selection cuts the square into strips and adds discontinuities.
-A separate coordinate for the selection avoids them. The columns of u:
+A separate coordinate for the selection avoids these discontinuities.
+The columns of u have the following meanings:
 
 ===========  ==================================================================================
 ``dims=2``   direction
@@ -36,15 +37,15 @@ The integrand is 0 if a ray leaves the scene or hits a light.
 A technique is ``"light"``, ``"bsdf"`` or a density of directions (`Sky`).
 Light sampling and skies are not combined, because both would sample the environment.
 Where f is 0, only the technique that drew a direction gets a positive density.
-The other techniques count as unable to draw this direction.
-So every density p_t still integrates to 1,
-although a ray that is blocked by a surface does not reveal the light behind it.
+The densities of all other techniques are set to 0 at this direction.
+A ray that a surface blocks does not reveal the light behind the surface.
+With this rule, every density p_t nevertheless integrates to 1.
 
 The integral is the mean over independently scrambled Sobol' points.
 A pixel's integrand jumps along curves that no axis follows, the edges of lights and occluders.
 Boxes of Gauss-Legendre nodes therefore do not converge.
 The scrambled points are unbiased for any integrand.
-Their spread is a reliable error [Owen1997]_.
+The spread of the means of scrambled sets is a reliable error [Owen1997]_.
 """
 
 from __future__ import annotations
@@ -156,7 +157,7 @@ class Pixel(MitsubaIntegrand):
         A scene's name, the path of a Mitsuba XML file or a Mitsuba dictionary (see `load_scene`).
     x, y
         Pixel, counted from the left and from the top.
-        The ray goes through its center if ``dims`` is below 4.
+        The ray goes through the pixel's center if ``dims`` is below 4.
     strategy
         ``"light"``, ``"bsdf"``, or their parts of multiple importance sampling.
         The parts ``"mis-light"`` and ``"mis-bsdf"`` are used together.
@@ -170,12 +171,12 @@ class Pixel(MitsubaIntegrand):
         ``"luminance"`` (Rec. 709), 0, 1 or 2 for red, green or blue, or ``"rgb"`` for all three.
     dims
         2; or 3, whose third coordinate chooses a light, or a lobe of the BSDF.
-        With 4 or 5, the same after two coordinates for the position in the pixel.
+        With 4 or 5 dims, two further coordinates come first: the position in the pixel.
     density
-        For ``"environment"``: a density in 2 dims over the square of latitude and longitude,
-        or its spec, such as ``"environment(interpolation='bilinear', channel=0)"``.
+        For ``"environment"``: a density in 2 dims over the square of latitude and longitude.
+        Specs are accepted, for example ``"environment(interpolation='bilinear', channel=0)"``.
         A spec without a ``path`` means the scene's own map.
-        By default the density is that map, bilinear, by `channel`.
+        By default, the density interpolates `channel` of the scene's own map bilinearly.
         Nothing is sampled where the density is 0.
         Densities with compensation are therefore for `pixel_mis` only.
 
@@ -268,8 +269,8 @@ def describe_pixel(scene: Scene, x: int, y: int) -> dict[str, Any]:
     Returns
     -------
     dict
-        The keys are ``shape`` (id), ``bsdf`` (type), ``light`` (name if the shape emits,
-        otherwise None), ``position`` and ``normal`` (three floats each, world space).
+        The keys are ``shape`` (id), ``bsdf`` (type), and ``light`` (name; None without emission).
+        The other keys, ``position`` and ``normal``, have three floats each in world space.
         All values are None if the ray leaves the scene.
 
     Raises
@@ -460,7 +461,7 @@ def incident_light(
     Returns
     -------
     xarray.Dataset
-        On (elevation, azimuth), at cell centers.
+        The variables have the dims (elevation, azimuth), with values at cell centers.
         The elevation is in degrees above the surface, the azimuth in degrees around its normal.
         "Above" is the side of the camera.
         ``incident_radiance`` is L_e of the used lights where no surface blocks it;
@@ -470,7 +471,7 @@ def incident_light(
     Raises
     ------
     ParameterError
-        In the cases of `Pixel`, and if the resolution is out of range or the channel is ``"rgb"``.
+        If the resolution is out of range, the channel is ``"rgb"``, or `Pixel` raises this error.
     """
     request = as_scene(scene)
     rows = as_integer("resolution", resolution, least=4, most=1024)
@@ -548,7 +549,7 @@ class PixelMIS(AbstractEstimator):
     heuristic
         Spec of the heuristic.
     shares
-        Relative sample counts of the techniques, times the factors of a heuristic that uses f.
+        Relative sample counts of the techniques; heuristics that use f multiply them by factors.
     control
         Control variate α_t of ``optimal`` weights, (T,) or (T, 3); None for other weights.
     """
@@ -716,11 +717,11 @@ def pixel_mis(
     heuristic
         A name or spec of `mcspectra.estimators.HEURISTICS`, or an object.
         ``optimal`` and ``variance-aware`` use a pilot, by default 4096 random samples with seed 0.
-        A quadrature is not possible here.
+        These two heuristics cannot use quadrature for a pixel.
     techniques
         ``"light"``, ``"bsdf"``, and densities for the environment as in `Pixel`,
         or ``"environment"`` for the scene's own map.
-        Any number of densities is allowed, but not together with ``"light"``.
+        Several densities may be given. Densities and ``"light"`` exclude each other.
     counts
         Samples of each technique as multiples of n; by default equal.
     sets
@@ -756,7 +757,7 @@ def pixel_mis(
 
 
 def _bound(view: PixelView, technique: Density | str) -> Technique:
-    """Return the technique in the form that `PixelView` uses."""
+    """Return a named technique unchanged, and a density as a technique for the environment."""
     if isinstance(technique, str) and technique in _BY_NAME:
         return technique
     environment_of(view.scene, view.light)

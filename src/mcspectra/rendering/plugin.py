@@ -5,11 +5,11 @@ Use the function `render_file` or the command ``render`` instead.
 
 Method
 ------
-Padding, as in pbrt: every request for two numbers uses its own two-dimensional set,
-and every request for one number its own one-dimensional set.
+Sets are padded as in pbrt: every request for two numbers uses its own two-dimensional set.
+Every request for one number uses its own one-dimensional set.
 The points of a set come in a separate random order.
 Requests are therefore independent of one another.
-Each is as well distributed as the sampler's points [KolligKeller2002]_.
+The numbers of each request are as evenly spread as the sampler's points [KolligKeller2002]_.
 
 In vectorized variants, lane i is sample i mod n of pixel ⌊i / n⌋.
 Scrambled nets are computed in the kernel (`kernel_nets`).
@@ -348,7 +348,10 @@ class _DeviceSets:
 
 
 class _TablePads:
-    """Sets for requests of one and two numbers; the offset counts the requests of a pixel."""
+    """Tables of sets: 1-D sets for requests for one number, 2-D sets for requests for two numbers.
+
+    An offset selects the set of a request; each request of a pixel has another offset.
+    """
 
     def __init__(self, module: Any, sets: PaddedSets, stream: Stream, rounds: Rounds) -> None:
         import drjit
@@ -376,8 +379,9 @@ class _TablePads:
 class LaneState:
     """State of a wavefront: a dataclass, so that Dr.Jit carries its arrays through loops.
 
-    For each lane, it holds the pixel, the index of the sample, the count of used numbers,
-    and the offsets of the next sets. The attribute `done` counts the samples of earlier passes.
+    For each lane, it holds the pixel, the index of the sample, and the count of used numbers.
+    It also holds the offsets of each lane's next sets.
+    The attribute `done` counts the samples of earlier passes.
     """
 
     module: Any
@@ -442,10 +446,10 @@ class LaneState:
 
 
 MOST_SAMPLES = 2**16
-"""Maximum samples per pixel, for which the largest table holds the fewest allowed sets."""
+"""Maximum samples per pixel; with more samples, the largest table would hold too few sets."""
 
 _MOST_NUMBERS = 2**27  # maximum number of values in one table, 512 MiB
-_FEWEST_SETS = 509  # fewest sets, a prime; further requests of a pixel reuse its first sets
+_FEWEST_SETS = 509  # minimum number of sets, a prime; the sets are reused after this many requests
 _BLOCK_NUMBERS = 2**19  # numbers drawn at once, 4 MiB of float64
 _GOLDEN = (5**0.5 - 1) / 2
 
@@ -507,7 +511,7 @@ class PaddedSets:
         try:
             single = as_sampler(self.spec, 1)
             single.check_count(count)
-        except ParameterError:  # then requests of one number use the first coordinate of pairs
+        except ParameterError:  # without 1-D points, use a coordinate of 2-D points
             single = pair
         settle(self, _samplers=(single, pair, joint))
 
@@ -520,7 +524,7 @@ class PaddedSets:
         return single, pair
 
     def pads(self, dims: int, stream: Stream, first: int, sets: int) -> Array:
-        """Return sets first … first+sets−1 in 1 or 2 dims, shuffled: (sets, count, dims)."""
+        """Return shuffled sets in 1 or 2 dims, beginning with set `first`: (sets, count, dims)."""
         sampler = self._samplers[dims - 1]
         assert sampler is not None
         return self._filled(sampler, dims, stream.child(dims), first, sets, shuffled=True)

@@ -36,9 +36,9 @@ _SEEDS = 2**32
 class MitsubaSampler(Sampler):
     """One of Mitsuba 3's samplers, drawn dimension by dimension, as integrators do.
 
-    The sampler has 1 to 1024 dims. Pairs of dims are drawn by ``next_2d``,
-    and the last dim of an odd number by ``next_1d``.
-    Counts are those that Mitsuba does not round, at most 2^20:
+    The sampler has 1 to 1024 dims. Pairs of dims are drawn by ``next_2d``.
+    If the number of dims is odd, the last dim is drawn by ``next_1d``.
+    Counts are at most 2^20, and only counts that Mitsuba does not round are allowed:
     any count for ``independent``, s² for ``stratified``,
     s², s(s + 1) and s(s + 2) for ``multijitter``,
     squares of primes for ``orthogonal``, and powers of 4 from 4 for ``ldsampler``.
@@ -180,7 +180,7 @@ def from_mitsuba(source: Any, dims: int = DEFAULT_DIMS) -> MitsubaObject:
     ----------
     source
         A sampler object of any variant and class, including plugins in Python.
-        The object is forked and therefore does not change.
+        Points are drawn from a fork of this object, so the object does not change.
     dims
         Number of dims; a pair of dims is one request for two numbers.
 
@@ -198,7 +198,7 @@ def from_mitsuba(source: Any, dims: int = DEFAULT_DIMS) -> MitsubaObject:
     Notes
     -----
     Every realization has its own seed.
-    A realization therefore does not depend on how many are drawn at once.
+    A realization therefore does not depend on the number of realizations in a call.
     In vectorized variants, a realization is one wavefront of n lanes. It takes some milliseconds.
     """
     return MitsubaObject(source=source, dims=dims)

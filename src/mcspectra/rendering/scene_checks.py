@@ -46,11 +46,11 @@ def check_scene(scene: Scene, *, light: int | str | None = None) -> list[str]:
     -------
     list of str
         A sentence for each unsupported part; empty if everything is supported.
-        Such parts are: no camera, a camera with a lens or a shutter, no lights,
-        participating media, an integrator of more than direct light,
-        lights that are delta functions (point, spot, directional, …),
-        an environment that is scaled or has pixels that are not a radiance,
-        and shapes whose BSDF has a delta function (dielectric, smooth conductor, mask, …).
+        A scene must have a light, and a camera without a lens or a shutter.
+        A scene must not have participating media, or an integrator of more than direct light.
+        Lights must not be delta functions (point, spot, directional, …).
+        An environment must not be scaled, and its pixels must be radiances.
+        Shapes must not have a BSDF with a delta function (dielectric, smooth conductor, mask, …).
         Shapes inside instances are not listed; a pixel that shows one reports it.
 
     Raises
@@ -261,7 +261,7 @@ def _chosen(scene: Scene, light: int | str | None) -> list[Any]:
 
 
 def _environment(scene: Scene, light: int | str | None) -> list[str]:
-    """Sentences on a used environment with a scale, or with pixels that are not a radiance."""
+    """Return a sentence for each environment that is scaled or has pixels that are no radiance."""
     found, chosen = [], _chosen(scene, light)
     import drjit
 

@@ -265,7 +265,7 @@ def render_file(
                 camera.film().write(str(target))
             return np.array(image, dtype=np.float64)
         except (RuntimeError, TypeError) as error:
-            if isinstance(error.__cause__, McspectraError):  # an error of one of our samplers
+            if isinstance(error.__cause__, McspectraError):  # raised by one of our samplers
                 raise error.__cause__ from None
             reason = mitsuba_reason(error)
             raise FileFormatError(f"Mitsuba cannot render {shown(named)}: {reason}.") from None
@@ -318,7 +318,7 @@ def integrator_plugin(spec: str) -> dict[str, Any]:
         raise ParameterError(f"The integrator {shown(spec)} cannot be read: {error}") from None
     if reach_of(found) is not None:
         raise ParameterError(f"The integrator {shown(spec)} names a file or code; remove it.")
-    _copied(found)  # Copying makes the same checks as for a scene
+    _copied(found)  # The copy is not used, but copying checks files and depth
     return found
 
 
@@ -528,7 +528,7 @@ class DictScene:
         return "dict"
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return DictScene, (self._copy,)  # another process has other object addresses
+        return DictScene, (self._copy,)  # Ids of objects differ between processes
 
 
 def _copied(value: Any, depth: int = 0) -> Any:
@@ -582,7 +582,8 @@ State: TypeAlias = "tuple[tuple[Path, int, int], ...]"
 DEEPEST = 64
 """Largest nesting of elements, also in dictionaries.
 
-Shapes in groups with nested materials and textures reach 12; some 10,000 levels end the process.
+Shapes in groups with nested materials and textures reach 12 levels.
+Some 10,000 levels would end the process.
 """
 
 MOST_ELEMENTS = 2**21
@@ -609,7 +610,7 @@ def watched_state(scene: Path) -> State:
     """Return the state of a scene's file and of all files that it names, for comparison.
 
     The XML is read again only if one of the files has changed since the last call.
-    Otherwise each file is only checked in the file system, which takes a few microseconds per file.
+    A file is unchanged if its size and time are; this check takes a few microseconds per file.
     """
     file = scene.resolve()
     known = _watched.get(file, ())
@@ -624,7 +625,7 @@ def referenced_files(
     """Return the existing files that a scene's XML names, including XML in includes.
 
     A name is searched in the folders of the scene, of the naming file, and of every ``<path>``.
-    If it is in none of them, it is searched in the current folder.
+    A file that is in none of these folders is searched in the current folder.
     A file that is not XML names no other file. All XML that Mitsuba would parse is checked.
 
     Parameters
@@ -710,7 +711,7 @@ def referenced_files(
                     around = tuple(folders | {file.parent: None})
                     if trust is not None and tag == "string":
                         trust.check_scene_spec(name, where)
-                        for ending in ("eta", "k"):  # files in which Mitsuba searches a material
+                        for ending in ("eta", "k"):  # Mitsuba may open these material files
                             places(f"data/ior/{name}.{ending}.spd", around, where)
                     if tag == "path":
                         for folder in (*around, here):
@@ -814,7 +815,7 @@ def _elements(file: Path, data: bytes) -> _SceneFile:
         name = attributes.get("filename") or (value if tag in ("string", "path") else "")
         if found.depth > DEEPEST or found.elements > MOST_ELEMENTS:
             return  # The limit is exceeded; elements are only counted for the message
-        # If a default ends in a backslash, a text that uses it also contains the escape
+        # A default value with a backslash can give rise to the escape when it is inserted
         if any("\\$" in each for each in attributes.values()) or (
             tag == "default" and "\\" in value
         ):
@@ -853,7 +854,7 @@ def _elements(file: Path, data: bytes) -> _SceneFile:
     except (
         LookupError,
         ValueError,
-    ) as error:  # the encoding is unknown to Python, or multi-byte
+    ) as error:  # Python cannot decode the file's encoding, or it is multi-byte
         raise ExpatError(str(error)) from None
     return found
 
@@ -863,7 +864,7 @@ def _expanded(text: str, values: Mapping[str, Iterable[str]], file: Path) -> lis
 
     A parameter without a value is not replaced.
     Mitsuba replaces the names that have a value when it reads the text.
-    In the text ``$ab`` it therefore replaces only ``$a`` if the name ``ab`` has no value yet.
+    If ``ab`` has no value yet but ``a`` has one, Mitsuba replaces only ``$a`` in the text ``$ab``.
     """
     beginning, *rest = text.split("$")
     found = [beginning]
@@ -893,7 +894,7 @@ def check_plugin(name: str, folders: Iterable[Path]) -> None:
     FileFormatError
         If a library with this name exists, or the name is a path.
     """
-    if "$" in name:  # the name has a parameter without a value, which Mitsuba rejects
+    if "$" in name:  # Mitsuba rejects names with an undefined parameter
         return
     if not _PLUGIN_NAME.fullmatch(name):
         raise FileFormatError(

@@ -95,7 +95,7 @@ def sky_pixels(scene: Scene, rows: int = _ROWS) -> Array:
     ndarray
         Linear radiance (rows, 2 rows, 3) at pixel centers, for `EnvironmentDensity`.
         Mitsuba's maps have the centers of the first and last rows at the poles.
-        These pixels are therefore interpolated, not copied.
+        The returned pixels are therefore interpolated between those of Mitsuba's map.
 
     Raises
     ------

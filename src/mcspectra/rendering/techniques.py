@@ -1,8 +1,8 @@
 """Visible surface points of pixels, and the techniques of their direct illumination.
 
 A technique, light or BSDF sampling, computes a direction from u in [0,1)² at every point.
-The technique returns f/p, its own density and that of the other technique, per solid angle
-[VeachGuibas1995]_. All samples share one point, or each has its own.
+A technique returns f/p, and the densities of both techniques per steradian [VeachGuibas1995]_.
+All samples share one surface point, or each sample has its own surface point.
 Hold the lock `backend.LOCK` around every call.
 """
 
@@ -269,7 +269,7 @@ def pixel_sums(
     """Sum over samples u: (R, n, D), equal for all pixels, or (R, P, n, D); gives (numbers, R, P).
 
     Each lane is one realization of one pixel.
-    The argument `values` maps the pixels of the lanes to a function of the row of u.
+    The function `values` gets the pixel of each lane, and returns a function of a row of u.
     """
     import drjit
 

@@ -4,11 +4,11 @@ Method
 ------
 All samples of a chunk of pixels run in one kernel, by the strategies of `techniques`.
 The kernel adds up values over the samples of each pixel in float64.
-The number of samples in a chunk limits the memory,
-whatever the numbers of pixels and of samples per pixel are.
+The memory is limited by the number of samples in a chunk.
+It does not depend on the number of pixels or of samples per pixel.
 
 The first two columns of u are the position in the pixel, if it is sampled.
-The next two are the direction; a third column may select a light or a lobe of the BSDF.
+Two columns of u are the direction; a further one may select a light or a lobe of the BSDF.
 The strategy ``mis`` adds up both techniques at the same surface point.
 This strategy has a block of columns for the light, then one for the BSDF.
 """
@@ -70,7 +70,7 @@ class Wavefront:
     film
         ``"center"``: rays through the pixels' centers.
         ``"sampled"``: rays through a point of the pixel, uniform by the first two columns of u.
-        This corresponds to a box filter.
+        With sampled positions, the image has a box filter.
     heuristic
         ``"balance"`` or ``"power"`` (β = 2), for the ``mis`` strategies.
     emission
@@ -131,7 +131,7 @@ class Wavefront:
         """Return the number of columns that a strategy uses.
 
         With `select`, the third column of each block selects a light or a lobe.
-        By default, this column exists if a BSDF of the scene needs it.
+        The default is True if a BSDF of the scene needs the third column.
         """
         as_choice("strategy", strategy, WAVEFRONT_STRATEGIES)
         if select is None:

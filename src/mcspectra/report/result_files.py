@@ -195,7 +195,7 @@ def latex_table(columns: Sequence[str], rows: Sequence[Sequence[Any]]) -> str:
     def cell(value: Any) -> str:
         if value is None:
             return "--"
-        text = number(value) if isinstance(value, float) else short_spec(str(value))
+        text = number(value) if isinstance(value, float) else short_spec(printable(value))
         return latex_maths(text.translate(LATEX_TEXT))
 
     words = [any(isinstance(row[i], str) for row in rows) for i in range(len(columns))]

@@ -8,15 +8,18 @@ from __future__ import annotations
 
 import importlib.util
 import inspect
+import os
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any, ClassVar, final
 
 import numpy as np
 
 from mcspectra.core.checks import BELOW_ONE, as_integer
+from mcspectra.core.decoding import check_decoded_size, opened
 from mcspectra.core.errors import (
     MissingDependency,
     ParameterError,
@@ -36,7 +39,10 @@ _RANDOMNESS = ("rng", "seed")  # names of the argument for the generator: seed b
 _SET_ELSEWHERE = ("dimension", "replications", "seed")  # arguments that this class sets
 _UNBIASED = ("Halton", "LatinHypercube", "Sobol")  # scrambled engines of scipy with uniform points
 _UNIFORM = ("TRUE", "SHIFT", "DS", "LMS DS", "DP", "LMS DP", "NUS")  # values of QMCPy's `randomize`
-_NOT_POINTS = ("DummySampler", "MPMC")
+_NOT_POINTS = ("DummySampler", "MPMC")  # MPMC downloads its points
+_TABLES = {"generating_matrices": "generating_matrices", "generating_vector": "generating_vectors"}
+"""Options of QMCPy that name a file, and the folder with QMCPy's own files."""
+_TEXT_RATIO = 16  # Bytes of memory for each byte of such a file
 
 
 @final
@@ -266,6 +272,7 @@ class QmcpySampler(OneByOne):
     are replaced by the largest double below 1. Larger coordinates are errors.
     Points of QMCPy's own classes count as uniform after some randomizations:
     shifts, digital shifts, digital permutations and nested scrambling.
+    Options that name tables are read from QMCPy's folder or from a file, never from the network.
 
     References
     ----------
@@ -371,9 +378,16 @@ class QmcpySampler(OneByOne):
         cls = _generator_classes()[source] if isinstance(source, str) else source
         # Turn off QMCPy's many warnings unless the user requests them
         given = {"dimension": self.dims, "replications": None, "seed": seed, "warn": False}
-        own = {key: given[key] for key in inspect.signature(cls).parameters if key in given}
+        parameters = inspect.signature(cls).parameters
+        own = {key: given[key] for key in parameters if key in given}
+        tables = {
+            key: _local_table(value, Path(inspect.getfile(cls)).parent / folder)
+            for key, folder in _TABLES.items()
+            if isinstance(value := self.options.get(key), str)
+            and value != getattr(parameters.get(key), "default", None)
+        }
         try:
-            return cls(**{**own, **self.options})
+            return cls(**{**own, **self.options, **tables})
         except Exception as error:  # QMCPy raises its own exceptions and bare assertions
             raise ParameterError(
                 f"{cls.__name__} cannot be made in {self.dims} dims with "
@@ -393,6 +407,18 @@ class QmcpySampler(OneByOne):
             return n, n
         below: int = 2 ** (n.bit_length() - 1)
         return below, n if below == n else 2 * below
+
+
+def _local_table(name: str, folder: Path) -> str:
+    """Return the name by which QMCPy opens a table of its own, or a file, without the network.
+
+    QMCPy looks in its own folder, on the network, and last among the files.
+    """
+    if Path(name).name == name and (folder / name).is_file():
+        return name
+    with opened(name, "a table of QMCPy", (".txt",)) as (_, size, shown, _):
+        check_decoded_size(shown, size, _TEXT_RATIO * size)
+    return os.path.relpath(Path(name).resolve(), folder.resolve())
 
 
 def is_generator(source: object) -> bool:

@@ -1,7 +1,7 @@
 """Estimate the time, memory and storage of every cell of a study from short trial runs.
 
 A cell with repeated realizations is run twice with few of them and once with more.
-The difference gives the time per realization. The other cells are scaled by their cost.
+The difference of the times gives the time per realization. Other cells are scaled by their cost.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def estimate_study(plan: StudyPlan, *, probe_seconds: float = 10.0) -> list[Cell
         seconds, storage = tried.get(cell.path, guess)
         if seconds > target and name not in cut:
             cut[name] = False
-            with contextlib.suppress(Exception):  # The study itself fails at the same place
+            with contextlib.suppress(Exception):  # The run reports this error
                 steps = steps_of(cell.analysis, cell.subject, Stream.from_rng(seed))
                 cut[name] = sum(each.blocks for each in next(steps)) > 1
         estimates.append(
@@ -145,7 +145,7 @@ def _measured(cell: StudyCell, seed: int, left: float) -> tuple[float, int] | No
         return None
     few = min(_FEW, realizations)
     try:
-        first, size = _timed(cell, few, seed)  # This time includes compilation
+        first, size = _timed(cell, few, seed)  # The first time includes compilation
         again, _ = _timed(cell, few, seed)
         if 2 * again > left:
             return first + again * realizations / few, size

@@ -5,7 +5,7 @@ A failed task is an ordinary outcome. An executor raises an exception only if it
 
 Worker processes on this machine also form a dask cluster.
 These processes can be stopped at a time limit, and they may crash.
-One rule for tasks of dead workers therefore covers all clusters.
+Tasks of dead workers are therefore handled in the same way on all clusters.
 The package dask is imported only when it is needed.
 """
 
@@ -30,14 +30,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib import metadata
 from multiprocessing import resource_tracker
-from pathlib import Path
 from typing import Any, NamedTuple, Protocol, cast, final
 
 import msgspec
 
+from mcspectra.core import decoding
 from mcspectra.core.checks import as_integer, as_real
 from mcspectra.core.display import shown
-from mcspectra.core.errors import McspectraError, ParameterError
+from mcspectra.core.errors import FileFormatError, McspectraError, ParameterError
 from mcspectra.core.parallel import available_workers
 from mcspectra.core.registry import optional_package
 from mcspectra.studies.foreign_code import explain
@@ -67,6 +67,7 @@ __all__ = [
 _GRACE = 5.0
 # Largest time limit, in seconds (30 years), because clocks and waits overflow above it
 _LONGEST_LIMIT = 1e9
+_MOST_SCHEDULER = 2**20  # Maximum number of bytes read from a scheduler file
 _LOOPBACK = "127.0.0.1"
 _ADDRESS = re.compile(
     r"(?:(tcp|tls)://)?[\w.-]+:\d{1,5}|(?:(tcp|tls)://)?\[[0-9a-fA-F:]+\]:\d{1,5}"
@@ -303,7 +304,10 @@ class Dask:
 
     @property
     def workers(self) -> int:
-        """Number of worker threads; 1 without workers, so that one task waits for a worker."""
+        """Number of worker threads, at least 1.
+
+        If there is no worker, one task is submitted and waits for a worker.
+        """
         now = time.monotonic()
         if now - self._threads[1] >= _FRESH and self._ready:
             with contextlib.suppress(OSError):
@@ -337,7 +341,7 @@ class Dask:
                         "--resume continues."
                     ) from None
                 # Give up a local cluster that cannot start workers.
-                # Other clusters may gain workers later
+                # A cluster that this process did not start may get workers later
                 self._deserted = 0.0 if self._threads[0] else self._deserted + _POLL
                 if self._options.local and self._deserted >= _DESERTED:
                     raise ClusterLost(
@@ -479,12 +483,16 @@ def _connected(options: Cluster, opened: contextlib.ExitStack) -> Any:
             target = options.address
             if target.endswith(".json"):
                 try:
-                    found = msgspec.json.decode(Path(target).read_bytes(), type=_SchedulerFile)
-                    target = found.address
-                except (OSError, msgspec.DecodeError) as error:
+                    with decoding.opened(target, "a file of a dask scheduler") as (
+                        stream,
+                        *_,
+                    ):
+                        text = stream.read(_MOST_SCHEDULER)
+                    target = msgspec.json.decode(text, type=_SchedulerFile).address
+                except (FileFormatError, msgspec.DecodeError) as error:
                     raise ParameterError(
                         f"{shown(target)} is not a file written by a dask scheduler "
-                        f"(--scheduler-file): {error}."
+                        f"(--scheduler-file): {str(error).rstrip('.')}."
                     ) from error
             _greet_scheduler(target, options.patience)
         client = make(target, timeout=options.patience, set_as_default=False)
@@ -568,8 +576,8 @@ def _local_cluster(options: Cluster, opened: contextlib.ExitStack) -> Any:
 def _muted(opened: contextlib.ExitStack) -> dict[logging.Handler, int]:
     """Keep dask's log off the terminal, because this package reports problems in its own messages.
 
-    The stack `opened` restores the log levels that remain in the returned mapping.
-    After an interruption it restores no level, because dask logs until the process ends.
+    When the stack `opened` ends, the returned log levels are set again.
+    After an interruption dask stays silent, because it logs until the process ends.
     """
     levels = {each: each.level for each in logging.getLogger("distributed").handlers}
 

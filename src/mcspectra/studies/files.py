@@ -7,8 +7,8 @@ The analysis defines the keys, types, defaults and meanings of its table.
 Unknown keys, wrong types and values out of range are errors that name the place.
 Relative paths in specs are relative to the folder of the file.
 
-A study is read in four steps: apply changes of the command line, expand grids,
-check types, and check rules that concern several keys.
+A study is read in four steps. The first two apply changes of the command line and expand grids.
+The last two check types, and check rules that concern several keys.
 """
 
 from __future__ import annotations
@@ -73,9 +73,9 @@ RESERVED = ("analyses", "scenes", "kind", "analysis")
 _MOST_TEXT = 10**8  # Maximum number of characters that a grid may generate in one table
 _LARGEST_FILE = 4 * 2**20
 _RESERVED_SLUGS = frozenset({"zarr.json", "c"})
-_SINGLE = ("seed", "time_limit")  # Keys with a single value per study
+_SINGLE = ("seed", "time_limit")  # These keys of a study take no placeholder
 # Dotted keys have at most 64 parts, because tomllib's time grows with the square of this number.
-# A key of 10⁶ parts takes hours.
+# To parse a dotted key with 10⁶ parts takes hours
 _DOTTED = re.compile(
     r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}""", re.ASCII
 )
@@ -187,7 +187,7 @@ class SceneConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class StudyConfig(_StudyTable, frozen=True, kw_only=True, omit_defaults=True):
-    """A whole study file.
+    """The tables and keys of a study file.
 
     The field `analyses` holds the tables of analyses by name, in the order of the file.
     The field `scenes` holds the entries of ``[[maps]]``.
@@ -354,7 +354,7 @@ def study_of(table: Mapping[str, Any], source: str = "study") -> StudyConfig:
                 )
             if id(samplers) not in seen and len(set(samplers)) < len(samplers):
                 raise ConfigError(f"{shown(entry.name)} lists a sampler twice.")
-            seen.add(id(samplers))  # Most entries share one list, which is checked once
+            seen.add(id(samplers))  # Check a list of samplers once; most entries share it
         for estimator in config.estimators:
             for complaint in _complaints(estimator):
                 raise ConfigError(f"the estimator {shown(estimator.name)} {complaint}")
@@ -364,7 +364,7 @@ def study_of(table: Mapping[str, Any], source: str = "study") -> StudyConfig:
 
 
 def as_study(config: StudyConfig) -> StudyConfig:
-    """Return a study unchanged.
+    """Return the argument if it is a study, and raise an error otherwise.
 
     Raises
     ------
@@ -405,11 +405,11 @@ class Slugs:
         self._next: dict[str, int] = {}
 
     def __call__(self, text: str) -> str:
-        """Return the name for another text."""
+        """Return a group name for a text, different from all names of earlier calls."""
         base = re.sub(r"[^a-z0-9.]+", "-", text.lower()).strip("-.")[:60].strip("-.") or "x"
         slug = base
         while slug in self._taken:
-            # Continue at the last number, because thousands of texts may begin alike
+            # Continue at the last used number, because thousands of names may begin alike
             number = self._next.get(base, 2)
             slug, self._next[base] = f"{base}-{number}", number + 1
         self._taken.add(slug)
@@ -421,7 +421,7 @@ Names: TypeAlias = dict[str, None]
 
 
 def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[Names, Names]]:
-    """Return the parts of the paths of a study's cells, in order, without building any cell.
+    """Return all names that make up the paths of a study's cells, without building a cell.
 
     Parameters
     ----------
@@ -431,8 +431,8 @@ def planned_groups(study: Mapping[str, Any]) -> dict[str, tuple[Names, Names]]:
     Returns
     -------
     dict
-        The keys are the first parts of paths: estimators or scenes.
-        The values are the second parts (samplers) and the third parts (analyses with companions).
+        A path is estimator/sampler/analysis. The keys are the names of estimators or scenes.
+        The values are the names of their samplers, and of their analyses with companions.
     """
     found, slugs = dict[str, tuple[Names, Names]](), Slugs()
     known: dict[tuple[str, ...], Names] = {}
@@ -553,7 +553,7 @@ def _struct(table: Any, kind: type[Struct], place: str, beside: tuple[str, ...] 
             raise ConfigError(f"{where}the key {shown(name)} is missing.")
     try:
         return msgspec.convert(clean, kind)
-    except msgspec.ValidationError as error:  # An option may have a foreign type
+    except msgspec.ValidationError as error:  # raised for types that options do not check
         raise ConfigError(f"{where}{error}.") from None
 
 
@@ -618,8 +618,9 @@ def apply_overrides(table: dict[str, Any], overrides: Sequence[str]) -> dict[str
     table
         The study as read from TOML; it is not modified.
     overrides
-        Texts ``path=value``. The path consists of keys between dots, with indices from 0,
-        such as ``estimators[0].density``. The value is TOML. Missing tables are created.
+        Texts ``path=value``. The path consists of keys between dots, with indices from 0.
+        An example of a path is ``estimators[0].density``.
+        The value is TOML. Missing tables are created.
 
     Raises
     ------
@@ -636,7 +637,7 @@ def apply_overrides(table: dict[str, Any], overrides: Sequence[str]) -> dict[str
         if not equals:
             raise ConfigError(f"--set {shown(text)} has no '='; write key=value.")
 
-        # Read the place: keys between dots, each with its indices
+        # Split the path at the dots into keys with their indices
         if not _PLACE.fullmatch(path.strip()):
             raise ConfigError(
                 f"--set {shown(text)}: {shown(path.strip())} is not a place in a study; write for "
@@ -656,7 +657,7 @@ def apply_overrides(table: dict[str, Any], overrides: Sequence[str]) -> dict[str
                 "quotes: key='\"text\"'."
             )
 
-        # Store the value at the place
+        # Follow the path through tables and lists, and store the value at its end
         place: Any = changed
         for i, step in enumerate(steps):
             lack = ""
@@ -715,7 +716,8 @@ def expand_grids(table: dict[str, Any], source: str = "study") -> dict[str, Any]
 def _expanded(table: Mapping[str, Any]) -> dict[str, Any]:
     """Expand the grids of a study."""
     shared = _grid_values(table.get("grid"), "grid")
-    all_used, counts = set[str](), Counter[str]()  # Used placeholders; counts of entries
+    # Names of the used placeholders, and number of entries under each key
+    all_used, counts = set[str](), Counter[str]()
 
     def repeated(
         given: Any, more: Mapping[str, Any], key: str, place: str
@@ -828,7 +830,7 @@ def _check_size(number: int, size: int, place: str) -> None:
 
 
 def _keys_in(value: Any, values: Values, place: str) -> list[str]:
-    """Return the placeholders in a value, in the order of the grid."""
+    """Return the placeholders in a value, in the order in which the grid lists them."""
     found = set(_placeholders(value, values))
     for key in sorted(found - set(values)):
         if values:

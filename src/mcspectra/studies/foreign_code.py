@@ -64,9 +64,9 @@ def probed(function: Callable[[Any], Any], *, dims: int, limit: float | None = N
     Parameters
     ----------
     function, dims
-        Same as in `Integrand.from_function`, which calls the function at a few points.
+        Same as in `Integrand.from_function`. The function is called at a few points.
     limit
-        Seconds allowed for these calls, at most 30.
+        Seconds allowed for the calls at a few points, at most 30.
 
     Raises
     ------

@@ -6,9 +6,9 @@ SQLite provides atomic commits and recovery after a crash.
 This module adds the schema, the commit interval and the digests.
 Each row has a SHA-256 of its contents, which is checked on every read.
 The row ``tally`` has the number of finished cells and the exclusive or of their digests.
-A missing row is therefore also detected.
+With this number and these digests, a missing row is also detected.
 If the file is damaged, a resumed run keeps all sound rows on readable pages.
-The run names the other rows and computes them again. `Ledger.verify` finds the same rows.
+The run reports damaged rows and computes them again. `Ledger.verify` finds the same damaged rows.
 
 The file has a rollback journal, which network file systems support.
 A writer holds SQLite's lock on the empty file ``DIR/study.lock``.
@@ -31,7 +31,7 @@ import time
 from collections.abc import Collection, Iterable, Iterator, KeysView, Mapping, Sequence
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, TypeVar, final
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple, TypeAlias, TypeVar, final
 
 import msgspec
 import numpy as np
@@ -90,7 +90,8 @@ _BUSY_SECONDS = 60.0  # Seconds that commits wait for readers, and readers for c
 _NOTE_SECONDS = 0.5  # Maximum seconds between taking the lock and noting its holder
 _MOST_SENTENCE = 10_000  # Maximum length in characters of a stored error sentence
 _PATH_LETTERS = b"abcdefghijklmnopqrstuvwxyz0123456789.-/"
-_NO_PATH = ("//", "/.", "\n.", "\n/", "/\n", "\n\n")  # Forbidden in paths, written one per line
+# Texts that a list of paths, one per line, must not contain
+_NO_PATH = ("//", "/.", "\n.", "\n/", "/\n", "\n\n")
 
 _SCHEMA = (
     "CREATE TABLE texts (kind TEXT, name TEXT, text TEXT, digest BLOB, PRIMARY KEY (kind, name))",
@@ -131,7 +132,7 @@ _PUT_TASK = "INSERT OR REPLACE INTO tasks VALUES (?, ?, ?, ?, ?, ?)"
 _RESULT = "SELECT path, digest, payload FROM cells LEFT JOIN results USING (place)"
 _PAYLOADS = "SELECT payload FROM results WHERE place = ?"
 _TEXTS = "SELECT name, text, digest FROM {} WHERE kind = ?"
-_NOTED = ("texts", "notes")  # Tables that each hold a copy of the notes
+_NOTED = ("texts", "notes")  # Both tables contain all notes
 _ONE_TASK = "SELECT * FROM tasks WHERE path = ? AND run = ? AND first = ? AND blocks = ?"
 
 # SQLite errors that do not concern the contents of the file, by code, in words
@@ -162,6 +163,13 @@ _Step: TypeAlias = tuple[str, tuple[Any, ...]]
 """An SQL statement and its values."""
 
 _Note = TypeVar("_Note", bound=msgspec.Struct)
+
+# Types of notes; they are checked when a note is read, since a forged one may hold anything
+_Count: TypeAlias = Annotated[int, msgspec.Meta(ge=0, le=2**63 - 1)]
+_Time: TypeAlias = Annotated[
+    str, msgspec.Meta(pattern=r"\A[0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9]{2}:[0-9]{2}:[0-9]{2}\+00:00\Z")
+]
+_Digest: TypeAlias = Annotated[str, msgspec.Meta(pattern=r"\A[0-9a-f]{64}\Z")]
 
 
 class StudyNote(msgspec.Struct, frozen=True, kw_only=True):
@@ -208,16 +216,16 @@ class StudyNote(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Holder(msgspec.Struct, frozen=True):
-    """Process that writes into a folder or ended without a note: its host, process id and start."""
+    """Process that writes into a folder, or was killed while writing: host, id and start."""
 
     host: str
-    pid: int
-    since: str
+    pid: _Count
+    since: _Time
 
     @property
     def in_words(self) -> str:
         """Description of the process in messages: ``process 12 on host 'a' since …``."""
-        return f"process {self.pid} on host {self.host!r} since {self.since}"
+        return f"process {self.pid} on host {shown(self.host)} since {self.since}"
 
 
 class StudyTally(msgspec.Struct, frozen=True, kw_only=True):
@@ -235,11 +243,11 @@ class StudyTally(msgspec.Struct, frozen=True, kw_only=True):
         Process that is writing; None after it has ended normally.
     """
 
-    done: int = 0
-    size: int = 0
-    digest: str = f"{0:064x}"
-    started: str | None = None
-    finished: str | None = None
+    done: _Count = 0
+    size: _Count = 0
+    digest: _Digest = f"{0:064x}"
+    started: _Time | None = None
+    finished: _Time | None = None
     hosts: tuple[str, ...] = ()
     holder: Holder | None = None
 
@@ -252,10 +260,10 @@ class StudyTally(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class _Header(msgspec.Struct, frozen=True, kw_only=True):
-    """Fixed values of a ledger without inputs: the study, its number of cells, a path digest."""
+    """Note that runs never change: the study, the number of cells, and a digest of all paths."""
 
     study: StudyNote
-    cells: int
+    cells: Annotated[int, msgspec.Meta(ge=0, le=2**26)]  # Verifying a damaged file lists all
     plan: str
 
 
@@ -312,7 +320,7 @@ class Ledger:
     folder
         Folder of the ledger.
     tally
-        Tally at the last commit.
+        Number and digest of the finished cells at the last commit, with times and hosts.
     damaged
         Descriptions of damage, by path of a cell, key of a task, or name of a part.
     """
@@ -344,8 +352,8 @@ class Ledger:
         Raises
         ------
         StoreError
-            If the folder already has results, contains symbolic links, or cannot be written,
-            or if another process writes into it. A later write error is a StorageError.
+            If the folder already has results, contains symbolic links, or cannot be written.
+            If another process writes into the folder. A later write error is a StorageError.
         """
         with _given_free_if_it_fails(Ledger(folder)) as ledger:
             ledger._begin(study, paths, None)
@@ -493,7 +501,7 @@ class Ledger:
         """
         with self._guard:
             self.commit()
-            done = tuple(self.done)  # Read this first, because a commit may follow
+            done = tuple(self.done)  # List the finished cells before a commit adds more
             texts = dict(self._texts("scalars"))
         found: dict[str, dict[str, float]] = {}
         for path in done:
@@ -515,7 +523,7 @@ class Ledger:
         Parameters
         ----------
         run, chunk
-            Key of the run, and its blocks.
+            Key of the sum over blocks that the task belongs to, and the blocks of the task.
         host
             Host that computed the task.
 
@@ -564,7 +572,7 @@ class Ledger:
         with self._guard:
             for path in paths:
                 self._tell(_Change(path, _forgetting(path)))
-            self.commit()  # The schedule reads task states after this
+            self.commit()  # Later reads must not find the dropped states
 
     def commit(self) -> None:
         """Write all pending changes, or none of them."""
@@ -573,17 +581,17 @@ class Ledger:
                 raise self._broken
             if self._pending:
                 tally = self._write(self._pending, self.tally)
-                # No call is between these assignments, so no signal can interrupt them
+                # A signal cannot interrupt these three assignments, because no call is between them
                 self.tally, self._pending, self._waiting = tally, [], 0
 
     def verify(self, paths: Sequence[str] | None = None) -> Survey:
-        """Read everything, and return the sound and the damaged parts.
+        """Read all rows of the ledger, and return its sound and its damaged parts.
 
         Parameters
         ----------
         paths
             Paths of all cells of the study; by default the paths in the ledger.
-            Other cells are refused.
+            A list that does not have the digest in the ledger is ignored.
         """
         self.commit()
         if paths is None or _plan_digest(paths) != self._header.plan:
@@ -798,13 +806,14 @@ class Ledger:
         _Damaged
             If it is not a ledger's database, or cannot be read completely.
         """
-        # With a journal of another kind, SQLite would open and write two other files
+        # If the header asks for a write-ahead log, SQLite would create two further files
         with _reading(self._file), self._file.open("rb") as stream:
             head = stream.read(20)
         if head[:16] != b"SQLite format 3\0" or head[18:] != b"\1\1":
             raise _Damaged("its first page is not that of a ledger")
         try:
-            # Without write permission, SQLite opens it for reading. SQLite rolls back after a crash
+            # Without write permission, SQLite opens the file for reading only.
+            # After a crash of the writer, SQLite rolls back the last transaction
             self._connection = _connected(self._file, "rw")
             if self._lock is None:
                 self._connection.execute("PRAGMA query_only = ON")
@@ -838,8 +847,8 @@ class Ledger:
                 copy.execute("BEGIN")
                 for statement in _COPIED:
                     copy.execute(statement)
-                # Read pages in use first. On free pages, ignore task states and failures,
-                # because a run deletes task states and failures
+                # First read pages that SQLite uses, then pages that it has freed.
+                # Freed pages may hold task states and failures that a run deleted: ignore them
                 for wanted in (True, False):
                     for used, rowid, values in leaves.rows():
                         columns = len(values)
@@ -853,13 +862,15 @@ class Ledger:
             raise StoreError(f"{str(self._file)!r} cannot be read: {reason}.") from None
 
     def _note(self, name: str, kind: type[_Note]) -> _Note | None:
-        """Return a note, which is stored twice, or None if both copies are damaged."""
+        """Return the note with this name from either of two tables; None if both are damaged."""
         for table in _NOTED:
             rows: list[tuple[Any, ...]] = []
             with contextlib.suppress(_Damaged):
                 rows = self._rows(f"{_TEXTS.format(table)} AND name = ?", ("note", name))
             for _, text, digest in rows:
-                with contextlib.suppress(msgspec.MsgspecError, TypeError, AttributeError):
+                with contextlib.suppress(
+                    msgspec.MsgspecError, TypeError, AttributeError, ValueError, RecursionError
+                ):
                     note = msgspec.json.decode(text, type=kind)
                     study = note.study if isinstance(note, _Header) else self.study
                     if digest == _digest(study, "note", (name,), text.encode()):
@@ -891,7 +902,7 @@ class Ledger:
                     np.frombuffer(digests, np.uint64).reshape(len(done), 4), axis=0
                 )
                 found = either.tobytes().hex(), _plan_digest(paths)
-            except (TypeError, ValueError):  # A run writes values of other types
+            except (TypeError, ValueError):  # A run writes paths as text and digests as bytes
                 pass
             finally:
                 self._opened.rollback()
@@ -905,7 +916,7 @@ class Ledger:
         return [str(known.get(place, f"cell {place}")) for place in range(self._header.cells)]
 
     def _surveyed(self, paths: Sequence[str]) -> Survey:
-        """Read everything, and add unsound rows to `damaged`."""
+        """Read all rows of the ledger, and list rows with a wrong digest in `damaged`."""
         tally, before, recorded = StudyTally(), len(self.damaged), 0
         done, failed = set[str](), dict[str, str]()
         for change in self._sound(paths):
@@ -931,7 +942,7 @@ class Ledger:
         )
 
     def _sound(self, paths: Sequence[str]) -> Iterator[_Change]:
-        """Yield sound rows as changes that write them again; add other rows to `damaged`.
+        """Yield each sound row as the change that writes it; list all other rows in `damaged`.
 
         This method alone decides which parts of a damaged ledger are kept.
         """
@@ -944,7 +955,8 @@ class Ledger:
                 if not any(text for _, text in self._texts("note", name, table)):
                     self.damaged[f"note of the {name}"] = _DAMAGE
 
-        # Yield results with sound digests; the tally decides on results whose digests are lost
+        # Yield results with right digests. If the row with a digest is lost, the digest of all
+        # finished cells in the tally decides whether the result is right
         left, unproven = int(self.tally.digest, 16), list[tuple[str, int, bytes]]()
         made = 0
         for place, path in enumerate(paths):
@@ -968,7 +980,7 @@ class Ledger:
                 self.damaged[path] = "its row cannot be read"
         for path, place, digest in unproven:
             change = None
-            if left == 0:  # The tally covers all digests, so these results are sound
+            if left == 0:  # The digests of all results give the tally, so none is wrong
                 payloads = [payload for (payload,) in self._rows(_PAYLOADS, (place,))]
                 sound = [
                     (p, digest) for p in payloads if self._digest("result", (path,), p) == digest
@@ -983,7 +995,7 @@ class Ledger:
         if made:
             self.damaged["scalars"] = f"of {made} cells, recomputed from their results"
 
-        # Yield states of tasks, and failures
+        # Yield the rows of task states, and the sentences of failed cells
         states = set[tuple[Any, ...]]()
         try:
             for (row,) in self._rows("SELECT rowid FROM tasks"):
@@ -1067,7 +1079,7 @@ class Ledger:
     def _texts(
         self, kind: str, name: str | None = None, table: str = "texts"
     ) -> Iterator[tuple[str, str | None]]:
-        """Yield the texts of a kind with their names; None for a damaged text."""
+        """Yield name and text of rows with this `kind`; the text is None if it is damaged."""
         query = _TEXTS.format(table)
         chosen = (f"{query} AND name = ?", (kind, name)) if name else (query, (kind,))
         for found, text, digest in self._each(*chosen):

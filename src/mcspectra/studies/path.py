@@ -9,10 +9,10 @@ The cost of the given path is 1.
 This number grows with the iterations of the integrator's loop.
 Each iteration traces one ray and at most one shadow ray.
 A change that needs a pilot is compared with the given path at an equal total of paths.
-This total includes the paths of the pilot.
+The total number of paths includes those of the pilot.
 
 If each path samples one light, the best probabilities p_j are proportional to √(p_j E f_j²).
-The root is that of the second moment of light j's contribution when the light is chosen.
+Here p_j E f_j² is the second moment of light j's contribution, if light j is always chosen.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ PATH_SAMPLERS = ("random", "latin-hypercube", "rank1-lattice | shift", "sobol | 
 """Samplers that are compared by default; they support any count in any number of dims."""
 
 _EFFORTS = {
-    # Each effort sets the counts n, the number of realizations, the number for the ANOVA,
-    # the number of paths for the shares of lights, and whether variances are predicted
+    # Each effort has the counts n, and three numbers: of realizations, of realizations for
+    # the ANOVA, and of paths for the shares of lights. The last value: predict variances or not
     "quick": ((16, 64, 256, 1024), 200, 10_000, 2**14, False),
     "full": ((16, 64, 256, 1024, 4096), 1000, 100_000, 2**17, True),
 }
@@ -76,7 +76,7 @@ _AXES = {
 }  # Names of the axes in captions
 _MOST_GROUPS = 64
 _MOST_SAMPLES = 2**20
-_FEWEST = 100  # Fewest realizations that separate two changes
+_FEWEST = 100  # Minimum number of realizations to compare two changes
 _LIGHTS = 1  # Label of the random stream
 _MOST_LIGHTS = 64
 _PILOT = 2**10  # Number of pilot paths for the selection of lights
@@ -114,7 +114,7 @@ def analyse_path(
     Parameters
     ----------
     scene, integrator, channel, dims
-        Same as in `PathPixel`; one channel at a time.
+        Same as in `PathPixel`, but ``"rgb"`` is not allowed.
     x, y
         Coordinates of the pixel; or the name of a pixel in ``x`` alone (see `named_pixels`).
     samplers
@@ -170,7 +170,7 @@ def analyse_path(
     parts: dict[str, xr.Dataset] = {"convergence": curves}
     report("path: parts", 0.4)
     dimensions = f.dimensions
-    kinds = {  # Group of each coordinate
+    kinds = {  # The group of each coordinate, for four kinds of groups
         "bounce": [f"bounce {d.bounce}" if d.bounce else "camera" for d in dimensions],
         "decision": [d.decision for d in dimensions],
         "request": [str(Dimension(d.bounce, d.decision)) for d in dimensions],
@@ -327,15 +327,15 @@ def path_remedies(
     Parameters
     ----------
     f, sampler
-        The given path and its sampler.
+        Paths of the pixel as an integrand, and the sampler that the changes are compared with.
     counts, realizations
         Counts of paths per estimate, ascending, and number of estimates.
         The last count is the budget; at most the five largest counts are measured.
     stream
         Random numbers that all changes share, the same as in `mcspectra.convergence`.
     samplers, ends
-        Other samplers to try; and the numbers of leading coordinates that keep QMC points.
-        The remaining coordinates get random numbers.
+        Other samplers to try, and numbers of coordinates.
+        For each number, only so many first coordinates keep QMC points; the others become random.
     axes
         Coordinates in decreasing order of importance, and the number of paths that gave this order.
     lights
@@ -344,8 +344,8 @@ def path_remedies(
     Returns
     -------
     xarray.Dataset
-        Same as in `mcspectra.remedies`. The coordinate ``kind`` is ``sampler``, ``padding``,
-        ``order``, ``roulette`` or ``selection``.
+        Same as in `mcspectra.remedies`.
+        A ``kind`` is ``sampler``, ``padding``, ``order``, ``roulette`` or ``selection``.
         ``error`` is the error at the budget without a pilot's cost; ``error_ratio`` includes it.
     """
     ns, budget = list(counts)[-_COUNTS:], int(counts[-1])
@@ -397,7 +397,7 @@ def path_remedies(
         )
         attempt("padding", f"{k} good coordinates", change, partial(replace, f, dims=k))
     if axes is not None:
-        place = np.argsort(axes[0])  # Coordinate of the points that each coordinate of f receives
+        place = np.argsort(axes[0])  # For each coordinate of f: the coordinate of the point for it
         ordered = Integrand.from_function(lambda u: f(u[..., place]), dims=f.dims)
         change = "assign the first coordinates of the points to the largest shares of the variance"
         attempt("order", "coordinates by share", change, lambda: ordered, pilot=axes[1])
@@ -438,7 +438,8 @@ def path_remedies(
                 f"{ratio:.3g} ({bounds})"
             )
             if high < 0.0 and rate < 0.0:
-                # At this n, n + P given paths have the same variance: ((n + P)/n)^rate = ratio
+                # The change with n paths and a pilot of P paths equals n + P unchanged paths
+                # if the ratio of variances is ((n + P)/n)^rate; solve for n
                 pays = candidate.pilot / math.expm1(found.log_ratio / rate)
                 note += f": it pays above about {float(f'{pays:.2g}'):.0f} paths."
             else:
@@ -449,7 +450,7 @@ def path_remedies(
 
 
 def _other_roulettes(f: PathPixel) -> Iterator[tuple[str, str, str]]:
-    """Yield names, changes and integrators without roulette or with roulette from other depths."""
+    """Yield name, description and spec of the integrator with each other start of roulette."""
     own = find_integrator(f.scene, f.integrator)
     known = {k: int(v) for k, v in re.findall(r"(max_depth|rr_depth) = (\d+)", str(own))}
     last, first = known.get("max_depth", 0), known.get("rr_depth", 0)

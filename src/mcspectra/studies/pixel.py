@@ -165,7 +165,7 @@ def analyse_pixel(
     effort
         ``"quick"`` or ``"full"``: amounts of measurement, which `EFFORTS` lists.
     rng
-        Seed (SPEC 7) of all analyses; each returns the same result as when called alone.
+        Seed of all analyses; each analysis returns the same result as when called alone.
     workers
         Number of threads; all processors by default. Results do not depend on it.
 
@@ -174,11 +174,11 @@ def analyse_pixel(
     xarray.DataTree
         ``convergence``: measured variances by `mcspectra.convergence` on (strategy, sampler, n).
         ``predict/STRATEGY``: `mcspectra.predict` on (sampler, n), with its method.
-        ``terms/STRATEGY/VIEW``: terms by `mcspectra.variance_terms` in primary space.
+        ``terms/STRATEGY/VIEW``: variance terms by `mcspectra.variance_terms` in primary space.
         VIEW is ``auto`` (the basis that fits the sampler) or ``fourier``.
         ``techniques``: terms by `mcspectra.technique_terms` for the balance heuristic.
-        ``pictures/NAME``: pictures by `mcspectra.explain.primary_picture` of ``light``, of ``bsdf``
-        and of each technique's share, such as ``balance-light``; only in 2 dims.
+        ``pictures/NAME``: pictures by `mcspectra.explain.primary_picture`; only in 2 dims.
+        NAME is ``light``, ``bsdf``, or the share of a technique, such as ``balance-light``.
         Steps from float32 rounding are removed.
         ``incident``: `incident_light`.
         ``remedies``: remedies by `mcspectra.remedies` for the balance heuristic.
@@ -248,7 +248,7 @@ def analyse_pixel(
             parts[f"predict/{strategy}"] = predict(estimator, sources, ns, **shared)
         report("pixel: terms", 0.4)
         terms = {"half_width": chosen.half_width[dims], "space": "primary", **options}
-        # Use the middle count: a spectrum of a given half width captures more noise of few strata
+        # With few strata, a truncated spectrum captures more of the variance: use the middle count
         middle = ns[(len(ns) - 1) // 2]
         for strategy, estimator in strategies.items():
             for basis in _BASES:
@@ -326,8 +326,8 @@ def check_compared(
     Raises
     ------
     McspectraError
-        If an argument is not a list, a sampler is listed twice, there are fewer than two counts,
-        counts do not ascend, or a sampler does not support a count.
+        If an argument is not a list, or a sampler is listed twice.
+        If there are fewer than two counts, counts do not ascend, or a sampler rejects a count.
     """
     if isinstance(samplers, str) or not samplers:
         raise ParameterError(f"samplers is {shown(samplers)}; give a list of samplers.")

@@ -69,11 +69,11 @@ __all__ = [
 MOST_EVALUATIONS = 10**15
 """Maximum number of evaluations of a study without --force: half a year on a hundred cores."""
 
-# Planning time in seconds: per spec, per estimator with densities, per density in several dims,
-# and per density in one dim (its warp is searched for gaps)
+# Planning time in seconds: per spec, per estimator with densities, per density in several dims.
+# The last time is per density in one dim, whose warp is searched for gaps
 _SPEC, _WEIGHTED, _DENSITY, _WARP = 1e-4, 6e-4, 5e-4, 2e-3
-# Planning time in seconds per pair of estimator and sampler, per cell,
-# and per list item (such as a count) of an analysis
+# Planning time in seconds per pair of estimator and sampler, and per cell.
+# The last time is per item in a list of an analysis, such as a count
 _PAIR, _CELL, _COUNT = 3e-6, 2.5e-5, 3e-6
 NOTED_SECONDS = 5.0
 """Planning time in seconds above which a message announces the wait."""
@@ -99,9 +99,10 @@ class StudyCell:
     estimator_name, sampler_spec
         Name of the estimator and spec of the sampler, as the study writes them.
     subject
-        The estimator and the sampler; the estimator is absent for a scene or after an `error`.
+        The estimator and the sampler.
+        There is no estimator if the cell is for a scene, or has an `error`.
     need
-        Cost of the cell (for scheduling and progress), and its memory.
+        Cost and memory of the cell; the cost serves the schedule and the display of progress.
     error
         Reason why the cell fails before it begins; None if it can be tried.
         For example, its integrand raises an error at the first points.
@@ -313,7 +314,7 @@ class _Planner:
             if id(table) not in self._vetted:  # Tables live as long as the study, so ids are unique
                 analysis, inputs = self.vetting.options(table)
                 vetted = [(name, analysis, inputs)]
-                for other in analysis.companions:  # Companion analyses have the same options
+                for other in analysis.companions:  # Plan its companion analyses as well
                     kind = ANALYSES.load(other)
                     shared = {*kind.__struct_fields__} & {*analysis.__struct_fields__}
                     made = kind(**{key: getattr(analysis, key) for key in shared})

@@ -1,8 +1,8 @@
 """Open, count and export the results of studies.
 
 A study's folder is read from its ledger.
-A run writes the store ``results.zarr`` at its end. This store and exported stores are meant
-for other programs.
+At its end, a run writes the store ``results.zarr``.
+This store and exported stores are meant for other programs.
 The attribute ``tree_sha256`` of a store's root is the SHA-256 of all its files.
 The digest is checked before any file is used.
 A store may come from a stranger, so it is treated as data:
@@ -121,7 +121,7 @@ class StudyStatus(msgspec.Struct, frozen=True, kw_only=True):
         Paths of finished and of missing cells.
     failed, damaged
         Sentences that describe errors or damage, by path of the cell.
-        Damage of tasks and of other parts is included; the names of these parts contain blanks.
+        Damaged parts that are not cells have names with blanks, such as ``list of cells``.
     recorded
         Number of task states of unfinished cells.
     results_bytes, ledger_bytes
@@ -171,7 +171,7 @@ def open_results(source: str | Path, select: str | None = None) -> xr.DataTree:
         Path of a cell, or a pattern such as ``"estimator/*"``; all cells by default.
         Only selected cells are read from a ledger; a store is always read and checked completely.
         If a single cell of a ledger is selected, the root has no attribute ``study``.
-        Reading this attribute would take longer than reading the cell.
+        To read the study would take longer than to read the cell.
 
     Raises
     ------
@@ -236,7 +236,7 @@ def result_paths(source: str | Path) -> tuple[str, ...]:
 def result_scalars(source: str | Path, select: str | None = None) -> dict[str, dict[str, float]]:
     """Return scalars of results, such as rates, by path. Scalars are variables without dims.
 
-    For a study's folder, this is one query, which reads no results.
+    The scalars of a study's folder are read by one query, without reading any result.
 
     Parameters
     ----------
@@ -342,7 +342,7 @@ def write_zarr(folder: Path) -> Path | None:
     -------
     Path or None
         The store; None for a study of more than 2,000 cells, which would take minutes.
-        On request, `export_results` writes all of it or a part.
+        The function `export_results` writes a store of any size, or of selected cells.
 
     Raises
     ------
@@ -353,7 +353,7 @@ def write_zarr(folder: Path) -> Path | None:
     with Ledger.read(folder) as ledger:
         if len(ledger.done) > MOST_STORED:
             with contextlib.suppress(FileNotFoundError):
-                shutil.rmtree(target)  # An older store has fewer cells
+                shutil.rmtree(target)  # Remove the outdated store
             return None
         cells = ((path, _read_cell(ledger, path)) for path in _selected(ledger, None))
         attributes = _root_attributes(ledger)
@@ -363,8 +363,8 @@ def write_zarr(folder: Path) -> Path | None:
 def export_results(source: str | Path, file: str | Path, select: str | None = None) -> Path:
     """Write results to a file; its extension sets the format.
 
-    A ``.csv`` file is one table of all scalars: numbers without dims, numbers along the counts n,
-    and numbers along dims with named labels, such as channels.
+    A ``.csv`` file is one table of numbers without dims, and of numbers along the counts n.
+    The table also has numbers along dims with named labels, such as channels.
     The columns are estimator, sampler, analysis, n, the named dims, variable, value and unit.
     The columns low and high are the ends of the 95 % interval, and se is the standard error.
     A ``.zarr`` store has all results with their attributes.
@@ -502,7 +502,7 @@ def _planned(study: Any) -> dict[str, tuple[Names, Names]]:
 def _unplanned(study: Any, paths: Iterable[str]) -> str | None:
     """Return the first path that is not a cell of the study, or None if all are cells."""
     groups = _planned(study)
-    for path in paths:
+    for path in map(str, paths):  # A forged path may be anything
         first, _, rest = path.partition("/")
         sampler, _, analysis = rest.partition("/")
         samplers, analyses = groups.get(first, ({}, {}))
@@ -532,7 +532,7 @@ def showing(source: str | Path) -> Iterator[None]:
 def _read_cell(ledger: Ledger, path: str) -> xr.Dataset:
     """Read a cell in the form of a store; texts become attributes, as Zarr v3 lacks a text type.
 
-    Labels of a coordinate become ``labels_<name>``.
+    The labels of a coordinate are stored as the attribute ``labels_<name>``.
     The labels of ``bound`` are equal in all cells and belong to the root.
     """
     import xarray as xr
@@ -619,7 +619,7 @@ def _write_store(
 
 
 def _group(attributes: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Return the document of a group of a store."""
+    """Return the content of the file ``zarr.json`` that describes a group of a Zarr store."""
     return {"attributes": dict(attributes or {}), "zarr_format": 3, "node_type": "group"}
 
 
@@ -661,7 +661,7 @@ def _read_store(
     """Return the matching cells of a store; refuse unexpected arrays.
 
     An array must be one chunk of uncompressed numbers.
-    Then it needs no more memory than its file.
+    An array with one chunk needs no more memory than its file.
     """
     import xarray as xr
 

@@ -84,7 +84,7 @@ def run_study(
         Results do not depend on it, bit for bit.
     time_limit
         Time limit of a task in seconds; by default the study's limit.
-        Tasks then run in separate processes.
+        With a limit, tasks run in separate processes.
         A task that exceeds the limit is stopped, and its cell fails.
     engine
         Function that makes an executor, such as `mcspectra.studies.executors.Dask` for a cluster.

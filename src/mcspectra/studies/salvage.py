@@ -1,7 +1,7 @@
 """Recover rows of a damaged SQLite file by reading every leaf page of a table on its own.
 
 SQLite reaches rows through inner pages and indices, so one damaged page hides many sound pages.
-Each leaf describes the layout of its rows, and the number of columns identifies the table.
+A leaf page says where its rows are, and the number of columns of a row identifies the table.
 Recovered rows may be wrong or out of date, so the caller must check them.
 The file format is described at https://www.sqlite.org/fileformat2.html.
 """
@@ -56,7 +56,7 @@ class Leaves:
                     rowid, after = _varint(page, after)
                     content = self._content(page, after, payload)
                     row = number in self._used, rowid, _values(content)
-                except (IndexError, ValueError):  # Not a row, or a row with damaged overflow pages
+                except (IndexError, ValueError):  # The row cannot be decoded
                     continue
                 yield row
 
@@ -68,7 +68,7 @@ class Leaves:
         return self._stream.read(self._size).ljust(self._size, b"\0")
 
     def _cells(self, page: bytes, first: int, start: int) -> list[int]:
-        """Return the offsets of the cells of a page."""
+        """Return the offsets of all rows on a page."""
         count = min(_number(page, start + 3, 2), (self._size - first) // 2)
         return [_number(page, first + 2 * i, 2) for i in range(count)]
 

@@ -51,7 +51,7 @@ def task_seconds(limit: float | None) -> float:
 
 @final
 class PartialRun(Generic[State]):
-    """A reduction in progress: its merged, requested and remaining chunks.
+    """A sum over blocks of realizations, in progress: which chunks are done, and which remain.
 
     Chunks may arrive in any order. The two halves of a node merge as soon as both are available.
     """
@@ -61,7 +61,7 @@ class PartialRun(Generic[State]):
         self._tree: MergeTree[State] = MergeTree()
         self._gaps: deque[Chunk] = deque([(0, reduction.blocks)])
         self._missing = reduction.blocks
-        self._fresh: set[int] = set()  # First blocks of nodes that are not recorded
+        self._fresh: set[int] = set()  # Merged chunks that are not in the ledger, by first block
 
     @property
     def complete(self) -> bool:
@@ -116,7 +116,7 @@ class PartialRun(Generic[State]):
         return self._tree.total()
 
     def _aligned(self, first: int, count: int) -> bool:
-        """Whether these blocks form a valid `Chunk` of this run."""
+        """Whether a chunk is valid: 2^k blocks from a multiple of 2^k, or the last blocks."""
         if count < 1 or first < 0 or first + count > self.reduction.blocks:
             return False
         size = 1 << (count - 1).bit_length()
@@ -160,7 +160,7 @@ class _Active:
         self._ledger = ledger
         self._parts: dict[str, PartialRun[Any]] = {}
         self._whole = whole
-        self._unrecorded = 0.0  # Seconds of work that is not recorded
+        self._unrecorded = 0.0  # Seconds of work that the ledger does not contain
         if not whole:
             self._found: dict[str, list[Chunk]] = {}
             for key, chunk in ledger.tasks(cell.path):
@@ -174,7 +174,10 @@ class _Active:
         return all(part.complete for part in self._parts.values())
 
     def next_work(self, size: Callable[[float], int]) -> Work | None:
-        """Return a chunk of the costliest open reduction; `size` maps a block's cost to a count."""
+        """Return the next chunk of this cell as a task, or None if all chunks are handed out.
+
+        Costly sums come first. The function `size` maps the cost of a block to a number of blocks.
+        """
         path = self.cell.path
         if self._whole:
             self._whole = False
@@ -212,7 +215,7 @@ class _Active:
             self._unrecorded = 0.0
 
     def advance(self, states: list[Any] | None) -> None:
-        """Send states to the analysis until a step needs computation or the cell is done."""
+        """Continue the analysis with the sums of its step, up to a step that needs computation."""
         try:
             while True:
                 found = next(self._steps) if states is None else self._steps.send(states)
@@ -233,7 +236,7 @@ class _Active:
         self.settled = Settled(self.cell, payload or pack(result), scalars_of(result))
 
     def totals(self) -> list[Any]:
-        """Return the states of a complete step."""
+        """Return all sums over blocks that the analysis asked for in its current step."""
         return [self._parts[key].total() for key in self._order]
 
     def _begun(self, reduction: Reduction[Any]) -> PartialRun[Any]:
@@ -260,7 +263,7 @@ class Schedule:
     seed
         Seed of all realizations.
     ledger
-        Ledger with the chunks of earlier runs, where chunks that took long are recorded.
+        Ledger that gives the chunks of earlier runs, and stores chunks that take long.
     seconds
         Target duration of a task in seconds.
         A task has 2^k blocks, and takes the target time up to a factor of √2.
@@ -282,8 +285,8 @@ class Schedule:
     def next_work(self) -> Work | None:
         """Return the next task; None if all are handed out, or results must arrive first.
 
-        None is also returned as soon as a fully recorded cell is restored.
-        Only one such result is then in memory: take `settled`, then call again.
+        If an earlier run recorded all of a cell, the cell is restored, and None is returned.
+        Take its result from `settled` before the next call, to keep one result in memory.
         """
         while True:
             for active in self._active.values():
@@ -313,7 +316,8 @@ class Schedule:
             self._paces[kind] = 0.5 * (self._paces.get(kind, pace) + pace)
         if not self._guarded(active.cell, lambda: active.add(outcome)):
             return
-        # An adaptive cell may have many more steps; any other complete cell is nearly finished
+        # Do not record a cell whose chunks are all done, because it soon has its result.
+        # Only a cell with a target precision may need many further steps
         if not active.complete or _is_adaptive(active.cell):
             active.record(outcome.host, least=_RECORDED_AFTER)
         if active.settled is None and active.complete:

@@ -1,6 +1,6 @@
 """Describe study files for readers: JSON Schema, tables of all keys, and a template.
 
-All three are generated from the structs of `mcspectra.studies.files` and the installed analyses.
+The structs of `mcspectra.studies.files` and the installed analyses are the source of all three.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ SCHEMA_ID = "urn:mcspectra:study:1"
 _DIALECT = "https://json-schema.org/draft/2020-12/schema"
 _PLACEHOLDER = {"type": "string", "pattern": r"^\{[A-Za-z_][A-Za-z0-9_]*\}$"}
 _NO_TEXT = ("integer", "number", "boolean")
-_NO_PLACEHOLDER = ("grid", "seed", "time_limit")  # Keys with a single value per study
-# Example values in the template for options that are not numbers of points
+_NO_PLACEHOLDER = ("grid", "seed", "time_limit")  # These keys take no placeholder
+# Values in the template for required options that are not counts; counts are "16,64"
 _EXAMPLES = {"target_error": ("0.01",), "budget": ("4096",)}
 _TEMPLATE = Path(__file__).with_name("template.toml")
-_OTHERS = "# {other analyses}\n"  # Replaced by the analyses that the template lacks
+_OTHERS = "# {other analyses}\n"  # The template gets all further analyses here
 
 
 def study_schema() -> dict[str, Any]:
@@ -57,7 +57,7 @@ def study_schema() -> dict[str, Any]:
             for key, value in table["properties"].items()
         }
         schema["$defs"][name] = {**table, "properties": properties}
-    plain: dict[str, Any] = json.loads(json.dumps(schema))  # This turns msgspec's tuples into lists
+    plain: dict[str, Any] = json.loads(json.dumps(schema))  # JSON turns tuples into lists
     return plain
 
 
@@ -76,7 +76,7 @@ def _tables() -> dict[str, tuple[str, dict[str, Any]]]:
                 table["properties"][option.name] |= {"type": "string", "enum": option.choices}
 
     # Tables of analyses may be at the top of a study and in an estimator.
-    # An analysis of scenes is a list of entries instead
+    # An analysis of scenes has a list of tables at the top, such as [[maps]]
     scene = _public(components[names[-1]])
     study, estimator = _public(found[""][1]), _public(found["estimators"][1])
     study["properties"]["estimators"]["items"] = {"$ref": f"#/$defs/{names[1]}"}
@@ -150,7 +150,7 @@ def _type(value: dict[str, Any]) -> str:
     words = {"object": "table", "boolean": "true or false", "string": "text"}
     rules = [f"≥ {value['minimum']:g}"] if "minimum" in value else []
     rules += [f"> {value['exclusiveMinimum']:g}"] if "exclusiveMinimum" in value else []
-    # Omit limits that only keep numbers within 64 bits
+    # Omit very large limits, which only make numbers fit into 64 bits
     high = value.get("maximum", 2**31)
     rules += [f"≤ {high:g}"] if high < 2**31 else []
     return " ".join([words.get(kind, kind), ", ".join(rules)]).rstrip()

@@ -25,7 +25,7 @@ class SummaryRow(msgspec.Struct, frozen=True, kw_only=True):
 
     ``ratio`` is predicted variance divided by measured variance.
     For a result of ``predict``, ``method`` is the method of the prediction, one of `METHODS`.
-    Otherwise it is the basis of the sum of ``terms``.
+    Without such a result, ``method`` is the basis in which ``terms`` were added up.
     The ratio of ``terms`` is always ``captured``.
     """
 
@@ -84,8 +84,8 @@ def summarize(tree: xr.DataTree) -> list[SummaryRow]:
 def pairs_of(tree: xr.DataTree) -> list[tuple[str, str, str, dict[str, xr.Dataset]]]:
     """Return the store key and name of the estimator, the sampler and the results of each pair.
 
-    Results are listed by analysis. The study's lists set the order of the pairs,
-    because the file system may list the groups of a store in any order.
+    Results are listed by analysis. The pairs have the same order as in the study.
+    A file system may list the groups of a store in any other order.
     """
     asked = asked_of(tree.attrs.get("study") or {})
     pairs = ((name, sampler) for name, samplers in asked.items() for sampler in samplers)

@@ -46,8 +46,8 @@ __all__ = [
     "timed",
 ]
 
-_PLANS = 2  # Plans kept in a process: of the current and of the last study
-_REDUCTIONS = 32  # Reductions kept in a process; few are in use at once
+_PLANS = 2  # A process keeps the plans of the current and of the last study
+_REDUCTIONS = 32  # Maximum number of sums over blocks that a process keeps
 _HELD = 2.0  # Seconds beyond the time limit after which a blocked worker process is ended
 
 WARM = ("numba", "scipy.stats", "xarray")
@@ -62,9 +62,9 @@ class StudyTask(msgspec.Struct, frozen=True, kw_only=True):
     path
         Path of the cell.
     run
-        Key of the reduction; None to compute the whole cell and return its dataset.
+        Key of the sum over blocks; None to compute the whole cell and return its dataset.
     chunk
-        First atomic block and number of blocks.
+        Number of the first block of realizations, and number of blocks.
     cost
         Work of the task, in the units of `mcspectra.core.analysis.Need.cost`.
     """
@@ -91,7 +91,7 @@ class Outcome:
     task
         The task.
     state
-        State of the chunk, or dataset of the cell, if this process computed it.
+        Sum over the blocks, or dataset of the whole cell, if this process computed it.
     payload
         The state or dataset as bytes, if another process computed it.
     error

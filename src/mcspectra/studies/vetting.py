@@ -50,7 +50,7 @@ class Vetting:
     folder
         Folder from which relative paths start.
         Files below it are named by their relative path, and other files by their whole path.
-        Modules keep their names, because their folders differ between machines.
+        Modules are named as in Python, because their folders differ between machines.
     trust
         Files and functions that are allowed beyond the folder.
 
@@ -103,7 +103,7 @@ class Vetting:
         files: dict[Path, str] = {}
         match first.name, first.arguments:
             case "command", {"run": str(run)}:
-                with suppress(ValueError):  # The sampler refuses a bad command later
+                with suppress(ValueError):  # The sampler reports a command that cannot be split
                     program, *others = shlex.split(run)
                     if "/" in program:
                         file = (self._folder / program).absolute()
@@ -223,7 +223,7 @@ class Vetting:
 def _sources(name: str, found: object) -> dict[Path, str]:
     """Return the files of the module that names a function and of the module that defines it.
 
-    Other modules that these modules import are not included.
+    Modules that are imported by one of these two modules are not included.
     """
     module = name.partition(":")[0]
     modules = {module, str(getattr(found, "__module__", module))}

@@ -54,7 +54,7 @@ _SIDES = {1: 64, 2: 8}  # number of cells along each axis for counts of samples,
 _LEAST = 5.0  # smallest expected number of samples in a cell, as χ² needs
 _RECIPROCAL = 1e-3
 _ROUNDING = 1e-12
-_REMAINDER = 3.5  # quadrature error relative to the last difference, which shrinks by √½
+_REMAINDER = 3.5  # bound of a quadrature error, as a multiple of its estimate
 _QUADRATURE_DIMS = 3
 _MISSED = 20.0  # expected points in a region; it is empty with probability e^-20
 _FREQUENCIES = ((1,), (-3,), (0, 2), (1, -1), (4, 7), (2, 1, 0), (0, -1, 3))
@@ -265,11 +265,11 @@ def check_integrand(integrand: Integrand | str, *, dims: int | None = None) -> N
     Notes
     -----
     Closed forms are compared with means over 32 shifted sets of 4096 points.
-    If both differ by more than seven standard errors in up to three dims,
-    they are also compared with a quadrature.
+    Closed forms in up to three dims are also compared with a quadrature
+    if they differ from the means by more than seven standard errors.
     An error of a closed form below these limits is not detected.
-    If f is 0 except in less than 1e-4 of the domain,
-    `Integrand.landmarks` must return a point of this region.
+    If f differs from 0 in less than 1e-4 of the domain,
+    `Integrand.landmarks` must return a point where f is not 0.
 
     Examples
     --------
@@ -334,28 +334,28 @@ class _Restricted(Integrand):
 
     @property
     def dims(self) -> int:  # type: ignore[override]
-        """Number of dims of the inner integrand."""
+        """Number of dims of the integrand that is restricted."""
         return self.inner.dims
 
     @property
     def channels(self) -> int:  # type: ignore[override]
-        """Number of channels of the inner integrand."""
+        """Number of channels of the integrand that is restricted."""
         return self.inner.channels
 
     @property
     def spec(self) -> str:
-        """Spec of the inner integrand."""
+        """Spec of the integrand that is restricted."""
         return self.inner.spec
 
     def landmarks(self) -> Array:
-        """Return the landmarks of the inner integrand in the box, in box coordinates."""
+        """Return the integrand's landmarks inside the box; the box becomes the unit cube."""
         low, high = np.array(self.low), np.array(self.high)
         places = (self.inner.landmarks() - low) / (high - low)
         return np.asarray(places[((places >= 0.0) & (places <= 1.0)).all(axis=1)])
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Breaks of the inner integrand in the box, in box coordinates."""
+        """Return the integrand's breaks inside the box; the box becomes the unit cube."""
         ends = zip(self.inner.breaks, self.low, self.high, strict=True)
         return tuple(tuple((c - a) / (b - a) for c in axis if a < c < b) for axis, a, b in ends)
 
@@ -403,8 +403,8 @@ def check_analysis(analysis: Analysis, estimator: Any = None, sampler: Any = "ji
         The analysis, with options that make it quick to compute.
         The analysis should have more than one block, so that merging is also checked.
     estimator, sampler
-        Estimator or integrand (default: `gaussian` in two dims) and sampler for the analysis.
-        Specs are also accepted, and lists for analyses that take lists.
+        Subject of the analysis: an estimator or integrand (default: `gaussian` in two dims),
+        and a sampler. Spec strings are accepted; some analyses also take lists of samplers.
 
     Raises
     ------

@@ -131,7 +131,7 @@ def _names(dims: int) -> tuple[str, ...]:
     for name in (n for n in SAMPLERS if n not in _FOREIGN):
         with contextlib.suppress(McspectraError):
             if not SAMPLERS.load(name).costly:
-                sampler(name, dims)  # an error if parameters are missing or `dims` is wrong
+                sampler(name, dims)  # raises if parameters are missing or `dims` is wrong
                 found.append(name)
     return tuple(found)
 

@@ -32,7 +32,8 @@ def best_multiple(m: Array, power: Array, vector: Array, axis: int, n: int, out:
 
 @kernel
 def span_mean(table: Array, columns: Array, span: Array) -> float:
-    # Mean of the table over all xors of the columns, int64 (m,); span, int64 (2^m,), is work space
+    # Return the mean of the table over the xors of all subsets of the columns, int64 (m,).
+    # The array span, int64 (2^m,), is work space
     span[0] = 0
     total, size = 0.0, 1
     total += table[0]
@@ -73,7 +74,7 @@ def flip_tree(table: Array, codes: Array, axes: int, bits: int) -> bool:
     for axis in range(axes):
         low = (axes - 1 - axis) * bits
         for level in range(bits):
-            node = low + bits - level  # Lowest bit of the prefix in a code
+            node = low + bits - level  # Position of the lowest bit of a node's prefix
             flip = 1 << (node - 1)
             done = np.zeros(n, np.bool_)
             for first in range(n):
@@ -152,12 +153,12 @@ def swap_cells(
 @kernel
 def reflect(slopes: Array, sets: Array, signs: Array) -> None:
     # For each set, choose signs ±1 that make |Σ_i sign_i slopes[sets_i]|² small.
-    # Arrays: signs int64 (W, n), slopes (N, r)
+    # There are W sets of n points, and N cells with r features: signs int64 (W, n), slopes (N, r)
     n, r = sets.shape[1], slopes.shape[1]
     total = np.empty(r)
     for w in range(len(sets)):
         total[:] = 0.0
-        for i in range(n):  # Choose the sign that reduces the present sum
+        for i in range(n):  # Choose the sign that makes the sum of slopes smaller
             product = 0.0
             for j in range(r):
                 product += total[j] * slopes[sets[w, i], j]

@@ -54,8 +54,8 @@ _VERSION = 4  # Version of the searches; the cache ignores samplers of other ver
 class DesignSettings:
     """Settings of the cache of designs and of certificates."""
 
-    # A class is identified in the cache by its text and by the values of members at points.
-    # These are the numbers of points and of members. A text does not identify a function.
+    # A class is identified in the cache by its text and by the values of members at points,
+    # because a text does not identify a function. The settings are the numbers of both.
     # Values may be 0 outside a small region: disks of radius 0.1 were missed by 64 points.
     # A region of volume 1e-3 is missed by 8192 points with probability 3e-4.
     cache_points: int = 2**13
@@ -74,11 +74,11 @@ class DesignSettings:
         "rank1-lattice | shift | mirror(mode='fold')",
         "fibonacci | shift | mirror(mode='fold')",
     )
-    # Limits of the comparison of a design with its rivals, before the design is returned.
-    # They are the number of members, the number of realizations of each group of members,
-    # and the maximum number of evaluations of each sampler.
-    # The members of a group share realizations. 20 groups of 32 realizations have
-    # 620 degrees of freedom, which gives an error of 6 %.
+    # Limits of the comparison of a design with its rivals, before the design is returned:
+    # number of members, number of realizations of each group of members,
+    # and maximum number of evaluations of each sampler.
+    # The members of a group share realizations. A variance from 20 groups of 32 realizations
+    # has 620 degrees of freedom and therefore a relative standard error of 6 %.
     check_members: int = 2000
     check_realizations: int = 32
     check_evaluations: int = 2**24
@@ -179,7 +179,7 @@ def design(
         The sampler is unbiased for every integrand. Its `spec` creates the sampler again;
         if the sampler has stored sets, the spec names their file.
         A usual sampler may have less variance over fresh members of the class.
-        If this is certain at 95 % and `settings.return_rival` is true,
+        If its variance is less with 95 % confidence and `settings.return_rival` is true,
         the usual sampler is returned with a `NoGainWarning`.
 
     Raises
@@ -199,7 +199,7 @@ def design(
     The objective is the expected variance tr(C_f C_S); see `improve.designs.searches`.
     For other classes, variances may be larger than with usual samplers: see `certificate`.
     If the search is interrupted (Ctrl-C), the best sampler found so far is returned.
-    It is not put into the cache.
+    The result of an interrupted search is not put into the cache.
 
     Examples
     --------
@@ -288,7 +288,7 @@ def _saved(found: Sampler, target: Path) -> Sampler:
     spec = found.spec
     source = next((w for w in spec.split("'") if w.endswith(".npz")), None)
     if source is not None:
-        copy = str(target.with_suffix(".npz").resolve())  # Valid in any folder
+        copy = str(target.with_suffix(".npz").resolve())  # An absolute path, for use in any folder
         shutil.copyfile(source, copy)
         spec = spec.replace(repr(source), repr(copy))
     target.write_text(json.dumps({"spec": spec, "dims": found.dims}) + "\n")
@@ -330,7 +330,8 @@ def certificate(
     Returns
     -------
     xarray.Dataset
-        `mean_variance(sampler)` with `mean_variance_ci`, and `design_ratio` with `design_ratio_ci`.
+        `mean_variance(sampler)` with `mean_variance_ci` is the mean variance over the class.
+        `design_ratio` with `design_ratio_ci` compares the sampler with its rivals.
         The ratio is the mean variance of the sampler divided by that of the best rival.
         For each half of the groups, the rival is chosen by the other half.
         Intervals at 95 % are by Student's t over groups, and by the jackknife for the ratio.

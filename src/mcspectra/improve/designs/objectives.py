@@ -47,8 +47,8 @@ class ObjectiveSettings:
     # in 8-D such a table has about 2^2 values along each axis.
     most_dims: int = 8
     # Maximum numbers of waves of a spectrum and of eigenvectors of a covariance.
-    # The largest ones are kept. Each wave gives two functions,
-    # so a search handles twice as many functions as waves.
+    # The waves or eigenvectors with the largest power are kept.
+    # Each wave gives two functions, a cosine and a sine.
     most_waves: int = 1024
     # Number of members and number of points of the test for constant members.
     # A class is refused by mistake if its members vary only in a region

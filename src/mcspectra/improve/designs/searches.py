@@ -12,7 +12,7 @@ Each search tries plain sets and folded sets, and keeps the better ones.
 Sets that divide the cells of a grid among them need no shift. At the centers of cells,
 features are functions φ_t with Σ_t φ_t(x) φ_t(y) = Cov(f(x), f(y)).
 The variance is the mean over sets of Σ_t (mean φ_t)².
-It is lowered by exchanges of cells between sets.
+Exchanges of cells between sets lower this variance.
 Exchanges start from random sets, or from the cosets of a digital net if these are better.
 All points of a set have the same offset within their cells, except for reflections.
 The reflections are chosen so that the sum of the signed slopes of the features is small.
@@ -63,11 +63,12 @@ class SearchSettings:
 
     # Settings of classes
 
-    # Maximum number of random members that represent a class. With 512, 1024 and 2048 members
-    # the ratio of strata is 0.037, 0.031 and 0.027, and the ratio of lattices does not change.
+    # Maximum number of random members that represent a class.
+    # The ratio of strata is 0.037, 0.031 and 0.027 with 512, 1024 and 2048 members.
+    # The ratio of lattices is the same for these numbers of members.
     members: int = 1024
     # Maximum size of a table with the values of all members at the points of a grid.
-    # It takes 128 MB in single precision.
+    # A table of this size takes 128 MB in single precision.
     table_values: int = 2**25
     # Whether a usual sampler that has less variance is returned instead of the design.
     # If this is off, designs of different kinds can be compared with each other.
@@ -76,8 +77,9 @@ class SearchSettings:
     # For 1024 members, this takes 64 MB in double precision.
     block: int = 2**13
     # Number of points and number of members for measurements of samplers during a search.
-    # They are used for nets, and for lattices in three dims or more. The ratio of nets is 0.167
-    # for half or twice as many points, and 0.164 to 0.167 for half or twice as many members.
+    # The searches that measure samplers are those of nets, and of lattices in three dims or more.
+    # The ratio of nets is 0.167 for half or twice as many points.
+    # The ratio of nets is 0.164 to 0.167 for half or twice as many members.
     # In 3-D, 128 members choose another lattice, with the ratio 0.313 instead of 0.295.
     judge_points: int = 2**16
     judge_members: int = 256
@@ -105,10 +107,11 @@ class SearchSettings:
     # The Walsh table has 2^18 values for each member.
     table_bits: int = 18
     # Number of initial matrices in the search of nets: Sobol' and random ones of the same strength.
-    # The ratio is the same for 3 and 12.
+    # The ratio of nets is the same for 3 and 12 initial matrices.
     net_starts: int = 6
-    # Number of trees in a design of kind ``owen``. The trees are independent sets,
-    # which allows estimates of errors. The ratio is 0.235 for 32 trees, and 0.224 for 64 and 128.
+    # Number of trees in a design of kind ``owen``.
+    # Errors can be estimated because the trees are independent point sets.
+    # The ratio of trees is 0.235 for 32 trees, and 0.224 for 64 and 128 trees.
     trees: int = 64
     # Number of trees that decide whether sets are folded; 4 and 16 trees give the same ratio.
     first_trees: int = 8
@@ -118,8 +121,8 @@ class SearchSettings:
     # Number of cells of the grid. There are cells/n sets of n points, and at least 16 sets.
     # The ratio of strata is 0.033, 0.031 and 0.033 for half, once and twice as many cells.
     cells: int = 2**16
-    # Number of features of the covariance. If n is larger, n features are used,
-    # but at most twice this setting.
+    # Number of features of the covariance.
+    # If n is larger, n features are used, but at most twice this setting.
     # The ratio of strata is 0.031 for half or twice as many features.
     features: int = 160
     # Number of exchanges of cells that are tried in a round; the time is proportional to it.
@@ -129,7 +132,8 @@ class SearchSettings:
     # The ratio of strata is 0.037, 0.031 and 0.028 for 12, 24 and 48 rounds.
     rounds: int = 24
     # Number of rounds after which the search continues with the best start only.
-    # For ``points`` and ``half-spaces`` the ratio is 0.735 for 2, 4 and 8 rounds.
+    # For designs of kind ``points`` and the class ``half-spaces``,
+    # the ratio is 0.735 with 2, 4 and 8 rounds.
     first_rounds: int = 4
     # The search ends after a round that lowers the variance by less than this fraction.
     # The ratio of strata is the same for half or twice the value.
@@ -143,18 +147,18 @@ class SearchSettings:
     shapes: int = 12
     shape_realizations: int = 32
 
-    # Settings of sets on the torus
+    # Settings of point sets that are optimized on the torus
 
     # Number of points in the table from which the spectrum is estimated.
-    # It limits the time of each gradient. At n = 5000 the ratio of ``points`` is 0.20,
-    # 0.082 and 0.078 for half, once and twice as many points.
+    # With more points, each gradient takes more time. For designs of kind ``points`` at n = 5000,
+    # the ratio is 0.20 for half, 0.082 for once, and 0.078 for twice as many points.
     torus_frequencies: int = 2**14
 
 
 class Design(NamedTuple):
     """A sampler that a search found.
 
-    `variance` is its expected variance, and `done` is the fraction of the search that is done.
+    `variance` is the expected variance, and `done` is the finished fraction of the search.
     `make` returns the sampler. Its argument is the path of a .npz file,
     which is written only if the sampler needs a file.
     """
@@ -237,7 +241,10 @@ def _fourier_power(
 def _best_vector(
     m: Array, power: Array, dims: int, n: int, generator: np.random.Generator, starts: int
 ) -> Iterator[tuple[float, Array]]:
-    """Yield generating vectors with small dual sums: all in 2-D, else improved axis by axis."""
+    """Yield generating vectors of lattices for which the power on the dual lattice is small.
+
+    In 2-D all vectors are tried. In more dims vectors are improved axis by axis.
+    """
     sums = np.empty(n)
     for start in range(starts if dims > 2 else 1):
         vector = np.ones(dims, np.int64)
@@ -316,14 +323,14 @@ def _power_of_two(n: int, kind: str, most: int) -> int:
 
 
 def _axis_bits(n: int, dims: int, most: int) -> int:
-    """Return the digits of each axis, two more than points need, in a table of `most` bits."""
+    """Return the bits of each axis: two more than log2 n, if a table of `most` bits allows it."""
     return max(1, min(most // dims, n.bit_length() + 1))
 
 
 def _tables(
     objective: Objective, bits: int, stream: Stream, settings: SearchSettings, *, owen: bool
 ) -> Iterator[tuple[str, Array]]:
-    """Yield each randomization with its kernel κ, a table over codes."""
+    """Yield randomizations, each with a table of its kernel κ(code) over the codes of points."""
     dims = objective.dims
     members = min(settings.members, settings.table_values >> dims * bits)
     values = objective.functions(members, stream.generator(0))
@@ -430,7 +437,7 @@ def _trees(
         top = codes[..., None] >> places & (1 << bits) - 1
         return energy, (top + starts[first:last] * 2.0**bits % 1.0) / 2.0**bits
 
-    # The first trees choose the randomization; the reported variance is the mean over all trees
+    # Choose the randomization by the first trees, and report the mean variance over all trees
     frames = list(_tables(objective, bits, stream, settings, owen=False))
     begun = [(*flipped(table, 0, tried), tail, table) for tail, table in frames]
     energy, sets, tail, table = min(begun, key=lambda each: each[0])
@@ -545,7 +552,8 @@ def _cosets(
     if len(np.unique(codes)) < n:
         return None
 
-    # Reduce all codes by the span of the net: clear the leading bit of each echelon vector
+    # Cells of a coset have the same remainder after elimination by a basis of the net:
+    # for each vector of the basis, clear its leading bit in all codes
     rest, left = np.arange(sides.prod()), codes
     while left.max() > 0:
         vector = left.max()
@@ -604,7 +612,7 @@ def _energy(m: Array, power: Array, dims: int) -> Callable[[Array], tuple[float,
     for sign in (1, -1):
         weights[tuple((sign * m + side // 2).T)] = 0.5 * power
     along = np.arange(side) - side // 2
-    # This tolerance gives the energy to 1e-8 of a direct sum (tests/improve/test_design.py)
+    # With this tolerance, the energy agrees with a direct sum to 1e-8 (`test_design.py`)
     options = {"eps": 1e-9, "nthreads": 1, "upsampfac": 1.25}
     forward = getattr(finufft, f"nufft{dims}d1")
     backward = getattr(finufft, f"nufft{dims}d2")
