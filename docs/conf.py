@@ -41,7 +41,7 @@ nb_execution_in_temp = True
 nb_execution_timeout = 120
 nb_execution_raise_on_error = True
 nb_execution_show_tb = True
-nb_ipywidgets_js = {}  # the default loads a script from another site
+nb_ipywidgets_js = {}  # Sphinx's default would load a script from another site
 nb_merge_streams = True
 nb_output_stderr = "remove"  # progress bars
 

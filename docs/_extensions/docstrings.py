@@ -16,7 +16,7 @@ _MARKUP = re.compile(
     r"|\[\w+\]_)"
 )
 _SPECIAL = re.compile(r"([|*]|(?<=\w)_(?!\w))")
-_PREFIX = re.compile(r"^\s*(?::[a-z]+(?: [^:]+)?:(?= |$)|[*+-] +)")  # a field or a list item
+_PREFIX = re.compile(r"^\s*(?::[a-z]+(?: [^:]+)?:(?= |$)|[*+-] +)")  # start of a field or list item
 _WORK = re.compile(r"^(\s*)\.\. (\[\w+\])(?= )")
 
 

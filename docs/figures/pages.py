@@ -1,7 +1,7 @@
 """Draw the figures of pages that contain no code to run, one PNG for each page.
 
 Run it from the root of the repository: ``python docs/figures/pages.py``, or with names of figures.
-Numbers of `bases`, `evidence` and `scaling` are read from the tables of these pages.
+The figures of `bases`, `evidence` and `scaling` show numbers from the tables of these pages.
 """
 
 from __future__ import annotations
