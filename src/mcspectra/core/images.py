@@ -85,7 +85,7 @@ def read_image(
 
         * PNG, JPEG: gray gives 1 channel, color 3. Values run from 0 to 1.
           Alpha is dropped, not multiplied in.
-          Pillow reads color PNG of 16 bits with 8 bits; gray keeps its 16 bits.
+          From color PNG of 16 bits, Pillow reads only 8 bits; gray keeps its 16 bits.
         * EXR: the channels R, G, B of the first layer that has them, otherwise the first Y.
           The unnamed layer comes first. Only pixels of the data window are read.
         * PFM: 1 or 3 channels, unchanged.

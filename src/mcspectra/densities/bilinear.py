@@ -29,7 +29,7 @@ __all__ = ["Bilinear"]
 
 
 class _Tables(NamedTuple):
-    """Arguments of the kernels.
+    """Tables of a bilinear density, as the kernels take them.
 
     The knots `xs` (w,) and `ys` (h,) run from 0 to 1. `nodes` (h, w) is the density at the knots.
     `sums` (h, w) has the integrals along each row from 0 to each knot.
@@ -114,7 +114,7 @@ class Bilinear(Density):
                 np.concatenate([[0.0], (np.arange(k) + 0.5) / k, [1.0]]) for k in (width, height)
             )
             nodes = np.pad(table, ((1, 1), (1, 1)), mode="edge")
-        if self.periodic:  # average of the values at the last and the first center
+        if self.periodic:  # both ends get the average of the last and the first center
             nodes[:, 0] = nodes[:, -1] = (nodes[:, 1] + nodes[:, -2]) / 2
         sums = _integrals(xs, nodes)
         rows = _integrals(ys, sums[:, -1])

@@ -291,7 +291,7 @@ class PiecewiseLinear(Density):
     ----------
     values
         Relative density at each of k ≥ 2 nodes, at least 0 and not all 0, in any scale.
-        Cells between two zeros are empty.
+        Cells between two nodes of density 0 get no samples.
 
     Notes
     -----
