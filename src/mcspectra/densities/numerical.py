@@ -285,7 +285,7 @@ class _Cells:
         return out
 
     def series(self, values: Array, width: Array) -> tuple[Array, Array]:
-        """Return Chebyshev series of a function and its integral in cells, from values (..., 12)."""
+        """Return Chebyshev series of a function and its integral in cells, by values (..., 12)."""
         scaled = values * (0.5 * width[..., None])
         return scaled @ _TO_SERIES.T, scaled @ _TO_INTEGRAL.T
 

@@ -21,7 +21,8 @@ from mcspectra.integrands.base import Integrand, any_dims, per_axis
 __all__ = ["Constant", "Cosine", "Gaussian", "Linear", "Polynomial", "squared_distance"]
 
 _MAX_DEGREE = 20  # Higher powers of x are ill-conditioned; see `Polynomial._fourier`
-# Number of cycles below which a Gauss rule is used: 2π·4 exceeds the highest degree, 20
+# A Gauss rule is used below this number of cycles; from 4 cycles, integration by parts is stable:
+# 2π·4 exceeds the highest degree, 20
 _LOW_FREQUENCY = 4
 _NARROW = 0.5  # Width below which 8 Gauss nodes replace differences of erf (error 1e-19)
 
