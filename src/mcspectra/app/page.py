@@ -357,7 +357,7 @@ def as_python(state: ExplorerState) -> str:
 
 
 def _exported(setup: ExplorerSetup) -> dict[str, Analysis]:
-    """Return the analyses with numbers to print; each of them draws its own points."""
+    """Return the analyses that print numbers; each of these analyses draws its own points."""
     return {name: each for name, each in analyses_of(setup).items() if name != "points"}
 
 

@@ -133,7 +133,7 @@ class _Refusal(web.RequestHandler):
     """Answers every request with 403 and a sentence."""
 
     def prepare(self) -> Awaitable[None] | None:
-        """Answer before a method is called."""
+        """Send the refusal before a method such as GET is called."""
         self.set_status(403)
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish("The explorer answers only its own pages; open the address that it printed.\n")
@@ -232,7 +232,7 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
 
 
 def _is_own_error(record: logging.LogRecord) -> bool:
-    """Make the text of an error printable; return whether the explorer, not a request, erred."""
+    """Whether a logged error is the explorer's own, not a request's; make its text printable."""
     text = record.getMessage()
     record.msg, record.args = printable(text, lines=True), ()
     return "GET /ws" not in text and "GET /static" not in text
