@@ -175,7 +175,7 @@ def encode(figure: Figure, *, with_pdf: bool = True) -> tuple[bytes, bytes]:
     # Ignore warnings about characters that the font lacks; the text of the page shows them
     with warnings.catch_warnings(), mpl.rc_context({"pdf.fonttype": 42}):
         warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)
-        figure.set_dpi(_DPI)  # before the layout, since the width of hinted text depends on the dpi
+        figure.set_dpi(_DPI)  # the layout needs this dpi, because hinted text has another width
         engine = figure.get_layout_engine()
         if engine is not None:
             engine.execute(figure)
@@ -627,7 +627,7 @@ def _norm(scale: Scale) -> tuple[Any, Any]:
 
 
 def _entries(plot: Plot) -> dict[str, list[Mark | str]]:
-    """Return marks by legend entry, and colors by the names of scales."""
+    """Return the marks of each legend entry, and the color of each name of a scale."""
     found: dict[str, list[Mark | str]] = {label: [] for label in plot.labels}
     for panel in plot.panels:
         for mark in panel.marks:

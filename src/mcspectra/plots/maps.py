@@ -188,7 +188,7 @@ def _which(values: Array) -> Scale:
 
 
 def _shares(values: Array) -> Scale:
-    """Return a scale of shares from 0 to 1, extended to all estimates except outlier pixels."""
+    """Return a scale of shares from 0 to 1, widened for estimates outside but not for outliers."""
     found = values[np.isfinite(values)]
     low, high = np.percentile(found, _SPREAD) if found.size else (0.0, 1.0)
     return Scale(
