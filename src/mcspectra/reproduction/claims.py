@@ -80,7 +80,7 @@ class Claim:
     expected
         Expected value. It agrees if its distance from the verdict interval is at most `tolerance`.
     tolerance
-        Allowed error of the theory, for example because n is too small. `note` gives the reason.
+        Allowed error of the theory, for example if n is too small for it. `note` gives the reason.
     digits
         Number of digits of the expected value that are shown.
     above, below
@@ -91,7 +91,7 @@ class Claim:
     holds
         The verdict, or None for no verdict.
     shown
-        Text of the expectation, if it is not the number, bound or limit.
+        Text that replaces the number, bound or limit as the expectation.
     note
         Explanation of the verdict.
     """
@@ -132,7 +132,7 @@ class Finding:
     interval
         Verdict interval of the number, or None if the number has no sampling error.
     agrees
-        The verdict. None if the claim has no verdict or the interval contains its bound.
+        The verdict. None if the claim asks for no verdict, or if its bound lies in the interval.
     """
 
     statement: str
@@ -272,7 +272,7 @@ def pixel_rate(statement: str, curve: xr.Dataset, expected: float) -> Claim:
 
 
 def normal_limit(count: int, freedom: int = 0) -> float:
-    """Return the limit of the largest of `count` normal errors at the level of one finding.
+    """Return a bound for the largest of `count` normal errors, at the confidence of one finding.
 
     If the degrees of freedom are given, the errors follow Student's t distribution.
     """
