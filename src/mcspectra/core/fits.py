@@ -240,7 +240,7 @@ def fit_rate(
     window
         Number of largest counts to fit; None fits all.
         ``"auto"`` takes the largest window of three or more counts that passes two tests.
-        It must have no significant χ² (`LACK_OF_FIT`) and no curvature (`CURVATURE`).
+        These counts must have no significant χ² (`LACK_OF_FIT`) and no curvature (`CURVATURE`).
         If no window passes, ``"auto"`` takes the last three counts.
     """
     start = -window if isinstance(window, int) else 0

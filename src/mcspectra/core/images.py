@@ -275,7 +275,7 @@ def _exr_file(name: str, *, header_only: bool) -> Any:
     """Open an EXR file and suppress the lines that OpenEXR prints for a broken file.
 
     OpenEXR prints these lines to standard output, where results go, partly through Python.
-    The lines hold the raw name of the file.
+    These lines of OpenEXR hold the raw name of the file.
     Lines that other threads print during this time are printed afterwards.
     """
     OpenEXR = load_openexr()

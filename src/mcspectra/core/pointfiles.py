@@ -421,7 +421,7 @@ def _sets_of_rows(
     """Convert rows to one array per set.
 
     A row is a line number with its fields. None instead of fields starts a set.
-    Rows that are already converted come as one array of points with the number of its first line.
+    Rows may also come as one array of points, with the line number of the first row.
     """
     sets: list[Array] = []
     points = array("d")

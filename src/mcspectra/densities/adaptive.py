@@ -136,7 +136,7 @@ def integrate(
         Number of starting cells along each axis.
     points
         Points (M, d) where narrow peaks may be.
-        Cells with such a point are split to level 16 (8 in 2-D) regardless of the rule.
+        Cells that contain one of these points are always split to level 16 (8 in 2-D).
     most_cells
         Number of cells of a level at which splitting ends.
 

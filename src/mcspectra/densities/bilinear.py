@@ -64,7 +64,7 @@ class Bilinear(Density):
     Notes
     -----
     The round trip ``invert(sample(u))`` may lose digits of u_0.
-    This happens if the marginal density between two rows grows by a large factor.
+    Digits are lost if the marginal density between two rows grows by a large factor.
     In this case, rounding of x_1 moves the line on which u_0 is computed.
     """
 
@@ -201,7 +201,7 @@ def _evaluate(xs: Array, ys: Array, nodes: Array, x: Array, out: Array) -> None:
 
 @kernel
 def _column(xs: Array, nodes: Array, sums: Array, j: int, t: float, u: float) -> float:
-    """Return x_0 such that the share u of the line at t between rows j and j+1 lies below x_0."""
+    """Return x_0 such that the share u of the mass at t between rows j and j+1 lies below x_0."""
     total = _mixed(sums, j, t, xs.size - 1)
     if total <= 0.0:  # a line without mass gets the identity, which `_flatten` undoes
         return u

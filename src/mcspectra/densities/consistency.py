@@ -94,7 +94,7 @@ def check_density(density: Checkable) -> None:
                     f"{point_in_words(x[bad][0])}; a density is finite and at least 0 almost "
                     "everywhere."
                 )
-        # Sample 32 shifted sets, the first of which includes both ends
+        # Sample at 32 shifted point sets. The first set also includes both ends of [0,1)
         u = recurrences(density.primary_dims)
         u[0, 0], u[0, 1] = 0.0, BELOW_ONE
         x = density._sample(u)

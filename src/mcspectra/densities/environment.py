@@ -121,7 +121,7 @@ class EnvironmentDensity(Wrapper):
         False samples L over the square, as for a flat picture.
     compensation
         False, or the multiple of the mean radiance to subtract: p ∝ max(0, L − multiple · mean L).
-        The subtraction is the normal-independent form of [Karlik2019]_.
+        The subtraction is that form of [Karlik2019]_ that does not depend on the normal.
         True means 1, which suits equal numbers of direction and BSDF samples.
         The density is then 0 at places where f is not 0, so combine it with another technique.
     warp

@@ -222,7 +222,7 @@ class SphericalTriangle(_Light):
         return float(triangle_angle(np.array(self._volume), *self._corners))
 
     def _opposite(self, s: Array) -> Array:
-        """Return the point on ac at s, (..., 3)."""
+        """Return the point on the edge ac at the fraction s, (..., 3)."""
         return np.asarray(self._corners[0] + s[..., None] * np.subtract(self.c, self.a))
 
     def _point(self, s: Array, t: Array) -> Array:

@@ -279,7 +279,7 @@ class _Cells:
         return np.asarray(self.low[cell] + 0.5 * (t + 1.0) * self.width[cell])
 
     def part(self, cell: Array, integral: Array, x: Array) -> Array:
-        """Return integrals over cells up to x."""
+        """Return integrals from the left ends of the cells to x."""
         out = np.empty(x.shape)
         _integral_at(integral, self.local(cell, x), out)
         return out
@@ -313,7 +313,7 @@ def _refine(
     Parameters
     ----------
     function
-        Function of nodes (C, 12) that returns values (C, 12, rows); the rows share the cells.
+        Function of nodes (C, 12) that returns values (C, 12, rows); the cells serve all rows.
     start, most
         Initial and largest number of cells.
     subject

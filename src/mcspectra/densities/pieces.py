@@ -296,7 +296,7 @@ class PiecewiseLinear(Density):
     Notes
     -----
     Consider a cell with the densities a and b at its ends.
-    The share r of its mass lies left of t = (a + b) r/(a + √D) with D = a² + (b² − a²) r.
+    The share r of the cell's mass lies left of t = (a + b) r/(a + √D) with D = a² + (b² − a²) r.
     The formula starts from the lower end as in `Linear`, so that all terms are positive.
     Therefore there is no cancellation for a → b, or if a or b is 0.
     """

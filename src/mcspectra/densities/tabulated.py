@@ -4,7 +4,7 @@ Choice of a warp
 ----------------
 In 1-D the inverse of the cdf is the only monotone warp. In 2-D one pdf has many warps.
 The warp T determines where the primary-space integrand g(u) = f(T(u))/p(T(u)) jumps.
-Hence it determines the rate.
+Therefore the choice of the warp determines the rate.
 `warp` chooses one of four warps, for exactly the same pdf (h rows of w columns):
 
 * ``"marginal"`` [Shirley1992]_ [Pharr2016]_ (§13.6.7): u_1 chooses the row by the marginal cdf.

@@ -285,7 +285,7 @@ def adaptive_integral(
     First case: integrals over cell and parts differ by more than the cell's share of 1e-12 ∫|f|.
     Second case: at a point of the probe, f differs from the polynomial through the parts' nodes.
 
-    The error is the sum of the last differences and of the differences expected next.
+    The error is the sum of the last differences and of the estimated later differences.
     An alternative value is corrected by the mean over the probe of f minus the polynomials.
     The error of the corrected value is three standard errors of this mean.
     The value with the smaller error is used.
@@ -474,7 +474,7 @@ def search_breaks(
             found += [(peak, -h, axis, b) for h, b in zip(heights, at_places, strict=True)]
 
     # Take jumps before peaks, and the highest first, while more boxes are affordable.
-    # Corners of boxes are graded toward a border at which g grows
+    # Growth at a border needs no break, because the boxes end at the border
     for peak, _, axis, place in sorted(found):
         if min(place, 1.0 - place) < _ABOUT:
             continue

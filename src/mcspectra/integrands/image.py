@@ -4,7 +4,7 @@ Environment maps follow `mcspectra.core.environments`: x_0 is φ/2π and x_1 is 
 The matching density is ``environment`` of `mcspectra.densities.environment`.
 Under sampling by luminance, a channel c keeps the ratio L_c / luminance.
 The ratio L_c / luminance jumps at the borders of colored pixels.
-Under sampling by the channel's own density, only the cosine remains.
+With the channel's own density, f/p is proportional to the cosine at the surface.
 The cosine is smooth except at the horizon.
 """
 
