@@ -238,7 +238,7 @@ class Explorer:
         self.roots["head"].tags = [self.state.query()]
 
     def _write_texts(self, refused: str) -> None:
-        """Write the exports from cached parts; a job's thread may call this method."""
+        """Write the exported texts from cached results; a job's thread may call this method."""
         try:
             texts = (
                 (f"# {refused}",) * 2 if refused else (as_python(self.state), as_toml(self.state))

@@ -38,7 +38,7 @@ def pixel_spec(x: int, y: int, strategy: str = "light") -> str:
 
     The strategies ``"balance"`` and ``"power"`` are sums of light and BSDF sampling.
     In each sum, the heuristic of this name weights both techniques.
-    The strategies ``"mis-light"`` and ``"mis-bsdf"`` are the two terms of the balance sum.
+    The strategies ``"mis-light"`` and ``"mis-bsdf"`` are the two terms of the sum ``"balance"``.
 
     Raises
     ------

@@ -2,7 +2,7 @@
 
 The server listens on the loopback interface, which excludes other machines.
 Pages of other hosts in the user's browser are not excluded.
-Such pages may send requests to this server, or point their domain name to 127.0.0.1.
+Pages of other hosts may send requests here, or point their domain name to 127.0.0.1.
 Every request must therefore name this server as its Host, and as its Origin if it has one.
 The only accepted request from another site is a link to the page.
 No other page may embed this page in a frame.
