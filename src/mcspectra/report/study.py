@@ -415,7 +415,7 @@ def _estimator(
                 text=f"No {analysis} results for {', '.join(lacking)}.", kind="soft"
             )
 
-    # Show figures, and link those figures of samples that an earlier estimator already shows
+    # Show figures, but link to figures of points that an earlier estimator already shows
     shown: list[html.Figure] = []
     names: set[str] = set()  # file names in use: two analyses can have the same kind of figure
     details: dict[str, list[html.Figure]] = {summary: [] for summary in _DETAILS}
