@@ -407,7 +407,7 @@ def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
         spine.set_color(GRAY)
         plain = side == "bottom" or (side == "left" and not named)
         spine.set_visible(panel.framed or plain)
-        spine.set_in_layout(False)  # a spine adds no space and is slow to measure
+        spine.set_in_layout(False)  # a spine needs no extra space, and is slow to measure
     axes.tick_params(**_TICKS)
     if named:
         axes.tick_params(axis="y", length=0)

@@ -144,7 +144,7 @@ def _map_words(values: Array, scale: Scale) -> str:
 
 
 def _logarithmic(label: str) -> Callable[[Array], Scale]:
-    """Return a function that makes a logarithmic scale of positive values without outliers."""
+    """Return a function that makes a logarithmic scale for positive values, except outliers."""
 
     def scale(values: Array) -> Scale:
         found = values[np.isfinite(values) & (values > 0)]
