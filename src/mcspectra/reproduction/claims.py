@@ -50,7 +50,7 @@ _VERDICT_Z = 3.7125862298839247  # normal quantile of (1 + 0.95^(1/250)) / 2
 VERDICT_WIDENING = _VERDICT_Z / CONFIDENCE_Z
 """Factor by which the half widths of 95 % intervals are multiplied for verdicts."""
 
-_VISIBLE = 5e-4  # smallest tolerance of a rate that is shown
+_VISIBLE = 5e-4  # smallest tolerance that a claim on a rate shows
 _PIXEL_TOLERANCE = 0.125
 _PIXEL_NOTE = (
     "Tolerance: a quarter of the distance between −1.5 (edges) and −2 (smooth). The curves have "
@@ -188,7 +188,7 @@ def judge(claim: Claim) -> Finding:
     low = high = claim.value
     if isinstance(measured, Measured):
         low, high = measured.widened(VERDICT_WIDENING)
-        finite = math.isfinite(measured.value)  # widened ends of an infinite value would be NaN
+        finite = math.isfinite(measured.value)  # widening an infinite value would give NaN
         interval = (low, high) if finite else (measured.low, measured.high)
         measured = measured.value
     if claim.expected is not None:

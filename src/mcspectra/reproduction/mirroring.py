@@ -4,7 +4,7 @@ Mirror-uniform evaluates f at four mirror images of each of n/4 points.
 Mirror-uniform thus samples h, the mean of f over the four images, at n/4 points.
 Mirror-random chooses one image at random, which adds 1/n of the variance of f among the images.
 
-The mean h = q(x) q(y) is continuous on the torus.
+The mean h = q(x) q(y) over the mirror images is continuous on the torus.
 With shifted strata of side 1/s, the variance is Σ |h_m|² (1 − Π_i sinc²(πm_i/s)) / n.
 The sum is over integers m ≠ 0. It is computed from products over axes.
 """
