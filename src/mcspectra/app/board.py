@@ -156,7 +156,7 @@ class Board:
             if job is not self._job:  # An earlier job sent this update
                 continue
             if isinstance(news, Update):
-                # Show a part; an unchanged value is neither described nor sent again
+                # Show a part of the results; a part with the same value is not shown or sent again
                 self.latest[news.kind] = news.value
                 before, kinds = self._drawn.get(news.kind, (None, []))
                 new = False

@@ -52,7 +52,7 @@ __all__ = [
 ]
 
 UPDATE_KINDS = ("points", "integrand", "spectrum", "convergence", "terms", "predict")
-"""Parts in order of computation. Later rounds omit points, integrand and predictions."""
+"""Parts of an update in order of computation. Later rounds omit points, integrand and predict."""
 
 MOST_AT_ONCE = 2
 """Maximum number of parts that all pages compute at once; a second part uses idle times."""
@@ -124,7 +124,7 @@ def _computed(kind: str, setup: ExplorerSetup) -> xr.Dataset:
     parts = make_parts(setup)
     if kind == "integrand":
         # Tabulate f, p and f/p on the unit square.
-        # Techniques have only f/p, with x in primary space
+        # For a sum of techniques, only f/p is known, with x in primary space
         dims, f = parts.sampler.dims, parts.estimator.domain_integrand
         size = _GRID[dims]
         middles = (np.arange(size) + 0.5) / size
@@ -178,7 +178,7 @@ class Job:
         Called in the job's thread with each finished part.
     on_end
         Called once with a text when the job ends, but not after `cancel`.
-        The text names what was refused or why refinement stopped early; otherwise it is empty.
+        This text says what was refused or why refinement stopped early; otherwise it is empty.
 
     Notes
     -----
@@ -337,7 +337,7 @@ def _parts(setup: ExplorerSetup) -> EstimatorParts:
 def _estimator(
     specs: tuple[str, ...], density_spec: str, mirror: str, smoothing: float, dims: int
 ) -> AbstractEstimator:
-    """Make an estimator; it is cached because its integrands cache their coefficients."""
+    """Make an estimator. The cache keeps the coefficients that its integrands have computed."""
     p = _density(density_spec, dims)
     integrands = [_integrand(spec, dims) for spec in specs]
     several = next((f for f in integrands if f.channels), None)

@@ -164,7 +164,7 @@ class Controls:
         )  # fmt: skip
 
     def show(self, setup: ExplorerSetup) -> None:
-        """Show another set-up without a callback."""
+        """Show another set-up in the widgets, but do not report it as a change by the user."""
         self.setup, self._refused = setup, False
         self._fill()
 

@@ -238,7 +238,7 @@ class Explorer:
         self.roots["head"].tags = [self.state.query()]
 
     def _write_texts(self, refused: str) -> None:
-        """Write the exports from cached parts; a job's thread may call this method."""
+        """Write the exported texts from cached results; a job's thread may call this method."""
         try:
             texts = (
                 (f"# {refused}",) * 2 if refused else (as_python(self.state), as_toml(self.state))
@@ -357,7 +357,7 @@ def as_python(state: ExplorerState) -> str:
 
 
 def _exported(setup: ExplorerSetup) -> dict[str, Analysis]:
-    """Return the analyses with numbers to print; each of them draws its own points."""
+    """Return the analyses that print numbers; each of these analyses draws its own points."""
     return {name: each for name, each in analyses_of(setup).items() if name != "points"}
 
 

@@ -37,8 +37,8 @@ def pixel_spec(x: int, y: int, strategy: str = "light") -> str:
     """Return the spec of the integrand of a pixel, counted from the left and from the top.
 
     The strategies ``"balance"`` and ``"power"`` are sums of light and BSDF sampling.
-    The heuristic of the same name weights both techniques.
-    The strategies ``"mis-light"`` and ``"mis-bsdf"`` are the two terms of the balance sum.
+    In each sum, the heuristic of this name weights both techniques.
+    The strategies ``"mis-light"`` and ``"mis-bsdf"`` are the two terms of the sum ``"balance"``.
 
     Raises
     ------

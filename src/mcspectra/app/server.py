@@ -2,7 +2,7 @@
 
 The server listens on the loopback interface, which excludes other machines.
 Pages of other hosts in the user's browser are not excluded.
-Such pages may send requests to this server, or point their domain name to 127.0.0.1.
+Pages of other hosts may send requests here, or point their domain name to 127.0.0.1.
 Every request must therefore name this server as its Host, and as its Origin if it has one.
 The only accepted request from another site is a link to the page.
 No other page may embed this page in a frame.
@@ -132,7 +132,7 @@ class _Refusal(web.RequestHandler):
     """Answers every request with 403 and a sentence."""
 
     def prepare(self) -> Awaitable[None] | None:
-        """Answer before a method is called."""
+        """Send the refusal before a method such as GET is called."""
         self.set_status(403)
         self.set_header("Content-Type", "text/plain; charset=utf-8")
         self.finish("The explorer answers only its own pages; open the address that it printed.\n")
@@ -231,7 +231,7 @@ def serve(port: int = 0, *, open_browser: bool = True, quiet: bool = False) -> N
 
 
 def _is_own_error(record: logging.LogRecord) -> bool:
-    """Make the text of an error printable; return whether the explorer, not a request, erred."""
+    """Whether a logged error is the explorer's own, not a request's; make its text printable."""
     text = record.getMessage()
     record.msg, record.args = printable(text, lines=True), ()
     return "GET /ws" not in text and "GET /static" not in text

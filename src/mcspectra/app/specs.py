@@ -126,7 +126,7 @@ def base_and_steps(text: str) -> tuple[str, list[str]]:
 
 
 def chain(base: str, steps: Sequence[str], text: str) -> str:
-    """Write a chain of these names; names that occur in `text` keep their parameters."""
+    """Join these names to a chain; components that occur in `text` keep their parameters."""
     try:
         known = {call.name: str(call) for call in parse_chain(text)}
     except McspectraError:

@@ -256,7 +256,7 @@ class ExplorerState:
         if self.b is not None:
             own = self.b.differences() or {
                 "n": str(self.b.n)
-            }  # At least one key of B shows that B exists
+            }  # A key of B is needed even if B has only default values
             pairs += [(_PREFIX + key, text) for key, text in own.items()]
         if self.theme != THEMES[0]:
             pairs.append(("theme", self.theme))

@@ -3,8 +3,8 @@
 A decimal number w/10^k with at most 19 digits and k ≤ 22 is divided in twice float64 precision.
 In this division, w, 10^k and the remainder of the first quotient are exact.
 The sum of both quotients is correctly rounded, with rare exceptions.
-They lie within about 2^-40 of the midpoint of two neighboring float64 numbers.
-The caller reads these rare numbers and all numbers of other forms.
+The exceptions lie within about 2^-40 of the midpoint of two neighboring float64 numbers.
+The kernel leaves these exceptions, and numbers of other forms, to the caller.
 """
 
 from __future__ import annotations
@@ -62,17 +62,17 @@ def parse_lines(text: Array, values: Array, runs: Array, hard: Array) -> tuple[i
         A row holds four numbers. First comes the number of the first line with numbers, from 0.
         Then come the index of the first value and the index after the last value.
         The last number is the count of numbers per line.
-        A comment before the run fills a row that has the count 0.
+        A comment between runs has a row of its own, with the count 0.
     hard
         int64 (N, 3), one row for each value that the caller has to read.
         A row holds the index of the value, its first byte, and the byte after it.
 
     Returns
     -------
-    lines, values, runs, hard
-        Numbers of entries of the outputs.
-        lines is −1 if the text is not printable ASCII, or not made of numbers and comments.
-        lines is also −1 if the lines do not have equally many numbers.
+    tuple of int
+        Number of lines, and numbers of entries that were written to `values`, `runs` and `hard`.
+        The first is −1 if the text is not printable ASCII, or not made of numbers and comments.
+        The first is also −1 if the lines do not have equally many numbers.
     """
     bad = (-1, 0, 0, 0)
     line = count = used = left = 0

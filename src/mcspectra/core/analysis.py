@@ -3,7 +3,7 @@
 An `Analysis` is a frozen struct whose fields are its options.
 The method `need` returns the cost, and the method `reduction` returns the computation.
 Python functions, study files, commands, the explorer and the docs are derived from the struct.
-The registered variables of results are also derived from it.
+A result is checked against the variables that the struct declares.
 `ANALYSES` finds analyses by name. Other packages add analyses by the entry points
 ``mcspectra.analyses``.
 
@@ -12,7 +12,7 @@ The number and limits of the blocks depend only on the size of the problem.
 Each block gives a state. States merge in a fixed binary tree over the blocks (`MergeTree`).
 A *chunk* is an aligned run of 2^k blocks, which is a node of the tree.
 The tree is the same whether one thread computes all blocks, or many machines compute chunks.
-Therefore the result has the same bits in both cases.
+Therefore one thread and many machines give results with the same bits.
 
 Some analyses make later draws depend on earlier results, for example to stop at a precision.
 Such an analysis is a generator, which yields lists of reductions and receives the merged states.
@@ -100,7 +100,7 @@ State = TypeVar("State")
 Result = TypeVar("Result")
 
 Chunk: TypeAlias = tuple[int, int]
-"""First atomic block and number of blocks.
+"""First atomic block of a chunk, and the chunk's number of blocks.
 
 The number of blocks is a power of two that divides the first block.
 The last chunk may have fewer blocks.
@@ -179,12 +179,12 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Parts of the subject that may be lists: ``"estimator"``, ``"sampler"``, or both.
     variables
         Names of the result's variables in `mcspectra.core.results.VARIABLES`.
-        A variable that is not registered there is given as a `Variable`.
+        A variable that this registry lacks is given as a `Variable`.
     provenance
         Attributes of the result: ``estimator`` and ``sampler`` hold their spec strings.
         ``stream_key`` holds the key of the stream, and names of options hold their values.
     companions
-        Analyses that a study also computes from the same table, such as points of a spectrum.
+        Further analyses that a study computes for the same table, such as points for a spectrum.
     """
 
     function: ClassVar[str] = ""
@@ -216,7 +216,7 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         Parameters
         ----------
         subject
-            A subject that `need` accepted.
+            A subject (estimator, sampler or scene) that `need` accepted.
         stream
             Random numbers of all realizations.
         """
@@ -226,15 +226,16 @@ class Analysis(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         )
 
     def part(self, subject: Subject, stream: Stream, key: str) -> Reduction[Any]:
-        """Return the reduction with this key, for a worker that has not run the earlier steps.
+        """Return the reduction with this key: a sum over blocks of realizations.
 
-        The default finds reductions of the first step.
-        Analyses whose later steps depend on states override this method.
+        Workers call this method without running the earlier steps.
+        The default searches the reductions of the first step.
+        Analyses override this method if later steps depend on the states of earlier steps.
 
         Raises
         ------
         NotImplementedError
-            If the first step has no reduction with this key.
+            If no reduction of the first step has this key.
         """
         found = self.reduction(subject, stream)
         for each in [found] if isinstance(found, Reduction) else next(found):
@@ -329,13 +330,13 @@ def check_names(kind: type[Analysis]) -> None:
 @final
 @dataclass(frozen=True, kw_only=True)
 class Reduction(Generic[State]):
-    """A sum over blocks of realizations.
+    """A computation as a sum over blocks of realizations.
 
     Attributes
     ----------
     kind
-        Type of the states: a record of `mcspectra.core.records`, a list of records, an array,
-        a dict of arrays, or a dataset.
+        Type of the states. A state is a record of `mcspectra.core.records`, a list of records,
+        an array, a dict of arrays, or a dataset.
     block
         Function that returns the state of the atomic block with a given number.
     blocks
@@ -358,11 +359,15 @@ class Reduction(Generic[State]):
 
 
 Steps: TypeAlias = "Generator[list[Reduction[Any]], list[Any], xr.Dataset]"
-"""Generator that yields the reductions of a step, is sent their states, and returns the result."""
+"""Type of the generator that computes an analysis step by step.
+
+For each step, the generator yields reductions and is sent their merged states.
+At the end, the generator returns the dataset.
+"""
 
 
 def whole(function: Callable[[], xr.Dataset]) -> Reduction[xr.Dataset]:
-    """Return an indivisible computation as a reduction of one block; its state is the dataset."""
+    """Wrap a computation that cannot be split into blocks; the state is its dataset."""
     import xarray as xr
 
     return Reduction(kind=xr.Dataset, block=lambda _: function(), result=lambda state: state)
@@ -421,13 +426,13 @@ def _said(analysis: Analysis) -> str | Function:
 
 
 def steps_of(analysis: Analysis, subject: Subject, stream: Stream) -> Steps:
-    """Return the steps of an analysis; a single reduction becomes one step.
+    """Return the generator that computes an analysis; a single `Reduction` becomes its only step.
 
     Raises
     ------
     AnalysisError
         If the analysis has no reduction or no result, or if a step has another type.
-        If two reductions have the same key, or if a reduction has no blocks.
+        If two reductions of the analysis have the same key, or if one of them has no blocks.
     """
     name = type(analysis).__name__
     found: Any = analysis.reduction(subject, stream)
@@ -514,7 +519,7 @@ def compute(
     ConfigError
         If the analysis needs more memory than available.
     McspectraError
-        If `needed` or `steps_of` raises it.
+        If `needed` or `steps_of` raises this error.
     """
     given: tuple[Any, Any] = analysis, subject
     if not isinstance(given[0], Analysis) or not isinstance(given[1], Subject):
@@ -547,7 +552,7 @@ def compute(
 
 
 def driven(steps: Steps, states_of: Callable[[list[Reduction[Any]]], Iterable[Any]]) -> xr.Dataset:
-    """Return an analysis's result; `states_of` gives the merged states of a step's reductions."""
+    """Compute an analysis from its `steps`; `states_of` returns the merged states of a step."""
     states: list[Any] | None = None
     try:
         while True:
@@ -569,14 +574,14 @@ def compute_chunk(reduction: Reduction[State], chunk: Chunk) -> State:
 class MergeTree(Generic[State]):
     """Merges states of blocks like a binary counter: neighboring nodes of equal size merge first.
 
-    At the end, the remaining nodes merge from the right.
+    At the end, nodes of unequal size merge too, from the last blocks to the first.
     The tree depends only on the number of blocks, not on the chunks or their order.
     If chunks come in order, the tree holds only log₂(blocks) states at once.
 
     Attributes
     ----------
     nodes
-        Number of blocks and state of each merged node, by the number of its first block.
+        Number of blocks and merged state of each node, by the number of the node's first block.
     """
 
     def __init__(self) -> None:
@@ -617,9 +622,9 @@ def chunks(blocks: int, size: int) -> Iterator[Chunk]:
 def in_step(
     parts: Sequence[Generator[Reduction[Any], State, Result]],
 ) -> Generator[list[Reduction[Any]], list[State], list[Result]]:
-    """Drive several generators together; each step computes the next reduction of each generator.
+    """Run several generators together; a step consists of the next reduction of each generator.
 
-    Returns the results of the generators in their order.
+    The result is a list with the result of each generator, in the same order.
     """
     results: dict[int, Result] = {}
     states: Mapping[int, Any] = dict.fromkeys(range(len(parts)))

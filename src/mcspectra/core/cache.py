@@ -75,7 +75,7 @@ def cached_array(key: str, make: Callable[[], Array]) -> Array:
     name = hashlib.sha256(f"{_FORMAT}{key}".encode()).hexdigest()
     file = cache_folder() / name[:2] / f"{name[2:34]}.array"
 
-    # Use a valid entry
+    # Use the entry in the file if it is valid
     with suppress(OSError):  # the entry does not exist or cannot be read
         content = file.read_bytes()
         with suppress(FileFormatError, KeyError):

@@ -72,7 +72,7 @@ def path_to_write(path: object, what: str, extensions: Sequence[str]) -> Path | 
     Raises
     ------
     FileFormatError
-        If `known_path` raises it, or if the path is a folder.
+        If the path has another extension (see `known_path`), or is a folder.
         If the folder of the file does not exist or cannot be written.
     """
     if path is None:
@@ -95,7 +95,7 @@ def opened(
     Raises
     ------
     FileFormatError
-        If `known_path` raises it, or if the file does not exist.
+        If the path has another extension (see `known_path`), or if the file does not exist.
         If the file is a folder or a device, or if parsing fails.
     """
     file = known_path(path, what, extensions)
@@ -170,7 +170,7 @@ def read_npz(
     ------
     FileFormatError
         If there is no such array, or if NumPy does not use its compression method.
-        If `read_npy` raises it.
+        If `read_npy` rejects the array.
     """
     with zipfile.ZipFile(stream) as archive:
         names = [entry[:-4] for entry in archive.namelist() if entry.endswith(".npy")]

@@ -191,7 +191,7 @@ class MissingDependency(McspectraError, ImportError):
 
 
 MEASURE_IT: tuple[Part, ...] = (Function("convergence"), " or ", Function("variance_terms"))
-"""Parts of a sentence that names functions for a variance without a closed form."""
+"""Part of messages about a variance without a closed form: the functions that measure it."""
 
 
 class CorrelatedFrequenciesWarning(UserWarning):
@@ -307,7 +307,7 @@ def warn(message: str, category: type[Warning]) -> None:
     """Warn at the line that called the package: the first frame whose file is outside the package.
 
     Python 3.12 has `skip_file_prefixes` for this.
-    A fixed number of frames would change with the code.
+    The number of frames to skip is not fixed, because it would change with the code.
     """
     frame = sys._getframe(1)
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PACKAGE):

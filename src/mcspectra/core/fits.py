@@ -19,11 +19,11 @@ The noise may still hide a bend in an accepted window.
 The interval therefore uses the scatter even for χ² below 1, if the scatter makes it wider.
 ``"auto"`` is not the default because it loses precision for a straight line.
 
-In simulations, errors were 6 % (500 realizations) and counts were 4, 16, … 1024.
+In simulations, the standard errors were 6 % (500 realizations), for counts 4, 16, … 1024.
 For a straight line, the intervals of ``"auto"`` hold the asymptotic rate in 98 % of the cases.
 For a disk of radius 0.27 off the center and jittered points, 97 % of the intervals hold the rate.
 For a Gaussian and jittered points with a random shift, 86 % of the intervals hold the rate.
-The exact slope is then −1.42 … −1.50 over these counts, and no test can detect this bend.
+For this Gaussian, the exact slope is −1.42 … −1.50 here, and no test can detect this bend.
 A curve that bends up to its last count is not extrapolated.
 An example is a disk centered on the strata, with slope −1.39 between the last two counts.
 Exact variances at the same counts are better evidence.
@@ -240,7 +240,7 @@ def fit_rate(
     window
         Number of largest counts to fit; None fits all.
         ``"auto"`` takes the largest window of three or more counts that passes two tests.
-        It must have no significant χ² (`LACK_OF_FIT`) and no curvature (`CURVATURE`).
+        These counts must have no significant χ² (`LACK_OF_FIT`) and no curvature (`CURVATURE`).
         If no window passes, ``"auto"`` takes the last three counts.
     """
     start = -window if isinstance(window, int) else 0

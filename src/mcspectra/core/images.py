@@ -85,7 +85,7 @@ def read_image(
 
         * PNG, JPEG: gray gives 1 channel, color 3. Values run from 0 to 1.
           Alpha is dropped, not multiplied in.
-          Pillow reads color PNG of 16 bits with 8 bits; gray keeps its 16 bits.
+          From color PNG of 16 bits, Pillow reads only 8 bits; gray keeps its 16 bits.
         * EXR: the channels R, G, B of the first layer that has them, otherwise the first Y.
           The unnamed layer comes first. Only pixels of the data window are read.
         * PFM: 1 or 3 channels, unchanged.
@@ -275,7 +275,7 @@ def _exr_file(name: str, *, header_only: bool) -> Any:
     """Open an EXR file and suppress the lines that OpenEXR prints for a broken file.
 
     OpenEXR prints these lines to standard output, where results go, partly through Python.
-    The lines hold the raw name of the file.
+    These lines of OpenEXR hold the raw name of the file.
     Lines that other threads print during this time are printed afterwards.
     """
     OpenEXR = load_openexr()

@@ -186,7 +186,7 @@ class Option:
         return [item for each in lists for item in _kinds(_item(each))]
 
     def check(self, value: Any, label: str | None = None, *, from_file: bool = False) -> Any:
-        """Return the clean value.
+        """Return the checked and converted value.
 
         Parameters
         ----------
@@ -238,7 +238,7 @@ def options_of(struct: Any) -> tuple[Option, ...]:
     for field in kind.fields:
         about, extra = _annotation(field.type)
         given = field.default
-        if field.default_factory is not msgspec.NODEFAULT:  # for example, a new list
+        if field.default_factory is not msgspec.NODEFAULT:  # such as a new list for each instance
             given = field.default_factory()
         found.append(Option(field.name, field.type, given, about, extra))
     return tuple(found)

@@ -87,7 +87,7 @@ def slices(block: Block, numbers_each: int) -> Iterator[Block]:
     Slices limit memory and stay in a shared cache.
     In one thread, smaller slices that fit a second-level cache are no faster.
     With several threads, they are slower, because threads wait for Python's lock between ufuncs.
-    Each wait takes 0.1 ms, while an idle processor wakes.
+    Each wait for the lock takes 0.1 ms, because an idle processor has to wake up.
     With two threads, the parallel efficiency was 0.39 for slices of 2^16 numbers.
     The efficiency was 0.77 for 2^18 numbers, and 0.87 for 2^19 and 2^20 numbers.
     Two processes reach an efficiency of 0.91 to 0.95.

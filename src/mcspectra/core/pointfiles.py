@@ -63,7 +63,8 @@ _SET_BYTES = 4096
 _LONGEST_LINE = 2**22  # largest number of bytes in a line
 _BLOCK = 2**20
 _COMPILED = 2**18  # in bytes; Python reads a shorter text faster than the kernel compiles
-# Bytes of memory for each number of a text: 8 as read, 8 in its set, 8 in the order of sets
+# Bytes of memory for each number of a text, which is stored three times as float64:
+# as read, in its set, and in the order of sets
 _VALUE_BYTES = 24
 
 # UTK binary
@@ -292,7 +293,7 @@ def _numbers(chunk: bytes) -> tuple[int, list[tuple[int, Array | None]]] | None:
 
     The result is the number of lines, and a pair for each run of lines between comments.
     A pair holds the number of the run's first line, from 1, and its points.
-    A comment has None instead of points.
+    For a comment, the pair holds None instead of points.
     """
     from mcspectra.core._text_kernels import parse_lines
 
@@ -337,7 +338,7 @@ def _read_csv(stream: IO[bytes], size: int, name: str) -> list[Array]:
             if at_top:
                 at_top = False
                 if all(_number(field) is None for field in fields):
-                    # The line names the columns; the column of sets may be among them
+                    # This line names the columns, one of which may hold the number of the set
                     names = [field.lower() for field in fields]
                     if "" in names:
                         raise FileFormatError(
@@ -420,7 +421,7 @@ def _sets_of_rows(
     """Convert rows to one array per set.
 
     A row is a line number with its fields. None instead of fields starts a set.
-    Rows that are already converted come as one array of points with the number of its first line.
+    Rows may also come as one array of points, with the line number of the first row.
     """
     sets: list[Array] = []
     points = array("d")

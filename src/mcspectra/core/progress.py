@@ -84,7 +84,7 @@ def _showing() -> Iterator[None]:
 
 
 def report(what: str, fraction: float) -> None:
-    """Report the finished `fraction` of `what` to the innermost listener; it is 1 at the end."""
+    """Tell the innermost listener which `fraction` of the work `what` is done; 1 ends the work."""
     listeners = _listeners[-1:]
     if not listeners and _somebody_waits():
         listeners = [_automatic]

@@ -65,7 +65,7 @@ class MeanSums:
 
     @staticmethod
     def of(values: Array) -> MeanSums:
-        """Return the sums of one realization."""
+        """Return the sums for a single realization: its values and their squares."""
         return MeanSums(np.array(values), values * values)
 
     @staticmethod
@@ -92,7 +92,7 @@ _UNIONS = (Union, UnionType)
 
 
 def merged(left: Any, right: Any) -> Any:
-    """Return the merged state of two neighbors; may reuse the memory of `left`."""
+    """Return the merged state of two neighboring nodes; may reuse the memory of `left`."""
     own = getattr(left, "merge", None)
     if own is not None:
         return own(right)
@@ -181,7 +181,7 @@ def _attributes(attributes: Mapping[Any, Any]) -> dict[str, Any]:
 def unpack(kind: Any, payload: bytes) -> Any:
     """Return the state that `pack` stored.
 
-    `kind` is its type: a record, ``list[record]``, an array or a dict.
+    `kind` is the type of the state: a record, ``list[record]``, an array or a dict.
     The function allocates nothing larger than the payload.
 
     Raises

@@ -65,7 +65,7 @@ class Registry(Mapping[str, str]):
         return len(self._targets())
 
     def load(self, name: str) -> type[Any]:
-        """Return the class behind `name`.
+        """Return the class that is registered under `name`.
 
         Raises
         ------

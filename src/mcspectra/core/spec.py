@@ -25,12 +25,12 @@ _NAME = re.compile(r"[a-z][a-z0-9]*(?:-[a-z0-9]+)*")
 _CAPITALS = re.compile(r"(?<=[a-z0-9])(?=[A-Z])")  # boundary between words of a class name
 _WORD = re.compile(r"[A-Za-z_][\w.-]*")
 _NO_NUMBERS = ("nan", "inf", "infinity")
-# Components whose first value is code, which needs no parameter name
+# Components that run code, and the parameter that takes a first value without a name
 _FIRST = {"command": "run", "python": "function"}
 _MAX_LENGTH = 20_000
 _FOLDERS = re.compile(
     r"""(?:\w+=)?(['"])[^'"]*/(?=[^'"/]+\1)"""
-)  # the folders of a file name, with the name of the parameter
+)  # matches the folders of a quoted file name, and the parameter's name
 _MARK = re.compile(
     r"""'(?:[^'\\]|\\.)*'|"(?:[^"\\]|\\.)*"|['"()\[\]{}|]""", re.DOTALL
 )  # a quoted text is one token

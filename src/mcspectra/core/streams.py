@@ -13,8 +13,8 @@ Number i of a realization is a keyed 64-bit mix,
 
     x = (i xor k0) M1;  x ^= x >> 32;  x = (x + k1) M2;  x ^= x >> 29;  x *= M3;  x ^= x >> 32
 
-with the multipliers of SplitMix64 [Steele2014]_.
-k0 enters before the first non-linear step, and k1 enters after it.
+The multipliers M1, M2 and M3 are those of SplitMix64 [Steele2014]_.
+The key k0 enters before the first non-linear step, and k1 enters after it.
 Therefore one stream is a shifted or permuted copy of another only if k1 also agrees.
 
 Philox alone would be sufficient, but it takes 1.8 ns per double at 7 rounds.

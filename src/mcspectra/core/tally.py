@@ -4,7 +4,7 @@
 The block includes this thread and the threads of `mcspectra.core.parallel`.
 Tallies can be nested.
 A limit is checked before the function is called.
-Work may continue without rejected evaluations, for example with another method of a prediction.
+After a rejected call, work may continue, for example with another method of a prediction.
 In this case the result is discarded: `EvaluationTally.check` raises an error at the end.
 """
 
@@ -75,7 +75,7 @@ def spend(evaluations: int) -> None:
     Raises
     ------
     BudgetError
-        If a tally does not allow these evaluations; then no tally counts them.
+        If an open tally would exceed its limit; then no tally counts these evaluations.
     """
     with _lock:
         tally = _innermost.get()

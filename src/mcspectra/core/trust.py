@@ -4,8 +4,8 @@ Text is data: a spec is parsed, never evaluated. But a spec may name code to run
 A `Trust` allows the code that the caller names, and files in folders that the caller names.
 Links are resolved first. A study can also read its own folder.
 The process has one Trust, `process_trust`.
-The options ``--allow-code`` and ``--allow-path`` extend it.
-`mcspectra.samplers.allow_code` also extends it.
+The options ``--allow-code`` and ``--allow-path`` extend this Trust.
+The function `mcspectra.samplers.allow_code` also extends this Trust.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ class Trust:
     ----------
     code
         Functions ``module:function`` that specs ``python('module:function')`` may name.
-        Also commands, or their programs, that specs ``command('./mine {n} {seed}')`` may name.
+        Commands, or only their programs, that specs ``command('./mine {n} {seed}')`` may run.
         Modules are searched on Python's path (PYTHONPATH), not in a study's folder.
         A program is named with its path.
     folders
@@ -147,7 +147,7 @@ class Trust:
         file
             Location of the file.
         named
-            Name in the scene.
+            File name as written in the scene.
         where
             XML element and file in which the name occurs.
 

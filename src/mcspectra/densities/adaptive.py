@@ -6,7 +6,8 @@ The domain starts as equal cells.
 A cell is *resolved* if a Gauss-Legendre rule on it agrees with the same rule on its 2^d halves.
 Other cells are split, level by level.
 The unresolved part at level L lies within about 2^-L of the singularities and jumps.
-Its total U_L is roughly a sum over dyadic shells, so it shows the kind of singularity.
+The integral U_L over this part is roughly a sum over dyadic shells.
+Therefore U_L shows the kind of singularity.
 Next to f ~ r^-a along a line, U_L shrinks like 2^{-(1-a)L}.
 If the integral diverges, U_L stays constant or grows.
 
@@ -37,8 +38,8 @@ __all__ = [
     "recurrences",
 ]
 
-# Orders are even, so that no node is a cell center.
-# Orders are different, so that no node lies on the diagonal.
+# The orders of the Gauss rules are even, so that no node is the center of a cell.
+# The orders of the two axes differ, so that no node lies on the diagonal of a cell.
 # A node at such a place could hit an isolated 0 of the density
 _ORDERS = {1: (8,), 2: (6, 4)}
 _DEPTH = {1: 36, 2: 28}
@@ -56,7 +57,7 @@ SETS, SET_SIZE = 32, 4096
 _SLOWEST = 0.98  # largest ratio of levels: p ~ r^a with a > 0.97 counts as divergent
 _NEGLIGIBLE = 1e-6
 _SHRINKING = 0.8  # largest ratio of volumes of levels; ½ next to a line, ¼ next to a point
-_FIRST_LEVELS = 4  # number of first levels, which also split cells near a zero
+_FIRST_LEVELS = 4  # first levels, left out of ratios: they also split cells merely near a zero
 _WINDOW = 8
 _TAIL = 256
 _LARGEST_TAIL_INDEX = 1.0 - 3.0 / math.sqrt(_TAIL)
@@ -68,7 +69,8 @@ class Quadrature:
 
     `errors` bounds the error of each integral.
     `totals` has the estimate of the whole integral after each level.
-    `unresolved` is its part in cells where the rules disagree, and `volumes` their volume.
+    `unresolved` is the part of each total from cells where the rules disagree.
+    `volumes` is the volume of these cells.
     """
 
     cells: Array
@@ -134,7 +136,7 @@ def integrate(
         Number of starting cells along each axis.
     points
         Points (M, d) where narrow peaks may be.
-        Cells with such a point are split to level 16 (8 in 2-D) regardless of the rule.
+        Cells that contain one of these points are always split to level 16 (8 in 2-D).
     most_cells
         Number of cells of a level at which splitting ends.
 
@@ -183,7 +185,7 @@ def mean_or_infinity(
     """Return the integral of a function ≥ 0 in d dims, infinite if it appears to diverge.
 
     The notes of `mcspectra.densities.reciprocal_integral` describe the accuracy.
-    `most_cells` is the same as for `positive_integral`.
+    `most_cells` limits the number of cells of a level, as in `positive_integral`.
     """
     if dims <= 2:
         with np.errstate(over="ignore", invalid="ignore"):
@@ -220,8 +222,8 @@ def positive_integral(
         If the unresolved part does not shrink, the integral is infinite and the error is 0.
         Poles r^-a with a > 0.97 count as divergent.
         See `mcspectra.densities.reciprocal_integral`.
-        If the rest was added as a geometric series, the last change of the sum is used.
-        The error is this change, extrapolated with the ratio of the series.
+        If the rest of a geometric series was added, the last change of this sum gives the error.
+        The last change is extrapolated with the ratio of the series.
         The series is only approximate where poles cross.
     """
     with np.errstate(over="ignore", invalid="ignore"):

@@ -305,7 +305,7 @@ class Exponential(_Separable):
 
     def _sample(self, u: Array) -> Array:
         r = self._rates
-        with np.errstate(divide="ignore"):  # u = 1 at rate 700 gives ∞, which is clipped
+        with np.errstate(divide="ignore"):  # at rate 700, u = 1 gives x = ∞, which is clipped later
             return np.where(self._flat, u, np.log1p(u * np.expm1(-r)) / -r)
 
     def _invert(self, x: Array) -> Array:
@@ -323,7 +323,7 @@ class CosineWeighted(_Separable):
     Two meanings of *cosine-weighted* agree here.
     In flatland, x = ½ + θ/π is the angle of a direction above a line, with p(θ) = cos θ/2.
     On the hemisphere with cos θ/π by solid angle, the polar angle has the density sin 2θ.
-    In x = 2θ/π this is the density here.
+    In the coordinate x = 2θ/π, the density sin 2θ is the density p(x) of this class.
     The warp θ = arcsin √u is the warp of Malley's method [Pharr2016]_ (§13.6.3).
     The density is 0 at both ends, and ∫1/p diverges.
     """
@@ -382,7 +382,7 @@ class Tent(_Separable):
         return np.asarray((x < self._peaks) | (self._peaks == 1))
 
     def _heights(self, x: Array) -> tuple[Array, Array]:
-        """Return the heights of both sides at x, relative to the peak."""
+        """Return the heights of the rising and the falling line at x, relative to the peak."""
         left, right = self._sides
         return np.minimum(x, left) / left, np.minimum(1.0 - x, right) / right
 

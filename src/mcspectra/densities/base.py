@@ -4,7 +4,7 @@ A `Density` is a warp T with its pdf. T maps the unit cube (primary space, u) to
 The methods are ``x = sample(u)``, ``u = invert(x)`` and ``pdf(x) = |det dT/du|^-1``.
 The public methods check their points once.
 Implementations define `_pdf`, `_sample` and `_invert`, which trust plain arrays.
-A `Wrapper` forwards to a density that it creates.
+A `Wrapper` is a density that creates another density and forwards all calls to it.
 """
 
 from __future__ import annotations
@@ -363,12 +363,12 @@ class FunctionDensity(_ByFunctions):
 class NumericalDensity(_ByFunctions):
     """A density given by its pdf alone, in 1-D or 2-D; the warp is computed.
 
-    Create it with `Density.from_functions`.
+    Instances are made by `Density.from_functions`.
     The pdf is called with read-only float64 arrays (..., d) of points within the domain.
     In 2-D every sampled point costs a few hundred evaluations.
 
-    Details of the pdf, such as a peak, a gap or a box, are resolved if they are wide enough:
-    wider than 2^-18 in 1-D, or wider than 1/500 along both axes in 2-D.
+    Details of the pdf, such as a peak, a gap or a box, are resolved if they are wide enough.
+    The least width is 2^-18 in 1-D, and 1/500 along both axes in 2-D.
     Narrower details and their mass may be missed.
     If mass is missed, `normalize` divides by an integral that is too small.
     If the integral is known, ``normalize=False`` detects missing mass.
@@ -505,7 +505,7 @@ def divide_by_density(
     spec
         Name of the estimator in messages.
     constant
-        Whether the values are a constant, so that the ratio is a weight.
+        Whether the values are a constant; values/pdf is then a weight, not an estimate.
 
     Raises
     ------
@@ -552,7 +552,7 @@ def reciprocal_integral(density: Density) -> float:
     In 1-D and 2-D, adaptive quadrature splits the cells around zeros of p.
     The module `mcspectra.densities.adaptive` describes this quadrature.
     Let p ~ r^a at distance r from a zero.
-    The unresolved part then shrinks by a constant ratio per level.
+    Near this zero, the unresolved part of ∫1/p shrinks by a constant ratio per level.
     The ratio is 2^{a−1} next to a point in 1-D or a line in 2-D.
     The ratio is 2^{a-2} next to a point in 2-D.
     The integral diverges if the ratio reaches 1.

@@ -29,7 +29,7 @@ __all__ = ["Bilinear"]
 
 
 class _Tables(NamedTuple):
-    """Arguments of the kernels.
+    """Tables of a bilinear density, as the kernels take them.
 
     The knots `xs` (w,) and `ys` (h,) run from 0 to 1. `nodes` (h, w) is the density at the knots.
     `sums` (h, w) has the integrals along each row from 0 to each knot.
@@ -64,7 +64,7 @@ class Bilinear(Density):
     Notes
     -----
     The round trip ``invert(sample(u))`` may lose digits of u_0.
-    This happens if the marginal density between two rows grows by a large factor.
+    Digits are lost if the marginal density between two rows grows by a large factor.
     In this case, rounding of x_1 moves the line on which u_0 is computed.
     """
 
@@ -114,7 +114,7 @@ class Bilinear(Density):
                 np.concatenate([[0.0], (np.arange(k) + 0.5) / k, [1.0]]) for k in (width, height)
             )
             nodes = np.pad(table, ((1, 1), (1, 1)), mode="edge")
-        if self.periodic:  # average of the values at the last and the first center
+        if self.periodic:  # both ends get the average of the last and the first center
             nodes[:, 0] = nodes[:, -1] = (nodes[:, 1] + nodes[:, -2]) / 2
         sums = _integrals(xs, nodes)
         rows = _integrals(ys, sums[:, -1])
@@ -201,7 +201,7 @@ def _evaluate(xs: Array, ys: Array, nodes: Array, x: Array, out: Array) -> None:
 
 @kernel
 def _column(xs: Array, nodes: Array, sums: Array, j: int, t: float, u: float) -> float:
-    """Return x_0 such that the share u of the line at t between rows j and j+1 lies below x_0."""
+    """Return x_0 such that the share u of the mass at t between rows j and j+1 lies below x_0."""
     total = _mixed(sums, j, t, xs.size - 1)
     if total <= 0.0:  # a line without mass gets the identity, which `_flatten` undoes
         return u

@@ -46,7 +46,7 @@ from mcspectra.densities.registry import DENSITIES, as_density, density
 __all__ = ["Defensive", "Mixture", "Product"]
 
 _MAX_PARTS = 1024
-_PLACES = 4  # number of positions of the other coordinates for each zero of a part
+_PLACES = 4  # positions that are tried on the other axes for each zero of a part
 _SELECTIONS = ("coordinate", "extra")
 
 
@@ -239,7 +239,7 @@ class Mixture(Density):
 
     @property
     def breaks(self) -> tuple[tuple[float, ...], ...]:
-        """Borders of the shares on the choosing axis, and breaks of all parts on every axis."""
+        """Borders of the shares on the axis that chooses the part, and all breaks of the parts."""
         found: list[set[float]] = [set() for _ in range(self.primary_dims)]
         found[self._chooser].update(self._borders[1:-1].tolist())
         for t, part in enumerate(self.parts):
@@ -303,7 +303,7 @@ class Mixture(Density):
         return np.asarray(np.minimum(sums, 1.0))
 
     def _place(self, t: int, v: Any) -> Any:
-        """Return the place on the choosing axis of a coordinate v in [0,1) of part t."""
+        """Return the place of coordinate v in [0,1) of part t on the axis that chooses the part."""
         low, high = self._borders[t : t + 2]
         return low + v * (high - low)
 
@@ -324,7 +324,7 @@ class Defensive(Wrapper):
     share
         Share of the uniform density, above 0 and below 1.
     selection, axis
-        Same as in `Mixture`. The upper end of the coordinate chooses the uniform part.
+        As in `Mixture`. The coordinate chooses the uniform part at its upper end.
     """
 
     dims: int = None  # type: ignore[assignment]  # the density's own
@@ -341,7 +341,7 @@ class Defensive(Wrapper):
 
     @cached_property
     def mixture(self) -> Mixture:
-        """The equivalent `Mixture` of two parts."""
+        """The same density as a `Mixture` of two parts: the given and the uniform density."""
         return Mixture(
             dims=self.dims,
             parts=[self.density, Uniform(dims=self.density.dims)],

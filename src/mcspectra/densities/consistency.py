@@ -15,7 +15,8 @@ __all__ = ["check_density"]
 
 _SPREADS = 7.0  # limit in standard errors; false alarms: 7e-8 per cell, 2e-5 for 256 cells
 # If the mean count of a cell is k + q, all sets have the count k with probability (1 − q)^32.
-# This is less than 7e-8 for q > 0.4. If counts differ, their spread covers the deviation.
+# This probability is below 7e-8 for q > 0.4.
+# If the counts of the sets differ, their standard error covers the deviation.
 _ALIKE = 0.4
 _ROUND_TRIP = 1e-6
 _INTEGRAL = 1e-4
@@ -67,7 +68,7 @@ def check_density(density: Checkable) -> None:
     There are 64 (16 × 16) cells, and larger cells of 2, 4, … times the edge.
     The shares of the cells are compared with the integrals of the pdf.
     The bound is 7 standard errors, plus the error of the quadrature.
-    Counts that are equal in all sets add 0.4/4096 to the bound.
+    For a cell with the same count in all sets, 0.4/4096 is added to the bound.
     In 1-D this detects a mass of 1/2 that is wrong by 0.1 %, and a mass of 1/64 wrong by 2 %.
     Errors within a cell are not detected.
 
@@ -76,7 +77,7 @@ def check_density(density: Checkable) -> None:
 
     If the warp is not one-to-one (`Density.one_to_one`), each axis is divided into 8 slabs.
     The share of the points in a slab is compared with the mean of the pdf over the slab.
-    Share and mean come from the same points. This test covers marginals only.
+    Both values come from the same points. This test detects only wrong marginals.
 
     A density with errors below these bounds passes.
     Peaks narrower than 2^-20 of the domain (2^-12 in 2-D) are not resolved.
@@ -93,7 +94,7 @@ def check_density(density: Checkable) -> None:
                     f"{point_in_words(x[bad][0])}; a density is finite and at least 0 almost "
                     "everywhere."
                 )
-        # Sample 32 shifted sets, the first of which includes both ends
+        # Sample at 32 shifted point sets. The first set also includes both ends of [0,1)
         u = recurrences(density.primary_dims)
         u[0, 0], u[0, 1] = 0.0, BELOW_ONE
         x = density._sample(u)
@@ -104,7 +105,7 @@ def check_density(density: Checkable) -> None:
                 f"u = {point_in_words(u[outside][0])}."
             )
         x = np.minimum(x, BELOW_ONE)
-        # Compare both pairs of functions, so that the wrong one can be named
+        # Test invert against sample, and the pdf against sample, so that the wrong one can be named
         loop = _round_trip(density, u[0], x[0])
         if density.dims <= 2:
             problem = _mass_problem(density, x)

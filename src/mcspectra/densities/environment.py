@@ -121,7 +121,7 @@ class EnvironmentDensity(Wrapper):
         False samples L over the square, as for a flat picture.
     compensation
         False, or the multiple of the mean radiance to subtract: p ∝ max(0, L − multiple · mean L).
-        The subtraction is the normal-independent form of [Karlik2019]_.
+        The subtraction is that form of [Karlik2019]_ that does not depend on the normal.
         True means 1, which suits equal numbers of direction and BSDF samples.
         The density is then 0 at places where f is not 0, so combine it with another technique.
     warp
@@ -200,7 +200,7 @@ def compensated(
         Densities of the other techniques, or spec strings.
     counts
         Number of points of `density` and of each other technique, as in `MultipleImportance`.
-        By default, all numbers are equal.
+        By default, all techniques have the same number of points.
 
     Returns
     -------
@@ -243,7 +243,7 @@ def compensated(
         if other is None:
             raise ParameterError("others holds None; write 'uniform' for a uniform density.")
         found.append(other)
-    # Compute β of all techniques, the table's own first
+    # Compute the share β of the points of each technique; the technique of the table comes first
     techniques = 1 + len(found)
     points: Any = (1,) * techniques if counts is None else counts
     if not isinstance(points, list | tuple | np.ndarray) or len(points) != techniques:
@@ -284,7 +284,8 @@ def _level(p: Array, taken: Array, share: float) -> float:
     own, other = p.ravel()[inside], taken.ravel()[inside]
     ratio = other / own
     order = np.argsort(ratio)
-    # Compute λ if exactly the first k cells are above 0; valid if cell k + 1 is not above 0.
+    # Compute the λ for which exactly the first k cells exceed 0, for each k.
+    # Such a λ is valid if cell k + 1 does not exceed 0
     levels = (share * p.size + np.cumsum(other[order])) / np.cumsum(own[order])
     ends = np.append(ratio[order][1:], np.inf)
     return float(levels[np.flatnonzero(levels <= ends)[0]])

@@ -56,7 +56,8 @@ class SplineDensity(Density):
     shares, tables
         For a mixture: w (K,) with sum 1, and c (K, d, M) with rows of sum 1. Empty for a flow.
     gates
-        For a flow: θ (d, M, 1 + d·DEGREE), with 0 for later coordinates. Empty for a mixture.
+        For a flow: the coefficients θ (d, M, 1 + d·DEGREE), which are 0 for later coordinates.
+        Empty for a mixture.
     defensive
         δ, the smallest value of p, so that |f/p| is at most |f|/δ.
     """
@@ -226,7 +227,7 @@ def _cumulative(knots: Array) -> Array:
         np.diff(knots),
         np.arange(len(knots) - 1),
     )
-    # Taylor series at the left ends
+    # Taylor series of the splines' integrals at the left ends of the cells
     found = [total(knots[:-1], p) * (width**p / math.factorial(p))[:, None] for p in range(4)]
     return np.stack([np.array(found)[:, cells, cells + r].T for r in range(3)], axis=1)
 
@@ -321,7 +322,7 @@ def _walk(
                     share = k0 + t * (k1 + t * (k2 + t * k3))
                     out[n, i] = spread * share + (1.0 - spread) * x[i]
 
-            # Update the factors for the later coordinates
+            # Update everything that the densities of later coordinates depend on
             if mode == _INVERT and i == d - 1:
                 break
             here = max((k1 + t * (2.0 * k2 + 3.0 * t * k3)) / width, 0.0)

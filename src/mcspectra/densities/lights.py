@@ -6,9 +6,9 @@ The densities here are uniform in solid angle, p(s, t) = area · cos θ' / (r² 
 Both densities are positive everywhere, and can be applied to any integrand in (s, t).
 
 Cumulative solid angles are written without differences of nearly equal terms.
-Newton's method inverts them.
+Newton's method inverts these cumulative solid angles.
 The closed forms of the papers compute a small angle Ω as a difference of angles of order 1.
-Therefore they lose all digits for small lights.
+Therefore the closed forms lose all digits for small lights.
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ class SphericalRectangle(_Light):
         return float(self._strip(np.ones(())))
 
     def _strip(self, s: Array) -> Array:
-        """Return the solid angle of the part up to s."""
+        """Return the solid angle of the strip of the light from coordinate 0 to s."""
         x0, y0, l0, l1 = self._frame
         z = self._height
         near, far = _corners(np.full(s.shape, x0), y0, l1, z), _corners(x0 + s * l0, y0, l1, z)
@@ -183,8 +183,8 @@ class SphericalTriangle(_Light):
     """Uniform in the solid angle of a triangle, whose coordinates (s, t) are uniform in area.
 
     x = (s, t) is the point b + √t ((1 − s) a + s c − b).
-    s is the share of the area next to the edge ab as seen from b.
-    t is the share of the triangle that a line parallel to ac cuts off.
+    The ray from b through x splits off the share s of the area, next to the edge ab.
+    The line through x parallel to ac cuts off the share t of the area, at the corner b.
     u_0 is the share of solid angle up to s, and u_1 the share up to t on the line of constant s.
     The map from u to x is Arvo's continuous map [Arvo1995]_.
 
@@ -222,7 +222,7 @@ class SphericalTriangle(_Light):
         return float(triangle_angle(np.array(self._volume), *self._corners))
 
     def _opposite(self, s: Array) -> Array:
-        """Return the point on ac at s, (..., 3)."""
+        """Return the point on the edge ac at the fraction s, (..., 3)."""
         return np.asarray(self._corners[0] + s[..., None] * np.subtract(self.c, self.a))
 
     def _point(self, s: Array, t: Array) -> Array:

@@ -12,7 +12,8 @@ In 2-D, first x_1 is computed from its marginal, then x_0 from its density given
 The order is the same as in `mcspectra.densities.tabulated`.
 The row of each point is evaluated on common cells, so the warp is as smooth along x_1 as the pdf.
 Cells are exact for jumps along lines x_0 = c and x_1 = c.
-The pdf is refused if one of 1018 rows with 1024 places shows jumps or kinks along other lines.
+Jumps or kinks along other lines are sought in 1018 rows, at 1024 places each.
+A pdf that shows a jump or kink there is refused.
 """
 
 from __future__ import annotations
@@ -109,7 +110,7 @@ class NumericalWarp:
             start=256,
             most=_MOST[1] if self.dims == 1 else _MOST_OF_MARGINAL,
             subject=subject,
-            probes=_PROBES[1] if self.dims == 1 else 0,  # the nodes outnumber the rows
+            probes=_PROBES[1] if self.dims == 1 else 0,  # nodes outnumber the common rows
         )
         return _Axis.of(cells, density(cells.nodes[..., None]))
 
@@ -168,7 +169,7 @@ class NumericalWarp:
         return out.reshape(points.shape)
 
     def _in_rows(self, v: Array, y: Array, *, inverse: bool) -> Array:
-        """Return x_0 of u_0 = v in the rows at y, or u_0 of x_0 = v."""
+        """Return x_0 for u_0 = v in the rows at y; with `inverse`, return u_0 for x_0 = v."""
         values = self._row_values(y)
         # Compute the cdf of each row at the borders of cells, scaled to end at 1
         sums = np.cumsum(self._rows.masses(values), axis=1)
@@ -278,13 +279,13 @@ class _Cells:
         return np.asarray(self.low[cell] + 0.5 * (t + 1.0) * self.width[cell])
 
     def part(self, cell: Array, integral: Array, x: Array) -> Array:
-        """Return integrals over cells up to x."""
+        """Return integrals from the left ends of the cells to x."""
         out = np.empty(x.shape)
         _integral_at(integral, self.local(cell, x), out)
         return out
 
     def series(self, values: Array, width: Array) -> tuple[Array, Array]:
-        """Return series of function and integral over cells of `width`, from values (..., 12)."""
+        """Return Chebyshev series of a function and its integral in cells, by values (..., 12)."""
         scaled = values * (0.5 * width[..., None])
         return scaled @ _TO_SERIES.T, scaled @ _TO_INTEGRAL.T
 
@@ -312,7 +313,7 @@ def _refine(
     Parameters
     ----------
     function
-        Function of nodes (C, 12) that returns values (C, 12, rows); the rows share the cells.
+        Function of nodes (C, 12) that returns values (C, 12, rows); the cells serve all rows.
     start, most
         Initial and largest number of cells.
     subject
@@ -376,7 +377,7 @@ def _split(
     unresolved = 0.0
     while low.size:
         # Test at the nodes of both halves, and at the ends, because a jump may lie next to an end.
-        # 0 may be a pole, so the next node replaces it
+        # The point 0 may be a pole, so the test uses the first node instead
         nodes = _spread(*_halved(low, width)).reshape(low.size, 2 * _ORDER)
         first = np.where(low > 0, low, nodes[:, 0])
         ends = np.stack([first, np.nextafter(low + width, 0.0)], axis=1)

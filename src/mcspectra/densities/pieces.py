@@ -291,12 +291,12 @@ class PiecewiseLinear(Density):
     ----------
     values
         Relative density at each of k ≥ 2 nodes, at least 0 and not all 0, in any scale.
-        Cells between two zeros are empty.
+        Cells between two nodes of density 0 get no samples.
 
     Notes
     -----
     Consider a cell with the densities a and b at its ends.
-    The share r of its mass lies left of t = (a + b) r/(a + √D) with D = a² + (b² − a²) r.
+    The share r of the cell's mass lies left of t = (a + b) r/(a + √D) with D = a² + (b² − a²) r.
     The formula starts from the lower end as in `Linear`, so that all terms are positive.
     Therefore there is no cancellation for a → b, or if a or b is 0.
     """

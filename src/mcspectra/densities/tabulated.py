@@ -4,14 +4,14 @@ Choice of a warp
 ----------------
 In 1-D the inverse of the cdf is the only monotone warp. In 2-D one pdf has many warps.
 The warp T determines where the primary-space integrand g(u) = f(T(u))/p(T(u)) jumps.
-Hence it determines the rate.
+Therefore the choice of the warp determines the rate.
 `warp` chooses one of four warps, for exactly the same pdf (h rows of w columns):
 
 * ``"marginal"`` [Shirley1992]_ [Pharr2016]_ (§13.6.7): u_1 chooses the row by the marginal cdf.
   u_0 chooses the column by the cdf within that row.
   T_1 is continuous; T_0 jumps from row to row. All jumps of g lie on axis-aligned segments.
   These are whole lines ``u_1 = row border``, and segments ``u_0 = column border`` in each row.
-  The segments differ from row to row.
+  These segments lie at other places u_0 in each row.
   A line along u_0 crosses no jump of T, and a line along u_1 crosses at most h − 1 jumps.
   If all rows are proportional (a separable table), T is continuous.
   In this case, g jumps only where p jumps, on whole lines.
@@ -24,14 +24,15 @@ Hence it determines the rate.
   u_0 chooses one of h·w bins of equal size, and one of the two cells in the bin.
   The remainder of u_0 gives the position along x_0, and u_1 gives the position along x_1.
   A line along u_0 crosses up to 2hw − 1 jumps, to arbitrary places.
-  Sets remain stratified only in u_1, within cells.
+  Point sets remain stratified only in u_1, and only within cells.
   Several bins may map to the whole of a cell, so T is many-to-one and has *no inverse*.
 * ``"hilbert"`` [SteiglederMcCool2003]_: u_0 chooses a cell by the cdf along a Hilbert curve.
   The remainder of u_0 gives the position in the direction in which the curve leaves the cell.
   u_1 gives the position perpendicular to this direction.
   A line along u_0 crosses up to hw − 1 jumps, at turns of the curve.
   If the table is a square of side 2^k, each jump stays within two neighboring cells.
-  Otherwise the curve leaves the table and returns. A line along u_1 crosses no jumps.
+  For tables of other sizes, the curve leaves the table and returns.
+    A line along u_1 crosses no jumps.
   This warp is made for n strata in u_0. Square 2-D strata give only √n strata along the curve.
 
 *Bilinear* tables (`bilinear`) make p continuous, and hence g along rows.
@@ -39,7 +40,7 @@ Use such tables if jumps reduce the rate.
 
 A border cuts strata unless its position is a multiple of the side of a stratum.
 If strata are cut, the variance of jittered sampling in 2-D falls as n^-1.5 instead of n^-2.
-The environment-map study shows this.
+The study of environment maps shows this loss of rate.
 """
 
 from __future__ import annotations
@@ -71,7 +72,7 @@ __all__ = [
 WARPS = ("marginal", "hierarchical", "alias", "hilbert")
 
 _MOST_SHOWN = 256  # tables up to this size are kept as lists, shown in spec strings
-_MOST_CELLS = 2**26  # largest number of cells; 512 MiB per copy, and a warp has a few
+_MOST_CELLS = 2**26  # largest number of cells; 512 MiB per copy, and a warp keeps several copies
 _MOST_BREAKS = 2**12  # largest number of breaks; quadrature between more breaks does not pay
 _SAME_ROWS = 1e-12  # relative tolerance for proportional rows
 
@@ -179,7 +180,8 @@ class PiecewiseConstant(Density):
 
     @cached_property
     def _warp(self) -> _Marginal | _Hierarchical | _Alias | _Hilbert:
-        # All warps map to the same masses, evenly within each cell. Only the order of cells differs
+        # All warps give each cell the same mass, spread evenly in the cell.
+        # The warps differ only in the order of the cells
         if self.warp == "alias":
             return _Alias(self._cells)
         if self.dims == 1 or self.warp == "marginal":
@@ -225,7 +227,7 @@ def _inner(borders: Array, differ: Array | None = None) -> tuple[float, ...]:
 
 
 # Kernels: cell i of k covers [i/k, (i+1)/k) *as rounded*, both in the look-up and for the samples.
-# Therefore no sample counts for an adjacent cell.
+# With this rule, no rounded sample is assigned to the adjacent cell.
 # `borders` are cdf values at cell borders, from 0 to 1.
 
 
@@ -473,16 +475,17 @@ class _Alias:
 
 @kernel
 def _alias_table(masses: Array) -> tuple[Array, Array]:
-    """Return shares `keep` (n,) and cells `other` (n,) of masses (n,) whose mean is 1.
+    """Return the shares `keep` (n,) and cells `other` (n,) of the alias table of masses (n,).
 
+    The mean of the masses is 1.
     Cells above the mean fill the bins of cells below the mean.
-    Bins of empty cells are filled first, while other cells are above the mean.
+    Bins of empty cells are filled first, as long as some cells are above the mean.
     Therefore empty cells get a share of exactly 0. Rounding affects only values near 1.
     """
     n = masses.size
     left = masses.copy()
     keep, other = np.ones(n), np.arange(n)
-    stack = np.empty(n, np.int64)  # cells below the mean at the front, others at the back
+    stack = np.empty(n, np.int64)  # cells below the mean from the front, others from the back
     low, high = 0, n
     for i in range(n):
         if left[i] < 1.0:
@@ -555,7 +558,7 @@ class _Hilbert:
         _return_along(self.borders, self.places, self.headings, self.cells.shape, x, u)
 
     def breaks(self) -> tuple[tuple[float, ...], tuple[float, ...]]:
-        """Cdf along the curve: T jumps at turns, and its slope jumps elsewhere."""
+        """Cdf at the cells' borders on the curve: T jumps at turns, its slope jumps elsewhere."""
         return _inner(self.borders), ()
 
 

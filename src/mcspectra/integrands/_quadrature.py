@@ -11,7 +11,7 @@ With q = 1 this is the midpoint grid, whose half-sample phase exp(−πi m/C) is
 Unlike a plain FFT, the rule has no jump between f(1) and f(0): the border is the edge of a cell.
 For smooth f, periodic or not, the rule converges spectrally in q.
 A cell with a discontinuity inside is replaced by its pieces, each with q nodes.
-The pieces are few and are summed directly.
+These pieces are few, so the rule sums over their nodes directly.
 """
 
 from __future__ import annotations
@@ -69,14 +69,14 @@ _SIGMAS = 3.0
 # f is evaluated near the corners of a box, at this distance in 1-D and in more dims.
 # The distance is a fraction of the box
 _INSET = (1e-10, 1e-6)
-_LEAST_INSET = 2.0**-51  # Least such distance, as a fraction of the corner's position
+_LEAST_INSET = 2.0**-51  # Least distance to a corner, as a fraction of the corner's position
 # At a corner, smooth functions change by at most this multiple of the last coefficients
 _SMOOTH = 100.0
-_LEAST_SEEN = 30  # Least number of nonzero residuals whose spread is used as an error
+_LEAST_SEEN = 30  # Least number of nonzero residuals from which their spread estimates an error
 _LOOKS = 2  # Number of points of the second probe, as a multiple of the first
 # Smallest sizes of a box: relative to its position, and at 0
 _SMALLEST, _TINIEST = 2.0**-44, 2.0**-500
-# Largest ratio of successive differences, and number of levels to which the ratio is fitted
+# Largest ratio of differences of successive levels, and number of levels for its fit
 _SLOW, _LEVELS = 0.99, 4
 _HALVES, _UNSETTLED = 0.55, 1.5
 
@@ -94,7 +94,7 @@ _FOUND = 2.0**-46  # Uncertainty of the position of a detected break
 
 
 class QuadratureIntegrand(Protocol):
-    """The part of `mcspectra.integrands.Integrand` that quadrature uses."""
+    """The attributes and methods of `mcspectra.integrands.Integrand` that quadrature uses."""
 
     @property
     def dims(self) -> int: ...
@@ -125,8 +125,8 @@ class Estimate:
     value, error, method
         The value, an estimate of its largest absolute error, and the method.
     unseen
-        Part of the error, by channel, due to regions that only the probe resolves.
-        None if the nodes resolve all values at the points of the probe.
+        Part of the error, by channel, from regions that only the test points of `probe` hit.
+        None if the nodes resolve f at all of these test points.
     """
 
     value: Array
@@ -282,16 +282,16 @@ def adaptive_integral(
     Each point of the probe represents 2^-17 of the volume.
 
     While the `budget` of evaluations lasts, a cell is replaced by its 2^d parts in two cases.
-    In one case, cell and parts differ by more than the cell's share of 1e-12 of ∫|f|.
-    In the other case, the polynomial through the parts' nodes differs from f at a probe point.
+    First case: integrals over cell and parts differ by more than the cell's share of 1e-12 ∫|f|.
+    Second case: at a point of the probe, f differs from the polynomial through the parts' nodes.
 
-    The error is the sum of the last differences and of the differences expected next.
-    An alternative value adds the mean over the probe of f minus the polynomials.
-    The error of the alternative is three standard errors of this mean.
+    The error is the sum of the last differences and of the estimated later differences.
+    An alternative value is corrected by the mean over the probe of f minus the polynomials.
+    The error of the corrected value is three standard errors of this mean.
     The value with the smaller error is used.
 
     Boxes that split only because of the probe show that other regions may have been missed.
-    In this case, 2^18 other points correct the value and give its error.
+    If such boxes exist, 2^18 other points correct the value and give its error.
     """
     dims, method = function.dims, "adaptive Gauss-Legendre quadrature with a probe"
     order = _CELL_ORDER[dims]
@@ -320,7 +320,7 @@ def adaptive_integral(
     # Sum the errors at the probe in boxes whose integral did not change
     alone = np.zeros(coarse.shape[1])
     levels: list[tuple[Array, Array, Array, Array, Array]] = []
-    left: list[Array] = []  # Differences of each level, in cells that changed
+    left: list[Array] = []  # Total difference of each level, over cells whose integral changed
     while True:
         # Halve the boxes along every axis; the parts of a box are adjacent
         budget -= len(low) * (2 * order) ** dims
@@ -362,21 +362,21 @@ def adaptive_integral(
         cell = (np.cumsum(keep) - 1)[part[inside]]
         points, seen, fresh = points[inside], seen[inside], (fresh & ~surprise)[inside]
 
-    # Let the probe correct unresolved boxes
+    # Correct the integral over unresolved boxes by the values at the points of the probe
     rest = missed[changed[cell]] / PROBE
     shift, spread = rest.sum(axis=0), _SIGMAS * np.sqrt((rest**2).sum(axis=0))
     better_known = (np.count_nonzero(rest, axis=0) >= _LEAST_SEEN) & (spread < error)
     biased = ~better_known & (_SIGMAS * np.abs(shift) > 2.0 * spread)
     total = np.where(better_known, total + shift, total)
     error = np.where(better_known, spread, np.where(biased, error + np.abs(shift) + spread, error))
-    # Add the error of jumps in cells of negligible weight
+    # Add the error of jumps in cells that are neglected because of their small weight
     error += _SIGMAS * _INTEGRAL_TOLERANCE * scale
     error += _FOUND * sum(map(len, breaks)) * np.ptp(probed, axis=0)
     if not surprises.any():
         return Estimate(total, float(error.max()), method)
 
     # Probe the unchanged cells again at other points.
-    # In 1-D, the first probe hits every region that is as wide as the region it found.
+    # In 1-D, the first probe cannot miss any region as wide as one that it has found.
     # In more dims, a region that 2^18 points miss may exist with probability 5 %
     again = probe(dims, _LOOKS)
     rest = _hidden(levels, again, cells_of(again), _at_points(function, again)) / len(again)
@@ -399,7 +399,7 @@ def search_breaks(
     The search begins with the values at the points of `probe`, which are also returned.
 
     Lines along each axis go through two points of the probe.
-    More lines go through the points of the probe with the least and the greatest value.
+    More lines go through the points of the probe at which f is least and greatest.
     The largest steps of a line are cut down to 2^-46. A step that remains is a jump or a pole.
     A jump is normal to the axis if a neighboring line has a jump at the same position.
     Boxes and tables are then cut there, because their nodes or cells could miss a thin slab.
@@ -416,7 +416,7 @@ def search_breaks(
     for axis in range(dims):
 
         def at(t: Array, aside: float = 0.0, axis: int = axis) -> Array:
-            """Return values (L, M, C) at positions (L, M) on the lines, or on shifted lines."""
+            """Return values (L, M, C) of f at positions t (L, M) on lines, or `aside` of lines."""
             x = np.repeat((lines[:, None] + aside) % 1.0, t.shape[1], axis=1)
             x[..., axis] = np.clip(t, _END, 1.0 - _END)
             return _at_points(function, x.reshape(-1, dims)).reshape(*t.shape, -1) / spread
@@ -474,7 +474,7 @@ def search_breaks(
             found += [(peak, -h, axis, b) for h, b in zip(heights, at_places, strict=True)]
 
     # Take jumps before peaks, and the highest first, while more boxes are affordable.
-    # Corners of boxes are graded toward a border at which g grows
+    # Growth at a border needs no break, because the boxes end at the border
     for peak, _, axis, place in sorted(found):
         if min(place, 1.0 - place) < _ABOUT:
             continue
@@ -500,9 +500,9 @@ def _at_points(function: QuadratureIntegrand, points: Array) -> Array:
 def _after(left: list[Array]) -> Array:
     """Return the sum of all later differences in units of the last, by a geometric series.
 
-    The sum is 1 if differences halve.
-    Next to a pole, differences shrink slowly and their ratio still rises.
-    Therefore the sum is increased by half.
+    If each difference is half of the difference before, the sum is 1.
+    Next to a pole, the differences of levels shrink slowly, and their ratio still rises.
+    Therefore the sum is increased by half if this ratio exceeds 0.55.
     """
     first, last = np.maximum(left[0], 1e-300), left[-1]
     ratio = np.minimum((last / first) ** (1.0 / max(1, len(left) - 1)), _SLOW)
@@ -519,8 +519,8 @@ def _hidden(
 
     Each of the `levels` has lower corners, sizes, values at nodes, and two flags of its boxes.
     The flags say that the box was split again, or that its integral changed.
-    `cell` is the first box of each of the points (K, d).
-    The result is 0 in boxes whose integral changed at the last split.
+    `cell` is the index of the starting box that contains each of the points (K, d).
+    The result is 0 at points in boxes whose integral changed at the last split.
     """
     dims, found, number = points.shape[1], np.zeros(seen.shape), np.arange(len(points))
     digits = 2 ** np.arange(dims)[::-1]
@@ -540,10 +540,10 @@ def probe(dims: int, times: int = 1) -> Array:
     """Return points (2^17 `times`, d) that avoid cell borders, nodes and dyadic numbers.
 
     The points are the same at every call. They form a Latin hypercube.
-    Along each axis, they are a permutation of a regular grid with an irrational offset.
+    Along each axis, the points are a permuted regular grid with an irrational offset.
     A slab across an axis is always hit if its width is at least 2^-17.
     Any other region of volume v is hit with probability 1 − exp(−2^17 v).
-    For v = 8e-5, this probability is 1 − 5e-5.
+    A region of volume v = 8e-5 is missed with probability below 5e-5.
     """
     keys = Stream(times - 1).uniforms(0, dims, times * PROBE)
     offsets = np.sqrt(np.arange(2, 2 + dims) + 0.5)[:, None] % 1.0
@@ -596,8 +596,9 @@ def _cell_values(
 
 
 def _slivers(values: Array, corners: Array) -> Array:
-    """Return the largest ∫|f| that nodes miss along the faces of boxes of volume 1: (N, C).
+    """Return the largest ∫|f| that nodes may miss along the faces of a box: (N, C).
 
+    The result is relative to the volume of the box.
     f may jump beyond the outer nodes.
     A jump is assumed if f at a corner is too far from the polynomial through the nodes.
     The limit is a multiple of the polynomial's last coefficients, which estimate its error.

@@ -21,7 +21,8 @@ from mcspectra.integrands.base import Integrand, any_dims, per_axis
 __all__ = ["Constant", "Cosine", "Gaussian", "Linear", "Polynomial", "squared_distance"]
 
 _MAX_DEGREE = 20  # Higher powers of x are ill-conditioned; see `Polynomial._fourier`
-# Number of cycles below which a Gauss rule is used: 2π·4 exceeds the highest degree, 20
+# A Gauss rule is used below this number of cycles; from 4 cycles, integration by parts is stable:
+# 2π·4 exceeds the highest degree, 20
 _LOW_FREQUENCY = 4
 _NARROW = 0.5  # Width below which 8 Gauss nodes replace differences of erf (error 1e-19)
 
@@ -63,7 +64,7 @@ class Constant(Integrand):
     dims: int = any_dims()
 
     def box_moments(self, lo: Array, hi: Array) -> tuple[Array, Array]:  # noqa: ARG002
-        """Return the value and its square."""
+        """Return the constant value and its square for each box."""
         return np.full(lo.shape[:-1], self.value), np.full(lo.shape[:-1], self.value**2)
 
     def _evaluate(self, x: Array) -> Array:
@@ -152,7 +153,7 @@ class Polynomial(Integrand):
     def _fourier(self, m: Array) -> Array:
         # Integration by parts gives I_k = ∫ x^k exp(−2πi m x) dx = (k I_{k−1} − 1)/(2πi m).
         # Rounding errors do not grow while k < 2π|m|.
-        # At lower frequencies (3 cycles), a Gauss rule of degree 79 is exact to rounding.
+        # At lower frequencies (up to 4 cycles), a Gauss rule of degree 79 is exact to rounding.
         node, weight = gauss_rule(40)
 
         def factor(frequency: Array) -> Array:
@@ -285,7 +286,7 @@ def _gaussian_fourier(m: Array, center: float, width: float) -> Array:
     Let t = (x−c)/(w√2), β = π m w√2, and F(x) = w√2 e^{−2πimc} e^{−β²} (√π/2) erf(t + iβ).
     The integral is F(1) − F(0).
     F is written with the Faddeeva function W(z) = e^{−z²} erfc(−iz) in the upper half plane.
-    There |W| ≤ 1, so nothing overflows at large m. The phases at the ends are exp(−2πi m) = 1.
+    In this half plane |W| ≤ 1, so nothing overflows. The phases at the ends are exp(−2πi m) = 1.
     """
     from scipy.special import wofz
 

@@ -5,7 +5,7 @@ Implementations define `_evaluate`, and also `_integral` and `_fourier` if these
 Otherwise composite Gauss-Legendre quadrature is used, with an FFT for the coefficients.
 `integral_source` and `fourier_source` report the method.
 Each integrand stores results of quadrature in its `IntegrandCache`.
-Therefore it must always give the same values.
+Because of this cache, an integrand must always give the same values.
 """
 
 from __future__ import annotations
@@ -124,15 +124,15 @@ class IntegrandCache:
         Positions along each axis where f jumps, declared or detected (`found_breaks`).
     probed
         Values at the points of `mcspectra.integrands._quadrature.probe`.
-        The search for breaks stores them for the integral, which deletes them.
+        The search for breaks stores these values for the integral, which then deletes them.
     cut
         The integrand with these breaks, or the integrand itself if it declares all of them.
         See `mcspectra.estimators.quadrature.looked_at`.
     moments
-        A number a close to ∫ f, then ∫ (f − a), ∫ (f − a)² and the error of both
+        A number a close to ∫ f; ∫ (f − a) and ∫ (f − a)²; and the errors of both integrals
         (`mcspectra.estimators.quadrature.moments`).
     unseen_square
-        Error of ∫ (f − a)² due to regions that only the probe resolves
+        Error of ∫ (f − a)² from regions that only test points (`probe`) hit
         (`mcspectra.estimators.quadrature.unseen`).
     square
         ∫ f² and its absolute error (`mcspectra.estimators.quadrature.square_integral`).
@@ -388,10 +388,11 @@ class Integrand(Component, ABC):
 
 
 class Derived(Integrand):
-    """An integrand made from another integrand, whose properties are the defaults.
+    """An integrand made from another integrand, which gives the default of every property.
 
     Subclasses are dataclasses with the field `integrand`.
-    Each sets `text`, a format string with the instance as ``{0}``, for its `spec` in messages.
+    A subclass sets the format string `text`, in which ``{0}`` stands for the instance.
+    The formatted text is the `spec` in messages.
     """
 
     text: ClassVar[str]
@@ -583,10 +584,10 @@ def fourier_accuracy(integrand: Integrand, half_width: int) -> tuple[str, float]
     Returns
     -------
     tuple
-        Description, and an estimate of the largest absolute error.
+        Description of the method, and an estimate of its largest absolute error.
         The error is 0 if the coefficients are exact.
-        Otherwise it is the largest difference from a grid with half the nodes.
-        For smooth f that is far above the true error.
+        Otherwise the error is the largest difference from a grid with half the nodes.
+        For smooth f, this difference is far above the true error.
     """
     if _as_integrand(integrand)._fourier(np.zeros((1, integrand.dims))) is not None:
         return integrand.fourier_source, 0.0
@@ -644,7 +645,7 @@ def _quadrature(integrand: Integrand, m: Sequence[Array]) -> Estimate:
     if all((axis == 0).any() for axis in m):
         # The integral, exact or from the better rule, replaces the coefficient at 0.
         # Two grids can agree by chance, for instance if a border runs along their diagonals.
-        # Then the difference from the integral reveals their error
+        # If they agree by chance, the difference from the integral reveals their error
         zero = tuple(int(np.flatnonzero(axis == 0)[0]) for axis in m)
         value, integral = found.value.copy(), integrand.integral
         error = max(found.error, float(np.abs(value[zero] - integral).max()))

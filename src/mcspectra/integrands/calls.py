@@ -172,7 +172,7 @@ class Calls:
         Raises
         ------
         BudgetError
-            If more points are given than are left; f was not called.
+            If more points are given than the limit still allows; f was not called.
         DomainError
             If the points have another number of dims, or lie outside the unit cube.
         ParameterError

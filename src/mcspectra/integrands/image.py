@@ -4,7 +4,7 @@ Environment maps follow `mcspectra.core.environments`: x_0 is φ/2π and x_1 is 
 The matching density is ``environment`` of `mcspectra.densities.environment`.
 Under sampling by luminance, a channel c keeps the ratio L_c / luminance.
 The ratio L_c / luminance jumps at the borders of colored pixels.
-Under sampling by the channel's own density, only the cosine remains.
+With the channel's own density, f/p is proportional to the cosine at the surface.
 The cosine is smooth except at the horizon.
 """
 
@@ -76,7 +76,7 @@ class Image(_Picture):
     """An image on the unit square, constant in each pixel; x_0 runs along rows, x_1 down them.
 
     The Fourier coefficients are exact at every frequency.
-    With the discrete Fourier transform V of w × h pixels, repeated periodically, they are
+    With the periodic discrete Fourier transform V of the w × h pixels, the coefficients are
 
       f_m = V[m_1 mod h, m_0 mod w]/(w h) · sinc(π m_0/w) sinc(π m_1/h) · exp(−πi (m_0/w + m_1/h)).
 
@@ -165,7 +165,7 @@ class Image(_Picture):
         height, width = self._pixels.shape[:2]
         row = np.mod(m[..., 1], height).astype(np.intp)
         column = np.mod(m[..., 0], width).astype(np.intp)
-        cycles = m / np.array([width, height])  # Cycles in one pixel
+        cycles = m / np.array([width, height])  # frequency in cycles per pixel
         pixel = np.sinc(cycles).prod(axis=-1) * np.exp(-1j * np.pi * cycles.sum(axis=-1))
         found = self._transform[row, column]
         return np.asarray(found * (pixel[..., None] if self.channels else pixel))
@@ -221,7 +221,7 @@ class Environment(_Picture):
 
     @property
     def breaks(self) -> Breaks:
-        """Pixel borders or centers along axes with at most 64; the horizon of a vertical normal."""
+        """Pixel borders or centers on axes with at most 64; the horizon of vertical normals."""
         columns, rows = self._lines(1.0 if self.interpolation == "constant" else 0.5)
         return columns, tuple(sorted({*rows, 0.5})) if self._vertical else rows
 

@@ -392,8 +392,8 @@ def _cut_disk_fourier(m: Array, center: Array, radius: float) -> Array:
 def _half_plane_share(lo: Array, hi: Array, normal: Array, offset: float) -> Array:
     """Return the fraction of the boxes [lo, hi], (..., 1) or (..., 2), with normal·x < offset.
 
-    In units of the box, the normal is reflected to components a ≥ b ≥ 0.
-    The fraction is then the distribution function of a u + b v for uniform u and v.
+    Let a ≥ b ≥ 0 be the absolute components of the normal, times the sides of the box.
+    The fraction is the distribution function of a u + b v, for u and v uniform in [0, 1].
     The density of a u + b v is a trapezoid with corners at b and a.
     """
     sides = (hi - lo) * normal
@@ -411,7 +411,7 @@ def _half_plane_share(lo: Array, hi: Array, normal: Array, offset: float) -> Arr
 def _cut_cube_volume(normal: Array, offset: float) -> float | None:
     """Return the volume of {x in [0,1]^d: normal·x < offset}, or None if rounding spoils it.
 
-    Let k components n_i be positive after reflection.
+    Reflection makes the components of the normal ≥ 0; n_i are the k components above 0.
     The volume is Σ_v (−1)^|v| (offset − n·v)_+^k / (k! Π n_i) [BarrowSmith1979]_.
     The sum is over the corners v of the cube.
     The terms cancel, so the relative rounding error is checked.

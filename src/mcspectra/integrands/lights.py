@@ -56,7 +56,7 @@ class RectangleLight(Integrand):
     normal
         Normal of the receiver, of any positive length.
     radiance
-        L, at least 0.
+        Radiance L of the light, at least 0.
     occluder
         None, or the corner and both edges of an opaque parallelogram: ``[[x, y, z], …]``.
         Its shadow makes f discontinuous.
@@ -85,7 +85,7 @@ class RectangleLight(Integrand):
 
     @cached_property
     def _light(self) -> tuple[Array, Array, Array]:
-        """Corner relative to the origin, and both edges."""
+        """Corner of the light relative to the origin, and both edges of the light."""
         return np.subtract(self.corner, self.origin), np.array(self.edge0), np.array(self.edge1)
 
     @cached_property

@@ -53,7 +53,7 @@ def smoothed(
         δ > 0, the width of the ramp across the edge or the side of the box.
     method
         ``"distance"`` is a linear ramp across the edge.
-        Step, disk, half-space and the discontinuous functions of [Christensen2018]_ allow it.
+        Step, disk, half-space and discontinuous functions of [Christensen2018]_ allow this method.
         ``"box"`` is the mean over a box, for any f and δ ≤ 1.
         ``"auto"`` uses the distance if it is known, else the box.
     nodes
@@ -66,7 +66,7 @@ def smoothed(
     Returns
     -------
     Integrand
-        A `SmoothedStep` for a step, else an `EdgeSmoothed` or a `BoxSmoothed`.
+        The smoothed f: `SmoothedStep` for a step, otherwise `EdgeSmoothed` or `BoxSmoothed`.
 
     Raises
     ------
@@ -195,7 +195,7 @@ class BoxSmoothed(Derived):
 
     Notes
     -----
-    The even continuation and the even kernel, including its nodes, keep the integral: ∫ f_δ = ∫ f.
+    Reflection at the faces, with symmetric nodes and weights, keeps the integral: ∫ f_δ = ∫ f.
     """
 
     text = "{0.integrand.spec} averaged over boxes of side {0.width:g}"
@@ -249,7 +249,7 @@ class BoxSmoothed(Derived):
             return np.asarray(total)
 
         # Split the box along each axis into parts below 0 (−1), inside (0) and above 1 (1).
-        # Reflect the outer parts
+        # Reflect the parts outside [0, 1] at the faces
         low, high = x - 0.5 * self.width, x + 0.5 * self.width
         for parts in itertools.product((-1, 0, 1), repeat=self.dims):
             part = np.array(parts)
@@ -262,6 +262,6 @@ class BoxSmoothed(Derived):
             found = self.integrand.box_moments(
                 np.where(empty, 0.0, start), np.where(empty, 1.0, stop)
             )
-            assert found is not None  # Always known, because `_known` is true
+            assert found is not None  # means are known because `_known` is true
             total = total + (share[..., None] if self.channels else share) * found[0]
         return np.asarray(total)

@@ -175,7 +175,7 @@ def encode(figure: Figure, *, with_pdf: bool = True) -> tuple[bytes, bytes]:
     # Ignore warnings about characters that the font lacks; the text of the page shows them
     with warnings.catch_warnings(), mpl.rc_context({"pdf.fonttype": 42}):
         warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)
-        figure.set_dpi(_DPI)  # before the layout, since the width of hinted text depends on the dpi
+        figure.set_dpi(_DPI)  # the layout needs this dpi, because hinted text has another width
         engine = figure.get_layout_engine()
         if engine is not None:
             engine.execute(figure)
@@ -407,7 +407,7 @@ def _panel(axes: Axes, panel: Panel) -> Iterator[tuple[Scale, ScalarMappable]]:
         spine.set_color(GRAY)
         plain = side == "bottom" or (side == "left" and not named)
         spine.set_visible(panel.framed or plain)
-        spine.set_in_layout(False)  # a spine adds no space and is slow to measure
+        spine.set_in_layout(False)  # a spine needs no extra space, and is slow to measure
     axes.tick_params(**_TICKS)
     if named:
         axes.tick_params(axis="y", length=0)
@@ -627,7 +627,7 @@ def _norm(scale: Scale) -> tuple[Any, Any]:
 
 
 def _entries(plot: Plot) -> dict[str, list[Mark | str]]:
-    """Return marks by legend entry, and colors by the names of scales."""
+    """Return the marks of each legend entry, and the color of each name of a scale."""
     found: dict[str, list[Mark | str]] = {label: [] for label in plot.labels}
     for panel in plot.panels:
         for mark in panel.marks:

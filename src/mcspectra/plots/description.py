@@ -322,7 +322,7 @@ class Plot:
         Panels in reading order.
     kind
         Kebab-case name of the kind of plot, such as ``convergence``.
-        The functions of `mcspectra.plots.kinds` set this name.
+        This name is set by the functions of `mcspectra.plots.kinds`.
     columns
         Number of panels per row on paper; narrow screens use fewer.
     caption

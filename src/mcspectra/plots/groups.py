@@ -227,15 +227,15 @@ def labelled(stored: xr.Dataset) -> xr.Dataset:
         for key, value in stored.attrs.items()
         if str(key).startswith("labels_")
     }
-    # Labels of a dim have the name of the dim.
-    # All other labels, such as verdicts, belong to the dim of equal size.
+    # Labels that are named like a dim belong to this dim.
+    # All other labels, such as verdicts, belong to a dim with as many entries.
     # The dim "bound" (of size 2) comes first, so that another dim of size 2 has priority
     dims = sorted(map(str, stored.dims), key=lambda dim: dim != "bound")
     own: dict[tuple[int, ...], Any] = {
         texts[dim].shape: dim for dim in dims if dim in texts and dim != "bound"
     }
     own |= {(stored.sizes[dim],): dim for dim in dims if (stored.sizes[dim],) not in own}
-    # Labels over two dims, such as details by method and n, use the dims of a variable
+    # Labels over two dims (for example method and n) get the dims of a variable of equal shape
     for values in stored.data_vars.values():
         if values.ndim > 1:
             own.setdefault(values.shape[:2], values.dims[:2])

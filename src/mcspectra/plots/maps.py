@@ -144,7 +144,7 @@ def _map_words(values: Array, scale: Scale) -> str:
 
 
 def _logarithmic(label: str) -> Callable[[Array], Scale]:
-    """Return a function that makes a logarithmic scale of positive values without outliers."""
+    """Return a function that makes a logarithmic scale for positive values, except outliers."""
 
     def scale(values: Array) -> Scale:
         found = values[np.isfinite(values) & (values > 0)]
@@ -188,7 +188,7 @@ def _which(values: Array) -> Scale:
 
 
 def _shares(values: Array) -> Scale:
-    """Return a scale of shares from 0 to 1, extended to all estimates except outlier pixels."""
+    """Return a scale of shares from 0 to 1, widened for estimates outside but not for outliers."""
     found = values[np.isfinite(values)]
     low, high = np.percentile(found, _SPREAD) if found.size else (0.0, 1.0)
     return Scale(

@@ -514,7 +514,7 @@ def _power_panel(
     hover: Mapping[str, Sequence[str]],
     axis: Axis,
 ) -> Panel:
-    """Return a panel of power as lines, logarithmic if the frequency axis is or peaks are high."""
+    """Return a panel of power as lines, logarithmic if the x axis is or if peaks are high."""
     every = np.concatenate([y[np.isfinite(y)] for _, y in curves.values()])
     top, low = float(every.max(initial=1.5)), float(every.min(initial=0.5))
     logarithmic = axis.kind == "log" or top > _LINEAR_TOP

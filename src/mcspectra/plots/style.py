@@ -35,7 +35,7 @@ DASHES: tuple[Dashes, ...] = ("-", "--", ":", "-.")
 INK, GRAY, FAINT, PAPER = "#262626", "#8A8A8A", "#DCDCDC", "#FCFCFA"
 """Colors of text and main marks, of minor marks, of grids and shapes, and of the background.
 
-Backends replace them on dark pages."""
+Backends replace these colors on dark pages."""
 ACCENT = "#D55E00"
 TERM_COLORS = {
     "dc_term": "#56B4E9",

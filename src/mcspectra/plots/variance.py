@@ -558,7 +558,7 @@ def remedies(group: Group, _: Styles) -> Plot:
 def usable_counts(curve: xr.Dataset) -> Array:
     """Return a mask (n,) of the counts whose variance is above rounding noise.
 
-    The threshold is the same as in the fit: a mean of n terms of size |I| has a few ulps of error.
+    As in the fit, noise is a few ulps: the rounding error of a mean of n terms of size |I|.
     """
     variance = curve["variance"].values
     floor = (16 * np.finfo(float).eps * np.abs(curve["mean"].values)) ** 2

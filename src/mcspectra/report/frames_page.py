@@ -129,7 +129,7 @@ def _doubts(found: dict[str, Any]) -> Iterator[str]:
     for k in range(last, -1, -1):
         count, expected = found["outliers"][k], found["outliers_expected"][k]
         share, tail = found["outlier_share"][k], found["tail_index"][k]
-        # Report only a count that is more than four standard errors above normal noise
+        # Report fireflies only if they are four standard errors more than in normal noise
         if count and count > expected + 4 * expected**0.5 and share > _CARRIED:
             yield (
                 f"Fireflies: at {count} pixels one frame is far brighter than the others "

@@ -264,11 +264,11 @@ def table_of(
     caption, columns
         Caption and column headers.
     rows
-        Texts or finished cells.
+        Rows of texts or of finished table cells.
     words
         Indices of the columns of words (−1: the last); all others hold numbers.
     **options
-        Further fields of `Table`.
+        Further attributes of the `Table`, by name.
     """
     places = {place % len(columns) for place in words}
     cells = tuple(
@@ -307,7 +307,7 @@ def columns_of(table: Table, names: Sequence[str]) -> Table:
 def figures_of(
     plots: Mapping[str, Plot] | Iterable[Plot], *, live: bool = False
 ) -> tuple[Figures, ...]:
-    """Return one block of the plots by file name, or no block if there are no plots."""
+    """Return one block with all plots, by file name; return no block if there are no plots."""
     named = plots.items() if isinstance(plots, Mapping) else (("", plot) for plot in plots)
     figures = tuple(Figure(plot=plot, name=name, live=live) for name, plot in named)
     return (Figures(figures=figures),) if figures else ()

@@ -87,7 +87,7 @@ def path_tables(tree: xr.DataTree) -> dict[str, html.Table]:
         columns = [found[v].values for v in ("anova_share", "total_share", "truncation_share")]
         columns[0] = columns[0][: len(names)]
         shown = list(zip(names, *columns, strict=True))
-        if kind == "decision":  # a sum over bounces has no cumulative share
+        if kind == "decision":  # decisions are sums over bounces: no cumulative share
             shown = [(name, alone, total, np.nan) for name, alone, total, _ in shown]
         for name, *shares in shown:
             if not np.nan_to_num(shares[:2]).any():
@@ -134,7 +134,7 @@ def _advised(tree: xr.DataTree, *kinds: str) -> tuple[xr.Dataset, xr.Dataset]:
     """Return the best change that helps significantly, or the path as given, and its reference.
 
     If `kinds` are given, only changes of these kinds are considered.
-    The reference is the path with random numbers if measured, or else the path as given.
+    The reference is the path with random numbers if it was measured, else the path as given.
     """
     found = tree["remedies"].to_dataset()
     given = found.sel(remedy="as given")
@@ -147,7 +147,7 @@ def _advised(tree: xr.DataTree, *kinds: str) -> tuple[xr.Dataset, xr.Dataset]:
 
 
 def _setup(tree: xr.DataTree, row: xr.Dataset) -> str:
-    """Return the name of a change: its sampler, or the given sampler with the change."""
+    """Return the name of a changed set-up: a sampler, or the given sampler with a change."""
     name, given = str(row["remedy"].item()), str(tree.attrs["sampler"])
     if name == "as given":
         return given
@@ -295,7 +295,7 @@ def write_path(tree: xr.DataTree, folder: str | Path) -> Path:
     for title, table in path_tables(tree).items():
         sections[title] = (table, *html.figures_of(plots.get(title, {})))
     if "remedies" in tree.children:
-        # List the extra costs of changes, and the changes that could not be tried
+        # List changes that cost extra, and changes that could not be tried
         found = tree["remedies"].to_dataset()
         costs = [
             (str(name), str(one["reason"].item()))

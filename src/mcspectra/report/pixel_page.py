@@ -357,7 +357,7 @@ def _sections(tree: xr.DataTree) -> Iterator[tuple[str, tuple[html.Block, ...]]]
     plot = task_curves(by_strategy, styles, by="by each strategy", x=x, alike=True)
     yield "Rates and predictions", (table, *html.figures_of({"rates": plot}))
 
-    # Terms in the best basis and in all others
+    # Show the three terms in the best basis, and the captured shares in all bases
     trees = tree["terms"].children.items()
     fitting = {STRATEGY_NAMES[name]: views["auto"].to_dataset() for name, views in trees}
     every = {
@@ -418,7 +418,7 @@ def _sections(tree: xr.DataTree) -> Iterator[tuple[str, tuple[html.Block, ...]]]
 
 
 def remedies_summary(found: xr.Dataset) -> dict[str, Any]:
-    """Return all numbers of `mcspectra.remedies` and its answer."""
+    """Return the answer and all numbers of `mcspectra.remedies`."""
     ranked = [
         {"remedy": str(name)} | {v: found[v].sel(remedy=name).values for v in _REMEDY}
         for name in found["remedy"].values

@@ -178,7 +178,7 @@ def _values(function: Callable[[Array], Array], dims: int) -> Array | None:
         if dims > 1:
             x[:, 1] = centres
         rows.append(function(x))
-        start = start or time.monotonic()  # the first row may load or compile code
+        start = start or time.monotonic()  # after the first row, which may load or compile code
         if time.monotonic() - start > _TIME:
             return None
     return np.stack(rows) if dims > 1 else np.concatenate(rows)

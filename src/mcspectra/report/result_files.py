@@ -46,7 +46,7 @@ RESULT_FILES = (".npz", ".csv", ".tex", *backend_matplotlib.FORMATS, ".html")
 """Extensions that `write_result_file` accepts."""
 
 _SAID = ("answer", "diagnosis", "note")
-# Dims of the tables on a page, one table of values for each group of dims
+# Groups of dims: a page has one table of values for each group
 _TABLES = (
     ("sampler",), ("method",), ("n",), ("sampler", "n"), ("method", "n"), ("sampler", "method"),
     ("sampler", "method", "n"),

@@ -178,7 +178,7 @@ def explain(row: SummaryRow, terms: xr.Dataset | None = None) -> str:
     -----
     A term is said to add or remove variance only if its 95 % interval excludes 0.
     The intervals of prediction and measurement are treated as independent.
-    Treating them as independent is conservative, since both come from the same realizations.
+    This assumption is conservative, since both come from the same realizations.
     """
     as_instance("row", row, SummaryRow, "a row of mcspectra.studies.summarize")
     as_instance("terms", terms, xr.Dataset | None, "a dataset of mcspectra.variance_terms")
@@ -381,7 +381,7 @@ def _captured_sentence(row: SummaryRow, terms: xr.Dataset) -> str:
             "measured variance: the sum over frequencies has not converged."
         )
     if found == "agrees":
-        if _is_predicted(row):  # another sentence compares the prediction
+        if _is_predicted(row):  # another sentence compares both
             return ""
         share = f"{row.captured:.0%}".replace("%", " %")
         return f"Prediction and measurement agree ({share})."
@@ -396,7 +396,7 @@ def _agreement(row: SummaryRow, terms: xr.Dataset) -> str:
 
     ``agrees`` means that both are close.
     ``less`` and ``more`` describe a prediction that is not close to the measurement.
-    In these two cases, the interval of the ratio of both also excludes 1.
+    For ``less`` and ``more``, the interval of their ratio also excludes 1.
     Otherwise the comparison is ``open``, or empty if an interval is unknown.
     """
     low, high = row.captured_low, row.captured_high

@@ -31,7 +31,7 @@ REPORT_NAME = "report.html"
 
 _FIRST = ("convergence", "terms", "spectrum", "points")  # analyses that are shown before all others
 _OF_SAMPLERS = ("spectrum", "points", "pcf")  # analyses of points, shared by estimators
-_WITHOUT_SETTINGS = ("points",)  # analyses whose caption already has the only setting, n
+_WITHOUT_SETTINGS = ("points",)  # n is their only setting, and the caption has it
 _FOLDED = ("predict",)  # analyses whose tables are collapsed
 _TITLES = {"pcf": "Pair correlation", "anova": "Axes"}
 _LIVE = frozenset(
@@ -52,9 +52,9 @@ _DETAILS: Mapping[str, tuple[str, ...]] = {
         "points",
     ),
 }
-"""Kinds of figures in collapsed blocks, by the title of the block."""
+"""Titles of collapsed blocks, and the kinds of figures in each of them."""
 
-_MOST_ANSWERS = 8  # largest number of answers that are not collapsed
+_MOST_ANSWERS = 8  # largest number of recommendations in a list that is not collapsed
 _MOST_GAPS = 50  # largest number of rows in the table of missing analyses
 _LONGEST_KEY = 60  # largest number of characters of a group's name in the store
 _NOT_DONE = "not computed yet"
@@ -352,7 +352,7 @@ def _gaps(root: Path, asked: Mapping[str, Sequence[str]]) -> Iterator[html.Block
     heading = html.Paragraph(text="What is missing", kind="heading")
     try:
         status = study_status(root)
-    except StoreError as error:  # a store without its ledger has no record of failures
+    except StoreError as error:  # the store lacks its ledger, which records failures
         yield heading
         yield html.Paragraph(text=f"It is unknown whether analyses failed. {error}")
         return
@@ -415,9 +415,9 @@ def _estimator(
                 text=f"No {analysis} results for {', '.join(lacking)}.", kind="soft"
             )
 
-    # Show figures, and link those figures of samples that an earlier estimator already shows
+    # Show figures, but link to figures of points that an earlier estimator already shows
     shown: list[html.Figure] = []
-    names: set[str] = set()  # file names, since two analyses can have the same kind of figure
+    names: set[str] = set()  # file names in use: two analyses can have the same kind of figure
     details: dict[str, list[html.Figure]] = {summary: [] for summary in _DETAILS}
     linked: dict[str, tuple[str, str]] = {}
     for analysis, found in _with_predictions(each.analyses).items():
@@ -466,7 +466,7 @@ def _estimator(
 def _with_predictions(
     analyses: Mapping[str, Mapping[str, xr.Dataset]],
 ) -> dict[str, Mapping[str, xr.Dataset]]:
-    """Return the analyses for figures; predictions join the measured curves if all counts match."""
+    """Return the analyses to plot; predictions join the measured curves if all counts match."""
     measured, predicted = (analyses.get(name, {}) for name in ("convergence", "predict"))
     if not predicted or not all(
         name in measured and measured[name]["n"].equals(data["n"]) and "method" not in data.dims

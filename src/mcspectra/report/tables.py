@@ -60,7 +60,7 @@ def summary_table(
     rows
         Summary of each pair of estimator and sampler.
     analyses
-        Results by analysis for each row's channel. The bottleneck is derived from these.
+        Results by analysis, for each row's channel. The bottleneck is derived from these results.
     links
         Target of the hyperlink on each row's estimator. Default: no links.
 

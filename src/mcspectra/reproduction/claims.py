@@ -50,7 +50,7 @@ _VERDICT_Z = 3.7125862298839247  # normal quantile of (1 + 0.95^(1/250)) / 2
 VERDICT_WIDENING = _VERDICT_Z / CONFIDENCE_Z
 """Factor by which the half widths of 95 % intervals are multiplied for verdicts."""
 
-_VISIBLE = 5e-4  # smallest tolerance of a rate that is shown
+_VISIBLE = 5e-4  # smallest tolerance that a claim on a rate shows
 _PIXEL_TOLERANCE = 0.125
 _PIXEL_NOTE = (
     "Tolerance: a quarter of the distance between −1.5 (edges) and −2 (smooth). The curves have "
@@ -80,7 +80,7 @@ class Claim:
     expected
         Expected value. It agrees if its distance from the verdict interval is at most `tolerance`.
     tolerance
-        Allowed error of the theory, for example because n is too small. `note` gives the reason.
+        Allowed error of the theory, for example if n is too small for it. `note` gives the reason.
     digits
         Number of digits of the expected value that are shown.
     above, below
@@ -91,7 +91,7 @@ class Claim:
     holds
         The verdict, or None for no verdict.
     shown
-        Text of the expectation, if it is not the number, bound or limit.
+        Text that replaces the number, bound or limit as the expectation.
     note
         Explanation of the verdict.
     """
@@ -132,7 +132,7 @@ class Finding:
     interval
         Verdict interval of the number, or None if the number has no sampling error.
     agrees
-        The verdict. None if the claim has no verdict or the interval contains its bound.
+        The verdict. None if the claim asks for no verdict, or if its bound lies in the interval.
     """
 
     statement: str
@@ -188,7 +188,7 @@ def judge(claim: Claim) -> Finding:
     low = high = claim.value
     if isinstance(measured, Measured):
         low, high = measured.widened(VERDICT_WIDENING)
-        finite = math.isfinite(measured.value)  # widened ends of an infinite value would be NaN
+        finite = math.isfinite(measured.value)  # widening an infinite value would give NaN
         interval = (low, high) if finite else (measured.low, measured.high)
         measured = measured.value
     if claim.expected is not None:
@@ -272,7 +272,7 @@ def pixel_rate(statement: str, curve: xr.Dataset, expected: float) -> Claim:
 
 
 def normal_limit(count: int, freedom: int = 0) -> float:
-    """Return the limit of the largest of `count` normal errors at the level of one finding.
+    """Return a bound for the largest of `count` normal errors, at the confidence of one finding.
 
     If the degrees of freedom are given, the errors follow Student's t distribution.
     """

@@ -51,7 +51,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     except mcs.McspectraError as refusal:
         answer = str(refusal)
 
-    # Maps minus |f_m|² C_mm must sum to the third term; errors are relative to the second term
+    # Contributions minus |f_m|² C_mm must sum to the third term; errors are relative to the second
     errors = [
         abs(float((data["contribution"] - data["power_contribution"]).sum() - data["cross_term"]))
         / float(data["power_term"])

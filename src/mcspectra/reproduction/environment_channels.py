@@ -165,7 +165,7 @@ def _map() -> Plot:
     )
     for title, own in zip(list(marks)[1:], (False, True), strict=True):
         for c, color in enumerate(_COLORS.values()):
-            # Move the pieces between the borders of pixels to primary space
+            # Map each pixel's piece of f/p from x to primary space
             table = PIXELS[:, c] if own else gray
             borders = np.concatenate([[0.0], np.cumsum(table) / table.sum()])
             values = weighted(table, c, t)

@@ -69,7 +69,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     )
     values = (float(matrix.sum().real), as_printed)
 
-    # Judge all terms at once: their sum, and the off-diagonal entries
+    # Compute the errors of all cases: of the sum of the terms, and of off-diagonal entries
     errors = [float(d["predicted_variance"] / d["truncated_variance"][-1]) - 1.0 for d in every]
     off = [
         each[~np.eye(len(each), dtype=bool)]

@@ -20,7 +20,7 @@ __all__ = ["exhibit"]
 N = 64
 SAMPLERS = ("jittered", "latin-hypercube", "poisson-disk", "sobol | owen")
 # The differences m − l are multiples of the frequency of the strata (8 for 64 points).
-# At such pairs, jittered points have correlated coefficients.
+# At these pairs of frequencies, jittered points have correlated coefficients.
 PAIRS = (
     ((3, 0), (-5, 0)),
     ((0, 3), (0, -5)),

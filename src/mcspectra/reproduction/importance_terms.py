@@ -40,7 +40,7 @@ class TermsCase:
 
     @property
     def integrand(self) -> mcs.Integrand:
-        """The integrand of the case."""
+        """The integrand of this case: a line, a bar, a constant or a wave."""
         if self.function == "line":
             return mcs.integrand("linear", 1)
         if self.function == "bar":  # the edges are in the middle of strata 4 and 10 of 16
@@ -144,7 +144,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 "For constant PDF the third term is negative on f(x) = x, jittered points.",
                 of[LINE],
             ),
-            # Up to the third term, the variance is 2 · ¼/N² without and 2 · 1/(6N²) with a shift
+            # Third term: variance without shift, 2 · ¼/N², minus variance with shift, 2 · 1/(6N²)
             Claim(
                 "Counterexample: for constant PDF and a bar whose edges halve strata, the third "
                 "term of jittered points is positive: 1/(6N²) in total, here over |m| ≤ 64.",

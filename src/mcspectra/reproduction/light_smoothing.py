@@ -111,7 +111,7 @@ def _ramp(width: float) -> Claim:
     """Compare the exact variance with 1/(12 δ n³), the sum over strata on a ramp of slope 1/δ."""
     n = 1024
     smoothed = mcs.smoothed(mcs.integrand("step(at=0.47)", dims=1), width)
-    # The ramp covers parts of its two end strata, which changes at most two of δn strata
+    # The ramp covers its two end strata only in part, so at most two of δn strata differ
     bound = 2 / (width * n)
     return Claim(
         f"In one dim a step smoothed over δ = {width} has the variance 1/(12 δ N³) with jittered "

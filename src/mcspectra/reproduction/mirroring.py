@@ -1,10 +1,10 @@
-"""Mirroring of the integrand and of the samples, which prevents the harm of homogenization.
+"""Mirroring of the integrand or the samples, which prevents the loss of rate by homogenization.
 
 Mirror-uniform evaluates f at four mirror images of each of n/4 points.
 Mirror-uniform thus samples h, the mean of f over the four images, at n/4 points.
 Mirror-random chooses one image at random, which adds 1/n of the variance of f among the images.
 
-The mean h = q(x) q(y) is continuous on the torus.
+The mean h = q(x) q(y) over the mirror images is continuous on the torus.
 With shifted strata of side 1/s, the variance is Σ |h_m|² (1 − Π_i sinc²(πm_i/s)) / n.
 The sum is over integers m ≠ 0. It is computed from products over axes.
 """
@@ -50,7 +50,7 @@ RATES = {
     ("random", False): -1.0, ("random", True): -1.0,
     ("uniform", False): -2.0, ("uniform", True): -2.0,
 }  # fmt: skip
-"""Expected rates by mirroring and homogenization."""
+"""Expected rates by kind of mirroring, with and without homogenization."""
 
 
 def exhibit(*, quick: bool, seed: int) -> Exhibit:

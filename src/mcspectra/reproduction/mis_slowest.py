@@ -136,7 +136,7 @@ def exact(technique: int) -> Array:
 
 
 def _pixel(where: str, sides: Sequence[int], realizations: int, seed: int) -> xr.Dataset:
-    """Measure light and BSDF sampling, MIS and its two parts, as entries of the dim estimator."""
+    """Measure light and BSDF sampling, MIS and both parts of MIS: five estimators."""
     place = _PIXELS[where]
     alone, mis = mcs.rendering.pixel_strategies(**place), mcs.rendering.pixel_mis(**place)
     parts = [mis.primary_integrand(t) for t in (0, 1)]

@@ -1,4 +1,4 @@
-"""Predictions from integer frequencies agree with the variance; those from real ones diverge.
+"""Predictions at integer frequencies agree with the variance; at real frequencies they diverge.
 
 On the unit interval, f(x) = x jumps at the border, and g(x) = (1 − cos 2πx)/2 does not.
 Half-integers are the frequencies of a domain of twice the length, [0, 2).

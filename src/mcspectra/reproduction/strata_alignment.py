@@ -92,7 +92,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
                 "Strata deformed to have a border at 1/3 restore the rate −2: rate of the exact "
                 f"variances from N = {counts[0]} to {counts[1]}, minus −2.",
                 slope(counts, np.array(known)) + 2.0,
-                # Rounding s/3 to a whole number of strata changes the variance by 1/s²; s = 16
+                # Rounding s/3 to a whole number changes the variance by 1/s², and s is 16 here
                 at_most=1 / 256,
             ),
             Claim(
@@ -122,7 +122,7 @@ def exact(a: float) -> Array:
 
 
 def homogenised() -> Array:
-    """Return variances after a shift, for which s(1 − s) is 1/6 on average at edge and border.
+    """Return variances after a shift, with the average 1/6 of s(1 − s) at edge and border.
 
     Edge and border are more than a stratum apart and cut different strata.
     Therefore the position of the edge does not matter.

@@ -39,7 +39,7 @@ def exhibit(*, quick: bool, seed: int) -> Exhibit:
     missed = float(weighted["power_term"]) / float(weighted["measured_variance"])
     lost = Measured.of(weighted, "power_term") / exact_weighted()
 
-    # Increase N: the bell vanishes at the border, so the rate is −1 − 2/2 for a power ∝ ν²
+    # Increase N: power ∝ ν² gives the rate −1 − 2/d = −2, since the bell vanishes at the border
     counts = [64, 256, 1024] if quick else [64, 256, 1024, 4096]
     sampler, realizations = "jittered | shift", 1000 if quick else 4000
     curve = mcs.convergence(BELL, sampler, counts, realizations=realizations, rng=seed)
