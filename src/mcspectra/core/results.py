@@ -199,8 +199,10 @@ variance | f | f² | strategy? n? y? x? | variance of the estimate (ddof = 1)
 variance_ratio | f | 1 | any | variance / variance of the estimate as given
 variance_relative_se | f | 1 | strategy? n? y? x? | standard error of the variance / variance
 wedge_power | f | 1 | angle | expected power, mean over a wedge of directions
+density_value | f | 1 | any | density p(x) at the centers of cells
 distortion | f | 1 | any | diameter of a small square's image / that of a square of its area
 face_jump | f | f | any | jump of g from a side of the square to the opposite one
+integrand_value | f | f | any | integrand f(x), or g(u) without a domain, at the centers of cells
 jump | f | 1 | any | jump of the warp to the next cell
 jump_length | f | 1 | any | length of the curves where the warp jumps
 max_stretch | f | 1 | any | largest ratio of singular values of the warp's derivative

@@ -174,6 +174,7 @@ PLOT_KINDS: Mapping[str, PlotKind] = {
         spectra.pair_correlation, ("pair_correlation", "pair_correlation_ci")
     ),
     "points": PlotKind(points.points, ("points", "axis")),
+    "integrand": PlotKind(points.integrand, ("points", "integrand_value")),
     "remedies": PlotKind(variance.remedies, ("remedy", "error_ratio", "error_ratio_ci", "verdict")),
     "techniques": PlotKind(variance.techniques, ("technique_covariance", "technique_variance_ci")),
     "technique-rates": PlotKind(

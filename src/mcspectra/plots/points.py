@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from mcspectra.core.errors import ParameterError
 from mcspectra.plots.description import (
     Axis,
     Dots,
+    Heatmap,
     Line,
     Mark,
     Panel,
@@ -20,16 +22,18 @@ from mcspectra.plots.description import (
     Segments,
 )
 from mcspectra.plots.groups import Group, Styles, abreast, numbers
-from mcspectra.plots.scales import log_axis, name_axis, unit_axis, unit_panel
+from mcspectra.plots.scales import linear_axis, log_axis, name_axis, unit_axis, unit_panel
 from mcspectra.plots.spectra import frequency_map, relative_power
-from mcspectra.plots.style import ACCENT, FAINT, INK, PALETTE, labels
+from mcspectra.plots.style import ACCENT, FAINT, GRAY, INK, PALETTE, PAPER, labels
 from mcspectra.plots.text import SUBSCRIPTS
 
-__all__ = ["point_sets", "points", "sampler_card"]
+__all__ = ["integrand", "point_sets", "points", "sampler_card"]
 
 _MOST_NAMED = 2**14  # largest number of points with tooltips
 _MOST_STRATA = 64  # largest number of strata whose borders are drawn in a strip
 _MOST_SETS, _MOST_AXES, _MOST_POINTS = 6, 6, 2**20  # limits for `point_sets`
+_TICK_ROW = 0.09  # height of a row of ticks below the curves, as a fraction of their height
+_RING = 1.6  # additional diameter in points of the light rings around dots on a map
 _SECTIONS = {"axis 0": (1, 0), "axis 1": (0, 1), "diagonal": (1, 1)}
 
 
@@ -63,6 +67,53 @@ def points(group: Group, styles: Styles) -> Plot:
         words=f"Point sets of {n} points for {', '.join(group)}.",
         height=0.08 + 0.1 * len(group) if sizes == {1} else 1.0,
         share="both",
+    )
+
+
+def integrand(group: Group, styles: Styles) -> Plot:
+    """Plot f and p with the points of each sampler: curves in 1-D, maps in more dims."""
+    each = next(iter(group.values()))
+    values = each["integrand_value"].values
+    density = each["density_value"].values if "density_value" in each else None
+    dims, n = each.sizes["axis"], max(d.sizes["point"] for d in group.values())
+    if values.ndim == 1:
+        panels = [_curves(group, styles, values, density)]
+        caption = f"The integrand f with n = {n} points of each sampler as ticks."
+        if density is not None:
+            caption += " The density p is scaled to the mean of f."
+    else:
+        finite = values[np.isfinite(values)]
+        low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+        shades = {"f": Scale(label="f", low=low, high=high if high > low else low + 1.0)}
+        maps = {"f": values}
+        if density is not None:
+            shades["p"] = Scale(label="p", high=float(density.max()))
+            maps["p"] = density
+        shades = {key: replace(scale, palette="paper") for key, scale in shades.items()}
+        shown = [("f", name) for name in group] + [("p", name) for name in list(group)[:1]]
+        panels = []
+        for key, name in shown[: len(group) + (density is not None)]:
+            centers = [each[f"x{axis}"].values for axis in (0, 1)]
+            shade = Heatmap(
+                values=maps[key].T, x=centers[0], y=centers[1], scale=shades[key], name=key
+            )
+            square = _square(group[name]["points"].values, styles[name].color, title=name)
+            title = name if key == "f" and len(group) > 1 else f"{key} and {name}"
+            # Draw a light ring around each dot, since a dark dot is not visible on a dark cell
+            dots = [mark for mark in square.marks if isinstance(mark, Dots)]
+            rings = [replace(m, color=PAPER, size=m.size + _RING, hover={}) for m in dots]
+            panels.append(replace(square, marks=(shade, *rings, *dots), title=title))
+        caption = f"The integrand f with n = {n} points of each sampler."
+        caption += " Last: the density p with the same points." if density is not None else ""
+        if dims > 2:
+            caption += f" The map is the section through the center of {dims} dims."
+    return Plot(
+        panels=tuple(panels),
+        columns=abreast(len(panels)),
+        caption=caption,
+        words=f"Integrand between {values.min():.3g} and {values.max():.3g}, "
+        f"with points of {', '.join(group)}.",
+        height=0.62 if values.ndim == 1 else 1.0,
     )
 
 
@@ -190,6 +241,38 @@ def sampler_card(group: Group, projected: Array | None = None) -> Plot:
         height=1.0,
         wide=True,
     )
+
+
+def _curves(group: Group, styles: Styles, values: Array, density: Array | None) -> Panel:
+    """Return a panel of f and the scaled p over x, with a row of ticks for each sampler."""
+    x = next(iter(group.values()))["x0"].values
+    marks: list[Mark] = [Line(x=x, y=values, color=INK, label="f", hover={"f": numbers(values)})]
+    every = [values[np.isfinite(values)], np.zeros(1)]
+    if density is not None:
+        scaled = density * float(np.mean(values))
+        hover = {"p": numbers(density)}
+        marks.append(
+            Line(x=x, y=scaled, color=GRAY, dashes="--", label="p · mean of f", hover=hover)
+        )
+        every.append(scaled)
+    low, high = (float(end(np.concatenate(every))) for end in (np.min, np.max))
+    step, short = _TICK_ROW * ((high - low) or 1.0), labels(list(group), 26)
+    for row, (name, each) in enumerate(group.items()):
+        at = each["points"].values[:, 0]
+        marks.append(
+            Dots(
+                x=at,
+                y=np.full(len(at), low - (row + 1) * step),
+                color=styles[name].color,
+                marker="|",
+                size=9.0,
+                label=short[name],
+                hover={"sampler": [name] * len(at), "x": numbers(at)},
+            )
+        )
+    bottom = low - (len(group) + 0.8) * step
+    axis = linear_axis("f(x)", low, high, 5)
+    return Panel(marks=tuple(marks), x=unit_axis("x"), y=replace(axis, low=bottom))
 
 
 def _square(
