@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
-from mcspectra.plots.description import BarChart, Line, Panel, Plot, Scale
+from mcspectra.plots.description import BarChart, Line, Panel, Plot
 from mcspectra.plots.groups import Group, Styles, as_group
 from mcspectra.plots.kinds import PLOT_KINDS
 from mcspectra.plots.points import integrand, points
 from mcspectra.plots.scales import name_axis
-from mcspectra.plots.spectra import frequency_map, lines, radial, relative_power
+from mcspectra.plots.spectra import lines, radial, spectrum
 from mcspectra.plots.style import labels
-from mcspectra.plots.variance import convergence, waterfall
+from mcspectra.plots.variance import convergence, terms
 
 __all__ = ["overview"]
 
@@ -49,26 +49,26 @@ def overview(analyses: Mapping[str, Group], sampler: str, styles: Styles) -> Ite
     if sampler in spectra:
         data = spectra[sampler]
         if PLOT_KINDS["spectrum"].fits(data):
-            scale = Scale(high=2.0, beyond=True)
-            panel = frequency_map(title, data, relative_power(data), scale, "power")
-            yield _small(Plot(panels=(panel,)), panel, "Spectrum: n · power from 0 to 2")
+            plot = spectrum({sampler: data}, styles)
+            panel = replace(_plain(plot.panels[0]), title=title)
         else:
             plot = (lines if PLOT_KINDS["lines"].fits(data) else radial)(spectra, styles)
-            yield _small(plot, replace(plot.panels[0], y=replace(plot.panels[0].y, label="")),
-                         "Spectrum: n · power, random 1")  # fmt: skip
+            panel = replace(plot.panels[0], y=replace(plot.panels[0].y, label=""))
+        yield _small(plot, panel, "Spectrum: n · power, random 1")
     if curves := found.get("convergence"):
         plot = convergence(curves, styles, small=True)
         theory = any("predicted_n" in each for each in curves.values())
         caption = f"Variance and its slope{' (in brackets: theory)' if theory else ''}"
         yield _small(plot, _named_only(plot.panels[0], curves, styles), caption)
     if sampler in found.get("terms", {}):
-        panel = waterfall(title, found["terms"][sampler])
+        plot = terms({sampler: found["terms"][sampler]}, styles)
+        panel = plot.panels[0]
         marks = tuple(
             replace(mark, texts=()) if isinstance(mark, BarChart) else mark for mark in panel.marks
         )
         names = _TERMS[: len(panel.y.ticks or ())]
-        panel = replace(panel, marks=marks, y=name_axis(names))
-        yield _small(Plot(panels=(panel,)), panel, "Terms of the variance add up")
+        panel = replace(panel, marks=marks, y=name_axis(names), title=title)
+        yield _small(plot, panel, "Terms of the variance add up")
 
 
 def _small(plot: Plot, panel: Panel, caption: str) -> Plot:
