@@ -67,6 +67,7 @@ class Terms(Counted, frozen=True, kw_only=True):
 
     function = "variance_terms"
     verb = "variance"
+    pictured = True
     several = ("sampler",)
     split = "terms"
     variables = (

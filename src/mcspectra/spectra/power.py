@@ -201,6 +201,7 @@ class Spectrum(_OfPointSets, frozen=True, kw_only=True):
 
     function = "power_spectrum"
     verb = "spectrum"
+    pictured = True
     companions = ("points",)
     variables = (
         "power", "power_se", "radial_power", "radial_power_se", "radial_power_ci",
@@ -334,6 +335,7 @@ class Points(_OfPointSets, frozen=True, kw_only=True):
     With an estimator, the result also has values of f and p on a grid, for pictures.
     """
 
+    pictured = True
     variables = ("points", "integrand_value", "density_value")
     provenance = ("sampler", "n")
 
