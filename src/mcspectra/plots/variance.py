@@ -60,6 +60,7 @@ __all__ = [
     "anova",
     "captured",
     "convergence",
+    "estimates",
     "overlaid",
     "prediction",
     "remedies",
@@ -84,6 +85,7 @@ _WIDE = 1.25  # intervals of a planned n are shown if their ends differ by more 
 _LINEAR_TOP = 4.0  # largest captured share that is shown on a linear axis
 # Height of a line of text and width of a letter, as fractions of the panel of a figure of one panel
 _TEXT_LINE, _TEXT_LETTER = 0.06, 0.018
+_MOST_BINS = 60  # largest number of bars of a histogram; narrower bars are not visible
 _SMALLER = 2.1  # how many times smaller the panel of a small picture is
 _VERDICTS = {"better": "#009E73", "worse": ACCENT, "given": INK}
 _CURVE = ("variance", "variance_ci", "rate", "rate_ci")
@@ -562,6 +564,57 @@ def remedies(group: Group, _: Styles) -> Plot:
         words="Ratios of variances. "
         + for_each(group, lambda d: _named_values(d, "remedy", "error_ratio")),
         height=0.1 + 0.045 * max(each.sizes["remedy"] for each in group.values()),
+        share="x",
+    )
+
+
+def estimates(group: Group, styles: Styles) -> Plot:
+    """Plot a histogram of estimates with the normal curve of the same mean and variance."""
+    panels, every = [], np.concatenate([each["estimate"].values for each in group.values()])
+    every = every[np.isfinite(every)]
+    low, high = float(every.min()), float(every.max())
+    # A bar per value if the estimates have few values, as those of a step have
+    auto = np.histogram_bin_edges(every, bins="auto")
+    width = max((high - low) / _MOST_BINS, float(auto[1] - auto[0]))
+    gaps = np.diff(np.unique(every))
+    width = max(width, float(gaps[gaps > NEGLIGIBLE * (high - low)].min(initial=high - low)))
+    edges = low - 0.5 * width + width * np.arange(math.floor((high - low) / width + 0.5) + 2)
+    middle, width = 0.5 * (edges[:-1] + edges[1:]), float(edges[1] - edges[0])
+    at, said = np.linspace(edges[0], edges[-1], 200), []
+    for name, each in group.items():
+        values = each["estimate"].values
+        mean, deviation = float(values.mean()), float(values.std(ddof=1))
+        share = np.histogram(values, edges)[0] / values.size
+        hover = {"estimate": numbers(middle), "share": [percent(float(v)) for v in share]}
+        marks: list[Mark] = [
+            BarChart(
+                at=middle, value=share, thickness=0.95 * width, color=styles[name].color,
+                opacity=0.55, hover=hover,
+            )
+        ]  # fmt: skip
+        if deviation > 0.0:
+            density = np.exp(-0.5 * ((at - mean) / deviation) ** 2) / (
+                deviation * math.sqrt(2.0 * math.pi)
+            )
+            marks.append(Line(x=at, y=width * density, color=INK, width=1.2, label="normal curve"))
+        if (known := each.attrs.get("integral")) is not None:
+            marks.append(ReferenceLine(at=float(known), axis="x", dashes="--", label="integral"))
+        said.append(f"{name}: mean {number(mean, 5)}, standard deviation {number(deviation, 3)}")
+        panels.append(
+            Panel(
+                marks=tuple(marks),
+                x=linear_axis("estimate", float(edges[0]), float(edges[-1]), 4),
+                y=Axis(label="share", low=0.0),
+                title=f"{name}, σ = {number(deviation, 3)}",
+            )
+        )
+    return Plot(
+        panels=tuple(panels),
+        columns=abreast(len(panels)),
+        caption=f"Histogram of {every.size // len(group)} estimates, with the normal curve of the "
+        "same mean and variance.",
+        words=f"Histograms of estimates. {'; '.join(said)}.",
+        height=0.7,
         share="x",
     )
 
