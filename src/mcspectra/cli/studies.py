@@ -164,8 +164,10 @@ def run_(options: argparse.Namespace) -> VerbOutput:
     except KeyboardInterrupt as stop:
         # Show the finished cells, unless the user interrupts again
         said = [str(each) for each in stop.args]
+        told = "mcspectra: writing the report of finished work; interrupt again to stop at once"
         with contextlib.suppress(StoreError):
             if reported and results.result_paths(target):
+                print(told, file=sys.stderr, flush=True)
                 said.append(f"the report of finished work is {printable(write_report(target))}")
         raise KeyboardInterrupt(*said) from None
     stored = len(results.result_paths(target))
