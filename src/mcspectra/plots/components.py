@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["component_result", "plot"]
 
 _POINTS = {1: 16, 2: 64}  # default numbers of points by dims; more dims use the last
-_SPECTRUM = {"half_width": 32, "realizations": 50}  # a spectrum of about a second
+_HALF_WIDTH, _SETS = 32, 50  # half width and realizations of a spectrum of about a second
 _REALIZATIONS = 1000  # estimates of a histogram
 _SUBCELLS = {1: 256, 2: 16}  # values of f along each axis of a stratum, by dims
 
@@ -89,7 +89,9 @@ def _points(_: Any, source: Sampler, n: int, rng: RngLike) -> xr.Dataset:
 
 
 def _spectrum(_: Any, source: Sampler, n: int, rng: RngLike) -> xr.Dataset:
-    return compute(Spectrum(n=n, **_SPECTRUM), Subject(None, source), rng=rng)
+    return compute(
+        Spectrum(n=n, half_width=_HALF_WIDTH, realizations=_SETS), Subject(None, source), rng=rng
+    )
 
 
 def _integrand(component: Any, source: Sampler, n: int, rng: RngLike) -> xr.Dataset:

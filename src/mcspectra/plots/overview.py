@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 from mcspectra.plots.description import BarChart, Line, Panel, Plot
 from mcspectra.plots.groups import Group, Styles, as_group
@@ -80,10 +81,11 @@ def _small(plot: Plot, panel: Panel, caption: str) -> Plot:
 
 def _plain(panel: Panel) -> Panel:
     """Return a panel without color bars."""
-    marks = []
+    marks: list[Any] = []
     for mark in panel.marks:
-        scale = getattr(mark, "scale", None)
-        marks.append(mark if scale is None else replace(mark, scale=replace(scale, label="")))  # type: ignore[call-arg]
+        each: Any = mark
+        scale = getattr(each, "scale", None)
+        marks.append(each if scale is None else replace(each, scale=replace(scale, label="")))
     return replace(panel, marks=tuple(marks))
 
 
@@ -91,11 +93,12 @@ def _named_only(panel: Panel, curves: Group, styles: Styles) -> Panel:
     """Return a panel of curves whose legend has the names of the samplers only."""
     short = labels(list(curves), _TITLE)
     names = {styles[name].color: short[name] for name in curves}
-    marks = []
+    marks: list[Any] = []
     for mark in panel.marks:
-        if getattr(mark, "label", ""):
-            measured = not isinstance(mark, Line) or mark.dashes != "-."
-            own = names.get(getattr(mark, "color", ""), "") if measured else ""
-            mark = replace(mark, label=own)  # type: ignore[call-arg]
-        marks.append(mark)
+        each: Any = mark
+        if getattr(each, "label", ""):
+            measured = not isinstance(each, Line) or each.dashes != "-."
+            own = names.get(getattr(each, "color", ""), "") if measured else ""
+            each = replace(each, label=own)
+        marks.append(each)
     return replace(panel, marks=tuple(marks))

@@ -256,9 +256,10 @@ def product(group: Group, styles: Styles) -> Plot:
     ):
         top = np.concatenate([y for _, y in curves.values()])
         shown = {name: (at, _above(y, top)) for name, (at, y) in curves.items()}
-        marks: list[Mark] = [*lines_of(shown, styles, (label, "value"), notes=said)]
-        if said is None:  # the legend below has each sampler once
-            marks = [ReferenceLine(at=1.0), *(replace(m, label="") for m in marks)]  # type: ignore[arg-type, type-var, call-arg]
+        own = lines_of(shown, styles, (label, "value"), notes=said)
+        marks: list[Mark] = list(own)
+        if said is None:  # the legend has each sampler once
+            marks = [ReferenceLine(at=1.0), *(replace(line, label="") for line in own)]
         axis = _log_axis_of("", [y for _, y in shown.values()])
         panels.append(Panel(marks=tuple(marks), x=x, y=axis, title=title, grid=True))
     return Plot(
@@ -278,8 +279,8 @@ def _shells(data: xr.Dataset) -> tuple[Array, Array, Array]:
     """Return lengths |m| ≥ 1, |f_m|² and |f_m|² C_mm, both summed over shells and techniques."""
     dims = frequency_dims(data)
     kept = [d for d in ("technique",) if d in data.dims]
-    lengths = np.sqrt(sum(np.square(data[d].astype(float)) for d in dims))
-    shell = np.rint(lengths.transpose(*dims).values).astype(np.int64).ravel()
+    grid = np.meshgrid(*[data[d].values.astype(float) for d in dims], indexing="ij")
+    shell = np.rint(np.sqrt(sum(np.square(m) for m in grid))).astype(np.int64).ravel()
     last = int(max(data[dims[0]].values)) + 1  # the corners of the grid are incomplete shells
     found = [
         np.bincount(shell, data[name].sum(kept).transpose(*dims).values.ravel())[1:last]

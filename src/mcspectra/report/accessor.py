@@ -17,7 +17,7 @@ from mcspectra.core.display import register_accessor
 from mcspectra.core.errors import ParameterError
 from mcspectra.core.results import VARIABLES
 from mcspectra.plots.backend_matplotlib import GivenAxes, draw, panel_axes
-from mcspectra.plots.groups import along, as_group, labelled, method_of, pairs, variant_dims
+from mcspectra.plots.groups import Data, along, as_group, labelled, method_of, pairs, variant_dims
 from mcspectra.plots.kinds import PLOT_KINDS, describe, kinds_of
 from mcspectra.plots.text import interval, number, rate
 from mcspectra.plots.variance import overlaid
@@ -93,7 +93,8 @@ class Result:
         if axes is not None and ax is not None:
             raise ParameterError("axes and ax are the same; give one of them.")
         axes = ax if axes is None else axes
-        chosen, shown = self._chosen(kind), self._data
+        chosen = self._chosen(kind)
+        shown: Data = self._data
         if overlay is not None:
             if chosen != "convergence" or not PLOT_KINDS["prediction"].fits(overlay):
                 raise ParameterError(

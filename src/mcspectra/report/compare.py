@@ -111,11 +111,11 @@ def verdict(first: Curves, second: Curves) -> str:
     for pairs, what, best in ((less, "largest gain", min), (more, "largest loss", max)):
         if pairs:
             name, sampler = pair = best(pairs, key=lambda each: found[each].ratio.value)
-            each = found[pair]
+            each, (low, high) = found[pair], ends[pair]
             text += (
                 f" The {what}: the variance of {name} with {sampler} at n = {each.n} is "
                 f"{number(each.ratio.value, 3)} times the variance in A "
-                f"({interval(*ends[pair], 3)})."
+                f"({interval(low, high, 3)})."
             )
     return text
 

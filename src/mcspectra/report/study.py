@@ -220,7 +220,7 @@ def _written(root: Path, file: Path) -> Path:
         lead=(
             *(_answers(estimates) if len(estimates) > _MOST_ROWS else ()),
             html.Paragraph(text=lead, kind="soft"),
-            *(gap for gap in gaps[:1] if isinstance(gap, html.Paragraph)),
+            *gaps[1:2],  # the number of missing analyses; their table follows the summary
         ),
         sections=tuple(sections),
     )
